@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+// The session store: an SQLite index over append-only frame segments (docs/file-formats.md).
+//
+// Order of a write: segment bytes -> fdatasync -> row COMMIT -> acknowledge. A failed write or sync fails the session and
+// leaves every other one readable. No sqlite3 type appears here.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+#include "shared/capture/frame_record.h"
+#include "shared/capture/session.h"
+#include "shared/image/image.h"
+
+namespace stratalux::db {
+
+inline constexpr int kSchemaVersion = 1;
+
+struct SessionRow {
+  SessionInfo info;
+  int64_t frames = 0;
+  int64_t bytes = 0;            // payload bytes on disk
+};
+
+struct FrameRow {
+  int64_t id = 0;               // position of the frame in the session, 0-based
+  FrameRecord record;
+  std::string codec;            // "raw8" | "raw12" | "raw16" | "f32"
+  std::string segment;          // file name within the session folder
+  int64_t offset = 0;           // of the frame record in the segment
+  int64_t stored_bytes = 0;
+  std::string hash;             // XXH3-128 of the stored payload, 32 hex digits
+};
+
+struct FitRow {
+  std::string id;               // content hash of inputs + options + program version
+  std::string session;
+  std::string options_json;
+  std::string metrics_json;     // what the index keeps of metrics.json, may be empty
+  WallNs created_wall;
+};
+
+enum class AccessMode { kReadOnly, kReadWrite };
+
+struct WriterOptions {
+  int group_frames = 16;        // frames acknowledged together
+  int64_t max_segment_bytes = int64_t{1} << 30;
+};
+
+class SessionStore;
+
+// Appends the frames of one session. Thread-bound. Dropped without Finish(): the session stays `recording` and the next
+// read-write open marks it `failed` with the reason.
+class SessionWriter {
+ public:
+  ~SessionWriter();
+  SessionWriter(SessionWriter&&) noexcept;
+  SessionWriter& operator=(SessionWriter&&) noexcept;
+
+  [[nodiscard]] const SessionInfo& info() const;
+  // `pixels`: height x width x channels samples. uint16_t for kMono12 / kMono16, uint8_t for kMono8, float for kF32.
+  // Values above the bit depth are refused (kUsage). Acknowledged only once a later Flush() or group commit succeeded.
+  Status Append(const FrameRecord& record, ImageView<const uint16_t> pixels);
+  Status Append(const FrameRecord& record, ImageView<const uint8_t> pixels);
+  // Maps of truth.seg (simulation only); `name` such as "depth", "normal", "subsurface stripe 2". Not indexed.
+  Status AppendTruth(const std::string& name, ImageView<const float> pixels);
+  Status Flush();
+  [[nodiscard]] int64_t acknowledged_frames() const;
+  // Seals the segment, writes manifest.json and the final status.
+  Status Finish(SessionStatus status, std::vector<std::string> reasons = {});
+
+ private:
+  friend class SessionStore;
+  struct Impl;
+  explicit SessionWriter(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+// Thread-bound; open one per thread.
+class SessionStore {
+ public:
+  // Creates STORE/index.sqlite at the newest schema; an existing store is left as it is (kOk).
+  static Status Create(const std::filesystem::path& folder);
+  // kNotFound: no store there; kNewerSchema; kIntegrity: a foreign or damaged file; kBusy: another writer.
+  static Result<SessionStore> Open(const std::filesystem::path& folder, AccessMode mode);
+  ~SessionStore();
+  SessionStore(SessionStore&&) noexcept;
+  SessionStore& operator=(SessionStore&&) noexcept;
+
+  [[nodiscard]] const std::filesystem::path& folder() const;
+
+  // Starts a session; info.id is given here (order never depends on a wall clock). Read-write mode only.
+  Result<SessionWriter> BeginSession(SessionInfo info, const WriterOptions& options = {});
+
+  // Newest first.
+  Result<std::vector<SessionRow>> ListSessions() const;
+  // `selector`: an id, a unique prefix of one, or "latest". kNotFound, or kUsage when ambiguous.
+  Result<SessionRow> FindSession(const std::string& selector) const;
+  Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
+  // Decoded pixels; 8-bit frames are widened. Every read checks the hash: kIntegrity names session, segment and offset.
+  Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
+  [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;
+
+  // Folder for a fit's outputs, registered once complete; replaces an equal id.
+  [[nodiscard]] std::filesystem::path FitFolder(const std::string& session_id, const std::string& fit_id) const;
+  Status RegisterFit(const FitRow& fit);
+  Result<std::vector<FitRow>> ListFits(const std::string& session_id) const;
+
+ private:
+  struct Impl;
+  explicit SessionStore(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace stratalux::db

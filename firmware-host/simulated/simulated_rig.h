@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// The simulated rig: a scene, four projectors and a camera behind the interfaces of the real devices. Its clock is its
+// own (ClockSource::kSimulated), so a capture runs as fast as the frames can be computed.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "firmware-host/camera/frame_source.h"
+#include "firmware-host/gpio/line_bank.h"
+#include "firmware-host/projector/projector.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+#include "shared/capture/plan.h"
+#include "shared/capture/rig_calibration.h"
+
+namespace stratalux::rig {
+
+struct SimulatedRigOptions {
+  uint64_t seed = 1;                 // another seed: another face, another skin
+  int camera_width = 1392;           // mosaic pixels; the field of view does not depend on it
+  int camera_height = 1042;
+  int projector_width = 1024;
+  int projector_height = 768;
+  bool scattering = true;            // false: an opaque matt skin of the same albedo (ablation)
+  bool noise = true;
+  std::string scene = "head";        // "head" | "plane" | "sphere" (SIMRIG: TOML files)
+  std::string skin_table;            // path; empty: the shipped table
+
+  [[nodiscard]] Status Validate() const;
+};
+
+struct TruthMap {
+  std::string name;                  // names in docs/simulated-rig.md
+  Image<float> map;
+};
+
+// Owns the scene; the devices it hands out share it and must not outlive it. Thread-safe for one thread per device.
+class SimulatedRig {
+ public:
+  static Result<std::unique_ptr<SimulatedRig>> Create(const SimulatedRigOptions& options, Logger& logger);
+  virtual ~SimulatedRig() = default;
+
+  virtual LineBank& lines() = 0;
+  virtual FrameSource& camera() = 0;
+  virtual std::vector<Projector*> projectors() = 0;
+  // The exact calibration of the simulated devices.
+  [[nodiscard]] virtual const RigCalibration& calibration() const = 0;
+  // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
+  virtual std::vector<TruthMap> Truth(const CapturePlan& plan) = 0;
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fitted scattering layers of every pixel and channel: the parameters theta of [M 6].
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+
+namespace stratalux::fit {
+
+// Shift law T: tangential displacement per mm of depth of a ray with slope t (model section 6).
+enum class ShiftLaw : uint8_t { kPaper, kRefracted, kRefractedSine };
+[[nodiscard]] const char* ToString(ShiftLaw law);
+[[nodiscard]] Result<ShiftLaw> ParseShiftLaw(const std::string& text);
+
+enum class FitMode : uint8_t { kTied, kFree };
+
+// Why a profile has no (or doubtful) parameters. Counted in metrics.json by name.
+enum class FitReason : uint8_t {
+  kFitted = 0,
+  kOutsideMask = 1,
+  kNoProjector = 2,        // no training projector lights it
+  kTooDark = 3,            // no signal above the noise
+  kNotFinite = 4,          // NaN or infinite samples
+  kDepthNotEstimable = 5,  // fitted, but every shift coefficient is about zero: depths are meaningless
+};
+inline constexpr int kFitReasons = 6;
+[[nodiscard]] const char* ToString(FitReason reason);
+
+// Profile i of a W x H map with C channels is (y * W + x) * C + c. Layer arrays are [profile][layer].
+struct MixtureMap {
+  int width = 0, height = 0, channels = 0;
+  int layers = 0;
+  ShiftLaw shift_law = ShiftLaw::kRefracted;
+  double eta = 1.4;
+  double tau = 0.0;                         // of the angular gain g (model section 7), one per session
+  bool gain_model = true;
+  std::vector<int> training_projectors;
+  std::vector<float> weight, depth_mm, sigma_mm;
+  std::vector<float> surface;               // [profile][training projector]
+  std::vector<float> background;            // [profile][training projector], per sample
+  std::vector<float> divergence;            // [profile] Kullback-Leibler, final
+  std::vector<uint16_t> iterations;         // [profile]
+  std::vector<uint8_t> reason;              // [profile] FitReason
+
+  [[nodiscard]] int64_t profiles() const { return int64_t{width} * height * channels; }
+  [[nodiscard]] int64_t ProfileIndex(int x, int y, int c) const { return (int64_t{y} * width + x) * channels + c; }
+  [[nodiscard]] bool Fitted(int64_t profile) const {
+    const auto r = static_cast<FitReason>(reason[profile]);
+    return r == FitReason::kFitted || r == FitReason::kDepthNotEstimable;
+  }
+};
+
+}  // namespace stratalux::fit

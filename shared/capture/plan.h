@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+// The capture plan: which projector shows which pattern for which frame (../docs/capture-plan.md, model section 2).
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+#include "shared/pattern/pattern.h"
+
+namespace stratalux {
+
+enum class SessionKind { kVisitor, kCalibration, kDark, kFlat, kResponse };
+enum class CapturePhase { kPreroll, kReference, kCorrespondence, kSeparation, kSweep, kMotion, kSpot, kGuard };
+enum class SyncMode { kTriggered, kFreeRunning };
+
+[[nodiscard]] const char* ToString(SessionKind);
+[[nodiscard]] const char* ToString(CapturePhase);
+[[nodiscard]] const char* ToString(SyncMode);
+[[nodiscard]] Result<CapturePhase> ParseCapturePhase(const std::string& text);
+[[nodiscard]] Result<SessionKind> ParseSessionKind(const std::string& text);
+[[nodiscard]] Result<SyncMode> ParseSyncMode(const std::string& text);
+
+struct PlanStep {
+  int index = 0;                 // 0, 1, ... over the whole plan
+  int projector = -1;            // the lit projector; -1: every projector shows the pattern (pre-roll markers)
+  CapturePhase phase = CapturePhase::kReference;
+  Pattern pattern;
+  double exposure_ms = 0.0;
+  int bracket = 0;               // exposure bracket, 0 = nominal
+};
+
+struct PlanOptions {
+  SessionKind kind = SessionKind::kVisitor;
+  SyncMode sync_mode = SyncMode::kTriggered;
+  int projectors = 4;
+  int projector_width = 1024;
+  int projector_height = 768;
+  double exposure_ms = 16.0;
+  std::vector<double> brackets = {1.0};   // exposure factors of every step of the sweep
+  int preroll_markers = 8;                // white/black code, all projectors: 1 0 1 1 0 0 1 0 ... (docs/capture-plan.md)
+  int separation_period = 8;              // px; sinusoid, both axes
+  int separation_shifts = 4;
+  bool checkerboard = false;              // shifted checkerboards on top of the sinusoids
+  int checkerboard_period = 8;
+  int checkerboard_shifts = 2;            // moves along each axis: shifts^2 frames
+  int comb_width = 2;                     // w, px
+  int comb_period = 128;                  // S, px
+  int comb_step = 2;                      // q <= w; a cycle adds up to w/q whites
+  bool row_sweep = false;
+  int motion_whites = 4;                  // whites spread through the sweep
+  int spot_radius = 4;                    // px; 0 leaves the spot frame out
+  int spot_pitch = 160;                   // px
+  int guards = 2;                         // black guard frames after each projector
+
+  [[nodiscard]] Status Validate() const;
+};
+
+struct CapturePlan {
+  PlanOptions options;
+  std::vector<PlanStep> steps;
+
+  [[nodiscard]] double DurationSeconds(double settle_ms) const;   // exposures and settling, no retries
+};
+
+// The marker code shown before the first projector: true = white.
+[[nodiscard]] std::vector<bool> PrerollCode(int markers);
+
+// Fails with kUsage when the options are out of range or no projector of that size can show them.
+[[nodiscard]] Result<CapturePlan> BuildPlan(const PlanOptions& options);
+
+// One JSON text for manifests and `stratalux-rig plan show --json`; FromJson checks it as BuildPlan does.
+[[nodiscard]] std::string PlanOptionsToJson(const PlanOptions& options);
+[[nodiscard]] Result<PlanOptions> PlanOptionsFromJson(const std::string& text);
+
+}  // namespace stratalux

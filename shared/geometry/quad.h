@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// Quads: the 2x2 Bayer blocks on which SRD, EM and all maps live. Quad (i, j) has its centre at mosaic pixel
+// (2i + 0.5, 2j + 0.5); each colour's own site(s) lie off that centre (the two greens average to it).
+#pragma once
+
+#include <Eigen/Core>
+
+#include "shared/image/pixel_format.h"
+
+namespace stratalux {
+
+// Maps are W/2 x H/2 x 3 for Bayer mosaics and W x H x 1 for mono cameras.
+[[nodiscard]] constexpr int QuadStep(Cfa cfa) { return cfa == Cfa::kMono ? 1 : 2; }
+[[nodiscard]] constexpr int QuadChannels(Cfa cfa) { return cfa == Cfa::kMono ? 1 : 3; }
+[[nodiscard]] inline Eigen::Vector2d QuadCentre(Cfa cfa, int i, int j) {
+  const int step = QuadStep(cfa);
+  return {step * i + (step - 1) * 0.5, step * j + (step - 1) * 0.5};
+}
+// Mean position of colour `channel` within the quad, relative to its centre, mosaic px.
+[[nodiscard]] inline Eigen::Vector2d QuadSiteOffset(Cfa cfa, int channel) {
+  if (cfa == Cfa::kMono) return {0.0, 0.0};
+  Eigen::Vector2d sum(0.0, 0.0);
+  int count = 0;
+  for (int y = 0; y < 2; ++y)
+    for (int x = 0; x < 2; ++x)
+      if (CfaColour(cfa, x, y) == channel) {
+        sum += Eigen::Vector2d(x - 0.5, y - 0.5);
+        ++count;
+      }
+  return sum / count;
+}
+
+}  // namespace stratalux
