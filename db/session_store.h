@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The session store: an SQLite index over append-only frame segments (docs/file-formats.md).
 //
-// Order of a write: segment bytes -> fdatasync -> row COMMIT -> acknowledge. A failed write or sync fails the session and
-// leaves every other one readable. No sqlite3 type appears here.
+// Order of a write: segment bytes -> fdatasync -> row COMMIT -> acknowledge. A failed write or sync fails the session
+// and leaves every other one readable. No sqlite3 type appears here.
 #pragma once
 
 #include <cstdint>
@@ -25,31 +25,31 @@ inline constexpr int kSchemaVersion = 1;
 struct SessionRow {
   SessionInfo info;
   int64_t frames = 0;
-  int64_t bytes = 0;            // payload bytes on disk
+  int64_t bytes = 0;  // payload bytes on disk
 };
 
 struct FrameRow {
-  int64_t id = 0;               // position of the frame in the session, 0-based
+  int64_t id = 0;  // position of the frame in the session, 0-based
   FrameRecord record;
-  std::string codec;            // "raw8" | "raw12" | "raw16" | "f32"
-  std::string segment;          // file name within the session folder
-  int64_t offset = 0;           // of the frame record in the segment
+  std::string codec;    // "raw8" | "raw12" | "raw16" | "f32"
+  std::string segment;  // file name within the session folder
+  int64_t offset = 0;   // of the frame record in the segment
   int64_t stored_bytes = 0;
-  std::string hash;             // XXH3-128 of the stored payload, 32 hex digits
+  std::string hash;  // XXH3-128 of the stored payload, 32 hex digits
 };
 
 struct FitRow {
-  std::string id;               // content hash of inputs + options + program version
+  std::string id;  // content hash of inputs + options + program version
   std::string session;
   std::string options_json;
-  std::string metrics_json;     // what the index keeps of metrics.json, may be empty
+  std::string metrics_json;  // what the index keeps of metrics.json, may be empty
   WallNs created_wall;
 };
 
 enum class AccessMode { kReadOnly, kReadWrite };
 
 struct WriterOptions {
-  int group_frames = 16;        // frames acknowledged together
+  int group_frames = 16;  // frames acknowledged together
   int64_t max_segment_bytes = int64_t{1} << 30;
 };
 

@@ -17,12 +17,12 @@ struct CapturedFrame {
   Image<uint16_t> pixels;
   PixelFormat format = PixelFormat::kMono12;
   Cfa cfa = Cfa::kRggb;
-  int64_t sequence = 0;            // the driver's; a gap is a lost frame
-  MonotonicNs time;                // start of exposure
+  int64_t sequence = 0;  // the driver's; a gap is a lost frame
+  MonotonicNs time;      // start of exposure
   ClockSource clock = ClockSource::kUnknown;
-  double exposure_ms = 0.0;        // as the camera reports it for this frame
+  double exposure_ms = 0.0;  // as the camera reports it for this frame
   double gain = 1.0;
-  bool corrupt = false;            // the driver's error flag
+  bool corrupt = false;  // the driver's error flag
 };
 
 class FrameSource {

@@ -19,7 +19,7 @@ struct SyncEdge {
 };
 
 struct TriggerReceipt {
-  int64_t number = 0;        // counts the pulses of this bank, from 0
+  int64_t number = 0;  // counts the pulses of this bank, from 0
   MonotonicNs time;
 };
 

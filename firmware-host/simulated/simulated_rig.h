@@ -19,21 +19,21 @@
 namespace stratalux::rig {
 
 struct SimulatedRigOptions {
-  uint64_t seed = 1;                 // another seed: another face, another skin
-  int camera_width = 1392;           // mosaic pixels; the field of view does not depend on it
+  uint64_t seed = 1;        // another seed: another face, another skin
+  int camera_width = 1392;  // mosaic pixels; the field of view does not depend on it
   int camera_height = 1042;
   int projector_width = 1024;
   int projector_height = 768;
-  bool scattering = true;            // false: an opaque matt skin of the same albedo (ablation)
+  bool scattering = true;  // false: an opaque matt skin of the same albedo (ablation)
   bool noise = true;
-  std::string scene = "head";        // "head" | "plane" | "sphere" (SIMRIG: TOML files)
-  std::string skin_table;            // path; empty: the shipped table
+  std::string scene = "head";  // "head" | "plane" | "sphere" (SIMRIG: TOML files)
+  std::string skin_table;      // path; empty: the shipped table
 
   [[nodiscard]] Status Validate() const;
 };
 
 struct TruthMap {
-  std::string name;                  // names in docs/simulated-rig.md
+  std::string name;  // names in docs/simulated-rig.md
   Image<float> map;
 };
 

@@ -35,15 +35,15 @@ struct MixtureMap {
   int layers = 0;
   ShiftLaw shift_law = ShiftLaw::kRefracted;
   double eta = 1.4;
-  double tau = 0.0;                         // of the angular gain g (model section 7), one per session
+  double tau = 0.0;  // of the angular gain g (model section 7), one per session
   bool gain_model = true;
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;
-  std::vector<float> surface;               // [profile][training projector]
-  std::vector<float> background;            // [profile][training projector], per sample
-  std::vector<float> divergence;            // [profile] Kullback-Leibler, final
-  std::vector<uint16_t> iterations;         // [profile]
-  std::vector<uint8_t> reason;              // [profile] FitReason
+  std::vector<float> surface;        // [profile][training projector]
+  std::vector<float> background;     // [profile][training projector], per sample
+  std::vector<float> divergence;     // [profile] Kullback-Leibler, final
+  std::vector<uint16_t> iterations;  // [profile]
+  std::vector<uint8_t> reason;       // [profile] FitReason
 
   [[nodiscard]] int64_t profiles() const { return int64_t{width} * height * channels; }
   [[nodiscard]] int64_t ProfileIndex(int x, int y, int c) const { return (int64_t{y} * width + x) * channels + c; }

@@ -2,10 +2,9 @@
 // The reconstructed surface, one sample a quad (model section 1), in the camera frame.
 #pragma once
 
+#include <Eigen/Core>
 #include <cmath>
 #include <cstdint>
-
-#include <Eigen/Core>
 
 #include "shared/image/image.h"
 
@@ -22,7 +21,9 @@ struct SurfaceMap {
   [[nodiscard]] Eigen::Vector3d Point(int i, int j) const {
     return {point_mm(i, j, 0), point_mm(i, j, 1), point_mm(i, j, 2)};
   }
-  [[nodiscard]] Eigen::Vector3d Normal(int i, int j) const { return {normal(i, j, 0), normal(i, j, 1), normal(i, j, 2)}; }
+  [[nodiscard]] Eigen::Vector3d Normal(int i, int j) const {
+    return {normal(i, j, 0), normal(i, j, 1), normal(i, j, 2)};
+  }
 };
 
 }  // namespace stratalux::fit

@@ -12,13 +12,14 @@ enum class DecodeReason : uint8_t { kValid = 0, kUnlit = 1, kAmbiguous = 2, kSat
 inline constexpr int kDecodeReasons = 6;
 [[nodiscard]] const char* ToString(DecodeReason reason);
 
-// All maps have the size of the camera's frames (every mosaic site is decoded: bit decisions are ratios, so colour-free).
+// All maps have the size of the camera's frames (every mosaic site is decoded: bit decisions are ratios, so
+// colour-free).
 struct DecodedMap {
-  Image<float> column;         // projector px; NaN where invalid
+  Image<float> column;  // projector px; NaN where invalid
   Image<float> row;
-  Image<float> column_sigma;   // standard deviation, px
+  Image<float> column_sigma;  // standard deviation, px
   Image<float> row_sigma;
-  Image<uint8_t> reason;       // DecodeReason
+  Image<uint8_t> reason;  // DecodeReason
 };
 
 }  // namespace stratalux::fit

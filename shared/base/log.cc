@@ -2,6 +2,7 @@
 #include "shared/base/log.h"
 
 #include <algorithm>
+
 #include <unistd.h>
 
 namespace stratalux {
@@ -15,8 +16,11 @@ void Logger::Write(LogLevel level, const std::string& message) {
 }
 
 Progress::Progress(Logger& logger, std::string label, int64_t total)
-    : logger_(logger), label_(std::move(label)), total_(std::max<int64_t>(total, 1)),
-      terminal_(isatty(fileno(logger.stream())) != 0), start_(std::chrono::steady_clock::now()) {}
+    : logger_(logger),
+      label_(std::move(label)),
+      total_(std::max<int64_t>(total, 1)),
+      terminal_(isatty(fileno(logger.stream())) != 0),
+      start_(std::chrono::steady_clock::now()) {}
 
 Progress::~Progress() {
   const std::lock_guard lock(mutex_);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Xoshiro256++ (Blackman & Vigna 2019), seeded through SplitMix64: the same seed gives the same numbers on every machine.
+// Xoshiro256++ (Blackman & Vigna 2019), seeded through SplitMix64: the same seed gives the same numbers on every
+// machine.
 #pragma once
 
 #include <bit>

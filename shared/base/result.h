@@ -12,11 +12,11 @@ namespace stratalux {
 enum class StatusCode : int {
   kOk = 0,
   kFailed = 1,
-  kUsage = 2,         // wrong flags, configuration, plan or input-file content, found before work starts
-  kDegraded = 3,      // partial result
+  kUsage = 2,     // wrong flags, configuration, plan or input-file content, found before work starts
+  kDegraded = 3,  // partial result
   kNotFound = 4,
   kBusy = 5,
-  kIntegrity = 6,     // hash mismatch, truncation
+  kIntegrity = 6,  // hash mismatch, truncation
   kNewerSchema = 7,
   kTryAgain = 75,
 };
@@ -53,8 +53,8 @@ class [[nodiscard]] Status {
 template <typename T>
 class [[nodiscard]] Result {
  public:
-  Result(T value) : value_(std::move(value)) {}                // NOLINT(google-explicit-constructor)
-  Result(Status status) : status_(std::move(status)) {}        // NOLINT(google-explicit-constructor)
+  Result(T value) : value_(std::move(value)) {}          // NOLINT(google-explicit-constructor)
+  Result(Status status) : status_(std::move(status)) {}  // NOLINT(google-explicit-constructor)
 
   [[nodiscard]] bool ok() const { return value_.has_value(); }
   [[nodiscard]] const Status& status() const { return status_; }
@@ -83,10 +83,9 @@ class [[nodiscard]] Result {
 #define SLX_CONCAT(a, b) SLX_CONCAT_INNER(a, b)
 
 // Returns from the enclosing function when `expr` (a Status) is not ok.
-#define SLX_RETURN_IF_ERROR(expr)                                  \
-  do {                                                             \
-    if (::stratalux::Status slx_status = (expr); !slx_status.ok()) \
-      return slx_status;                                           \
+#define SLX_RETURN_IF_ERROR(expr)                                                     \
+  do {                                                                                \
+    if (::stratalux::Status slx_status = (expr); !slx_status.ok()) return slx_status; \
   } while (false)
 
 // SLX_ASSIGN_OR_RETURN(auto x, F()): x = value of F(), or return its status.

@@ -14,23 +14,23 @@ namespace stratalux {
 enum class LevelCheck : uint8_t { kNotChecked = 0, kPassed = 1, kFailed = 2 };
 
 struct FrameRecord {
-  int step = 0;                        // planned step (PlanStep::index)
+  int step = 0;  // planned step (PlanStep::index)
   int projector = -1;
   CapturePhase phase = CapturePhase::kReference;
   Pattern pattern;
   int bracket = 0;
-  int pose = -1;                       // calibration sessions: board pose; else -1
-  int retry = 0;                       // 0 = first shot
+  int pose = -1;  // calibration sessions: board pose; else -1
+  int retry = 0;  // 0 = first shot
   int64_t trigger_number = -1;
   MonotonicNs trigger_time;
-  MonotonicNs sync_time;               // projector's SYNC edge; 0 where the device has none
+  MonotonicNs sync_time;  // projector's SYNC edge; 0 where the device has none
   int64_t driver_sequence = -1;
   MonotonicNs frame_time;
   ClockSource frame_clock = ClockSource::kUnknown;
-  double exposure_ms = 0.0;            // as reported by the camera
+  double exposure_ms = 0.0;  // as reported by the camera
   double gain = 1.0;
   LevelCheck level_check = LevelCheck::kNotChecked;
-  double mean_dn = 0.0;                // mean raw level, for the level check
+  double mean_dn = 0.0;  // mean raw level, for the level check
   // Payload.
   PixelFormat format = PixelFormat::kMono12;
   Cfa cfa = Cfa::kRggb;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The capture plan: which projector shows which pattern for which frame (../docs/capture-plan.md, model section 2).
+// The capture plan: which projector shows which pattern for which frame (docs/capture-plan.md, model section 2).
 #pragma once
 
 #include <string>
@@ -22,12 +22,12 @@ enum class SyncMode { kTriggered, kFreeRunning };
 [[nodiscard]] Result<SyncMode> ParseSyncMode(const std::string& text);
 
 struct PlanStep {
-  int index = 0;                 // 0, 1, ... over the whole plan
-  int projector = -1;            // the lit projector; -1: every projector shows the pattern (pre-roll markers)
+  int index = 0;       // 0, 1, ... over the whole plan
+  int projector = -1;  // the lit projector; -1: every projector shows the pattern (pre-roll markers)
   CapturePhase phase = CapturePhase::kReference;
   Pattern pattern;
   double exposure_ms = 0.0;
-  int bracket = 0;               // exposure bracket, 0 = nominal
+  int bracket = 0;  // exposure bracket, 0 = nominal
 };
 
 struct PlanOptions {
@@ -37,21 +37,21 @@ struct PlanOptions {
   int projector_width = 1024;
   int projector_height = 768;
   double exposure_ms = 16.0;
-  std::vector<double> brackets = {1.0};   // exposure factors of every step of the sweep
-  int preroll_markers = 8;                // white/black code, all projectors: 1 0 1 1 0 0 1 0 ... (docs/capture-plan.md)
-  int separation_period = 8;              // px; sinusoid, both axes
+  std::vector<double> brackets = {1.0};  // exposure factors of every step of the sweep
+  int preroll_markers = 8;               // white/black code on all projectors (docs/capture-plan.md)
+  int separation_period = 8;             // px; sinusoid, both axes
   int separation_shifts = 4;
-  bool checkerboard = false;              // shifted checkerboards on top of the sinusoids
+  bool checkerboard = false;  // shifted checkerboards on top of the sinusoids
   int checkerboard_period = 8;
-  int checkerboard_shifts = 2;            // moves along each axis: shifts^2 frames
-  int comb_width = 2;                     // w, px
-  int comb_period = 128;                  // S, px
-  int comb_step = 2;                      // q <= w; a cycle adds up to w/q whites
+  int checkerboard_shifts = 2;  // moves along each axis: shifts^2 frames
+  int comb_width = 2;           // w, px
+  int comb_period = 128;        // S, px
+  int comb_step = 2;            // q <= w; a cycle adds up to w/q whites
   bool row_sweep = false;
-  int motion_whites = 4;                  // whites spread through the sweep
-  int spot_radius = 4;                    // px; 0 leaves the spot frame out
-  int spot_pitch = 160;                   // px
-  int guards = 2;                         // black guard frames after each projector
+  int motion_whites = 4;  // whites spread through the sweep
+  int spot_radius = 4;    // px; 0 leaves the spot frame out
+  int spot_pitch = 160;   // px
+  int guards = 2;         // black guard frames after each projector
 
   [[nodiscard]] Status Validate() const;
 };
@@ -60,7 +60,7 @@ struct CapturePlan {
   PlanOptions options;
   std::vector<PlanStep> steps;
 
-  [[nodiscard]] double DurationSeconds(double settle_ms) const;   // exposures and settling, no retries
+  [[nodiscard]] double DurationSeconds(double settle_ms) const;  // exposures and settling, no retries
 };
 
 // The marker code shown before the first projector: true = white.

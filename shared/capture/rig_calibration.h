@@ -14,26 +14,27 @@
 namespace stratalux {
 
 struct CameraCalibration {
-  Pinhole model;                       // full-resolution mosaic pixels; camera frame = rig frame
+  Pinhole model;  // full-resolution mosaic pixels; camera frame = rig frame
   Cfa cfa = Cfa::kRggb;
   double black_level_dn = 0.0;
   double saturation_dn = 4095.0;
-  double gain_e_per_dn = 1.0;          // photo-electrons per digital number
-  double read_noise_dn = 0.0;          // standard deviation
-  double line_blur_px = 0.0;           // standard deviation of the optics' blur, camera pixels (the pixel box comes on top)
+  double gain_e_per_dn = 1.0;  // photo-electrons per digital number
+  double read_noise_dn = 0.0;  // standard deviation
+  double line_blur_px = 0.0;   // standard deviation of the optics' blur, camera pixels (the pixel box comes on top)
 };
 
 struct ProjectorCalibration {
   std::string name;
-  Pinhole model;                       // projector pixels (columns, rows)
-  Rigid3 camera_from_projector;        // mm
-  double line_blur_px = 0.0;           // standard deviation of the optics' blur, projector pixels
-  double black_level = 0.0;            // measured black / white
+  Pinhole model;                 // projector pixels (columns, rows)
+  Rigid3 camera_from_projector;  // mm
+  double line_blur_px = 0.0;     // standard deviation of the optics' blur, projector pixels
+  double black_level = 0.0;      // measured black / white
   // Fall-off relative to the optical axis: 1 + falloff[0] r^2 + falloff[1] r^4, r = distance from the principal point
   // over half the diagonal of the projector's image.
   std::array<double, 2> falloff{};
-  // White-target scale per colour channel: a perfect white Lambertian target at distance d (mm) from the projector, its normal
-  // at angle theta to the light, reads  (white_dn_mm2 * falloff * cos(theta) / d^2) digital numbers above black per ms of exposure.
+  // White-target scale per colour channel: a perfect white Lambertian target at distance d (mm) from the projector, its
+  // normal at angle theta to the light, reads  (white_dn_mm2 * falloff * cos(theta) / d^2) digital numbers above black
+  // per ms of exposure.
   std::array<double, 3> white_dn_mm2_per_ms{};
 
   // Position of the projector's centre in the camera frame, mm.
@@ -41,14 +42,15 @@ struct ProjectorCalibration {
   // (column, row) of a point in the camera frame; nullopt behind the projector.
   [[nodiscard]] std::optional<Eigen::Vector2d> ProjectFromCamera(const Eigen::Vector3d& x_in_camera) const;
   [[nodiscard]] double Falloff(const Eigen::Vector2d& column_row) const;
-  // Digital numbers above black of a perfect white Lambertian target at the point, all columns on; 0 where it faces away.
+  // Digital numbers above black of a perfect white Lambertian target at the point, all columns on; 0 where it faces
+  // away.
   [[nodiscard]] double WhiteTargetDn(const Eigen::Vector3d& x_in_camera, const Eigen::Vector3d& normal, int channel,
                                      double exposure_ms) const;
 };
 
 struct RigCalibration {
-  std::string id;                      // content hash or a name; filled by the store
-  std::string source;                  // "simulation (exact)", "calibration session <id>"
+  std::string id;      // content hash or a name; filled by the store
+  std::string source;  // "simulation (exact)", "calibration session <id>"
   CameraCalibration camera;
   std::vector<ProjectorCalibration> projectors;
 

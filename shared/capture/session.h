@@ -17,19 +17,19 @@ enum class SessionStatus { kRecording, kComplete, kDegraded, kFailed };
 [[nodiscard]] Result<SessionStatus> ParseSessionStatus(const std::string& text);
 
 struct SessionInfo {
-  std::string id;                     // given by the store
+  std::string id;  // given by the store
   SessionKind kind = SessionKind::kVisitor;
-  std::string rig;                    // rig name
-  std::string visitor;                // pseudonym, may be empty
-  std::string consent;                // text version of the consent given, may be empty (STORE makes it binding)
+  std::string rig;      // rig name
+  std::string visitor;  // pseudonym, may be empty
+  std::string consent;  // text version of the consent given, may be empty (STORE makes it binding)
   bool simulated = false;
-  uint64_t seed = 0;                  // simulated sessions
+  uint64_t seed = 0;  // simulated sessions
   WallNs started_wall;
   SessionStatus status = SessionStatus::kRecording;
-  std::vector<std::string> reasons;   // why degraded or failed
+  std::vector<std::string> reasons;  // why degraded or failed
   std::string program_version;
-  std::string plan_json;              // PlanOptionsToJson, empty for imports
-  std::string calibration_json;       // RigCalibration::ToJson, empty when unknown
+  std::string plan_json;         // PlanOptionsToJson, empty for imports
+  std::string calibration_json;  // RigCalibration::ToJson, empty when unknown
 };
 
 }  // namespace stratalux

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/geometry/pinhole.h"
 
+#include <Eigen/LU>
 #include <cmath>
 #include <string>
-
-#include <Eigen/LU>
 
 namespace stratalux {
 namespace {

@@ -3,10 +3,9 @@
 // projectors. Device frame: +x right, +y down, +z forward; integer pixel coordinates are pixel centres.
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <optional>
-
-#include <Eigen/Core>
 
 #include "shared/base/result.h"
 #include "shared/geometry/rigid3.h"
@@ -16,8 +15,8 @@ namespace stratalux {
 struct Pinhole {
   int width = 0;
   int height = 0;
-  double fx = 0.0, fy = 0.0, cx = 0.0, cy = 0.0;    // px
-  std::array<double, 5> distortion{};               // k1 k2 p1 p2 k3
+  double fx = 0.0, fy = 0.0, cx = 0.0, cy = 0.0;  // px
+  std::array<double, 5> distortion{};             // k1 k2 p1 p2 k3
 
   // Pixel of a point in the device frame; nullopt for points at or behind the centre.
   [[nodiscard]] std::optional<Eigen::Vector2d> Project(const Eigen::Vector3d& x_in_device) const;

@@ -30,7 +30,8 @@ struct Ray3 {
   Eigen::Vector3d direction = Eigen::Vector3d::UnitZ();  // unit length
 };
 
-// Pose of a device at `centre_mm` whose +z axis looks at `target_mm` and whose +y axis is as close to `down` as it can be.
+// Pose of a device at `centre_mm` whose +z axis looks at `target_mm` and whose +y axis is as close to `down` as it can
+// be.
 [[nodiscard]] Rigid3 LookAt(const Eigen::Vector3d& centre_mm, const Eigen::Vector3d& target_mm,
                             const Eigen::Vector3d& down = Eigen::Vector3d::UnitY());
 

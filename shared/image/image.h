@@ -20,8 +20,8 @@ class ImageView {
   ImageView(T* data, int width, int height, int channels = 1)
       : data_(data), width_(width), height_(height), channels_(channels) {}
   template <typename U>
-    requires std::is_same_v<const U, T>
-  ImageView(const ImageView<U>& other)  // NOLINT(google-explicit-constructor): view of T reads as view of const T
+  requires std::is_same_v<const U, T> ImageView(
+      const ImageView<U>& other)  // NOLINT(google-explicit-constructor): view of T reads as view of const T
       : data_(other.data()), width_(other.width()), height_(other.height()), channels_(other.channels()) {}
 
   [[nodiscard]] int width() const { return width_; }
@@ -32,9 +32,7 @@ class ImageView {
   [[nodiscard]] size_t size() const { return static_cast<size_t>(width_) * height_ * channels_; }
   [[nodiscard]] std::span<T> pixels() const { return {data_, size()}; }
   [[nodiscard]] T* row(int y) const { return data_ + static_cast<size_t>(y) * width_ * channels_; }
-  T& operator()(int x, int y, int c = 0) const {
-    return data_[(static_cast<size_t>(y) * width_ + x) * channels_ + c];
-  }
+  T& operator()(int x, int y, int c = 0) const { return data_[(static_cast<size_t>(y) * width_ + x) * channels_ + c]; }
   [[nodiscard]] bool contains(int x, int y) const { return x >= 0 && y >= 0 && x < width_ && y < height_; }
 
  private:
@@ -51,7 +49,9 @@ class Image {
  public:
   Image() = default;
   Image(int width, int height, int channels = 1, T fill = T{})
-      : width_(width), height_(height), channels_(channels),
+      : width_(width),
+        height_(height),
+        channels_(channels),
         pixels_(static_cast<size_t>(width) * height * channels, fill) {
     SLX_CHECK(width >= 0 && height >= 0 && channels > 0);
   }

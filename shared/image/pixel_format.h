@@ -8,10 +8,10 @@
 namespace stratalux {
 
 enum class PixelFormat : uint16_t {
-  kMono8 = 1,    // 1 byte a pixel
-  kMono12 = 2,   // 16-bit little-endian containers with values 0..4095, in memory; packed as MIPI RAW12 by the codec
+  kMono8 = 1,   // 1 byte a pixel
+  kMono12 = 2,  // 16-bit little-endian containers with values 0..4095, in memory; packed as MIPI RAW12 by the codec
   kMono16 = 3,
-  kF32 = 4,      // float maps of truth.seg and of fits, `channels` interleaved
+  kF32 = 4,  // float maps of truth.seg and of fits, `channels` interleaved
 };
 
 // Colour filter array: the colours of the 2x2 block whose top left pixel is (0, 0).
@@ -21,7 +21,10 @@ enum class Cfa : uint16_t { kMono = 0, kRggb = 1, kBggr = 2, kGrbg = 3, kGbrg = 
   return format == PixelFormat::kMono8 ? 1 : format == PixelFormat::kF32 ? 4 : 2;
 }
 [[nodiscard]] constexpr int BitDepth(PixelFormat format) {
-  return format == PixelFormat::kMono8 ? 8 : format == PixelFormat::kMono12 ? 12 : format == PixelFormat::kMono16 ? 16 : 32;
+  return format == PixelFormat::kMono8    ? 8
+         : format == PixelFormat::kMono12 ? 12
+         : format == PixelFormat::kMono16 ? 16
+                                          : 32;
 }
 // Colour (0 R, 1 G, 2 B; always 0 for mono) that the pixel (x, y) sees.
 [[nodiscard]] constexpr int CfaColour(Cfa cfa, int x, int y) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Patterns that a projector shows. The controller projects them, the fitter decodes them: both ask this one description.
-// Intensities are linear light, 0 = projector black, 1 = white.
+// Patterns that a projector shows. The controller projects them, the fitter decodes them: both ask this one
+// description. Intensities are linear light, 0 = projector black, 1 = white.
 #pragma once
 
 #include <string>
@@ -26,18 +26,20 @@ enum class PatternAxis { kColumns, kRows };
 struct Pattern {
   PatternKind kind = PatternKind::kBlack;
   PatternAxis axis = PatternAxis::kColumns;
-  int bit = 0;             // kGray: 0 = coarsest (most significant)
-  int bits = 0;            // kGray: number of bits of the code
-  bool inverse = false;    // kGray
-  int period = 0;          // px
-  int width = 0;           // px
+  int bit = 0;           // kGray: 0 = coarsest (most significant)
+  int bits = 0;          // kGray: number of bits of the code
+  bool inverse = false;  // kGray
+  int period = 0;        // px
+  int width = 0;         // px
   int shift = 0;
   int shifts = 1;
 
   friend bool operator==(const Pattern&, const Pattern&) = default;
 
   // True when the intensity depends on the column alone or on the row alone (white and black: on neither).
-  [[nodiscard]] bool IsOneDimensional() const { return kind != PatternKind::kCheckerboard && kind != PatternKind::kSpots; }
+  [[nodiscard]] bool IsOneDimensional() const {
+    return kind != PatternKind::kCheckerboard && kind != PatternKind::kSpots;
+  }
   // Intensity of projector pixel (column, row).
   [[nodiscard]] float Intensity(int column, int row) const;
   // The `count` intensities along the pattern's axis (columns for white and black). Precondition: IsOneDimensional().

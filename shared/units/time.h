@@ -13,7 +13,9 @@ struct MonotonicNs {
   int64_t ns = 0;
   friend auto operator<=>(const MonotonicNs&, const MonotonicNs&) = default;
   friend MonotonicNs operator+(MonotonicNs t, std::chrono::nanoseconds d) { return {t.ns + d.count()}; }
-  friend std::chrono::nanoseconds operator-(MonotonicNs a, MonotonicNs b) { return std::chrono::nanoseconds(a.ns - b.ns); }
+  friend std::chrono::nanoseconds operator-(MonotonicNs a, MonotonicNs b) {
+    return std::chrono::nanoseconds(a.ns - b.ns);
+  }
 };
 
 // CLOCK_REALTIME, ns since 1970 UTC. Only shown to people; no order and no identity depends on it.
@@ -26,6 +28,6 @@ enum class ClockSource : uint16_t { kUnknown = 0, kMonotonic = 1, kSimulated = 2
 
 [[nodiscard]] MonotonicNs MonotonicNow();
 [[nodiscard]] WallNs WallNow();
-[[nodiscard]] std::string ToIso8601(WallNs time);   // "2026-11-21T04:06:11Z"
+[[nodiscard]] std::string ToIso8601(WallNs time);  // "2026-11-21T04:06:11Z"
 
 }  // namespace stratalux

@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/session_frames.h"
+
+#include <set>
+
+#include "fitter/pipeline/content_hash.h"
+
+namespace stratalux::fit {
+
+SessionFrames::SessionFrames(db::SessionStore store, db::SessionRow session)
+    : store_(std::move(store)), session_(std::move(session)) {}
+
+std::string SessionFrames::Key(int projector, CapturePhase phase, const Pattern& pattern, int pose) {
+  return std::to_string(projector) + "|" + ToString(phase) + "|" + pattern.ToString() + "|" + std::to_string(pose);
+}
+
+Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const std::string& selector) {
+  SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(auto session, store.FindSession(selector));
+  const std::string where = "session " + session.info.id;
+  SessionFrames frames(std::move(store), std::move(session));
+  const SessionInfo& info = frames.session_.info;
+  if (!info.plan_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(frames.plan_, PlanOptionsFromJson(info.plan_json).WithContext(where));
+  }
+  if (!info.calibration_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(frames.calibration_, RigCalibration::FromJson(info.calibration_json).WithContext(where));
+  }
+  SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
+  for (size_t i = 0; i < frames.rows_.size(); ++i) {
+    const FrameRecord& r = frames.rows_[i].record;
+    // Brackets other than the nominal exposure are merged by a later stage; the simple stages read bracket 0.
+    if (r.level_check == LevelCheck::kFailed || r.bracket != 0) continue;
+    frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose)] = i;
+  }
+  return frames;
+}
+
+std::filesystem::path SessionFrames::folder() const { return store_.SessionFolder(session_.info.id); }
+
+std::vector<int> SessionFrames::poses() const {
+  std::set<int> poses;
+  for (const db::FrameRow& row : rows_) poses.insert(row.record.pose);
+  return {poses.begin(), poses.end()};
+}
+
+const db::FrameRow* SessionFrames::Find(int projector, CapturePhase phase, const Pattern& pattern, int pose) const {
+  const auto found = by_key_.find(Key(projector, phase, pattern, pose));
+  return found == by_key_.end() ? nullptr : &rows_[found->second];
+}
+
+Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose) const {
+  const db::FrameRow* row = Find(projector, phase, pattern, pose);
+  if (row == nullptr)
+    return Status::NotFound("session " + info().id + " has no good frame of projector " + std::to_string(projector) +
+                            ", " + ToString(phase) + ", '" + pattern.ToString() + "'" +
+                            (pose >= 0 ? ", pose " + std::to_string(pose) : ""));
+  return store_.ReadFrame(info().id, *row);
+}
+
+Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
+  Image<float> mean;
+  int count = 0;
+  for (const db::FrameRow& row : rows_) {
+    const FrameRecord& r = row.record;
+    if (r.projector != projector || r.pattern.kind != PatternKind::kBlack || r.level_check == LevelCheck::kFailed)
+      continue;
+    SLX_ASSIGN_OR_RETURN(const auto image, store_.ReadFrame(info().id, row));
+    if (mean.empty()) mean = Image<float>(image.width(), image.height());
+    if (mean.width() != image.width() || mean.height() != image.height())
+      return Status::Integrity("session " + info().id + ": black frames of projector " + std::to_string(projector) +
+                               " differ in size");
+    for (size_t i = 0; i < mean.size(); ++i) mean.pixels()[i] += image.pixels()[i];
+    ++count;
+  }
+  if (count == 0)
+    return Status::NotFound("session " + info().id + " has no black frame of projector " + std::to_string(projector));
+  for (float& v : mean.pixels()) v /= static_cast<float>(count);
+  return mean;
+}
+
+std::string SessionFrames::ContentHash() const {
+  std::string all = info().id + info().plan_json + info().calibration_json;
+  for (const db::FrameRow& row : rows_) all += row.hash + row.record.pattern.ToString();
+  return ContentHashOf(all);
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frames of one session by what they show: the only door between the store and the stages, which take views.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "db/session_store.h"
+#include "shared/capture/rig_calibration.h"
+
+namespace stratalux::fit {
+
+class SessionFrames {
+ public:
+  // kNotFound / kUsage for the selector; kIntegrity where manifest texts are damaged.
+  static Result<SessionFrames> Open(const std::string& store_folder, const std::string& selector);
+
+  [[nodiscard]] const SessionInfo& info() const { return session_.info; }
+  [[nodiscard]] std::filesystem::path folder() const;
+  [[nodiscard]] db::SessionStore& store() { return store_; }
+  // From the session's manifest; nullopt for imports without one.
+  [[nodiscard]] const std::optional<PlanOptions>& plan() const { return plan_; }
+  [[nodiscard]] const std::optional<RigCalibration>& calibration() const { return calibration_; }
+  [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
+  [[nodiscard]] std::vector<int> poses() const;
+
+  // The last good shot (a failed level check does not count) of a pattern; nullptr when there is none.
+  [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern,
+                                         int pose = -1) const;
+  // As Find, then decoded pixels; kNotFound names projector, phase and pattern.
+  [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern,
+                                             int pose = -1) const;
+  // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
+  // black.
+  [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
+  // Hash over all frame hashes: the session's content.
+  [[nodiscard]] std::string ContentHash() const;
+
+ private:
+  SessionFrames(db::SessionStore store, db::SessionRow session);
+  static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose);
+
+  db::SessionStore store_;
+  db::SessionRow session_;
+  std::optional<PlanOptions> plan_;
+  std::optional<RigCalibration> calibration_;
+  std::vector<db::FrameRow> rows_;
+  std::map<std::string, size_t> by_key_;
+};
+
+}  // namespace stratalux::fit

@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/capture/plan.h"
+
+#include <algorithm>
+#include <array>
+#include <string_view>
+
+namespace stratalux {
+namespace {
+
+constexpr std::array<std::string_view, 8> kPhases = {"preroll", "reference", "correspondence", "separation",
+                                                     "sweep",   "motion",    "spot",           "guard"};
+constexpr std::array<std::string_view, 5> kKinds = {"visitor", "calibration", "dark", "flat", "response"};
+constexpr std::array<std::string_view, 2> kSyncModes = {"triggered", "free_running"};
+
+template <typename E, size_t N>
+Result<E> ParseName(const std::array<std::string_view, N>& names, const std::string& text, const char* what) {
+  const auto found = std::find(names.begin(), names.end(), text);
+  if (found != names.end()) return static_cast<E>(found - names.begin());
+  std::string allowed;
+  for (std::string_view name : names) allowed += (allowed.empty() ? "" : ", ") + std::string(name);
+  return Status::Usage(std::string(what) + " '" + text + "' is unknown; allowed: " + allowed);
+}
+
+Status RequireRange(const char* name, double value, double low, double high) {
+  if (value >= low && value <= high) return Status::Ok();
+  return Status::Usage(std::string("plan: ") + name + " = " + std::to_string(value) +
+                       ", allowed: " + std::to_string(low) + " .. " + std::to_string(high));
+}
+
+// Appends steps with running indices.
+class PlanBuilder {
+ public:
+  explicit PlanBuilder(const PlanOptions& options) { plan_.options = options; }
+
+  void Add(int projector, CapturePhase phase, const Pattern& pattern, int bracket = 0) {
+    const PlanOptions& o = plan_.options;
+    const double factor = bracket < static_cast<int>(o.brackets.size()) ? o.brackets[bracket] : 1.0;
+    plan_.steps.push_back({static_cast<int>(plan_.steps.size()), projector, phase, pattern,
+                           o.exposure_ms * (phase == CapturePhase::kSweep ? factor : 1.0), bracket});
+  }
+
+  void AddPreroll() {
+    for (bool white : PrerollCode(plan_.options.preroll_markers))
+      Add(-1, CapturePhase::kPreroll, {.kind = white ? PatternKind::kWhite : PatternKind::kBlack});
+  }
+
+  void AddCorrespondence(int projector) {
+    for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+      const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+      const int bits = GrayBits(extent);
+      for (int bit = 0; bit < bits; ++bit)
+        for (bool inverse : {false, true})
+          Add(projector, CapturePhase::kCorrespondence,
+              {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse});
+    }
+  }
+
+  void AddSeparation(int projector) {
+    const PlanOptions& o = plan_.options;
+    for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
+      for (int shift = 0; shift < o.separation_shifts; ++shift)
+        Add(projector, CapturePhase::kSeparation,
+            {.kind = PatternKind::kSinusoid,
+             .axis = axis,
+             .period = o.separation_period,
+             .shift = shift,
+             .shifts = o.separation_shifts});
+    if (!o.checkerboard) return;
+    for (int shift = 0; shift < o.checkerboard_shifts * o.checkerboard_shifts; ++shift)
+      Add(projector, CapturePhase::kSeparation,
+          {.kind = PatternKind::kCheckerboard,
+           .period = o.checkerboard_period,
+           .shift = shift,
+           .shifts = o.checkerboard_shifts});
+  }
+
+  // One comb cycle along `axis`, with `whites` all-white frames spread through it.
+  void AddSweep(int projector, PatternAxis axis, int whites) {
+    const PlanOptions& o = plan_.options;
+    const int frames = o.comb_period / o.comb_step;
+    int whites_shown = 0;
+    for (int k = 0; k < frames; ++k) {
+      // White i stands in the middle of the i-th of `whites` equal parts of the sweep.
+      if (whites > 0 && whites_shown < whites && k == (2 * whites_shown + 1) * frames / (2 * whites)) {
+        Add(projector, CapturePhase::kMotion, {.kind = PatternKind::kWhite});
+        ++whites_shown;
+      }
+      for (int bracket = 0; bracket < static_cast<int>(o.brackets.size()); ++bracket)
+        Add(projector, CapturePhase::kSweep,
+            {.kind = PatternKind::kComb,
+             .axis = axis,
+             .period = o.comb_period,
+             .width = o.comb_width,
+             .shift = k * o.comb_step},
+            bracket);
+    }
+  }
+
+  void AddVisitor(int projector) {
+    const PlanOptions& o = plan_.options;
+    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite});
+    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+    AddCorrespondence(projector);
+    AddSeparation(projector);
+    AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
+    if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
+    if (o.spot_radius > 0)
+      Add(projector, CapturePhase::kSpot,
+          {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius});
+    AddGuards(projector);
+  }
+
+  void AddReferenceAndCodes(int projector) {
+    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite});
+    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+    AddCorrespondence(projector);
+    AddGuards(projector);
+  }
+
+  void AddGuards(int projector) {
+    for (int i = 0; i < plan_.options.guards; ++i) Add(projector, CapturePhase::kGuard, {.kind = PatternKind::kBlack});
+  }
+
+  CapturePlan Take() { return std::move(plan_); }
+
+ private:
+  CapturePlan plan_;
+};
+
+}  // namespace
+
+const char* ToString(SessionKind kind) { return kKinds[static_cast<size_t>(kind)].data(); }
+const char* ToString(CapturePhase phase) { return kPhases[static_cast<size_t>(phase)].data(); }
+const char* ToString(SyncMode mode) { return kSyncModes[static_cast<size_t>(mode)].data(); }
+Result<CapturePhase> ParseCapturePhase(const std::string& text) {
+  return ParseName<CapturePhase>(kPhases, text, "phase");
+}
+Result<SessionKind> ParseSessionKind(const std::string& text) { return ParseName<SessionKind>(kKinds, text, "kind"); }
+Result<SyncMode> ParseSyncMode(const std::string& text) { return ParseName<SyncMode>(kSyncModes, text, "sync mode"); }
+
+Status PlanOptions::Validate() const {
+  SLX_RETURN_IF_ERROR(RequireRange("projectors", projectors, 1, 16));
+  SLX_RETURN_IF_ERROR(RequireRange("projector_width", projector_width, 16, 8192));
+  SLX_RETURN_IF_ERROR(RequireRange("projector_height", projector_height, 16, 8192));
+  SLX_RETURN_IF_ERROR(RequireRange("exposure_ms", exposure_ms, 0.01, 10000));
+  SLX_RETURN_IF_ERROR(RequireRange("number of brackets", static_cast<double>(brackets.size()), 1, 8));
+  for (double factor : brackets) SLX_RETURN_IF_ERROR(RequireRange("bracket", factor, 0.001, 1000));
+  SLX_RETURN_IF_ERROR(RequireRange("preroll_markers", preroll_markers, 0, 64));
+  SLX_RETURN_IF_ERROR(RequireRange("motion_whites", motion_whites, 0, 64));
+  SLX_RETURN_IF_ERROR(RequireRange("guards", guards, 0, 16));
+  SLX_RETURN_IF_ERROR(RequireRange("spot_radius", spot_radius, 0, 256));
+  SLX_RETURN_IF_ERROR(RequireRange("comb_step", comb_step, 1, std::max(1, comb_width)));
+  if (comb_period < 1 || comb_period % comb_step != 0 || comb_width % comb_step != 0)
+    return Status::Usage("plan: comb_step = " + std::to_string(comb_step) + " must divide comb_period = " +
+                         std::to_string(comb_period) + " and comb_width = " + std::to_string(comb_width));
+  return Status::Ok();
+}
+
+double CapturePlan::DurationSeconds(double settle_ms) const {
+  double milliseconds = 0.0;
+  for (const PlanStep& step : steps) milliseconds += step.exposure_ms + settle_ms;
+  return milliseconds * 1e-3;
+}
+
+std::vector<bool> PrerollCode(int markers) {
+  // Aperiodic, so that a shift by any number of frames shows: the 7-bit Barker code, then its complement, repeated.
+  constexpr std::array<bool, 7> kBarker = {true, true, true, false, false, true, false};
+  std::vector<bool> code;
+  for (int i = 0; i < markers; ++i) code.push_back(kBarker[i % 7] != ((i / 7) % 2 == 1));
+  return code;
+}
+
+Result<CapturePlan> BuildPlan(const PlanOptions& options) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  PlanBuilder builder(options);
+  builder.AddPreroll();
+  for (int p = 0; p < options.projectors; ++p) {
+    switch (options.kind) {
+      case SessionKind::kVisitor:
+        builder.AddVisitor(p);
+        break;
+      case SessionKind::kCalibration:
+        builder.AddReferenceAndCodes(p);
+        break;
+      case SessionKind::kFlat:
+        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kWhite});
+        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+        break;
+      case SessionKind::kDark:
+        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+        break;
+      case SessionKind::kResponse:
+        return Status::Usage(
+            "plan: kind 'response' needs projector grey levels, which no projector back-end offers yet");
+    }
+  }
+  CapturePlan plan = builder.Take();
+  for (const PlanStep& step : plan.steps)
+    SLX_RETURN_IF_ERROR(step.pattern.Validate(options.projector_width, options.projector_height)
+                            .WithContext("plan: step " + std::to_string(step.index)));
+  return plan;
+}
+
+}  // namespace stratalux

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/capture/rig_calibration.h"
+
+#include <cmath>
+
+#include <nlohmann/json.hpp>
+
+namespace stratalux {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json PinholeJson(const Pinhole& m) {
+  return {{"width", m.width},
+          {"height", m.height},
+          {"fx", m.fx},
+          {"fy", m.fy},
+          {"cx", m.cx},
+          {"cy", m.cy},
+          {"distortion_k1_k2_p1_p2_k3", m.distortion}};
+}
+
+Pinhole PinholeFrom(const Json& j) {
+  Pinhole m;
+  j.at("width").get_to(m.width);
+  j.at("height").get_to(m.height);
+  j.at("fx").get_to(m.fx);
+  j.at("fy").get_to(m.fy);
+  j.at("cx").get_to(m.cx);
+  j.at("cy").get_to(m.cy);
+  j.at("distortion_k1_k2_p1_p2_k3").get_to(m.distortion);
+  return m;
+}
+
+Json ProjectorJson(const ProjectorCalibration& p) {
+  const Eigen::Quaterniond& q = p.camera_from_projector.rotation;
+  const Eigen::Vector3d& t = p.camera_from_projector.translation_mm;
+  return {{"name", p.name},
+          {"model", PinholeJson(p.model)},
+          {"camera_from_projector",
+           {{"quaternion_wxyz", {q.w(), q.x(), q.y(), q.z()}}, {"translation_mm", {t.x(), t.y(), t.z()}}}},
+          {"line_blur_px", p.line_blur_px},
+          {"black_level", p.black_level},
+          {"falloff", p.falloff},
+          {"white_dn_mm2_per_ms", p.white_dn_mm2_per_ms}};
+}
+
+ProjectorCalibration ProjectorFrom(const Json& j) {
+  ProjectorCalibration p;
+  j.at("name").get_to(p.name);
+  p.model = PinholeFrom(j.at("model"));
+  const Json& pose = j.at("camera_from_projector");
+  const auto q = pose.at("quaternion_wxyz").get<std::array<double, 4>>();
+  const auto t = pose.at("translation_mm").get<std::array<double, 3>>();
+  p.camera_from_projector = {Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized(), {t[0], t[1], t[2]}};
+  j.at("line_blur_px").get_to(p.line_blur_px);
+  j.at("black_level").get_to(p.black_level);
+  j.at("falloff").get_to(p.falloff);
+  j.at("white_dn_mm2_per_ms").get_to(p.white_dn_mm2_per_ms);
+  return p;
+}
+
+}  // namespace
+
+std::optional<Eigen::Vector2d> ProjectorCalibration::ProjectFromCamera(const Eigen::Vector3d& x_in_camera) const {
+  return model.Project(camera_from_projector.rotation.conjugate() *
+                       (x_in_camera - camera_from_projector.translation_mm));
+}
+
+double ProjectorCalibration::Falloff(const Eigen::Vector2d& column_row) const {
+  const double half_diagonal2 = 0.25 * (double(model.width) * model.width + double(model.height) * model.height);
+  const double r2 = (column_row - Eigen::Vector2d(model.cx, model.cy)).squaredNorm() / half_diagonal2;
+  return 1.0 + r2 * (falloff[0] + r2 * falloff[1]);
+}
+
+double ProjectorCalibration::WhiteTargetDn(const Eigen::Vector3d& x_in_camera, const Eigen::Vector3d& normal,
+                                           int channel, double exposure_ms) const {
+  const Eigen::Vector3d to_light = CentreInCamera() - x_in_camera;
+  const double distance2 = to_light.squaredNorm();
+  const double cosine = normal.dot(to_light) / std::sqrt(distance2);
+  const auto pixel = ProjectFromCamera(x_in_camera);
+  if (!(cosine > 0.0) || !pixel || !model.Contains(*pixel)) return 0.0;
+  return white_dn_mm2_per_ms[channel] * exposure_ms * Falloff(*pixel) * cosine / distance2;
+}
+
+Status RigCalibration::Validate() const {
+  SLX_RETURN_IF_ERROR(camera.model.Validate().WithContext("calibration: camera"));
+  if (!(camera.gain_e_per_dn > 0.0)) return Status::Usage("calibration: camera: gain_e_per_dn must be positive");
+  if (!(camera.saturation_dn > camera.black_level_dn))
+    return Status::Usage("calibration: camera: saturation must lie above the black level");
+  if (projectors.empty()) return Status::Usage("calibration: no projector");
+  for (const ProjectorCalibration& p : projectors) {
+    SLX_RETURN_IF_ERROR(p.model.Validate().WithContext("calibration: projector " + p.name));
+    for (double v : p.white_dn_mm2_per_ms)
+      if (!(v > 0.0) || !std::isfinite(v))
+        return Status::Usage("calibration: projector " + p.name + ": white_dn_mm2_per_ms must be positive");
+    if (!p.camera_from_projector.translation_mm.allFinite())
+      return Status::Usage("calibration: projector " + p.name + ": pose is not finite");
+  }
+  return Status::Ok();
+}
+
+std::string RigCalibration::ToJson() const {
+  Json json = {{"schema", 1},
+               {"id", id},
+               {"source", source},
+               {"camera",
+                {{"model", PinholeJson(camera.model)},
+                 {"cfa", static_cast<int>(camera.cfa)},
+                 {"black_level_dn", camera.black_level_dn},
+                 {"saturation_dn", camera.saturation_dn},
+                 {"gain_e_per_dn", camera.gain_e_per_dn},
+                 {"read_noise_dn", camera.read_noise_dn},
+                 {"line_blur_px", camera.line_blur_px}}},
+               {"projectors", Json::array()}};
+  for (const ProjectorCalibration& p : projectors) json["projectors"].push_back(ProjectorJson(p));
+  return json.dump();
+}
+
+Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
+  try {
+    const Json json = Json::parse(text);
+    if (json.at("schema").get<int>() > 1)
+      return Status(StatusCode::kNewerSchema,
+                    "calibration: schema " + json.at("schema").dump() + " is newer than this program (1)");
+    RigCalibration c;
+    json.at("id").get_to(c.id);
+    json.at("source").get_to(c.source);
+    const Json& camera = json.at("camera");
+    c.camera.model = PinholeFrom(camera.at("model"));
+    const int cfa = camera.at("cfa").get<int>();
+    if (cfa < 0 || cfa > 4) return Status::Usage("calibration: cfa " + std::to_string(cfa) + " is unknown (0..4)");
+    c.camera.cfa = static_cast<Cfa>(cfa);
+    camera.at("black_level_dn").get_to(c.camera.black_level_dn);
+    camera.at("saturation_dn").get_to(c.camera.saturation_dn);
+    camera.at("gain_e_per_dn").get_to(c.camera.gain_e_per_dn);
+    camera.at("read_noise_dn").get_to(c.camera.read_noise_dn);
+    camera.at("line_blur_px").get_to(c.camera.line_blur_px);
+    for (const Json& p : json.at("projectors")) c.projectors.push_back(ProjectorFrom(p));
+    SLX_RETURN_IF_ERROR(c.Validate());
+    return c;
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(std::string("calibration JSON: ") + error.what());
+  }
+}
+
+}  // namespace stratalux

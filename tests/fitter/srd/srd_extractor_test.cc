@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/srd/srd_extractor.h"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "shared/base/random.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kWidth = 96, kHeight = 64;
+
+RigCalibration SmallRig() {
+  RigCalibration rig;
+  rig.camera.model = {kWidth, kHeight, 1600, 1600, (kWidth - 1) / 2.0, (kHeight - 1) / 2.0, {}};
+  rig.camera.black_level_dn = 64;
+  rig.camera.gain_e_per_dn = 4;
+  rig.camera.read_noise_dn = 3;
+  ProjectorCalibration p;
+  p.name = "left";
+  p.model = {1024, 768, 2690, 2690, 511, 384, {}};
+  p.camera_from_projector = LookAt({-350, -40, 0}, {0, 0, 700});
+  p.white_dn_mm2_per_ms = {1.1e8, 1.2e8, 1.0e8};
+  rig.projectors.push_back(p);
+  return rig;
+}
+
+// A plane z = 700 + slope x, seen by every quad.
+SurfaceMap Plane(const RigCalibration& rig, double slope) {
+  const int w = kWidth / 2, h = kHeight / 2;
+  SurfaceMap s{Image<float>(w, h, 3), Image<float>(w, h, 3), Image<float>(w, h, 1, 0.1F), Image<uint8_t>(w, h, 1, 1)};
+  const Eigen::Vector3d n = Eigen::Vector3d(slope, 0, -1).normalized();
+  for (int j = 0; j < h; ++j)
+    for (int i = 0; i < w; ++i) {
+      const Eigen::Vector3d ray = rig.camera.model.Unproject(QuadCentre(Cfa::kRggb, i, j));
+      const Eigen::Vector3d x = ray * (n.dot(Eigen::Vector3d(0, 0, 700)) / n.dot(ray));
+      for (int k = 0; k < 3; ++k) {
+        s.point_mm(i, j, k) = static_cast<float>(x[k]);
+        s.normal(i, j, k) = static_cast<float>(n[k]);
+      }
+    }
+  return s;
+}
+
+// Frames of a Lambertian plane of reflectance `albedo` per channel whose response is a box `blur_columns` wide on top
+// of the comb's own lines, at each mosaic site's own column. `sample` -> the light fraction that the site sees.
+Image<uint16_t> OpaqueFrame(const RigCalibration& rig, const SurfaceMap& s, const CombCycle& cycle, int k,
+                            double blur_columns, const std::array<double, 3>& albedo) {
+  Image<uint16_t> frame(kWidth, kHeight, 1, 64);
+  const Eigen::Vector3d n = s.Normal(0, 0);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      const Eigen::Vector3d ray = rig.camera.model.Unproject({double(x), double(y)});
+      const Eigen::Vector3d point = ray * (n.dot(s.Point(3, 3)) / n.dot(ray));
+      const double c = rig.projectors[0].ProjectFromCamera(point)->x();
+      // Overlap of the box [c - b/2, c + b/2] with the lines [k step - 1/2, k step + width - 1/2] + period Z.
+      double lit = 0.0;
+      for (int copy = -12; copy <= 12; ++copy) {
+        const double low = k * cycle.step - 0.5 + copy * cycle.period, high = low + cycle.width;
+        lit += std::max(0.0, std::min(high, c + blur_columns / 2) - std::max(low, c - blur_columns / 2));
+      }
+      const int colour = CfaColour(Cfa::kRggb, x, y);
+      const double white = rig.projectors[0].WhiteTargetDn(point, n, colour, cycle.exposure_ms);
+      frame(x, y) = static_cast<uint16_t>(std::lround(64 + albedo[colour] * white * lit / blur_columns));
+    }
+  return frame;
+}
+
+SrdBatch Extract(const RigCalibration& rig, const SurfaceMap& s, const CombCycle& cycle, const SrdOptions& options,
+                 std::array<int64_t, kSrdReasons>* counts = nullptr, uint16_t flash = 0) {
+  const Image<uint8_t> lit(kWidth / 2, kHeight / 2, 1, 1);
+  const Image<float> dark(kWidth, kHeight, 1, 64.0F);
+  SrdExtractor extractor(s, lit, rig, 0, cycle, options);
+  for (int k = 0; k < cycle.frames(); ++k) {
+    Image<uint16_t> frame = OpaqueFrame(rig, s, cycle, k, 6.0, {0.6, 0.4, 0.3});
+    if (flash != 0 && k == 5) frame(10, 10) = flash;
+    extractor.AddFrame(k, frame, dark);
+  }
+  SrdBatch batch = extractor.Take();
+  if (counts != nullptr) *counts = extractor.counts();
+  return batch;
+}
+
+CombCycle Cycle() { return {.period = 128, .width = 2, .step = 2, .exposure_ms = 16.0}; }
+
+// Circular first moment of a profile, mm.
+double Centroid(const SrdBatch& b, int64_t profile) {
+  const double period = b.samples * b.step_mm[profile];
+  double c = 0.0, s = 0.0;
+  for (int k = 0; k < b.samples; ++k) {
+    const double angle = 2.0 * M_PI * (b.first_u_mm[profile] + k * b.step_mm[profile]) / period;
+    c += b.y[profile * b.samples + k] * std::cos(angle);
+    s += b.y[profile * b.samples + k] * std::sin(angle);
+  }
+  return std::atan2(s, c) * period / (2.0 * M_PI);
+}
+
+TEST(SrdExtractor, CycleAddsUpToTheWhiteReflectance) {
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.3);
+  const SrdBatch batch = Extract(rig, plane, Cycle(), {});
+  const double albedo[3] = {0.6, 0.4, 0.3};
+  for (int64_t i = 0; i < batch.profiles(); ++i) {
+    ASSERT_EQ(batch.valid[i], 1);
+    double sum = 0.0;
+    for (int k = 0; k < batch.samples; ++k) sum += batch.y[i * batch.samples + k];
+    EXPECT_NEAR(sum, albedo[i % 3], 2e-3) << "profile " << i;  // rounding to digital numbers
+  }
+}
+
+TEST(SrdExtractor, OpaqueSurfaceRespondsAtItsOwnColumnInEveryColour) {
+  // The sites of R and B lie half a mosaic pixel (0.2 mm) off the quad's centre: a centroid error of that size would
+  // drown the direction effect of 0.1 mm.
+  const RigCalibration rig = SmallRig();
+  for (double slope : {-0.4, 0.0, 0.4}) {
+    const SurfaceMap plane = Plane(rig, slope);
+    const SrdBatch batch = Extract(rig, plane, Cycle(), {});
+    for (int64_t i = 0; i < batch.profiles(); i += 7) EXPECT_NEAR(Centroid(batch, i), 0.0, 0.01) << "profile " << i;
+  }
+}
+
+TEST(SrdExtractor, PoolingKeepsCentroidAndWidensTheBlur) {
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.2);
+  const SrdBatch fine = Extract(rig, plane, Cycle(), {});
+  const SrdBatch pooled = Extract(rig, plane, Cycle(), {.pool = 2});
+  ASSERT_EQ(pooled.profiles() * 4, fine.profiles());
+  for (int64_t i = 0; i < pooled.profiles(); i += 5) {
+    EXPECT_NEAR(Centroid(pooled, i), 0.0, 0.015);
+    EXPECT_GT(pooled.blur_mm[i], fine.blur_mm[i]);
+    EXPECT_LT(pooled.variance[i * 64], fine.variance[i * 64]);
+  }
+}
+
+TEST(SrdExtractor, SlopesFollowTheTiltOfTheSurface) {
+  // Light from -x, columns rising with +x: on a frontal plane t(omega_in) . e is negative, t(omega_out) . e about zero.
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.0);
+  const SrdGeometry g = ComputeSrdGeometry(rig, 0, {0, 0, 700}, {0, 0, -1}, {47.5, 31.5}, 1, 1, 16.0);
+  EXPECT_NEAR(g.slope_in, -350.0 / 700.0, 0.01);
+  EXPECT_NEAR(g.slope_out, 0.0, 1e-3);
+  EXPECT_NEAR(g.cos_in, 700.0 / std::hypot(350.0, 40.0, 700.0), 1e-6);
+  EXPECT_NEAR(g.mm_per_column, 0.29 / g.cos_in, 0.03);
+}
+
+TEST(SrdExtractor, SaturationIsCountedAndNeverUsed) {
+  const RigCalibration rig = SmallRig();
+  std::array<int64_t, kSrdReasons> counts{};
+  const SrdBatch batch = Extract(rig, Plane(rig, 0.0), Cycle(), {}, &counts, 4095);
+  EXPECT_EQ(counts[static_cast<int>(SrdReason::kSaturated)], 3);
+  const int64_t profile = (5 * (kWidth / 2) + 5) * 3;
+  for (int c = 0; c < 3; ++c) EXPECT_EQ(batch.valid[profile + c], 0);
+}
+
+TEST(CombCycle, RefusesStepsThatDoNotDivideThePeriod) {
+  EXPECT_TRUE(Cycle().Validate().ok());
+  EXPECT_EQ((CombCycle{.period = 128, .width = 2, .step = 3, .exposure_ms = 1}.Validate().code()), StatusCode::kUsage);
+  EXPECT_EQ((CombCycle{.period = 128, .width = 2, .step = 2, .exposure_ms = 0}.Validate().code()), StatusCode::kUsage);
+}
+
+}  // namespace
+}  // namespace stratalux::fit

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/capture/plan.h"
+
+#include <map>
+#include <set>
+
+#include <gtest/gtest.h>
+
+namespace stratalux {
+namespace {
+
+TEST(CapturePlan, DefaultHasTheFrameCountOfTheModel) {
+  const auto plan = BuildPlan({});
+  ASSERT_TRUE(plan.ok());
+  EXPECT_EQ(plan->steps.size(), 492U);  // 4 x 121 + 8 pre-roll markers (model section 2)
+  std::map<int, int> per_projector;
+  for (const PlanStep& step : plan->steps) ++per_projector[step.projector];
+  EXPECT_EQ(per_projector[-1], 8);
+  for (int p = 0; p < 4; ++p) EXPECT_EQ(per_projector[p], 121);
+}
+
+TEST(CapturePlan, StepsAreNumberedInOrder) {
+  const auto plan = BuildPlan({});
+  ASSERT_TRUE(plan.ok());
+  for (size_t i = 0; i < plan->steps.size(); ++i) EXPECT_EQ(plan->steps[i].index, static_cast<int>(i));
+}
+
+TEST(CapturePlan, SweepLightsEveryColumnOncePerWidthOverStep) {
+  PlanOptions options;
+  options.comb_width = 4;
+  options.comb_step = 2;
+  options.row_sweep = true;
+  options.brackets = {1.0, 4.0};
+  const auto plan = BuildPlan(options);
+  ASSERT_TRUE(plan.ok()) << plan.status().message();
+  std::vector<float> lit(1024, 0.0F);
+  int rows = 0, bracketed = 0;
+  for (const PlanStep& step : plan->steps) {
+    if (step.projector != 2 || step.phase != CapturePhase::kSweep) continue;
+    if (step.pattern.axis == PatternAxis::kRows) ++rows;
+    if (step.bracket == 1) {
+      ++bracketed;
+      EXPECT_DOUBLE_EQ(step.exposure_ms, 4.0 * options.exposure_ms);
+    }
+    if (step.bracket != 0 || step.pattern.axis != PatternAxis::kColumns) continue;
+    const auto profile = step.pattern.Profile(1024);
+    for (size_t c = 0; c < lit.size(); ++c) lit[c] += profile[c];
+  }
+  for (float l : lit) EXPECT_EQ(l, 2.0F);
+  EXPECT_EQ(rows, 128);
+  EXPECT_EQ(bracketed, 128);
+}
+
+TEST(PrerollCode, NoCyclicOrTruncatingShiftLooksLikeTheCode) {
+  const std::vector<bool> code = PrerollCode(8);
+  for (int shift = 1; shift < 8; ++shift) {
+    int differences = 0;
+    for (int i = 0; i + shift < 8; ++i) differences += code[i] != code[i + shift] ? 1 : 0;
+    EXPECT_GT(differences, 0) << "shift " << shift;
+  }
+}
+
+TEST(CapturePlan, RefusesOptionsOutOfRangeByName) {
+  PlanOptions options;
+  options.comb_step = 3;
+  EXPECT_EQ(BuildPlan(options).status().code(), StatusCode::kUsage);
+  options = {};
+  options.exposure_ms = -1.0;
+  EXPECT_NE(BuildPlan(options).status().message().find("exposure_ms"), std::string::npos);
+  options = {};
+  options.comb_period = 4096;
+  EXPECT_NE(BuildPlan(options).status().message().find("exceeds the projector"), std::string::npos);
+}
+
+TEST(PlanJson, RoundTripsAndRefusesNewerSchemas) {
+  PlanOptions options;
+  options.row_sweep = true;
+  options.brackets = {1.0, 8.0};
+  const std::string text = PlanOptionsToJson(options);
+  const auto back = PlanOptionsFromJson(text);
+  ASSERT_TRUE(back.ok()) << back.status().message();
+  EXPECT_EQ(PlanOptionsToJson(*back), text);
+  std::string newer = text;
+  newer.replace(newer.find("\"schema\":1"), 10, "\"schema\":2");
+  EXPECT_EQ(PlanOptionsFromJson(newer).status().code(), StatusCode::kNewerSchema);
+  EXPECT_EQ(PlanOptionsFromJson("{").status().code(), StatusCode::kIntegrity);
+}
+
+}  // namespace
+}  // namespace stratalux

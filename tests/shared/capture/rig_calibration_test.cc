@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/capture/rig_calibration.h"
+
+#include <gtest/gtest.h>
+
+namespace stratalux {
+namespace {
+
+RigCalibration Example() {
+  RigCalibration c;
+  c.source = "test";
+  c.camera.model = {1392, 1042, 3200, 3200, 700, 520, {-0.1, 0.02, 1e-4, -2e-4, 0.0}};
+  ProjectorCalibration p;
+  p.name = "p0";
+  p.model = {1024, 768, 2690, 2690, 511, 384, {}};
+  p.camera_from_projector = LookAt({-400, 0, 0}, {0, 0, 700});
+  p.white_dn_mm2_per_ms = {1e8, 1.1e8, 0.9e8};
+  p.falloff = {-0.1, 0.01};
+  c.projectors.push_back(p);
+  return c;
+}
+
+TEST(RigCalibration, RoundTripsThroughJson) {
+  const RigCalibration c = Example();
+  const auto back = RigCalibration::FromJson(c.ToJson());
+  ASSERT_TRUE(back.ok()) << back.status().message();
+  EXPECT_EQ(back->ToJson(), c.ToJson());
+}
+
+TEST(RigCalibration, WhiteTargetFollowsLambertAndInverseSquare) {
+  ProjectorCalibration p = Example().projectors[0];
+  p.falloff = {};
+  const Eigen::Vector3d centre = p.CentreInCamera();
+  const Eigen::Vector3d axis = (Eigen::Vector3d(0, 0, 700) - centre).normalized();
+  const double near = p.WhiteTargetDn(centre + 500.0 * axis, -axis, 0, 1.0);
+  EXPECT_NEAR(p.WhiteTargetDn(centre + 1000.0 * axis, -axis, 0, 1.0) / near, 0.25, 1e-12);
+  const Eigen::Vector3d tilted = Eigen::AngleAxisd(M_PI / 3, Eigen::Vector3d::UnitY()) * -axis;
+  EXPECT_NEAR(p.WhiteTargetDn(centre + 500.0 * axis, tilted, 0, 1.0) / near, 0.5, 1e-9);
+  EXPECT_EQ(p.WhiteTargetDn(centre + 500.0 * axis, axis, 0, 1.0), 0.0);  // faces away
+}
+
+TEST(RigCalibration, RefusesWhatCannotBeARig) {
+  RigCalibration c = Example();
+  c.projectors[0].model.fx = -1;
+  EXPECT_FALSE(c.Validate().ok());
+  c = Example();
+  c.projectors.clear();
+  EXPECT_FALSE(c.Validate().ok());
+  EXPECT_EQ(RigCalibration::FromJson("{\"schema\":1}").status().code(), StatusCode::kIntegrity);
+}
+
+TEST(Pinhole, UnprojectInvertsProjectWithDistortion) {
+  const Pinhole m = Example().camera.model;
+  for (double u = 0; u < 1392; u += 130)
+    for (double v = 0; v < 1042; v += 130) {
+      const auto back = m.Project(650.0 * m.Unproject({u, v}));
+      ASSERT_TRUE(back.has_value());
+      EXPECT_NEAR(back->x(), u, 1e-8);
+      EXPECT_NEAR(back->y(), v, 1e-8);
+    }
+  EXPECT_FALSE(m.Project({0, 0, -1}).has_value());
+}
+
+TEST(LookAt, PutsTheTargetOnTheOpticalAxis) {
+  const Rigid3 pose = LookAt({-400, 50, 10}, {0, 0, 700});
+  const Eigen::Vector3d target = pose.Inverse() * Eigen::Vector3d(0, 0, 700);
+  EXPECT_NEAR(target.head<2>().norm(), 0.0, 1e-9);
+  EXPECT_GT(target.z(), 0.0);
+  EXPECT_NEAR((pose * (pose.Inverse() * Eigen::Vector3d(1, 2, 3)) - Eigen::Vector3d(1, 2, 3)).norm(), 0.0, 1e-9);
+}
+
+}  // namespace
+}  // namespace stratalux
