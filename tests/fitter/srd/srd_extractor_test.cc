@@ -88,10 +88,11 @@ CombCycle Cycle() { return {.period = 128, .width = 2, .step = 2, .exposure_ms =
 
 // Circular first moment of a profile, mm.
 double Centroid(const SrdBatch& b, int64_t profile) {
-  const double period = b.samples * b.step_mm[profile];
+  const double step = b.step_mm[profile];
+  const double period = b.samples * step;
   double c = 0.0, s = 0.0;
   for (int k = 0; k < b.samples; ++k) {
-    const double angle = 2.0 * M_PI * (b.first_u_mm[profile] + k * b.step_mm[profile]) / period;
+    const double angle = 2.0 * M_PI * (b.first_u_mm[profile] + k * step) / period;
     c += b.y[profile * b.samples + k] * std::cos(angle);
     s += b.y[profile * b.samples + k] * std::sin(angle);
   }

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <filesystem>
+#include <fstream>
+
+#include <gtest/gtest.h>
+
+#include "shared/base/random.h"
+#include "shared/image/png.h"
+#include "shared/image/raw12.h"
+
+namespace stratalux {
+namespace {
+
+TEST(Raw12, PacksAsMipiDoes) {
+  const uint16_t pixels[3] = {0xABC, 0x123, 0xFED};
+  uint8_t bytes[5] = {};
+  ASSERT_EQ(Raw12RowBytes(3), 5U);
+  PackRaw12Row(pixels, 3, bytes);
+  const uint8_t expected[5] = {0xAB, 0x12, 0x3C, 0xFE, 0x0D};
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(bytes[i], expected[i]) << i;
+}
+
+TEST(Raw12, UnpackInvertsPackForAnyWidth) {
+  Random random(3);
+  for (int width = 1; width < 70; ++width) {
+    std::vector<uint16_t> pixels(width), back(width);
+    for (auto& p : pixels) p = static_cast<uint16_t>(random.Bits() & 4095U);
+    std::vector<uint8_t> bytes(Raw12RowBytes(width));
+    PackRaw12Row(pixels.data(), width, bytes.data());
+    UnpackRaw12Row(bytes.data(), width, back.data());
+    EXPECT_EQ(back, pixels);
+  }
+}
+
+class PngFile : public ::testing::Test {
+ protected:
+  void TearDown() override { std::filesystem::remove(file_); }
+  std::filesystem::path file_ =
+      std::filesystem::temp_directory_path() /
+      (std::string("stratalux_png_") + ::testing::UnitTest::GetInstance()->current_test_info()->name() + ".png");
+};
+
+TEST_F(PngFile, KeepsEverySampleAtBothDepths) {
+  for (int channels : {1, 3}) {
+    Image<uint8_t> a(5, 4, channels);
+    Image<uint16_t> b(5, 4, channels);
+    for (size_t i = 0; i < a.size(); ++i) {
+      a.pixels()[i] = static_cast<uint8_t>(i * 13);
+      b.pixels()[i] = static_cast<uint16_t>(i * 1097);
+    }
+    int depth = 0;
+    ASSERT_TRUE(WritePng8(file_, a).ok());
+    auto read = ReadPng(file_, &depth);
+    ASSERT_TRUE(read.ok()) << read.status().message();
+    EXPECT_EQ(depth, 8);
+    ASSERT_EQ(read->channels(), channels);
+    for (size_t i = 0; i < a.size(); ++i) EXPECT_EQ(read->pixels()[i], a.pixels()[i]);
+    ASSERT_TRUE(WritePng16(file_, b).ok());
+    read = ReadPng(file_, &depth);
+    ASSERT_TRUE(read.ok()) << read.status().message();
+    EXPECT_EQ(depth, 16);
+    for (size_t i = 0; i < b.size(); ++i) EXPECT_EQ(read->pixels()[i], b.pixels()[i]);
+  }
+}
+
+TEST_F(PngFile, NamesMissingForeignAndTruncatedFiles) {
+  EXPECT_EQ(ReadPng(file_, nullptr).status().code(), StatusCode::kNotFound);
+  std::ofstream(file_) << "this is no picture";
+  EXPECT_EQ(ReadPng(file_, nullptr).status().code(), StatusCode::kUsage);
+  ASSERT_TRUE(WritePng8(file_, Image<uint8_t>(64, 64, 1, 7)).ok());
+  const auto size = std::filesystem::file_size(file_);
+  for (uintmax_t keep = 8; keep < size; keep += 11) {
+    ASSERT_TRUE(WritePng8(file_, Image<uint8_t>(64, 64, 1, 7)).ok());
+    std::filesystem::resize_file(file_, keep);
+    const auto read = ReadPng(file_, nullptr);
+    EXPECT_EQ(read.status().code(), StatusCode::kIntegrity) << keep;
+    EXPECT_NE(read.status().message().find(file_.string()), std::string::npos);
+  }
+}
+
+}  // namespace
+}  // namespace stratalux
