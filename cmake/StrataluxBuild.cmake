@@ -17,8 +17,9 @@ option(STRATALUX_BUILD_BENCH "Build the benchmarks" OFF)
 option(STRATALUX_WERROR "Treat warnings as errors" ON)
 set(STRATALUX_SANITIZE "" CACHE STRING "Sanitizers to switch on: address, undefined, thread (comma separated)")
 
+# -Wno-restrict: GCC 12 warns of its own std::string operator+ (GCC bug 105651).
 # -fno-math-errno and -fno-trapping-math let the compiler vectorise; results stay IEEE (no -ffast-math).
-add_compile_options(-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion -Wno-psabi
+add_compile_options(-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion -Wno-psabi -Wno-restrict
                     -fno-math-errno -fno-trapping-math)
 if(STRATALUX_WERROR)
   add_compile_options(-Werror)

@@ -54,7 +54,6 @@ TEST(LayeredMonteCarlo, ReproducesJensensSkin1) {
   for (int c = 0; c < 3; ++c) {
     const Tissue skin{{{1.3, absorption[c], scattering[c], 0.0, kHalfSpace}}, 1.0};
     const auto t = TraceLayeredTissue(skin, {.photons = 100000, .seed = 5});
-    // The table is per photon that entered or per incident one? Specular is 1.7 %: its total counts incident light.
     EXPECT_NEAR(t.reflectance.mean / mc[c], 1.0, 3.0 * std::hypot(t.reflectance.standard_error, error[c]) / mc[c]) << c;
   }
 }

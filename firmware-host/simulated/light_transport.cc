@@ -1,0 +1,395 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/simulated/light_transport.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "shared/base/parallel.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr double kPi = std::numbers::pi;
+// Skin's surface reflection: Fresnel at normal incidence for n = 1.4, roughness of facial skin, GGX facets.
+constexpr double kF0 = 0.028;
+constexpr double kRoughness = 0.35;
+
+// First block index of the window of each level, for a pixel at projector position c.
+std::array<int, kLevels> WindowStart(float c) {
+  const int b4 = static_cast<int>(std::floor((c + 0.5F) / 4.0F)),
+            b16 = static_cast<int>(std::floor((c + 0.5F) / 16.0F));
+  return {(b4 - 2) * 4, (b16 - 2) * 4, b16 - 6};
+}
+
+// Torrance & Sparrow facets with the GGX distribution (Walter et al. 2007) and Schlick's Fresnel term; 1 / sr.
+double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const Eigen::Vector3d& out) {
+  const double ni = n.dot(in), no = n.dot(out);
+  if (ni <= 0.0 || no <= 0.0) return 0.0;
+  const Eigen::Vector3d h = (in + out).normalized();
+  const double nh = n.dot(h), a2 = std::pow(kRoughness, 4);
+  const double d = a2 / (kPi * std::pow(nh * nh * (a2 - 1.0) + 1.0, 2));
+  auto smith = [a2](double c) { return 2.0 * c / (c + std::sqrt(a2 + (1.0 - a2) * c * c)); };
+  const double f = kF0 + (1.0 - kF0) * std::pow(1.0 - std::max(0.0, h.dot(in)), 5);
+  return d * f * smith(ni) * smith(no) / (4.0 * ni * no);
+}
+
+// Convolves with a Gaussian of standard deviation `sigma` px; the ends repeat.
+std::vector<float> Blur(const std::vector<float>& profile, double sigma) {
+  if (sigma <= 0.0) return profile;
+  const int radius = static_cast<int>(std::ceil(4.0 * sigma)) + 1;
+  std::vector<double> kernel(2 * radius + 1);
+  double sum = 0.0;
+  for (int k = -radius; k <= radius; ++k) sum += kernel[k + radius] = std::exp(-0.5 * k * k / (sigma * sigma));
+  const int n = static_cast<int>(profile.size());
+  std::vector<float> out(profile.size());
+  for (int i = 0; i < n; ++i) {
+    double v = 0.0;
+    for (int k = -radius; k <= radius; ++k) v += kernel[k + radius] * profile[std::clamp(i + k, 0, n - 1)];
+    out[i] = static_cast<float>(v / sum);
+  }
+  return out;
+}
+
+Image<float> Blur2d(const Image<float>& image, double sigma) {
+  Image<float> out = image;
+  for (int y = 0; y < image.height(); ++y) {
+    const auto row = Blur({image.row(y), image.row(y) + image.width()}, sigma);
+    std::copy(row.begin(), row.end(), out.row(y));
+  }
+  for (int x = 0; x < image.width(); ++x) {
+    std::vector<float> column(image.height());
+    for (int y = 0; y < image.height(); ++y) column[y] = out(x, y);
+    column = Blur(column, sigma);
+    for (int y = 0; y < image.height(); ++y) out(x, y) = column[y];
+  }
+  return out;
+}
+
+std::vector<float> BlockMeans(const std::vector<float>& profile, int block) {
+  std::vector<float> means((profile.size() + block - 1) / block, 0.0F);
+  for (size_t b = 0; b < means.size(); ++b) {
+    const size_t end = std::min(profile.size(), (b + 1) * block);
+    for (size_t i = b * block; i < end; ++i) means[b] += profile[i];
+    means[b] /= static_cast<float>(end - b * block);
+  }
+  return means;
+}
+
+// Linear interpolation with clamped ends.
+float Sample(const std::vector<float>& profile, float position) {
+  const float p = std::clamp(position, 0.0F, static_cast<float>(profile.size()) - 1.001F);
+  const int i = static_cast<int>(p);
+  const float f = p - static_cast<float>(i);
+  return (1 - f) * profile[i] + f * profile[i + 1];
+}
+
+// Mean over a footprint of half-width w.
+float SampleFootprint(const std::vector<float>& profile, float position, float w) {
+  return 0.25F * (Sample(profile, position - 0.75F * w) + Sample(profile, position - 0.25F * w) +
+                  Sample(profile, position + 0.25F * w) + Sample(profile, position + 0.75F * w));
+}
+
+}  // namespace
+
+LightTransport::LightTransport(const Scene& scene, const SkinTable& table, const SkinAlbedo& albedo,
+                               const RigCalibration& rig, int projector, const std::vector<SubjectPixel>& pixels,
+                               const LightTransportOptions& options)
+    : table_(table),
+      albedo_(albedo),
+      rig_(rig),
+      projector_(rig.projectors[projector]),
+      pixels_(pixels),
+      options_(options),
+      at_(pixels.size()) {
+  CastProjector(scene);
+  BuildPyramid();
+  ParallelFor(static_cast<int64_t>(pixels.size()), 1024, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) PreparePixel(scene, static_cast<size_t>(i));
+  });
+  GatherResponses();
+}
+
+// The surface patch that each projector pixel lights: its flux is intensity times solid angle, whatever the patch's
+// tilt.
+void LightTransport::CastProjector(const Scene& scene) {
+  const Pinhole& m = projector_.model;
+  pyramid_[0] = Image<Block>(m.width, m.height);
+  ParallelFor(m.height, 8, [&](int64_t begin, int64_t end) {
+    for (int r = static_cast<int>(begin); r < end; ++r)
+      for (int c = 0; c < m.width; ++c) {
+        const Eigen::Vector3d ray = m.Unproject({double(c), double(r)});
+        const auto hit =
+            scene.Intersect({projector_.CentreInCamera(), projector_.camera_from_projector.rotation * ray});
+        if (!hit) continue;
+        // Solid angle of a pixel: cos^3 of the angle to the axis over fx fy (distortion is small and left out of it).
+        const double solid_angle = std::pow(ray.z(), 3) / (m.fx * m.fy);
+        const double flux = solid_angle * projector_.Falloff({double(c), double(r)});
+        const SkinParameters skin = scene.Skin(*hit);
+        Block& block = pyramid_[0](c, r);
+        block.position = hit->cast<float>();
+        for (int k = 0; k < 3; ++k)
+          block.flux[k] = static_cast<float>(flux * projector_.white_dn_mm2_per_ms[k]) * std::sqrt(albedo_(k, skin));
+      }
+  });
+}
+
+void LightTransport::BuildPyramid() {
+  for (int level = 1; level < kLevels; ++level) {
+    const Image<Block>& fine = pyramid_[level - 1];
+    Image<Block> coarse((fine.width() + 3) / 4, (fine.height() + 3) / 4);
+    for (int y = 0; y < coarse.height(); ++y)
+      for (int x = 0; x < coarse.width(); ++x) {
+        Block sum;
+        float weight = 0.0F;
+        for (int j = 4 * y; j < std::min(4 * y + 4, fine.height()); ++j)
+          for (int i = 4 * x; i < std::min(4 * x + 4, fine.width()); ++i) {
+            const Block& b = fine(i, j);
+            sum.position += b.flux[1] * b.position;
+            weight += b.flux[1];
+            for (int k = 0; k < 3; ++k) sum.flux[k] += b.flux[k];
+          }
+        if (weight > 0.0F) sum.position /= weight;
+        coarse(x, y) = sum;
+      }
+    pyramid_[level] = std::move(coarse);
+  }
+}
+
+void LightTransport::PreparePixel(const Scene& scene, size_t i) {
+  const SubjectPixel& pixel = pixels_[i];
+  PixelLight& light = at_[i];
+  const auto column_row = projector_.ProjectFromCamera(pixel.point);
+  if (!column_row) return;
+  light.column_row = column_row->cast<float>();
+  const int colour = CfaColour(rig_.camera.cfa, pixel.x, pixel.y);
+  const double white = projector_.WhiteTargetDn(pixel.point, pixel.normal, colour, 1.0);
+  if (!(white > 0.0)) return;
+  // Lit when the projector's ray to the point meets nothing before it.
+  const Eigen::Vector3d to_point = (pixel.point - projector_.CentreInCamera()).normalized();
+  const auto hit = scene.Intersect({projector_.CentreInCamera(), to_point});
+  light.lit = hit && (*hit - pixel.point).norm() < 0.6;
+  if (!light.lit) return;
+  const Eigen::Vector3d out = -pixel.point.normalized();
+  double reflectance = kPi * SpecularBrdf(pixel.normal, -to_point, out);
+  if (!options_.scattering) reflectance += albedo_(colour, pixel.skin);
+  light.direct = static_cast<float>(white * reflectance);
+  // The pixel's footprint on the tangent plane, in projector pixels.
+  for (int axis = 0; axis < 2; ++axis) {
+    Eigen::Vector2d beside(pixel.x, pixel.y);
+    beside[axis] += 0.5;
+    const Eigen::Vector3d ray = rig_.camera.model.Unproject(beside);
+    const Eigen::Vector3d p = ray * (pixel.normal.dot(pixel.point) / pixel.normal.dot(ray));
+    if (const auto at = projector_.ProjectFromCamera(p)) {
+      light.footprint_columns += static_cast<float>(std::abs(at->x() - column_row->x()));
+      light.footprint_rows += static_cast<float>(std::abs(at->y() - column_row->y()));
+    }
+  }
+}
+
+template <typename Visit>
+void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const {
+  const SubjectPixel& pixel = pixels_[i];
+  const PixelLight& light = at_[i];
+  const int colour = CfaColour(rig_.camera.cfa, pixel.x, pixel.y);
+  const Eigen::Vector3d in = (projector_.CentreInCamera() - pixel.point).normalized();
+  const Eigen::Vector3d out = -pixel.point.normalized();
+  const double cos_in = std::clamp(pixel.normal.dot(in), 0.0, 1.0),
+               cos_out = std::clamp(pixel.normal.dot(out), 0.0, 1.0);
+  // Tangent frame of the kernel: +x towards the lamp, +y on the camera's side.
+  Eigen::Vector3d tx = in - pixel.normal.dot(in) * pixel.normal;
+  tx = tx.norm() > 1e-6 ? tx.normalized() : Eigen::Vector3d(pixel.normal.unitOrthogonal());
+  Eigen::Vector3d ty = pixel.normal.cross(tx);
+  const Eigen::Vector3d out_t = out - cos_out * pixel.normal;
+  if (out_t.dot(ty) < 0.0) ty = -ty;
+  const double azimuth = out_t.norm() > 1e-6 ? std::acos(std::clamp(out_t.normalized().dot(tx), -1.0, 1.0)) : 0.0;
+  table_.Interpolate(
+      colour, pixel.skin,
+      {static_cast<float>(std::acos(cos_in)), static_cast<float>(std::acos(cos_out)), static_cast<float>(azimuth)},
+      kernel);
+  const Eigen::Vector3f fx = tx.cast<float>(), fy = ty.cast<float>(), point = pixel.point.cast<float>();
+  // Radiance to digital numbers: a white target of irradiance E reads E in this unit, its radiance being E / pi.
+  const float exit =
+      static_cast<float>(kPi) * std::sqrt(albedo_(colour, pixel.skin)) / std::max(albedo_(colour, pixel.skin), 1e-6F);
+
+  // Steps on the tangent plane: per projector pixel (near cells) and per camera pixel (its footprint).
+  Eigen::Vector2f step_c(0, 0), step_r(0, 0), step_u(0, 0), step_v(0, 0);
+  bool fine = light.lit;
+  if (fine) {
+    auto tangent = [&](const Eigen::Vector3d& origin, const Eigen::Vector3d& ray) -> Eigen::Vector2f {
+      const Eigen::Vector3d p = origin + ray * (pixel.normal.dot(pixel.point - origin) / pixel.normal.dot(ray));
+      return {static_cast<float>((p - pixel.point).dot(tx)), static_cast<float>((p - pixel.point).dot(ty))};
+    };
+    const Eigen::Vector2d cr = light.column_row.cast<double>();
+    auto projector_ray = [&](double dc, double dr) {
+      return tangent(projector_.CentreInCamera(), projector_.camera_from_projector.rotation *
+                                                      projector_.model.Unproject(cr + Eigen::Vector2d(dc, dr)));
+    };
+    auto camera_ray = [&](double du, double dv) {
+      return tangent(Eigen::Vector3d::Zero(), rig_.camera.model.Unproject({pixel.x + du, pixel.y + dv}));
+    };
+    step_c = projector_ray(1, 0);
+    step_r = projector_ray(0, 1);
+    step_u = camera_ray(1, 0);
+    step_v = camera_ray(0, 1);
+    fine = step_c.norm() < 2.0F && step_r.norm() < 2.0F && step_u.norm() < 4.0F && step_v.norm() < 4.0F;
+  }
+  // Across a fold the tangent-plane offset can be short while the points are far apart: keep the distance in space.
+  auto plain = [&](const Block& b) {
+    const Eigen::Vector3f d = point - b.position;
+    const float x = d.dot(fx), y = d.dot(fy);
+    const float tangential = std::sqrt(x * x + y * y) + 1e-6F;
+    const float stretch = d.norm() / tangential;
+    return kernel(x * stretch, y * stretch);
+  };
+  // A near cell and the pixel's footprint both have extent: nine pairs of sub-samples integrate the peak over the two.
+  auto integrated = [&](const Block& b, int c, int r) {
+    const Eigen::Vector2f centre = (static_cast<float>(c) - light.column_row.x()) * step_c +
+                                   (static_cast<float>(r) - light.column_row.y()) * step_r;
+    const Eigen::Vector3f d = point - b.position;
+    const Eigen::Vector2f actual(-d.dot(fx), -d.dot(fy));
+    if ((actual - centre).norm() > 1.0F) return plain(b);            // another part of the face
+    static constexpr int kPairing[9] = {4, 8, 3, 1, 7, 2, 6, 0, 5};  // each footprint third meets each cell third
+    float sum = 0.0F;
+    for (int k = 0; k < 9; ++k) {
+      const float ca = static_cast<float>(k % 3 - 1) / 3.0F, cb = static_cast<float>(k / 3 - 1) / 3.0F;
+      const int q = kPairing[k];
+      const float pa = static_cast<float>(q % 3 - 1) / 3.0F, pb = static_cast<float>(q / 3 - 1) / 3.0F;
+      const Eigen::Vector2f entry = centre + ca * step_c + cb * step_r;
+      const Eigen::Vector2f leave = pa * step_u + pb * step_v;
+      sum += kernel(leave.x() - entry.x(), leave.y() - entry.y());
+    }
+    return sum / 9.0F;
+  };
+
+  const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
+  for (int level = 0; level < kLevels; ++level) {
+    const Image<Block>& blocks = pyramid_[level];
+    // The hole that the finer level fills, in blocks of this level.
+    const int hole_c = level == 0 ? 1 << 28 : start_c[level - 1] / 4,
+              hole_r = level == 0 ? 1 << 28 : start_r[level - 1] / 4;
+    const int hole = 5;
+    for (int y = std::max(0, start_r[level]); y < std::min(blocks.height(), start_r[level] + kWindow[level]); ++y)
+      for (int x = std::max(0, start_c[level]); x < std::min(blocks.width(), start_c[level] + kWindow[level]); ++x) {
+        if (x >= hole_c && x < hole_c + hole && y >= hole_r && y < hole_r + hole) continue;
+        const Block& b = blocks(x, y);
+        if (b.flux[1] == 0.0F) continue;
+        const bool near = level == 0 && fine && std::abs(static_cast<float>(x) - light.column_row.x()) < 3.0F &&
+                          std::abs(static_cast<float>(y) - light.column_row.y()) < 3.0F;
+        visit(level, x, y, exit * b.flux[colour] * (near ? integrated(b, x, y) : plain(b)));
+      }
+  }
+}
+
+void LightTransport::GatherResponses() {
+  if (!options_.scattering) return;
+  column_response_.assign(pixels_.size() * kResponses, 0.0F);
+  row_response_.assign(pixels_.size() * kResponses, 0.0F);
+  constexpr std::array<int, kLevels> kFirst = {0, 20, 40};
+  ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {
+    SkinKernel kernel;
+    for (int64_t i = begin; i < end; ++i) {
+      const auto start_c = WindowStart(at_[i].column_row.x()), start_r = WindowStart(at_[i].column_row.y());
+      float* columns = column_response_.data() + i * kResponses;
+      float* rows = row_response_.data() + i * kResponses;
+      ForEachBlock(static_cast<size_t>(i), kernel, [&](int level, int x, int y, float response) {
+        columns[kFirst[level] + x - start_c[level]] += response;
+        rows[kFirst[level] + y - start_r[level]] += response;
+      });
+    }
+  });
+}
+
+void LightTransport::Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const {
+  if (pattern.kind == PatternKind::kBlack) return;
+  if (pattern.IsOneDimensional()) {
+    RenderOneDimensional(pattern, subsurface, direct);
+  } else {
+    RenderTwoDimensional(pattern, subsurface, direct);
+  }
+}
+
+void LightTransport::RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface,
+                                          std::vector<float>& direct) const {
+  const bool columns = pattern.axis == PatternAxis::kColumns;
+  const int axis = columns ? 0 : 1;
+  std::array<std::vector<float>, kLevels> profile;
+  profile[0] =
+      Blur(pattern.Profile(columns ? projector_.model.width : projector_.model.height), projector_.line_blur_px);
+  profile[1] = BlockMeans(profile[0], 4);
+  profile[2] = BlockMeans(profile[1], 4);
+  // Padded so that windows that reach over the projector's edge read zeros.
+  constexpr int kPad = 64;
+  for (auto& level : profile) {
+    level.insert(level.begin(), kPad, 0.0F);
+    level.insert(level.end(), kPad, 0.0F);
+  }
+  const std::vector<float> surface(profile[0].begin() + kPad, profile[0].end() - kPad);
+  const std::vector<float>& response = columns ? column_response_ : row_response_;
+  ParallelFor(static_cast<int64_t>(pixels_.size()), 8192, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const PixelLight& light = at_[i];
+      const float position = light.column_row[axis];
+      if (light.lit)
+        direct[i] +=
+            light.direct * SampleFootprint(surface, position, columns ? light.footprint_columns : light.footprint_rows);
+      if (response.empty()) continue;
+      const auto start = WindowStart(position);
+      const float* r = response.data() + i * kResponses;
+      float sum = 0.0F;
+      int first = 0;
+      for (int level = 0; level < kLevels; ++level) {
+        const int from = start[level] + kPad;
+        if (from >= 0 && from + kWindow[level] <= static_cast<int>(profile[level].size())) {
+          const float* p = profile[level].data() + from;
+          for (int k = 0; k < kWindow[level]; ++k) sum += r[first + k] * p[k];
+        }
+        first += kWindow[level];
+      }
+      subsurface[i] += sum;
+    }
+  });
+}
+
+void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface,
+                                          std::vector<float>& direct) const {
+  const Image<float> image =
+      Blur2d(pattern.Render(projector_.model.width, projector_.model.height), projector_.line_blur_px);
+  std::array<Image<float>, kLevels> levels = {image, {}, {}};
+  for (int level = 1; level < kLevels; ++level) {
+    const Image<Block>& size = pyramid_[level];
+    levels[level] = Image<float>(size.width(), size.height());
+    const int block = kBlock[level];
+    for (int y = 0; y < size.height(); ++y)
+      for (int x = 0; x < size.width(); ++x) {
+        float sum = 0.0F;
+        for (int j = y * block; j < std::min((y + 1) * block, image.height()); ++j)
+          for (int i = x * block; i < std::min((x + 1) * block, image.width()); ++i) sum += image(i, j);
+        levels[level](x, y) = sum / static_cast<float>(block * block);
+      }
+  }
+  ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {
+    SkinKernel kernel;
+    for (int64_t i = begin; i < end; ++i) {
+      const PixelLight& light = at_[i];
+      if (light.lit) {
+        float sum = 0.0F;
+        for (int k = 0; k < 9; ++k) {
+          const int x = static_cast<int>(
+              std::lround(light.column_row.x() + static_cast<float>(k % 3 - 1) * 0.6F * light.footprint_columns));
+          const int y = static_cast<int>(
+              std::lround(light.column_row.y() + static_cast<float>(k / 3 - 1) * 0.6F * light.footprint_rows));
+          if (image.contains(x, y)) sum += image(x, y) / 9.0F;
+        }
+        direct[i] += light.direct * sum;
+      }
+      if (!options_.scattering) continue;
+      float sum = 0.0F;
+      ForEachBlock(static_cast<size_t>(i), kernel,
+                   [&](int level, int x, int y, float response) { sum += response * levels[level](x, y); });
+      subsurface[i] += sum;
+    }
+  });
+}
+
+}  // namespace stratalux::rig

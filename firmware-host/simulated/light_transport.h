@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// What one simulated projector's light does to every camera pixel, precomputed: for each mosaic pixel the response to
+// each projector column and to each row (through skin transport and at the surface), so that frames of one-dimensional
+// patterns cost a short dot product a pixel. Units: digital numbers above black per ms of exposure at full white.
+#pragma once
+
+#include <array>
+#include <limits>
+#include <vector>
+
+#include "firmware-host/simulated/scene.h"
+#include "firmware-host/simulated/skin/skin_table.h"
+#include "firmware-host/simulated/skin_albedo.h"
+#include "shared/capture/rig_calibration.h"
+#include "shared/image/image.h"
+#include "shared/pattern/pattern.h"
+
+namespace stratalux::rig {
+
+// A camera pixel that sees the subject.
+struct SubjectPixel {
+  int x = 0, y = 0;               // mosaic
+  Eigen::Vector3d point, normal;  // rig frame, mm
+  SkinParameters skin;
+};
+
+// Projector image at three resolutions: full, 4 x 4 and 16 x 16 blocks.
+inline constexpr int kLevels = 3;
+inline constexpr std::array<int, kLevels> kBlock = {1, 4, 16};
+// Blocks per axis that a pixel gathers from, at each level: 20 px, then 5 x 4 and 13 / 5 x 16 px around it.
+inline constexpr std::array<int, kLevels> kWindow = {20, 20, 13};
+inline constexpr int kResponses = 20 + 20 + 13;
+
+struct LightTransportOptions {
+  bool scattering = true;
+};
+
+class LightTransport {
+ public:
+  LightTransport(const Scene& scene, const SkinTable& table, const SkinAlbedo& albedo, const RigCalibration& rig,
+                 int projector, const std::vector<SubjectPixel>& pixels, const LightTransportOptions& options);
+
+  // Adds, for every subject pixel i, the light of `pattern` to subsurface[i] and direct[i].
+  void Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
+  // Exact (column, row) of pixel i; NaN where the projector does not reach it.
+  [[nodiscard]] Eigen::Vector2f ColumnRow(size_t i) const { return at_[i].lit ? at_[i].column_row : kNowhere; }
+
+ private:
+  static inline const Eigen::Vector2f kNowhere{std::numeric_limits<float>::quiet_NaN(),
+                                               std::numeric_limits<float>::quiet_NaN()};
+
+  // Light arriving at one block of projector pixels: flux in the unit of WhiteTargetDn times mm^2.
+  struct Block {
+    Eigen::Vector3f position = Eigen::Vector3f::Zero();
+    std::array<float, 3> flux{};  // times sqrt(albedo) of the entry point, per colour
+  };
+  // What the gather needs to know of a camera pixel.
+  struct PixelLight {
+    Eigen::Vector2f column_row{0, 0};
+    bool lit = false;
+    float direct = 0.0F;             // surface reflection under full white
+    float footprint_columns = 0.0F;  // half-width of the pixel's footprint
+    float footprint_rows = 0.0F;
+  };
+
+  void CastProjector(const Scene& scene);
+  void BuildPyramid();
+  void PreparePixel(const Scene& scene, size_t i);
+  void GatherResponses();
+  // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
+  template <typename Visit>
+  void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;
+  void RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
+  void RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
+
+  const SkinTable& table_;
+  const SkinAlbedo& albedo_;
+  const RigCalibration& rig_;
+  const ProjectorCalibration& projector_;
+  const std::vector<SubjectPixel>& pixels_;
+  LightTransportOptions options_;
+  std::array<Image<Block>, kLevels> pyramid_;
+  std::vector<PixelLight> at_;
+  std::vector<float> column_response_, row_response_;  // [pixel][kResponses]
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/simulated/rig_description.h"
+
+#include <array>
+
+#include "shared/units/angle.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr double kWorkingDistanceMm = 700.0;
+constexpr double kFieldOfViewMm = 300.0;   // width seen at the working distance
+constexpr double kWhiteTargetDn = 3500.0;  // of a white target at that distance, 16 ms, on the axis
+constexpr double kNominalExposureMs = 16.0;
+
+struct Place {
+  Eigen::Vector3d centre_mm;
+  double roll_deg;
+  std::array<double, 3> colour;  // relative strength
+};
+
+// Spread over the angle across the lines (columns) as well as in height: four lights of four-source stereo.
+const std::array<Place, 4> kPlaces = {{{{-450, -60, 0}, 1.0, {1.00, 1.00, 0.97}},
+                                       {{-180, -300, 20}, -1.5, {0.98, 1.02, 1.00}},
+                                       {{200, 300, 20}, 0.7, {1.03, 0.99, 0.98}},
+                                       {{430, 80, 0}, -0.8, {0.99, 1.00, 1.02}}}};
+
+}  // namespace
+
+RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
+  RigCalibration rig;
+  rig.source = "simulation (exact)";
+  CameraCalibration& camera = rig.camera;
+  const double f = kWorkingDistanceMm * options.camera_width / kFieldOfViewMm;
+  camera.model = {options.camera_width,
+                  options.camera_height,
+                  f,
+                  f,
+                  (options.camera_width - 1) / 2.0 + 0.004 * options.camera_width,
+                  (options.camera_height - 1) / 2.0 - 0.003 * options.camera_height,
+                  {-0.06, 0.05, 0.0, 0.0, 0.0}};
+  camera.cfa = Cfa::kRggb;
+  camera.black_level_dn = 64.0;
+  camera.saturation_dn = 4095.0;
+  camera.gain_e_per_dn = 4.0;
+  camera.read_noise_dn = 3.0;
+  for (size_t p = 0; p < kPlaces.size(); ++p) {
+    const Place& place = kPlaces[p];
+    ProjectorCalibration projector;
+    projector.name = "projector " + std::to_string(p);
+    const double fp = 2690.0 * options.projector_width / 1024.0;
+    projector.model = {options.projector_width,
+                       options.projector_height,
+                       fp,
+                       fp,
+                       (options.projector_width - 1) / 2.0 + 6.0,
+                       (options.projector_height - 1) / 2.0 - 9.0,
+                       {-0.03, 0.02, 0.0, 0.0, 0.0}};
+    projector.camera_from_projector = LookAt(place.centre_mm, {0, 4, kWorkingDistanceMm});
+    projector.camera_from_projector.rotation = projector.camera_from_projector.rotation *
+                                               Eigen::AngleAxisd(RadFromDeg(place.roll_deg), Eigen::Vector3d::UnitZ());
+    projector.line_blur_px = 0.5;
+    projector.black_level = 0.002;
+    projector.falloff = {-0.12, 0.02};
+    for (int c = 0; c < 3; ++c)
+      projector.white_dn_mm2_per_ms[c] =
+          kWhiteTargetDn / kNominalExposureMs * kWorkingDistanceMm * kWorkingDistanceMm * place.colour[c];
+    rig.projectors.push_back(projector);
+  }
+  return rig;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tabulated light transport of the simulated skin: spatial kernels by Monte Carlo over incidence and exit angle,
+// melanin and blood, at R, G, B. Made by `stratalux-skin-table generate`; format in docs/simulated-rig.md.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "firmware-host/simulated/skin/skin_optics.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+// The grid. Angles are bins of theta, the same for incidence and exit, so that the table can be made exactly
+// reciprocal.
+struct SkinGrid {
+  static constexpr int kThetas = 5;
+  static constexpr std::array<double, kThetas + 1> kThetaEdgesDeg = {0.0, 20.0, 35.0, 50.0, 65.0, 85.0};
+  static constexpr int kAzimuths = 5;  // 0, 45, 90, 135, 180 degrees between the tangential parts; bins of 45 degrees
+  static constexpr int kRadii = 26;    // first bin [0, kFirstRadiusMm], then logarithmic up to kMaxRadiusMm
+  static constexpr int kPolar = 16;    // bins of psi, the exit point's direction from the entry point
+  static constexpr double kFirstRadiusMm = 0.03;
+  static constexpr double kMaxRadiusMm = 30.0;
+  static constexpr std::array<double, 4> kMelanin = {0.005, 0.02, 0.08, 0.30};
+  static constexpr std::array<double, 4> kBlood = {0.0005, 0.003, 0.015, 0.06};
+  static constexpr int kCells = kRadii * kPolar;
+  static constexpr size_t kKernels =
+      size_t{kSkinChannels} * kThetas * kThetas * kAzimuths * kMelanin.size() * kBlood.size();
+  static double RadiusEdgeMm(int edge);  // 0 .. kRadii
+  static size_t KernelIndex(int channel, int in, int out, int azimuth, int melanin, int blood);
+  static double MeanThetaRad(int bin);
+};
+
+struct SkinDirections {
+  float theta_in_rad = 0.0F;
+  float theta_out_rad = 0.0F;
+  float azimuth_rad = 0.0F;  // 0 .. pi, between the tangential parts of omega_in and omega_out (both FROM the surface)
+};
+
+// S(x, y): radiance leaving towards omega_out per unit flux falling on a point, 1 / (mm^2 sr), (x, y) = exit minus
+// entry point in the tangent plane. +x: the tangential part of omega_in (towards the lamp); +y: the side on which
+// omega_out lies.
+class SkinKernel {
+ public:
+  [[nodiscard]] float operator()(float x_mm, float y_mm) const;
+  // Integral over the plane by the table's own cells: radiance under unit irradiance, 1 / sr.
+  [[nodiscard]] double Integral() const;
+
+ private:
+  friend class SkinTable;
+  // S r^1.5 at bin centres (flat enough to interpolate linearly), [radius][psi], with the first psi repeated at the
+  // end.
+  std::array<float, SkinGrid::kRadii*(SkinGrid::kPolar + 1)> flat_{};
+};
+
+class SkinTable {
+ public:
+  // kNotFound, kIntegrity (not a table, damaged), kNewerSchema.
+  static Result<SkinTable> Load(const std::string& path);
+  // STRATALUX_SKIN_TABLE, else the shipped table.
+  static std::string DefaultPath();
+  Status Save(const std::string& path, const std::string& manifest_json) const;
+
+  // Multilinear in angles, log melanin and log blood; clamped outside the grid.
+  void Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
+                   SkinKernel& out) const;
+  // Hemispherical diffuse reflectance for light at theta_in.
+  [[nodiscard]] double Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const;
+  // S of one cell (bin averages), 1 / (mm^2 sr).
+  [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
+  [[nodiscard]] const std::string& manifest() const { return manifest_; }
+
+ private:
+  friend Result<SkinTable> GenerateSkinTable(int64_t, uint64_t, int, Logger&);
+  std::vector<float> flat_;  // [kernel][radius][psi], S r^1.5
+  std::string manifest_;
+};
+
+// Monte Carlo of every kernel with `photons` for each channel and incidence bin. Deterministic by seed.
+Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger);
+
+// One (channel, incidence, exit, azimuth) column of the table without reciprocity or smoothing, for checks: radiance
+// under unit irradiance and its standard error for each melanin and blood node.
+struct SkinCellCheck {
+  double table = 0.0;
+  double mean = 0.0;
+  double standard_error = 0.0;
+};
+std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channel, int in, int out, int azimuth,
+                                              int64_t photons, uint64_t seed);
+
+}  // namespace stratalux::rig

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+// Filling the skin table: photons run through clear skin once per channel and incidence bin; every melanin and blood
+// node re-weights them by their path lengths.
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+#include <numbers>
+
+#include "firmware-host/simulated/skin/skin_table.h"
+
+namespace stratalux::rig {
+namespace {
+
+using G = SkinGrid;
+constexpr int kNodes = static_cast<int>(G::kMelanin.size() * G::kBlood.size());
+
+double Sin2Edge(int edge) { return std::pow(std::sin(G::kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
+
+// Integral of cos(theta) over an exit bin; the azimuth bin counts both signs.
+double ProjectedSolidAngle(int out, int azimuth) {
+  const double width = (azimuth == 0 || azimuth == G::kAzimuths - 1 ? 0.25 : 0.5) * std::numbers::pi;
+  return 0.5 * (Sin2Edge(out + 1) - Sin2Edge(out)) * width;
+}
+
+double CellAreaMm2(int radius) {
+  return std::numbers::pi * (std::pow(G::RadiusEdgeMm(radius + 1), 2) - std::pow(G::RadiusEdgeMm(radius), 2)) /
+         G::kPolar;
+}
+
+// Where an escaped photon falls; out < 0 beyond the last exit bin.
+struct Bin {
+  int out = -1, azimuth = 0, radius = -1, psi = 0;
+};
+
+Bin BinOf(const EscapedPhoton& e) {
+  Bin bin;
+  const double sin2 = std::max(0.0, 1.0 - double(e.uz) * e.uz);
+  for (int i = 0; i < G::kThetas; ++i)
+    if (sin2 >= Sin2Edge(i) && sin2 < Sin2Edge(i + 1)) bin.out = i;
+  if (bin.out < 0) return bin;
+  // Light comes from +x. Mirror so that omega_out lies on the side of +y.
+  const double azimuth = std::atan2(e.uy, e.ux);
+  const double y = azimuth < 0.0 ? -e.y_mm : e.y_mm;
+  bin.azimuth = std::min(static_cast<int>(std::abs(azimuth) / (std::numbers::pi / 4) + 0.5), G::kAzimuths - 1);
+  const double r = std::hypot(e.x_mm, y);
+  if (r >= G::kMaxRadiusMm) return bin;
+  bin.radius = 0;
+  if (r >= G::kFirstRadiusMm)
+    bin.radius = std::min(1 + static_cast<int>(std::log(r / G::kFirstRadiusMm) /
+                                               std::log(G::kMaxRadiusMm / G::kFirstRadiusMm) * (G::kRadii - 1)),
+                          G::kRadii - 1);
+  const double turn = std::atan2(y, e.x_mm) / (2 * std::numbers::pi);
+  bin.psi = static_cast<int>((turn < 0 ? turn + 1 : turn) * G::kPolar) % G::kPolar;
+  return bin;
+}
+
+// Absorption of each node for one channel: weight of a photon = epidermis[m] * rest[b].
+class Reweighting {
+ public:
+  explicit Reweighting(int channel) {
+    for (int m = 0; m < 4; ++m) epidermis_[m] = SkinAbsorption(channel, {static_cast<float>(G::kMelanin[m]), 0.0F})[0];
+    for (int b = 0; b < 4; ++b) {
+      const auto a = SkinAbsorption(channel, {0.01F, static_cast<float>(G::kBlood[b])});
+      dermis_[b] = a[1];
+      subcutis_ = a[2];
+    }
+  }
+  void Weights(const EscapedPhoton& e, std::array<double, kNodes>& weights) const {
+    const double rest = e.weight * std::exp(-subcutis_ * e.path_mm[2]);
+    std::array<double, 4> dermis{};
+    for (int b = 0; b < 4; ++b) dermis[b] = rest * std::exp(-dermis_[b] * e.path_mm[1]);
+    for (int m = 0; m < 4; ++m) {
+      const double epidermis = std::exp(-epidermis_[m] * e.path_mm[0]);
+      for (int b = 0; b < 4; ++b) weights[m * 4 + b] = epidermis * dermis[b];
+    }
+  }
+
+ private:
+  std::array<double, 4> epidermis_{}, dermis_{};
+  double subcutis_ = 0.0;
+};
+
+MonteCarloOptions RunOptions(int channel, int in, int64_t photons, uint64_t seed, int threads) {
+  MonteCarloOptions options;
+  options.photons = photons;
+  options.seed = seed * 1000003 + channel * 101 + in;
+  options.sin2_theta_low = Sin2Edge(in);
+  options.sin2_theta_high = Sin2Edge(in + 1);
+  options.max_path_mm = 200.0;  // at the least absorption (630 nm, 0.03 / mm) exp(-6) of a photon
+  options.max_radius_mm = 40.0;
+  options.threads = threads;
+  return options;
+}
+
+// Adds the photons of one run to flux[out][azimuth][node][cell], in chunk order: sums do not depend on the threads.
+void AccumulateRun(int channel, int in, int64_t photons, uint64_t seed, int threads, std::vector<float>& flat) {
+  const Reweighting reweighting(channel);
+  const MonteCarloOptions options = RunOptions(channel, in, photons, seed, threads);
+  const size_t size = size_t{G::kThetas} * G::kAzimuths * kNodes * G::kCells;
+  // Fixed-point integers make the sum independent of the order in which the threads deliver.
+  std::vector<int64_t> fixed(size, 0);
+  constexpr double kFixed = 1e9;
+  std::mutex mutex;
+  TraceLayeredTissue(ClearSkin(channel), options, [&](int64_t, std::span<const EscapedPhoton> list) {
+    std::array<double, kNodes> weights{};
+    const std::lock_guard lock(mutex);
+    for (const EscapedPhoton& e : list) {
+      const Bin bin = BinOf(e);
+      if (bin.out < 0 || bin.radius < 0) continue;
+      reweighting.Weights(e, weights);
+      const size_t base = (size_t(bin.out) * G::kAzimuths + bin.azimuth) * kNodes * G::kCells;
+      const size_t cell = size_t(bin.radius) * G::kPolar + bin.psi;
+      for (int n = 0; n < kNodes; ++n)
+        fixed[base + size_t(n) * G::kCells + cell] += static_cast<int64_t>(weights[n] * kFixed);
+    }
+  });
+  for (int out = 0; out < G::kThetas; ++out)
+    for (int az = 0; az < G::kAzimuths; ++az)
+      for (int n = 0; n < kNodes; ++n)
+        for (int r = 0; r < G::kRadii; ++r) {
+          const double centre = r == 0 ? G::kFirstRadiusMm / 2 : std::sqrt(G::RadiusEdgeMm(r) * G::RadiusEdgeMm(r + 1));
+          const double scale = std::pow(centre, 1.5) /
+                               (kFixed * static_cast<double>(photons) * CellAreaMm2(r) * ProjectedSolidAngle(out, az));
+          for (int psi = 0; psi < G::kPolar; ++psi) {
+            const size_t from = ((size_t(out) * G::kAzimuths + az) * kNodes + n) * G::kCells + r * G::kPolar + psi;
+            const size_t to = G::KernelIndex(channel, in, out, az, n / 4, n % 4) * G::kCells + r * G::kPolar + psi;
+            flat[to] = static_cast<float>(static_cast<double>(fixed[from]) * scale);
+          }
+        }
+}
+
+// Helmholtz reciprocity: S(i -> o; r, psi) = S(o -> i; r, azimuth - pi - psi). Averaging the two doubles the photons
+// and makes the table exactly reciprocal.
+void Symmetrise(std::vector<float>& flat) {
+  std::vector<float> mean(flat.size());
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in)
+      for (int out = 0; out < G::kThetas; ++out)
+        for (int az = 0; az < G::kAzimuths; ++az)
+          for (int n = 0; n < kNodes; ++n) {
+            const size_t a = G::KernelIndex(c, in, out, az, n / 4, n % 4) * G::kCells;
+            const size_t b = G::KernelIndex(c, out, in, az, n / 4, n % 4) * G::kCells;
+            for (int r = 0; r < G::kRadii; ++r)
+              for (int psi = 0; psi < G::kPolar; ++psi) {
+                const int other = ((2 * az - 8 - psi - 1) % G::kPolar + G::kPolar) % G::kPolar;
+                mean[a + r * G::kPolar + psi] =
+                    0.5F * (flat[a + r * G::kPolar + psi] + flat[b + r * G::kPolar + other]);
+              }
+          }
+  flat = std::move(mean);
+}
+
+// Far from the entry the kernel is smooth in psi: a binomial filter quietens the few photons there and keeps every
+// ring's sum and (times 0.96) its first moment.
+void SmoothFarRings(std::vector<float>& flat) {
+  constexpr double kFromMm = 4.0;
+  for (size_t k = 0; k < G::kKernels; ++k)
+    for (int r = 0; r < G::kRadii; ++r) {
+      if (G::RadiusEdgeMm(r) < kFromMm) continue;
+      float* ring = flat.data() + k * G::kCells + r * G::kPolar;
+      std::array<float, G::kPolar> copy{};
+      std::copy_n(ring, G::kPolar, copy.begin());
+      for (int i = 0; i < G::kPolar; ++i)
+        ring[i] = 0.5F * copy[i] + 0.25F * (copy[(i + 1) % G::kPolar] + copy[(i + G::kPolar - 1) % G::kPolar]);
+    }
+}
+
+}  // namespace
+
+Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
+  if (photons < 1000) return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
+  SkinTable table;
+  table.flat_.assign(G::kKernels * G::kCells, 0.0F);
+  Progress progress(logger, "skin table", kSkinChannels * G::kThetas);
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in) {
+      AccumulateRun(c, in, photons, seed, threads, table.flat_);
+      progress.Advance();
+    }
+  Symmetrise(table.flat_);
+  SmoothFarRings(table.flat_);
+  return table;
+}
+
+std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channel, int in, int out, int azimuth,
+                                              int64_t photons, uint64_t seed) {
+  const Reweighting reweighting(channel);
+  std::array<double, kNodes> sum{}, squares{};
+  std::mutex mutex;
+  TraceLayeredTissue(ClearSkin(channel), RunOptions(channel, in, photons, seed, 0),
+                     [&](int64_t, std::span<const EscapedPhoton> list) {
+                       std::array<double, kNodes> weights{};
+                       const std::lock_guard lock(mutex);
+                       for (const EscapedPhoton& e : list) {
+                         const Bin bin = BinOf(e);
+                         if (bin.out != out || bin.azimuth != azimuth || bin.radius < 0) continue;
+                         reweighting.Weights(e, weights);
+                         for (int n = 0; n < kNodes; ++n) {
+                           sum[n] += weights[n];
+                           squares[n] += weights[n] * weights[n];
+                         }
+                       }
+                     });
+  std::vector<SkinCellCheck> checks(kNodes);
+  const double scale = 1.0 / (static_cast<double>(photons) * ProjectedSolidAngle(out, azimuth));
+  for (int n = 0; n < kNodes; ++n) {
+    const size_t kernel = G::KernelIndex(channel, in, out, azimuth, n / 4, n % 4);
+    for (int r = 0; r < G::kRadii; ++r)
+      for (int psi = 0; psi < G::kPolar; ++psi) checks[n].table += table.Cell(kernel, r, psi) * CellAreaMm2(r);
+    checks[n].mean = sum[n] * scale;
+    checks[n].standard_error = std::sqrt(squares[n]) * scale;
+  }
+  return checks;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+// stratalux-skin-table: makes and checks the simulated skin's transport table; line-spread profiles by Monte Carlo.
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+
+#include <CLI/CLI.hpp>
+
+#include "firmware-host/simulated/skin/skin_table.h"
+#include "firmware-host/simulated/table_tool/line_spread.h"
+#include "shared/base/version.h"
+
+namespace stratalux::rig {
+namespace {
+
+int Report(Logger& logger, const Status& status) {
+  if (!status.ok()) logger.Error(status.message());
+  return status.exit_code();
+}
+
+int Generate(const std::string& out, int64_t photons, uint64_t seed, int threads) {
+  Logger logger;
+  const auto start = std::chrono::steady_clock::now();
+  auto table = GenerateSkinTable(photons, seed, threads, logger);
+  if (!table.ok()) return Report(logger, table.status());
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  const int64_t total = photons * kSkinChannels * SkinGrid::kThetas;
+  const std::string manifest = "{\"table\": \"stratalux skin\", \"version\": 1, \"program\": \"" +
+                               std::string(kVersion) + "\", \"photons_per_run\": " + std::to_string(photons) +
+                               ", \"runs\": 15, \"seed\": " + std::to_string(seed) + "}";
+  const Status saved = table->Save(out, manifest);
+  if (saved.ok())
+    logger.Info(out + ": " + std::to_string(total) + " photons in " + std::to_string(seconds) + " s, " +
+                std::to_string(static_cast<double>(total) / seconds) + " photons/s");
+  return Report(logger, saved);
+}
+
+int Check(const std::string& file, int channel, int in, int out, int azimuth, int64_t photons, uint64_t seed) {
+  Logger logger;
+  const auto table = SkinTable::Load(file);
+  if (!table.ok()) return Report(logger, table.status());
+  const auto checks = RegenerateSkinCell(*table, channel, in, out, azimuth, photons, seed);
+  int outside = 0;
+  std::printf("%8s %8s %12s %12s %12s %8s\n", "melanin", "blood", "table", "monte carlo", "std error", "sigmas");
+  for (size_t n = 0; n < checks.size(); ++n) {
+    const double sigmas = (checks[n].table - checks[n].mean) / checks[n].standard_error;
+    outside += std::abs(sigmas) > 4.0 ? 1 : 0;
+    std::printf("%8g %8g %12.6f %12.6f %12.6f %8.2f\n", SkinGrid::kMelanin[n / 4], SkinGrid::kBlood[n % 4],
+                checks[n].table, checks[n].mean, checks[n].standard_error, sigmas);
+  }
+  return outside == 0 ? 0 : 1;
+}
+
+int Profiles(const LineSpreadOptions& options, const std::string& out) {
+  Logger logger;
+  const std::string csv = LineSpreadCsv(options);
+  if (out == "-") {
+    std::cout << csv;
+    return 0;
+  }
+  std::ofstream file(out);
+  file << csv;
+  file.flush();
+  return Report(logger, file ? Status::Ok() : Status::Failed("cannot write " + out));
+}
+
+}  // namespace
+
+int Main(int argc, char** argv) {
+  CLI::App app(
+      "Light transport of the simulated skin by Monte Carlo.\n\nExamples:\n"
+      "  stratalux-skin-table generate --photons 1000000 --seed 1 --out skin_table.bin\n"
+      "  stratalux-skin-table check skin_table.bin --channel 0 --in 1 --exit 2 --azimuth 4\n"
+      "  stratalux-skin-table profiles --melanin 0.03 --blood 0.004 --channel 0 --incidence -45 0 30 --out train.csv");
+  app.set_version_flag("--version", kVersion);
+  app.require_subcommand(1);
+  int64_t photons = 1000000;
+  uint64_t seed = 1;
+  int threads = 0;
+  std::string out = "-", file;
+  int channel = 0, in = 0, exit_bin = 0, azimuth = 0;
+  LineSpreadOptions profiles;
+
+  auto* generate = app.add_subcommand("generate", "Make the whole table");
+  generate->add_option("--photons", photons, "Photons for each channel and incidence bin")->check(CLI::PositiveNumber);
+  generate->add_option("--seed", seed, "Seed");
+  generate->add_option("--threads", threads, "Threads (0: all cores)");
+  generate->add_option("--out", out, "File to write")->required();
+  auto* check = app.add_subcommand("check", "Regenerate one cell and compare; exit 1 beyond 4 standard errors");
+  check->add_option("table", file, "Table file")->required();
+  check->add_option("--channel", channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
+  check->add_option("--in", in, "Incidence bin")->check(CLI::Range(0, 4));
+  check->add_option("--exit", exit_bin, "Exit bin")->check(CLI::Range(0, 4));
+  check->add_option("--azimuth", azimuth, "Azimuth bin")->check(CLI::Range(0, 4));
+  check->add_option("--photons", photons, "Photons")->check(CLI::PositiveNumber);
+  check->add_option("--seed", seed, "Seed");
+  auto* spread = app.add_subcommand("profiles", "Line-spread profiles as CSV for `stratalux-fit profiles`");
+  spread->add_option("--melanin", profiles.skin.melanin, "Melanosome fraction of the epidermis")
+      ->check(CLI::Range(0.0, 1.0));
+  spread->add_option("--blood", profiles.skin.blood, "Blood fraction of the dermis")->check(CLI::Range(0.0, 1.0));
+  spread->add_option("--channel", profiles.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
+  spread->add_option("--incidence", profiles.incidence_deg, "Degrees, > 0 travels towards +u")
+      ->check(CLI::Range(-85.0, 85.0));
+  spread->add_option("--exit", profiles.exit_deg, "Degrees, > 0 leaves towards +u")->check(CLI::Range(-80.0, 80.0));
+  spread->add_option("--slit", profiles.slit_mm, "Slit widths, mm")->check(CLI::PositiveNumber);
+  spread->add_option("--step-mm", profiles.step_mm, "Step of u, mm")->check(CLI::PositiveNumber);
+  spread->add_option("--half-width-mm", profiles.half_width_mm, "Largest |u|, mm")->check(CLI::PositiveNumber);
+  spread->add_option("--photons", profiles.photons, "Photons for each incidence")->check(CLI::PositiveNumber);
+  spread->add_option("--seed", profiles.seed, "Seed");
+  spread->add_option("--out", out, "CSV file, - for stdout");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  if (generate->parsed()) return Generate(out, photons, seed, threads);
+  if (check->parsed()) return Check(file, channel, in, exit_bin, azimuth, photons, seed);
+  return Profiles(profiles, out);
+}
+
+}  // namespace stratalux::rig
+
+int main(int argc, char** argv) { return stratalux::rig::Main(argc, argv); }
