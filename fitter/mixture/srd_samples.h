@@ -15,6 +15,9 @@ namespace stratalux::fit {
 struct SrdBatch {
   int samples = 0;  // K
   bool wrapped = true;
+  // Box that each sample averages over, as a share of the step: 0 for combs (a sample is a point in the line's
+  // position), 1 for binned profiles (CSV).
+  float sample_box = 0.0F;
   std::vector<float> y;                // [profile][K]; may be negative (never clipped)
   std::vector<float> variance;         // [profile][K] of y, from the camera's noise model
   std::vector<float> first_u_mm;       // [profile]

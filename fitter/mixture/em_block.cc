@@ -1,0 +1,352 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/em_block.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fitter/mixture/line_response.h"
+#include "fitter/mixture/shift_law.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr float kTiny = 1e-12F;
+constexpr double kMinSigmaMm = 0.12;
+constexpr double kMaxCellMm = 0.15;  // model section 7: coarser grids cost accuracy
+
+// Photon counts per unit of y and sigma_read^2 in the same unit, from the noise model var = y / counts + shift /
+// counts.
+struct Noise {
+  double counts = 1.0;
+  double shift = 0.0;
+};
+Noise NoiseOf(const SrdBatch& batch, int64_t profile) {
+  const float* y = batch.y.data() + profile * batch.samples;
+  const float* v = batch.variance.data() + profile * batch.samples;
+  int low = 0, high = 0;
+  for (int k = 1; k < batch.samples; ++k) {
+    if (v[k] < v[low]) low = k;
+    if (v[k] > v[high]) high = k;
+  }
+  const double dy = double(y[high]) - y[low], dv = double(v[high]) - v[low];
+  if (!(dy > 0.0) || !(dv > 0.0)) return {};
+  const double per_count = dv / dy;
+  return {1.0 / per_count, std::max(0.0, v[low] / per_count - std::max(0.0F, y[low]))};
+}
+
+}  // namespace
+
+EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
+                 std::span<const int64_t> members, const EmOptions& options)
+    : options_(options), members_(members), lights_(lights.size()) {
+  const size_t size = static_cast<size_t>(options.layers) * kLanes;
+  for (auto* v : {&weight_, &depth_, &sigma_, &cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(size, 0.0F);
+  moments_.assign(3 * size, 0.0F);
+  sigma_floor_.fill(static_cast<float>(kMinSigmaMm));
+  for (size_t p = 0; p < lights.size(); ++p) {
+    LoadLight(*lights[p], usable[p], lights_[p]);
+    BuildResponse(*lights[p], lights_[p]);
+    for (int i = 0; i < kLanes; ++i)
+      if (lights_[p].counts[i] > 0.0F) sigma_floor_[i] = std::max(sigma_floor_[i], 0.9F * lights_[p].cell_mm[i]);
+  }
+  Initialise();
+}
+
+void EmBlock::LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, EmLight& light) const {
+  light.samples = batch.samples;
+  float widest = 0.0F;
+  for (int64_t member : members_)
+    if (usable[member] != 0) widest = std::max(widest, batch.step_mm[member]);
+  light.cells_per_sample = std::max(options_.cells_per_sample, static_cast<int>(std::ceil(widest / kMaxCellMm)));
+  if (!batch.wrapped) light.cells_per_sample = std::max(1, static_cast<int>(std::ceil(widest / (kMaxCellMm / 2))));
+  light.pad_cells = batch.wrapped ? 0 : light.cells_per_sample * batch.samples / 4;
+  light.grid = {light.cells_per_sample * batch.samples + 2 * light.pad_cells, batch.wrapped};
+  light.y.assign(static_cast<size_t>(light.samples) * kLanes, 0.0F);
+  light.shift.assign(light.y.size(), 0.0F);
+  light.cell_mm.fill(1.0F);
+  light.origin.fill(0.5F * static_cast<float>(light.grid.cells));
+  light.gain.fill(1.0F);
+  for (int i = 0; i < static_cast<int>(members_.size()); ++i) {
+    const int64_t profile = members_[i];
+    if (usable[profile] == 0) continue;
+    const float step = batch.step_mm[profile];
+    // Wrapped profiles are turned so that the pixel's own entry point lies mid-grid in every lane: layers then meet the
+    // same cells in all lanes.
+    int turn = 0;
+    float first_u = batch.first_u_mm[profile];
+    if (batch.wrapped) {
+      turn = static_cast<int>(std::lround(-first_u / step)) - light.samples / 2;
+      first_u += static_cast<float>(turn) * step;
+      turn = (turn % light.samples + light.samples) % light.samples;
+    }
+    const float* y = batch.y.data() + profile * light.samples;
+    const Noise noise = NoiseOf(batch, profile);
+    for (int k = 0; k < light.samples; ++k) {
+      light.y[k * kLanes + i] = y[(k + turn) % light.samples];
+      light.shift[k * kLanes + i] = static_cast<float>(noise.shift);
+    }
+    light.cell_mm[i] = step / static_cast<float>(light.cells_per_sample);
+    // Cell j has its centre at first_u + (j - pad - (cells_per_sample - 1) / 2) cells.
+    light.origin[i] = static_cast<float>(light.pad_cells) + 0.5F * static_cast<float>(light.cells_per_sample - 1) -
+                      first_u / light.cell_mm[i];
+    const double t_in =
+        TangentialShift(options_.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], options_.eta);
+    const double t_out =
+        TangentialShift(options_.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options_.eta);
+    light.s[i] = options_.mode == FitMode::kFree ? 1.0F : static_cast<float>(t_in - t_out);
+    if (options_.gain_model)
+      light.gain[i] = static_cast<float>(AngularGain(batch.cos_in[profile], options_.eta, options_.tau));
+    light.counts[i] = static_cast<float>(noise.counts);
+  }
+}
+
+void EmBlock::BuildResponse(const SrdBatch& batch, EmLight& light) const {
+  const int count = static_cast<int>(members_.size());
+  auto line_of = [&](int i) -> LineResponse {
+    const int64_t profile = members_[i];
+    return {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * batch.step_mm[profile],
+            light.cell_mm[i]};
+  };
+  double support = 0.0;
+  for (int i = 0; i < count; ++i)
+    if (light.counts[i] > 0.0F) support = std::max(support, line_of(i).Support() / light.cell_mm[i]);
+  // Taps around a sample's own position, which lies between or on cells: (cells_per_sample - 1) / 2 after its first
+  // cell.
+  const int reach = std::min(static_cast<int>(std::ceil(support)) + 1, light.grid.cells / 2 - 1);
+  light.taps = 2 * reach + light.cells_per_sample;
+  light.response.assign(static_cast<size_t>(light.taps) * kLanes, 0.0F);
+  light.surface_response.assign(light.y.size(), 0.0F);
+  light.unseen.assign(static_cast<size_t>(light.grid.cells) * kLanes, 0.0F);
+  const double centre = reach + 0.5 * (light.cells_per_sample - 1);
+  for (int i = 0; i < count; ++i) {
+    if (!(light.counts[i] > 0.0F)) continue;
+    const double cell = light.cell_mm[i];
+    const LineResponse b = line_of(i);
+    double total = 0.0;
+    for (int t = 0; t < light.taps; ++t) {
+      const double r = b.At((t - centre) * cell);
+      light.response[t * kLanes + i] = static_cast<float>(r);
+      total += r;
+    }
+    light.coverage[i] = static_cast<float>(total / light.cells_per_sample);
+    const double period = cell * light.grid.cells;
+    for (int k = 0; k < light.samples; ++k) {
+      double u =
+          (light.pad_cells + k * light.cells_per_sample + 0.5 * (light.cells_per_sample - 1) - light.origin[i]) * cell;
+      if (light.grid.wrapped) u = std::remainder(u, period);
+      light.surface_response[k * kLanes + i] = static_cast<float>(b.At(u));
+    }
+  }
+  light.mass.assign(static_cast<size_t>(light.grid.cells) * kLanes, 0.0F);
+  light.q.assign(light.mass.size(), 0.0F);
+  light.model.assign(light.y.size(), 0.0F);
+  if (light.grid.wrapped) return;
+  // Open windows: what of each cell no sample sees (B^T 1 short of the full coverage).
+  for (int k = 0; k < light.samples; ++k)
+    for (int t = 0; t < light.taps; ++t) {
+      const int cell = light.pad_cells + k * light.cells_per_sample + t - (light.taps - light.cells_per_sample) / 2;
+      if (cell < 0 || cell >= light.grid.cells) continue;
+      for (int i = 0; i < kLanes; ++i) light.unseen[cell * kLanes + i] -= light.response[t * kLanes + i];
+    }
+  for (int c = 0; c < light.grid.cells; ++c)
+    for (int i = 0; i < kLanes; ++i) light.unseen[c * kLanes + i] += light.coverage[i];
+}
+
+// Widths spread logarithmically, depths growing with the width, the observed total shared out evenly.
+void EmBlock::Initialise() {
+  for (int i = 0; i < kLanes; ++i) {
+    double total = 0.0, exposure = 0.0, longest = 0.0;
+    for (const EmLight& light : lights_) {
+      if (!(light.counts[i] > 0.0F)) continue;
+      double sum = 0.0;
+      for (int k = 0; k < light.samples; ++k) sum += light.y[k * kLanes + i];
+      total += std::max(sum, 1e-6) * light.counts[i];
+      exposure += double(light.counts[i]) * light.gain[i] * light.coverage[i];
+      longest = std::max(longest, double(light.cell_mm[i]) * light.grid.cells);
+    }
+    if (!(exposure > 0.0)) continue;
+    const double widest = std::min({options_.max_sigma_mm, longest / 4.0});
+    const double narrowest = sigma_floor_[i];
+    for (int l = 0; l < options_.layers; ++l) {
+      const double f = options_.layers > 1 ? static_cast<double>(l) / (options_.layers - 1) : 0.5;
+      const double sigma = narrowest * 1.1 * std::pow(std::max(widest * 0.7, narrowest * 2) / (narrowest * 1.1), f);
+      sigma_[l * kLanes + i] = static_cast<float>(sigma);
+      depth_[l * kLanes + i] = options_.direction_blind ? 0.0F : static_cast<float>(std::min(0.3 * sigma, 1.0));
+      weight_[l * kLanes + i] = static_cast<float>(total / exposure / options_.layers);
+    }
+  }
+}
+
+// mass = the layers on the grid; model = B mass + surface + background.
+void EmBlock::Predict(EmLight& light) {
+  for (size_t at = 0; at < weight_.size(); ++at) {
+    const size_t i = at % kLanes;
+    const float per_cell = 1.0F / light.cell_mm[i];
+    cell_weight_[at] = light.counts[i] > 0.0F ? weight_[at] * light.gain[i] : 0.0F;
+    cell_mean_[at] = light.origin[i] + depth_[at] * light.s[i] * per_cell;
+    cell_sigma_[at] = std::max(sigma_[at] * per_cell, 0.5F);
+  }
+  std::fill(light.mass.begin(), light.mass.end(), 0.0F);
+  AddLayers(light.grid, options_.layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data(), light.mass.data());
+  const int before = (light.taps - light.cells_per_sample) / 2;
+  for (int k = 0; k < light.samples; ++k) {
+    float* model = light.model.data() + k * kLanes;
+    const float* own = light.surface_response.data() + k * kLanes;
+    for (int i = 0; i < kLanes; ++i) model[i] = light.background[i] + light.surface[i] * own[i];
+    int cell = light.pad_cells + k * light.cells_per_sample - before;
+    for (int t = 0; t < light.taps; ++t, ++cell) {
+      int at = cell;
+      if (light.grid.wrapped)
+        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
+      if (at < 0 || at >= light.grid.cells) continue;
+      const float* m = light.mass.data() + at * kLanes;
+      const float* r = light.response.data() + t * kLanes;
+      for (int i = 0; i < kLanes; ++i) model[i] += m[i] * r[i];
+    }
+  }
+}
+
+// q = B^T (y / (B m)) with the shifted Poisson's read noise on both sides; cells outside an open window are filled in
+// by the model's own expectation (exact EM for a truncated observation).
+void EmBlock::BackProject(EmLight& light) {
+  std::copy(light.unseen.begin(), light.unseen.end(), light.q.begin());
+  const int before = (light.taps - light.cells_per_sample) / 2;
+  for (int k = 0; k < light.samples; ++k) {
+    float ratio[kLanes];
+    for (int i = 0; i < kLanes; ++i) {
+      const float shift = light.shift[k * kLanes + i];
+      const float data = std::max(light.y[k * kLanes + i] + shift, 0.0F);
+      ratio[i] = light.counts[i] > 0.0F ? data / std::max(light.model[k * kLanes + i] + shift, kTiny) : 0.0F;
+      light.model[k * kLanes + i] = ratio[i];
+    }
+    int cell = light.pad_cells + k * light.cells_per_sample - before;
+    for (int t = 0; t < light.taps; ++t, ++cell) {
+      int at = cell;
+      if (light.grid.wrapped)
+        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
+      if (at < 0 || at >= light.grid.cells) continue;
+      float* q = light.q.data() + at * kLanes;
+      const float* r = light.response.data() + t * kLanes;
+      for (int i = 0; i < kLanes; ++i) q[i] += ratio[i] * r[i];
+    }
+  }
+}
+
+// EM of the two terms that no layer holds; `model` holds the ratios here.
+void EmBlock::UpdateFloor(EmLight& light) {
+  float own_ratio[kLanes] = {}, own_sum[kLanes] = {}, mean_ratio[kLanes] = {};
+  for (int k = 0; k < light.samples; ++k)
+    for (int i = 0; i < kLanes; ++i) {
+      const float ratio = light.model[k * kLanes + i], own = light.surface_response[k * kLanes + i];
+      own_ratio[i] += ratio * own;
+      own_sum[i] += own;
+      mean_ratio[i] += ratio;
+    }
+  for (int i = 0; i < kLanes; ++i) {
+    if (!(light.counts[i] > 0.0F)) continue;
+    light.surface[i] *= own_ratio[i] / std::max(own_sum[i], kTiny);
+    light.background[i] *= mean_ratio[i] / static_cast<float>(light.samples);
+  }
+}
+
+void EmBlock::Sweep() {
+  const int layers = options_.layers;
+  const size_t size = static_cast<size_t>(layers) * kLanes;
+  // Sums over lights of counts x {c, c s (z - mean), c s^2, c (z - mean)^2}, in mm.
+  std::vector<float> photons(size, 0.0F), moved(size, 0.0F), leverage(size, 0.0F), spread(size, 0.0F);
+  std::array<float, kLanes> exposure{};
+  for (EmLight& light : lights_) {
+    Predict(light);
+    BackProject(light);
+    LayerMoments(light.grid, layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data(), light.q.data(),
+                 moments_.data());
+    for (size_t at = 0; at < size; ++at) {
+      const size_t i = at % kLanes, l = at / kLanes;
+      if (!(light.counts[i] > 0.0F)) continue;
+      const float n = light.counts[i], cell = light.cell_mm[i], s = light.s[i];
+      const float c = moments_[(3 * l) * kLanes + i], cz = moments_[(3 * l + 1) * kLanes + i] * cell,
+                  czz = moments_[(3 * l + 2) * kLanes + i] * cell * cell;
+      photons[at] += n * c;
+      moved[at] += n * s * cz;
+      leverage[at] += n * s * s * c;
+      spread[at] += n * czz;
+    }
+    for (int i = 0; i < kLanes; ++i) exposure[i] += light.counts[i] * light.gain[i] * light.coverage[i];
+    UpdateFloor(light);
+  }
+  for (size_t at = 0; at < size; ++at) {
+    const size_t i = at % kLanes;
+    if (!(exposure[i] > 0.0F)) continue;
+    weight_[at] = photons[at] / exposure[i];
+    if (!(photons[at] > 1e-9F * exposure[i])) {
+      weight_[at] = 0.0F;
+      continue;
+    }
+    // d = sum n s c z / sum n s^2 c with z = d_old s + (z - mean); sigma^2 around the new means.
+    float step = 0.0F;
+    if (!options_.direction_blind && leverage[at] > 1e-6F * photons[at]) {
+      const float wanted = depth_[at] + moved[at] / leverage[at];
+      const float allowed =
+          std::clamp(wanted, static_cast<float>(options_.min_depth_mm), static_cast<float>(options_.max_depth_mm));
+      step = (options_.mode == FitMode::kFree ? std::clamp(wanted, -8.0F, 8.0F) : allowed) - depth_[at];
+      depth_[at] += step;
+    }
+    const float variance = (spread[at] - 2.0F * step * moved[at] + step * step * leverage[at]) / photons[at];
+    sigma_[at] =
+        std::clamp(std::sqrt(std::max(variance, 0.0F)), sigma_floor_[i], static_cast<float>(options_.max_sigma_mm));
+  }
+}
+
+int EmBlock::Run() {
+  for (EmLight& light : lights_)
+    for (int i = 0; i < kLanes; ++i) {
+      if (!(light.counts[i] > 0.0F)) continue;
+      double sum = 0.0;
+      for (int k = 0; k < light.samples; ++k) sum += light.y[k * kLanes + i];
+      const float mean = static_cast<float>(std::max(sum, 1e-9) / light.samples);
+      if (options_.surface_term)
+        light.surface[i] = 0.05F * mean * static_cast<float>(light.samples) / std::max(light.coverage[i], kTiny);
+      if (options_.background_term) light.background[i] = 0.02F * mean;
+    }
+  constexpr int kCheckEvery = 8;
+  std::array<double, kLanes> last{};
+  last.fill(1e300);
+  for (int sweep = 1; sweep <= options_.max_iterations; ++sweep) {
+    Sweep();
+    if (sweep % kCheckEvery != 0) continue;
+    for (EmLight& light : lights_) Predict(light);
+    const auto now = Divergence();
+    bool settled = true;
+    for (int i = 0; i < kLanes; ++i)
+      settled = settled && last[i] - now[i] <= options_.tolerance * kCheckEvery * std::abs(last[i]);
+    last = now;
+    if (settled) return sweep;
+  }
+  for (EmLight& light : lights_) Predict(light);
+  return options_.max_iterations;
+}
+
+std::array<double, kLanes> EmBlock::Divergence() const {
+  std::array<double, kLanes> divergence{}, total{};
+  for (const EmLight& light : lights_)
+    for (int k = 0; k < light.samples; ++k)
+      for (int i = 0; i < kLanes; ++i) {
+        if (!(light.counts[i] > 0.0F)) continue;
+        const double shift = light.shift[k * kLanes + i];
+        const double data = std::max(light.y[k * kLanes + i] + shift, 0.0);
+        const double model = std::max(light.model[k * kLanes + i] + shift, double(kTiny));
+        divergence[i] += light.counts[i] * (model - data + (data > 0.0 ? data * std::log(data / model) : 0.0));
+        total[i] += light.counts[i] * data;
+      }
+  for (int i = 0; i < kLanes; ++i) divergence[i] = total[i] > 0.0 ? divergence[i] / total[i] : 0.0;
+  return divergence;
+}
+
+float EmBlock::LargestShift(int lane) const {
+  float largest = 0.0F;
+  for (const EmLight& light : lights_)
+    if (light.counts[lane] > 0.0F) largest = std::max(largest, std::abs(light.s[lane]));
+  return largest;
+}
+
+}  // namespace stratalux::fit

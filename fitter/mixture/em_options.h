@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "fitter/mixture/mixture_map.h"
+
+namespace stratalux::fit {
+
+struct EmOptions {
+  int layers = 20;  // [M]'s choice
+  FitMode mode = FitMode::kTied;
+  ShiftLaw shift_law = ShiftLaw::kRefracted;
+  double eta = 1.4;
+  bool gain_model = true;
+  double tau = 0.0;              // of the angular gain
+  bool direction_blind = false;  // every depth stays 0: the baseline
+  bool surface_term = true;      // light reflected at the very surface
+  bool background_term = true;
+  int max_iterations = 50;  // held-out light is predicted best at 50-100 (model section 7)
+  double tolerance = 1e-5;  // relative change of the divergence
+  int cells_per_sample = 4;
+  double max_sigma_mm = 11.0;
+  double min_depth_mm = -0.5;  // slightly negative: a common depth bias of the geometry is absorbed here
+  double max_depth_mm = 8.0;
+  [[nodiscard]] Status Validate() const;
+};
+
+}  // namespace stratalux::fit

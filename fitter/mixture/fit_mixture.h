@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// EM of the scattering layers of many profiles [M 6], tied over lights or free; model section 7.
+#pragma once
+
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "fitter/mixture/em_options.h"
+#include "fitter/mixture/srd_samples.h"
+#include "shared/base/result.h"
+
+namespace stratalux::fit {
+
+// Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
+// that cannot be fitted get zero weights and a reason, never NaN. `progress` (may be empty) receives numbers of
+// finished profiles. Same input, same bits, whatever the number of threads.
+Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                              int height, int channels, const EmOptions& options,
+                              const std::function<void(int64_t)>& progress = {});
+
+// Layers of one profile, as prediction needs them.
+struct LayerSet {
+  std::vector<double> weight, depth_mm, sigma_mm;
+};
+[[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
+
+// Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;
+// sigma_l), exact line response, wrapped with the comb. Surface and background terms are the caller's.
+[[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
+                                                 const EmOptions& options);
+
+// The session's tau of the angular gain from white reflectances (cycle sums) of the training lights: least squares of
+// log(sum y_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not differ enough.
+[[nodiscard]] double EstimateTau(std::span<const SrdBatch* const> lights, double eta);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/line_response.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace stratalux::fit {
+namespace {
+
+// First and second antiderivatives of the normal distribution function.
+double Ramp(double x) {
+  return x * 0.5 * std::erfc(-x / std::numbers::sqrt2) + std::exp(-0.5 * x * x) / std::sqrt(2 * std::numbers::pi);
+}
+double Bowl(double x) {
+  return 0.5 * ((x * x + 1.0) * 0.5 * std::erfc(-x / std::numbers::sqrt2) +
+                x * std::exp(-0.5 * x * x) / std::sqrt(2 * std::numbers::pi));
+}
+
+}  // namespace
+
+double LineResponse::At(double t_mm) const {
+  // Boxes convolved with a Gaussian are differences of its repeated antiderivatives at the boxes' corners.
+  const double s = std::max(blur_mm, 1e-3 * cell_mm);
+  const double w = 0.5 * line_width_mm, c = 0.5 * cell_mm, b = 0.5 * sample_box_mm;
+  auto ramp = [&](double t) { return s * Ramp(t / s); };
+  auto bowl = [&](double t) { return s * s * Bowl(t / s); };
+  if (b <= 0.0) return (ramp(t_mm + w + c) - ramp(t_mm + w - c) - ramp(t_mm - w + c) + ramp(t_mm - w - c)) / cell_mm;
+  double sum = 0.0;
+  for (int i : {-1, 1})
+    for (int j : {-1, 1})
+      for (int k : {-1, 1}) sum += i * j * k * bowl(t_mm + i * w + j * c + k * b);
+  return sum / (cell_mm * sample_box_mm);
+}
+
+double LineResponse::Support() const { return 0.5 * (line_width_mm + cell_mm + sample_box_mm) + 4.8 * blur_mm; }
+
+}  // namespace stratalux::fit

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/line_response.h"
+#include "fitter/mixture/shift_law.h"
+
+namespace stratalux::fit {
+namespace {
+
+// Exact response of a sample at u to a layer: the line response's Gaussian and the layer's add in variance.
+double LayerResponse(double u, double sigma, const LineResponse& line) {
+  LineResponse wide = line;
+  wide.blur_mm = std::hypot(line.blur_mm, sigma);
+  wide.cell_mm = 1e-3 * wide.blur_mm;  // a point, not a cell
+  return wide.At(u);
+}
+
+}  // namespace
+
+std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
+                                   const EmOptions& options) {
+  const double step = batch.step_mm[profile], period = step * batch.samples;
+  const LineResponse line{batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * step, 1e-4};
+  double s = TangentialShift(options.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], options.eta) -
+             TangentialShift(options.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options.eta);
+  if (options.mode == FitMode::kFree) s = 1.0;
+  const double gain = options.gain_model ? AngularGain(batch.cos_in[profile], options.eta, options.tau) : 1.0;
+  std::vector<double> y(batch.samples, 0.0);
+  for (int k = 0; k < batch.samples; ++k)
+    for (size_t l = 0; l < layers.weight.size(); ++l) {
+      const double u = batch.first_u_mm[profile] + k * step - layers.depth_mm[l] * s;
+      double sum = 0.0;
+      if (batch.wrapped) {
+        const double nearest = std::remainder(u, period);
+        for (int image = -1; image <= 1; ++image)
+          sum += LayerResponse(nearest + image * period, layers.sigma_mm[l], line);
+      } else {
+        sum = LayerResponse(u, layers.sigma_mm[l], line);
+      }
+      y[k] += gain * layers.weight[l] * sum;
+    }
+  return y;
+}
+
+}  // namespace stratalux::fit

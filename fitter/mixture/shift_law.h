@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+// Direction effects of a layer (model sections 6 and 7): the shift coefficient s = (T(omega_i) - T(omega_o)) . e of a
+// profile and the angular gain g of a light.
+#pragma once
+
+#include "fitter/mixture/mixture_map.h"
+
+namespace stratalux::fit {
+
+// Tangential displacement along e, per mm of depth, of the ray whose outer direction has tangential slopes (along e,
+// across it), |slopes| = tan(theta). paper: the straight ray itself [M 3, 5]; refracted: tan of the refracted angle;
+// refracted_sine: its sine (a step of length d along the ray, Wang & Jacques 1995).
+[[nodiscard]] double TangentialShift(ShiftLaw law, double slope_along, double slope_across, double eta);
+
+// g = F(theta_i) / F(0) exp(-tau (sec theta_t - 1)): Fresnel transmission into the skin and the oblique path through
+// the epidermis; 1 at normal incidence.
+[[nodiscard]] double AngularGain(double cos_in, double eta, double tau);
+
+}  // namespace stratalux::fit

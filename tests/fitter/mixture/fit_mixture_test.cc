@@ -1,0 +1,281 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/fit_mixture.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "fitter/mixture/line_response.h"
+#include "fitter/mixture/shift_law.h"
+#include "shared/base/random.h"
+
+namespace stratalux::fit {
+namespace {
+
+// Five layers of skin-like sizes.
+LayerSet KnownLayers() {
+  return {{0.05, 0.10, 0.12, 0.10, 0.08}, {0.05, 0.2, 0.5, 0.9, 1.4}, {0.2, 0.45, 0.9, 1.8, 3.5}};
+}
+
+// Comb geometry of one light on a frontal surface: tan of incidence = slope.
+SrdBatch Geometry(double slope, int64_t profiles, double width_mm = 0.58) {
+  SrdBatch b;
+  b.samples = 64;
+  b.wrapped = true;
+  b.y.assign(profiles * 64, 0.0F);
+  b.variance.assign(profiles * 64, 1e-6F);
+  b.slope_in.assign(profiles, static_cast<float>(slope));
+  for (auto* v : {&b.slope_out, &b.slope_in_across, &b.slope_out_across}) v->assign(profiles, 0.0F);
+  b.cos_in.assign(profiles, static_cast<float>(1.0 / std::hypot(1.0, slope)));
+  b.cos_out.assign(profiles, 1.0F);
+  b.step_mm.assign(profiles, 0.58F);
+  b.line_width_mm.assign(profiles, static_cast<float>(width_mm));
+  b.blur_mm.assign(profiles, 0.18F);
+  b.valid.assign(profiles, 1);
+  for (int64_t i = 0; i < profiles; ++i)
+    b.first_u_mm.push_back(static_cast<float>(-10.0 + 0.037 * static_cast<double>(i % 40)));
+  return b;
+}
+
+// Photon noise with `peak_counts` at the brightest sample (0: none).
+void FillSamples(SrdBatch& b, const LayerSet& layers, const EmOptions& options, double peak_counts, Random& random) {
+  for (int64_t i = 0; i < b.profiles(); ++i) {
+    const auto y = PredictSamples(layers, b, i, options);
+    const double counts = peak_counts / *std::max_element(y.begin(), y.end());
+    for (int k = 0; k < b.samples; ++k) {
+      const double noise = peak_counts > 0.0 ? random.Normal() * std::sqrt(y[k] / counts) : 0.0;
+      b.y[i * b.samples + k] = static_cast<float>(y[k] + noise);
+      if (peak_counts > 0.0) b.variance[i * b.samples + k] = static_cast<float>(std::max(y[k], 1e-5) / counts);
+    }
+  }
+}
+
+struct Lights {
+  std::vector<SrdBatch> batches;
+  [[nodiscard]] std::vector<const SrdBatch*> pointers() const {
+    std::vector<const SrdBatch*> list;
+    for (const SrdBatch& b : batches) list.push_back(&b);
+    return list;
+  }
+};
+
+Lights MakeLights(std::vector<double> slopes, int64_t profiles, double peak_counts, const EmOptions& options,
+                  uint64_t seed = 1) {
+  Lights lights;
+  Random random(seed);
+  for (double slope : slopes) {
+    lights.batches.push_back(Geometry(slope, profiles));
+    FillSamples(lights.batches.back(), KnownLayers(), options, peak_counts, random);
+  }
+  return lights;
+}
+
+Result<MixtureMap> Fit(const Lights& lights, const EmOptions& options) {
+  const auto pointers = lights.pointers();
+  std::vector<int> projectors(pointers.size());
+  for (size_t p = 0; p < projectors.size(); ++p) projectors[p] = static_cast<int>(p);
+  return FitMixture(pointers, projectors, static_cast<int>(lights.batches[0].profiles()), 1, 1, options);
+}
+
+double Nrmse(const std::vector<double>& truth, const std::vector<double>& estimate) {
+  double error = 0.0, power = 0.0;
+  for (size_t k = 0; k < truth.size(); ++k) {
+    error += (estimate[k] - truth[k]) * (estimate[k] - truth[k]);
+    power += truth[k] * truth[k];
+  }
+  return std::sqrt(error / power);
+}
+
+TEST(FitMixture, RecoversTotalDepthAndUnseenLightOfKnownLayersUnderPhotonNoise) {
+  EmOptions options;
+  options.surface_term = false;
+  const Lights lights = MakeLights({-1.0, 0.0, 0.58}, 64, 4000, options);
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok()) << map.status().message();
+  const LayerSet known = KnownLayers();
+  double known_total = 0.0, known_depth = 0.0;
+  for (size_t l = 0; l < known.weight.size(); ++l) {
+    known_total += known.weight[l];
+    known_depth += known.weight[l] * known.depth_mm[l];
+  }
+  SrdBatch unseen = Geometry(1.0, 64);
+  double total = 0.0, depth = 0.0, error = 0.0;
+  for (int64_t i = 0; i < 64; ++i) {
+    const LayerSet fitted = LayersOf(*map, i);
+    for (size_t l = 0; l < fitted.weight.size(); ++l) {
+      total += fitted.weight[l] / 64;
+      depth += fitted.weight[l] * fitted.depth_mm[l] / 64;
+    }
+    error += Nrmse(PredictSamples(known, unseen, i, options), PredictSamples(fitted, unseen, i, options)) / 64;
+  }
+  EXPECT_NEAR(total / known_total, 1.0, 0.01);
+  EXPECT_NEAR(depth / known_depth, 1.0, 0.04);
+  EXPECT_LT(error, 0.015);
+}
+
+TEST(FitMixture, BeatsTheDirectionBlindFitOnUnseenLightAndFindsPositiveDepth) {
+  EmOptions options;
+  options.surface_term = false;   // these data have no light from the very surface
+  options.max_iterations = 150;
+  const Lights lights = MakeLights({-1.0, 0.0, 0.58}, 16, 0, options);
+  EmOptions blind = options;
+  blind.direction_blind = true;
+  const auto tied = Fit(lights, options), flat = Fit(lights, blind);
+  ASSERT_TRUE(tied.ok() && flat.ok());
+  const SrdBatch unseen = Geometry(1.0, 16);
+  const auto truth = PredictSamples(KnownLayers(), unseen, 3, options);
+  const double with = Nrmse(truth, PredictSamples(LayersOf(*tied, 3), unseen, 3, options));
+  const double without = Nrmse(truth, PredictSamples(LayersOf(*flat, 3), unseen, 3, options));
+  EXPECT_LT(with, 0.3 * without);
+  double moment = 0.0;
+  const LayerSet layers = LayersOf(*tied, 3);
+  for (size_t l = 0; l < layers.weight.size(); ++l) moment += layers.weight[l] * layers.depth_mm[l];
+  EXPECT_GT(moment, 0.0) << "a flipped shift coefficient gives negative depths";
+}
+
+TEST(FitMixture, DivergenceNeverRisesWithMoreSweeps) {
+  EmOptions options;
+  options.tolerance = 0.0;
+  const Lights lights = MakeLights({-1.0, 0.58}, 16, 4000, options);
+  double last = std::numeric_limits<double>::infinity();
+  for (int sweeps : {1, 2, 4, 8, 16, 32, 64}) {
+    options.max_iterations = sweeps;
+    const auto map = Fit(lights, options);
+    ASSERT_TRUE(map.ok());
+    double sum = 0.0;
+    for (float d : map->divergence) sum += d;
+    EXPECT_LE(sum, last * (1.0 + 1e-4)) << sweeps;
+    last = sum;
+  }
+}
+
+TEST(FitMixture, KnowsTheSlitExactly) {
+  // Fitted through a line of 1 mm, the layers predict a line of 0.25 mm.
+  EmOptions options;
+  options.surface_term = false;
+  Lights lights;
+  Random random(1);
+  for (double slope : {-1.0, 0.0, 0.58}) {
+    lights.batches.push_back(Geometry(slope, 16, 1.16));
+    FillSamples(lights.batches.back(), KnownLayers(), options, 0, random);
+  }
+  options.max_iterations = 200;
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok());
+  const SrdBatch narrow = Geometry(0.3, 16, 0.25);
+  EXPECT_LT(
+      Nrmse(PredictSamples(KnownLayers(), narrow, 5, options), PredictSamples(LayersOf(*map, 5), narrow, 5, options)),
+      0.03);
+}
+
+TEST(FitMixture, ModelledLightAddsUpToTheMeasured) {
+  EmOptions options;
+  const Lights lights = MakeLights({0.0, 0.58}, 16, 0, options);
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok());
+  for (size_t p = 0; p < 2; ++p) {
+    const auto y = PredictSamples(LayersOf(*map, 2), lights.batches[p], 2, options);
+    double modelled = 64.0 * map->background[2 * 2 + p] + map->surface[2 * 2 + p], measured = 0.0;
+    for (int k = 0; k < 64; ++k) {
+      modelled += y[k];
+      measured += lights.batches[p].y[2 * 64 + k];
+    }
+    EXPECT_NEAR(modelled / measured, 1.0, 2e-3);
+  }
+}
+
+TEST(FitMixture, IsBitIdenticalForAnyNumberOfThreads) {
+  EmOptions options;
+  options.max_iterations = 12;
+  const Lights lights = MakeLights({-0.6, 0.4}, 100, 2000, options);
+  setenv("STRATALUX_THREADS", "1", 1);
+  const auto one = Fit(lights, options);
+  setenv("STRATALUX_THREADS", "3", 1);
+  const auto three = Fit(lights, options);
+  unsetenv("STRATALUX_THREADS");
+  ASSERT_TRUE(one.ok() && three.ok());
+  EXPECT_EQ(one->weight, three->weight);
+  EXPECT_EQ(one->depth_mm, three->depth_mm);
+  EXPECT_EQ(one->sigma_mm, three->sigma_mm);
+}
+
+TEST(FitMixture, CountsBadProfilesAndNeverReturnsNaN) {
+  EmOptions options;
+  Lights lights = MakeLights({-0.6, 0.4}, 16, 2000, options);
+  auto set_all = [&](int64_t profile, float value) {
+    for (SrdBatch& b : lights.batches) std::fill_n(b.y.begin() + profile * 64, 64, value);
+  };
+  set_all(0, std::numeric_limits<float>::quiet_NaN());
+  set_all(1, 0.25F);  // constant
+  set_all(2, 0.0F);
+  set_all(3, -1.0F);
+  for (SrdBatch& b : lights.batches) b.valid[4] = 0;
+  lights.batches[0].valid[5] = 0;                                                      // one light only
+  for (SrdBatch& b : lights.batches) b.y[6 * 64 + 10] = -0.01F;                        // a negative sample is data
+  for (SrdBatch& b : lights.batches) std::fill_n(b.y.begin() + 7 * 64 + 1, 63, 0.0F);  // a single lit sample
+  for (SrdBatch& b : lights.batches) b.slope_in[8] = 0.0F;
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok());
+  for (const auto* v :
+       {&map->weight, &map->depth_mm, &map->sigma_mm, &map->surface, &map->background, &map->divergence})
+    for (float x : *v) ASSERT_TRUE(std::isfinite(x));
+  auto reason = [&](int64_t i) { return static_cast<FitReason>(map->reason[i]); };
+  EXPECT_EQ(reason(0), FitReason::kNotFinite);
+  EXPECT_EQ(reason(1), FitReason::kTooDark);
+  EXPECT_EQ(reason(2), FitReason::kTooDark);
+  EXPECT_EQ(reason(3), FitReason::kTooDark);
+  EXPECT_EQ(reason(4), FitReason::kNoProjector);
+  EXPECT_EQ(reason(5), FitReason::kFitted);
+  EXPECT_EQ(reason(6), FitReason::kFitted);
+  EXPECT_EQ(reason(8), FitReason::kDepthNotEstimable);
+  EXPECT_EQ(map->weight[0], 0.0F);
+}
+
+TEST(FitMixture, RefusesOptionsOutOfRange) {
+  EmOptions options;
+  const Lights lights = MakeLights({0.0}, 16, 0, options);
+  options.layers = 33;
+  EXPECT_EQ(Fit(lights, options).status().code(), StatusCode::kUsage);
+  options = {};
+  options.eta = 0.5;
+  EXPECT_EQ(Fit(lights, options).status().code(), StatusCode::kUsage);
+}
+
+TEST(EstimateTau, FindsTheObliquePathOfTheTrainingLights) {
+  EmOptions options;
+  options.tau = 0.35;
+  const Lights lights = MakeLights({-1.2, 0.0, 0.7}, 64, 4000, options);
+  EXPECT_NEAR(EstimateTau(lights.pointers(), options.eta), 0.35, 0.03);
+}
+
+TEST(ShiftLaw, FollowsSnellAndKeepsTheDirection) {
+  const double tan45 = 1.0, sin_t = std::sin(M_PI / 4) / 1.4;
+  EXPECT_DOUBLE_EQ(TangentialShift(ShiftLaw::kPaper, tan45, 0, 1.4), 1.0);
+  EXPECT_NEAR(TangentialShift(ShiftLaw::kRefractedSine, tan45, 0, 1.4), sin_t, 1e-12);
+  EXPECT_NEAR(TangentialShift(ShiftLaw::kRefracted, -tan45, 0, 1.4), -std::tan(std::asin(sin_t)), 1e-12);
+  EXPECT_NEAR(
+      TangentialShift(ShiftLaw::kRefracted, 0.6, 0.8, 1.4) / TangentialShift(ShiftLaw::kRefracted, 1.0, 0.0, 1.4), 0.6,
+      1e-12);
+}
+
+TEST(LineResponse, IsTheDifferenceOfNormalDistributionsAveragedOverTheCell) {
+  const LineResponse b{0.58, 0.2, 0.0, 0.145};
+  auto phi = [](double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); };
+  for (double t : {0.0, 0.2, 0.5, 0.9}) {
+    double mean = 0.0;
+    for (int i = 0; i < 200; ++i) {
+      const double x = t + 0.145 * ((i + 0.5) / 200 - 0.5);
+      mean += (phi((x + 0.29) / 0.2) - phi((x - 0.29) / 0.2)) / 200;
+    }
+    EXPECT_NEAR(b.At(t), mean, 1e-6);
+  }
+  double sum = 0.0;  // coverage: the samples of a cycle see every cell once
+  for (int k = -20; k <= 20; ++k) sum += b.At(0.07 + 0.58 * k);
+  EXPECT_NEAR(sum, 1.0, 1e-9);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
