@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/image_error.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "shared/units/angle.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kRadius = 5;  // 11 x 11 windows
+constexpr double kSigma = 1.5;
+
+// Wang et al. 2004, mean over windows wholly inside the mask; NaN when there is none.
+double StructuralSimilarity(ImageView<const float> a, ImageView<const float> b, const Image<uint8_t>& valid,
+                            int channel, double peak) {
+  std::array<double, 2 * kRadius + 1> g{};
+  double norm = 0.0;
+  for (int k = -kRadius; k <= kRadius; ++k) norm += g[k + kRadius] = std::exp(-0.5 * k * k / (kSigma * kSigma));
+  for (double& v : g) v /= norm;
+  const double c1 = std::pow(0.01 * peak, 2), c2 = std::pow(0.03 * peak, 2);
+  double sum = 0.0;
+  int64_t count = 0;
+  for (int y = kRadius; y < a.height() - kRadius; ++y)
+    for (int x = kRadius; x < a.width() - kRadius; ++x) {
+      double ma = 0, mb = 0, aa = 0, bb = 0, ab = 0;
+      bool inside = true;
+      for (int j = -kRadius; j <= kRadius && inside; ++j)
+        for (int i = -kRadius; i <= kRadius; ++i) {
+          if (valid(x + i, y + j) == 0) {
+            inside = false;
+            break;
+          }
+          const double w = g[i + kRadius] * g[j + kRadius], p = a(x + i, y + j, channel), q = b(x + i, y + j, channel);
+          ma += w * p;
+          mb += w * q;
+          aa += w * p * p;
+          bb += w * q * q;
+          ab += w * p * q;
+        }
+      if (!inside) continue;
+      const double va = aa - ma * ma, vb = bb - mb * mb, cov = ab - ma * mb;
+      sum += (2 * ma * mb + c1) * (2 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
+      ++count;
+    }
+  return count > 0 ? sum / static_cast<double>(count) : std::nan("");
+}
+
+}  // namespace
+
+ImageError CompareImages(ImageView<const float> reference, ImageView<const float> estimate,
+                         ImageView<const uint8_t> mask) {
+  const int channels = reference.channels();
+  Image<uint8_t> valid(reference.width(), reference.height());
+  std::vector<float> values;
+  std::array<double, 3> error{}, power{};
+  ImageError result;
+  for (int y = 0; y < reference.height(); ++y)
+    for (int x = 0; x < reference.width(); ++x) {
+      bool finite = mask(x, y) != 0;
+      for (int c = 0; c < channels; ++c)
+        finite = finite && std::isfinite(reference(x, y, c)) && std::isfinite(estimate(x, y, c));
+      if (!finite) continue;
+      valid(x, y) = 1;
+      ++result.pixels;
+      for (int c = 0; c < channels; ++c) {
+        const double r = reference(x, y, c), d = double(estimate(x, y, c)) - r;
+        error[c] += d * d;
+        power[c] += r * r;
+        values.push_back(reference(x, y, c));
+      }
+    }
+  if (values.empty()) return result;
+  double all_error = 0.0, all_power = 0.0;
+  for (int c = 0; c < channels; ++c) {
+    result.nrmse_channel[c] = power[c] > 0.0 ? std::sqrt(error[c] / power[c]) : 0.0;
+    all_error += error[c];
+    all_power += power[c];
+  }
+  result.nrmse = all_power > 0.0 ? std::sqrt(all_error / all_power) : 0.0;
+  const size_t rank = std::min(values.size() - 1, static_cast<size_t>(0.999 * static_cast<double>(values.size())));
+  std::nth_element(values.begin(), values.begin() + static_cast<int64_t>(rank), values.end());
+  const double peak = values[rank];
+  const double mse = all_error / static_cast<double>(values.size());
+  result.psnr_db = mse > 0.0 ? 10.0 * std::log10(peak * peak / mse) : 200.0;
+  for (int c = 0; c < channels; ++c)
+    result.ssim += StructuralSimilarity(reference, estimate, valid, c, peak) / channels;
+  if (!std::isfinite(result.ssim)) result.ssim = 0.0;
+  return result;
+}
+
+SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
+                            ImageView<const float> true_normal) {
+  std::vector<double> depth, angle;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i) {
+      if (surface.mask(i, j) == 0 || !std::isfinite(true_depth(i, j))) continue;
+      depth.push_back(double(surface.point_mm(i, j, 2)) - true_depth(i, j));
+      const Eigen::Vector3d n(true_normal(i, j, 0), true_normal(i, j, 1), true_normal(i, j, 2));
+      angle.push_back(DegFromRad(std::acos(std::clamp(n.dot(surface.Normal(i, j)), -1.0, 1.0))));
+    }
+  SurfaceError result;
+  result.pixels = static_cast<int64_t>(depth.size());
+  if (depth.empty()) return result;
+  for (double d : depth) result.depth_bias_mm += d / static_cast<double>(depth.size());
+  double squares = 0.0;
+  for (double d : depth) squares += std::pow(d - result.depth_bias_mm, 2);
+  result.depth_rms_mm = std::sqrt(squares / static_cast<double>(depth.size()));
+  std::nth_element(angle.begin(), angle.begin() + static_cast<int64_t>(angle.size() / 2), angle.end());
+  result.normal_median_deg = angle[angle.size() / 2];
+  return result;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Figures of merit of model section 9.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+struct ImageError {
+  double nrmse = 0.0;  // RMS(error) / RMS(reference), all channels together
+  std::array<double, 3> nrmse_channel{};
+  double psnr_db = 0.0;  // peak = 99.9th percentile of the reference
+  double ssim = 0.0;     // Gaussian 11 x 11, sigma 1.5, same peak, windows wholly inside the mask; mean of channels
+  int64_t pixels = 0;    // of the mask that are finite in both images
+};
+
+// Images W x H x C, mask W x H. Pixels that are not finite in either image do not count.
+[[nodiscard]] ImageError CompareImages(ImageView<const float> reference, ImageView<const float> estimate,
+                                       ImageView<const uint8_t> mask);
+
+struct SurfaceError {
+  double depth_rms_mm = 0.0;  // after removing the bias
+  double depth_bias_mm = 0.0;
+  double normal_median_deg = 0.0;
+  int64_t pixels = 0;
+};
+
+// Against true depth (z, mm) and normals on the same quads; NaN where the truth is unknown.
+[[nodiscard]] SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
+                                          ImageView<const float> true_normal);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/metrics.h"
+
+#include <nlohmann/json.hpp>
+
+namespace stratalux::fit {
+
+std::string Metrics::ToJson() const {
+  using Json = nlohmann::ordered_json;
+  Json json = {{"schema", 1}, {"session", session}, {"fit_id", fit}, {"program_version", program_version}};
+  json["options"] = options_json.empty() ? Json::object() : Json::parse(options_json);
+  json["heldout"] = Json::array();
+  for (const HeldOutFigure& f : heldout)
+    json["heldout"].push_back({{"projector", f.projector},
+                               {"light", f.light},
+                               {"model", f.model},
+                               {"part", f.part},
+                               {"direct", f.direct},
+                               {"geometry", f.geometry},
+                               {"pool", f.pool},
+                               {"nrmse", f.error.nrmse},
+                               {"nrmse_rgb", f.error.nrmse_channel},
+                               {"psnr_db", f.error.psnr_db},
+                               {"ssim", f.error.ssim},
+                               {"pixels", f.error.pixels}});
+  json["ablations"] = Json::array();
+  for (const AblationFigure& a : ablations)
+    json["ablations"].push_back({{"name", a.name},
+                                 {"projector", a.projector},
+                                 {"light", a.light},
+                                 {"nrmse", a.nrmse},
+                                 {"baseline_nrmse", a.baseline_nrmse}});
+  json["fit"] = {{"divergence", divergence},
+                 {"iterations_median", iterations_median},
+                 {"tau", tau},
+                 {"wide_weight_fraction", wide_weight_fraction},
+                 {"pixels", pixels},
+                 {"masked_by_reason", masked_by_reason}};
+  json["stages"] = Json::array();
+  for (const StageFigure& s : stages)
+    json["stages"].push_back({{"name", s.name}, {"seconds", s.seconds}, {"peak_rss_bytes", s.peak_rss_bytes}});
+  if (truth)
+    json["truth"] = {{"depth_rms_mm", truth->depth_rms_mm},
+                     {"depth_bias_mm", truth->depth_bias_mm},
+                     {"normal_median_deg", truth->normal_median_deg},
+                     {"pixels", truth->pixels}};
+  return json.dump(1) + "\n";
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// metrics.json, schema 1 (model section 9; docs/math/evaluation.md).
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "fitter/evaluation/image_error.h"
+
+namespace stratalux::fit {
+
+struct HeldOutFigure {
+  int projector = 0;
+  std::string light;     // stripe | white | spot
+  std::string model;     // tied | homogeneous | homogeneous_local_albedo | direction_blind | dipole
+  std::string part;      // total | subsurface
+  std::string direct;    // measured | rendered | none
+  std::string geometry;  // reconstructed | truth
+  int pool = 1;          // quads per side that one fitted profile covers
+  ImageError error;
+};
+
+struct AblationFigure {
+  std::string name;  // projectors_permuted | comb_frames_shuffled
+  int projector = 0;
+  std::string light;
+  double nrmse = 0.0;
+  double baseline_nrmse = 0.0;  // the same fit, not ablated
+};
+
+struct StageFigure {
+  std::string name;
+  double seconds = 0.0;
+  int64_t peak_rss_bytes = 0;
+};
+
+struct Metrics {
+  std::string session, fit, program_version, options_json;
+  std::vector<HeldOutFigure> heldout;
+  std::vector<AblationFigure> ablations;
+  double divergence = 0.0;  // median
+  int iterations_median = 0;
+  double tau = 0.0;
+  double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
+  int64_t pixels = 0;
+  std::map<std::string, int64_t> masked_by_reason;
+  std::vector<StageFigure> stages;
+  std::optional<SurfaceError> truth;  // only in simulation
+
+  [[nodiscard]] std::string ToJson() const;
+};
+
+}  // namespace stratalux::fit

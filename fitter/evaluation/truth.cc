@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/truth.h"
+
+#include <cmath>
+
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+
+Result<std::optional<SceneTruth>> SceneTruth::Open(const std::filesystem::path& session_folder) {
+  const std::filesystem::path file = session_folder / "truth.seg";
+  if (!std::filesystem::exists(file)) return std::optional<SceneTruth>();
+  SLX_ASSIGN_OR_RETURN(auto segment, db::TruthSegment::Open(file));
+  return std::optional(SceneTruth(std::move(segment)));
+}
+
+Result<Image<float>> SceneTruth::Subsurface(const std::string& light, int projector) const {
+  return segment_.Read("subsurface " + light + " " + std::to_string(projector));
+}
+
+Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& rig) const {
+  SLX_ASSIGN_OR_RETURN(const auto depth, Depth());
+  SLX_ASSIGN_OR_RETURN(auto normal, Normal());
+  SurfaceMap s{Image<float>(depth.width(), depth.height(), 3, std::nanf("")), std::move(normal),
+               Image<float>(depth.width(), depth.height()), Image<uint8_t>(depth.width(), depth.height())};
+  for (int j = 0; j < depth.height(); ++j)
+    for (int i = 0; i < depth.width(); ++i) {
+      if (!std::isfinite(depth(i, j))) continue;
+      const Eigen::Vector3d ray = rig.camera.model.Unproject(QuadCentre(rig.camera.cfa, i, j));
+      const Eigen::Vector3d point = ray * (depth(i, j) / ray.z());
+      for (int k = 0; k < 3; ++k) s.point_mm(i, j, k) = static_cast<float>(point[k]);
+      s.mask(i, j) = 1;
+    }
+  return s;
+}
+
+}  // namespace stratalux::fit

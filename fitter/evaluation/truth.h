@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the simulated rig knows of its scene, for comparison alone: no stage that makes maps may read it.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "db/truth_segment.h"
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/capture/rig_calibration.h"
+
+namespace stratalux::fit {
+
+class SceneTruth {
+ public:
+  // nullopt where the session has no truth.seg (a real capture, or deleted).
+  static Result<std::optional<SceneTruth>> Open(const std::filesystem::path& session_folder);
+  [[nodiscard]] Result<Image<float>> Depth() const { return segment_.Read("depth"); }
+  [[nodiscard]] Result<Image<float>> Normal() const { return segment_.Read("normal"); }
+  // "stripe", "white" or "spot" light of a projector, digital numbers above black.
+  [[nodiscard]] Result<Image<float>> Subsurface(const std::string& light, int projector) const;
+  // The true surface, for the runs that separate errors of the geometry from those of the model.
+  [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;
+
+ private:
+  explicit SceneTruth(db::TruthSegment segment) : segment_(std::move(segment)) {}
+  db::TruthSegment segment_;
+};
+
+}  // namespace stratalux::fit

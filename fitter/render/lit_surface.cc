@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/lit_surface.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace stratalux::fit {
+namespace {
+
+struct Vertex {
+  Eigen::Vector2d at;  // projector pixel
+  Eigen::Vector3d point, normal;
+  double distance = 0.0;  // to the light
+};
+
+// Fills the pixels whose centres lie in the triangle, nearest first.
+void FillTriangle(const std::array<const Vertex*, 3>& v, Image<LitSample>& samples, Image<float>& nearest) {
+  const Eigen::Vector2d a = v[0]->at, ab = v[1]->at - a, ac = v[2]->at - a;
+  const double area = ab.x() * ac.y() - ab.y() * ac.x();
+  if (std::abs(area) < 1e-9) return;
+  const auto [min_x, max_x] = std::minmax({v[0]->at.x(), v[1]->at.x(), v[2]->at.x()});
+  const auto [min_y, max_y] = std::minmax({v[0]->at.y(), v[1]->at.y(), v[2]->at.y()});
+  if (max_x - min_x > 200 || max_y - min_y > 200) return;  // grazing: lights nothing worth having
+  for (int y = std::max(0, static_cast<int>(std::ceil(min_y)));
+       y <= std::min(samples.height() - 1, static_cast<int>(max_y)); ++y)
+    for (int x = std::max(0, static_cast<int>(std::ceil(min_x)));
+         x <= std::min(samples.width() - 1, static_cast<int>(max_x)); ++x) {
+      const Eigen::Vector2d p = Eigen::Vector2d(x, y) - a;
+      const double s = (p.x() * ac.y() - p.y() * ac.x()) / area, t = (ab.x() * p.y() - ab.y() * p.x()) / area;
+      if (s < -1e-9 || t < -1e-9 || s + t > 1.0 + 1e-9) continue;
+      const double r = 1.0 - s - t;
+      const double distance = r * v[0]->distance + s * v[1]->distance + t * v[2]->distance;
+      if (!(distance < nearest(x, y))) continue;
+      nearest(x, y) = static_cast<float>(distance);
+      samples(x, y).point_mm = (r * v[0]->point + s * v[1]->point + t * v[2]->point).cast<float>();
+      samples(x, y).normal = (r * v[0]->normal + s * v[1]->normal + t * v[2]->normal).normalized().cast<float>();
+    }
+}
+
+Image<float> BlurRows(const Image<float>& image, double sigma) {
+  const int radius = static_cast<int>(std::ceil(4 * sigma)) + 1;
+  std::vector<double> kernel(2 * radius + 1);
+  double sum = 0.0;
+  for (int k = -radius; k <= radius; ++k) sum += kernel[k + radius] = std::exp(-0.5 * k * k / (sigma * sigma));
+  Image<float> out(image.height(), image.width());  // transposed: two passes make the full blur
+  for (int y = 0; y < image.height(); ++y)
+    for (int x = 0; x < image.width(); ++x) {
+      double v = 0.0;
+      for (int k = -radius; k <= radius; ++k)
+        v += kernel[k + radius] * image(std::clamp(x + k, 0, image.width() - 1), y);
+      out(y, x) = static_cast<float>(v / sum);
+    }
+  return out;
+}
+
+}  // namespace
+
+LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms,
+                           double max_edge_mm) {
+  LitSurface lit{light, exposure_ms, Image<LitSample>(light.model.width, light.model.height)};
+  const int width = surface.width(), height = surface.height();
+  std::vector<Vertex> vertices(static_cast<size_t>(width) * height);
+  std::vector<uint8_t> known(vertices.size(), 0);
+  for (int j = 0; j < height; ++j)
+    for (int i = 0; i < width; ++i) {
+      if (surface.mask(i, j) == 0) continue;
+      const size_t at = static_cast<size_t>(j) * width + i;
+      const Eigen::Vector3d point = surface.Point(i, j);
+      const auto pixel = light.ProjectFromCamera(point);
+      if (!pixel) continue;
+      vertices[at] = {*pixel, point, surface.Normal(i, j), (point - light.CentreInCamera()).norm()};
+      known[at] = 1;
+    }
+  Image<float> nearest(light.model.width, light.model.height, 1, std::numeric_limits<float>::infinity());
+  auto fill = [&](size_t a, size_t b, size_t c) {
+    if (known[a] == 0 || known[b] == 0 || known[c] == 0) return;
+    const auto [low, high] = std::minmax({vertices[a].point.z(), vertices[b].point.z(), vertices[c].point.z()});
+    if (high - low <= max_edge_mm) FillTriangle({&vertices[a], &vertices[b], &vertices[c]}, lit.samples, nearest);
+  };
+  for (int j = 0; j + 1 < height; ++j)
+    for (int i = 0; i + 1 < width; ++i) {
+      const size_t at = static_cast<size_t>(j) * width + i;
+      fill(at, at + 1, at + width);
+      fill(at + 1, at + width + 1, at + width);
+    }
+  for (int y = 0; y < lit.samples.height(); ++y)
+    for (int x = 0; x < lit.samples.width(); ++x) {
+      LitSample& s = lit.samples(x, y);
+      if (!std::isfinite(nearest(x, y))) continue;
+      const Eigen::Vector3d to_light = light.CentreInCamera() - s.point_mm.cast<double>();
+      if (s.normal.cast<double>().dot(to_light) <= 0.0) continue;
+      // Flux = intensity times the pixel's solid angle, whatever the tilt of the patch: cos^3 over fx fy.
+      const double cosine = light.model.Unproject({double(x), double(y)}).z();
+      const double solid_angle = cosine * cosine * cosine / (light.model.fx * light.model.fy);
+      for (int c = 0; c < 3; ++c)
+        s.flux[c] = static_cast<float>(light.white_dn_mm2_per_ms[c] * exposure_ms *
+                                       light.Falloff({double(x), double(y)}) * solid_angle);
+    }
+  return lit;
+}
+
+LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale) {
+  LitPyramid pyramid;
+  pyramid.pattern = pattern.Render(lit.samples.width(), lit.samples.height());
+  const double sigma = lit.light.line_blur_px;
+  if (sigma > 0.0) pyramid.pattern = BlurRows(BlurRows(pyramid.pattern, sigma), sigma);
+  for (float& v : pyramid.pattern.pixels()) v *= static_cast<float>(pattern_scale);
+  pyramid.levels.push_back(lit.samples);
+  for (size_t i = 0; i < lit.samples.size(); ++i) {
+    LitSample& s = pyramid.levels[0].pixels()[i];
+    for (float& f : s.flux) f *= pyramid.pattern.pixels()[i];
+  }
+  for (int level = 1; level <= 6; ++level) {
+    const Image<LitSample>& fine = pyramid.levels.back();
+    Image<LitSample> coarse((fine.width() + 1) / 2, (fine.height() + 1) / 2);
+    for (int y = 0; y < coarse.height(); ++y)
+      for (int x = 0; x < coarse.width(); ++x) {
+        LitSample sum;
+        float weight = 0.0F;
+        for (int j = 2 * y; j < std::min(2 * y + 2, fine.height()); ++j)
+          for (int i = 2 * x; i < std::min(2 * x + 2, fine.width()); ++i) {
+            const LitSample& s = fine(i, j);
+            weight += s.flux[1];
+            sum.point_mm += s.flux[1] * s.point_mm;
+            sum.normal += s.flux[1] * s.normal;
+            for (int c = 0; c < 3; ++c) sum.flux[c] += s.flux[c];
+          }
+        if (weight > 0.0F) {
+          sum.point_mm /= weight;
+          sum.normal /= weight;
+        }
+        coarse(x, y) = sum;
+      }
+    pyramid.levels.push_back(std::move(coarse));
+  }
+  return pyramid;
+}
+
+ProjectorCalibration MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
+                                    const std::array<double, 3>& dn, int resolution) {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  int count = 0;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i)
+      if (surface.mask(i, j) != 0) {
+        centre += surface.Point(i, j);
+        ++count;
+      }
+  centre /= std::max(count, 1);
+  double radius = 1.0;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i)
+      if (surface.mask(i, j) != 0) radius = std::max(radius, (surface.Point(i, j) - centre).norm());
+  ProjectorCalibration light;
+  light.name = "point light";
+  light.camera_from_projector = LookAt(position_mm, centre);
+  const double distance = (position_mm - centre).norm();
+  const double f = 0.5 * resolution * std::max(distance - radius, 0.3 * distance) / (1.05 * radius);
+  light.model = {resolution, resolution, f, f, 0.5 * (resolution - 1), 0.5 * (resolution - 1), {}};
+  for (int c = 0; c < 3; ++c) light.white_dn_mm2_per_ms[c] = dn[c] * distance * distance;
+  return light;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The reconstructed surface as one light sees it: for every projector pixel the patch it lights and the flux that falls
+// there. Any light goes through this: a projector of the rig, or a virtual one for point and directional lights.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/capture/rig_calibration.h"
+#include "shared/pattern/pattern.h"
+
+namespace stratalux::fit {
+
+// One sample of lit surface. Flux in the unit of WhiteTargetDn (digital numbers of a white target) times mm^2.
+struct LitSample {
+  Eigen::Vector3f point_mm = Eigen::Vector3f::Zero();  // camera frame
+  Eigen::Vector3f normal = Eigen::Vector3f::Zero();    // not normalised in blocks: their sum
+  std::array<float, 3> flux{};
+};
+
+struct LitSurface {
+  ProjectorCalibration light;
+  double exposure_ms = 0.0;
+  Image<LitSample> samples;  // projector pixels; zero flux where nothing is lit
+};
+
+// Rasterises the surface into the light's pixel grid with a depth buffer; triangles longer than `max_edge_mm` in depth
+// bridge a discontinuity and are left out.
+[[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,
+                                         double exposure_ms, double max_edge_mm = 6.0);
+
+// The same lit by a pattern (blurred by the projector's optics), as a pyramid of 2^k x 2^k blocks: summed flux,
+// flux-weighted mean position.
+struct LitPyramid {
+  std::vector<Image<LitSample>> levels;
+  Image<float> pattern;  // blurred
+};
+[[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
+
+// A virtual projector that lights the whole surface from `position_mm` (camera frame) with `dn` digital numbers of a
+// white target facing it at the surface's centre. Far positions serve as directional lights.
+[[nodiscard]] ProjectorCalibration MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
+                                                  const std::array<double, 3>& dn, int resolution = 512);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/mlsss.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <optional>
+
+#include "fitter/mixture/shift_law.h"
+#include "shared/base/parallel.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+// One pixel of one colour, ready to receive light.
+struct Receiver {
+  Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
+  double gain = 1.0;
+  double footprint2 = 0.0;  // variance of the camera pixel's box on the surface, mm^2
+  double pitch_mm = 1.0;    // of the light's pixels on the surface
+  Eigen::Vector2d column_row;
+};
+
+Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
+  const Eigen::Vector3d t = omega / n.dot(omega) - n;
+  const double slope = t.norm();
+  if (slope < 1e-9) return Eigen::Vector3d::Zero();
+  return t / slope * TangentialShift(law, slope, 0.0, eta);
+}
+
+std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
+                                     const ProjectorCalibration& light, int i, int j, int channel) {
+  Receiver r;
+  r.normal = surface.Normal(i, j);
+  const Pinhole& camera = rig.camera.model;
+  auto on_plane = [&](const Eigen::Vector2d& pixel) -> Eigen::Vector3d {
+    const Eigen::Vector3d ray = camera.Unproject(pixel);
+    return ray * (r.normal.dot(surface.Point(i, j)) / r.normal.dot(ray));
+  };
+  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
+  r.point = on_plane(site);
+  const Eigen::Vector3d in = (light.CentreInCamera() - r.point).normalized(), out = -r.point.normalized();
+  const double cos_in = r.normal.dot(in), cos_out = r.normal.dot(out);
+  if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
+  r.shift = ShiftVector(map.shift_law, in, r.normal, map.eta) - ShiftVector(map.shift_law, out, r.normal, map.eta);
+  if (map.gain_model) r.gain = AngularGain(cos_in, map.eta, map.tau);
+  // Box of one mosaic pixel, 1/12 px^2 an axis; two sites of a colour on the diagonal add their spread.
+  const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
+               py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
+  const double spread = rig.camera.cfa != Cfa::kMono && channel == 1 ? 1.0 / 12.0 + 0.25 : 1.0 / 12.0;
+  r.footprint2 = (spread + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
+  const auto at = light.ProjectFromCamera(r.point);
+  if (!at) return std::nullopt;
+  r.column_row = *at;
+  // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
+  const double distance = (light.CentreInCamera() - r.point).norm();
+  r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
+  return r;
+}
+
+// Gaussian weight of a lit sample for a layer; offset projected on the tangent plane.
+double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& centre, double half_inverse2) {
+  if (r.normal.dot(s.normal.cast<double>()) < 0.0) return 0.0;
+  const Eigen::Vector3d offset = s.point_mm.cast<double>() - centre;
+  const double along = offset.dot(r.normal);
+  return std::exp(-half_inverse2 * std::max(0.0, offset.squaredNorm() - along * along));
+}
+
+// sum of flux K2 over the blocks of one pyramid level within `reach` sigmas.
+float GatherLevel(const Receiver& r, const Image<LitSample>& level, int block, const Eigen::Vector3d& centre,
+                  const Eigen::Vector2d& at, double sigma, int channel) {
+  const double half_inverse2 = 0.5 / (sigma * sigma);
+  const double reach = 3.6 * sigma / (r.pitch_mm * block) + 1.0;
+  const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
+  // The pitch is a mean: allow for a surface that is tilted along one axis.
+  const int x0 = std::max(0, static_cast<int>(std::floor(bx - 1.3 * reach))),
+            x1 = std::min(level.width() - 1, static_cast<int>(std::ceil(bx + 1.3 * reach)));
+  const int y0 = std::max(0, static_cast<int>(std::floor(by - 1.3 * reach))),
+            y1 = std::min(level.height() - 1, static_cast<int>(std::ceil(by + 1.3 * reach)));
+  const Eigen::Vector3f n = r.normal.cast<float>(), c = centre.cast<float>();
+  const float q = static_cast<float>(half_inverse2);
+  float sum = 0.0F;
+  for (int y = y0; y <= y1; ++y)
+    for (int x = x0; x <= x1; ++x) {
+      const LitSample& s = level(x, y);
+      const float flux = s.flux[channel];
+      if (flux == 0.0F || n.dot(s.normal) < 0.0F) continue;
+      const Eigen::Vector3f offset = s.point_mm - c;
+      const float along = offset.dot(n);
+      const float exponent = q * (offset.squaredNorm() - along * along);
+      if (exponent < 13.0F) sum += flux * std::exp(-exponent);
+    }
+  return sum * static_cast<float>(half_inverse2 / std::numbers::pi);
+}
+
+int64_t ProfileOf(const MixtureMap& map, int i, int j, int c, int pool) {
+  const int x = i / pool, y = j / pool;
+  return x < map.width && y < map.height ? map.ProfileIndex(x, y, c) : -1;
+}
+
+template <typename PixelLight>
+Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
+                          const LitSurface& lit, const RenderOptions& options, const PixelLight& light_of) {
+  Image<float> image(surface.width(), surface.height(), map.channels);
+  ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        for (int c = 0; c < map.channels; ++c) {
+          const int64_t profile = ProfileOf(map, i, j, c, options.pool);
+          if (profile < 0 || !map.Fitted(profile)) continue;
+          const auto receiver = MakeReceiver(map, surface, rig, lit.light, i, j, c);
+          if (receiver) image(i, j, c) = static_cast<float>(light_of(*receiver, profile, c));
+        }
+      }
+  });
+  return image;
+}
+
+}  // namespace
+
+Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
+                              const LitPyramid& light, const LitSurface& lit, const RenderOptions& options) {
+  const int coarsest = static_cast<int>(light.levels.size()) - 1;
+  return ForEachPixel(map, surface, rig, lit, options, [&](const Receiver& r, int64_t profile, int c) {
+    double sum = 0.0;
+    for (int l = 0; l < map.layers; ++l) {
+      const size_t at = static_cast<size_t>(profile) * map.layers + l;
+      if (!(map.weight[at] > 0.0F)) continue;
+      const double own2 = double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2;
+      // Blocks of at most two thirds of the width; a block's own extent, h^2 / 12, is part of the width.
+      int level = 0;
+      while (level < coarsest && r.pitch_mm * (2 << level) < 0.67 * std::sqrt(own2)) ++level;
+      const double h = r.pitch_mm * (1 << level);
+      const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
+      const auto pixel = lit.light.ProjectFromCamera(centre);
+      if (!pixel) continue;
+      sum += map.weight[at] *
+             GatherLevel(r, light.levels[level], 1 << level, centre, *pixel, std::sqrt(own2 + h * h / 12.0), c);
+    }
+    return sum * r.gain;
+  });
+}
+
+Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
+                                       const LitPyramid& light, const LitSurface& lit, const RenderOptions& options) {
+  return ForEachPixel(map, surface, rig, lit, options, [&](const Receiver& r, int64_t profile, int c) {
+    double sum = 0.0;
+    for (int l = 0; l < map.layers; ++l) {
+      const size_t at = static_cast<size_t>(profile) * map.layers + l;
+      if (!(map.weight[at] > 0.0F)) continue;
+      const double variance =
+          double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2 + r.pitch_mm * r.pitch_mm / 12.0;
+      const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
+      double layer = 0.0;
+      for (const LitSample& s : light.levels[0].pixels())
+        if (s.flux[c] > 0.0F) layer += s.flux[c] * Exchange(r, s, centre, 0.5 / variance);
+      sum += map.weight[at] * layer / (2.0 * std::numbers::pi * variance);
+    }
+    return sum * r.gain;
+  });
+}
+
+Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap& surface, const RigCalibration& rig,
+                           const LitPyramid& light, const LitSurface& lit) {
+  Image<float> image(surface.width(), surface.height(), reflectance.channels());
+  const Pinhole& camera = rig.camera.model;
+  ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        const Eigen::Vector3d n = surface.Normal(i, j);
+        for (int c = 0; c < reflectance.channels(); ++c) {
+          // Nine points of the footprint: one mosaic pixel, two on the diagonal for green.
+          const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, c);
+          const double half = c == 1 && rig.camera.cfa != Cfa::kMono ? 0.66 : 0.33;
+          double sum = 0.0;
+          for (int k = 0; k < 9; ++k) {
+            const Eigen::Vector3d ray = camera.Unproject(site + half * Eigen::Vector2d(k % 3 - 1, k / 3 - 1));
+            const auto at = lit.light.ProjectFromCamera(ray * (n.dot(surface.Point(i, j)) / n.dot(ray)));
+            if (!at || !lit.light.model.Contains(*at)) continue;
+            const int x = std::clamp(static_cast<int>(std::floor(at->x())), 0, light.pattern.width() - 2);
+            const int y = std::clamp(static_cast<int>(std::floor(at->y())), 0, light.pattern.height() - 2);
+            const double u = std::clamp(at->x() - x, 0.0, 1.0), v = std::clamp(at->y() - y, 0.0, 1.0);
+            sum += (1 - v) * ((1 - u) * light.pattern(x, y) + u * light.pattern(x + 1, y)) +
+                   v * ((1 - u) * light.pattern(x, y + 1) + u * light.pattern(x + 1, y + 1));
+          }
+          const double white = lit.light.WhiteTargetDn(surface.Point(i, j), n, c, lit.exposure_ms);
+          const float reflected = static_cast<float>(reflectance(i, j, c) * white * sum / 9.0);
+          image(i, j, c) = std::isfinite(reflected) ? reflected : 0.0F;
+        }
+      }
+  });
+  return image;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Multi-layered subsurface scattering [M 7, 8, 9]: what the fitted layers look like under any light.
+//
+//   L_o(x) = sum_l w_l(x) g(x) sum_I K2(x_I - x_O - d_l (T(omega_i) - T(omega_o)); sigma_l(x)) flux_I
+//
+// K2: two-dimensional Gaussian, its offset taken in 3D and projected on the tangent plane at x_O; samples whose normals
+// oppose that of x_O do not exchange light. Reference and fast renderer share this definition.
+#pragma once
+
+#include "fitter/mixture/mixture_map.h"
+#include "fitter/render/lit_surface.h"
+
+namespace stratalux::fit {
+
+struct RenderOptions {
+  int pool = 1;  // quads per side that one profile of the MixtureMap covers
+};
+
+// Subsurface light, W x H x C on quads, digital numbers above black; 0 outside the mask. Cost: pixels x layers. Each
+// colour is rendered at its own site of the quad.
+[[nodiscard]] Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
+                                            const LitPyramid& light, const LitSurface& lit,
+                                            const RenderOptions& options = {});
+
+// The same by the plain double loop over all lit samples, in double precision. Cost: pixels x samples x layers.
+[[nodiscard]] Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& surface,
+                                                     const RigCalibration& rig, const LitPyramid& light,
+                                                     const LitSurface& lit, const RenderOptions& options = {});
+
+// Light reflected by the very surface: reflectance (W x H x C on quads) times irradiance times the pattern at (C, R),
+// averaged over the pixel's footprint.
+[[nodiscard]] Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap& surface,
+                                         const RigCalibration& rig, const LitPyramid& light, const LitSurface& lit);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/scattering/baselines.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace stratalux::fit {
+namespace {
+
+constexpr double kPi = std::numbers::pi;
+
+// Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is.
+struct MeanLayers {
+  std::vector<double> weight, depth, sigma;
+  int64_t count = 0;
+};
+
+MeanLayers MeanOf(const MixtureMap& map, int channel) {
+  MeanLayers mean;
+  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma}) v->assign(map.layers, 0.0);
+  for (int64_t i = channel; i < map.profiles(); i += map.channels) {
+    if (!map.Fitted(i)) continue;
+    ++mean.count;
+    for (int l = 0; l < map.layers; ++l) {
+      mean.weight[l] += map.weight[i * map.layers + l];
+      mean.depth[l] += map.depth_mm[i * map.layers + l];
+      mean.sigma[l] += map.sigma_mm[i * map.layers + l];
+    }
+  }
+  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma})
+    for (double& x : *v) x /= static_cast<double>(std::max<int64_t>(mean.count, 1));
+  return mean;
+}
+
+double TotalWeight(const MixtureMap& map, int64_t i) {
+  double sum = 0.0;
+  for (int l = 0; l < map.layers; ++l) sum += map.weight[i * map.layers + l];
+  return sum;
+}
+
+MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
+  MixtureMap out = map;
+  for (int c = 0; c < map.channels; ++c) {
+    const MeanLayers mean = MeanOf(map, c);
+    double total = 0.0;
+    for (double w : mean.weight) total += w;
+    for (int64_t i = c; i < map.profiles(); i += map.channels) {
+      if (!map.Fitted(i)) continue;
+      const double scale = keep_albedo && total > 0.0 ? TotalWeight(map, i) / total : 1.0;
+      for (int l = 0; l < map.layers; ++l) {
+        out.weight[i * map.layers + l] = static_cast<float>(mean.weight[l] * scale);
+        out.depth_mm[i * map.layers + l] = static_cast<float>(mean.depth[l]);
+        out.sigma_mm[i * map.layers + l] = static_cast<float>(mean.sigma[l]);
+      }
+    }
+  }
+  return out;
+}
+
+// Mean profile of a channel over the lights on a common grid of u.
+struct MeanProfile {
+  double step = 0.3;
+  std::vector<double> y, count;  // u = (k - half) step
+  double line_width = 0.58, blur = 0.2;
+};
+
+MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, int channels) {
+  constexpr int kHalf = 40;
+  MeanProfile mean;
+  mean.y.assign(2 * kHalf + 1, 0.0);
+  mean.count.assign(2 * kHalf + 1, 0.0);
+  double width = 0.0, blur = 0.0, n = 0.0;
+  for (const SrdBatch* b : lights)
+    for (int64_t i = channel; i < b->profiles(); i += channels) {
+      if (b->valid[i] == 0) continue;
+      width += b->line_width_mm[i];
+      blur += b->blur_mm[i];
+      n += 1.0;
+      const double period = double(b->step_mm[i]) * b->samples;
+      for (int k = 0; k < b->samples; ++k) {
+        const double u = std::remainder(double(b->first_u_mm[i]) + k * double(b->step_mm[i]), period);
+        const long bin = std::lround(u / mean.step) + kHalf;
+        if (bin < 0 || bin > 2 * kHalf) continue;
+        mean.y[bin] += b->y[i * b->samples + k];
+        mean.count[bin] += 1.0;
+      }
+    }
+  for (size_t k = 0; k < mean.y.size(); ++k) mean.y[k] /= std::max(mean.count[k], 1.0);
+  if (n > 0.0) {
+    mean.line_width = width / n;
+    mean.blur = blur / n;
+  }
+  return mean;
+}
+
+// Line spread through the line's box and blur, by quadrature.
+double Measured(const Dipole& dipole, double u, double width, double blur) {
+  double sum = 0.0, weights = 0.0;
+  for (int i = -3; i <= 3; ++i) {
+    const double g = std::exp(-0.5 * i * i * 0.64);
+    for (int k = 0; k < 5; ++k) {
+      sum += g * dipole.LineSpread(u + 0.8 * i * blur + width * ((k + 0.5) / 5 - 0.5));
+      weights += g;
+    }
+  }
+  return sum / weights * width;
+}
+
+double Misfit(const Dipole& dipole, const MeanProfile& mean) {
+  double error = 0.0;
+  for (size_t k = 0; k < mean.y.size(); k += 2) {
+    const double u = (static_cast<double>(k) - static_cast<double>(mean.y.size() / 2)) * mean.step;
+    const double d = Measured(dipole, u, mean.line_width, mean.blur) - mean.y[k];
+    error += mean.count[k] > 0.0 ? d * d : 0.0;
+  }
+  return error;
+}
+
+}  // namespace
+
+MixtureMap Homogeneous(const MixtureMap& map) { return WithMeanLayers(map, false); }
+MixtureMap HomogeneousLocalAlbedo(const MixtureMap& map) { return WithMeanLayers(map, true); }
+
+double Dipole::RadialReflectance(double r_mm) const {
+  const double st = sigma_s_prime_per_mm + sigma_a_per_mm;
+  const double tr = std::sqrt(3.0 * sigma_a_per_mm * st), alpha = sigma_s_prime_per_mm / st;
+  const double fdr = -1.440 / (eta * eta) + 0.710 / eta + 0.668 + 0.0636 * eta;
+  const double zr = 1.0 / st, zv = zr * (1.0 + 4.0 / 3.0 * (1.0 + fdr) / (1.0 - fdr));
+  auto source = [&](double z) {
+    const double d = std::sqrt(r_mm * r_mm + z * z);
+    return z * (tr * d + 1.0) * std::exp(-tr * d) / (d * d * d);
+  };
+  return alpha / (4.0 * kPi) * (source(zr) + source(zv));
+}
+
+double Dipole::LineSpread(double x_mm) const {
+  // y = a sinh(t) stretches the quadrature over the tail.
+  const double a = 0.5 / (sigma_s_prime_per_mm + sigma_a_per_mm);
+  constexpr int kSteps = 48;
+  constexpr double kEnd = 6.0;
+  double sum = 0.0;
+  for (int k = 0; k < kSteps; ++k) {
+    const double t = (k + 0.5) * kEnd / kSteps, y = a * std::sinh(t);
+    sum += RadialReflectance(std::hypot(x_mm, y)) * a * std::cosh(t);
+  }
+  return 2.0 * sum * kEnd / kSteps;
+}
+
+double Dipole::TotalReflectance() const {
+  const double alpha = sigma_s_prime_per_mm / (sigma_s_prime_per_mm + sigma_a_per_mm);
+  const double fdr = -1.440 / (eta * eta) + 0.710 / eta + 0.668 + 0.0636 * eta;
+  const double a = (1.0 + fdr) / (1.0 - fdr), root = std::sqrt(3.0 * (1.0 - alpha));
+  return alpha / 2.0 * (1.0 + std::exp(-4.0 / 3.0 * a * root)) * std::exp(-root);
+}
+
+Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta) {
+  const MeanProfile mean = MeanProfileOf(lights, channel, channels);
+  // Pattern search in the logarithms of both coefficients.
+  double log_s = std::log(1.5), log_a = std::log(0.05), step = 0.8;
+  auto dipole = [&](double s, double a) { return Dipole{std::exp(s), std::exp(a), eta}; };
+  double best = Misfit(dipole(log_s, log_a), mean);
+  while (step > 0.01) {
+    bool improved = false;
+    for (const auto& [ds, da] : {std::pair(step, 0.0), {-step, 0.0}, {0.0, step}, {0.0, -step}}) {
+      const double s = std::clamp(log_s + ds, -4.0, 4.0), a = std::clamp(log_a + da, -8.0, 4.0);
+      const double error = Misfit(dipole(s, a), mean);
+      if (error < best) {
+        best = error;
+        log_s = s;
+        log_a = a;
+        improved = true;
+      }
+    }
+    if (!improved) step *= 0.5;
+  }
+  return dipole(log_s, log_a);
+}
+
+Result<MixtureMap> DipoleMap(const MixtureMap& map, std::span<const Dipole> dipoles) {
+  MixtureMap out = map;
+  for (int c = 0; c < map.channels; ++c) {
+    SrdBatch b;
+    b.samples = 400;
+    b.wrapped = false;
+    b.sample_box = 1.0F;
+    constexpr float kStep = 0.1F;
+    b.step_mm = {kStep};
+    b.first_u_mm = {-0.5F * kStep * 399};
+    b.line_width_mm = {0.05F};
+    b.blur_mm = {0.0F};
+    b.valid = {1};
+    for (auto* v : {&b.slope_in, &b.slope_out, &b.slope_in_across, &b.slope_out_across}) *v = {0.0F};
+    b.cos_in = b.cos_out = {1.0F};
+    for (int k = 0; k < b.samples; ++k) {
+      const double y = 0.05 * dipoles[c].LineSpread(double(b.first_u_mm[0]) + k * double(kStep));
+      b.y.push_back(static_cast<float>(y));
+      b.variance.push_back(static_cast<float>(1e-4 * y + 1e-12));
+    }
+    EmOptions options;
+    options.layers = map.layers;
+    options.direction_blind = true;
+    options.surface_term = options.background_term = false;
+    options.max_iterations = 400;
+    const SrdBatch* light = &b;
+    SLX_ASSIGN_OR_RETURN(const MixtureMap fitted, FitMixture(std::span(&light, 1), {0}, 1, 1, 1, options));
+    const double total = TotalWeight(fitted, 0);
+    for (int64_t i = c; i < map.profiles(); i += map.channels) {
+      if (!map.Fitted(i)) continue;
+      const double scale = total > 0.0 ? TotalWeight(map, i) / total : 0.0;
+      for (int l = 0; l < map.layers; ++l) {
+        out.weight[i * map.layers + l] = static_cast<float>(fitted.weight[l] * scale);
+        out.depth_mm[i * map.layers + l] = 0.0F;
+        out.sigma_mm[i * map.layers + l] = fitted.sigma_mm[l];
+      }
+    }
+  }
+  return out;
+}
+
+}  // namespace stratalux::fit

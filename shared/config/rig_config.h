@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// The rig's configuration file (docs/examples/rig.toml): defaults < file < command-line flags.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "shared/base/result.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux {
+
+struct RigConfig {
+  std::string name = "rig";
+  std::string store;  // folder; empty: not set here
+  int camera_width = 1392;
+  int camera_height = 1042;
+  double settle_ms = 2.0;       // from SYNC to exposure
+  double deadline_ms = 2000.0;  // for a SYNC edge or a frame to arrive
+  double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
+  int max_retries = 2;          // shots again of a doubtful frame
+  int queue_frames = 32;        // between capture and writer
+  PlanOptions plan;
+};
+
+// kUsage with file:line for unreadable files, unknown keys, wrong types, values out of range and plans no projector can
+// show.
+[[nodiscard]] Result<RigConfig> LoadRigConfig(const std::filesystem::path& file);
+[[nodiscard]] Result<RigConfig> ParseRigConfig(const std::string& text, const std::string& name);
+
+}  // namespace stratalux
