@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// One self-contained HTML page a session: pictures as data URIs, plots as inline SVG, no script, nothing from outside.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+struct ReportImage {
+  std::string caption;
+  Image<uint8_t> pixels;  // 1 or 3 channels
+};
+
+struct ReportSeries {
+  std::string name;
+  std::vector<double> x, y;
+  bool dots = false;  // marks instead of a line
+};
+
+struct ReportPlot {
+  std::string caption, x_label, y_label;
+  std::vector<ReportSeries> series;
+};
+
+struct ReportTable {
+  std::string caption;
+  std::vector<std::string> header;
+  std::vector<std::vector<std::string>> rows;
+};
+
+struct ReportSection {
+  std::string title, text;
+  std::vector<ReportImage> images;
+  std::vector<ReportPlot> plots;
+  std::vector<ReportTable> tables;
+};
+
+struct Report {
+  std::string title, subtitle;
+  std::vector<ReportSection> sections;
+};
+
+[[nodiscard]] Result<std::string> RenderHtml(const Report& report);
+
+// Linear light -> sRGB bytes (IEC 61966-2-1), `white` maps to 255; NaN is black.
+[[nodiscard]] Image<uint8_t> ToSrgb(ImageView<const float> linear, double white);
+// Scalar map through a perceptual colour scale between low and high; NaN is dark grey.
+[[nodiscard]] Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high);
+// Unit normals (camera frame) as colours: x right red, y up green, towards the viewer blue.
+[[nodiscard]] Image<uint8_t> NormalColours(ImageView<const float> normals);
+// The value below which the share `fraction` of the finite values lies; 0 when there are none.
+[[nodiscard]] double Percentile(ImageView<const float> map, double fraction);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Installs what Stratalux needs from Debian 12. One list, a purpose each; used by demo.sh, test.sh and the docs.
+#   scripts/install-deps.sh           install what is missing
+#   scripts/install-deps.sh --list    print the packages and what each is for
+#   scripts/install-deps.sh --rig     only what the controller needs
+set -euo pipefail
+
+packages() {
+  cat <<'LIST'
+build-essential      rig  compiler and make
+cmake                rig  build system
+ninja-build          rig  build tool of the presets
+pkg-config           rig  finds libxxhash and libzstd
+libeigen3-dev        rig  small vectors, rotations
+libpng-dev           rig  PNG files
+libsqlite3-dev       rig  the store's index
+libtomlplusplus-dev  rig  configuration files
+nlohmann-json3-dev   rig  manifests, calibration records, metrics
+libcli11-dev         rig  command lines
+libxxhash-dev        rig  XXH3-128 hashes of frames
+libzstd-dev          rig  the skin table's compression
+libopenexr-dev       fit  float maps as EXR
+libgtest-dev         test GoogleTest
+libgmock-dev         test GoogleTest's matchers
+clang-format         test the format check
+git                  test the style checks list the tracked files
+LIST
+}
+
+case "${1:-}" in
+  --list) packages; exit 0 ;;
+  --rig) wanted=$(packages | awk '$2=="rig"{print $1}') ;;
+  "") wanted=$(packages | awk '{print $1}') ;;
+  *) echo "usage: scripts/install-deps.sh [--list|--rig]" >&2; exit 2 ;;
+esac
+
+missing=()
+for package in $wanted; do
+  dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+done
+if [ ${#missing[@]} -eq 0 ]; then exit 0; fi
+
+echo "installing: ${missing[*]}" >&2
+sudo=""
+if [ "$(id -u)" -ne 0 ]; then
+  command -v sudo >/dev/null || { echo "error: run as root or install sudo; missing: ${missing[*]}" >&2; exit 1; }
+  sudo="sudo"
+fi
+$sudo apt-get update -qq
+DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "${missing[@]}" >&2

@@ -1,0 +1,38 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Installs, builds and runs the tests. ctest's closing line ends the output.
+set -euo pipefail
+usage() {
+  cat <<'HELP'
+usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy] [--no-install] [-j N] [-R REGEX]
+  --unit, --integration, --style   only these tests (ctest labels)
+  --asan                           with address and undefined-behaviour sanitizers
+  --tidy                           clang-tidy over the whole tree instead of tests
+  --no-install                     do not look for missing Debian packages
+HELP
+}
+root=$(cd "$(dirname "$0")/.." && pwd)
+install=1 preset=release tidy=0 jobs=$(nproc) select=()
+while [ $# -gt 0 ]; do
+  case "$1" in
+    --unit|--integration|--style) select+=(-L "${1#--}"); shift ;;
+    --label) select+=(-L "${2:?--label needs a label}"); shift 2 ;;
+    --asan) preset=asan; shift ;;
+    --tidy) tidy=1; shift ;;
+    --no-install) install=0; shift ;;
+    -j) jobs=${2:?-j needs a number}; shift 2 ;;
+    -R) select+=(-R "${2:?-R needs a regular expression}"); shift 2 ;;
+    -h|--help) usage; exit 0 ;;
+    *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
+  esac
+done
+[ $install -eq 0 ] || "$root/scripts/install-deps.sh"
+cd "$root"
+cmake --preset "$preset"
+if [ $tidy -eq 1 ]; then
+  command -v clang-tidy >/dev/null || { echo "error: clang-tidy is not installed (apt-get install clang-tidy)" >&2; exit 1; }
+  git ls-files '*.cc' | xargs -r -P "$jobs" -n 4 clang-tidy -quiet -p "build/$preset"
+  exit 0
+fi
+cmake --build --preset "$preset" -j "$jobs"
+ctest --test-dir "build/$preset" --output-on-failure -j "$jobs" "${select[@]}"
