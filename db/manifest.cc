@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/manifest.h"
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+namespace stratalux::db {
+
+using Json = nlohmann::ordered_json;
+
+std::string ReasonsToJson(const std::vector<std::string>& reasons) { return Json(reasons).dump(); }
+
+std::vector<std::string> ReasonsFromJson(const std::string& text) {
+  const Json json = Json::parse(text, nullptr, false);
+  return json.is_array() ? json.get<std::vector<std::string>>() : std::vector<std::string>();
+}
+
+Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
+                     const std::vector<std::string>& segments) {
+  const Json json = {
+      {"schema", 1},
+      {"session", info.id},
+      {"kind", ToString(info.kind)},
+      {"rig", info.rig},
+      {"visitor", info.visitor},
+      {"consent", info.consent},
+      {"simulated", info.simulated},
+      {"seed", info.seed},
+      {"started_wall_ns", info.started_wall.ns},
+      {"status", ToString(info.status)},
+      {"reasons", info.reasons},
+      {"program_version", info.program_version},
+      {"plan", info.plan_json.empty() ? Json() : Json::parse(info.plan_json, nullptr, false)},
+      {"calibration", info.calibration_json.empty() ? Json() : Json::parse(info.calibration_json, nullptr, false)},
+      {"frames", frames},
+      {"segments", segments}};
+  const std::string text = json.dump(1) + "\n";
+  const std::filesystem::path target = folder / "manifest.json", temporary = folder / "manifest.json.new";
+  auto fail = [&] { return Status::Failed("cannot write " + target.string() + ": " + std::strerror(errno)); };
+  const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0640);
+  if (fd < 0) return fail();
+  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && fsync(fd) == 0;
+  close(fd);
+  if (!written || rename(temporary.c_str(), target.c_str()) != 0) return fail();
+  return Status::Ok();
+}
+
+Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "manifest.json";
+  std::ifstream in(file);
+  if (!in) return Status::NotFound(file.string() + " does not exist");
+  try {
+    const Json json = Json::parse(in);
+    if (json.at("schema").get<int>() > 1)
+      return Status(StatusCode::kNewerSchema,
+                    file.string() + ": schema " + json.at("schema").dump() + " is newer than this program (1)");
+    SessionInfo info;
+    json.at("session").get_to(info.id);
+    SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
+    json.at("rig").get_to(info.rig);
+    json.at("visitor").get_to(info.visitor);
+    json.at("consent").get_to(info.consent);
+    json.at("simulated").get_to(info.simulated);
+    json.at("seed").get_to(info.seed);
+    info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
+    SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
+    json.at("reasons").get_to(info.reasons);
+    json.at("program_version").get_to(info.program_version);
+    if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
+    if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
+    return info;
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
+}
+
+}  // namespace stratalux::db

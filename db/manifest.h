@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// manifest.json of a session: enough to rebuild its row of the index.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "shared/capture/session.h"
+
+namespace stratalux::db {
+
+// Written to a temporary file, synced and renamed, so that a manifest is whole or absent.
+Status WriteManifest(const std::filesystem::path& session_folder, const SessionInfo& info, int64_t frames,
+                     const std::vector<std::string>& segments);
+Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);
+
+[[nodiscard]] std::string ReasonsToJson(const std::vector<std::string>& reasons);
+[[nodiscard]] std::vector<std::string> ReasonsFromJson(const std::string& text);
+
+}  // namespace stratalux::db

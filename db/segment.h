@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// Frame segments: append-only files that describe themselves (docs/file-formats.md). Little-endian.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+#include "shared/capture/frame_record.h"
+
+namespace stratalux::db {
+
+enum class Codec : uint16_t { kRaw8 = 1, kRaw12 = 2, kRaw16 = 3, kF32 = 4 };
+[[nodiscard]] const char* ToString(Codec codec);
+
+// Frozen layout: 320 bytes in front of each payload.
+struct FrameHeader {
+  uint32_t magic;         // 'FRM1'
+  uint32_t header_bytes;  // 320
+  int64_t frame;          // 0-based in the session
+  int32_t step, projector, bracket, pose, retry;
+  uint32_t phase;
+  int64_t trigger_number, trigger_ns, sync_ns, driver_sequence, frame_ns;
+  double exposure_ms, gain, mean_dn;
+  uint16_t frame_clock, level_check, format, cfa, codec, cipher;  // cipher 0: none
+  int32_t width, height, channels, crop_x, crop_y;
+  uint8_t key_id[16], nonce[24];  // reserved for encryption
+  char pattern[64];               // Pattern::ToString, or the name of a truth map; zero-padded
+  uint64_t payload_bytes;
+  uint8_t payload_hash[16];  // XXH3-128, canonical
+  uint8_t reserved[48];
+  uint64_t header_hash;  // XXH3-64 of all before it
+};
+static_assert(sizeof(FrameHeader) == 320);
+
+struct SegmentFrame {
+  FrameHeader header;
+  int64_t offset = 0;  // of the header in the file
+};
+
+[[nodiscard]] FrameHeader MakeFrameHeader(const FrameRecord& record, int64_t frame, const std::string& text);
+// kIntegrity for texts and enumerations that no writer of ours makes.
+[[nodiscard]] Result<FrameRecord> RecordOf(const FrameHeader& header);
+[[nodiscard]] std::string HashText(const uint8_t (&hash)[16]);
+
+class SegmentWriter {
+ public:
+  // Fails when the file exists.
+  static Result<SegmentWriter> Create(const std::filesystem::path& file, const std::string& session_id);
+  ~SegmentWriter();
+  SegmentWriter(SegmentWriter&&) noexcept;
+  SegmentWriter& operator=(SegmentWriter&&) noexcept;
+
+  // Fills codec, payload size and hashes; returns the header's offset. Data reach the disk with Sync().
+  Result<SegmentFrame> Append(FrameHeader header, Codec codec, std::span<const uint8_t> payload);
+  Status Sync();
+  // Footer with all headers, trailer, sync.
+  Status Seal();
+  [[nodiscard]] int64_t bytes() const { return bytes_; }
+
+ private:
+  SegmentWriter() = default;
+  Status Write(const void* data, size_t size);
+  int fd_ = -1;
+  int64_t bytes_ = 0;
+  std::string file_;
+  std::vector<FrameHeader> headers_;
+};
+
+class SegmentReader {
+ public:
+  static Result<SegmentReader> Open(const std::filesystem::path& file);
+  ~SegmentReader();
+  SegmentReader(SegmentReader&&) noexcept;
+  SegmentReader& operator=(SegmentReader&&) = delete;
+
+  // Header and payload at `offset`, both checked against their hashes.
+  Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
+  // All frames by walking the file; kIntegrity where a header or (with `payloads`) a payload is damaged, the file
+  // truncated, or the footer of a sealed segment disagrees.
+  Result<std::vector<SegmentFrame>> Walk(bool payloads, bool* sealed) const;
+  [[nodiscard]] const std::string& session_id() const { return session_id_; }
+  [[nodiscard]] int64_t size() const { return size_; }
+
+ private:
+  SegmentReader() = default;
+  Status ReadAt(int64_t offset, void* data, size_t size) const;
+  Status CheckFooter(int64_t offset, const std::vector<SegmentFrame>& frames) const;
+  int fd_ = -1;
+  int64_t size_ = 0;
+  std::string file_, session_id_;
+};
+
+// Cuts an unsealed segment after `frames_end`, dropping what was never acknowledged.
+Status TruncateSegment(const std::filesystem::path& file, int64_t frames_end);
+
+}  // namespace stratalux::db

@@ -1,0 +1,217 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/session_index.h"
+
+#include <cstdio>
+#include <random>
+
+#include <xxhash.h>
+
+#include "db/manifest.h"
+#include "db/migration_0001.h"
+
+namespace stratalux::db {
+namespace {
+
+constexpr int64_t kApplicationId = 0x534c5831;  // "SLX1"
+
+std::string ContentId(const std::string& text) {
+  uint8_t digest[16];
+  XXH128_canonical_t canonical;
+  XXH128_canonicalFromHash(&canonical, XXH3_128bits(text.data(), text.size()));
+  std::copy(std::begin(canonical.digest), std::end(canonical.digest), digest);
+  return HashText(digest);
+}
+
+}  // namespace
+
+std::string SegmentName(int64_t number) {
+  char name[32];
+  std::snprintf(name, sizeof name, "frames-%04lld.seg", static_cast<long long>(number));
+  return name;
+}
+
+Status SessionIndex::Create(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::create_directories(folder / "sessions", error);
+  if (error) return Status::Failed("cannot create store " + folder.string() + ": " + error.message());
+  const auto file = folder / "index.sqlite";
+  if (std::filesystem::exists(file)) return Open(folder, AccessMode::kReadWrite).status();
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
+  return Migrate(connection, folder);
+}
+
+Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path& folder) {
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  if (version == kSchemaVersion) return Status::Ok();
+  if (version > 0) {
+    const std::string backup = (folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")).string();
+    SLX_RETURN_IF_ERROR(connection.Execute("VACUUM INTO '" + backup + "'"));
+  }
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
+  return transaction.Commit();
+}
+
+Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, AccessMode mode) {
+  const auto file = folder / "index.sqlite";
+  if (!std::filesystem::exists(file))
+    return Status::NotFound("no store in " + folder.string() + " (make one with `stratalux-db init --store " +
+                            folder.string() + "`)");
+  const bool write = mode == AccessMode::kReadWrite;
+  SLX_ASSIGN_OR_RETURN(auto connection,
+                       Connection::Open(file, write ? Connection::Mode::kReadWrite : Connection::Mode::kReadOnly));
+  auto identity = connection.QueryInteger("PRAGMA application_id");
+  if (!identity.ok())
+    return Status::Integrity(file.string() + " is not a Stratalux index: " + identity.status().message());
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  if (*identity != kApplicationId)
+    return Status::Integrity(file.string() + " is not a Stratalux index (application id " + std::to_string(*identity) +
+                             ")");
+  if (version > kSchemaVersion)
+    return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
+                                                " is newer than this program's " + std::to_string(kSchemaVersion) +
+                                                "; use a newer stratalux");
+  SLX_RETURN_IF_ERROR(
+      connection.Execute("PRAGMA foreign_keys = ON; PRAGMA synchronous = FULL; PRAGMA secure_delete = ON"));
+  if (write) SLX_RETURN_IF_ERROR(Migrate(connection, folder));
+  return SessionIndex(std::move(connection));
+}
+
+Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  if (!info.calibration_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(auto calibration, connection_.Prepare("INSERT OR IGNORE INTO calibrations VALUES (?1, ?2)"));
+    SLX_RETURN_IF_ERROR(calibration.Bind(1, ContentId(info.calibration_json)).Bind(2, info.calibration_json).Run());
+  }
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection_.Prepare(
+          "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
+          " reasons_json, program_version, plan_json, calibration_id)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)"));
+  std::random_device random;
+  char suffix[16];
+  std::snprintf(suffix, sizeof suffix, "%08x", random());
+  insert.Bind(1, std::string("pending-") + suffix).Bind(2, std::string(ToString(info.kind))).Bind(3, info.rig);
+  insert.Bind(4, info.visitor)
+      .Bind(5, info.consent)
+      .Bind(6, int64_t{info.simulated})
+      .Bind(7, static_cast<int64_t>(info.seed));
+  insert.Bind(8, info.started_wall.ns)
+      .Bind(9, std::string(ToString(info.status)))
+      .Bind(10, ReasonsToJson(info.reasons));
+  insert.Bind(11, info.program_version).Bind(12, info.plan_json);
+  if (!info.calibration_json.empty()) insert.Bind(13, ContentId(info.calibration_json));
+  SLX_RETURN_IF_ERROR(insert.Run());
+  const int64_t number = connection_.LastInsertId();
+  char id[40];
+  std::snprintf(id, sizeof id, "s%06lld-%s", static_cast<long long>(number), suffix);
+  info.id = id;
+  SLX_ASSIGN_OR_RETURN(auto name, connection_.Prepare("UPDATE sessions SET id = ?1 WHERE number = ?2"));
+  SLX_RETURN_IF_ERROR(name.Bind(1, info.id).Bind(2, number).Run());
+  SLX_RETURN_IF_ERROR(transaction.Commit());
+  return number;
+}
+
+Status SessionIndex::SetStatus(int64_t number, SessionStatus status, const std::vector<std::string>& reasons) {
+  SLX_ASSIGN_OR_RETURN(auto update,
+                       connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2 WHERE number = ?3"));
+  return update.Bind(1, std::string(ToString(status))).Bind(2, ReasonsToJson(reasons)).Bind(3, number).Run();
+}
+
+Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection_.Prepare("INSERT INTO frames VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
+  for (const auto& [segment, f] : frames) {
+    const FrameHeader& h = f.header;
+    insert.Bind(1, number).Bind(2, h.frame).Bind(3, segment).Bind(4, f.offset);
+    insert.Bind(5, static_cast<int64_t>(h.payload_bytes)).Bind(6, std::span<const uint8_t>(h.payload_hash));
+    insert.Bind(7, int64_t{h.step}).Bind(8, int64_t{h.projector});
+    insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, std::string(h.pattern));
+    insert.Bind(11, int64_t{h.retry}).Bind(12, int64_t{h.level_check});
+    SLX_RETURN_IF_ERROR(insert.Run());
+  }
+  return transaction.Commit();
+}
+
+Result<std::vector<SessionRow>> SessionIndex::Sessions() {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection_.Prepare(
+          "SELECT s.id, s.kind, s.rig, s.visitor, s.consent, s.simulated, s.seed, s.started_wall_ns, s.status,"
+          " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), o.frames, o.bytes"
+          " FROM sessions s JOIN session_overview o ON o.number = s.number"
+          " LEFT JOIN calibrations c ON c.id = s.calibration_id ORDER BY s.number DESC"));
+  std::vector<SessionRow> rows;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return rows;
+    SessionRow row;
+    row.info.id = select.Text(0);
+    SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
+    row.info.rig = select.Text(2);
+    row.info.visitor = select.Text(3);
+    row.info.consent = select.Text(4);
+    row.info.simulated = select.Integer(5) != 0;
+    row.info.seed = static_cast<uint64_t>(select.Integer(6));
+    row.info.started_wall.ns = select.Integer(7);
+    SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)));
+    row.info.reasons = ReasonsFromJson(select.Text(9));
+    row.info.program_version = select.Text(10);
+    row.info.plan_json = select.Text(11);
+    row.info.calibration_json = select.Text(12);
+    row.frames = select.Integer(13);
+    row.bytes = select.Integer(14);
+    rows.push_back(std::move(row));
+  }
+}
+
+Result<int64_t> SessionIndex::NumberOf(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT number FROM sessions WHERE id = ?1"));
+  select.Bind(1, id);
+  SLX_ASSIGN_OR_RETURN(const bool found, select.Step());
+  if (!found) return Status::NotFound("no session " + id);
+  return select.Integer(0);
+}
+
+Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT frame, segment, offset, stored_bytes, hash FROM frames"
+                                                        " WHERE session = ?1 ORDER BY frame"));
+  select.Bind(1, number);
+  std::vector<Place> places;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return places;
+    places.push_back({select.Integer(0), select.Integer(1), select.Integer(2), select.Integer(3), select.Blob(4)});
+  }
+}
+
+Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
+  SLX_ASSIGN_OR_RETURN(auto insert, connection_.Prepare("INSERT OR REPLACE INTO fits VALUES (?1, ?2, ?3, ?4, ?5)"));
+  return insert.Bind(1, fit.id)
+      .Bind(2, number)
+      .Bind(3, fit.options_json)
+      .Bind(4, fit.metrics_json)
+      .Bind(5, fit.created_wall.ns)
+      .Run();
+}
+
+Result<std::vector<FitRow>> SessionIndex::Fits(int64_t number, const std::string& session) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection_.Prepare("SELECT id, options_json, metrics_json, created_wall_ns FROM fits"
+                                           " WHERE session = ?1 ORDER BY created_wall_ns DESC"));
+  select.Bind(1, number);
+  std::vector<FitRow> fits;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return fits;
+    fits.push_back({select.Text(0), session, select.Text(1), select.Text(2), {select.Integer(3)}});
+  }
+}
+
+}  // namespace stratalux::db

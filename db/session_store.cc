@@ -1,0 +1,332 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/session_store.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <map>
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include "db/manifest.h"
+#include "db/segment.h"
+#include "db/session_index.h"
+#include "shared/image/raw12.h"
+
+namespace stratalux::db {
+namespace {
+
+// Held while a session is written; the kernel drops it with the process.
+class WriteLock {
+ public:
+  static Result<WriteLock> Take(const std::filesystem::path& folder) {
+    WriteLock lock;
+    const auto file = folder / "write.lock";
+    lock.fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
+    if (lock.fd_ < 0) return Status::Failed("cannot write store " + folder.string() + ": " + std::strerror(errno));
+    if (flock(lock.fd_, LOCK_EX | LOCK_NB) != 0)
+      return Status::Busy("store " + folder.string() +
+                          " is being written by another program; try again when it has finished");
+    return lock;
+  }
+  WriteLock() = default;
+  WriteLock(WriteLock&& o) noexcept : fd_(std::exchange(o.fd_, -1)) {}
+  WriteLock& operator=(WriteLock&& o) noexcept {
+    std::swap(fd_, o.fd_);
+    return *this;
+  }
+  ~WriteLock() {
+    if (fd_ >= 0) close(fd_);
+  }
+
+ private:
+  int fd_ = -1;
+};
+
+struct Encoded {
+  Codec codec = Codec::kRaw16;
+  std::vector<uint8_t> bytes;
+};
+
+Result<Encoded> Encode(const FrameRecord& record, ImageView<const uint16_t> pixels) {
+  const unsigned top = record.format == PixelFormat::kMono12 ? 4095U : 65535U;
+  for (uint16_t v : pixels.pixels())
+    if (v > top)
+      return Status::Usage("frame of step " + std::to_string(record.step) + ": value " + std::to_string(v) +
+                           " exceeds " + std::to_string(BitDepth(record.format)) + " bits");
+  if (record.format == PixelFormat::kMono12 && pixels.channels() == 1) {
+    Encoded out{Codec::kRaw12, std::vector<uint8_t>(Raw12RowBytes(pixels.width()) * pixels.height())};
+    for (int y = 0; y < pixels.height(); ++y)
+      PackRaw12Row(pixels.row(y), pixels.width(), out.bytes.data() + Raw12RowBytes(pixels.width()) * y);
+    return out;
+  }
+  Encoded out{Codec::kRaw16, std::vector<uint8_t>(pixels.size() * 2)};
+  std::memcpy(out.bytes.data(), pixels.data(), out.bytes.size());
+  return out;
+}
+
+Result<Image<uint16_t>> Decode(const FrameHeader& h, const std::vector<uint8_t>& bytes, const std::string& where) {
+  if (h.width <= 0 || h.height <= 0 || h.channels <= 0 || h.width > 65536 || h.height > 65536 || h.channels > 64)
+    return Status::Integrity(where + ": impossible size");
+  Image<uint16_t> image(h.width, h.height, h.channels);
+  const auto codec = static_cast<Codec>(h.codec);
+  const size_t expected = codec == Codec::kRaw8    ? image.size()
+                          : codec == Codec::kRaw12 ? Raw12RowBytes(h.width) * h.height
+                          : codec == Codec::kRaw16 ? image.size() * 2
+                                                   : 0;
+  if (bytes.size() != expected) return Status::Integrity(where + ": payload length does not fit size and codec");
+  if (codec == Codec::kRaw8) std::copy(bytes.begin(), bytes.end(), image.data());
+  if (codec == Codec::kRaw16) std::memcpy(image.data(), bytes.data(), bytes.size());
+  if (codec == Codec::kRaw12)
+    for (int y = 0; y < h.height; ++y) UnpackRaw12Row(bytes.data() + Raw12RowBytes(h.width) * y, h.width, image.row(y));
+  return image;
+}
+
+// Marks sessions whose writer died as failed and cuts what was never acknowledged.
+Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
+  const auto lock = WriteLock::Take(folder);
+  if (!lock.ok()) return Status::Ok();  // a live writer: its session is its own
+  SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
+  for (const SessionRow& row : sessions) {
+    if (row.info.status != SessionStatus::kRecording) continue;
+    SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(row.info.id));
+    SLX_ASSIGN_OR_RETURN(const auto places, index.Places(number));
+    std::map<int64_t, int64_t> ends;
+    for (const auto& p : places)
+      ends[p.segment] = std::max(ends[p.segment], p.offset + static_cast<int64_t>(sizeof(FrameHeader)) + p.bytes);
+    for (const auto& [segment, end] : ends)
+      (void)TruncateSegment(folder / "sessions" / row.info.id / SegmentName(segment), end)
+          .ok();  // `verify` names a missing one
+    SLX_RETURN_IF_ERROR(index.SetStatus(number, SessionStatus::kFailed,
+                                        {"the writer stopped before the session was finished; " +
+                                         std::to_string(places.size()) + " acknowledged frames kept"}));
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+struct SessionStore::Impl {
+  std::filesystem::path folder;
+  SessionIndex index;
+};
+
+struct SessionWriter::Impl {
+  std::filesystem::path folder;
+  SessionIndex index;
+  WriteLock lock;
+  SessionInfo info;
+  int64_t number = 0;
+  WriterOptions options;
+  std::optional<SegmentWriter> segment, truth;
+  int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
+  std::vector<std::pair<int64_t, SegmentFrame>> pending;
+  Status failure;  // the first one; every later call repeats it
+
+  Status Fail(Status status) {
+    if (failure.ok()) {
+      failure = status.WithContext("session " + info.id);
+      (void)index.SetStatus(number, SessionStatus::kFailed, {status.message()}).ok();
+    }
+    return failure;
+  }
+  Status NextSegment() {
+    if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
+    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id));
+    segment = std::move(next);
+    ++segments;
+    return Status::Ok();
+  }
+  Status Flush() {
+    if (!failure.ok()) return failure;
+    if (pending.empty()) return Status::Ok();
+    // Bytes on disk first, then the rows that speak of them, then the caller hears of it.
+    if (Status s = segment->Sync(); !s.ok()) return Fail(s);
+    if (Status s = index.InsertFrames(number, pending); !s.ok()) return Fail(s);
+    acknowledged += static_cast<int64_t>(pending.size());
+    pending.clear();
+    return Status::Ok();
+  }
+  Status Append(const FrameRecord& record, Codec codec, std::span<const uint8_t> bytes) {
+    if (!failure.ok()) return failure;
+    if (!segment || segment->bytes() > options.max_segment_bytes) {
+      SLX_RETURN_IF_ERROR(Flush());
+      if (Status s = NextSegment(); !s.ok()) return Fail(s);
+    }
+    auto frame = segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), codec, bytes);
+    if (!frame.ok()) return Fail(frame.status());
+    ++frames;
+    pending.emplace_back(segments, *frame);
+    return static_cast<int>(pending.size()) >= options.group_frames ? Flush() : Status::Ok();
+  }
+};
+
+SessionWriter::SessionWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+SessionWriter::SessionWriter(SessionWriter&&) noexcept = default;
+SessionWriter& SessionWriter::operator=(SessionWriter&&) noexcept = default;
+SessionWriter::~SessionWriter() = default;
+
+const SessionInfo& SessionWriter::info() const { return impl_->info; }
+int64_t SessionWriter::acknowledged_frames() const { return impl_->acknowledged; }
+
+Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint16_t> pixels) {
+  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
+      pixels.channels() != record.channels)
+    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
+  SLX_ASSIGN_OR_RETURN(const Encoded encoded, Encode(record, pixels));
+  return impl_->Append(record, encoded.codec, encoded.bytes);
+}
+
+Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint8_t> pixels) {
+  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
+      pixels.channels() != record.channels)
+    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
+  return impl_->Append(record, Codec::kRaw8, pixels.pixels());
+}
+
+Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float> pixels) {
+  if (!impl_->failure.ok()) return impl_->failure;
+  if (name.empty() || name.size() > 63)
+    return Status::Usage("truth map name '" + name + "' must have 1 .. 63 characters");
+  if (!impl_->truth) {
+    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id);
+    if (!created.ok()) return impl_->Fail(created.status());
+    impl_->truth = std::move(created).value();
+  }
+  FrameRecord record;
+  record.format = PixelFormat::kF32;
+  record.width = pixels.width();
+  record.height = pixels.height();
+  record.channels = pixels.channels();
+  const auto bytes = std::span(reinterpret_cast<const uint8_t*>(pixels.data()), pixels.size() * sizeof(float));
+  const auto frame = impl_->truth->Append(MakeFrameHeader(record, impl_->truth_maps++, name), Codec::kF32, bytes);
+  return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
+}
+
+Status SessionWriter::Flush() { return impl_->Flush(); }
+
+Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons) {
+  SLX_RETURN_IF_ERROR(Flush());
+  Impl& w = *impl_;
+  if (!w.segment) {
+    if (Status s = w.NextSegment(); !s.ok()) return w.Fail(s);  // a session without frames still has its segment
+  }
+  if (Status s = w.segment->Seal(); !s.ok()) return w.Fail(s);
+  if (w.truth) {
+    if (Status s = w.truth->Seal(); !s.ok()) return w.Fail(s);
+  }
+  w.info.status = status;
+  w.info.reasons = std::move(reasons);
+  std::vector<std::string> names;
+  for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
+  if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
+  if (Status s = w.index.SetStatus(w.number, status, w.info.reasons); !s.ok()) return w.Fail(s);
+  return Status::Ok();
+}
+
+SessionStore::SessionStore(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+SessionStore::SessionStore(SessionStore&&) noexcept = default;
+SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
+SessionStore::~SessionStore() = default;
+
+Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::Create(folder); }
+
+Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
+  if (mode == AccessMode::kReadWrite) SLX_RETURN_IF_ERROR(Recover(index, folder));
+  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index)}));
+}
+
+const std::filesystem::path& SessionStore::folder() const { return impl_->folder; }
+std::filesystem::path SessionStore::SessionFolder(const std::string& id) const {
+  return impl_->folder / "sessions" / id;
+}
+std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::string& fit) const {
+  return SessionFolder(id) / "fits" / fit;
+}
+
+Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
+  SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  info.status = SessionStatus::kRecording;
+  SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
+  const auto folder = SessionFolder(info.id);
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) {
+    (void)index.SetStatus(number, SessionStatus::kFailed, {"no folder: " + error.message()}).ok();
+    return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  }
+  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{
+      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, {}, {}}));
+}
+
+Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+
+Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
+  SLX_ASSIGN_OR_RETURN(const auto rows, ListSessions());
+  std::vector<const SessionRow*> found;
+  for (const SessionRow& row : rows) {
+    if (selector == "latest" && row.frames > 0) return row;
+    if (row.info.id == selector) return row;
+    if (row.info.id.starts_with(selector)) found.push_back(&row);
+  }
+  if (selector.empty() || found.empty())
+    return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
+                            " (`stratalux-db ls` lists them)");
+  if (found.size() > 1)
+    return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
+                         (found.size() > 2 ? ", ..." : ""));
+  return *found[0];
+}
+
+Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(id));
+  SLX_ASSIGN_OR_RETURN(const auto places, impl_->index.Places(number));
+  std::map<int64_t, std::vector<SegmentFrame>> segments;
+  std::vector<FrameRow> rows;
+  for (const auto& p : places) {
+    if (!segments.contains(p.segment)) {
+      SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(SessionFolder(id) / SegmentName(p.segment)));
+      bool sealed = false;
+      SLX_ASSIGN_OR_RETURN(segments[p.segment], reader.Walk(false, &sealed));
+    }
+    const auto& frames = segments[p.segment];
+    const auto at =
+        std::find_if(frames.begin(), frames.end(), [&](const SegmentFrame& f) { return f.offset == p.offset; });
+    if (at == frames.end() || !std::equal(p.hash.begin(), p.hash.end(), std::begin(at->header.payload_hash)))
+      return Status::Integrity("session " + id + ": index and " + SegmentName(p.segment) + " disagree on frame " +
+                               std::to_string(p.frame) + " (offset " + std::to_string(p.offset) + ")");
+    FrameRow row;
+    row.id = p.frame;
+    SLX_ASSIGN_OR_RETURN(row.record, RecordOf(at->header).WithContext("session " + id));
+    row.codec = ToString(static_cast<Codec>(at->header.codec));
+    row.segment = SegmentName(p.segment);
+    row.offset = p.offset;
+    row.stored_bytes = p.bytes;
+    row.hash = HashText(at->header.payload_hash);
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const FrameRow& frame) const {
+  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(SessionFolder(id) / frame.segment));
+  FrameHeader header{};
+  SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(frame.offset, &header).WithContext("session " + id));
+  return Decode(header, bytes, "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));
+}
+
+Status SessionStore::RegisterFit(const FitRow& fit) {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
+  return impl_->index.UpsertFit(number, fit);
+}
+
+Result<std::vector<FitRow>> SessionStore::ListFits(const std::string& id) const {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(id));
+  return impl_->index.Fits(number, id);
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/sqlite.h"
+
+#include <sqlite3.h>
+
+namespace stratalux::db {
+
+void Connection::Closer::operator()(sqlite3* handle) const { sqlite3_close(handle); }
+void Statement::Finalizer::operator()(sqlite3_stmt* handle) const { sqlite3_finalize(handle); }
+
+Status Connection::Error(const std::string& what) const {
+  const int code = handle_ ? sqlite3_errcode(handle_.get()) & 0xff : SQLITE_CANTOPEN;
+  const std::string message =
+      file_ + ": " + what + ": " + (handle_ ? sqlite3_errmsg(handle_.get()) : "cannot be opened");
+  if (code == SQLITE_BUSY || code == SQLITE_LOCKED) return Status::Busy(message);
+  if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB) return Status::Integrity(message);
+  return Status::Failed(message);
+}
+
+Result<Connection> Connection::Open(const std::filesystem::path& file, Mode mode) {
+  Connection connection;
+  connection.file_ = file.string();
+  sqlite3* handle = nullptr;
+  const int flags = mode == Mode::kReadOnly    ? SQLITE_OPEN_READONLY
+                    : mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
+                                               : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+  const int code = sqlite3_open_v2(file.c_str(), &handle, flags, nullptr);
+  connection.handle_.reset(handle);
+  if (code != SQLITE_OK) return connection.Error("open");
+  sqlite3_busy_timeout(handle, 5000);
+  return connection;
+}
+
+Status Connection::Execute(const std::string& sql) {
+  if (sqlite3_exec(handle_.get(), sql.c_str(), nullptr, nullptr, nullptr) != SQLITE_OK) return Error("execute");
+  return Status::Ok();
+}
+
+Result<Statement> Connection::Prepare(const std::string& sql) {
+  sqlite3_stmt* statement = nullptr;
+  if (sqlite3_prepare_v2(handle_.get(), sql.c_str(), static_cast<int>(sql.size()), &statement, nullptr) != SQLITE_OK)
+    return Error("prepare");
+  return Statement(this, statement);
+}
+
+Result<int64_t> Connection::QueryInteger(const std::string& sql) {
+  SLX_ASSIGN_OR_RETURN(auto statement, Prepare(sql));
+  SLX_ASSIGN_OR_RETURN(const bool row, statement.Step());
+  return row ? statement.Integer(0) : int64_t{0};
+}
+
+int64_t Connection::LastInsertId() const { return sqlite3_last_insert_rowid(handle_.get()); }
+
+Statement& Statement::Bind(int index, int64_t value) {
+  sqlite3_bind_int64(handle_.get(), index, value);
+  return *this;
+}
+Statement& Statement::Bind(int index, const std::string& value) {
+  sqlite3_bind_text(handle_.get(), index, value.data(), static_cast<int>(value.size()), SQLITE_TRANSIENT);
+  return *this;
+}
+Statement& Statement::Bind(int index, std::span<const uint8_t> bytes) {
+  sqlite3_bind_blob(handle_.get(), index, bytes.data(), static_cast<int>(bytes.size()), SQLITE_TRANSIENT);
+  return *this;
+}
+
+Result<bool> Statement::Step() {
+  const int code = sqlite3_step(handle_.get());
+  if (code == SQLITE_ROW) return true;
+  if (code == SQLITE_DONE) return false;
+  return connection_->Error("step");
+}
+
+Status Statement::Run() {
+  const Result<bool> row = Step();
+  sqlite3_reset(handle_.get());
+  return row.status();
+}
+
+int64_t Statement::Integer(int column) const { return sqlite3_column_int64(handle_.get(), column); }
+std::string Statement::Text(int column) const {
+  const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(handle_.get(), column));
+  return text == nullptr ? std::string()
+                         : std::string(text, static_cast<size_t>(sqlite3_column_bytes(handle_.get(), column)));
+}
+std::vector<uint8_t> Statement::Blob(int column) const {
+  const auto* bytes = static_cast<const uint8_t*>(sqlite3_column_blob(handle_.get(), column));
+  return bytes == nullptr ? std::vector<uint8_t>()
+                          : std::vector<uint8_t>(bytes, bytes + sqlite3_column_bytes(handle_.get(), column));
+}
+
+Result<Transaction> Transaction::Begin(Connection& connection) {
+  SLX_RETURN_IF_ERROR(connection.Execute("BEGIN IMMEDIATE"));
+  return Transaction(&connection);
+}
+
+Transaction::~Transaction() {
+  if (connection_ != nullptr) (void)connection_->Execute("ROLLBACK").ok();
+}
+
+Status Transaction::Commit() {
+  SLX_RETURN_IF_ERROR(connection_->Execute("COMMIT"));
+  connection_ = nullptr;
+  return Status::Ok();
+}
+
+}  // namespace stratalux::db

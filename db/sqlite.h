@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// SQLite wrapped once: connection, statement, transaction. Internal to db/; no sqlite3 type leaves it.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+
+struct sqlite3;
+struct sqlite3_stmt;
+
+namespace stratalux::db {
+
+class Statement;
+
+class Connection {
+ public:
+  enum class Mode { kReadOnly, kReadWrite, kCreate };
+  static Result<Connection> Open(const std::filesystem::path& file, Mode mode);
+
+  // Runs one or more statements without results.
+  Status Execute(const std::string& sql);
+  Result<Statement> Prepare(const std::string& sql);
+  // First column of the first row.
+  Result<int64_t> QueryInteger(const std::string& sql);
+  [[nodiscard]] int64_t LastInsertId() const;
+  // Status of a failed call, naming the file.
+  [[nodiscard]] Status Error(const std::string& what) const;
+
+ private:
+  struct Closer {
+    void operator()(sqlite3* handle) const;
+  };
+  std::unique_ptr<sqlite3, Closer> handle_;
+  std::string file_;
+};
+
+class Statement {
+ public:
+  Statement& Bind(int index, int64_t value);
+  Statement& Bind(int index, const std::string& value);
+  Statement& Bind(int index, std::span<const uint8_t> bytes);
+  // True while there is a row.
+  Result<bool> Step();
+  // Runs to the end and resets, for statements without rows.
+  Status Run();
+  [[nodiscard]] int64_t Integer(int column) const;
+  [[nodiscard]] std::string Text(int column) const;
+  [[nodiscard]] std::vector<uint8_t> Blob(int column) const;
+
+ private:
+  friend class Connection;
+  struct Finalizer {
+    void operator()(sqlite3_stmt* handle) const;
+  };
+  Statement(Connection* connection, sqlite3_stmt* handle) : connection_(connection), handle_(handle) {}
+  Connection* connection_;
+  std::unique_ptr<sqlite3_stmt, Finalizer> handle_;
+};
+
+// Rolls back unless committed.
+class Transaction {
+ public:
+  static Result<Transaction> Begin(Connection& connection);
+  ~Transaction();
+  Transaction(Transaction&& other) noexcept : connection_(std::exchange(other.connection_, nullptr)) {}
+  Transaction& operator=(Transaction&&) = delete;
+  Status Commit();
+
+ private:
+  explicit Transaction(Connection* connection) : connection_(connection) {}
+  Connection* connection_;
+};
+
+}  // namespace stratalux::db

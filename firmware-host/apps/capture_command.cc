@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/apps/capture_command.h"
+
+#include <chrono>
+#include <cstdio>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+#include "firmware-host/recording/session_archive.h"
+#include "firmware-host/sequence/sequencer.h"
+#include "shared/base/version.h"
+
+namespace stratalux::rig {
+namespace {
+
+SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const SimulatedRig& rig) {
+  SessionInfo info;
+  info.kind = plan.options.kind;
+  info.rig = options.config.name;
+  info.visitor = options.visitor;
+  info.simulated = true;
+  info.seed = options.simulated.seed;
+  info.started_wall = WallNow();
+  info.program_version = kVersion;
+  info.plan_json = PlanOptionsToJson(plan.options);
+  info.calibration_json = rig.calibration().ToJson();
+  return info;
+}
+
+std::chrono::nanoseconds FromMilliseconds(double ms) {
+  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
+}
+
+// The tolerances of a single probe follow the camera at hand.
+SequencerOptions OptionsFor(const RigConfig& config, const SimulatedRig& rig) {
+  const CameraCalibration& camera = rig.calibration().camera;
+  SequencerOptions options;
+  options.shooter.settle = FromMilliseconds(config.settle_ms);
+  options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
+  options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
+  options.max_retries = config.max_retries;
+  options.witness.gain_e_per_dn = camera.gain_e_per_dn;
+  options.witness.saturation_dn = 0.975 * camera.saturation_dn;
+  // The simulated rig keeps its own clock: settling costs no real time.
+  options.shooter.wait = [](std::chrono::nanoseconds) {};
+  return options;
+}
+
+Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePlan& plan) {
+  for (const TruthMap& truth : rig.Truth(plan))
+    SLX_RETURN_IF_ERROR(writer.AppendTruth(truth.name, truth.map.view()).WithContext("truth map " + truth.name));
+  return Status::Ok();
+}
+
+void Fail(CaptureReport& report, const Status& status) {
+  if (status.ok()) return;
+  report.status = SessionStatus::kFailed;
+  // A writer's error ends the capture, too: it need not be told twice.
+  for (const std::string& reason : report.reasons)
+    if (reason.find(status.message()) != std::string::npos) return;
+  report.reasons.push_back(status.message());
+}
+
+}  // namespace
+
+Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger) {
+  const auto start = std::chrono::steady_clock::now();
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
+  SLX_ASSIGN_OR_RETURN(const std::unique_ptr<SimulatedRig> rig, SimulatedRig::Create(options.simulated, logger));
+  SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
+  SLX_ASSIGN_OR_RETURN(db::SessionStore store,
+                       db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer, store.BeginSession(DescribeSession(options, plan, *rig)));
+  CaptureOutcome outcome;
+  outcome.session = writer.info().id;
+  logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
+
+  SessionArchive archive(std::move(writer));
+  {
+    Recorder recorder(archive, options.config.queue_frames);
+    Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
+    Sequencer sequencer({rig->lines(), rig->camera(), rig->projectors()}, OptionsFor(options.config, *rig), logger,
+                        stop, [&progress] { progress.Advance(); });
+    Result<CaptureReport> report = sequencer.Run(plan, recorder);
+    if (report.ok()) outcome.report = std::move(report).value();
+    Fail(outcome.report, report.status());
+    Fail(outcome.report, recorder.Close());
+  }
+  if (outcome.report.status != SessionStatus::kFailed) Fail(outcome.report, StoreTruth(archive.writer(), *rig, plan));
+  Fail(outcome.report, archive.writer().Finish(outcome.report.status, outcome.report.reasons));
+  outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return outcome;
+}
+
+std::string OutcomeAsText(const CaptureOutcome& outcome) {
+  const CaptureReport& r = outcome.report;
+  char line[160];
+  std::snprintf(line, sizeof line, ": %s, %d of %d steps proven, %d frames, %d shot again, %.1f s\n",
+                ToString(r.status), r.captured, r.planned, r.frames, r.retried, outcome.seconds);
+  std::string text = "session " + outcome.session + line;
+  for (const std::string& reason : r.reasons) text += "  " + reason + "\n";
+  return text;
+}
+
+std::string OutcomeAsJson(const CaptureOutcome& outcome) {
+  const CaptureReport& r = outcome.report;
+  nlohmann::ordered_json faults = nlohmann::ordered_json::object();
+  for (int i = 1; i < kShotFaultCount; ++i)
+    if (r.faults[i] > 0) faults[ToString(static_cast<ShotFault>(i))] = r.faults[i];
+  const nlohmann::ordered_json json = {{"session", outcome.session}, {"status", ToString(r.status)},
+                                       {"planned", r.planned},       {"captured", r.captured},
+                                       {"frames", r.frames},         {"retried", r.retried},
+                                       {"faults", faults},           {"missing_steps", r.missing_steps},
+                                       {"reasons", r.reasons},       {"seconds", outcome.seconds}};
+  return json.dump(2) + "\n";
+}
+
+int ExitCode(const CaptureOutcome& outcome) {
+  switch (outcome.report.status) {
+    case SessionStatus::kComplete:
+      return static_cast<int>(StatusCode::kOk);
+    case SessionStatus::kDegraded:
+      return static_cast<int>(StatusCode::kDegraded);
+    default:
+      return static_cast<int>(StatusCode::kFailed);
+  }
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-rig capture`: a plan, a rig and a store make a session.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+
+#include "firmware-host/sequence/capture_report.h"
+#include "firmware-host/simulated/simulated_rig.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+#include "shared/config/rig_config.h"
+
+namespace stratalux::rig {
+
+struct CaptureOptions {
+  RigConfig config;     // store, plan, deadlines, queue; the sizes of camera and projectors stand in `simulated`
+  std::string visitor;  // pseudonym
+  SimulatedRigOptions simulated;
+};
+
+struct CaptureOutcome {
+  std::string session;
+  CaptureReport report;
+  double seconds = 0.0;
+};
+
+// Runs a whole capture on the simulated rig and stores it, with its truth maps. Fails where no session came to be (a
+// bad plan, no such store); a session that went wrong is an outcome whose report says why.
+[[nodiscard]] Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop,
+                                                      Logger& logger);
+
+// One line for people; one JSON object for programs.
+[[nodiscard]] std::string OutcomeAsText(const CaptureOutcome& outcome);
+[[nodiscard]] std::string OutcomeAsJson(const CaptureOutcome& outcome);
+// 0 complete, 3 degraded, 1 failed.
+[[nodiscard]] int ExitCode(const CaptureOutcome& outcome);
+
+}  // namespace stratalux::rig

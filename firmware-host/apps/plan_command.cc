@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/apps/plan_command.h"
+
+#include <cctype>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <system_error>
+
+#include <nlohmann/json.hpp>
+
+#include "shared/image/png.h"
+
+namespace stratalux::rig {
+namespace {
+
+nlohmann::ordered_json StepJson(const PlanStep& step) {
+  return {{"step", step.index},
+          {"projector", step.projector},
+          {"phase", ToString(step.phase)},
+          {"pattern", step.pattern.ToString()},
+          {"exposure_ms", step.exposure_ms},
+          {"bracket", step.bracket}};
+}
+
+nlohmann::ordered_json PlanJson(const CapturePlan& plan, double settle_ms) {
+  nlohmann::ordered_json json = {{"options", nlohmann::ordered_json::parse(PlanOptionsToJson(plan.options))},
+                                 {"frames", plan.steps.size()},
+                                 {"seconds", plan.DurationSeconds(settle_ms)},
+                                 {"steps", nlohmann::ordered_json::array()}};
+  for (const PlanStep& step : plan.steps) json["steps"].push_back(StepJson(step));
+  return json;
+}
+
+// "003-gray-columns-bit-3-10-inverse.png".
+std::string FileName(size_t number, const Pattern& pattern) {
+  char prefix[16];
+  std::snprintf(prefix, sizeof prefix, "%03zu-", number);
+  std::string name = prefix;
+  for (char c : pattern.ToString()) name += std::isalnum(static_cast<unsigned char>(c)) != 0 ? c : '-';
+  return name + ".png";
+}
+
+Image<uint8_t> Render8(const Pattern& pattern, int width, int height) {
+  const Image<float> linear = pattern.Render(width, height);
+  Image<uint8_t> image(width, height);
+  for (size_t i = 0; i < image.size(); ++i)
+    image.data()[i] = static_cast<uint8_t>(std::lround(255.0F * linear.data()[i]));
+  return image;
+}
+
+}  // namespace
+
+std::string PlanAsText(const CapturePlan& plan, double settle_ms) {
+  std::string text = " step  projector  phase           exposure  pattern\n";
+  char line[160];
+  for (const PlanStep& step : plan.steps) {
+    const std::string projector = step.projector < 0 ? "all" : std::to_string(step.projector);
+    std::snprintf(line, sizeof line, "%5d  %9s  %-14s %6.1f ms  ", step.index, projector.c_str(), ToString(step.phase),
+                  step.exposure_ms);
+    text += line + step.pattern.ToString() + "\n";
+  }
+  std::snprintf(line, sizeof line, "%zu frames, %.1f s at %.1f ms of settling\n", plan.steps.size(),
+                plan.DurationSeconds(settle_ms), settle_ms);
+  return text + line;
+}
+
+std::string PlanAsJson(const CapturePlan& plan, double settle_ms) { return PlanJson(plan, settle_ms).dump(2) + "\n"; }
+
+Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) return Status::Failed("create " + folder.string() + ": " + error.message());
+  nlohmann::ordered_json json = PlanJson(plan, settle_ms);
+  std::map<std::string, std::string> files;  // pattern text -> file
+  for (const PlanStep& step : plan.steps) {
+    const auto [entry, fresh] = files.try_emplace(step.pattern.ToString());
+    if (fresh) {
+      entry->second = FileName(files.size() - 1, step.pattern);
+      const Image<uint8_t> image = Render8(step.pattern, plan.options.projector_width, plan.options.projector_height);
+      SLX_RETURN_IF_ERROR(WritePng8(folder / entry->second, image.view()));
+    }
+    json["steps"][step.index]["file"] = entry->second;
+  }
+  std::ofstream out(folder / "plan.json");
+  out << json.dump(2) << "\n";
+  out.close();
+  return out ? Status::Ok() : Status::Failed("write " + (folder / "plan.json").string() + " failed");
+}
+
+}  // namespace stratalux::rig

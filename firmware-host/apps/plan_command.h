@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-rig plan show|render`.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "shared/base/result.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux::rig {
+
+// A table for people: one line a step, then frames and duration.
+[[nodiscard]] std::string PlanAsText(const CapturePlan& plan, double settle_ms);
+// {"options": {...}, "frames": n, "seconds": s, "steps": [{"step", "projector", "phase", "pattern", "exposure_ms",
+// "bracket"}]}.
+[[nodiscard]] std::string PlanAsJson(const CapturePlan& plan, double settle_ms);
+// Each distinct pattern once as an 8-bit PNG of the projector's size (255 = white, linear light), "000-white.png", and
+// plan.json, whose steps name their file. Creates `folder`; fails where a file cannot be written.
+Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder);
+
+}  // namespace stratalux::rig

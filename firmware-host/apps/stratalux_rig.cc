@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+// stratalux-rig: the controller's command line.
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "firmware-host/apps/capture_command.h"
+#include "firmware-host/apps/plan_command.h"
+#include "firmware-host/apps/stop_signals.h"
+#include "shared/base/version.h"
+#include "shared/config/rig_config.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
+constexpr const char* kExamples = R"(Examples:
+  stratalux-rig capture --simulate --store store
+  stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
+  stratalux-rig capture --simulate --store store --no-scattering --visitor opaque
+  stratalux-rig capture --simulate --config rig.toml --kind flat
+  stratalux-rig plan show
+  stratalux-rig plan show --json --kind calibration
+  stratalux-rig plan render --out patterns
+
+Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
+
+struct Flags {
+  std::string config;
+  std::optional<std::string> store, size, kind;  // unset: as the configuration says
+  std::optional<double> exposure_ms, settle_ms;
+  std::string scene;
+  std::string visitor;
+  std::string out;
+  uint64_t seed = 1;
+  bool no_scattering = false;
+  bool no_noise = false;
+  bool json = false;
+  bool verbose = false;
+};
+
+int Report(const Status& status) {
+  std::fprintf(stderr, "stratalux-rig: %s\n", status.message().c_str());
+  return status.exit_code();
+}
+
+Status ParseSize(const std::string& text, int& width, int& height) {
+  int end = 0;
+  if (std::sscanf(text.c_str(), "%dx%d%n", &width, &height, &end) == 2 && end == static_cast<int>(text.size()))
+    return Status::Ok();
+  return Status::Usage("--size '" + text + "': expected WIDTHxHEIGHT in pixels, such as 696x520");
+}
+
+// Defaults < /etc/stratalux/rig.toml or --config < flags.
+Result<RigConfig> ConfigFrom(const Flags& flags) {
+  RigConfig config;
+  std::error_code ignored;
+  if (!flags.config.empty()) {
+    SLX_ASSIGN_OR_RETURN(config, LoadRigConfig(flags.config));
+  } else if (std::filesystem::exists(kSystemConfig, ignored)) {
+    SLX_ASSIGN_OR_RETURN(config, LoadRigConfig(kSystemConfig));
+  }
+  if (flags.kind) {
+    SLX_ASSIGN_OR_RETURN(config.plan.kind, ParseSessionKind(*flags.kind));
+  }
+  config.plan.exposure_ms = flags.exposure_ms.value_or(config.plan.exposure_ms);
+  config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
+  if (const char* store = std::getenv("STRATALUX_STORE")) config.store = store;
+  config.store = flags.store.value_or(config.store);
+  if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera_width, config.camera_height));
+  return config;
+}
+
+Result<CaptureOptions> CaptureFrom(const Flags& flags) {
+  CaptureOptions options;
+  SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
+  if (options.config.store.empty())
+    return Status::Usage(
+        "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
+  options.visitor = flags.visitor;
+  SimulatedRigOptions& simulated = options.simulated;
+  simulated.scene = flags.scene;
+  simulated.seed = flags.seed;
+  simulated.scattering = !flags.no_scattering;
+  simulated.noise = !flags.no_noise;
+  simulated.camera_width = options.config.camera_width;
+  simulated.camera_height = options.config.camera_height;
+  simulated.projector_width = options.config.plan.projector_width;
+  simulated.projector_height = options.config.plan.projector_height;
+  return options;
+}
+
+int RunCapture(const Flags& flags) {
+  if (flags.scene.empty())
+    return Report(Status::Usage(
+        "capture: this version drives the simulated rig only (--simulate[=head|plane|sphere]); the back-ends for real "
+        "lines, cameras and projectors are not part of it"));
+  const Result<CaptureOptions> options = CaptureFrom(flags);
+  if (!options.ok()) return Report(options.status());
+  Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
+  const Result<CaptureOutcome> outcome = CaptureSimulated(*options, InstallStopSignals(), logger);
+  if (!outcome.ok()) return Report(outcome.status());
+  std::fputs((flags.json ? OutcomeAsJson(*outcome) : OutcomeAsText(*outcome)).c_str(), stdout);
+  return ExitCode(*outcome);
+}
+
+int RunPlan(const Flags& flags, const CLI::App& render) {
+  const Result<RigConfig> config = ConfigFrom(flags);
+  if (!config.ok()) return Report(config.status());
+  const Result<CapturePlan> plan = BuildPlan(config->plan);
+  if (!plan.ok()) return Report(plan.status());
+  if (render.parsed()) {
+    const Status status = RenderPlan(*plan, config->settle_ms, flags.out);
+    return status.ok() ? 0 : Report(status);
+  }
+  std::fputs((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms).c_str(), stdout);
+  return 0;
+}
+
+void AddPlanFlags(CLI::App& command, Flags& flags) {
+  command.add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
+  command.add_option("--kind", flags.kind, "visitor (default), calibration, flat or dark");
+  command.add_option("--exposure", flags.exposure_ms, "exposure, ms (default: 16)");
+}
+
+CLI::App* AddCapture(CLI::App& app, Flags& flags) {
+  CLI::App* capture = app.add_subcommand("capture", "Run a capture plan and store a session");
+  capture->add_option("--simulate", flags.scene, "use the simulated rig; a scene: head (default), plane, sphere")
+      ->expected(0, 1)
+      ->default_str("head");
+  capture->add_option("--store", flags.store,
+                      "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
+  capture->add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
+      ->capture_default_str();
+  capture->add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
+  capture->add_option("--visitor", flags.visitor, "pseudonym kept with the session");
+  AddPlanFlags(*capture, flags);
+  capture->add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
+  capture->add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
+  capture->add_flag("--json", flags.json, "print one JSON object");
+  capture->add_flag("--verbose", flags.verbose, "more on stderr");
+  return capture;
+}
+
+int Main(int argc, char** argv) {
+  Flags flags;
+  CLI::App app("Stratalux's controller: steps the projectors, grabs and proves frames, writes sessions");
+  app.footer(kExamples);
+  app.set_version_flag("--version", std::string("stratalux-rig ") + kVersion);
+  app.require_subcommand(1);
+  CLI::App* capture = AddCapture(app, flags);
+  capture->footer(kExamples);
+  CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
+  plan->require_subcommand(1);
+  CLI::App* show = plan->add_subcommand("show", "List the steps");
+  AddPlanFlags(*show, flags);
+  show->add_flag("--json", flags.json, "print JSON");
+  show->add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
+  CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
+  AddPlanFlags(*render, flags);
+  render->add_option("--out", flags.out, "folder")->required();
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    // CLI11's own codes are not ours: any wrong flag is a usage error.
+    return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
+  }
+  if (capture->parsed()) return RunCapture(flags);
+  return RunPlan(flags, *render);
+}
+
+}  // namespace
+}  // namespace stratalux::rig
+
+int main(int argc, char** argv) { return stratalux::rig::Main(argc, argv); }

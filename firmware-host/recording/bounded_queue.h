@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// BoundedQueue: between the thread that shoots and the thread that writes. It stops rather than drops: Push blocks
+// until there is space, so a slow disk slows the capture and loses nothing.
+#pragma once
+
+#include <condition_variable>
+#include <cstddef>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+namespace stratalux::rig {
+
+// Thread-safe. One item type, any number of producers and consumers.
+template <typename T>
+class BoundedQueue {
+ public:
+  explicit BoundedQueue(size_t capacity) : capacity_(capacity) {}
+
+  // False, and the item is gone, once the queue is closed.
+  [[nodiscard]] bool Push(T item) {
+    std::unique_lock lock(mutex_);
+    space_.wait(lock, [&] { return closed_ || items_.size() < capacity_; });
+    if (closed_) return false;
+    items_.push_back(std::move(item));
+    filled_.notify_one();
+    return true;
+  }
+
+  // Blocks for the next item; nullopt once the queue is closed and empty.
+  [[nodiscard]] std::optional<T> Pop() {
+    std::unique_lock lock(mutex_);
+    filled_.wait(lock, [&] { return closed_ || !items_.empty(); });
+    if (items_.empty()) return std::nullopt;
+    std::optional<T> item(std::move(items_.front()));
+    items_.pop_front();
+    space_.notify_one();
+    return item;
+  }
+
+  // No more items; those inside are still popped.
+  void Close() {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    space_.notify_all();
+    filled_.notify_all();
+  }
+
+  [[nodiscard]] size_t size() const {
+    const std::lock_guard lock(mutex_);
+    return items_.size();
+  }
+
+ private:
+  const size_t capacity_;
+  mutable std::mutex mutex_;
+  std::condition_variable space_, filled_;
+  std::deque<T> items_;
+  bool closed_ = false;
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/capture_run.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "firmware-host/sequence/preroll.h"
+
+namespace stratalux::rig {
+
+CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
+                       const std::atomic<bool>& stop, const std::function<void()>& on_step, FrameSink& sink)
+    : plan_(plan),
+      devices_(devices),
+      options_(options),
+      logger_(logger),
+      stop_(stop),
+      on_step_(on_step),
+      sink_(sink),
+      shooter_(std::move(devices), options.shooter),
+      witness_(plan, options.witness) {
+  report_.planned = static_cast<int>(plan.steps.size());
+}
+
+Status CaptureRun::Run() {
+  SLX_RETURN_IF_ERROR(LoadMemories());
+  SLX_RETURN_IF_ERROR(RunPreroll());
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(RunProjector(p));
+  return Status::Ok();
+}
+
+std::vector<int> CaptureRun::StepsOf(int projector) const {
+  std::vector<int> steps;
+  for (const PlanStep& step : plan_.steps)
+    if (step.projector == projector) steps.push_back(step.index);
+  return steps;
+}
+
+std::string CaptureRun::Describe(int step) const {
+  const PlanStep& s = plan_.steps[step];
+  return "step " + std::to_string(step) + " (projector " + std::to_string(s.projector) + ", " + ToString(s.phase) +
+         ", " + s.pattern.ToString() + ")";
+}
+
+Status CaptureRun::LoadMemories() {
+  const std::vector<int> preroll = StepsOf(-1);
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) {
+    std::vector<Pattern> sequence;
+    for (int step : preroll) sequence.push_back(plan_.steps[step].pattern);
+    for (int step : StepsOf(p)) sequence.push_back(plan_.steps[step].pattern);
+    SLX_RETURN_IF_ERROR(devices_.projectors[p]->Load(sequence).WithContext("loading projector " + std::to_string(p)));
+  }
+  return Status::Ok();
+}
+
+Status CaptureRun::SetLight(int projector, bool on) {
+  light_timed_ = false;
+  return devices_.lines.SetEnable(projector, on).WithContext("light of projector " + std::to_string(projector));
+}
+
+Status CaptureRun::CheckLimits(int projector) {
+  if (stop_.load()) return Status::Failed("interrupted");
+  if (options_.max_on_time.count() == 0 || shooter_.camera_triggers() == 0 || !light_timed_) return Status::Ok();
+  if (shooter_.last_trigger() - light_since_ <= options_.max_on_time) return Status::Ok();
+  return Status::Failed(
+      (projector < 0 ? std::string("the projectors were") : "projector " + std::to_string(projector) + " was") +
+      " on longer than the limit of " +
+      std::to_string(std::chrono::duration_cast<std::chrono::seconds>(options_.max_on_time).count()) + " s");
+}
+
+Status CaptureRun::RunPreroll() {
+  const std::vector<int> steps = StepsOf(-1);
+  if (steps.empty()) return Status::Ok();
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, true));
+  std::vector<Shot> shots;
+  for (int retry = 0;; ++retry) {
+    const int64_t triggers_before = shooter_.camera_triggers();
+    SLX_ASSIGN_OR_RETURN(const bool whole, ShootPreroll(steps, retry, shots));
+    if (whole) break;
+    // The markers only mean something in a row, so the whole pre-roll is shot again.
+    spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
+    if (retry == options_.max_retries)
+      return Status::Failed("pre-roll: no unbroken marker code in " + std::to_string(retry + 1) + " attempts (" +
+                            report_.FaultSummary() + ")");
+    ++report_.retried;
+    SLX_RETURN_IF_ERROR(LoadMemories());
+    SLX_RETURN_IF_ERROR(shooter_.Drain().status());
+  }
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, false));
+  std::vector<double> levels;
+  std::vector<bool> code;
+  for (const Shot& shot : shots) {
+    levels.push_back(shot.record.mean_dn);
+    code.push_back(shot.record.pattern.kind == PatternKind::kWhite);
+  }
+  // A covered lens sees no markers; only a dark session may be dark.
+  const bool readable = plan_.options.kind != SessionKind::kDark;
+  const PrerollReading reading = ReadPreroll(levels, code, options_.min_preroll_contrast_dn);
+  for (Shot& shot : shots) {
+    if (readable) shot.record.level_check = reading.decoded ? LevelCheck::kPassed : LevelCheck::kFailed;
+    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+  }
+  return !readable || reading.decoded ? Status::Ok() : Status::Failed(reading.reason);
+}
+
+Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots) {
+  shots.clear();
+  for (int step : steps) {
+    SLX_RETURN_IF_ERROR(CheckLimits(-1));
+    SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(plan_.steps[step], retry));
+    ShotFault fault = shot.fault;
+    if (fault == ShotFault::kNone) {
+      SLX_ASSIGN_OR_RETURN(fault, shooter_.Drain());
+    }
+    if (fault != ShotFault::kNone) {
+      logger_.Warning(Describe(step) + ": " + ToString(fault) + "; the pre-roll is shot again");
+      report_.Note(fault);
+      return false;
+    }
+    if (!light_timed_) light_since_ = shot.record.trigger_time;
+    light_timed_ = true;
+    shots.push_back(std::move(shot));
+  }
+  return true;
+}
+
+Status CaptureRun::RunProjector(int projector) {
+  const std::vector<int> block = StepsOf(projector);
+  if (block.empty()) return Status::Ok();
+  witness_.StartProjector(projector);
+  held_.clear();
+  SLX_RETURN_IF_ERROR(SetLight(projector, true));
+  size_t position = 0;
+  while (true) {
+    SLX_RETURN_IF_ERROR(DrainBefore(block, position));
+    if (position == block.size()) break;
+    SLX_RETURN_IF_ERROR(CheckLimits(projector));
+    SLX_RETURN_IF_ERROR(ShootNext(block, position));
+  }
+  SLX_RETURN_IF_ERROR(SetLight(projector, false));
+  for (std::string& reason : witness_.CheckProjector()) report_.reasons.push_back(std::move(reason));
+  return Status::Ok();
+}
+
+Status CaptureRun::DrainBefore(const std::vector<int>& block, size_t& position) {
+  SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.Drain());
+  if (fault == ShotFault::kNone) return Status::Ok();
+  if (position == 0) {  // left over from before this projector's first shot: nothing of it is spoilt
+    report_.Note(fault);
+    return fault == ShotFault::kExtraSync ? Reload(block, 0) : Status::Ok();
+  }
+  --position;
+  if (!held_.empty() && held_.back().record.step == block[position]) {
+    held_.pop_back();
+    ++spoilt_triggers_;
+  }
+  proven_.erase(block[position]);
+  return ShootAgain(block, position, fault);
+}
+
+Status CaptureRun::ShootNext(const std::vector<int>& block, size_t& position) {
+  const PlanStep& step = plan_.steps[block[position]];
+  const int64_t triggers_before = shooter_.camera_triggers();
+  SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(step, retries_[step.index]));
+  if (!light_timed_) light_since_ = shooter_.last_trigger();
+  light_timed_ = true;
+  if (shot.fault != ShotFault::kNone) {
+    spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
+    if (const Result<ShotFault> drained = shooter_.Drain(); !drained.ok()) return drained.status();
+    return ShootAgain(block, position, shot.fault);
+  }
+  silent_steps_ = 0;
+  witness_.Add(step, shot.pixels);
+  held_.push_back(std::move(shot));
+  if (PatternWitness::GroupOf(plan_, step.index).back() == step.index) return JudgeGroup(block, position);
+  ++position;
+  Advance(step.index);
+  return Status::Ok();
+}
+
+Status CaptureRun::JudgeGroup(const std::vector<int>& block, size_t& position) {
+  const PlanStep& last = plan_.steps[block[position]];
+  const std::vector<int> group = PatternWitness::GroupOf(plan_, last.index);
+  const LevelCheck verdict = witness_.Check(last);
+  for (Shot& shot : held_) {
+    shot.record.level_check = verdict;
+    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+  }
+  held_.clear();
+  Advance(last.index);
+  ++position;
+  if (verdict != LevelCheck::kFailed) {
+    for (int step : group) wrong_level_.erase(step);
+    return Status::Ok();
+  }
+  report_.Note(ShotFault::kWrongLevel);
+  wrong_level_.insert(group.begin(), group.end());
+  // Given up; but the memory may stand elsewhere than planned, so what follows starts afresh.
+  if (retries_[last.index] >= options_.max_retries) return Reload(block, position);
+  logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
+  for (int step : group) ++retries_[step];
+  report_.retried += static_cast<int>(group.size());
+  position -= group.size();
+  return Reload(block, position);
+}
+
+Status CaptureRun::ShootAgain(const std::vector<int>& block, size_t& position, ShotFault fault) {
+  const int step = block[position];
+  report_.Note(fault);
+  if (retries_[step] < options_.max_retries) {
+    ++retries_[step];
+    ++report_.retried;
+    logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
+    return Reload(block, position);
+  }
+  logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
+                " retries; given up");
+  if (++silent_steps_ >= options_.max_silent_steps)
+    return Status::Failed(std::to_string(silent_steps_) + " steps in a row without a usable frame (" +
+                          report_.FaultSummary() + "); check the camera's and projectors' cables and power");
+  // A group that lacks a member cannot be judged: what was held goes out as not checked.
+  ++position;
+  Advance(step);
+  if (PatternWitness::GroupOf(plan_, step).back() == step) {
+    for (Shot& shot : held_) SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+    held_.clear();
+  }
+  return Reload(block, position);
+}
+
+Status CaptureRun::Reload(const std::vector<int>& block, size_t position) {
+  if (position == block.size()) return Status::Ok();
+  std::vector<Pattern> sequence;
+  for (size_t i = position; i < block.size(); ++i) sequence.push_back(plan_.steps[block[i]].pattern);
+  const int projector = plan_.steps[block[position]].projector;
+  return devices_.projectors[projector]->Load(sequence).WithContext("reloading projector " + std::to_string(projector));
+}
+
+void CaptureRun::Advance(int step) {
+  // A step shot again was counted before.
+  if (step <= furthest_step_) return;
+  furthest_step_ = step;
+  if (on_step_) on_step_();
+}
+
+Status CaptureRun::Emit(Shot shot) {
+  if (shot.record.level_check != LevelCheck::kFailed) proven_[shot.record.step] = shot.record;
+  if (shot.record.projector < 0) Advance(shot.record.step);
+  ++report_.frames;
+  return sink_.Put(std::move(shot.record), std::move(shot.pixels)).WithContext("recording");
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// CaptureRun: the state of one Sequencer::Run, from loading the pattern memories to the final proof. Private to this
+// folder.
+#pragma once
+
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "firmware-host/sequence/sequencer.h"
+
+namespace stratalux::rig {
+
+class CaptureRun {
+ public:
+  CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
+             const std::atomic<bool>& stop, const std::function<void()>& on_step, FrameSink& sink);
+
+  // The whole capture; an error is why it failed. The report is valid in either case.
+  Status Run();
+  // Sets the final status and reasons; `ended` is what Run returned.
+  CaptureReport Conclude(const Status& ended);
+
+ private:
+  Status LoadMemories();
+  Status RunPreroll();
+  Result<bool> ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots);
+  Status RunProjector(int projector);
+  // One step of the block: position moves on, or back where something has to be shot again.
+  Status ShootNext(const std::vector<int>& block, size_t& position);
+  Status JudgeGroup(const std::vector<int>& block, size_t& position);
+  // After a spoilt shot of block[position]: reloads the memory from there, or from the next step once the step has had
+  // its retries.
+  Status ShootAgain(const std::vector<int>& block, size_t& position, ShotFault fault);
+  // Frames or edges nobody asked for spoil the shot before `position`.
+  Status DrainBefore(const std::vector<int>& block, size_t& position);
+  Status Reload(const std::vector<int>& block, size_t position);
+  Status Emit(Shot shot);
+  void Advance(int step);
+  Status SetLight(int projector, bool on);
+  Status CheckLimits(int projector);
+  [[nodiscard]] std::vector<int> StepsOf(int projector) const;
+  [[nodiscard]] std::string Describe(int step) const;
+  void CheckProof();
+
+  const CapturePlan& plan_;
+  RigDevices devices_;
+  const SequencerOptions& options_;
+  Logger& logger_;
+  const std::atomic<bool>& stop_;
+  const std::function<void()>& on_step_;
+  FrameSink& sink_;
+
+  Shooter shooter_;
+  PatternWitness witness_;
+  CaptureReport report_;
+  std::vector<Shot> held_;             // shots of the group that is not judged yet
+  std::map<int, int> retries_;         // by step
+  std::map<int, FrameRecord> proven_;  // by step: the last good frame
+  std::set<int> wrong_level_;          // steps whose last frame failed its level check
+  int silent_steps_ = 0;
+  int furthest_step_ = -1;
+  int64_t spoilt_triggers_ = 0;  // camera triggers without a frame in the sink
+  MonotonicNs light_since_;
+  bool light_timed_ = false;
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/frame_pairing.h"
+
+#include <algorithm>
+
+namespace stratalux::rig {
+
+ShotFault FramePairing::Match(const TriggerReceipt& trigger, double exposure_ms, const CapturedFrame& frame) {
+  if (last_sequence_ && frame.sequence == *last_sequence_) return ShotFault::kDoubledFrame;
+  if (last_sequence_ && frame.sequence < *last_sequence_) return ShotFault::kOutOfOrder;
+  last_sequence_ = frame.sequence;
+  if (frame.time < trigger.time) {
+    offset_.reset();
+    return ShotFault::kOutOfOrder;
+  }
+  const int64_t offset = frame.sequence - trigger.number;
+  const bool gap = offset_ && offset != *offset_;
+  offset_ = offset;
+  if (gap) return ShotFault::kSequenceGap;
+  const auto window = std::chrono::nanoseconds(static_cast<int64_t>(exposure_ms * 1e6)) + slack_;
+  if (frame.time > trigger.time + window) return ShotFault::kLateFrame;
+  return frame.corrupt ? ShotFault::kCorruptFrame : ShotFault::kNone;
+}
+
+ShotFault FramePairing::Unexpected(const CapturedFrame& frame) {
+  const bool after_loss = !offset_;
+  const bool stale = last_sequence_ && frame.sequence < *last_sequence_;
+  last_sequence_ = std::max(last_sequence_.value_or(frame.sequence), frame.sequence);
+  if (after_loss) return ShotFault::kNone;
+  if (stale) return ShotFault::kOutOfOrder;
+  // An exposure nobody asked for moves the driver's numbers, so the next frame sets the difference anew.
+  offset_.reset();
+  return ShotFault::kDoubledFrame;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// FramePairing: which trigger a frame answers, by number AND by time.
+//
+// Camera triggers and the driver's frame numbers advance together, so their difference is constant; the frame's own
+// time must lie in [trigger, trigger + exposure + slack]. Either alone can be fooled: numbers by a trigger the camera
+// ignored, times by a frame that was dropped and a spurious one that took its place.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <optional>
+
+#include "firmware-host/camera/frame_source.h"
+#include "firmware-host/gpio/line_bank.h"
+#include "firmware-host/sequence/capture_report.h"
+
+namespace stratalux::rig {
+
+class FramePairing {
+ public:
+  explicit FramePairing(std::chrono::nanoseconds slack) : slack_(slack) {}
+
+  // kNone: the frame is this trigger's. kOutOfOrder: it belongs to the past, keep waiting. kDoubledFrame: a number seen
+  // before, keep waiting. kSequenceGap, kLateFrame, kCorruptFrame: the shot is spoilt.
+  [[nodiscard]] ShotFault Match(const TriggerReceipt& trigger, double exposure_ms, const CapturedFrame& frame);
+  // The trigger stayed without a frame. Whether the driver counted it is unknown, so the next frame that fits in time
+  // sets the difference anew.
+  void TriggerLost() { offset_.reset(); }
+  // A frame that came while none was expected. kNone right after a lost trigger (it is that trigger's, too late).
+  [[nodiscard]] ShotFault Unexpected(const CapturedFrame& frame);
+
+ private:
+  std::chrono::nanoseconds slack_;
+  std::optional<int64_t> offset_;  // driver sequence - trigger number
+  std::optional<int64_t> last_sequence_;
+};
+
+}  // namespace stratalux::rig

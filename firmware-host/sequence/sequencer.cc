@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/sequencer.h"
+
+#include <utility>
+
+#include "firmware-host/sequence/capture_run.h"
+
+namespace stratalux::rig {
+namespace {
+
+Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
+  const PlanOptions& o = plan.options;
+  if (plan.steps.empty()) return Status::Usage("plan: it has no steps");
+  if (o.sync_mode != SyncMode::kTriggered)
+    return Status::Usage(std::string("plan: sync mode '") + ToString(o.sync_mode) +
+                         "' needs a free-running projector back-end; this sequencer steps pattern memories, use "
+                         "'triggered'");
+  if (o.projectors != static_cast<int>(devices.projectors.size()))
+    return Status::Usage("plan: " + std::to_string(o.projectors) + " projectors, the rig has " +
+                         std::to_string(devices.projectors.size()));
+  for (size_t p = 0; p < devices.projectors.size(); ++p)
+    if (devices.projectors[p]->width() != o.projector_width || devices.projectors[p]->height() != o.projector_height)
+      return Status::Usage("plan: patterns of " + std::to_string(o.projector_width) + "x" +
+                           std::to_string(o.projector_height) + " px, projector " + std::to_string(p) + " has " +
+                           std::to_string(devices.projectors[p]->width()) + "x" +
+                           std::to_string(devices.projectors[p]->height()));
+  return Status::Ok();
+}
+
+}  // namespace
+
+Status SequencerOptions::Validate() const {
+  if (max_retries < 0 || max_retries > 100)
+    return Status::Usage("max_retries = " + std::to_string(max_retries) + ", allowed: 0 .. 100");
+  if (max_silent_steps < 1)
+    return Status::Usage("max_silent_steps = " + std::to_string(max_silent_steps) + ", allowed: 1 and more");
+  if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
+      shooter.frame_slack.count() < 0 || max_on_time.count() < 0)
+    return Status::Usage("sequencer: settling, deadlines, slack and on-time must not be negative");
+  return Status::Ok();
+}
+
+Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, const std::atomic<bool>& stop,
+                     std::function<void()> on_step)
+    : devices_(std::move(devices)),
+      options_(std::move(options)),
+      logger_(logger),
+      stop_(stop),
+      on_step_(std::move(on_step)) {}
+
+Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
+  SLX_RETURN_IF_ERROR(options_.Validate());
+  SLX_RETURN_IF_ERROR(CheckFits(plan, devices_));
+  CaptureRun run(plan, devices_, options_, logger_, stop_, on_step_, sink);
+  Status ended = devices_.camera.Start().WithContext("camera");
+  if (ended.ok()) ended = run.Run();
+  // Lights first: nothing that follows may keep a lamp on a face.
+  const Status off = devices_.lines.AllOff().WithContext("switching all lines off");
+  const Status stopped = devices_.camera.Stop().WithContext("camera");
+  if (ended.ok()) ended = off.ok() ? stopped : off;
+  CaptureReport report = run.Conclude(ended);
+  if (!off.ok() && off.message() != ended.message()) report.reasons.push_back(off.message());
+  return report;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sequencer: runs a capture plan on the rig's devices and proves each frame (docs/capture-plan.md).
+//
+//   load every projector's memory: pre-roll markers, then its own steps
+//   all lights on, pre-roll, all lights off; the code must decode
+//   for each projector: light on; each step shot, paired, checked, shot again where needed; light off
+//   at the end: triggers and frames match one to one, comb cycles add up
+//
+// Whatever happens, all lines are off when Run returns.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+
+#include "firmware-host/sequence/capture_report.h"
+#include "firmware-host/sequence/frame_sink.h"
+#include "firmware-host/sequence/pattern_witness.h"
+#include "firmware-host/sequence/shooter.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux::rig {
+
+struct SequencerOptions {
+  ShooterOptions shooter;
+  WitnessOptions witness;
+  int max_retries = 2;                   // further shots of a step; a third failure is hardly chance
+  double min_preroll_contrast_dn = 5.0;  // mean level of white over dark markers
+  // A rig that stays silent is broken, not unlucky: this many steps in a row without a frame end the capture.
+  int max_silent_steps = 5;
+  // Longest time a projector's light may stay on, on the rig's clock; 0: no limit.
+  std::chrono::nanoseconds max_on_time = std::chrono::minutes(5);
+
+  [[nodiscard]] Status Validate() const;
+};
+
+class Sequencer {
+ public:
+  // `stop` (signal handler, E-stop) is looked at before each shot; `on_step`, if set, is called after each planned
+  // step.
+  Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, const std::atomic<bool>& stop,
+            std::function<void()> on_step = {});
+
+  // Fails with kUsage, before any light goes on, when the plan does not fit the devices. All later trouble is in the
+  // report: status complete, degraded or failed, with reasons. Frames go to the sink in the order they were shot.
+  Result<CaptureReport> Run(const CapturePlan& plan, FrameSink& sink);
+
+ private:
+  RigDevices devices_;
+  SequencerOptions options_;
+  Logger& logger_;
+  const std::atomic<bool>& stop_;
+  std::function<void()> on_step_;
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// Normals with the detail of photometric stereo on the low frequencies of the triangulated surface
+// (after Nehab et al. 2005, section 4.1; docs/math/photometric.md).
+#pragma once
+
+#include "fitter/photometric/photometric_stereo.h"
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/base/result.h"
+
+namespace stratalux::fit {
+
+struct FuseOptions {
+  double sigma_quads = 8.0;  // standard deviation of the Gaussian that parts low from high frequencies
+  [[nodiscard]] Status Validate() const;
+};
+
+// normal = photometric + blur(geometric - photometric), unit length; the geometric normal where there is no
+// photometric one. W x H x 3, NaN outside the surface. kUsage: sizes differ.
+[[nodiscard]] Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,
+                                               const FuseOptions& options = {});
+
+}  // namespace stratalux::fit

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/apps/plan_command.h"
+
+#include <fstream>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "shared/image/png.h"
+
+namespace stratalux::rig {
+namespace {
+
+CapturePlan SmallPlan() {
+  PlanOptions options;
+  options.projectors = 2;
+  options.projector_width = 64;
+  options.projector_height = 48;
+  options.comb_period = 16;
+  options.spot_pitch = 24;
+  return *BuildPlan(options);
+}
+
+TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
+  const CapturePlan plan = SmallPlan();
+  const auto json = nlohmann::json::parse(PlanAsJson(plan, 2.0));
+  ASSERT_EQ(json["steps"].size(), plan.steps.size());
+  for (size_t i = 0; i < plan.steps.size(); ++i)
+    EXPECT_EQ(*Pattern::Parse(json["steps"][i]["pattern"].get<std::string>()), plan.steps[i].pattern);
+  const Result<PlanOptions> options = PlanOptionsFromJson(json["options"].dump());
+  ASSERT_TRUE(options.ok()) << options.status().message();
+  EXPECT_EQ(BuildPlan(*options)->steps.size(), plan.steps.size());
+}
+
+TEST(PlanAsText, HasOneLineAStep) {
+  const std::string text = PlanAsText(SmallPlan(), 2.0);
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), static_cast<long>(SmallPlan().steps.size()) + 2);
+}
+
+TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
+  const CapturePlan plan = SmallPlan();
+  const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / "stratalux-plan-render";
+  std::filesystem::remove_all(folder);
+  ASSERT_TRUE(RenderPlan(plan, 2.0, folder).ok());
+  std::ifstream in(folder / "plan.json");
+  const auto json = nlohmann::json::parse(in);
+  for (const PlanStep& step : plan.steps) {
+    int bits = 0;
+    const auto image = ReadPng(folder / json["steps"][step.index]["file"].get<std::string>(), &bits);
+    ASSERT_TRUE(image.ok()) << image.status().message();
+    ASSERT_EQ(bits, 8);
+    ASSERT_EQ(image->width(), 64);
+    for (int y = 0; y < 48; y += 7)
+      for (int x = 0; x < 64; x += 3)
+        ASSERT_NEAR((*image)(x, y), 255.0 * step.pattern.Intensity(x, y), 0.51) << step.pattern.ToString();
+  }
+  std::filesystem::remove_all(folder);
+}
+
+TEST(RenderPlan, NamesAFolderItCannotMake) {
+  const Status status = RenderPlan(SmallPlan(), 2.0, "/proc/no-such-place/patterns");
+  EXPECT_EQ(status.code(), StatusCode::kFailed);
+  EXPECT_NE(status.message().find("/proc/no-such-place/patterns"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace stratalux::rig

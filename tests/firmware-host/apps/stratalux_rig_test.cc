@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// The command line: exit codes and messages for wrong use. Nothing here may leave a store behind.
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+namespace {
+
+using ::testing::HasSubstr;
+
+struct Outcome {
+  int code = -1;
+  std::string text;  // stdout and stderr
+};
+
+Outcome Rig(const std::string& arguments) {
+  Outcome outcome;
+  const std::string command =
+      "env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig " + arguments + " 2>&1";
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return outcome;
+  char buffer[4096];
+  for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.text.append(buffer, n);
+  const int status = pclose(pipe);
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+class WrongUse : public ::testing::TestWithParam<std::pair<const char*, const char*>> {};
+
+TEST_P(WrongUse, ExitsWith2AndSaysWhy) {
+  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-wrong-use";
+  const Outcome outcome = Rig(std::string(GetParam().first) + " --store " + store.string());
+  EXPECT_EQ(outcome.code, 2) << outcome.text;
+  EXPECT_THAT(outcome.text, HasSubstr(GetParam().second));
+  EXPECT_FALSE(std::filesystem::exists(store));
+}
+
+INSTANTIATE_TEST_SUITE_P(Capture, WrongUse,
+                         ::testing::Values(std::pair("capture", "--simulate"),
+                                           std::pair("capture --simulate=moon", "head, plane, sphere"),
+                                           std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
+                                           std::pair("capture --simulate --size 695x520", "camera width = 695"),
+                                           std::pair("capture --simulate --kind party", "party"),
+                                           std::pair("capture --simulate --kind response", "grey levels"),
+                                           std::pair("capture --simulate --exposure 0", "exposure_ms"),
+                                           std::pair("capture --simulate --seed minus", "seed"),
+                                           std::pair("capture --simulate --frobnicate", "frobnicate")));
+
+TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
+  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-test.toml";
+  std::ofstream(file) << "[plan]\nmotion_whites = 2\nmotion_blacks = 2\n";
+  const Outcome outcome = Rig("plan show --config " + file.string());
+  EXPECT_EQ(outcome.code, 2);
+  EXPECT_THAT(outcome.text, HasSubstr(file.string() + ":3"));
+  EXPECT_THAT(outcome.text, HasSubstr("motion_blacks"));
+}
+
+TEST(StrataluxRig, FlagsOverrideTheConfiguration) {
+  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-kinds.toml";
+  std::ofstream(file) << "[plan]\nkind = \"flat\"\nprojectors = 1\npreroll_markers = 0\n";
+  EXPECT_THAT(Rig("plan show --config " + file.string()).text, HasSubstr("\n2 frames"));
+  EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).text, HasSubstr("\n1 frames"));
+}
+
+TEST(StrataluxRig, AStoreMustBeNamed) {
+  const Outcome outcome = Rig("capture --simulate");
+  EXPECT_EQ(outcome.code, 2);
+  EXPECT_THAT(outcome.text, HasSubstr("STRATALUX_STORE"));
+}
+
+TEST(StrataluxRig, HelpShowsExamples) {
+  const Outcome outcome = Rig("--help");
+  EXPECT_EQ(outcome.code, 0);
+  EXPECT_THAT(outcome.text, HasSubstr("stratalux-rig capture --simulate --store store"));
+}
+
+TEST(StrataluxRig, ThePlanHas492Frames) {
+  const Outcome outcome = Rig("plan show");
+  EXPECT_EQ(outcome.code, 0);
+  EXPECT_THAT(outcome.text, HasSubstr("492 frames"));
+}
+
+}  // namespace

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/pattern_witness.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "shared/base/random.h"
+
+namespace stratalux::rig {
+namespace {
+
+PlanOptions OneProjector() {
+  PlanOptions options;
+  options.projectors = 1;
+  options.projector_width = 256;
+  options.projector_height = 128;
+  options.comb_period = 64;
+  options.spot_pitch = 64;
+  return options;
+}
+
+// A camera of 320x160 pixels that sees column 0.8 x and row 0.8 y, with half of the light spread by a box of
+// 2 * kSpread + 1 projector pixels (scattering) and noise of a real sensor.
+class WitnessTest : public ::testing::Test {
+ protected:
+  static constexpr int kSpread = 9;
+  WitnessTest() : plan_(*BuildPlan(OneProjector())), witness_(plan_, {}) { witness_.StartProjector(0); }
+
+  Image<uint16_t> See(const Pattern& pattern, double lamp = 1.0) {
+    Image<uint16_t> frame(320, 160);
+    for (int y = 0; y < frame.height(); ++y)
+      for (int x = 0; x < frame.width(); ++x) {
+        const int column = static_cast<int>(0.8 * x);
+        const int row = static_cast<int>(0.8 * y);
+        double wide = 0.0;
+        for (int d = -kSpread; d <= kSpread; ++d) {
+          const bool rows = pattern.axis == PatternAxis::kRows;
+          wide +=
+              pattern.Intensity(std::clamp(column + (rows ? 0 : d), 0, 255), std::clamp(row + (rows ? d : 0), 0, 127)) /
+              (2.0 * kSpread + 1.0);
+        }
+        const double signal = lamp * 1200.0 * (0.5 * pattern.Intensity(column, row) + 0.5 * wide);
+        const double noise = std::sqrt(signal / 4.0 + 9.0) * random_.Normal();
+        frame(x, y) = static_cast<uint16_t>(std::clamp(std::round(64.0 + signal + noise), 0.0, 4095.0));
+      }
+    return frame;
+  }
+  // Shows every step up to `last` as planned.
+  void ShowUpTo(int last) {
+    for (const PlanStep& step : plan_.steps) {
+      if (step.index > last) return;
+      if (step.projector != 0) continue;
+      witness_.Add(step, See(step.pattern));
+      if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+      ASSERT_NE(witness_.Check(step), LevelCheck::kFailed) << step.index << " " << step.pattern.ToString();
+    }
+  }
+  [[nodiscard]] const PlanStep& First(CapturePhase phase, int skip = 0) const {
+    return *std::find_if(plan_.steps.begin(), plan_.steps.end(), [&](const PlanStep& step) {
+      return step.projector == 0 && step.phase == phase && skip-- == 0;
+    });
+  }
+
+  CapturePlan plan_;
+  PatternWitness witness_;
+  Random random_{5};
+};
+
+TEST_F(WitnessTest, AnHonestProjectorPassesThroughout) {
+  ShowUpTo(static_cast<int>(plan_.steps.size()));
+  EXPECT_TRUE(witness_.CheckProjector().empty());
+}
+
+TEST_F(WitnessTest, EachWrongCombShiftBeyondItsNeighboursFails) {
+  const PlanStep& first = First(CapturePhase::kSweep);
+  ShowUpTo(first.index - 1);
+  for (int wrong = 2; wrong <= 30; wrong += 4) {
+    Pattern shown = first.pattern;
+    shown.shift = wrong * plan_.options.comb_step;
+    witness_.Add(first, See(shown));
+    EXPECT_EQ(witness_.Check(first), LevelCheck::kFailed) << wrong;
+  }
+}
+
+TEST_F(WitnessTest, ABlackOrWhiteFrameInPlaceOfAGuardOrWhiteFails) {
+  ShowUpTo(First(CapturePhase::kSweep).index - 1);
+  const PlanStep& white = First(CapturePhase::kMotion);
+  witness_.Add(white, See({.kind = PatternKind::kBlack}));
+  EXPECT_EQ(witness_.Check(white), LevelCheck::kFailed);
+  const PlanStep& guard = First(CapturePhase::kGuard);
+  witness_.Add(guard, See({.kind = PatternKind::kWhite}));
+  EXPECT_EQ(witness_.Check(guard), LevelCheck::kFailed);
+}
+
+TEST_F(WitnessTest, SwappedBitsBreakTheSumWithTheInverse) {
+  const PlanStep& bit = First(CapturePhase::kCorrespondence, 4);
+  ShowUpTo(bit.index - 1);
+  Pattern shown = bit.pattern;
+  shown.bit += 1;
+  witness_.Add(bit, See(shown));
+  const PlanStep& inverse = plan_.steps[bit.index + 1];
+  witness_.Add(inverse, See(inverse.pattern));
+  EXPECT_EQ(witness_.Check(inverse), LevelCheck::kFailed);
+}
+
+TEST_F(WitnessTest, ADarkSceneHasNoReference) {
+  for (int skip : {0, 1}) witness_.Add(First(CapturePhase::kReference, skip), See({.kind = PatternKind::kBlack}));
+  EXPECT_EQ(witness_.Check(First(CapturePhase::kReference, 1)), LevelCheck::kFailed);
+}
+
+TEST_F(WitnessTest, ADimmerSweepDoesNotAddUp) {
+  const PlanStep& first = First(CapturePhase::kSweep);
+  ShowUpTo(first.index - 1);
+  for (const PlanStep& step : plan_.steps)
+    if (step.phase == CapturePhase::kSweep) witness_.Add(step, See(step.pattern, 0.8));
+  ASSERT_EQ(witness_.CheckProjector().size(), 1U);
+  EXPECT_NE(witness_.CheckProjector()[0].find("adds up to 8"), std::string::npos) << witness_.CheckProjector()[0];
+}
+
+}  // namespace
+}  // namespace stratalux::rig

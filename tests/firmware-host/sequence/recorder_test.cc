@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/recording/recorder.h"
+
+#include <atomic>
+#include <future>
+
+#include <gtest/gtest.h>
+
+namespace stratalux::rig {
+namespace {
+
+using std::chrono::milliseconds;
+
+class GatedArchive : public FrameArchive {
+ public:
+  Status Append(const FrameRecord& record, const Image<uint16_t>&) override {
+    gate.get_future().wait();
+    gate = std::promise<void>();
+    gate.set_value();
+    if (record.step >= fail_from) return Status::Failed("write frames-0001.seg: No space left on device");
+    steps.push_back(record.step);
+    return Status::Ok();
+  }
+  Status Flush() override {
+    ++flushes;
+    return Status::Ok();
+  }
+  std::promise<void> gate;
+  std::vector<int> steps;
+  int fail_from = 1 << 30;
+  int flushes = 0;
+};
+
+FrameRecord Step(int step) {
+  FrameRecord record;
+  record.step = step;
+  return record;
+}
+
+TEST(Recorder, KeepsEveryFrameInOrder) {
+  GatedArchive archive;
+  archive.gate.set_value();
+  Recorder recorder(archive, 3);
+  for (int i = 0; i < 50; ++i) ASSERT_TRUE(recorder.Put(Step(i), Image<uint16_t>(2, 2)).ok());
+  ASSERT_TRUE(recorder.Close().ok());
+  ASSERT_EQ(archive.steps.size(), 50U);
+  for (int i = 0; i < 50; ++i) EXPECT_EQ(archive.steps[i], i);
+  EXPECT_EQ(archive.flushes, 1);
+}
+
+TEST(Recorder, BlocksTheProducerInsteadOfDropping) {
+  GatedArchive archive;
+  Recorder recorder(archive, 2);
+  std::atomic<int> put = 0;
+  auto producer = std::async(std::launch::async, [&] {
+    for (int i = 0; i < 10; ++i, ++put) EXPECT_TRUE(recorder.Put(Step(i), Image<uint16_t>(2, 2)).ok());
+  });
+  // One frame is with the stalled writer, two are queued, the fourth must wait.
+  EXPECT_EQ(producer.wait_for(milliseconds(150)), std::future_status::timeout);
+  EXPECT_LE(put, 3);
+  archive.gate.set_value();
+  producer.get();
+  EXPECT_TRUE(recorder.Close().ok());
+  EXPECT_EQ(archive.steps.size(), 10U);
+}
+
+TEST(Recorder, TheArchivesErrorReachesABlockedProducer) {
+  GatedArchive archive;
+  archive.fail_from = 0;
+  Recorder recorder(archive, 1);
+  auto producer = std::async(std::launch::async, [&] {
+    Status status;
+    while (status.ok()) status = recorder.Put(Step(0), Image<uint16_t>(2, 2));
+    return status;
+  });
+  archive.gate.set_value();
+  EXPECT_NE(producer.get().message().find("No space left"), std::string::npos);
+  EXPECT_NE(recorder.Close().message().find("No space left"), std::string::npos);
+  EXPECT_EQ(archive.flushes, 0);
+}
+
+TEST(Recorder, RefusesFramesAfterClose) {
+  GatedArchive archive;
+  archive.gate.set_value();
+  Recorder recorder(archive, 1);
+  EXPECT_TRUE(recorder.Close().ok());
+  EXPECT_FALSE(recorder.Put(Step(0), Image<uint16_t>(2, 2)).ok());
+}
+
+TEST(BoundedQueue, HoldsNoMoreThanItsCapacity) {
+  BoundedQueue<int> queue(2);
+  EXPECT_TRUE(queue.Push(1));
+  EXPECT_TRUE(queue.Push(2));
+  auto third = std::async(std::launch::async, [&] { return queue.Push(3); });
+  EXPECT_EQ(third.wait_for(milliseconds(50)), std::future_status::timeout);
+  EXPECT_EQ(queue.size(), 2U);
+  EXPECT_EQ(*queue.Pop(), 1);
+  EXPECT_TRUE(third.get());
+  queue.Close();
+  EXPECT_EQ(*queue.Pop(), 2);
+  EXPECT_EQ(*queue.Pop(), 3);
+  EXPECT_FALSE(queue.Pop().has_value());
+}
+
+}  // namespace
+}  // namespace stratalux::rig

@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tests/firmware-host/sequence/scripted_rig.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace stratalux::rig {
+namespace {
+constexpr int kCameraWidth = 160;
+constexpr int kCameraHeight = 120;
+constexpr double kBlackDn = 64.0;
+constexpr double kWhiteDn = 1500.0;  // per projector, at albedo 1
+}  // namespace
+
+class ScriptedLines : public LineBank {
+ public:
+  explicit ScriptedLines(ScriptedRig& rig) : rig_(rig) {}
+  Status SetEnable(int projector, bool on) override {
+    if (on) {
+      rig_.lit.insert(projector);
+      rig_.ever_lit.insert(projector);
+    } else {
+      rig_.lit.erase(projector);
+    }
+    return Status::Ok();
+  }
+  Status AllOff() override {
+    rig_.lit.clear();
+    ++rig_.all_off_calls;
+    return Status::Ok();
+  }
+  Result<TriggerReceipt> TriggerProjector(int projector) override {
+    rig_.now_ = rig_.now_ + std::chrono::milliseconds(1);
+    const TriggerReceipt receipt{rig_.triggers_++, rig_.now_};
+    for (int p = 0; p < static_cast<int>(rig_.memories_.size()); ++p)
+      if (projector < 0 || projector == p) rig_.Pulse(p);
+    return receipt;
+  }
+  Result<TriggerReceipt> TriggerCamera() override {
+    rig_.now_ = rig_.now_ + std::chrono::milliseconds(1);
+    const TriggerReceipt receipt{rig_.triggers_++, rig_.now_};
+    rig_.TriggerCamera(receipt.time);
+    return receipt;
+  }
+  Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override {
+    if (rig_.edges_.empty()) {
+      rig_.now_ = rig_.now_ + timeout;
+      return std::optional<SyncEdge>();
+    }
+    const SyncEdge edge = rig_.edges_.front();
+    rig_.edges_.pop_front();
+    rig_.now_ = std::max(rig_.now_, edge.time);
+    return std::optional<SyncEdge>(edge);
+  }
+
+ private:
+  ScriptedRig& rig_;
+};
+
+class ScriptedCamera : public FrameSource {
+ public:
+  explicit ScriptedCamera(ScriptedRig& rig) : rig_(rig) {}
+  Status Start() override {
+    rig_.camera_running = true;
+    return Status::Ok();
+  }
+  Status Stop() override {
+    rig_.camera_running = false;
+    return Status::Ok();
+  }
+  Status SetExposure(double exposure_ms, double) override {
+    rig_.exposure_ms_ = exposure_ms;
+    return Status::Ok();
+  }
+  Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds timeout) override {
+    if (rig_.frames_.empty()) {
+      rig_.now_ = rig_.now_ + timeout;
+      return std::optional<CapturedFrame>();
+    }
+    std::optional<CapturedFrame> frame(std::move(rig_.frames_.front()));
+    rig_.frames_.pop_front();
+    rig_.now_ = std::max(rig_.now_, frame->time + std::chrono::milliseconds(20));
+    return frame;
+  }
+
+ private:
+  ScriptedRig& rig_;
+};
+
+class ScriptedProjector : public Projector {
+ public:
+  ScriptedProjector(ScriptedRig& rig, int number) : rig_(rig), number_(number) {}
+  [[nodiscard]] int width() const override { return rig_.width_; }
+  [[nodiscard]] int height() const override { return rig_.height_; }
+  Status Load(const std::vector<Pattern>& sequence) override {
+    ScriptedRig::Memory& memory = rig_.memories_[number_];
+    memory.sequence = sequence;
+    memory.shown = -1 - rig_.preroll_offset;
+    ++rig_.loads;
+    return Status::Ok();
+  }
+
+ private:
+  ScriptedRig& rig_;
+  int number_;
+};
+
+ScriptedRig::ScriptedRig(int projectors, int projector_width, int projector_height)
+    : width_(projector_width),
+      height_(projector_height),
+      memories_(projectors),
+      lines_(std::make_unique<ScriptedLines>(*this)),
+      camera_(std::make_unique<ScriptedCamera>(*this)) {
+  for (int p = 0; p < projectors; ++p) projectors_.push_back(std::make_unique<ScriptedProjector>(*this, p));
+}
+
+RigDevices ScriptedRig::devices() {
+  std::vector<Projector*> all;
+  for (const auto& projector : projectors_) all.push_back(projector.get());
+  return {*lines_, *camera_, all};
+}
+
+void ScriptedRig::Pulse(int projector) {
+  Memory& memory = memories_[projector];
+  const auto found = projector_trouble.find({projector, memory.pulses++});
+  const bool troubled = found != projector_trouble.end();
+  const auto is = [&](ProjectorTrouble kind) { return troubled && found->second == kind; };
+  if (is(ProjectorTrouble::kIgnore)) return;
+  if (!is(ProjectorTrouble::kStuck)) ++memory.shown;
+  if (is(ProjectorTrouble::kDoubleStep)) ++memory.shown;
+  const MonotonicNs edge = now_ + std::chrono::microseconds(500);
+  if (is(ProjectorTrouble::kNoEdge)) return;
+  edges_.push_back({projector, edge_sequence_++, edge});
+  if (is(ProjectorTrouble::kDoubleStep))
+    edges_.push_back({projector, edge_sequence_++, edge + std::chrono::milliseconds(1)});
+}
+
+// Pixel (x, y) looks at column 0.8 .. of the projector, slightly sheared; what it sees is 60 % the spot itself,
+// blurred over three columns and rows, and 40 % light from the whole picture.
+Image<uint16_t> ScriptedRig::Expose() const {
+  Image<float> sum(kCameraWidth, kCameraHeight, 1, 0.0F);
+  const double lamp = 1.0 + lamp_drift * static_cast<double>(camera_triggers);
+  for (size_t p = 0; p < memories_.size(); ++p) {
+    const Memory& memory = memories_[p];
+    if (!lit.contains(static_cast<int>(p)) || memory.shown < 0 ||
+        memory.shown >= static_cast<int64_t>(memory.sequence.size()))
+      continue;
+    const Image<float> picture = memory.sequence[memory.shown].Render(width_, height_);
+    double mean = 0.0;
+    for (float value : picture.pixels()) mean += value;
+    mean /= static_cast<double>(picture.size());
+    for (int y = 0; y < kCameraHeight; ++y)
+      for (int x = 0; x < kCameraWidth; ++x) {
+        const int column = static_cast<int>((x + 0.05 * y) * 0.9 * width_ / kCameraWidth) + static_cast<int>(p);
+        const int row = static_cast<int>((y + 0.03 * x) * 0.9 * height_ / kCameraHeight);
+        double near = 0.0;
+        for (int dy = -1; dy <= 1; ++dy)
+          for (int dx = -1; dx <= 1; ++dx)
+            near += picture(std::clamp(column + dx, 0, width_ - 1), std::clamp(row + dy, 0, height_ - 1)) / 9.0;
+        const double albedo = 0.6 + 0.3 * std::sin(0.05 * x) * std::cos(0.07 * y);
+        sum(x, y) += static_cast<float>(lamp * kWhiteDn * albedo * (0.6 * near + 0.4 * mean));
+      }
+  }
+  Image<uint16_t> frame(kCameraWidth, kCameraHeight);
+  for (size_t i = 0; i < frame.size(); ++i)
+    frame.data()[i] = static_cast<uint16_t>(std::min(4095.0, std::round(kBlackDn + sum.data()[i])));
+  return frame;
+}
+
+void ScriptedRig::TriggerCamera(MonotonicNs time) {
+  const int64_t trigger = camera_triggers++;
+  if (on_camera_trigger) on_camera_trigger(trigger);
+  if (camera_dead_from >= 0 && trigger >= camera_dead_from) return;
+  const auto found = camera_trouble.find(trigger);
+  const bool troubled = found != camera_trouble.end();
+  const auto is = [&](CameraTrouble kind) { return troubled && found->second == kind; };
+  if (is(CameraTrouble::kIgnore)) return;
+  if (is(CameraTrouble::kSkipNumber)) ++driver_sequence_;
+  CapturedFrame frame;
+  frame.pixels = Expose();
+  frame.cfa = Cfa::kMono;
+  frame.sequence = driver_sequence_++;
+  frame.time = time + std::chrono::microseconds(50);
+  if (is(CameraTrouble::kLate)) frame.time = time + std::chrono::milliseconds(90);
+  frame.clock = clock;
+  frame.exposure_ms = exposure_ms_;
+  frame.corrupt = is(CameraTrouble::kCorrupt);
+  if (is(CameraTrouble::kLose)) return;
+  if (is(CameraTrouble::kDeliverAfter)) {
+    held_back_.push_back(std::move(frame));
+    return;
+  }
+  frames_.push_back(frame);
+  if (is(CameraTrouble::kRepeat)) frames_.push_back(frame);
+  if (is(CameraTrouble::kExtra)) {
+    frame.sequence = driver_sequence_++;
+    frame.time = frame.time + std::chrono::milliseconds(17);
+    frames_.push_back(std::move(frame));
+  }
+  for (CapturedFrame& late : held_back_) frames_.push_back(std::move(late));
+  held_back_.clear();
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// ScriptedRig: line bank, camera and projectors on a clock of their own, which misbehave exactly where a test says so.
+// Projectors step a real pattern memory, the camera sees a tilted scene with a blurred, partly global response.
+#pragma once
+
+#include <deque>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "firmware-host/sequence/shooter.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux::rig {
+
+enum class CameraTrouble {
+  kLose,          // no frame; the driver still counts it
+  kIgnore,        // no exposure at all: the driver's number stays
+  kSkipNumber,    // the frame comes, but the driver dropped one before it
+  kRepeat,        // the buffer is delivered twice
+  kExtra,         // a second exposure nobody asked for
+  kLate,          // exposed long after the trigger
+  kCorrupt,       // error flag
+  kDeliverAfter,  // arrives after the next trigger's frame
+};
+enum class ProjectorTrouble {
+  kNoEdge,      // steps, but the SYNC edge is lost
+  kIgnore,      // does not step, no edge
+  kDoubleStep,  // steps twice, two edges
+  kStuck,       // SYNC edge, but the picture stays
+};
+
+class ScriptedRig {
+ public:
+  ScriptedRig(int projectors, int projector_width, int projector_height);
+
+  [[nodiscard]] RigDevices devices();
+  // By running number of the camera trigger, and of the pulse of one projector, from 0.
+  std::map<int64_t, CameraTrouble> camera_trouble;
+  std::map<std::pair<int, int64_t>, ProjectorTrouble> projector_trouble;  // (projector, pulse)
+  int preroll_offset = 0;   // frames by which every memory starts too late (> 0) or too early
+  double lamp_drift = 0.0;  // relative change of all light per camera trigger
+  int64_t camera_dead_from = -1;
+  ClockSource clock = ClockSource::kSimulated;
+  std::function<void(int64_t trigger)> on_camera_trigger;
+
+  // What the lines did.
+  std::set<int> lit;       // projectors whose ENABLE is on
+  std::set<int> ever_lit;  // since the start
+  int all_off_calls = 0;
+  int loads = 0;
+  int64_t camera_triggers = 0;
+  bool camera_running = false;
+
+ private:
+  friend class ScriptedLines;
+  friend class ScriptedCamera;
+  friend class ScriptedProjector;
+  struct Memory {
+    std::vector<Pattern> sequence;
+    int64_t shown = -1;  // index into the sequence
+    int64_t pulses = 0;
+  };
+  [[nodiscard]] Image<uint16_t> Expose() const;
+  void Pulse(int projector);
+  void TriggerCamera(MonotonicNs time);
+
+  int width_, height_;
+  MonotonicNs now_{1'000'000'000};
+  std::vector<Memory> memories_;
+  std::deque<SyncEdge> edges_;
+  std::deque<CapturedFrame> frames_;
+  std::deque<CapturedFrame> held_back_;
+  int64_t triggers_ = 0;
+  int64_t edge_sequence_ = 0;
+  int64_t driver_sequence_ = 100;
+  double exposure_ms_ = 0.0;
+  std::unique_ptr<LineBank> lines_;
+  std::unique_ptr<FrameSource> camera_;
+  std::vector<std::unique_ptr<Projector>> projectors_;
+};
+
+}  // namespace stratalux::rig

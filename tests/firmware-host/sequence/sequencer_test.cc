@@ -1,0 +1,340 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/sequencer.h"
+
+#include <algorithm>
+#include <set>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/firmware-host/sequence/scripted_rig.h"
+
+namespace stratalux::rig {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+class KeepingSink : public FrameSink {
+ public:
+  Status Put(FrameRecord record, Image<uint16_t> pixels) override {
+    if (fail_after >= 0 && static_cast<int>(records.size()) >= fail_after) return Status::Failed("disk full");
+    records.push_back(std::move(record));
+    EXPECT_EQ(static_cast<size_t>(records.back().width) * records.back().height, pixels.size());
+    return Status::Ok();
+  }
+  [[nodiscard]] std::vector<FrameRecord> ShotsOf(int step) const {
+    std::vector<FrameRecord> shots;
+    for (const FrameRecord& r : records)
+      if (r.step == step) shots.push_back(r);
+    return shots;
+  }
+  std::vector<FrameRecord> records;
+  int fail_after = -1;
+};
+
+PlanOptions SmallPlan() {
+  PlanOptions options;
+  options.projectors = 2;
+  options.projector_width = 128;
+  options.projector_height = 64;
+  options.comb_period = 32;
+  options.spot_pitch = 32;
+  options.spot_radius = 2;
+  return options;
+}
+
+class SequencerTest : public ::testing::Test {
+ protected:
+  SequencerTest() : plan_(*BuildPlan(SmallPlan())), rig_(2, 128, 64) {
+    options_.shooter.wait = [](std::chrono::nanoseconds) {};
+    // The scripted camera is free of noise; its optics leave a sixth of the finest stripes' contrast.
+    options_.witness.read_noise_dn = 1.0;
+  }
+
+  CaptureReport Run() {
+    Sequencer sequencer(rig_.devices(), options_, logger_, stop_, [this] { ++steps_seen_; });
+    Result<CaptureReport> report = sequencer.Run(plan_, sink_);
+    EXPECT_TRUE(report.ok()) << report.status().message();
+    EXPECT_THAT(rig_.lit, IsEmpty()) << "a lamp stayed on";
+    EXPECT_GE(rig_.all_off_calls, 1);
+    EXPECT_FALSE(rig_.camera_running);
+    return report.ok() ? *report : CaptureReport();
+  }
+  // First step of a projector's phase.
+  [[nodiscard]] int StepOf(int projector, CapturePhase phase, int skip = 0) const {
+    for (const PlanStep& step : plan_.steps)
+      if (step.projector == projector && step.phase == phase && skip-- == 0) return step.index;
+    return -1;
+  }
+  // With no trouble before it, a step's camera trigger has the step's number.
+  void ExpectHealed(const CaptureReport& report, ShotFault fault, int step) {
+    EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+    EXPECT_EQ(report.Count(fault), 1) << report.FaultSummary();
+    EXPECT_EQ(report.captured, report.planned);
+    EXPECT_EQ(report.retried, 1);
+    ASSERT_FALSE(sink_.ShotsOf(step).empty());
+    EXPECT_EQ(sink_.ShotsOf(step).back().retry, 1);
+    for (const FrameRecord& r : sink_.records) EXPECT_EQ(r.retry, r.step == step ? r.retry : 0) << r.step;
+  }
+
+  CapturePlan plan_;
+  ScriptedRig rig_;
+  SequencerOptions options_;
+  Logger logger_{LogLevel::kError, stderr};
+  std::atomic<bool> stop_ = false;
+  KeepingSink sink_;
+  int steps_seen_ = 0;
+};
+
+TEST_F(SequencerTest, AHealthyRigGivesOneProvenFrameAStep) {
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.captured, static_cast<int>(plan_.steps.size()));
+  EXPECT_EQ(report.FaultSummary(), "");
+  EXPECT_EQ(steps_seen_, report.planned);
+  ASSERT_EQ(sink_.records.size(), plan_.steps.size());
+  std::set<int64_t> sequences;
+  for (size_t i = 0; i < sink_.records.size(); ++i) {
+    const FrameRecord& r = sink_.records[i];
+    EXPECT_EQ(r.step, static_cast<int>(i));
+    EXPECT_EQ(r.pattern, plan_.steps[i].pattern);
+    EXPECT_GT(r.sync_time, MonotonicNs{});
+    EXPECT_LT(r.sync_time, r.trigger_time);
+    EXPECT_LT(r.trigger_time, r.frame_time);
+    EXPECT_EQ(r.driver_sequence, 100 + r.step);
+    EXPECT_EQ(r.trigger_number, 2 * r.step + 1);  // the bank counts the projectors' pulses, too
+    EXPECT_NE(r.level_check, LevelCheck::kFailed) << i << " " << r.pattern.ToString();
+    sequences.insert(r.driver_sequence);
+  }
+  EXPECT_EQ(sequences.size(), plan_.steps.size());
+  EXPECT_EQ(rig_.loads, 2);
+}
+
+TEST_F(SequencerTest, EveryCodeSinusoidAndCombFrameIsChecked) {
+  Run();
+  for (const FrameRecord& r : sink_.records) {
+    if (r.phase == CapturePhase::kSpot) continue;
+    EXPECT_EQ(r.level_check, LevelCheck::kPassed) << r.step << " " << r.pattern.ToString();
+  }
+}
+
+TEST_F(SequencerTest, ALostFrameIsShotAgain) {
+  const int step = StepOf(0, CapturePhase::kSweep, 3);
+  rig_.camera_trouble[step] = CameraTrouble::kLose;
+  ExpectHealed(Run(), ShotFault::kLostFrame, step);
+  EXPECT_EQ(sink_.ShotsOf(step).size(), 1U);
+}
+
+TEST_F(SequencerTest, AnIgnoredCameraTriggerIsALostFrame) {
+  const int step = StepOf(1, CapturePhase::kCorrespondence, 1);
+  rig_.camera_trouble[step] = CameraTrouble::kIgnore;
+  ExpectHealed(Run(), ShotFault::kLostFrame, step);
+}
+
+TEST_F(SequencerTest, AGapInTheDriversNumbersIsShotAgain) {
+  const int step = StepOf(0, CapturePhase::kSeparation, 2);
+  rig_.camera_trouble[step] = CameraTrouble::kSkipNumber;
+  ExpectHealed(Run(), ShotFault::kSequenceGap, step);
+}
+
+TEST_F(SequencerTest, ARepeatedBufferIsADoubledFrame) {
+  const int step = StepOf(0, CapturePhase::kSweep, 5);
+  rig_.camera_trouble[step] = CameraTrouble::kRepeat;
+  ExpectHealed(Run(), ShotFault::kDoubledFrame, step);
+}
+
+TEST_F(SequencerTest, ASecondExposureIsADoubledFrame) {
+  const int step = StepOf(0, CapturePhase::kCorrespondence, 4);
+  rig_.camera_trouble[step] = CameraTrouble::kExtra;
+  ExpectHealed(Run(), ShotFault::kDoubledFrame, step);
+}
+
+TEST_F(SequencerTest, TheLastFrameOfAProjectorCanBeDoubledToo) {
+  const int step = StepOf(1, CapturePhase::kGuard, 1);
+  rig_.camera_trouble[step] = CameraTrouble::kExtra;
+  ExpectHealed(Run(), ShotFault::kDoubledFrame, step);
+}
+
+TEST_F(SequencerTest, ALateFrameIsShotAgain) {
+  const int step = StepOf(0, CapturePhase::kSpot);
+  rig_.camera_trouble[step] = CameraTrouble::kLate;
+  ExpectHealed(Run(), ShotFault::kLateFrame, step);
+}
+
+TEST_F(SequencerTest, ACorruptFrameIsShotAgain) {
+  const int step = StepOf(1, CapturePhase::kSweep);
+  rig_.camera_trouble[step] = CameraTrouble::kCorrupt;
+  ExpectHealed(Run(), ShotFault::kCorruptFrame, step);
+}
+
+TEST_F(SequencerTest, SwappedFramesNeverChangePlaces) {
+  // The frame of one step arrives after the frame of the next trigger.
+  const int step = StepOf(0, CapturePhase::kSweep, 8);
+  rig_.camera_trouble[step] = CameraTrouble::kDeliverAfter;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete);
+  EXPECT_EQ(report.Count(ShotFault::kLostFrame), 1);
+  EXPECT_EQ(report.Count(ShotFault::kOutOfOrder), 1);
+  // What counts for the step was exposed after the step's last trigger and before the next one.
+  for (const FrameRecord& r : sink_.records) {
+    EXPECT_GE(r.frame_time, r.trigger_time);
+    EXPECT_LE(r.frame_time - r.trigger_time, std::chrono::milliseconds(36));
+  }
+}
+
+TEST_F(SequencerTest, AMissingSyncEdgeRewindsTheMemory) {
+  const int step = StepOf(0, CapturePhase::kCorrespondence, 7);
+  rig_.projector_trouble[{0, step}] = ProjectorTrouble::kNoEdge;
+  ExpectHealed(Run(), ShotFault::kMissingSync, step);
+}
+
+TEST_F(SequencerTest, AnIgnoredPulseRewindsTheMemory) {
+  const int step = StepOf(0, CapturePhase::kReference);
+  rig_.projector_trouble[{0, step}] = ProjectorTrouble::kIgnore;
+  ExpectHealed(Run(), ShotFault::kMissingSync, step);
+}
+
+TEST_F(SequencerTest, ADoubleStepIsSeenByItsSecondEdge) {
+  const int step = StepOf(0, CapturePhase::kSweep, 2);
+  rig_.projector_trouble[{0, step}] = ProjectorTrouble::kDoubleStep;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete);
+  EXPECT_GE(report.Count(ShotFault::kExtraSync), 1);
+  EXPECT_EQ(report.captured, report.planned);
+}
+
+class WrongPatternTest : public SequencerTest, public ::testing::WithParamInterface<std::pair<CapturePhase, int>> {};
+
+TEST_P(WrongPatternTest, AStuckPictureWithAllEdgesInPlaceIsSeenInTheImage) {
+  // From this pulse on the projector runs one pattern behind: only the pictures can tell.
+  const int step = StepOf(0, GetParam().first, GetParam().second);
+  rig_.projector_trouble[{0, step}] = ProjectorTrouble::kStuck;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_GE(report.Count(ShotFault::kWrongLevel), 1);
+  bool failed_once = false;
+  for (const FrameRecord& r : sink_.records) failed_once |= r.level_check == LevelCheck::kFailed;
+  EXPECT_TRUE(failed_once);
+}
+
+INSTANTIATE_TEST_SUITE_P(Phases, WrongPatternTest,
+                         ::testing::Values(std::pair(CapturePhase::kReference, 1),
+                                           std::pair(CapturePhase::kCorrespondence, 0),
+                                           std::pair(CapturePhase::kCorrespondence, 3),
+                                           std::pair(CapturePhase::kCorrespondence, 17),
+                                           std::pair(CapturePhase::kSeparation, 1), std::pair(CapturePhase::kMotion, 0),
+                                           std::pair(CapturePhase::kGuard, 0)));
+
+TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
+  const int first = StepOf(0, CapturePhase::kCorrespondence);
+  for (int i = 0; i < 3; ++i) rig_.projector_trouble[{0, first + 1 + 2 * i}] = ProjectorTrouble::kStuck;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kDegraded);
+  EXPECT_THAT(report.missing_steps, ElementsAre(first, first + 1));
+  ASSERT_FALSE(report.reasons.empty());
+  EXPECT_THAT(report.reasons.front(), HasSubstr("level check failed"));
+}
+
+TEST_F(SequencerTest, AStepThatFailsThreeTimesIsNamedAndTheRestGoesOn) {
+  const int step = StepOf(0, CapturePhase::kSweep, 4);
+  for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kDegraded);
+  EXPECT_THAT(report.missing_steps, ElementsAre(step));
+  EXPECT_EQ(report.captured, report.planned - 1);
+  EXPECT_EQ(report.Count(ShotFault::kCorruptFrame), 3);
+  ASSERT_EQ(report.reasons.size(), 1U);
+  EXPECT_THAT(report.reasons[0], HasSubstr("step " + std::to_string(step)));
+}
+
+TEST_F(SequencerTest, AShiftedPrerollAbortsWithTheShift) {
+  rig_.preroll_offset = 1;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("shifted by 1 frame"));
+  EXPECT_EQ(rig_.camera_triggers, 8);
+}
+
+TEST_F(SequencerTest, ALostMarkerRepeatsTheWholePreroll) {
+  rig_.camera_trouble[3] = CameraTrouble::kLose;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete);
+  EXPECT_EQ(sink_.records[0].retry, 1);
+  EXPECT_EQ(static_cast<int>(sink_.records.size()), report.planned);
+}
+
+TEST_F(SequencerTest, ADeadCameraEndsTheCaptureSoon) {
+  rig_.camera_dead_from = 40;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("steps in a row"));
+  EXPECT_LE(rig_.camera_triggers, 40 + 15);
+}
+
+TEST_F(SequencerTest, AnUnknownClockIsRefused) {
+  rig_.clock = ClockSource::kUnknown;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("unknown clock"));
+}
+
+TEST_F(SequencerTest, StopSwitchesTheLightsOffBeforeTheNextShot) {
+  rig_.on_camera_trigger = [this](int64_t trigger) {
+    if (trigger == 20) stop_ = true;
+  };
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_EQ(report.reasons.front(), "interrupted");
+  EXPECT_EQ(rig_.camera_triggers, 21);
+  EXPECT_FALSE(rig_.ever_lit.empty());
+}
+
+TEST_F(SequencerTest, AFailingSinkEndsTheCaptureWithItsReason) {
+  sink_.fail_after = 30;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("disk full"));
+}
+
+TEST_F(SequencerTest, TheOnTimeLimitEndsTheCapture) {
+  options_.max_on_time = std::chrono::milliseconds(300);
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("on longer than"));
+}
+
+TEST_F(SequencerTest, ADriftingLampBreaksTheSumOfTheComb) {
+  rig_.lamp_drift = 0.003;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kDegraded);
+  EXPECT_TRUE(std::any_of(report.reasons.begin(), report.reasons.end(),
+                          [](const std::string& r) { return r.find("adds up to") != std::string::npos; }));
+}
+
+TEST_F(SequencerTest, OnlyTheProjectorOfTheStepIsLit) {
+  std::vector<std::set<int>> lit;
+  rig_.on_camera_trigger = [&](int64_t) { lit.push_back(rig_.lit); };
+  Run();
+  for (const PlanStep& step : plan_.steps)
+    EXPECT_EQ(lit[step.index], step.projector < 0 ? (std::set<int>{0, 1}) : std::set<int>{step.projector});
+}
+
+TEST_F(SequencerTest, APlanOfAnotherSizeIsRefusedBeforeAnyLight) {
+  plan_.options.projector_width = 256;
+  Sequencer sequencer(rig_.devices(), options_, logger_, stop_);
+  const Result<CaptureReport> report = sequencer.Run(plan_, sink_);
+  EXPECT_EQ(report.status().code(), StatusCode::kUsage);
+  EXPECT_TRUE(rig_.ever_lit.empty());
+}
+
+TEST_F(SequencerTest, FreeRunningIsRefusedBeforeAnyLight) {
+  plan_.options.sync_mode = SyncMode::kFreeRunning;
+  Sequencer sequencer(rig_.devices(), options_, logger_, stop_);
+  EXPECT_EQ(sequencer.Run(plan_, sink_).status().code(), StatusCode::kUsage);
+  EXPECT_TRUE(rig_.ever_lit.empty());
+}
+
+}  // namespace
+}  // namespace stratalux::rig

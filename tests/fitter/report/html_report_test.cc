@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/report/html_report.h"
+
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <regex>
+
+#include <gtest/gtest.h>
+
+#include "shared/image/png.h"
+
+namespace stratalux::fit {
+namespace {
+
+const char* const kNasty = "a < b & \"c\" > d </main><script>alert(1)</script>";
+
+Report Sample() {
+  Image<uint8_t> picture(5, 3, 3);
+  for (size_t i = 0; i < picture.size(); ++i) picture.pixels()[i] = static_cast<uint8_t>(7 * i);
+  ReportSection section;
+  section.title = "Direct and global light";
+  section.text = kNasty;
+  section.images = {{kNasty, picture}, {"gray", Image<uint8_t>(2, 2, 1, 128)}};
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  section.plots = {{"row 130", "mm", "radiance", {{"real", {0, 1, 2, 3}, {1, 4, nan, 2}, true}}},
+                   {"one point", "x", "y", {{kNasty, {2}, {3}}}},
+                   {"nothing", "x", "y", {}}};
+  section.tables = {{"figures", {"model", kNasty}, {{"tied", "0.03"}, {kNasty, "0.1"}}}};
+  return {"Session 3f", kNasty, {section}};
+}
+
+std::string Rendered(const Report& report) {
+  auto html = RenderHtml(report);
+  EXPECT_TRUE(html.ok()) << html.status().message();
+  return html.ok() ? *html : "";
+}
+
+// The name of the first element that is closed out of order or left open; empty when all nest.
+std::string FirstBadlyNested(const std::string& html) {
+  const std::regex tag("<(/?)([a-z][a-z0-9]*)[^>]*?(/?)>", std::regex::icase);
+  std::vector<std::string> open;
+  for (std::sregex_iterator it(html.begin(), html.end(), tag), end; it != end; ++it) {
+    const std::string name = (*it)[2];
+    const bool is_void = name == "meta" || name == "img" || (*it)[3].length() > 0;
+    if ((*it)[1].length() > 0) {
+      if (open.empty() || open.back() != name) return name;
+      open.pop_back();
+    } else if (!is_void) {
+      open.push_back(name);
+    }
+  }
+  return open.empty() ? "" : open.back();
+}
+
+std::vector<uint8_t> FromBase64(const std::string& text) {
+  const std::string digits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::vector<uint8_t> bytes;
+  unsigned value = 0;
+  int bits = 0;
+  for (char c : text) {
+    if (c == '=') break;
+    value = value << 6 | static_cast<unsigned>(digits.find(c));
+    bits += 6;
+    if (bits >= 8) {
+      bits -= 8;
+      bytes.push_back(static_cast<uint8_t>(value >> bits));
+    }
+  }
+  return bytes;
+}
+
+TEST(RenderHtml, NestsItsElements) {
+  EXPECT_EQ(FirstBadlyNested("<p>a<b>c</p></b>"), "p");  // the check itself can fail
+  EXPECT_EQ(FirstBadlyNested("<p>a"), "p");
+  EXPECT_EQ(FirstBadlyNested(Rendered(Sample())), "");
+}
+
+TEST(RenderHtml, FetchesNothingFromOutside) {
+  const std::string html = Rendered(Sample());
+  for (const char* outside : {"http:", "https:", "<link", "<script", "@import", "url(", "file:"})
+    EXPECT_EQ(html.find(outside), std::string::npos) << outside;
+  const std::regex source("src='([^']{0,21})");
+  for (std::sregex_iterator it(html.begin(), html.end(), source), end; it != end; ++it)
+    EXPECT_EQ((*it)[1], "data:image/png;base64");
+}
+
+TEST(RenderHtml, ShowsTextAsTextEverywhere) {
+  const std::string html = Rendered(Sample());
+  EXPECT_EQ(html.find(kNasty), std::string::npos);
+  const std::string escaped = "a &lt; b &amp; &quot;c&quot; &gt; d";
+  int shown = 0;
+  for (size_t at = html.find(escaped); at != std::string::npos; at = html.find(escaped, at + 1)) ++shown;
+  // Subtitle, section text, picture (alt and caption), series name, table header and cell.
+  EXPECT_EQ(shown, 7);
+}
+
+TEST(RenderHtml, CarriesPicturesBitForBit) {
+  const Report report = Sample();
+  const std::string html = Rendered(report);
+  const std::string mark = "base64,";
+  size_t at = 0;
+  for (const ReportImage& image : report.sections[0].images) {
+    at = html.find(mark, at);
+    ASSERT_NE(at, std::string::npos);
+    at += mark.size();
+    const auto bytes = FromBase64(html.substr(at, html.find('\'', at) - at));
+    const auto file = std::filesystem::temp_directory_path() / "stratalux_report_picture.png";
+    std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(bytes.data()), std::ssize(bytes));
+    const auto read = ReadPng(file, nullptr);
+    std::filesystem::remove(file);
+    ASSERT_TRUE(read.ok()) << read.status().message();
+    ASSERT_EQ(read->channels(), image.pixels.channels());
+    ASSERT_EQ(read->size(), image.pixels.size());
+    for (size_t i = 0; i < read->size(); ++i) EXPECT_EQ(read->pixels()[i], image.pixels.pixels()[i]);
+  }
+}
+
+TEST(RenderHtml, PlotsOnlyFinitePointsInsideTheFrame) {
+  const std::string html = Rendered(Sample());
+  EXPECT_EQ(html.find("nan"), std::string::npos);
+  EXPECT_EQ(html.find("inf"), std::string::npos);
+  const std::regex circle("<circle cx='([^']*)' cy='([^']*)'");
+  int circles = 0;
+  for (std::sregex_iterator it(html.begin(), html.end(), circle), end; it != end; ++it, ++circles) {
+    const double x = std::stod((*it)[1]), y = std::stod((*it)[2]);
+    EXPECT_TRUE(x >= 60 && x <= 516 && y >= 14 && y <= 226) << x << " " << y;
+  }
+  EXPECT_EQ(circles, 3);  // four samples, one of them not a number
+}
+
+TEST(RenderHtml, RefusesAPictureThatIsNoPicture) {
+  Report report = Sample();
+  report.sections[0].images[0].pixels = Image<uint8_t>(4, 4, 2);
+  EXPECT_FALSE(RenderHtml(report).ok());
+}
+
+}  // namespace
+}  // namespace stratalux::fit
