@@ -24,7 +24,7 @@ struct Source {
 };
 
 struct Solution {
-  Eigen::Vector3d scaled_normal;  // albedo n
+  Eigen::Vector3d scaled_normal = Eigen::Vector3d::Zero();  // albedo n
   int used = 0;
   unsigned used_mask = 0;
   double residual = std::nan("");

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 
 #include "shared/image/png.h"
@@ -77,6 +78,13 @@ struct Axis {
   [[nodiscard]] double At(double v) const { return from + (v - low) / (high - low) * (to - from); }
 };
 
+// The round step (1, 2 or 5 times a power of ten) that cuts `span` into four to ten parts.
+double RoundStep(double span) {
+  const double power = std::pow(10.0, std::floor(std::log10(span / 4.0)));
+  const double parts = span / 4.0 / power;  // 1 .. 10
+  return power * (parts >= 5.0 ? 5.0 : parts >= 2.0 ? 2.0 : 1.0);
+}
+
 Axis FitAxis(const ReportPlot& plot, bool horizontal, double from, double to) {
   Axis axis{1e300, -1e300, from, to};
   for (const ReportSeries& s : plot.series)
@@ -91,21 +99,58 @@ Axis FitAxis(const ReportPlot& plot, bool horizontal, double from, double to) {
   return axis;
 }
 
+// The round values within the axis.
+std::vector<double> TickValues(const Axis& axis) {
+  const double step = RoundStep(axis.high - axis.low);
+  std::vector<double> values;
+  const auto first = static_cast<int64_t>(std::ceil(axis.low / step - 1e-6));
+  const auto last = static_cast<int64_t>(std::floor(axis.high / step + 1e-6));
+  for (int64_t k = first; k <= last; ++k) values.push_back(static_cast<double>(k) * step);
+  return values;
+}
+
 std::string Ticks(const Axis& x, const Axis& y) {
   std::string svg;
-  for (int k = 0; k <= 4; ++k) {
-    const double vx = x.low + (x.high - x.low) * k / 4, vy = y.low + (y.high - y.low) * k / 4;
-    svg += "<text x='" + Number(x.At(vx)) + "' y='244' text-anchor='middle'>" + Number(vx) + "</text>";
-    svg += "<text x='50' y='" + Number(y.At(vy) + 4) + "' text-anchor='end'>" + Number(vy) + "</text>";
-    svg += "<line x1='56' x2='520' y1='" + Number(y.At(vy)) + "' y2='" + Number(y.At(vy)) + "' stroke='var(--line)'/>";
+  for (double v : TickValues(x))
+    svg += "<text x='" + Number(x.At(v)) + "' y='244' text-anchor='middle'>" + Number(v) + "</text>";
+  for (double v : TickValues(y)) {
+    svg += "<text x='54' y='" + Number(y.At(v) + 4) + "' text-anchor='end'>" + Number(v) + "</text>";
+    svg += "<line x1='58' x2='520' y1='" + Number(y.At(v)) + "' y2='" + Number(y.At(v)) + "' stroke='var(--line)'/>";
   }
   return svg;
 }
 
+struct Legend {
+  std::string svg;
+  double height = 0.0;
+};
+
+// Names in rows; a name that would leave the picture starts the next row.
+Legend LegendSvg(const ReportPlot& plot) {
+  Legend legend;
+  double x = 62, y = 268;
+  for (size_t k = 0; k < plot.series.size(); ++k) {
+    const ReportSeries& s = plot.series[k];
+    if (s.name.empty()) continue;
+    const double width = 28 + 6.2 * static_cast<double>(s.name.size());
+    if (x > 62 && x + width > 536) {
+      x = 62;
+      y += 16;
+    }
+    legend.svg += "<rect x='" + Number(x) + "' y='" + Number(y) + "' width='10' height='4' fill='" +
+                  kColours[k % kColours.size()] + "'/><text x='" + Number(x + 14) + "' y='" + Number(y + 6) + "'>" +
+                  Escape(s.name) + "</text>";
+    x += width;
+  }
+  legend.height = y + 14;
+  return legend;
+}
+
 std::string PlotSvg(const ReportPlot& plot) {
   const Axis x = FitAxis(plot, true, 60, 516), y = FitAxis(plot, false, 226, 14);
-  std::string svg = "<svg width='540' height='282' viewBox='0 0 540 282' role='img'>" + Ticks(x, y);
-  double legend = 62;
+  const Legend legend = LegendSvg(plot);
+  std::string svg = "<svg width='540' height='" + Number(legend.height) + "' viewBox='0 0 540 " +
+                    Number(legend.height) + "' role='img'>" + Ticks(x, y);
   for (size_t k = 0; k < plot.series.size(); ++k) {
     const ReportSeries& s = plot.series[k];
     const std::string colour = kColours[k % kColours.size()];
@@ -121,13 +166,9 @@ std::string PlotSvg(const ReportPlot& plot) {
     }
     if (!points.empty())
       svg += "<polyline fill='none' stroke='" + colour + "' stroke-width='1.5' points='" + points + "'/>";
-    if (s.name.empty()) continue;
-    svg += "<rect x='" + Number(legend) + "' y='268' width='10' height='4' fill='" + colour + "'/><text x='" +
-           Number(legend + 14) + "' y='274'>" + Escape(s.name) + "</text>";
-    legend += 28 + 6.2 * static_cast<double>(s.name.size());
   }
-  return svg + "<text x='288' y='260' text-anchor='middle'>" + Escape(plot.x_label) + "</text><text x='60' y='10'>" +
-         Escape(plot.y_label) + "</text></svg>";
+  return svg + legend.svg + "<text x='288' y='260' text-anchor='middle'>" + Escape(plot.x_label) +
+         "</text><text x='60' y='10'>" + Escape(plot.y_label) + "</text></svg>";
 }
 
 std::string TableHtml(const ReportTable& table) {

@@ -27,13 +27,13 @@ struct SeparationOptions {
 
 // Raw mosaics of one projector, one size, one channel. `black`: mean of its black frames, raw level.
 struct SeparationFrames {
-  ImageView<const uint16_t> white;
-  ImageView<const float> black;
+  ImageView<const uint16_t> white{};
+  ImageView<const float> black{};
   // Shifted sinusoids of full contrast along columns and along rows; one of the two may be empty.
-  std::vector<ImageView<const uint16_t>> column_shifts;
-  std::vector<ImageView<const uint16_t>> row_shifts;
+  std::vector<ImageView<const uint16_t>> column_shifts{};
+  std::vector<ImageView<const uint16_t>> row_shifts{};
   // Shifted checkerboards, half of each lit.
-  std::vector<ImageView<const uint16_t>> checkerboards;
+  std::vector<ImageView<const uint16_t>> checkerboards{};
 };
 
 struct Separation {

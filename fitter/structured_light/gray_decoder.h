@@ -22,18 +22,18 @@ struct CodedBit {
 
 // One axis of one projector.
 struct AxisCode {
-  int count = 0;                // columns (or rows) of the projector
-  std::vector<CodedBit> bits;   // reflected Gray code, most significant first
-  std::vector<RawView> shifts;  // sinusoids in shift order; empty: the bits alone, to the pixel
-  int period_px = 0;            // of the sinusoids
+  int count = 0;                  // columns (or rows) of the projector
+  std::vector<CodedBit> bits{};   // reflected Gray code, most significant first
+  std::vector<RawView> shifts{};  // sinusoids in shift order; empty: the bits alone, to the pixel
+  int period_px = 0;              // of the sinusoids
 };
 
 // Raw mosaics, all of one size and one channel. `black` is the mean of the black frames, raw level.
 struct DecodeInput {
-  RawView white;
-  ImageView<const float> black;
-  AxisCode columns;
-  AxisCode rows;
+  RawView white{};
+  ImageView<const float> black{};
+  AxisCode columns{};
+  AxisCode rows{};
 };
 
 struct DecodeOptions {

@@ -37,7 +37,7 @@ struct FrameRecord {
   int width = 0;
   int height = 0;
   int channels = 1;
-  int crop_x = 0;                      // of a cropped import within the camera's full frame
+  int crop_x = 0;  // of a cropped import within the camera's full frame
   int crop_y = 0;
 };
 

@@ -11,8 +11,8 @@
 
 namespace stratalux {
 
-// Gray (1 channel) or colour (3 channels), 8 or 16 bit; palettes are expanded, alpha is dropped. `bit_depth` (may be null)
-// receives 8 or 16. kNotFound: no such file; kUsage: not a PNG file; kIntegrity: damaged or truncated.
+// Gray (1 channel) or colour (3 channels), 8 or 16 bit; palettes are expanded, alpha is dropped. `bit_depth` (may be
+// null) receives 8 or 16. kNotFound: no such file; kUsage: not a PNG file; kIntegrity: damaged or truncated.
 [[nodiscard]] Result<Image<uint16_t>> ReadPng(const std::filesystem::path& file, int* bit_depth);
 
 // 1 or 3 channels.

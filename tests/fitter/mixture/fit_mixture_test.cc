@@ -118,7 +118,7 @@ TEST(FitMixture, RecoversTotalDepthAndUnseenLightOfKnownLayersUnderPhotonNoise) 
 
 TEST(FitMixture, BeatsTheDirectionBlindFitOnUnseenLightAndFindsPositiveDepth) {
   EmOptions options;
-  options.surface_term = false;   // these data have no light from the very surface
+  options.surface_term = false;  // these data have no light from the very surface
   options.max_iterations = 150;
   const Lights lights = MakeLights({-1.0, 0.0, 0.58}, 16, 0, options);
   EmOptions blind = options;

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-fit decode`: projector coordinates of every camera pixel, for visitors and for imported boards alike.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <sstream>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "fitter/apps/run_command.h"
+#include "fitter/pipeline/exr_file.h"
+#include "fitter/pipeline/geometry_stage.h"
+#include "fitter/report/html_report.h"
+#include "fitter/structured_light/local_homography.h"
+#include "shared/image/png.h"
+
+namespace stratalux::fit {
+namespace {
+
+struct Flags {
+  std::string store, session = "latest", out, reference;
+  int projector = 0, pose = -1;
+  bool json = false;
+};
+
+// A session's own calibration, or what an 8-bit import implies.
+SensorNoise NoiseOf(const SessionFrames& frames) {
+  if (frames.calibration()) return SensorNoise::From(frames.calibration()->camera);
+  const bool eight_bit = frames.rows()[0].record.format == PixelFormat::kMono8;
+  return {0.0, eight_bit ? 255.0 : 4095.0, eight_bit ? 20.0 : 4.0, eight_bit ? 1.0 : 3.0};
+}
+
+// Size of the code, from the bits of the stored frames.
+void CodeSize(const SessionFrames& frames, int& width, int& height) {
+  width = height = 0;
+  for (const db::FrameRow& row : frames.rows()) {
+    const Pattern& p = row.record.pattern;
+    if (p.kind == PatternKind::kGray) (p.axis == PatternAxis::kColumns ? width : height) = 1 << p.bits;
+  }
+  if (!frames.plan()) return;
+  width = frames.plan()->projector_width;
+  height = frames.plan()->projector_height;
+}
+
+// Median distance, projector px, between a reference file's corners (pose, board x y, camera u v, projector x y) and
+// our own sub-pixel look-up; -1 when no corner of this pose could be looked up.
+Result<double> CompareCorners(const std::string& file, int pose, const DecodedMap& map, int crop_x, int crop_y,
+                              int& found, int& total) {
+  std::ifstream in(file);
+  if (!in) return Status::Usage("cannot read " + file);
+  std::vector<double> errors;
+  std::string line;
+  for (int number = 1; std::getline(in, line); ++number) {
+    if (line.empty() || line[0] == '#') continue;
+    std::istringstream text(line);
+    double v[7];
+    for (double& x : v)
+      if (!(text >> x)) return Status::Usage(file + ":" + std::to_string(number) + ": expected 7 numbers");
+    if (static_cast<int>(v[0]) != pose) continue;
+    ++total;
+    const auto at = LookUpProjectorPoint(map, Eigen::Vector2d(v[3] - crop_x, v[4] - crop_y));
+    if (!at) continue;
+    ++found;
+    errors.push_back(std::hypot(at->projector_px.x() - v[5], at->projector_px.y() - v[6]));
+  }
+  if (errors.empty()) return -1.0;
+  std::nth_element(errors.begin(), errors.begin() + static_cast<int64_t>(errors.size() / 2), errors.end());
+  return errors[errors.size() / 2];
+}
+
+Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohmann::ordered_json& results) {
+  int width = 0, height = 0;
+  CodeSize(frames, width, height);
+  SLX_ASSIGN_OR_RETURN(const auto report, DecodeProjector(frames, f.projector, pose, width, height, NoiseOf(frames)));
+  nlohmann::ordered_json result = {{"projector", f.projector}, {"pose", pose}};
+  for (int r = 0; r < kDecodeReasons; ++r) result["pixels"][ToString(static_cast<DecodeReason>(r))] = report.counts[r];
+  if (!f.reference.empty()) {
+    const db::FrameRow* row = frames.Find(f.projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose);
+    int found = 0, total = 0;
+    SLX_ASSIGN_OR_RETURN(const double median, CompareCorners(f.reference, pose, report.map, row->record.crop_x,
+                                                             row->record.crop_y, found, total));
+    result["reference"] = {{"corners", total}, {"found", found}, {"median_px", median}};
+  }
+  if (!f.out.empty()) {
+    std::error_code error;
+    std::filesystem::create_directories(f.out, error);
+    const std::string name =
+        "projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : "");
+    const std::filesystem::path base = std::filesystem::path(f.out) / name;
+    SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_column.exr", report.map.column, {"Y"}));
+    SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_row.exr", report.map.row, {"Y"}));
+    SLX_RETURN_IF_ERROR(WritePng8(
+        base.string() + "_column.png",
+        ToColourScale(report.map.column, Percentile(report.map.column, 0.01), Percentile(report.map.column, 0.99))));
+    SLX_RETURN_IF_ERROR(
+        WritePng8(base.string() + "_row.png",
+                  ToColourScale(report.map.row, Percentile(report.map.row, 0.01), Percentile(report.map.row, 0.99))));
+  }
+  results.push_back(result);
+  return Status::Ok();
+}
+
+Status Decode(const Flags& f) {
+  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, f.session));
+  if (frames.rows().empty()) return Status::NotFound("session " + frames.info().id + " has no frames");
+  nlohmann::ordered_json results = nlohmann::ordered_json::array();
+  for (int pose : frames.poses())
+    if (f.pose < 0 || pose == f.pose) SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, results));
+  if (results.empty())
+    return Status::NotFound("session " + frames.info().id + " has no pose " + std::to_string(f.pose));
+  if (f.json) {
+    std::printf("%s\n", results.dump(1).c_str());
+    return Status::Ok();
+  }
+  for (const auto& r : results) {
+    std::printf("projector %d pose %d:", r["projector"].get<int>(), r["pose"].get<int>());
+    for (const auto& [reason, count] : r["pixels"].items())
+      std::printf("  %s %lld", reason.c_str(), count.get<long long>());
+    if (r.contains("reference"))
+      std::printf("  reference: %d of %d corners, median %.3f px", r["reference"]["found"].get<int>(),
+                  r["reference"]["corners"].get<int>(), r["reference"]["median_px"].get<double>());
+    std::printf("\n");
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddDecodeCommand(CLI::App& app, int& exit_code) {
+  auto flags = std::make_shared<Flags>();
+  auto* verb =
+      app.add_subcommand("decode", "Projector coordinates of every camera pixel; works on imported boards too");
+  verb->footer("Example:\n  stratalux-fit decode latest --store store --out decoded --reference reference_corners.txt");
+  verb->add_option("session", flags->session, "Session: id, unique prefix, or latest")->capture_default_str();
+  verb->add_option("--store", flags->store, "Store folder")->envname("STRATALUX_STORE")->required();
+  verb->add_option("--projector", flags->projector, "Projector")->check(CLI::Range(0, 15))->capture_default_str();
+  verb->add_option("--pose", flags->pose, "Only this board pose")->check(CLI::Range(0, 10000));
+  verb->add_option("--out", flags->out, "Folder for column and row maps (EXR, PNG)");
+  verb->add_option("--reference", flags->reference,
+                   "Corner file to compare with (pose, board x y, camera u v, projector x y)");
+  verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
+  verb->callback([flags, &exit_code] {
+    Logger logger;
+    const Status status = Decode(*flags);
+    if (!status.ok()) logger.Error(status.message());
+    exit_code = status.exit_code();
+  });
+}
+
+}  // namespace stratalux::fit

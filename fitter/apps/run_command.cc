@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/apps/run_command.h"
+
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "fitter/pipeline/run.h"
+
+namespace stratalux::fit {
+namespace {
+
+struct Flags {
+  RunOptions run;
+  std::string shift = "refracted", geometry = "reconstructed", gain = "model";
+  bool json = false, path_only = false;
+};
+
+void AddStore(CLI::App& verb, Flags& f) {
+  verb.add_option("session", f.run.session, "Session: id, unique prefix, or latest")->capture_default_str();
+  verb.add_option("--store", f.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
+  verb.add_flag("--json", f.json, "Machine-readable result on stdout");
+}
+
+void AddFitOptions(CLI::App& verb, Flags& f) {
+  verb.add_option("--layers", f.run.em.layers, "Scattering layers a pixel")
+      ->check(CLI::Range(1, 32))
+      ->capture_default_str();
+  verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
+  verb.add_option("--eta", f.run.em.eta, "Refractive index of skin")
+      ->check(CLI::Range(1.0, 3.0))
+      ->capture_default_str();
+  verb.add_option("--gain", f.gain, "Angular gain: model or none")
+      ->check(CLI::IsMember({"model", "none"}))
+      ->capture_default_str();
+  verb.add_option("--iterations", f.run.em.max_iterations, "EM sweeps at most")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str();
+  verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
+      ->check(CLI::Range(0, 15))
+      ->capture_default_str();
+  verb.add_option("--pool", f.run.pool, "Quads per side of a fitted profile")
+      ->check(CLI::Range(1, 16))
+      ->capture_default_str();
+  verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
+      ->check(CLI::IsMember({"reconstructed", "truth"}))
+      ->capture_default_str();
+  verb.add_flag("--full-evaluation", f.run.full_evaluation,
+                "Hold out every projector in turn; baselines and ablations");
+  verb.add_option("--evaluation-pool", f.run.evaluation_pool, "Quads per side there")
+      ->check(CLI::Range(1, 16))
+      ->capture_default_str();
+  verb.add_flag("--force", f.run.force, "Fit again even if this fit is complete");
+}
+
+int Execute(Flags& f) {
+  Logger logger;
+  auto finish = [&](const Status& status) {
+    if (!status.ok()) logger.Error(status.message());
+    return status.exit_code();
+  };
+  const auto law = ParseShiftLaw(f.shift);
+  if (!law.ok()) return finish(law.status());
+  f.run.em.shift_law = *law;
+  f.run.em.gain_model = f.gain == "model";
+  f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
+  const auto outcome = RunSession(f.run, logger);
+  if (!outcome.ok()) return finish(outcome.status());
+  const auto report = outcome->folder / "report" / "index.html";
+  if (f.json) {
+    const nlohmann::ordered_json json = {{"session", outcome->session},
+                                         {"fit", outcome->fit},
+                                         {"folder", outcome->folder.string()},
+                                         {"report", report.string()},
+                                         {"was_complete", outcome->was_complete}};
+    std::printf("%s\n", json.dump(1).c_str());
+  } else {
+    std::printf("%s\n", f.run.until == Stage::kReport ? report.c_str() : outcome->folder.c_str());
+  }
+  return 0;
+}
+
+int PrintReport(const Flags& f) {
+  Logger logger;
+  const auto folder = NewestFit(f.run.store, f.run.session);
+  if (!folder.ok()) {
+    logger.Error(folder.status().message());
+    return folder.status().exit_code();
+  }
+  const auto page = *folder / "report" / "index.html";
+  if (!f.path_only) logger.Info("metrics: " + (*folder / "metrics.json").string());
+  if (f.json) {
+    const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", (*folder / "metrics.json").string()}};
+    std::printf("%s\n", json.dump(1).c_str());
+  } else {
+    std::printf("%s\n", page.c_str());
+  }
+  return 0;
+}
+
+}  // namespace
+
+void AddRunCommands(CLI::App& app, int& exit_code) {
+  const struct {
+    const char* name;
+    const char* help;
+    Stage until;
+  } verbs[] = {{"run", "All stages, from frames to the report; a complete fit is not done again", Stage::kReport},
+               {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
+               {"separate", "Direct and global light as EXR", Stage::kSeparate},
+               {"normals", "Four-source normals as EXR", Stage::kNormals},
+               {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
+               {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
+  for (const auto& v : verbs) {
+    auto flags = std::make_shared<Flags>();
+    flags->run.until = v.until;
+    auto* verb = app.add_subcommand(v.name, v.help);
+    verb->footer(std::string("Example:\n  stratalux-fit ") + v.name + " latest --store store");
+    AddStore(*verb, *flags);
+    AddFitOptions(*verb, *flags);
+    verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });
+  }
+  auto flags = std::make_shared<Flags>();
+  auto* report = app.add_subcommand("report", "Where the newest report of a session is");
+  AddStore(*report, *flags);
+  report->add_flag("--path-only", flags->path_only, "Nothing but the path");
+  report->callback([flags, &exit_code] { exit_code = PrintReport(*flags); });
+}
+
+}  // namespace stratalux::fit

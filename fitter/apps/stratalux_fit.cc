@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// stratalux-fit: from a stored session to a face under new light.
+#include <CLI/CLI.hpp>
+
+#include "fitter/apps/run_command.h"
+#include "shared/base/version.h"
+
+int main(int argc, char** argv) {
+  CLI::App app(
+      "stratalux-fit: reconstructs, fits scattering layers, renders, compares, reports.\n\nExamples:\n"
+      "  stratalux-fit run latest --store store\n"
+      "  stratalux-fit run s000003 --store store --full-evaluation --shift refracted_sine\n"
+      "  stratalux-fit decode latest --store store --out decoded");
+  app.set_version_flag("--version", stratalux::kVersion);
+  app.require_subcommand(1);
+  int exit_code = 0;
+  stratalux::fit::AddRunCommands(app, exit_code);
+  stratalux::fit::AddDecodeCommand(app, exit_code);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  return exit_code;
+}

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/holdout.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+
+#include "fitter/mixture/shift_law.h"
+#include "fitter/srd/srd_extractor.h"
+#include "shared/base/random.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+Pattern PatternOf(const std::string& light, const PlanOptions& o) {
+  if (light == "stripe")
+    return {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0};
+  if (light == "spot") return {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius};
+  return {.kind = PatternKind::kWhite};
+}
+
+CapturePhase PhaseOf(const std::string& light) {
+  return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
+}
+
+// Reflectance of the very surface under the held-out light: its measured direct image holds rho_s E and the subsurface
+// light that the sinusoids' period still resolves, sum w g E exp(-2 pi^2 sigma^2 / period^2), both blurred by the line
+// response.
+Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
+  const RigCalibration& rig = *in.frames.calibration();
+  const PlanOptions& plan = *in.frames.plan();
+  const SeparationMap& separation = in.face.separation[in.projector];
+  Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
+  for (int j = 0; j < in.surface.height(); ++j)
+    for (int i = 0; i < in.surface.width(); ++i) {
+      if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
+      for (int c = 0; c < map.channels; ++c) {
+        const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
+        if (!map.Fitted(profile)) continue;
+        const SrdGeometry g = ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
+                                                 QuadCentre(rig.camera.cfa, i, j), 1, c, plan.exposure_ms);
+        if (!(g.white_dn > 0.0)) continue;
+        const double wave = 2.0 * std::numbers::pi / (plan.separation_period * g.mm_per_column);
+        const double seen = std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
+        double narrow = 0.0;
+        for (int l = 0; l < map.layers; ++l) {
+          const double sigma = map.sigma_mm[profile * map.layers + l];
+          narrow += map.weight[profile * map.layers + l] * std::exp(-0.5 * wave * wave * sigma * sigma);
+        }
+        const double gain = map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0;
+        reflectance(i, j, c) = static_cast<float>(separation.direct(i, j, c) / (g.white_dn * seen) - gain * narrow);
+      }
+    }
+  return reflectance;
+}
+
+Image<float> TrainedSurface(const HoldOutInput& in, const MixtureMap& map) {
+  Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
+  const size_t lights = map.training_projectors.size();
+  for (int j = 0; j < reflectance.height(); ++j)
+    for (int i = 0; i < reflectance.width(); ++i)
+      for (int c = 0; c < map.channels; ++c) {
+        if (i / in.pool >= map.width || j / in.pool >= map.height) continue;
+        const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
+        if (!map.Fitted(profile)) continue;
+        float sum = 0.0F;
+        for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
+        reflectance(i, j, c) = sum / static_cast<float>(lights);
+      }
+  return reflectance;
+}
+
+Image<float> Sum(const Image<float>& a, const Image<float>& b) {
+  Image<float> sum = a;
+  for (size_t i = 0; i < sum.size(); ++i) sum.pixels()[i] += b.pixels()[i];
+  return sum;
+}
+
+Image<float> Difference(const Image<float>& a, const Image<float>& b) {
+  Image<float> difference = a;
+  for (size_t i = 0; i < difference.size(); ++i) difference.pixels()[i] -= b.pixels()[i];
+  return difference;
+}
+
+// Skin that the held-out light reaches and whose layers were fitted.
+Image<uint8_t> SkinMask(const HoldOutInput& in, const MixtureMap& map) {
+  Image<uint8_t> mask = in.face.lit[in.projector];
+  for (int j = 0; j < mask.height(); ++j)
+    for (int i = 0; i < mask.width(); ++i) {
+      bool fitted = in.surface.mask(i, j) != 0 && i / in.pool < map.width && j / in.pool < map.height;
+      for (int c = 0; c < map.channels && fitted; ++c)
+        fitted = map.Fitted(map.ProfileIndex(i / in.pool, j / in.pool, c));
+      if (!fitted) mask(i, j) = 0;
+    }
+  return mask;
+}
+
+}  // namespace
+
+Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
+                           const std::vector<Image<uint8_t>>& lit, int pool) {
+  const RigCalibration& rig = *frames.calibration();
+  const PlanOptions& plan = *frames.plan();
+  const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step, plan.exposure_ms};
+  SLX_RETURN_IF_ERROR(cycle.Validate());
+  SrdOptions options;
+  options.pool = pool;
+  SrdSet set;
+  set.pool = pool;
+  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
+    SrdExtractor extractor(surface, lit[p], rig, p, cycle, options);
+    SLX_ASSIGN_OR_RETURN(const auto dark, frames.MeanBlack(p));
+    for (int k = 0; k < cycle.frames(); ++k) {
+      SLX_ASSIGN_OR_RETURN(
+          const auto raw,
+          frames.Read(
+              p, CapturePhase::kSweep,
+              {.kind = PatternKind::kComb, .period = cycle.period, .width = cycle.width, .shift = k * cycle.step}));
+      extractor.AddFrame(k, raw, dark);
+    }
+    set.batches.push_back(extractor.Take());
+    set.width = extractor.width();
+    set.height = extractor.height();
+    set.channels = QuadChannels(rig.camera.cfa);
+  }
+  return set;
+}
+
+std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
+  std::vector<const SrdBatch*> lights;
+  for (int p = 0; p < static_cast<int>(srds.batches.size()); ++p) {
+    if (p == heldout) continue;
+    lights.push_back(&srds.batches[p]);
+    projectors->push_back(p);
+  }
+  return lights;
+}
+
+Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
+                             const std::string& label) {
+  std::vector<int> projectors;
+  const auto lights = TrainingLights(srds, heldout, &projectors);
+  if (options.gain_model) options.tau = EstimateTau(lights, options.eta);
+  int64_t usable = 0;
+  for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
+    bool any = false;
+    for (const SrdBatch* b : lights) any = any || b->valid[i] != 0;
+    usable += any ? 1 : 0;
+  }
+  Progress progress(logger, label, usable);
+  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options,
+                    [&](int64_t done) { progress.Advance(done); });
+}
+
+Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, const std::vector<ModelToCompare>& models,
+                                                    const std::vector<std::string>& lights,
+                                                    std::vector<HeldOutFigure>& figures) {
+  const RigCalibration& rig = *in.frames.calibration();
+  const PlanOptions& plan = *in.frames.plan();
+  const double open = 1.0 - rig.projectors[in.projector].black_level;  // a frame minus its black frame
+  const LitSurface lit = BuildLitSurface(in.surface, rig.projectors[in.projector], plan.exposure_ms);
+  SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.projector));
+  const Image<uint8_t> mask = SkinMask(in, *models[0].map);
+  const Image<float> rho_measured = MeasuredSurface(in, *models[0].map),
+                     rho_trained = TrainedSurface(in, *models[0].map);
+  std::vector<LightComparison> comparisons;
+  for (const std::string& light : lights) {
+    const Pattern pattern = PatternOf(light, plan);
+    SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.Read(in.projector, PhaseOf(light), pattern));
+    const LitPyramid pyramid = LightWith(lit, pattern, open);
+    LightComparison comparison{light, QuadSignal(raw, dark, rig.camera), {}, {}, {}, {}};
+    comparison.surface_measured = RenderSurface(rho_measured, in.surface, rig, pyramid, lit);
+    comparison.surface_rendered = RenderSurface(rho_trained, in.surface, rig, pyramid, lit);
+    // The subsurface part alone: the truth in simulation, else what is measured less its direct part.
+    Image<float> reference = Difference(comparison.measured, comparison.surface_measured);
+    if (in.truth) {
+      SLX_ASSIGN_OR_RETURN(reference, in.truth->Subsurface(light, in.projector));
+    }
+    for (const ModelToCompare& model : models) {
+      const Image<float> subsurface = RenderSubsurface(*model.map, in.surface, rig, pyramid, lit, {in.pool});
+      auto add = [&](const char* part, const char* direct, const Image<float>& real, const Image<float>& estimate) {
+        figures.push_back(
+            {in.projector, light, model.name, part, direct, in.geometry, in.pool, CompareImages(real, estimate, mask)});
+      };
+      add("total", "measured", comparison.measured, Sum(subsurface, comparison.surface_measured));
+      add("total", "rendered", comparison.measured, Sum(subsurface, comparison.surface_rendered));
+      add("subsurface", "none", reference, subsurface);
+      if (&model == &models[0]) comparison.subsurface = subsurface;
+    }
+    comparison.total = Sum(comparison.subsurface, comparison.surface_measured);
+    comparisons.push_back(std::move(comparison));
+  }
+  return comparisons;
+}
+
+SrdSet PermuteProjectors(const SrdSet& srds, int heldout) {
+  SrdSet out = srds;
+  std::vector<int> training;
+  for (int p = 0; p < static_cast<int>(srds.batches.size()); ++p)
+    if (p != heldout) training.push_back(p);
+  for (size_t k = 0; k < training.size(); ++k) {
+    const SrdBatch& from = srds.batches[training[(k + 1) % training.size()]];
+    SrdBatch& to = out.batches[training[k]];
+    to.slope_in = from.slope_in;
+    to.slope_in_across = from.slope_in_across;
+    to.cos_in = from.cos_in;
+  }
+  return out;
+}
+
+SrdSet ShuffleCombFrames(const SrdSet& srds, uint64_t seed) {
+  SrdSet out = srds;
+  Random random(seed);
+  for (size_t p = 0; p < out.batches.size(); ++p) {
+    SrdBatch& b = out.batches[p];
+    std::vector<int> order(b.samples);
+    std::iota(order.begin(), order.end(), 0);
+    for (int k = b.samples - 1; k > 0; --k) std::swap(order[k], order[random.Bits() % static_cast<uint64_t>(k + 1)]);
+    for (int64_t i = 0; i < b.profiles(); ++i)
+      for (int k = 0; k < b.samples; ++k) {
+        b.y[i * b.samples + k] = srds.batches[p].y[i * b.samples + order[k]];
+        b.variance[i * b.samples + k] = srds.batches[p].variance[i * b.samples + order[k]];
+      }
+  }
+  return out;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Leave one projector out (model section 9): fit the layers on the other lights, predict this one, compare.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "fitter/evaluation/metrics.h"
+#include "fitter/evaluation/truth.h"
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/pipeline/geometry_stage.h"
+#include "fitter/render/mlsss.h"
+
+namespace stratalux::fit {
+
+// SRDs of every projector on profiles of `pool` x `pool` quads.
+struct SrdSet {
+  int pool = 1;
+  int width = 0, height = 0, channels = 0;
+  std::vector<SrdBatch> batches;
+};
+[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
+                                         const std::vector<Image<uint8_t>>& lit, int pool);
+
+// The batches of all projectors but one.
+[[nodiscard]] std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout,
+                                                          std::vector<int>* projectors);
+
+// EM on the training lights, with tau of their white reflectances.
+[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
+                                           const std::string& label);
+
+// What is compared under one light of the held-out projector.
+struct LightComparison {
+  std::string light;        // stripe | white | spot
+  Image<float> measured;    // quads, digital numbers above black
+  Image<float> subsurface;  // rendered, tied model
+  Image<float>
+      surface_measured;  // the held-out light's measured direct part, without the model's narrow subsurface light
+  Image<float> surface_rendered;  // mean surface term of the training lights
+  Image<float> total;             // subsurface + surface_measured
+};
+
+struct HoldOutInput {
+  const SessionFrames& frames;
+  const FaceGeometry& face;
+  const SurfaceMap& surface;  // that the SRDs were extracted on
+  const std::optional<SceneTruth>& truth;
+  int projector = 0;
+  int pool = 1;
+  std::string geometry = "reconstructed";
+};
+
+struct ModelToCompare {
+  std::string name;
+  const MixtureMap* map;
+};
+
+// Renders every model under the given lights and appends the figures. Returns the pictures of the first model.
+[[nodiscard]] Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& input,
+                                                                  const std::vector<ModelToCompare>& models,
+                                                                  const std::vector<std::string>& lights,
+                                                                  std::vector<HeldOutFigure>& figures);
+
+// Ablations: the training lights' directions given to the wrong lights; each comb cycle's frames in a shuffled order.
+[[nodiscard]] SrdSet PermuteProjectors(const SrdSet& srds, int heldout);
+[[nodiscard]] SrdSet ShuffleCombFrames(const SrdSet& srds, uint64_t seed);
+
+}  // namespace stratalux::fit

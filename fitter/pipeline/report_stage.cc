@@ -1,0 +1,315 @@
+// SPDX-License-Identifier: Apache-2.0
+// The report of a session: the pictures of the paper in its order, then the figures.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+
+#include "fitter/pipeline/run.h"
+#include "fitter/report/html_report.h"
+#include "fitter/srd/srd_extractor.h"
+#include "shared/image/png.h"
+
+namespace stratalux::fit {
+namespace {
+
+std::string Fixed(double v, int digits = 3) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.*f", digits, v);
+  return text;
+}
+
+Image<float> Channel(const Image<float>& map, int channel) {
+  Image<float> out(map.width(), map.height());
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x) out(x, y) = map(x, y, channel);
+  return out;
+}
+
+Result<Image<float>> Captured(const RunPictures& in, int projector, CapturePhase phase, const Pattern& pattern) {
+  SLX_ASSIGN_OR_RETURN(const auto raw, in.frames->Read(projector, phase, pattern));
+  const CameraCalibration& camera = in.frames->calibration()->camera;
+  const Image<float> dark(raw.width(), raw.height(), 1, static_cast<float>(camera.black_level_dn));
+  return QuadSignal(raw, dark, camera);
+}
+
+Result<ReportSection> CapturedSamples(const RunPictures& in, double white) {
+  const PlanOptions& o = *in.frames->plan();
+  ReportSection section{"Captured samples (figure 4)",
+                        "The face under all-white light, a column code, a sinusoid and one comb frame.",
+                        {},
+                        {},
+                        {}};
+  for (int p = 0; p < o.projectors; ++p) {
+    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, p, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
+    section.images.push_back({"projector " + std::to_string(p) + ", white", ToSrgb(image, white)});
+  }
+  const int bits = GrayBits(o.projector_width);
+  const std::vector<std::pair<CapturePhase, Pattern>> samples = {
+      {CapturePhase::kCorrespondence, {.kind = PatternKind::kGray, .bit = std::min(5, bits - 1), .bits = bits}},
+      {CapturePhase::kSeparation,
+       {.kind = PatternKind::kSinusoid, .period = o.separation_period, .shift = 0, .shifts = o.separation_shifts}},
+      {CapturePhase::kSweep, {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}}};
+  for (const auto& [phase, pattern] : samples) {
+    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, in.heldout, phase, pattern));
+    section.images.push_back({"projector " + std::to_string(in.heldout) + ", " + pattern.ToString(),
+                              ToSrgb(image, phase == CapturePhase::kSweep ? 0.35 * white : white)});
+  }
+  return section;
+}
+
+ReportSection Shape(const RunPictures& in) {
+  const Image<float> depth = Channel(in.surface->point_mm, 2);
+  ReportSection section{
+      "Shape",
+      "Depth from all projectors together; normals of the surface, of four-source photometric stereo, and both fused.",
+      {},
+      {},
+      {}};
+  const double low = Percentile(depth, 0.01), high = Percentile(depth, 0.99);
+  Image<float> nearness = depth;  // near is light
+  for (float& v : nearness.pixels()) v = -v;
+  section.images.push_back({"depth, " + Fixed(low, 0) + " mm (light) to " + Fixed(high, 0) + " mm (dark)",
+                            ToColourScale(nearness, -high, -low)});
+  section.images.push_back({"normals of the surface", NormalColours(in.surface->normal)});
+  section.images.push_back({"normals, photometric", NormalColours(in.face->photometric.normal)});
+  section.images.push_back({"normals, fused", NormalColours(in.face->fused_normal)});
+  return section;
+}
+
+ReportSection DirectAndGlobal(const RunPictures& in, double white) {
+  ReportSection section{"Direct and global light",
+                        "Separated with high-frequency sinusoids, per projector; both on the same scale.",
+                        {},
+                        {},
+                        {}};
+  for (size_t p = 0; p < in.face->separation.size(); ++p) {
+    section.images.push_back(
+        {"direct, projector " + std::to_string(p), ToSrgb(in.face->separation[p].direct, 0.6 * white)});
+    section.images.push_back(
+        {"global, projector " + std::to_string(p), ToSrgb(in.face->separation[p].global, 0.6 * white)});
+  }
+  return section;
+}
+
+// The fitted pixel nearest to the cheek beside the image's centre.
+int64_t ChosenProfile(const MixtureMap& map) {
+  int64_t best = -1;
+  double best_distance = 1e300;
+  for (int y = 0; y < map.height; ++y)
+    for (int x = 0; x < map.width; ++x) {
+      const int64_t i = map.ProfileIndex(x, y, 0);
+      if (map.reason[i] != 0) continue;
+      const double d = std::hypot(x - 0.43 * map.width, y - 0.53 * map.height);
+      if (d < best_distance) {
+        best_distance = d;
+        best = i;
+      }
+    }
+  return best;
+}
+
+ReportSection SrdOfPixel(const RunPictures& in) {
+  ReportSection section{"Spatial radiance distribution of a pixel (figure 5)",
+                        "Samples of the comb sweep (dots) over the distance between line and pixel, and the fitted "
+                        "layers (line), red channel.",
+                        {},
+                        {},
+                        {}};
+  const MixtureMap& map = *in.map;
+  const int64_t profile = ChosenProfile(map);
+  if (profile < 0) return section;
+  EmOptions options;
+  options.shift_law = map.shift_law;
+  options.eta = map.eta;
+  options.tau = map.tau;
+  options.gain_model = map.gain_model;
+  const LayerSet layers = LayersOf(map, profile);
+  for (int p = 0; p < static_cast<int>(in.srds->batches.size()); ++p) {
+    const SrdBatch& b = in.srds->batches[p];
+    if (b.valid[profile] == 0) continue;
+    const auto predicted = PredictSamples(layers, b, profile, options);
+    const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
+    std::vector<std::array<double, 3>> points;
+    const double period = double(b.step_mm[profile]) * b.samples;
+    for (int k = 0; k < b.samples; ++k)
+      points.push_back({std::remainder(b.first_u_mm[profile] + k * double(b.step_mm[profile]), period),
+                        b.y[profile * b.samples + k], predicted[k]});
+    std::sort(points.begin(), points.end());
+    ReportSeries measured{"measured", {}, {}, true},
+        fitted{trained == map.training_projectors.end() ? "predicted" : "fitted", {}, {}, false};
+    for (const auto& point : points) {
+      if (std::abs(point[0]) > 12.0) continue;
+      measured.x.push_back(point[0]);
+      measured.y.push_back(point[1]);
+      fitted.x.push_back(point[0]);
+      fitted.y.push_back(point[2]);
+    }
+    section.plots.push_back(
+        {"projector " + std::to_string(p) + (trained == map.training_projectors.end() ? " (held out)" : ""),
+         "line minus pixel, mm",
+         "reflectance per line",
+         {measured, fitted}});
+  }
+  ReportTable table{"Layers of this pixel", {"layer", "depth mm", "sigma mm", "weight"}, {}};
+  for (size_t l = 0; l < layers.weight.size(); ++l)
+    if (layers.weight[l] > 1e-4)
+      table.rows.push_back(
+          {std::to_string(l), Fixed(layers.depth_mm[l]), Fixed(layers.sigma_mm[l]), Fixed(layers.weight[l], 4)});
+  section.tables.push_back(table);
+  return section;
+}
+
+ReportSection LightSection(const std::string& title, const LightComparison& c, double white) {
+  ReportSection section{title, "The held-out projector: nothing of its sweep entered the fit.", {}, {}, {}};
+  section.images.push_back({"(a) subsurface, rendered", ToSrgb(c.subsurface, white)});
+  section.images.push_back({"(b) direct, measured", ToSrgb(c.surface_measured, white)});
+  section.images.push_back({"(c) sum", ToSrgb(c.total, white)});
+  section.images.push_back({"(d) real", ToSrgb(c.measured, white)});
+  return section;
+}
+
+ReportPlot RowProfile(const RunPictures& in, const LightComparison& c) {
+  const int y = static_cast<int>(0.53 * c.measured.height());
+  ReportPlot plot{"Red channel along image row " + std::to_string(y) + " (figure 8)", "quad", "digital numbers", {}};
+  ReportSeries real{"real", {}, {}, false}, total{"sum", {}, {}, false}, subsurface{"subsurface", {}, {}, false};
+  for (int x = 0; x < c.measured.width(); ++x) {
+    if (in.surface->mask(x, y) == 0) continue;
+    for (auto* s : {&real, &total, &subsurface}) s->x.push_back(x);
+    real.y.push_back(c.measured(x, y, 0));
+    total.y.push_back(c.total(x, y, 0));
+    subsurface.y.push_back(c.subsurface(x, y, 0));
+  }
+  plot.series = {real, total, subsurface};
+  return plot;
+}
+
+ReportSection LayerMaps(const RunPictures& in) {
+  const MixtureMap& map = *in.map;
+  ReportSection section{"Layer maps",
+                        "Per pixel: total weight (albedo), weight-averaged depth and width of the layers, red channel.",
+                        {},
+                        {},
+                        {}};
+  Image<float> total(map.width, map.height, 1, std::nanf("")), depth = total, width = total;
+  for (int y = 0; y < map.height; ++y)
+    for (int x = 0; x < map.width; ++x) {
+      const int64_t i = map.ProfileIndex(x, y, 0);
+      if (!map.Fitted(i)) continue;
+      double w = 0, d = 0, s = 0;
+      for (int l = 0; l < map.layers; ++l) {
+        const double weight = map.weight[i * map.layers + l];
+        w += weight;
+        d += weight * map.depth_mm[i * map.layers + l];
+        s += weight * map.sigma_mm[i * map.layers + l];
+      }
+      if (!(w > 0)) continue;
+      total(x, y) = static_cast<float>(w);
+      depth(x, y) = static_cast<float>(d / w);
+      width(x, y) = static_cast<float>(s / w);
+    }
+  for (const auto& [name, image, unit] :
+       {std::tuple("total weight", &total, ""), std::tuple("mean depth", &depth, " mm"),
+        std::tuple("mean sigma", &width, " mm")}) {
+    const double low = Percentile(*image, 0.02), high = Percentile(*image, 0.98);
+    section.images.push_back(
+        {std::string(name) + ", " + Fixed(low, 2) + " to " + Fixed(high, 2) + unit, ToColourScale(*image, low, high)});
+  }
+  return section;
+}
+
+ReportSection Figures(const Metrics& m) {
+  ReportSection section{
+      "Figures", "NRMSE over skin that the held-out light reaches; model section 9 defines each figure.", {}, {}, {}};
+  ReportTable table{
+      "Held-out light",
+      {"projector", "light", "geometry", "pool", "model", "part", "direct", "NRMSE", "PSNR dB", "SSIM", "pixels"},
+      {}};
+  for (const HeldOutFigure& f : m.heldout)
+    table.rows.push_back({std::to_string(f.projector), f.light, f.geometry, std::to_string(f.pool), f.model, f.part,
+                          f.direct, Fixed(f.error.nrmse, 4), Fixed(f.error.psnr_db, 1), Fixed(f.error.ssim, 4),
+                          std::to_string(f.error.pixels)});
+  section.tables.push_back(table);
+  ReportTable ablations{"Ablations: each must be worse than the fit it spoils",
+                        {"name", "projector", "light", "NRMSE", "not spoilt"},
+                        {}};
+  for (const AblationFigure& a : m.ablations)
+    ablations.rows.push_back(
+        {a.name, std::to_string(a.projector), a.light, Fixed(a.nrmse, 4), Fixed(a.baseline_nrmse, 4)});
+  if (!ablations.rows.empty()) section.tables.push_back(ablations);
+  if (m.truth)
+    section.tables.push_back({"Against the simulated truth",
+                              {"depth rms mm", "depth bias mm", "normal median deg", "quads"},
+                              {{Fixed(m.truth->depth_rms_mm), Fixed(m.truth->depth_bias_mm),
+                                Fixed(m.truth->normal_median_deg, 2), std::to_string(m.truth->pixels)}}});
+  ReportTable fit{
+      "Fit", {"profiles", "median divergence", "median sweeps", "tau", "weight in layers wider than a line"}, {}};
+  fit.rows.push_back({std::to_string(m.pixels), Fixed(m.divergence, 6), std::to_string(m.iterations_median),
+                      Fixed(m.tau), Fixed(m.wide_weight_fraction)});
+  section.tables.push_back(fit);
+  ReportTable masked{"Profiles without (or with doubtful) layers", {"reason", "profiles"}, {}};
+  for (const auto& [reason, count] : m.masked_by_reason) masked.rows.push_back({reason, std::to_string(count)});
+  section.tables.push_back(masked);
+  ReportTable stages{"Stages", {"stage", "seconds", "peak memory GiB"}, {}};
+  for (const StageFigure& s : m.stages)
+    stages.rows.push_back({s.name, Fixed(s.seconds, 1), Fixed(static_cast<double>(s.peak_rss_bytes) / (1 << 30), 2)});
+  section.tables.push_back(stages);
+  return section;
+}
+
+Status SavePictures(const std::filesystem::path& folder, const Report& report) {
+  int number = 0;
+  for (const ReportSection& section : report.sections)
+    for (const ReportImage& image : section.images) {
+      char name[32];
+      std::snprintf(name, sizeof name, "%02d.png", number++);
+      SLX_RETURN_IF_ERROR(WritePng8(folder / name, image.pixels));
+    }
+  return Status::Ok();
+}
+
+}  // namespace
+
+Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, const Metrics& metrics) {
+  SLX_ASSIGN_OR_RETURN(const auto lit,
+                       Captured(in, in.heldout, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
+  Image<float> skin = lit;
+  for (int y = 0; y < skin.height(); ++y)
+    for (int x = 0; x < skin.width(); ++x)
+      for (int c = 0; c < skin.channels(); ++c)
+        if (in.surface->mask(x, y) == 0) skin(x, y, c) = std::nanf("");
+  const double white = 1.05 * Percentile(skin, 0.985);
+  const SessionInfo& info = in.frames->info();
+  Report report{
+      "Stratalux: session " + info.id,
+      std::string(info.simulated ? "Simulated visitor, seed " + std::to_string(info.seed) : "Visitor " + info.visitor) +
+          ", captured " + ToIso8601(info.started_wall) + ", " + std::to_string(in.frames->rows().size()) + " frames, " +
+          ToString(info.status) + ". Layers fitted on all projectors but " + std::to_string(in.heldout) + ".",
+      {}};
+  SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));
+  report.sections.push_back(std::move(samples));
+  report.sections.push_back(Shape(in));
+  report.sections.push_back(DirectAndGlobal(in, white));
+  report.sections.push_back(SrdOfPixel(in));
+  for (const LightComparison& c : in.comparisons) {
+    if (c.light == "stripe") {
+      report.sections.push_back(LightSection("Stripe light (figure 7)", c, 0.3 * white));
+      report.sections.back().plots.push_back(RowProfile(in, c));
+    } else if (c.light == "white") {
+      report.sections.push_back(LightSection("Point light at the held-out projector (figure 9)", c, white));
+      if (!in.homogeneous.empty())
+        report.sections.back().images.push_back(
+            {"(e) homogeneous: the mean layers everywhere, sum", ToSrgb(in.homogeneous[0].total, white)});
+    }
+  }
+  report.sections.push_back(LayerMaps(in));
+  report.sections.push_back(Figures(metrics));
+  SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report));
+  std::ofstream out(folder / "report" / "index.html", std::ios::trunc);
+  out << html;
+  out.flush();
+  if (!out) return Status::Failed("cannot write " + (folder / "report" / "index.html").string());
+  return SavePictures(folder / "report", report);
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,320 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/run.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <fstream>
+
+#include <nlohmann/json.hpp>
+
+#include "fitter/pipeline/content_hash.h"
+#include "fitter/scattering/baselines.h"
+#include "shared/base/version.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr std::array<const char*, 9> kStages = {"decode", "reconstruct", "separate", "normals", "srd",
+                                                "fit",    "render",      "evaluate", "report"};
+
+// State of one run, filled stage by stage.
+struct Work {
+  const RunOptions& options;
+  Logger& logger;
+  SessionFrames frames;
+  StageClock clock;
+  FaceGeometry face;
+  SurfaceMap surface;
+  std::optional<SceneTruth> truth;
+  SrdSet srds;
+  MixtureMap map;
+  Metrics metrics;
+  RunPictures pictures;
+};
+
+Status RequireFittable(const SessionFrames& frames) {
+  const std::string where = "session " + frames.info().id;
+  if (!frames.plan() || frames.info().kind != SessionKind::kVisitor)
+    return Status::Usage(where + " is no visitor's capture: only `decode` can work on it");
+  if (!frames.calibration()) return Status::Usage(where + " names no calibration");
+  if (frames.info().status == SessionStatus::kFailed || frames.info().status == SessionStatus::kRecording)
+    return Status::Failed(where + " is " + ToString(frames.info().status) + ": capture the visitor again");
+  if (static_cast<int>(frames.calibration()->projectors.size()) != frames.plan()->projectors)
+    return Status::Usage(where + ": its calibration has " + std::to_string(frames.calibration()->projectors.size()) +
+                         " projectors, its plan " + std::to_string(frames.plan()->projectors));
+  return Status::Ok();
+}
+
+// Share of the fitted weight in layers wider than one line: what scattering, not the surface, contributes.
+double WideWeightFraction(const MixtureMap& map, double line_mm) {
+  double wide = 0.0, all = 0.0;
+  const size_t lights = map.training_projectors.size();
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    if (!map.Fitted(i)) continue;
+    for (int l = 0; l < map.layers; ++l) {
+      const double w = map.weight[i * map.layers + l];
+      all += w;
+      if (map.sigma_mm[i * map.layers + l] > line_mm) wide += w;
+    }
+    for (size_t p = 0; p < lights; ++p) all += map.surface[i * lights + p] / static_cast<double>(lights);
+  }
+  return all > 0.0 ? wide / all : 0.0;
+}
+
+double MeanLineWidth(const SrdSet& srds) {
+  double sum = 0.0, count = 0.0;
+  for (const SrdBatch& b : srds.batches)
+    for (int64_t i = 0; i < b.profiles(); ++i)
+      if (b.valid[i] != 0) {
+        sum += b.line_width_mm[i];
+        count += 1.0;
+      }
+  return count > 0.0 ? sum / count : 0.6;
+}
+
+void SummariseFit(const MixtureMap& map, const SrdSet& srds, Metrics& metrics) {
+  std::vector<float> divergence;
+  std::vector<int> iterations;
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    const auto reason = static_cast<FitReason>(map.reason[i]);
+    if (map.Fitted(i)) {
+      divergence.push_back(map.divergence[i]);
+      iterations.push_back(map.iterations[i]);
+    }
+    if (reason != FitReason::kFitted) ++metrics.masked_by_reason[ToString(reason)];
+  }
+  metrics.pixels = static_cast<int64_t>(divergence.size());
+  metrics.tau = map.tau;
+  metrics.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
+  if (divergence.empty()) return;
+  std::nth_element(divergence.begin(), divergence.begin() + static_cast<int64_t>(divergence.size() / 2),
+                   divergence.end());
+  std::nth_element(iterations.begin(), iterations.begin() + static_cast<int64_t>(iterations.size() / 2),
+                   iterations.end());
+  metrics.divergence = divergence[divergence.size() / 2];
+  metrics.iterations_median = iterations[iterations.size() / 2];
+}
+
+HoldOutInput InputFor(const Work& w, const SurfaceMap& surface, int projector, int pool, const std::string& geometry) {
+  return {w.frames, w.face, surface, w.truth, projector, pool, geometry};
+}
+
+// Tied model and its baselines for one projector on pooled pixels.
+Status EvaluatePooled(Work& w, const SrdSet& srds, const SurfaceMap& surface, int projector,
+                      const std::string& geometry, const std::vector<std::string>& lights, double* stripe_nrmse) {
+  const std::string label = "projector " + std::to_string(projector) + " held out, " + geometry;
+  SLX_ASSIGN_OR_RETURN(const auto tied, FitLayers(srds, projector, w.options.em, w.logger, label));
+  EmOptions blind_options = w.options.em;
+  blind_options.direction_blind = true;
+  SLX_ASSIGN_OR_RETURN(const auto blind,
+                       FitLayers(srds, projector, blind_options, w.logger, label + ", direction-blind"));
+  std::vector<int> training;
+  const auto batches = TrainingLights(srds, projector, &training);
+  std::vector<Dipole> dipoles;
+  for (int c = 0; c < srds.channels; ++c) dipoles.push_back(FitDipole(batches, c, srds.channels, w.options.em.eta));
+  SLX_ASSIGN_OR_RETURN(const auto dipole, DipoleMap(tied, dipoles));
+  const MixtureMap mean = Homogeneous(tied), mean_shape = HomogeneousLocalAlbedo(tied);
+  const size_t first = w.metrics.heldout.size();
+  SLX_RETURN_IF_ERROR(CompareHeldOut(InputFor(w, surface, projector, srds.pool, geometry),
+                                     {{"tied", &tied},
+                                      {"homogeneous", &mean},
+                                      {"homogeneous_local_albedo", &mean_shape},
+                                      {"direction_blind", &blind},
+                                      {"dipole", &dipole}},
+                                     lights, w.metrics.heldout)
+                          .status());
+  for (size_t i = first; i < w.metrics.heldout.size(); ++i) {
+    const HeldOutFigure& f = w.metrics.heldout[i];
+    if (f.light == "stripe" && f.model == "tied" && f.part == "total" && f.direct == "measured")
+      *stripe_nrmse = f.error.nrmse;
+  }
+  return Status::Ok();
+}
+
+Status Ablate(Work& w, const SrdSet& srds, int projector, double baseline) {
+  for (const auto& [name, ablated] : {std::pair("projectors_permuted", PermuteProjectors(srds, projector)),
+                                      std::pair("comb_frames_shuffled", ShuffleCombFrames(srds, 1))}) {
+    SLX_ASSIGN_OR_RETURN(const auto map,
+                         FitLayers(ablated, projector, w.options.em, w.logger, std::string("ablation ") + name));
+    std::vector<HeldOutFigure> figures;
+    SLX_RETURN_IF_ERROR(CompareHeldOut(InputFor(w, w.surface, projector, srds.pool, "reconstructed"), {{name, &map}},
+                                       {"stripe"}, figures)
+                            .status());
+    w.metrics.ablations.push_back({name, projector, "stripe", figures[0].error.nrmse, baseline});
+  }
+  return Status::Ok();
+}
+
+Status EvaluateFully(Work& w) {
+  const int projectors = static_cast<int>(w.frames.calibration()->projectors.size());
+  w.clock.Start("evaluate: SRDs of pooled pixels");
+  SLX_ASSIGN_OR_RETURN(const auto pooled, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool));
+  std::vector<std::string> lights = {"stripe", "white"};
+  if (w.frames.plan()->spot_radius > 0) lights.push_back("spot");
+  for (int p = 0; p < projectors; ++p) {
+    w.clock.Start("evaluate: hold out projector " + std::to_string(p));
+    double stripe = 0.0;
+    SLX_RETURN_IF_ERROR(EvaluatePooled(w, pooled, w.surface, p, "reconstructed", lights, &stripe));
+    if (p != w.options.heldout) continue;
+    w.clock.Start("evaluate: ablations");
+    SLX_RETURN_IF_ERROR(Ablate(w, pooled, p, stripe));
+  }
+  if (!w.truth || w.options.geometry == GeometrySource::kTruth) return Status::Ok();
+  w.clock.Start("evaluate: true geometry");
+  SLX_ASSIGN_OR_RETURN(const auto true_surface, w.truth->Surface(*w.frames.calibration()));
+  SLX_ASSIGN_OR_RETURN(const auto true_srds,
+                       ExtractSrds(w.frames, true_surface, w.face.lit, w.options.evaluation_pool));
+  double stripe = 0.0;
+  return EvaluatePooled(w, true_srds, true_surface, w.options.heldout, "truth", lights, &stripe);
+}
+
+Status CompareFullSize(Work& w) {
+  w.clock.Start("render");
+  std::vector<std::string> lights = {"stripe", "white"};
+  const std::string geometry = w.options.geometry == GeometrySource::kTruth ? "truth" : "reconstructed";
+  const HoldOutInput input = InputFor(w, w.surface, w.options.heldout, w.options.pool, geometry);
+  SLX_ASSIGN_OR_RETURN(w.pictures.comparisons, CompareHeldOut(input, {{"tied", &w.map}}, lights, w.metrics.heldout));
+  const MixtureMap mean = Homogeneous(w.map);
+  SLX_ASSIGN_OR_RETURN(w.pictures.homogeneous,
+                       CompareHeldOut(input, {{"homogeneous", &mean}}, {"white"}, w.metrics.heldout));
+  if (w.truth) {
+    SLX_ASSIGN_OR_RETURN(const auto depth, w.truth->Depth());
+    SLX_ASSIGN_OR_RETURN(const auto normal, w.truth->Normal());
+    w.metrics.truth = CompareSurface(w.surface, depth, normal);
+  }
+  return Status::Ok();
+}
+
+Status WriteText(const std::filesystem::path& file, const std::string& text) {
+  std::ofstream out(file, std::ios::trunc);
+  out << text;
+  out.flush();
+  return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
+}
+
+// Runs the stages into `folder`; a stage beyond options.until is left out.
+Status RunStages(Work& w, const std::filesystem::path& folder) {
+  SLX_ASSIGN_OR_RETURN(w.face, ReconstructFace(w.frames, w.clock, w.logger));
+  w.surface = w.face.surface;
+  if (w.options.geometry == GeometrySource::kTruth) {
+    if (!w.truth)
+      return Status::Usage("session " + w.frames.info().id +
+                           " has no truth: --geometry truth works on simulated sessions");
+    SLX_ASSIGN_OR_RETURN(w.surface, w.truth->Surface(*w.frames.calibration()));
+  }
+  SLX_RETURN_IF_ERROR(WriteMaps(folder, w.face, w.surface));
+  if (w.options.until < Stage::kSrd) return Status::Ok();
+  w.clock.Start("srd");
+  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.pool));
+  if (w.options.until < Stage::kFit) return Status::Ok();
+  w.clock.Start("fit");
+  SLX_ASSIGN_OR_RETURN(w.map, FitLayers(w.srds, w.options.heldout, w.options.em, w.logger, "fit"));
+  SummariseFit(w.map, w.srds, w.metrics);
+  SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map));
+  if (w.options.until < Stage::kRender) return Status::Ok();
+  SLX_RETURN_IF_ERROR(CompareFullSize(w));
+  if (w.options.full_evaluation && w.options.until >= Stage::kEvaluate) SLX_RETURN_IF_ERROR(EvaluateFully(w));
+  w.clock.Start("report");
+  return Status::Ok();
+}
+
+}  // namespace
+
+const char* ToString(Stage stage) { return kStages[static_cast<size_t>(stage)]; }
+
+Result<Stage> ParseStage(const std::string& text) {
+  for (size_t i = 0; i < kStages.size(); ++i)
+    if (text == kStages[i]) return static_cast<Stage>(i);
+  return Status::Usage("stage '" + text + "' is unknown");
+}
+
+Status RunOptions::Validate() const {
+  SLX_RETURN_IF_ERROR(em.Validate());
+  if (heldout < 0 || heldout > 15)
+    return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
+  if (pool < 1 || pool > 16 || evaluation_pool < 1 || evaluation_pool > 16)
+    return Status::Usage("pool must lie in 1 .. 16");
+  return Status::Ok();
+}
+
+std::string RunOptions::ToJson() const {
+  const nlohmann::ordered_json json = {{"layers", em.layers},
+                                       {"mode", em.mode == FitMode::kTied ? "tied" : "free"},
+                                       {"shift", fit::ToString(em.shift_law)},
+                                       {"eta", em.eta},
+                                       {"gain_model", em.gain_model},
+                                       {"iterations", em.max_iterations},
+                                       {"tolerance", em.tolerance},
+                                       {"heldout", heldout},
+                                       {"pool", pool},
+                                       {"full_evaluation", full_evaluation},
+                                       {"evaluation_pool", evaluation_pool},
+                                       {"geometry", geometry == GeometrySource::kTruth ? "truth" : "reconstructed"}};
+  return json.dump();
+}
+
+Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, options.session));
+  SLX_RETURN_IF_ERROR(RequireFittable(frames));
+  if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
+    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist");
+  RunOutcome outcome;
+  outcome.session = frames.info().id;
+  outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);
+  outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
+  if (!options.force && options.until == Stage::kReport &&
+      std::filesystem::exists(outcome.folder / "report" / "index.html")) {
+    logger.Info("fit " + outcome.fit + " is complete already (--force fits again)");
+    outcome.was_complete = true;
+    return outcome;
+  }
+  // Everything is written beside the final name and renamed when complete: a fit is visible only whole.
+  const auto folder =
+      options.until == Stage::kReport ? std::filesystem::path(outcome.folder.string() + ".partial") : outcome.folder;
+  std::error_code error;
+  std::filesystem::remove_all(folder, error);
+  std::filesystem::create_directories(folder / "report", error);
+  if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+
+  SLX_ASSIGN_OR_RETURN(auto truth, SceneTruth::Open(frames.folder()));
+  Work w{options, logger, std::move(frames), StageClock(logger), {}, {}, std::move(truth), {}, {}, {}, {}};
+  SLX_RETURN_IF_ERROR(RunStages(w, folder).WithContext("session " + outcome.session));
+  if (options.until == Stage::kReport) {
+    w.metrics.session = outcome.session;
+    w.metrics.fit = outcome.fit;
+    w.metrics.program_version = kVersion;
+    w.metrics.options_json = options.ToJson();
+    w.pictures.frames = &w.frames;
+    w.pictures.face = &w.face;
+    w.pictures.surface = &w.surface;
+    w.pictures.srds = &w.srds;
+    w.pictures.map = &w.map;
+    w.pictures.heldout = options.heldout;
+    w.clock.Stop();
+    for (const StageTime& s : w.clock.stages()) w.metrics.stages.push_back({s.name, s.seconds, s.peak_rss_bytes});
+    SLX_RETURN_IF_ERROR(WriteReport(folder, w.pictures, w.metrics));
+    SLX_RETURN_IF_ERROR(WriteText(folder / "metrics.json", w.metrics.ToJson()));
+    std::filesystem::remove_all(outcome.folder, error);
+    std::filesystem::rename(folder, outcome.folder, error);
+    if (error) return Status::Failed("cannot move " + folder.string() + ": " + error.message());
+    SLX_RETURN_IF_ERROR(
+        w.frames.store().RegisterFit({outcome.fit, outcome.session, options.ToJson(), w.metrics.ToJson(), WallNow()}));
+  }
+  w.clock.Stop();
+  outcome.metrics = w.metrics;
+  return outcome;
+}
+
+Result<std::filesystem::path> NewestFit(const std::string& store_folder, const std::string& session) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(session));
+  SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
+  if (fits.empty())
+    return Status::NotFound("session " + row.info.id + " has no complete fit (`stratalux-fit run " + row.info.id +
+                            "`)");
+  return store.FitFolder(row.info.id, fits[0].id);
+}
+
+}  // namespace stratalux::fit

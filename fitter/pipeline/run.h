@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// All stages of one session, from frames to report: `stratalux-fit run`.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "fitter/mixture/em_options.h"
+#include "fitter/pipeline/holdout.h"
+#include "shared/base/log.h"
+
+namespace stratalux::fit {
+
+enum class Stage { kDecode, kReconstruct, kSeparate, kNormals, kSrd, kFit, kRender, kEvaluate, kReport };
+[[nodiscard]] const char* ToString(Stage stage);
+[[nodiscard]] Result<Stage> ParseStage(const std::string& text);
+
+enum class GeometrySource { kReconstructed, kTruth };
+
+struct RunOptions {
+  std::string store;
+  std::string session = "latest";
+  EmOptions em;
+  int heldout = 3;               // the projector left out of the full-size fit
+  int pool = 1;                  // quads per side of that fit's profiles
+  bool full_evaluation = false;  // the other projectors, baselines and ablations on pooled pixels
+  int evaluation_pool = 3;
+  GeometrySource geometry = GeometrySource::kReconstructed;
+  Stage until = Stage::kReport;
+  bool force = false;  // again, even if this fit is complete
+  [[nodiscard]] Status Validate() const;
+  [[nodiscard]] std::string ToJson() const;
+};
+
+struct RunOutcome {
+  std::string session, fit;
+  std::filesystem::path folder;  // STORE/sessions/<id>/fits/<fit>
+  bool was_complete = false;     // nothing had to be done
+  Metrics metrics;
+};
+
+// Everything the report shows.
+struct RunPictures {
+  const SessionFrames* frames = nullptr;
+  const FaceGeometry* face = nullptr;
+  const SurfaceMap* surface = nullptr;
+  const SrdSet* srds = nullptr;
+  const MixtureMap* map = nullptr;
+  std::vector<LightComparison> comparisons;
+  std::vector<LightComparison> homogeneous;  // figure 9 d
+  int heldout = 0;
+};
+
+Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger);
+
+// Folder of the session's newest complete fit; kNotFound when there is none.
+[[nodiscard]] Result<std::filesystem::path> NewestFit(const std::string& store, const std::string& session);
+
+// Writes report/index.html into `folder`.
+Status WriteReport(const std::filesystem::path& folder, const RunPictures& pictures, const Metrics& metrics);
+// Maps as EXR, mesh as PLY.
+Status WriteMaps(const std::filesystem::path& folder, const FaceGeometry& face, const SurfaceMap& surface);
+Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "fitter/separation/separate.h"
+#include "shared/pattern/pattern.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kWidth = 32, kHeight = 24;
+constexpr double kBlackDn = 64.0;
+const SensorNoise kNoise{.black_level_dn = kBlackDn, .gain_e_per_dn = 4.0, .read_noise_dn = 3.0};
+
+// A Bayer mosaic where each projector pixel falls on one site: L = ambient + L_d p + L_g mean(p), per colour.
+struct Mixture {
+  double direct[3] = {400, 300, 200};
+  double global[3] = {900, 500, 150};
+  double projector_black = 0.0;
+  double ambient = 25.0;
+
+  [[nodiscard]] Image<uint16_t> Frame(const Pattern& pattern) const {
+    const double mean = pattern.kind == PatternKind::kWhite ? 1.0 : pattern.kind == PatternKind::kBlack ? 0.0 : 0.5;
+    const auto shown = [&](double v) { return projector_black + (1.0 - projector_black) * v; };
+    Image<uint16_t> frame(kWidth, kHeight);
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        const int c = CfaColour(Cfa::kRggb, x, y);
+        frame(x, y) = static_cast<uint16_t>(
+            std::lround(kBlackDn + ambient + direct[c] * shown(pattern.Intensity(x, y)) + global[c] * shown(mean)));
+      }
+    return frame;
+  }
+};
+
+struct Shots {
+  std::vector<Image<uint16_t>> columns, rows, checkers;
+  Image<uint16_t> white;
+  Image<float> black{kWidth, kHeight};
+
+  explicit Shots(const Mixture& mixture) : white(mixture.Frame({.kind = PatternKind::kWhite})) {
+    const Image<uint16_t> dark = mixture.Frame({.kind = PatternKind::kBlack});
+    std::copy(dark.pixels().begin(), dark.pixels().end(), black.pixels().begin());
+    for (int shift = 0; shift < 4; ++shift) {
+      Pattern p{.kind = PatternKind::kSinusoid, .period = 8, .shift = shift, .shifts = 4};
+      columns.push_back(mixture.Frame(p));
+      p.axis = PatternAxis::kRows;
+      rows.push_back(mixture.Frame(p));
+      checkers.push_back(mixture.Frame({.kind = PatternKind::kCheckerboard, .period = 8, .shift = shift, .shifts = 2}));
+    }
+  }
+  [[nodiscard]] SeparationFrames Views() const {
+    SeparationFrames f{.white = white.view(), .black = black.view()};
+    for (const auto& v : columns) f.column_shifts.push_back(v.view());
+    for (const auto& v : rows) f.row_shifts.push_back(v.view());
+    for (const auto& v : checkers) f.checkerboards.push_back(v.view());
+    return f;
+  }
+};
+
+void ExpectMixture(const Separation& s, const Mixture& m, double tolerance_dn) {
+  ASSERT_EQ(s.counts[0], kWidth / 2 * kHeight / 2);
+  for (int j = 0; j < kHeight / 2; ++j)
+    for (int i = 0; i < kWidth / 2; ++i)
+      for (int c = 0; c < 3; ++c) {
+        ASSERT_NEAR(s.map.direct(i, j, c), m.direct[c], tolerance_dn);
+        ASSERT_NEAR(s.map.global(i, j, c), m.global[c], tolerance_dn);
+        ASSERT_NEAR(s.map.white(i, j, c), m.direct[c] + m.global[c], tolerance_dn);
+      }
+}
+
+TEST(SeparateSinusoids, IsExactOnMixtures) {
+  const Mixture mixture;
+  const Shots shots(mixture);
+  const auto s = SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise);
+  ASSERT_TRUE(s.ok()) << s.status().message();
+  ExpectMixture(*s, mixture, 2.0);  // whole digital numbers
+}
+
+TEST(SeparateSinusoids, TakesTheProjectorsBlackIntoAccount) {
+  const Mixture mixture{.projector_black = 0.1};
+  const Shots shots(mixture);
+  ExpectMixture(*SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise, {.projector_black = 0.1}), mixture, 2.0);
+}
+
+TEST(SeparateCheckerboards, IsExactOnMixtures) {
+  for (double black : {0.0, 0.1}) {
+    const Mixture mixture{.projector_black = black};
+    const Shots shots(mixture);
+    ExpectMixture(*SeparateCheckerboards(shots.Views(), Cfa::kRggb, kNoise, {.projector_black = black}), mixture, 2.0);
+  }
+}
+
+TEST(Separate, IsInvariantToAmbientLight) {
+  const Mixture mixture{.ambient = 700.0};
+  const Shots shots(mixture);
+  ExpectMixture(*SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise), mixture, 2.0);
+  ExpectMixture(*SeparateCheckerboards(shots.Views(), Cfa::kRggb, kNoise), mixture, 2.0);
+}
+
+TEST(Separate, MasksInsteadOfClipping) {
+  const Mixture negative{.global = {-200, -150, -100}};  // a pattern whose contrast exceeds its white
+  const auto n = SeparateSinusoids(Shots(negative).Views(), Cfa::kRggb, kNoise);
+  EXPECT_EQ(n->counts[static_cast<int>(SeparationReason::kNegative)], kWidth / 2 * kHeight / 2);
+  EXPECT_TRUE(std::isnan(n->map.global(3, 3, 0)));
+
+  const Mixture dark{.direct = {1, 1, 1}, .global = {1, 1, 1}};
+  const auto d = SeparateSinusoids(Shots(dark).Views(), Cfa::kRggb, kNoise);
+  EXPECT_EQ(d->counts[static_cast<int>(SeparationReason::kUnlit)], kWidth / 2 * kHeight / 2);
+
+  const Mixture bright{.direct = {4000, 100, 100}};
+  const auto b = SeparateSinusoids(Shots(bright).Views(), Cfa::kRggb, kNoise);
+  EXPECT_EQ(b->counts[static_cast<int>(SeparationReason::kSaturated)], kWidth / 2 * kHeight / 2);
+}
+
+TEST(Separate, RefusesTooFewPatterns) {
+  const Shots shots{Mixture{}};
+  SeparationFrames views = shots.Views();
+  views.column_shifts.resize(2);
+  EXPECT_EQ(SeparateSinusoids(views, Cfa::kRggb, kNoise).status().code(), StatusCode::kUsage);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
