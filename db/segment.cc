@@ -29,7 +29,7 @@ struct FileHeader {
   char session[40];
   uint64_t hash;  // XXH3-64 of all before it
 };
-static_assert(sizeof(FileHeader) == 64);
+static_assert(sizeof(FileHeader) == kSegmentStart);
 
 struct FooterStart {
   uint32_t magic, reserved;

@@ -14,6 +14,8 @@
 
 namespace stratalux::db {
 
+inline constexpr int64_t kSegmentStart = 64;  // the first frame follows the file header
+
 enum class Codec : uint16_t { kRaw8 = 1, kRaw12 = 2, kRaw16 = 3, kF32 = 4 };
 [[nodiscard]] const char* ToString(Codec codec);
 

@@ -96,9 +96,12 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
     std::map<int64_t, int64_t> ends;
     for (const auto& p : places)
       ends[p.segment] = std::max(ends[p.segment], p.offset + static_cast<int64_t>(sizeof(FrameHeader)) + p.bytes);
-    for (const auto& [segment, end] : ends)
-      (void)TruncateSegment(folder / "sessions" / row.info.id / SegmentName(segment), end)
-          .ok();  // `verify` names a missing one
+    // Each segment that is there, also one none of whose frames was acknowledged; `verify` names a missing one.
+    for (int64_t n = 1;; ++n) {
+      const auto file = folder / "sessions" / row.info.id / SegmentName(n);
+      if (!std::filesystem::exists(file)) break;
+      SLX_RETURN_IF_ERROR(TruncateSegment(file, std::max(ends[n], kSegmentStart)));
+    }
     SLX_RETURN_IF_ERROR(index.SetStatus(number, SessionStatus::kFailed,
                                         {"the writer stopped before the session was finished; " +
                                          std::to_string(places.size()) + " acknowledged frames kept"}));

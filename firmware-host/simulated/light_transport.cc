@@ -11,7 +11,8 @@ namespace stratalux::rig {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-// Skin's surface reflection: Fresnel at normal incidence for n = 1.4, roughness of facial skin, GGX facets.
+// Skin's surface reflection: Fresnel at normal incidence for n = 1.4; slope parameter of facial skin (Weyrich et al. 2006 find
+// 0.25 to 0.4 over the face), GGX facets.
 constexpr double kF0 = 0.028;
 constexpr double kRoughness = 0.35;
 
@@ -27,7 +28,7 @@ double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const E
   const double ni = n.dot(in), no = n.dot(out);
   if (ni <= 0.0 || no <= 0.0) return 0.0;
   const Eigen::Vector3d h = (in + out).normalized();
-  const double nh = n.dot(h), a2 = std::pow(kRoughness, 4);
+  const double nh = n.dot(h), a2 = kRoughness * kRoughness;
   const double d = a2 / (kPi * std::pow(nh * nh * (a2 - 1.0) + 1.0, 2));
   auto smith = [a2](double c) { return 2.0 * c / (c + std::sqrt(a2 + (1.0 - a2) * c * c)); };
   const double f = kF0 + (1.0 - kF0) * std::pow(1.0 - std::max(0.0, h.dot(in)), 5);

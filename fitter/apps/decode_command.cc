@@ -65,7 +65,7 @@ Result<double> CompareCorners(const std::string& file, int pose, const DecodedMa
     const auto at = LookUpProjectorPoint(map, Eigen::Vector2d(v[3] - crop_x, v[4] - crop_y));
     if (!at) continue;
     ++found;
-    errors.push_back(std::hypot(at->projector_px.x() - v[5], at->projector_px.y() - v[6]));
+    errors.push_back(std::hypot(at->column_row.x() - v[5], at->column_row.y() - v[6]));
   }
   if (errors.empty()) return -1.0;
   std::nth_element(errors.begin(), errors.begin() + static_cast<int64_t>(errors.size() / 2), errors.end());

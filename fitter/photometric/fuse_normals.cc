@@ -47,26 +47,40 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
   if (photometric.normal.width() != width || photometric.normal.height() != height)
     return Status::Usage("fuse: the photometric normals and the surface differ in size");
 
-  // Channels 0..2: geometric minus photometric; 3: weight, so that holes neither count nor bleed in.
-  Image<float> difference(width, height, 4);
+  // Channels 0..2: photometric minus geometric; 3: weight, so that holes neither count nor bleed in; 4: noise variance.
+  Image<float> difference(width, height, 5);
   const auto both = [&](int i, int j) {
-    return surface.mask(i, j) != 0 && photometric.reason(i, j) == static_cast<uint8_t>(PhotometricReason::kValid);
+    return surface.mask(i, j) != 0 && std::isfinite(photometric.normal_sigma_rad(i, j));
   };
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
       if (!both(i, j)) continue;
-      for (int k = 0; k < 3; ++k) difference(i, j, k) = surface.normal(i, j, k) - photometric.normal(i, j, k);
+      for (int k = 0; k < 3; ++k) difference(i, j, k) = photometric.normal(i, j, k) - surface.normal(i, j, k);
       difference(i, j, 3) = 1.0F;
+      difference(i, j, 4) = photometric.normal_sigma_rad(i, j) * photometric.normal_sigma_rad(i, j);
     }
   const std::vector<float> taps = GaussianTaps(options.sigma_quads);
   const Image<float> smooth = Convolve(Convolve(difference, taps, 1, 0), taps, 0, 1);
+
+  Image<float> energy(width, height);  // |D - G D|^2
+  for (int j = 0; j < height; ++j)
+    for (int i = 0; i < width; ++i) {
+      if (!both(i, j)) continue;
+      for (int k = 0; k < 3; ++k) {
+        difference(i, j, k) -= smooth(i, j, k) / smooth(i, j, 3);
+        energy(i, j) += difference(i, j, k) * difference(i, j, k);
+      }
+    }
+  const Image<float> local_energy = Convolve(Convolve(energy, taps, 1, 0), taps, 0, 1);
 
   Image<float> fused = surface.normal;
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
       if (!both(i, j)) continue;
+      const float noise = smooth(i, j, 4);
+      const float gain = local_energy(i, j) > noise ? 1.0F - noise / local_energy(i, j) : 0.0F;
       Eigen::Vector3f n;
-      for (int k = 0; k < 3; ++k) n[k] = photometric.normal(i, j, k) + smooth(i, j, k) / smooth(i, j, 3);
+      for (int k = 0; k < 3; ++k) n[k] = surface.normal(i, j, k) + gain * difference(i, j, k);
       n.normalize();
       for (int k = 0; k < 3; ++k) fused(i, j, k) = n[k];
     }

@@ -14,8 +14,11 @@ struct FuseOptions {
   [[nodiscard]] Status Validate() const;
 };
 
-// normal = photometric + blur(geometric - photometric), unit length; the geometric normal where there is no
-// photometric one. W x H x 3, NaN outside the surface. kUsage: sizes differ.
+// With D = photometric - geometric normal and G a Gaussian over the known quads,
+//   normal = geometric + gain (D - G D),   gain = max(0, 1 - G sigma^2 / G |D - G D|^2)
+// to unit length: low frequencies are the surface's; the detail is added as far as it exceeds the photometric noise
+// (Wiener's gain, from normal_sigma_rad). Where fewer than four sources agree the geometric normal is kept. W x H x 3,
+// NaN outside the surface. kUsage: sizes differ.
 [[nodiscard]] Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,
                                                const FuseOptions& options = {});
 

@@ -28,6 +28,7 @@ struct Solution {
   int used = 0;
   unsigned used_mask = 0;
   double residual = std::nan("");
+  double normal_sigma_rad = std::nan("");
   PhotometricReason reason = PhotometricReason::kValid;
 };
 
@@ -110,7 +111,10 @@ class PointSolver {
     out.scaled_normal = svd.solve(y);
     out.used = 4;
     out.used_mask = 0b1111;
-    out.residual = (l * out.scaled_normal - y).norm() / std::sqrt(4.0) / brightest;
+    const double misfit = (l * out.scaled_normal - y).norm();
+    out.residual = misfit / std::sqrt(4.0) / brightest;
+    // trace (L^T L)^-1 is the sum of the inverse squared singular values.
+    out.normal_sigma_rad = misfit * svd.singularValues().cwiseInverse().norm() / out.scaled_normal.norm();
     return out;
   }
 
@@ -174,6 +178,7 @@ class Estimator {
     for (int k = 0; k < 3; ++k) map.normal(i, j, k) = static_cast<float>(n[k]);
     map.usable(i, j) = static_cast<uint8_t>(s.used);
     map.residual(i, j) = static_cast<float>(s.residual);
+    map.normal_sigma_rad(i, j) = static_cast<float>(s.normal_sigma_rad);
     WriteAlbedo(i, j, sources, s.used_mask, n, map);
   }
 
@@ -265,10 +270,13 @@ Result<PhotometricMap> EstimateNormals(std::span<const ImageView<const float>> d
   if (!(exposure_ms > 0.0)) return Status::Usage("photometric: the exposure must be positive");
   const int width = surface.width(), height = surface.height();
   const float nan = std::nanf("");
-  PhotometricMap map{
-      Image<float>(width, height, 3, nan), Image<float>(width, height, QuadChannels(rig.camera.cfa), nan),
-      Image<float>(width, height, 1, nan), Image<uint8_t>(width, height),
-      Image<uint8_t>(width, height),       {}};
+  PhotometricMap map{Image<float>(width, height, 3, nan),
+                     Image<float>(width, height, QuadChannels(rig.camera.cfa), nan),
+                     Image<float>(width, height, 1, nan),
+                     Image<float>(width, height, 1, nan),
+                     Image<uint8_t>(width, height),
+                     Image<uint8_t>(width, height),
+                     {}};
   const Estimator estimator(direct, surface, rig, exposure_ms, options);
   ParallelFor(height, 4, [&](int64_t begin, int64_t end) {
     for (int64_t j = begin; j < end; ++j)

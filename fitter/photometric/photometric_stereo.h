@@ -39,6 +39,10 @@ struct PhotometricMap {
   Image<float> normal;    // W x H x 3, unit, out of the skin; NaN where invalid
   Image<float> albedo;    // W x H x C of the direct light; NaN where invalid
   Image<float> residual;  // W x H, rms of the used sources over the brightest; NaN with three sources
+  // W x H, rad: standard deviation of the normal (both tilts together) if the residual is noise,
+  //   sigma_y sqrt(trace (L^T L)^-1) / albedo,  sigma_y^2 = sum of squared residuals (one degree of freedom);
+  // noisy itself, to be averaged over neighbours. NaN with three sources.
+  Image<float> normal_sigma_rad;
   Image<uint8_t> usable;  // W x H, number of sources used
   Image<uint8_t> reason;  // W x H, PhotometricReason
   std::array<int64_t, kPhotometricReasons> counts{};

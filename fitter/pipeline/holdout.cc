@@ -100,7 +100,7 @@ Image<uint8_t> SkinMask(const HoldOutInput& in, const MixtureMap& map) {
 }  // namespace
 
 Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                           const std::vector<Image<uint8_t>>& lit, int pool) {
+                           const std::vector<Image<uint8_t>>& lit, int pool, Logger& logger) {
   const RigCalibration& rig = *frames.calibration();
   const PlanOptions& plan = *frames.plan();
   const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step, plan.exposure_ms};
@@ -121,6 +121,10 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
       extractor.AddFrame(k, raw, dark);
     }
     set.batches.push_back(extractor.Take());
+    std::string text = "SRDs of projector " + std::to_string(p) + ":";
+    for (int r = 0; r < kSrdReasons; ++r)
+      text += std::string(r == 0 ? " " : ", ") + ToString(static_cast<SrdReason>(r)) + " " + std::to_string(extractor.counts()[r]);
+    logger.Info(text);
     set.width = extractor.width();
     set.height = extractor.height();
     set.channels = QuadChannels(rig.camera.cfa);

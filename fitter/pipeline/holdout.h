@@ -20,7 +20,7 @@ struct SrdSet {
   std::vector<SrdBatch> batches;
 };
 [[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                                         const std::vector<Image<uint8_t>>& lit, int pool);
+                                         const std::vector<Image<uint8_t>>& lit, int pool, Logger& logger);
 
 // The batches of all projectors but one.
 [[nodiscard]] std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout,

@@ -132,9 +132,12 @@ ReportSection SrdOfPixel(const RunPictures& in) {
     const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
     std::vector<std::array<double, 3>> points;
     const double period = double(b.step_mm[profile]) * b.samples;
+    const size_t light = static_cast<size_t>(trained - map.training_projectors.begin());
+    const bool is_trained = trained != map.training_projectors.end();
+    const double floor = is_trained ? map.background[profile * map.training_projectors.size() + light] : 0.0;
     for (int k = 0; k < b.samples; ++k)
       points.push_back({std::remainder(b.first_u_mm[profile] + k * double(b.step_mm[profile]), period),
-                        b.y[profile * b.samples + k], predicted[k]});
+                        b.y[profile * b.samples + k], predicted[k] + floor});
     std::sort(points.begin(), points.end());
     ReportSeries measured{"measured", {}, {}, true},
         fitted{trained == map.training_projectors.end() ? "predicted" : "fitted", {}, {}, false};

@@ -149,7 +149,7 @@ Status Ablate(Work& w, const SrdSet& srds, int projector, double baseline) {
 Status EvaluateFully(Work& w) {
   const int projectors = static_cast<int>(w.frames.calibration()->projectors.size());
   w.clock.Start("evaluate: SRDs of pooled pixels");
-  SLX_ASSIGN_OR_RETURN(const auto pooled, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool));
+  SLX_ASSIGN_OR_RETURN(const auto pooled, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool, w.logger));
   std::vector<std::string> lights = {"stripe", "white"};
   if (w.frames.plan()->spot_radius > 0) lights.push_back("spot");
   for (int p = 0; p < projectors; ++p) {
@@ -164,7 +164,7 @@ Status EvaluateFully(Work& w) {
   w.clock.Start("evaluate: true geometry");
   SLX_ASSIGN_OR_RETURN(const auto true_surface, w.truth->Surface(*w.frames.calibration()));
   SLX_ASSIGN_OR_RETURN(const auto true_srds,
-                       ExtractSrds(w.frames, true_surface, w.face.lit, w.options.evaluation_pool));
+                       ExtractSrds(w.frames, true_surface, w.face.lit, w.options.evaluation_pool, w.logger));
   double stripe = 0.0;
   return EvaluatePooled(w, true_srds, true_surface, w.options.heldout, "truth", lights, &stripe);
 }
@@ -197,6 +197,10 @@ Status WriteText(const std::filesystem::path& file, const std::string& text) {
 Status RunStages(Work& w, const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(w.face, ReconstructFace(w.frames, w.clock, w.logger));
   w.surface = w.face.surface;
+  std::string decoded = "decoded sites:";
+  for (int r = 0; r < kDecodeReasons; ++r)
+    decoded += std::string(r == 0 ? " " : ", ") + ToString(static_cast<DecodeReason>(r)) + " " + std::to_string(w.face.decode_counts[r]);
+  w.logger.Info(decoded);
   if (w.options.geometry == GeometrySource::kTruth) {
     if (!w.truth)
       return Status::Usage("session " + w.frames.info().id +
@@ -206,7 +210,7 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   SLX_RETURN_IF_ERROR(WriteMaps(folder, w.face, w.surface));
   if (w.options.until < Stage::kSrd) return Status::Ok();
   w.clock.Start("srd");
-  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.pool));
+  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.pool, w.logger));
   if (w.options.until < Stage::kFit) return Status::Ok();
   w.clock.Start("fit");
   SLX_ASSIGN_OR_RETURN(w.map, FitLayers(w.srds, w.options.heldout, w.options.em, w.logger, "fit"));

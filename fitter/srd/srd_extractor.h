@@ -27,7 +27,7 @@ struct SrdOptions {
   int pool = 1;           // pool x pool quads make one profile
   double min_cos = 0.15;  // grazing light or view beyond about 81 degrees carries no usable SRD
   // A profile is too dark when its cycle sum is below this many standard deviations of itself.
-  double min_signal_to_noise = 20.0;
+  double min_signal_to_noise = 5.0;
   [[nodiscard]] Status Validate() const;
 };
 

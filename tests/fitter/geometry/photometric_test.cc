@@ -5,6 +5,7 @@
 
 #include "fitter/photometric/fuse_normals.h"
 #include "fitter/photometric/photometric_stereo.h"
+#include "shared/base/random.h"
 #include "tests/fitter/geometry/synthetic_rig.h"
 
 namespace stratalux::fit {
@@ -128,6 +129,43 @@ TEST_F(LambertSphere, FusionTakesLowFrequenciesFromTheSurface) {
   const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
   ASSERT_TRUE(fused.ok());
   for (int i = 50; i < 70; ++i) EXPECT_NEAR((*fused)(i, 48, 0) - truth_.normal(i, 48, 0), ripple(i), 0.01) << i;
+}
+
+TEST_F(LambertSphere, FusionDoesNotAddNoiseToAGoodSurface) {
+  Random random(5);
+  for (Image<float>& image : direct_)
+    for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.03 * random.Normal());
+  const PhotometricMap map = Estimate(rig_);
+  const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
+  ASSERT_TRUE(fused.ok());
+  double photometric = 0.0, after = 0.0;
+  for (int j = 38; j < 58; ++j)
+    for (int i = 50; i < 70; ++i) {
+      if (map.usable(i, j) != 4) continue;
+      for (int k = 0; k < 3; ++k) {
+        photometric += std::pow(map.normal(i, j, k) - truth_.normal(i, j, k), 2);
+        after += std::pow((*fused)(i, j, k) - truth_.normal(i, j, k), 2);
+      }
+    }
+  EXPECT_GT(photometric, 0.0);
+  EXPECT_LT(after, 0.1 * photometric);
+}
+
+TEST_F(LambertSphere, PredictsTheNoiseOfItsNormals) {
+  Random random(6);
+  for (Image<float>& image : direct_)
+    for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.01 * random.Normal());
+  const PhotometricMap map = Estimate(rig_);
+  double error = 0.0, predicted = 0.0;
+  for (int j = 38; j < 58; ++j)
+    for (int i = 50; i < 70; ++i) {
+      ASSERT_EQ(map.usable(i, j), 4);
+      for (int k = 0; k < 3; ++k) error += std::pow(map.normal(i, j, k) - truth_.normal(i, j, k), 2);
+      predicted += std::pow(map.normal_sigma_rad(i, j), 2);
+    }
+  // The trace also counts the error along the normal, which moves the albedo alone.
+  EXPECT_LT(error, 1.15 * predicted);
+  EXPECT_GT(error, 0.5 * predicted);
 }
 
 }  // namespace

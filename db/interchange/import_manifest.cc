@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/interchange/import_manifest.h"
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <set>
+
+#include "shared/config/toml_reader.h"
+
+namespace stratalux::db {
+namespace {
+
+constexpr int kLargestSide = 65536;
+constexpr int kMostPoses = 100000;
+
+struct Pose {
+  int index = -1;
+  std::string folder;
+  int crop_x = 0, crop_y = 0, width = 0, height = 0;
+};
+
+struct Shot {
+  std::string file, where;
+  FrameRecord record;
+};
+
+struct Projectors {
+  int count = 1, width = 0, height = 0;
+};
+
+Status At(const TomlTable& table, const std::string& key, const std::string& message) {
+  return Status::Usage(table.Where(key) + ": " + key + ": " + message);
+}
+
+CapturePhase PhaseOf(PatternKind kind) {
+  switch (kind) {
+    case PatternKind::kGray:
+      return CapturePhase::kCorrespondence;
+    case PatternKind::kCheckerboard:
+    case PatternKind::kSinusoid:
+      return CapturePhase::kSeparation;
+    case PatternKind::kComb:
+      return CapturePhase::kSweep;
+    case PatternKind::kSpots:
+      return CapturePhase::kSpot;
+    case PatternKind::kBlack:
+    case PatternKind::kWhite:
+      break;
+  }
+  return CapturePhase::kReference;
+}
+
+Result<Cfa> ParseCfa(const std::string& text) {
+  constexpr std::array<const char*, 5> kNames = {"mono", "rggb", "bggr", "grbg", "gbrg"};
+  for (size_t i = 0; i < kNames.size(); ++i)
+    if (text == kNames[i]) return static_cast<Cfa>(i);
+  return Status::Usage("'" + text + "' is unknown; allowed: mono, rggb, bggr, grbg, gbrg");
+}
+
+// Fills what all frames share. Getters remember their own complaints until Finish().
+Status ReadHead(TomlTable head, ImportManifest& manifest, FrameRecord& common, Projectors& projectors) {
+  std::string kind = "calibration", cfa = "mono", alignment = "high";
+  for (const char* key : {"rig", "camera_width", "camera_height", "bit_depth", "projector_width", "projector_height"})
+    head.Require(key);
+  head.Get("rig", manifest.info.rig);
+  head.Get("visitor", manifest.info.visitor);
+  head.Get("kind", kind);
+  head.Get("cfa", cfa);
+  head.Get("alignment", alignment);
+  head.Get("camera_width", manifest.camera_width, 1, kLargestSide);
+  head.Get("camera_height", manifest.camera_height, 1, kLargestSide);
+  head.Get("bit_depth", manifest.bit_depth, 8, 16);
+  head.Get("projectors", projectors.count, 1, 16);
+  head.Get("projector_width", projectors.width, 16, 8192);
+  head.Get("projector_height", projectors.height, 16, 8192);
+  head.Get("exposure_ms", common.exposure_ms, 0.0, 10000.0);
+
+  const auto parsed_kind = ParseSessionKind(kind);
+  if (!parsed_kind.ok()) return At(head, "kind", parsed_kind.status().message());
+  manifest.info.kind = *parsed_kind;
+  const auto parsed_cfa = ParseCfa(cfa);
+  if (!parsed_cfa.ok()) return At(head, "cfa", parsed_cfa.status().message());
+  common.cfa = *parsed_cfa;
+  if (alignment != "high" && alignment != "low")
+    return At(head, "alignment", "'" + alignment + "' is unknown; allowed: high, low");
+  manifest.alignment = alignment == "high" ? SampleAlignment::kHigh : SampleAlignment::kLow;
+  switch (manifest.bit_depth) {
+    case 8:
+      common.format = PixelFormat::kMono8;
+      return Status::Ok();
+    case 12:
+      common.format = PixelFormat::kMono12;
+      return Status::Ok();
+    case 16:
+      common.format = PixelFormat::kMono16;
+      return Status::Ok();
+    default:
+      return At(head, "bit_depth", std::to_string(manifest.bit_depth) + " is not 8, 12 or 16");
+  }
+}
+
+Result<std::vector<Pose>> ReadPoses(std::vector<TomlTable> tables, const ImportManifest& manifest) {
+  std::vector<Pose> poses;
+  std::set<int> seen;
+  for (TomlTable& table : tables) {
+    Pose pose;
+    table.Require("index");
+    table.Get("index", pose.index, 0, kMostPoses);
+    table.Get("folder", pose.folder);
+    table.Get("crop_x", pose.crop_x, 0, manifest.camera_width - 1);
+    table.Get("crop_y", pose.crop_y, 0, manifest.camera_height - 1);
+    table.Get("width", pose.width, 1, manifest.camera_width);
+    table.Get("height", pose.height, 1, manifest.camera_height);
+    if (!seen.insert(pose.index).second && pose.index >= 0)
+      return At(table, "index", std::to_string(pose.index) + " is used twice");
+    poses.push_back(pose);
+  }
+  if (poses.empty()) poses.emplace_back();  // a manifest without poses: one, at the root
+  return poses;
+}
+
+// "g##.png", 7 -> "g07.png"; empty without a run of '#'.
+std::string Numbered(const std::string& sequence, int number) {
+  const size_t first = sequence.find('#');
+  if (first == std::string::npos) return {};
+  const size_t last = std::min(sequence.find_first_not_of('#', first), sequence.size());
+  char digits[32];
+  std::snprintf(digits, sizeof digits, "%0*d", static_cast<int>(std::min<size_t>(last - first, 9)), number);
+  return sequence.substr(0, first) + digits + sequence.substr(last);
+}
+
+Status AddShot(const TomlTable& table, const std::string& key, const std::string& file, const std::string& pattern,
+               const std::string& phase, const Projectors& projectors, Shot shot, std::vector<Shot>& shots) {
+  const auto parsed = Pattern::Parse(pattern);
+  if (!parsed.ok()) return At(table, key, parsed.status().message());
+  const Status fits = parsed->Validate(projectors.width, projectors.height);
+  if (!fits.ok()) return At(table, key, fits.message());
+  shot.record.pattern = *parsed;
+  shot.record.phase = PhaseOf(parsed->kind);
+  if (!phase.empty()) {
+    const auto named = ParseCapturePhase(phase);
+    if (!named.ok()) return At(table, "phase", named.status().message());
+    shot.record.phase = *named;
+  }
+  if (shot.record.projector >= projectors.count)
+    return At(table, "projector",
+              std::to_string(shot.record.projector) + " is out of range, allowed: 0 .. " +
+                  std::to_string(projectors.count - 1));
+  shot.file = file;
+  shot.where = table.Where();
+  shots.push_back(std::move(shot));
+  return Status::Ok();
+}
+
+// One entry: `file` with `pattern`, or `sequence` (with `first`) and `patterns`.
+Status ReadEntry(TomlTable& table, const Projectors& projectors, const FrameRecord& common, std::vector<Shot>& shots) {
+  std::string file, pattern, sequence, phase;
+  std::vector<std::string> patterns;
+  int first = 0;
+  Shot shot{{}, {}, common};
+  shot.record.projector = 0;
+  table.Get("file", file);
+  table.Get("pattern", pattern);
+  table.Get("sequence", sequence);
+  table.Get("patterns", patterns);
+  table.Get("first", first, 0, 99999999);
+  table.Get("phase", phase);
+  table.Get("projector", shot.record.projector, 0, 15);
+  table.Get("exposure_ms", shot.record.exposure_ms, 0.0, 10000.0);
+  table.Get("bracket", shot.record.bracket, 0, 7);
+  if (file.empty() == sequence.empty())
+    return Status::Usage(table.Where() + ": an entry needs either file and pattern, or sequence and patterns");
+  if (!file.empty()) {
+    if (pattern.empty() || !patterns.empty())
+      return Status::Usage(table.Where() + ": the entry of '" + file + "' needs one pattern");
+    return AddShot(table, "pattern", file, pattern, phase, projectors, shot, shots);
+  }
+  if (patterns.empty() || !pattern.empty()) return At(table, "sequence", "needs a list of patterns");
+  if (Numbered(sequence, 0).empty())
+    return At(table, "sequence", "'" + sequence + "' has no '#' in the number's place, such as g##.png");
+  for (size_t i = 0; i < patterns.size(); ++i)
+    SLX_RETURN_IF_ERROR(AddShot(table, "patterns", Numbered(sequence, first + static_cast<int>(i)), patterns[i], phase,
+                                projectors, shot, shots));
+  return Status::Ok();
+}
+
+Status ReadEntries(std::vector<TomlTable> tables, const Projectors& projectors, const FrameRecord& common,
+                   std::vector<Shot>& shots) {
+  for (TomlTable& table : tables) SLX_RETURN_IF_ERROR(ReadEntry(table, projectors, common, shots));
+  return Status::Ok();
+}
+
+ImportFrame FrameOf(const Shot& shot, const Pose& pose, const std::filesystem::path& root) {
+  ImportFrame frame{root / pose.folder / shot.file, shot.where, shot.record};
+  frame.record.pose = pose.index;
+  frame.record.crop_x = pose.crop_x;
+  frame.record.crop_y = pose.crop_y;
+  frame.record.width = pose.width;
+  frame.record.height = pose.height;
+  return frame;
+}
+
+}  // namespace
+
+Result<ImportManifest> ReadImportManifest(const ImportOptions& options) {
+  SLX_ASSIGN_OR_RETURN(auto root_table, TomlTable::ParseFile(options.manifest));
+  ImportManifest manifest;
+  FrameRecord common;
+  Projectors projectors;
+  const Status head = ReadHead(root_table.Table("import"), manifest, common, projectors);
+  const auto poses = ReadPoses(root_table.Tables("pose"), manifest);
+  std::vector<Shot> shots;
+  const Status entries = ReadEntries(root_table.Tables("file"), projectors, common, shots);
+  // Type errors and unknown keys come first: what follows from them would mislead.
+  SLX_RETURN_IF_ERROR(root_table.Finish());
+  SLX_RETURN_IF_ERROR(head);
+  SLX_RETURN_IF_ERROR(poses.status());
+  SLX_RETURN_IF_ERROR(entries);
+  if (shots.empty()) return Status::Usage(options.manifest.string() + ": names no file; add [[file]] entries");
+
+  const auto root = options.root.empty() ? options.manifest.parent_path() : options.root;
+  for (const Pose& pose : *poses) {
+    if (options.pose && *options.pose != pose.index) continue;
+    for (const Shot& shot : shots) manifest.frames.push_back(FrameOf(shot, pose, root));
+  }
+  if (manifest.frames.empty())
+    return Status::Usage(options.manifest.string() + ": has no pose " + std::to_string(options.pose.value_or(-1)));
+  for (size_t i = 0; i < manifest.frames.size(); ++i) manifest.frames[i].record.step = static_cast<int>(i);
+  return manifest;
+}
+
+}  // namespace stratalux::db
