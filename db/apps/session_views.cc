@@ -105,7 +105,7 @@ Json FrameJson(const FrameRow& f) {
 
 std::string Line(const std::string& name, const std::string& value) {
   std::string line = name;
-  line.resize(13, ' ');
+  line.resize(18, ' ');
   return value.empty() ? std::string() : line + value + "\n";
 }
 

@@ -11,10 +11,24 @@ namespace stratalux::rig {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-// Skin's surface reflection: Fresnel at normal incidence for n = 1.4; slope parameter of facial skin (Weyrich et al. 2006 find
-// 0.25 to 0.4 over the face), GGX facets.
+// Skin's surface reflection: Fresnel at normal incidence for n = 1.4; slope parameter of facial skin (Weyrich et al.
+// 2006 find 0.25 to 0.4 over the face), GGX facets.
 constexpr double kF0 = 0.028;
 constexpr double kRoughness = 0.35;
+
+// Points (cell column, cell row, footprint column, footprint row) in [-1/2, 1/2]^4: the additive recurrence of Roberts'
+// R4 sequence, whose every beginning covers the box evenly.
+constexpr int kNearPairs = 16, kNearestPairs = 96;
+std::array<std::array<float, 4>, kNearestPairs> FootprintPairs() {
+  constexpr double kPhi4 = 1.1673039782614187;  // root of x^5 = x + 1
+  std::array<std::array<float, 4>, kNearestPairs> points{};
+  for (int k = 0; k < kNearestPairs; ++k)
+    for (int d = 0; d < 4; ++d) {
+      const double x = 0.5 + (k + 1) * std::pow(kPhi4, -(d + 1));
+      points[k][d] = static_cast<float>(x - std::floor(x) - 0.5);
+    }
+  return points;
+}
 
 // First block index of the window of each level, for a pixel at projector position c.
 std::array<int, kLevels> WindowStart(float c) {
@@ -243,24 +257,26 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
     const float stretch = d.norm() / tangential;
     return kernel(x * stretch, y * stretch);
   };
-  // A near cell and the pixel's footprint both have extent: nine pairs of sub-samples integrate the peak over the two.
+  // A near cell and the pixel's footprint both have extent: pairs of sub-samples integrate the peak over the two.
+  static const auto pairs = FootprintPairs();
   auto integrated = [&](const Block& b, int c, int r) {
     const Eigen::Vector2f centre = (static_cast<float>(c) - light.column_row.x()) * step_c +
                                    (static_cast<float>(r) - light.column_row.y()) * step_r;
     const Eigen::Vector3f d = point - b.position;
     const Eigen::Vector2f actual(-d.dot(fx), -d.dot(fy));
-    if ((actual - centre).norm() > 1.0F) return plain(b);            // another part of the face
-    static constexpr int kPairing[9] = {4, 8, 3, 1, 7, 2, 6, 0, 5};  // each footprint third meets each cell third
+    if ((actual - centre).norm() > 1.0F) return plain(b);  // another part of the face
+    // The nearest cells hold the kernel's spike: there, more pairs.
+    const bool nearest = std::abs(static_cast<float>(c) - light.column_row.x()) < 1.6F &&
+                         std::abs(static_cast<float>(r) - light.column_row.y()) < 1.6F;
+    const int count = nearest ? kNearestPairs : kNearPairs;
     float sum = 0.0F;
-    for (int k = 0; k < 9; ++k) {
-      const float ca = static_cast<float>(k % 3 - 1) / 3.0F, cb = static_cast<float>(k / 3 - 1) / 3.0F;
-      const int q = kPairing[k];
-      const float pa = static_cast<float>(q % 3 - 1) / 3.0F, pb = static_cast<float>(q / 3 - 1) / 3.0F;
-      const Eigen::Vector2f entry = centre + ca * step_c + cb * step_r;
-      const Eigen::Vector2f leave = pa * step_u + pb * step_v;
+    for (int k = 0; k < count; ++k) {
+      const auto& p = pairs[k];
+      const Eigen::Vector2f entry = centre + p[0] * step_c + p[1] * step_r;
+      const Eigen::Vector2f leave = p[2] * step_u + p[3] * step_v;
       sum += kernel(leave.x() - entry.x(), leave.y() - entry.y());
     }
-    return sum / 9.0F;
+    return sum / static_cast<float>(count);
   };
 
   const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());

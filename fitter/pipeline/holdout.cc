@@ -43,7 +43,12 @@ Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
                                                  QuadCentre(rig.camera.cfa, i, j), 1, c, plan.exposure_ms);
         if (!(g.white_dn > 0.0)) continue;
         const double wave = 2.0 * std::numbers::pi / (plan.separation_period * g.mm_per_column);
-        const double seen = std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
+        // The amplitude is taken site by site, so the blur of a single site (that of red) counts, also for the two
+        // greens.
+        const double blur = ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
+                                               QuadCentre(rig.camera.cfa, i, j), 1, 0, plan.exposure_ms)
+                                .blur_mm;
+        const double seen = std::exp(-0.5 * wave * wave * blur * blur);
         double narrow = 0.0;
         for (int l = 0; l < map.layers; ++l) {
           const double sigma = map.sigma_mm[profile * map.layers + l];
@@ -123,7 +128,8 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
     set.batches.push_back(extractor.Take());
     std::string text = "SRDs of projector " + std::to_string(p) + ":";
     for (int r = 0; r < kSrdReasons; ++r)
-      text += std::string(r == 0 ? " " : ", ") + ToString(static_cast<SrdReason>(r)) + " " + std::to_string(extractor.counts()[r]);
+      text += std::string(r == 0 ? " " : ", ") + ToString(static_cast<SrdReason>(r)) + " " +
+              std::to_string(extractor.counts()[r]);
     logger.Info(text);
     set.width = extractor.width();
     set.height = extractor.height();

@@ -17,9 +17,10 @@ namespace {
 struct Receiver {
   Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
   double gain = 1.0;
-  double footprint2 = 0.0;  // variance of the camera pixel's box on the surface, mm^2
-  double pitch_mm = 1.0;    // of the light's pixels on the surface
-  Eigen::Vector2d column_row;
+  double footprint2 = 0.0;       // variance of the camera pixel's box on the surface, mm^2
+  double facing_pitch_mm = 1.0;  // of the light's pixels on a plane that faces it
+  double pitch_mm = 1.0;         // the same on the surface: the mean of both axes
+  double window_sigmas = 3.6;
 };
 
 Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
@@ -50,12 +51,13 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
                py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
   const double spread = rig.camera.cfa != Cfa::kMono && channel == 1 ? 1.0 / 12.0 + 0.25 : 1.0 / 12.0;
   r.footprint2 = (spread + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
-  const auto at = light.ProjectFromCamera(r.point);
-  if (!at) return std::nullopt;
-  r.column_row = *at;
   // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
   const double distance = (light.CentreInCamera() - r.point).norm();
-  r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
+  r.facing_pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy);
+  r.pitch_mm = r.facing_pitch_mm / std::sqrt(cos_in);
+  // Offsets along the normal do not count as distance. Where light grazes (the rim of a nose's shadow), such neighbours
+  // lie far off in the light's image; elsewhere they are hidden behind the point itself.
+  if (cos_in < 0.5) r.window_sigmas *= 2.5;
   return r;
 }
 
@@ -71,13 +73,13 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
 float GatherLevel(const Receiver& r, const Image<LitSample>& level, int block, const Eigen::Vector3d& centre,
                   const Eigen::Vector2d& at, double sigma, int channel) {
   const double half_inverse2 = 0.5 / (sigma * sigma);
-  const double reach = 3.6 * sigma / (r.pitch_mm * block) + 1.0;
+  const double reach = r.window_sigmas * sigma / (r.facing_pitch_mm * block) + 1.0;
   const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
-  // The pitch is a mean: allow for a surface that is tilted along one axis.
-  const int x0 = std::max(0, static_cast<int>(std::floor(bx - 1.3 * reach))),
-            x1 = std::min(level.width() - 1, static_cast<int>(std::ceil(bx + 1.3 * reach)));
-  const int y0 = std::max(0, static_cast<int>(std::floor(by - 1.3 * reach))),
-            y1 = std::min(level.height() - 1, static_cast<int>(std::ceil(by + 1.3 * reach)));
+  // Pixels are never finer on the surface than on a plane that faces the light, so this window holds the whole reach.
+  const int x0 = std::max(0, static_cast<int>(std::ceil(bx - reach))),
+            x1 = std::min(level.width() - 1, static_cast<int>(std::floor(bx + reach)));
+  const int y0 = std::max(0, static_cast<int>(std::ceil(by - reach))),
+            y1 = std::min(level.height() - 1, static_cast<int>(std::floor(by + reach)));
   const Eigen::Vector3f n = r.normal.cast<float>(), c = centre.cast<float>();
   const float q = static_cast<float>(half_inverse2);
   float sum = 0.0F;

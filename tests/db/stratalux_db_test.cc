@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// The command line: what it prints and how it exits.
+#include <cstdio>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+#include <sys/wait.h>
+
+#include "shared/image/png.h"
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+using ::testing::HasSubstr;
+
+struct Outcome {
+  int code = -1;
+  std::string output;  // stdout
+};
+
+Outcome Shell(const std::string& command) {
+  Outcome outcome;
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return outcome;
+  char buffer[4096];
+  for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.output.append(buffer, n);
+  const int status = pclose(pipe);
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+class StrataluxDb : public StoreTest {
+ protected:
+  [[nodiscard]] Outcome Db(const std::string& arguments, const std::string& redirect = "2>/dev/null") const {
+    return Shell("STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR + "/stratalux-db " + arguments + " " +
+                 redirect);
+  }
+  [[nodiscard]] nlohmann::json Json(const std::string& arguments) const {
+    return nlohmann::json::parse(Db(arguments + " --json").output, nullptr, false);
+  }
+};
+
+TEST_F(StrataluxDb, ListsAndShowsSessions) {
+  const std::string first = StoreSession(1), second = StoreSession(3);
+  ASSERT_TRUE(OpenStore().RegisterFit({"f1", second, "{}", R"({"rms": 0.25})", {5}}).ok());
+  const auto list = Json("ls");
+  ASSERT_EQ(list.size(), 2U);
+  EXPECT_EQ(list[0]["session"], second);
+  EXPECT_EQ(list[0]["frames"], 3);
+  EXPECT_EQ(list[0]["bytes"], 3 * 36);
+  EXPECT_EQ(list[0]["fits"], 1);
+  EXPECT_EQ(list[1]["fits"], 0);
+  EXPECT_THAT(Db("ls").output, HasSubstr(first));
+  const auto show = Json("show latest");
+  EXPECT_EQ(show["session"], second);
+  EXPECT_EQ(show["status"], "complete");
+  EXPECT_EQ(show["fits"][0]["metrics"]["rms"], 0.25);
+  EXPECT_THAT(Db("show s000001").output, HasSubstr(first));
+}
+
+TEST_F(StrataluxDb, FiltersAndExtractsFrames) {
+  StoreSession(6);
+  const auto frames = Json("frames latest --projector 1 --phase correspondence");
+  ASSERT_EQ(frames.size(), 2U);
+  EXPECT_EQ(frames[0]["step"], 1);
+  EXPECT_EQ(frames[1]["step"], 5);
+  EXPECT_EQ(frames[0]["pattern"], "gray rows bit=3/10 inverse");
+  EXPECT_EQ(Json("frames latest --phase sweep").size(), 0U);
+  ASSERT_EQ(Db("frames latest --projector 1 --extract " + (folder_ / "out").string()).code, 0);
+  int bits = 0;
+  const auto image = ReadPng(folder_ / "out" / "000005-gray-rows-bit-3-10-inverse.png", &bits);
+  ASSERT_TRUE(image.ok()) << image.status().message();
+  EXPECT_EQ(bits, 16);
+  const auto expected = PixelsFor(RecordFor(5, PixelFormat::kMono12, 6, 4));
+  for (size_t i = 0; i < expected.size(); ++i) EXPECT_EQ(image->data()[i], expected.data()[i] << 4);
+}
+
+TEST_F(StrataluxDb, VerifyExitsWith6AndNamesTheOffset) {
+  const std::string id = StoreSession(2), other = StoreSession(1);
+  EXPECT_EQ(Db("verify").code, 0);
+  auto bytes = ReadBytes(Segment(id));
+  bytes[64 + 320 + 36 + 320 + 5] ^= 4U;  // payload of the second frame
+  WriteBytes(Segment(id), bytes);
+  const Outcome all = Db("verify");
+  EXPECT_EQ(all.code, 6);
+  EXPECT_THAT(all.output, HasSubstr("offset 420"));
+  EXPECT_EQ(Db("verify " + other).code, 0);
+  EXPECT_EQ(Json("verify " + id)[0]["problems"].size(), 1U);
+}
+
+TEST_F(StrataluxDb, InitMakesAStore) {
+  const std::string store = (folder_ / "new" / "store").string();
+  EXPECT_EQ(Db("ls --store " + store).code, 4);
+  EXPECT_EQ(Db("init --store " + store).code, 0);
+  EXPECT_EQ(Db("ls --json --store " + store).output, "[]\n");
+}
+
+TEST_F(StrataluxDb, ExitsWithTheDocumentedCodes) {
+  StoreSession(1);
+  StoreSession(1);
+  EXPECT_EQ(Db("--version").code, 0);
+  EXPECT_THAT(Db("ls --help").output, HasSubstr("Examples:"));
+  EXPECT_EQ(Db("").code, 2);
+  EXPECT_EQ(Db("frobnicate").code, 2);
+  EXPECT_EQ(Db("show").code, 2);
+  EXPECT_EQ(Db("show s00000").code, 2);
+  EXPECT_EQ(Db("show nobody").code, 4);
+  EXPECT_EQ(Db("frames latest --phase party").code, 2);
+  EXPECT_EQ(Db("import --manifest " + (folder_ / "none.toml").string()).code, 2);
+  EXPECT_EQ(Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db ls 2>/dev/null").code, 2);
+}
+
+TEST_F(StrataluxDb, KeepsMessagesOffStdout) {
+  const Outcome outcome = Db("show nobody");
+  EXPECT_EQ(outcome.output, "");
+  EXPECT_THAT(Db("show nobody", "2>&1").output, HasSubstr("nobody"));
+  EXPECT_EQ(Db("ls", ">/dev/full 2>/dev/null").code, 1) << "a full disk must not pass for success";
+}
+
+}  // namespace
+}  // namespace stratalux::db

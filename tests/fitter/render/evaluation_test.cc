@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <numbers>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "fitter/evaluation/image_error.h"
+#include "fitter/evaluation/metrics.h"
+#include "fitter/evaluation/truth.h"
+#include "shared/base/random.h"
+#include "shared/units/angle.h"
+
+namespace stratalux::fit {
+namespace {
+
+const Image<uint8_t> kEverywhere(64, 48, 1, 1);
+
+// A smooth picture with three different channels, values 100 .. 900.
+Image<float> Picture() {
+  Image<float> image(64, 48, 3);
+  for (int y = 0; y < 48; ++y)
+    for (int x = 0; x < 64; ++x)
+      for (int c = 0; c < 3; ++c)
+        image(x, y, c) = static_cast<float>(500.0 + 400.0 * std::sin(0.2 * x + c) * std::cos(0.15 * y));
+  return image;
+}
+
+TEST(CompareImages, FindsNoErrorInEqualPictures) {
+  const ImageError e = CompareImages(Picture(), Picture(), kEverywhere);
+  EXPECT_EQ(e.nrmse, 0.0);
+  EXPECT_NEAR(e.ssim, 1.0, 1e-9);
+  EXPECT_EQ(e.pixels, 64 * 48);
+}
+
+TEST(CompareImages, CallsATenPercentGainTenPercent) {
+  Image<float> brighter = Picture();
+  for (float& v : brighter.pixels()) v *= 1.1F;
+  const ImageError e = CompareImages(Picture(), brighter, kEverywhere);
+  EXPECT_NEAR(e.nrmse, 0.1, 1e-5);
+  for (double channel : e.nrmse_channel) EXPECT_NEAR(channel, 0.1, 1e-5);
+}
+
+TEST(CompareImages, TellsTheChannelsApart) {
+  const Image<float> reference(64, 48, 3, 200.0F);
+  Image<float> estimate = reference;
+  for (size_t i = 1; i < estimate.size(); i += 3) estimate.pixels()[i] = 260.0F;
+  const ImageError e = CompareImages(reference, estimate, kEverywhere);
+  EXPECT_EQ(e.nrmse_channel[0], 0.0);
+  EXPECT_NEAR(e.nrmse_channel[1], 0.3, 1e-6);
+  EXPECT_EQ(e.nrmse_channel[2], 0.0);
+  EXPECT_NEAR(e.nrmse, 0.3 / std::sqrt(3.0), 1e-6);
+}
+
+TEST(CompareImages, MeasuresTheDecibelsOfKnownNoise) {
+  const Image<float> reference(64, 48, 3, 1000.0F);
+  Image<float> noisy = reference;
+  Random random(11);
+  for (float& v : noisy.pixels()) v += static_cast<float>(10.0 * random.Normal());
+  // Peak 1000 over noise 10: 40 dB; 9216 samples know the variance to 1.5 %.
+  EXPECT_NEAR(CompareImages(reference, noisy, kEverywhere).psnr_db, 40.0, 0.25);
+}
+
+TEST(CompareImages, TakesThePeakAtTheUpperMilleOfTheReference) {
+  Image<float> reference(64, 48, 1, 100.0F);
+  reference(3, 3) = 4000.0F;  // one hot pixel of 3072 lies above the 99.9th percentile
+  Image<float> estimate = reference;
+  for (float& v : estimate.pixels()) v += 1.0F;
+  EXPECT_NEAR(CompareImages(reference, estimate, kEverywhere).psnr_db, 40.0, 1e-6);
+}
+
+TEST(CompareImages, FollowsTheFormulaOfStructuralSimilarityOnConstants) {
+  // Constant pictures have no structure: SSIM is the luminance term alone.
+  const Image<float> a(64, 48, 1, 100.0F), b(64, 48, 1, 60.0F);
+  const double c1 = 1.0;  // (0.01 peak)^2
+  EXPECT_NEAR(CompareImages(a, b, kEverywhere).ssim, (2 * 100.0 * 60.0 + c1) / (100.0 * 100.0 + 60.0 * 60.0 + c1),
+              1e-6);
+}
+
+TEST(CompareImages, FollowsTheFormulaOfStructuralSimilarityOnContrast) {
+  // A one-pixel checkerboard of half the contrast: same mean, covariance k v against (1 + k^2) v.
+  Image<float> a(64, 48), b(64, 48);
+  for (int y = 0; y < 48; ++y)
+    for (int x = 0; x < 64; ++x) {
+      const float sign = (x + y) % 2 == 0 ? 1.0F : -1.0F;
+      a(x, y) = 500.0F + 100.0F * sign;
+      b(x, y) = 500.0F + 50.0F * sign;
+    }
+  const double c2 = std::pow(0.03 * 600.0, 2), v = 1e4;
+  EXPECT_NEAR(CompareImages(a, b, kEverywhere).ssim, (2 * 0.5 * v + c2) / (1.25 * v + c2), 1e-3);
+}
+
+TEST(CompareImages, SeesNothingOutsideTheMask) {
+  const Image<float> reference = Picture();
+  Image<float> estimate = reference;
+  Image<uint8_t> mask(64, 48, 1, 1);
+  for (int y = 0; y < 48; ++y)
+    for (int x = 40; x < 64; ++x) {
+      mask(x, y) = 0;
+      for (int c = 0; c < 3; ++c) estimate(x, y, c) = -5000.0F;
+    }
+  const ImageError e = CompareImages(reference, estimate, mask);
+  EXPECT_EQ(e.nrmse, 0.0);
+  EXPECT_NEAR(e.ssim, 1.0, 1e-9);
+  EXPECT_EQ(e.pixels, 40 * 48);
+}
+
+TEST(CompareImages, CountsOnlyPixelsThatAreFiniteInBoth) {
+  const Image<float> reference = Picture();
+  Image<float> estimate = reference;
+  estimate(10, 10, 2) = std::numeric_limits<float>::quiet_NaN();
+  estimate(30, 20, 0) = std::numeric_limits<float>::infinity();
+  const ImageError e = CompareImages(reference, estimate, kEverywhere);
+  EXPECT_EQ(e.pixels, 64 * 48 - 2);
+  EXPECT_EQ(e.nrmse, 0.0);
+  EXPECT_NEAR(e.ssim, 1.0, 1e-9);
+}
+
+// A frontal plane at 600 mm.
+SurfaceMap Plane() {
+  SurfaceMap s{Image<float>(20, 10, 3), Image<float>(20, 10, 3), Image<float>(20, 10), Image<uint8_t>(20, 10, 1, 1)};
+  for (int j = 0; j < 10; ++j)
+    for (int i = 0; i < 20; ++i) {
+      s.point_mm(i, j, 2) = 600.0F;
+      s.normal(i, j, 2) = -1.0F;
+    }
+  return s;
+}
+
+TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
+  SurfaceMap surface = Plane();
+  Image<float> depth(20, 10), normal(20, 10, 3);
+  const double tilt = RadFromDeg(3.0);
+  for (int j = 0; j < 10; ++j)
+    for (int i = 0; i < 20; ++i) {
+      depth(i, j) = 599.5F;
+      surface.point_mm(i, j, 2) += i % 2 == 0 ? 0.2F : -0.2F;
+      normal(i, j, 0) = static_cast<float>(std::sin(tilt));
+      normal(i, j, 2) = static_cast<float>(-std::cos(tilt));
+    }
+  surface.mask(0, 0) = 0;
+  depth(1, 0) = std::nanf("");
+  const SurfaceError e = CompareSurface(surface, depth, normal);
+  EXPECT_NEAR(e.depth_bias_mm, 0.5, 1e-3);
+  EXPECT_NEAR(e.depth_rms_mm, 0.2, 1e-3);
+  EXPECT_NEAR(e.normal_median_deg, 3.0, 1e-3);
+  EXPECT_EQ(e.pixels, 198);
+}
+
+TEST(SceneTruth, IsAbsentWhereTheSessionHasNone) {
+  const auto folder = std::filesystem::temp_directory_path() / "stratalux_no_truth";
+  std::filesystem::create_directories(folder);
+  const auto truth = SceneTruth::Open(folder);
+  ASSERT_TRUE(truth.ok());
+  EXPECT_FALSE(truth->has_value());
+  std::filesystem::remove_all(folder);
+}
+
+TEST(Metrics, WritesSchemaOne) {
+  Metrics m;
+  m.session = "s";
+  m.fit = "f";
+  m.heldout.push_back(
+      {3, "stripe", "tied", "total", "measured", "reconstructed", 2, {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234}});
+  m.ablations.push_back({"projectors_permuted", 3, "stripe", 0.2, 0.05});
+  m.stages.push_back({"decode", 1.5, 1 << 20});
+  m.masked_by_reason["too dark"] = 7;
+  const auto without_truth = nlohmann::json::parse(m.ToJson());
+  EXPECT_FALSE(without_truth.contains("truth"));
+  m.truth = SurfaceError{0.1, -0.2, 2.0, 99};
+  const auto json = nlohmann::json::parse(m.ToJson());
+  EXPECT_EQ(json["schema"], 1);
+  const auto& figure = json["heldout"][0];
+  EXPECT_EQ(figure["projector"], 3);
+  EXPECT_EQ(figure["light"], "stripe");
+  EXPECT_EQ(figure["model"], "tied");
+  EXPECT_EQ(figure["part"], "total");
+  EXPECT_EQ(figure["direct"], "measured");
+  EXPECT_EQ(figure["nrmse"], 0.05);
+  EXPECT_EQ(figure["nrmse_rgb"][2], 0.06);
+  EXPECT_EQ(figure["psnr_db"], 33.0);
+  EXPECT_EQ(figure["ssim"], 0.97);
+  EXPECT_EQ(figure["pixels"], 1234);
+  EXPECT_EQ(json["ablations"][0]["baseline_nrmse"], 0.05);
+  EXPECT_EQ(json["fit"]["masked_by_reason"]["too dark"], 7);
+  EXPECT_EQ(json["stages"][0]["peak_rss_bytes"], 1 << 20);
+  EXPECT_EQ(json["truth"]["depth_bias_mm"], -0.2);
+}
+
+}  // namespace
+}  // namespace stratalux::fit

@@ -1,0 +1,281 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/mlsss.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+
+#include <gtest/gtest.h>
+
+#include "fitter/mixture/shift_law.h"
+#include "shared/geometry/quad.h"
+#include "tests/fitter/render/lit_scene.h"
+
+namespace stratalux::fit {
+namespace {
+
+const Eigen::Vector3d kAtCamera(0.0, 0.0, 0.0);
+const Eigen::Vector3d kFromLeft(-350.0, 0.0, 150.0);  // 45 degrees
+const Pattern kWhite{.kind = PatternKind::kWhite};
+const Pattern kSpots{.kind = PatternKind::kSpots, .period = 40, .width = 4};
+
+Image<float> Render(const LitScene& scene, const MixtureMap& map, const Pattern& pattern, double scale = 1.0) {
+  return RenderSubsurface(map, scene.surface, scene.rig, LightWith(scene.lit, pattern, scale), scene.lit);
+}
+
+double Phi(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
+
+float Maximum(const Image<float>& image) { return *std::max_element(image.pixels().begin(), image.pixels().end()); }
+
+float LargestDifference(const Image<float>& a, const Image<float>& b) {
+  float largest = 0.0F;
+  for (size_t i = 0; i < a.size(); ++i) largest = std::max(largest, std::abs(a.pixels()[i] - b.pixels()[i]));
+  return largest;
+}
+
+// Mean x in mm of the light in the middle row.
+double CentroidX(const LitScene& scene, const Image<float>& image, int channel = 0) {
+  double sum = 0.0, moment = 0.0;
+  const int j = image.height() / 2;
+  for (int i = 0; i < image.width(); ++i) {
+    sum += image(i, j, channel);
+    moment += image(i, j, channel) * scene.surface.point_mm(i, j, 0);
+  }
+  return moment / sum;
+}
+
+TEST(RenderSubsurface, ReflectsTheSumOfTheWeightsUnderUniformLight) {
+  // The integral of each Gaussian is 1: energy is kept, whatever widths, depths and sampling.
+  for (const Eigen::Vector3d& lamp : {kAtCamera, kFromLeft}) {
+    const LitScene scene = MakeScene(FrontalPlane(), lamp);
+    const MixtureMap map = UniformSkin(scene, {{0.1F, 0.2F, 0.3F}, {0.2F, 0.5F, 0.9F}, {0.15F, 0.9F, 2.5F}});
+    const Image<float> image = Render(scene, map, kWhite);
+    const ProjectorCalibration& light = scene.rig.projectors[0];
+    for (int j = 15; j < 21; ++j)
+      for (int i = 20; i < 28; ++i) {
+        const Eigen::Vector3d p = scene.surface.Point(i, j), n = scene.surface.Normal(i, j);
+        const double gain = AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.eta, map.tau);
+        const double white = light.WhiteTargetDn(p, n, 0, kExposureMs);
+        EXPECT_NEAR(image(i, j) / (0.45 * gain * white), 1.0, 0.01) << i << ", " << j;
+      }
+  }
+}
+
+TEST(RenderSubsurface, KeepsTheEnergyOfLayersNarrowerThanAnyPixel) {
+  for (const Eigen::Vector3d& lamp : {kAtCamera, kFromLeft}) {
+    const LitScene scene = MakeScene(FrontalPlane(), lamp);
+    const MixtureMap map = UniformSkin(scene, {{0.3F, 0.0F, 0.01F}});
+    const Image<float> image = Render(scene, map, kWhite);
+    const ProjectorCalibration& light = scene.rig.projectors[0];
+    for (int j = 10; j < 26; ++j)
+      for (int i = 14; i < 34; ++i) {
+        const Eigen::Vector3d p = scene.surface.Point(i, j), n = scene.surface.Normal(i, j);
+        const double gain = AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.eta, map.tau);
+        EXPECT_NEAR(image(i, j) / (0.3 * gain * light.WhiteTargetDn(p, n, 0, kExposureMs)), 1.0, 0.01);
+      }
+  }
+}
+
+// Line light on a plane: model section 7's mixture, Gaussians through the box of the line.
+struct LineOnPlane {
+  double left_mm, right_mm, blur_mm;  // edges of the line in the plane, the projector's blur there
+
+  LineOnPlane(const LitScene& scene, int columns) {
+    const ProjectorCalibration& light = scene.rig.projectors[0];
+    auto x_of = [&](double column) {
+      const Eigen::Vector3d ray = light.camera_from_projector.rotation * light.model.Unproject({column, 59.5});
+      return light.CentreInCamera().x() + ray.x() / ray.z() * (kDistanceMm - light.CentreInCamera().z());
+    };
+    left_mm = x_of(79.5 - 0.5 * columns);
+    right_mm = x_of(79.5 + 0.5 * columns);
+    blur_mm = light.line_blur_px * (right_mm - left_mm) / columns;
+  }
+
+  [[nodiscard]] double Dn(const LitScene& scene, const std::vector<Layer>& layers, const MixtureMap& map, int i,
+                          int j) const {
+    const ProjectorCalibration& light = scene.rig.projectors[0];
+    const Eigen::Vector3d p = scene.surface.Point(i, j), to_lamp = (light.CentreInCamera() - p).normalized();
+    // Both rays refracted by hand; the plane's normal is -z, so x slopes are plain ratios.
+    auto refracted = [&](double outer_sine) {
+      const double sine = outer_sine / map.eta;
+      return sine / std::sqrt(1.0 - sine * sine);
+    };
+    const double shift = refracted(to_lamp.x()) - refracted(-p.normalized().x());
+    const double footprint2 = kMosaicPixelMm * kMosaicPixelMm / 12.0;
+    double reflectance = 0.0;
+    for (const Layer& l : layers) {
+      const double s = std::sqrt(l.sigma_mm * l.sigma_mm + footprint2 + blur_mm * blur_mm);
+      const double centre = p.x() + l.depth_mm * shift;
+      reflectance += l.weight * (Phi((right_mm - centre) / s) - Phi((left_mm - centre) / s));
+    }
+    const Eigen::Vector3d on_line(0.5 * (left_mm + right_mm), p.y(), kDistanceMm);
+    return reflectance * AngularGain(-to_lamp.z(), map.eta, map.tau) *
+           light.WhiteTargetDn(on_line, {0, 0, -1}, 0, kExposureMs);
+  }
+};
+
+TEST(RenderSubsurface, ShowsTheAnalyticMixtureUnderALine) {
+  const std::vector<Layer> layers = SkinLayers();
+  for (const Eigen::Vector3d& lamp : {kAtCamera, kFromLeft})
+    for (int columns : {2, 8}) {
+      const LitScene scene = MakeScene(FrontalPlane(), lamp);
+      const MixtureMap map = UniformSkin(scene, layers);
+      const Image<float> image = Render(scene, map, MiddleLine(scene, columns));
+      const LineOnPlane line(scene, columns);
+      const int j = 18;  // rows in the middle see the line to both ends
+      double peak = 0.0;
+      for (int i = 0; i < 48; ++i) peak = std::max(peak, line.Dn(scene, layers, map, i, j));
+      for (int i = 4; i < 44; ++i)
+        EXPECT_NEAR(image(i, j) / peak, line.Dn(scene, layers, map, i, j) / peak, 0.01) << columns << " columns, " << i;
+    }
+}
+
+TEST(RenderSubsurface, GlowsOnTheSideAwayFromTheLamp) {
+  // Rays run deeper as they run away from the lamp: an exit point is fed from the lamp's side of it.
+  const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
+  const double depth = 1.2;
+  for (ShiftLaw law : {ShiftLaw::kPaper, ShiftLaw::kRefracted, ShiftLaw::kRefractedSine}) {
+    MixtureMap deep = UniformSkin(scene, {{0.4F, static_cast<float>(depth), 1.2F}}),
+               flat = UniformSkin(scene, {{0.4F, 0.0F, 1.2F}});
+    deep.shift_law = flat.shift_law = law;
+    const Pattern line = MiddleLine(scene, 4);
+    const double moved = CentroidX(scene, Render(scene, deep, line)) - CentroidX(scene, Render(scene, flat, line));
+    const double sine = std::sqrt(0.5) / 1.4;
+    const double expected = law == ShiftLaw::kPaper       ? 1.0
+                            : law == ShiftLaw::kRefracted ? sine / std::sqrt(1.0 - sine * sine)
+                                                          : sine;
+    EXPECT_NEAR(moved, depth * expected, 0.03 * depth * expected) << ToString(law);
+  }
+}
+
+TEST(RenderSubsurface, IsLinearInTheLight) {
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft);
+  const MixtureMap map = VaryingSkin(scene, SkinLayers());
+  const Image<float> once = Render(scene, map, kSpots), twice = Render(scene, map, kSpots, 2.0);
+  for (size_t i = 0; i < once.size(); ++i)
+    EXPECT_NEAR(twice.pixels()[i], 2.0F * once.pixels()[i], 1e-5F * Maximum(twice));
+}
+
+TEST(RenderSubsurface, AddsTheFramesOfACombCycleUpToWhite) {
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft);
+  const MixtureMap map = VaryingSkin(scene, SkinLayers());
+  const Image<float> white = Render(scene, map, kWhite);
+  Image<float> sum(white.width(), white.height());
+  for (int shift = 0; shift < 32; shift += 4) {
+    const Image<float> frame =
+        Render(scene, map, {.kind = PatternKind::kComb, .period = 32, .width = 4, .shift = shift});
+    for (size_t i = 0; i < sum.size(); ++i) sum.pixels()[i] += frame.pixels()[i];
+  }
+  EXPECT_LT(LargestDifference(sum, white), 0.01F * Maximum(white));
+}
+
+TEST(RenderSubsurface, AgreesWithTheDoubleLoop) {
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft);
+  const MixtureMap map = VaryingSkin(scene, SkinLayers());
+  for (const Pattern& pattern : {kWhite, MiddleLine(scene, 2), MiddleLine(scene, 8), kSpots}) {
+    const LitPyramid light = LightWith(scene.lit, pattern);
+    const Image<float> fast = RenderSubsurface(map, scene.surface, scene.rig, light, scene.lit),
+                       exact = RenderSubsurfaceReference(map, scene.surface, scene.rig, light, scene.lit);
+    ASSERT_GT(Maximum(exact), 1.0F);
+    EXPECT_LT(LargestDifference(fast, exact), 0.01F * Maximum(exact)) << pattern.ToString();
+  }
+}
+
+TEST(RenderSubsurface, ShowsEachColourAtItsOwnSite) {
+  // The same skin in every colour: R and B sites lie half a mosaic pixel to either side of the quad's centre, so their
+  // pictures of one line differ by one mosaic pixel.
+  const LitScene scene = MakeScene(FrontalPlane(), kAtCamera, Cfa::kRggb);
+  const MixtureMap map = UniformSkin(scene, {{0.4F, 0.3F, 1.5F}});
+  const Image<float> image = Render(scene, map, MiddleLine(scene, 8));
+  const double red = CentroidX(scene, image, 0), green = CentroidX(scene, image, 1), blue = CentroidX(scene, image, 2);
+  EXPECT_NEAR(red - green, 0.5 * kMosaicPixelMm, 0.02);
+  EXPECT_NEAR(green - blue, 0.5 * kMosaicPixelMm, 0.02);
+}
+
+TEST(RenderSubsurface, ExchangesNoLightBetweenOppositeFaces) {
+  const LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
+  const MixtureMap map = UniformSkin(scene, SkinLayers());
+  LitPyramid light = LightWith(scene.lit, kWhite);
+  for (Image<LitSample>& level : light.levels)
+    for (LitSample& s : level.pixels()) s.normal = -s.normal;
+  EXPECT_EQ(Maximum(RenderSubsurface(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
+  EXPECT_EQ(Maximum(RenderSubsurfaceReference(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
+}
+
+TEST(RenderSubsurface, LeavesUnknownSurfaceAndUnfittedSkinDark) {
+  LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
+  MixtureMap map = UniformSkin(scene, SkinLayers());
+  map.reason[map.ProfileIndex(20, 18, 0)] = static_cast<uint8_t>(FitReason::kTooDark);
+  scene.surface.mask(25, 18) = 0;
+  for (int k = 0; k < 3; ++k) scene.surface.point_mm(25, 18, k) = std::nanf("");
+  const Image<float> image = Render(scene, map, kWhite);
+  EXPECT_EQ(image(20, 18), 0.0F);
+  EXPECT_EQ(image(25, 18), 0.0F);
+  EXPECT_GT(image(22, 18), 100.0F);
+  for (float v : image.pixels()) ASSERT_TRUE(std::isfinite(v));
+}
+
+TEST(RenderSubsurface, ReadsPooledProfilesAsTheirCopiesOnQuads) {
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft);
+  MixtureMap fine = VaryingSkin(scene, SkinLayers()), pooled = fine;
+  pooled.width = 24;
+  pooled.height = 18;
+  for (auto* v : {&pooled.weight, &pooled.depth_mm, &pooled.sigma_mm}) v->resize(pooled.profiles() * pooled.layers);
+  pooled.reason.resize(pooled.profiles());
+  for (int j = 0; j < 36; ++j)
+    for (int i = 0; i < 48; ++i)
+      for (int l = 0; l < fine.layers; ++l) {
+        const int64_t to = fine.ProfileIndex(i, j, 0) * fine.layers + l,
+                      from = pooled.ProfileIndex(i / 2, j / 2, 0) * fine.layers + l;
+        fine.weight[to] = pooled.weight[from];
+        fine.depth_mm[to] = pooled.depth_mm[from];
+        fine.sigma_mm[to] = pooled.sigma_mm[from];
+      }
+  const LitPyramid light = LightWith(scene.lit, kSpots);
+  const Image<float> a = RenderSubsurface(fine, scene.surface, scene.rig, light, scene.lit),
+                     b = RenderSubsurface(pooled, scene.surface, scene.rig, light, scene.lit, {.pool = 2});
+  EXPECT_EQ(LargestDifference(a, b), 0.0F);
+  EXPECT_GT(Maximum(a), 1.0F);
+}
+
+TEST(RenderSubsurface, IsBitIdenticalForAnyNumberOfThreads) {
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft);
+  const MixtureMap map = VaryingSkin(scene, SkinLayers());
+  setenv("STRATALUX_THREADS", "1", 1);
+  const Image<float> one = Render(scene, map, kSpots);
+  setenv("STRATALUX_THREADS", "3", 1);
+  const Image<float> three = Render(scene, map, kSpots);
+  unsetenv("STRATALUX_THREADS");
+  EXPECT_EQ(LargestDifference(one, three), 0.0F);
+}
+
+TEST(RenderSurface, IsReflectanceTimesIrradianceUnderWhiteLight) {
+  const LitScene scene = MakeScene(FaceLike(), {-150.0, 60.0, 50.0});
+  Image<float> reflectance(48, 36, 1);
+  for (size_t i = 0; i < reflectance.size(); ++i) reflectance.pixels()[i] = 0.01F * static_cast<float>(1 + i % 7);
+  const Image<float> image =
+      RenderSurface(reflectance, scene.surface, scene.rig, LightWith(scene.lit, kWhite), scene.lit);
+  const ProjectorCalibration& light = scene.rig.projectors[0];
+  for (int j = 4; j < 32; ++j)
+    for (int i = 4; i < 44; ++i) {
+      const double white = light.WhiteTargetDn(scene.surface.Point(i, j), scene.surface.Normal(i, j), 0, kExposureMs);
+      EXPECT_NEAR(image(i, j), reflectance(i, j) * white, 1e-3 * white);
+    }
+}
+
+TEST(RenderSurface, KeepsTheLightOfALineAndDoesNotMoveIt) {
+  const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
+  const Image<float> reflectance(48, 36, 1, 0.04F);
+  const Image<float> image =
+      RenderSurface(reflectance, scene.surface, scene.rig, LightWith(scene.lit, MiddleLine(scene, 8)), scene.lit);
+  const LineOnPlane line(scene, 8);
+  double sum = 0.0;
+  for (int i = 0; i < 48; ++i) sum += image(i, 18) * kMosaicPixelMm;
+  const double middle = 0.5 * (line.left_mm + line.right_mm);
+  const double white = scene.rig.projectors[0].WhiteTargetDn({middle, 0.0, kDistanceMm}, {0, 0, -1}, 0, kExposureMs);
+  EXPECT_NEAR(sum / (0.04 * white * (line.right_mm - line.left_mm)), 1.0, 0.02);
+  EXPECT_NEAR(CentroidX(scene, image), middle, 0.03);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
