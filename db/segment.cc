@@ -254,11 +254,17 @@ Status SegmentReader::ReadAt(int64_t offset, void* data, size_t size) const {
   return Status::Ok();
 }
 
+Result<FrameHeader> SegmentReader::ReadHeader(int64_t offset) const {
+  FrameHeader header{};
+  SLX_RETURN_IF_ERROR(ReadAt(offset, &header, sizeof header));
+  if (header.magic != kFrameMagic || header.header_hash != HashOf(header))
+    return Status::Integrity(file_ + ", offset " + std::to_string(offset) + ": frame header is damaged");
+  return header;
+}
+
 Result<std::vector<uint8_t>> SegmentReader::Read(int64_t offset, FrameHeader* header) const {
-  SLX_RETURN_IF_ERROR(ReadAt(offset, header, sizeof *header));
+  SLX_ASSIGN_OR_RETURN(*header, ReadHeader(offset));
   const std::string where = file_ + ", offset " + std::to_string(offset);
-  if (header->magic != kFrameMagic || header->header_hash != HashOf(*header))
-    return Status::Integrity(where + ": frame header is damaged");
   if (header->payload_bytes > static_cast<uint64_t>(size_))
     return Status::Integrity(where + ": payload of " + std::to_string(header->payload_bytes) +
                              " bytes exceeds the file");
@@ -309,9 +315,7 @@ Result<std::vector<SegmentFrame>> SegmentReader::Walk(bool payloads, bool* seale
     if (payloads) {
       SLX_RETURN_IF_ERROR(Read(offset, &frame.header).status());
     } else {
-      SLX_RETURN_IF_ERROR(ReadAt(offset, &frame.header, sizeof frame.header));
-      if (frame.header.magic != kFrameMagic || frame.header.header_hash != HashOf(frame.header))
-        return Status::Integrity(file_ + ", offset " + std::to_string(offset) + ": frame header is damaged");
+      SLX_ASSIGN_OR_RETURN(frame.header, ReadHeader(offset));
     }
     offset += static_cast<int64_t>(sizeof frame.header + frame.header.payload_bytes);
     if (offset > size_)

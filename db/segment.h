@@ -80,6 +80,8 @@ class SegmentReader {
   SegmentReader(SegmentReader&&) noexcept;
   SegmentReader& operator=(SegmentReader&&) = delete;
 
+  // The header at `offset`, checked against its hash.
+  Result<FrameHeader> ReadHeader(int64_t offset) const;
   // Header and payload at `offset`, both checked against their hashes.
   Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
   // All frames by walking the file; kIntegrity where a header or (with `payloads`) a payload is damaged, the file

@@ -125,12 +125,15 @@ struct SessionWriter::Impl {
   WriterOptions options;
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
+  int64_t acknowledged_end = 0;  // in the current segment
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
   Status failure;  // the first one; every later call repeats it
 
   Status Fail(Status status) {
     if (failure.ok()) {
       failure = status.WithContext("session " + info.id);
+      // What was never acknowledged goes; should that fail, too, `verify` names the tail.
+      if (segment) (void)TruncateSegment(folder / SegmentName(segments), acknowledged_end).ok();
       (void)index.SetStatus(number, SessionStatus::kFailed, {status.message()}).ok();
     }
     return failure;
@@ -140,6 +143,7 @@ struct SessionWriter::Impl {
     SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id));
     segment = std::move(next);
     ++segments;
+    acknowledged_end = kSegmentStart;
     return Status::Ok();
   }
   Status Flush() {
@@ -149,6 +153,7 @@ struct SessionWriter::Impl {
     if (Status s = segment->Sync(); !s.ok()) return Fail(s);
     if (Status s = index.InsertFrames(number, pending); !s.ok()) return Fail(s);
     acknowledged += static_cast<int64_t>(pending.size());
+    acknowledged_end = segment->bytes();
     pending.clear();
     return Status::Ok();
   }
@@ -263,7 +268,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   }
   return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{
-      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, {}, {}}));
+      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, 0, {}, {}}));
 }
 
 Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
@@ -288,28 +293,27 @@ Result<SessionRow> SessionStore::FindSession(const std::string& selector) const 
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
   SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(id));
   SLX_ASSIGN_OR_RETURN(const auto places, impl_->index.Places(number));
-  std::map<int64_t, std::vector<SegmentFrame>> segments;
+  // Only what the index speaks of: behind it a live or failed writer may have left half a record.
+  std::map<int64_t, SegmentReader> segments;
   std::vector<FrameRow> rows;
   for (const auto& p : places) {
-    if (!segments.contains(p.segment)) {
-      SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(SessionFolder(id) / SegmentName(p.segment)));
-      bool sealed = false;
-      SLX_ASSIGN_OR_RETURN(segments[p.segment], reader.Walk(false, &sealed));
+    auto reader = segments.find(p.segment);
+    if (reader == segments.end()) {
+      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::Open(SessionFolder(id) / SegmentName(p.segment)));
+      reader = segments.emplace(p.segment, std::move(opened)).first;
     }
-    const auto& frames = segments[p.segment];
-    const auto at =
-        std::find_if(frames.begin(), frames.end(), [&](const SegmentFrame& f) { return f.offset == p.offset; });
-    if (at == frames.end() || !std::equal(p.hash.begin(), p.hash.end(), std::begin(at->header.payload_hash)))
+    SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader->second.ReadHeader(p.offset).WithContext("session " + id));
+    if (!std::equal(p.hash.begin(), p.hash.end(), std::begin(header.payload_hash), std::end(header.payload_hash)))
       return Status::Integrity("session " + id + ": index and " + SegmentName(p.segment) + " disagree on frame " +
                                std::to_string(p.frame) + " (offset " + std::to_string(p.offset) + ")");
     FrameRow row;
     row.id = p.frame;
-    SLX_ASSIGN_OR_RETURN(row.record, RecordOf(at->header).WithContext("session " + id));
-    row.codec = ToString(static_cast<Codec>(at->header.codec));
+    SLX_ASSIGN_OR_RETURN(row.record, RecordOf(header).WithContext("session " + id));
+    row.codec = ToString(static_cast<Codec>(header.codec));
     row.segment = SegmentName(p.segment);
     row.offset = p.offset;
     row.stored_bytes = p.bytes;
-    row.hash = HashText(at->header.payload_hash);
+    row.hash = HashText(header.payload_hash);
     rows.push_back(std::move(row));
   }
   return rows;

@@ -84,7 +84,7 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
   std::nth_element(values.begin(), values.begin() + static_cast<int64_t>(rank), values.end());
   const double peak = values[rank];
   const double mse = all_error / static_cast<double>(values.size());
-  result.psnr_db = mse > 0.0 ? 10.0 * std::log10(peak * peak / mse) : 200.0;
+  result.psnr_db = mse > 0.0 && peak <= 0.0 ? 0.0 : mse > 0.0 ? 10.0 * std::log10(peak * peak / mse) : 200.0;
   for (int c = 0; c < channels; ++c)
     result.ssim += StructuralSimilarity(reference, estimate, valid, c, peak) / channels;
   if (!std::isfinite(result.ssim)) result.ssim = 0.0;

@@ -17,10 +17,9 @@ namespace {
 struct Receiver {
   Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
   double gain = 1.0;
-  double footprint2 = 0.0;       // variance of the camera pixel's box on the surface, mm^2
-  double facing_pitch_mm = 1.0;  // of the light's pixels on a plane that faces it
-  double pitch_mm = 1.0;         // the same on the surface: the mean of both axes
-  double window_sigmas = 3.6;
+  double footprint2 = 0.0;                    // variance of the camera pixel's box on the surface, mm^2
+  double pitch_mm = 1.0;                      // of the light's pixels on the surface, mean of both axes
+  Eigen::Vector3d column_per_mm, row_per_mm;  // gradient of the light's pixel coordinates
 };
 
 Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
@@ -53,11 +52,13 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
   r.footprint2 = (spread + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
   // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
   const double distance = (light.CentreInCamera() - r.point).norm();
-  r.facing_pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy);
-  r.pitch_mm = r.facing_pitch_mm / std::sqrt(cos_in);
-  // Offsets along the normal do not count as distance. Where light grazes (the rim of a nose's shadow), such neighbours
-  // lie far off in the light's image; elsewhere they are hidden behind the point itself.
-  if (cos_in < 0.5) r.window_sigmas *= 2.5;
+  r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
+  const Rigid3& pose = light.camera_from_projector;
+  const Eigen::Vector3d in_light = pose.Inverse() * r.point;
+  r.column_per_mm =
+      light.model.fx / in_light.z() * (pose.rotation * Eigen::Vector3d(1.0, 0.0, -in_light.x() / in_light.z()));
+  r.row_per_mm =
+      light.model.fy / in_light.z() * (pose.rotation * Eigen::Vector3d(0.0, 1.0, -in_light.y() / in_light.z()));
   return r;
 }
 
@@ -69,17 +70,30 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
   return std::exp(-half_inverse2 * std::max(0.0, offset.squaredNorm() - along * along));
 }
 
+constexpr double kReachSigmas = 3.6;
+constexpr double kSharpestRadiusMm = 3.0, kReliefMm = 10.0;  // of a face
+
+// Half the size, in the light's pixels, of what lies within `reach` of a point in its tangent plane. Offsets along the
+// normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by the face's relief.
+double Extent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm, double reach_mm) {
+  const double along = normal.dot(pixels_per_mm);
+  const double off_plane_mm = std::min(0.5 * reach_mm * reach_mm / kSharpestRadiusMm, kReliefMm);
+  return std::sqrt(std::max(0.0, pixels_per_mm.squaredNorm() - along * along)) * reach_mm +
+         std::abs(along) * off_plane_mm;
+}
+
 // sum of flux K2 over the blocks of one pyramid level within `reach` sigmas.
 float GatherLevel(const Receiver& r, const Image<LitSample>& level, int block, const Eigen::Vector3d& centre,
                   const Eigen::Vector2d& at, double sigma, int channel) {
   const double half_inverse2 = 0.5 / (sigma * sigma);
-  const double reach = r.window_sigmas * sigma / (r.facing_pitch_mm * block) + 1.0;
+  const double reach = kReachSigmas * sigma;
+  const double half_x = Extent(r.normal, r.column_per_mm, reach) / block + 1.0,
+               half_y = Extent(r.normal, r.row_per_mm, reach) / block + 1.0;
   const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
-  // Pixels are never finer on the surface than on a plane that faces the light, so this window holds the whole reach.
-  const int x0 = std::max(0, static_cast<int>(std::ceil(bx - reach))),
-            x1 = std::min(level.width() - 1, static_cast<int>(std::floor(bx + reach)));
-  const int y0 = std::max(0, static_cast<int>(std::ceil(by - reach))),
-            y1 = std::min(level.height() - 1, static_cast<int>(std::floor(by + reach)));
+  const int x0 = std::max(0, static_cast<int>(std::ceil(bx - half_x))),
+            x1 = std::min(level.width() - 1, static_cast<int>(std::floor(bx + half_x)));
+  const int y0 = std::max(0, static_cast<int>(std::ceil(by - half_y))),
+            y1 = std::min(level.height() - 1, static_cast<int>(std::floor(by + half_y)));
   const Eigen::Vector3f n = r.normal.cast<float>(), c = centre.cast<float>();
   const float q = static_cast<float>(half_inverse2);
   float sum = 0.0F;

@@ -40,10 +40,10 @@ TEST_F(DamageTest, AnIntactSessionHasNone) { EXPECT_THAT(Problems(OpenStore(Acce
 TEST_F(DamageTest, AFlippedBitInAnyByteIsFoundAndItsFileNamed) {
   const SessionStore store = OpenStore(AccessMode::kReadOnly);
   for (size_t i = 0; i < intact_.size(); ++i) {
-    auto bytes = intact_;
-    bytes[i] ^= static_cast<uint8_t>(1U << (i % 8));
-    WriteBytes(Segment(id_), bytes);
+    const auto mask = static_cast<uint8_t>(1U << (i % 8));
+    FlipBits(Segment(id_), i, mask);
     ASSERT_THAT(Problems(store), Contains(HasSubstr("frames-0001.seg"))) << "byte " << i;
+    FlipBits(Segment(id_), i, mask);
   }
 }
 
@@ -52,9 +52,7 @@ TEST_F(DamageTest, AFlippedBitSpoilsItsFrameAndNoOther) {
   for (size_t spoilt = 0; spoilt < frames_.size(); ++spoilt) {
     const auto start = static_cast<size_t>(frames_[spoilt].offset);
     for (size_t at = start; at < start + kFrameHeader + kPayload; at += 7) {
-      auto bytes = intact_;
-      bytes[at] ^= 0x10U;
-      WriteBytes(Segment(id_), bytes);
+      FlipBits(Segment(id_), at, 0x10);
       for (size_t i = 0; i < frames_.size(); ++i) {
         const auto image = store.ReadFrame(id_, frames_[i]);
         ASSERT_EQ(image.ok(), i != spoilt) << "byte " << at << ", frame " << i;
@@ -63,14 +61,15 @@ TEST_F(DamageTest, AFlippedBitSpoilsItsFrameAndNoOther) {
         EXPECT_THAT(image.status().message(), HasSubstr(id_));
         EXPECT_THAT(image.status().message(), HasSubstr("offset " + std::to_string(start)));
       }
+      FlipBits(Segment(id_), at, 0x10);
     }
   }
 }
 
 TEST_F(DamageTest, ATruncationAtAnyLengthIsFound) {
   const SessionStore store = OpenStore(AccessMode::kReadOnly);
-  for (size_t length = 0; length < intact_.size(); ++length) {
-    WriteBytes(Segment(id_), {intact_.begin(), intact_.begin() + static_cast<std::ptrdiff_t>(length)});
+  for (size_t length = intact_.size(); length-- > 0;) {
+    std::filesystem::resize_file(Segment(id_), length);
     ASSERT_THAT(Problems(store), Contains(HasSubstr("frames-0001.seg"))) << length << " bytes";
     const auto last = store.ReadFrame(id_, frames_.back());
     const size_t end = static_cast<size_t>(frames_.back().offset) + kFrameHeader + kPayload;

@@ -305,6 +305,7 @@ TEST_F(SessionStoreTest, AFailedWriteFailsItsSessionAndNoOther) {
   EXPECT_FALSE(writer->Finish(SessionStatus::kComplete).ok());
   EXPECT_EQ(store.FindSession(id)->info.status, SessionStatus::kFailed);
   EXPECT_EQ(store.ListFrames(id)->size(), 3U) << "3 frames of 320 kB fit in 1 MiB";
+  EXPECT_THAT(VerifySession(store, *store.FindSession(id))->problems, IsEmpty()) << "the torn tail is gone";
   EXPECT_THAT(VerifySession(store, *store.FindSession(good))->problems, IsEmpty());
 }
 

@@ -94,6 +94,15 @@ void WriteBytes(const std::filesystem::path& file, const std::vector<uint8_t>& b
   ASSERT_TRUE(out.flush().good()) << file;
 }
 
+void FlipBits(const std::filesystem::path& file, size_t at, uint8_t mask) {
+  std::fstream stream(file, std::ios::binary | std::ios::in | std::ios::out);
+  stream.seekg(static_cast<std::streamoff>(at));
+  const auto byte = static_cast<char>(stream.get() ^ mask);
+  stream.seekp(static_cast<std::streamoff>(at));
+  stream.put(byte);
+  ASSERT_TRUE(stream.flush().good()) << file;
+}
+
 void WriteText(const std::filesystem::path& file, const std::string& text) {
   WriteBytes(file, {text.begin(), text.end()});
 }

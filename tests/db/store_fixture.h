@@ -32,6 +32,8 @@ class StoreTest : public ::testing::Test {
 
 [[nodiscard]] std::vector<uint8_t> ReadBytes(const std::filesystem::path& file);
 void WriteBytes(const std::filesystem::path& file, const std::vector<uint8_t>& bytes);
+// In place: rewriting whole files by the thousand waits for the disk.
+void FlipBits(const std::filesystem::path& file, size_t at, uint8_t mask);
 void WriteText(const std::filesystem::path& file, const std::string& text);
 
 }  // namespace stratalux::db

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+// The main job, end to end, as a user runs it: a simulated visitor is captured, fitted, compared and reported.
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+struct Outcome {
+  int code = -1;
+  std::string out;
+};
+
+Outcome Execute(const std::string& command) {
+  Outcome outcome;
+  std::FILE* pipe = popen((std::string(STRATALUX_BIN_DIR) + "/" + command + " 2>/dev/null").c_str(), "r");
+  std::array<char, 4096> buffer{};
+  while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.out.append(buffer.data(), n);
+  const int status = pclose(pipe);
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+std::string Bytes(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+}
+
+// One store for all cases of this program.
+class Visitor : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = fs::temp_directory_path() / ("stratalux_integration_" + std::to_string(getpid()));
+    store_ = (folder_ / "store").string();
+    ASSERT_EQ(Execute("stratalux-db init --store " + store_).code, 0);
+    ASSERT_EQ(Execute("stratalux-rig capture --simulate --store " + store_ + " --seed 5 --size 696x520").code, 0);
+    const Outcome run =
+        Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --pool 3 --iterations 40 --json");
+    ASSERT_EQ(run.code, 0);
+    fit_ = Json::parse(run.out)["folder"].get<std::string>();
+    metrics_ = Json::parse(Bytes(fit_ / "metrics.json"));
+  }
+  static void TearDownTestSuite() { fs::remove_all(folder_); }
+
+  static double Nrmse(const std::string& light, const std::string& model, const std::string& part,
+                      const std::string& direct, int projector, const std::string& geometry) {
+    double value = std::nan("");
+    for (const Json& f : metrics_["heldout"])
+      if (f["light"] == light && f["model"] == model && f["part"] == part && f["direct"] == direct &&
+          f["projector"] == projector && f["geometry"] == geometry)
+        value = f["nrmse"];
+    return value;
+  }
+
+  static inline fs::path folder_, fit_;
+  static inline std::string store_;
+  static inline Json metrics_;
+};
+
+TEST_F(Visitor, IsStoredWithAGaplessProof) {
+  EXPECT_EQ(Execute("stratalux-db verify latest --store " + store_).code, 0);
+}
+
+TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
+  EXPECT_LT(metrics_["truth"]["depth_rms_mm"].get<double>(), 0.3);
+  EXPECT_LT(std::abs(metrics_["truth"]["depth_bias_mm"].get<double>()), 0.3);  // scattering displaces the codes
+  EXPECT_LT(metrics_["truth"]["normal_median_deg"].get<double>(), 1.0);
+  EXPECT_GT(metrics_["truth"]["pixels"].get<int>(), 20000);
+}
+
+TEST_F(Visitor, LayersPredictTheHeldOutLightBetterThanTheBaselines) {
+  for (const char* geometry : {"reconstructed", "truth"}) {
+    const double tied = Nrmse("stripe", "tied", "subsurface", "none", 3, geometry);
+    EXPECT_LT(tied, Nrmse("stripe", "direction_blind", "subsurface", "none", 3, geometry)) << geometry;
+    EXPECT_LT(tied, Nrmse("stripe", "homogeneous", "subsurface", "none", 3, geometry)) << geometry;
+    EXPECT_LT(tied, 0.2);
+    EXPECT_LT(Nrmse("white", "tied", "total", "measured", 3, geometry),
+              Nrmse("white", "homogeneous", "total", "measured", 3, geometry));
+  }
+}
+
+TEST_F(Visitor, AblationsAreWorse) {
+  ASSERT_EQ(metrics_["ablations"].size(), 2U);
+  for (const Json& a : metrics_["ablations"])
+    EXPECT_GT(a["nrmse"].get<double>(), a["baseline_nrmse"].get<double>()) << a["name"];
+}
+
+TEST_F(Visitor, ReportHoldsEveryPictureAndNothingFromOutside) {
+  const std::string html = Bytes(fit_ / "report" / "index.html");
+  for (const char* title : {"figure 4", "Shape", "Direct and global", "figure 5", "figure 7", "figure 8", "figure 9",
+                            "Layer maps", "Figures"})
+    EXPECT_NE(html.find(title), std::string::npos) << title;
+  EXPECT_EQ(html.find("src='http"), std::string::npos);
+  EXPECT_EQ(html.find("href"), std::string::npos);
+}
+
+TEST_F(Visitor, MapsDoNotDependOnTheTruth) {
+  // The judge's knowledge is deleted; what the stages make must not change by a bit.
+  const fs::path truth =
+      folder_ / "store" / "sessions" /
+      Json::parse(Execute("stratalux-db ls --json --store " + store_).out)[0]["id"].get<std::string>() / "truth.seg";
+  ASSERT_TRUE(fs::exists(truth));
+  const std::vector<std::string> maps = {"position.exr", "normal_fused.exr", "direct_0.exr", "layers_weight.exr",
+                                         "layers_depth_mm.exr"};
+  std::vector<std::string> before;
+  for (const std::string& map : maps) before.push_back(Bytes(fit_ / map));
+  fs::remove(truth);
+  ASSERT_EQ(
+      Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --pool 3 --iterations 40 --force")
+          .code,
+      0);
+  for (size_t i = 0; i < maps.size(); ++i) EXPECT_TRUE(Bytes(fit_ / maps[i]) == before[i]) << maps[i];
+}
+
+TEST_F(Visitor, WithoutScatteringTheWideLayersAreEmpty) {
+  ASSERT_EQ(
+      Execute("stratalux-rig capture --simulate --no-scattering --store " + store_ + " --seed 5 --size 696x520").code,
+      0);
+  const Outcome run = Execute("stratalux-fit run latest --store " + store_ + " --json");
+  ASSERT_EQ(run.code, 0);
+  const Json opaque = Json::parse(Bytes(fs::path(Json::parse(run.out)["folder"].get<std::string>()) / "metrics.json"));
+  EXPECT_LE(opaque["fit"]["wide_weight_fraction"].get<double>(), 0.02);
+  EXPECT_GT(metrics_["fit"]["wide_weight_fraction"].get<double>(), 0.1);
+}
+
+}  // namespace
