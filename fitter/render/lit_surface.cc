@@ -54,6 +54,38 @@ Image<float> BlurRows(const Image<float>& image, double sigma) {
   return out;
 }
 
+// Flux-weighted sum of up to 2 x 2 samples.
+LitSample Block(const Image<LitSample>& fine, int x, int y) {
+  LitSample sum;
+  float weight = 0.0F;
+  const int x_end = std::min(x + 2, fine.width()), y_end = std::min(y + 2, fine.height());
+  for (int j = y; j < y_end; ++j)
+    for (int i = x; i < x_end; ++i) {
+      const LitSample& s = fine(i, j);
+      weight += s.flux[1];
+      sum.point_mm += s.flux[1] * s.point_mm;
+      sum.normal += s.flux[1] * s.normal;
+      for (int c = 0; c < 3; ++c) sum.flux[c] += s.flux[c];
+    }
+  if (!(weight > 0.0F)) return sum;
+  sum.point_mm /= weight;
+  sum.normal /= weight;
+  for (int j = y; j < y_end; ++j)
+    for (int i = x; i < x_end; ++i) {
+      const LitSample& s = fine(i, j);
+      if (s.flux[1] > 0.0F)
+        sum.spread_mm2 += s.flux[1] / weight * (s.spread_mm2 + (s.point_mm - sum.point_mm).squaredNorm());
+    }
+  return sum;
+}
+
+Image<LitSample> Halve(const Image<LitSample>& fine) {
+  Image<LitSample> coarse((fine.width() + 1) / 2, (fine.height() + 1) / 2);
+  for (int y = 0; y < coarse.height(); ++y)
+    for (int x = 0; x < coarse.width(); ++x) coarse(x, y) = Block(fine, 2 * x, 2 * y);
+  return coarse;
+}
+
 }  // namespace
 
 LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms,
@@ -111,29 +143,7 @@ LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double patte
     LitSample& s = pyramid.levels[0].pixels()[i];
     for (float& f : s.flux) f *= pyramid.pattern.pixels()[i];
   }
-  for (int level = 1; level <= 6; ++level) {
-    const Image<LitSample>& fine = pyramid.levels.back();
-    Image<LitSample> coarse((fine.width() + 1) / 2, (fine.height() + 1) / 2);
-    for (int y = 0; y < coarse.height(); ++y)
-      for (int x = 0; x < coarse.width(); ++x) {
-        LitSample sum;
-        float weight = 0.0F;
-        for (int j = 2 * y; j < std::min(2 * y + 2, fine.height()); ++j)
-          for (int i = 2 * x; i < std::min(2 * x + 2, fine.width()); ++i) {
-            const LitSample& s = fine(i, j);
-            weight += s.flux[1];
-            sum.point_mm += s.flux[1] * s.point_mm;
-            sum.normal += s.flux[1] * s.normal;
-            for (int c = 0; c < 3; ++c) sum.flux[c] += s.flux[c];
-          }
-        if (weight > 0.0F) {
-          sum.point_mm /= weight;
-          sum.normal /= weight;
-        }
-        coarse(x, y) = sum;
-      }
-    pyramid.levels.push_back(std::move(coarse));
-  }
+  for (int level = 1; level <= 6; ++level) pyramid.levels.push_back(Halve(pyramid.levels.back()));
   return pyramid;
 }
 

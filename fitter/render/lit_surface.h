@@ -17,6 +17,7 @@ struct LitSample {
   Eigen::Vector3f point_mm = Eigen::Vector3f::Zero();  // camera frame
   Eigen::Vector3f normal = Eigen::Vector3f::Zero();    // not normalised in blocks: their sum
   std::array<float, 3> flux{};
+  float spread_mm2 = 0.0F;  // of blocks: mean squared distance of their light from point_mm
 };
 
 struct LitSurface {

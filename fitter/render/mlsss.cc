@@ -71,7 +71,8 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
 }
 
 constexpr double kReachSigmas = 3.6;
-constexpr double kSharpestRadiusMm = 3.0, kReliefMm = 10.0;  // of a face
+constexpr double kMaxSpread = 0.15;  // of sigma^2; a block of 0.67 sigma on skin that faces the light spreads by 0.075
+constexpr double kSharpestRadiusMm = 3.0, kReliefMm = 20.0;  // of a face
 
 // Half the size, in the light's pixels, of what lies within `reach` of a point in its tangent plane. Offsets along the
 // normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by the face's relief.
@@ -82,31 +83,56 @@ double Extent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_m
          std::abs(along) * off_plane_mm;
 }
 
-// sum of flux K2 over the blocks of one pyramid level within `reach` sigmas.
-float GatherLevel(const Receiver& r, const Image<LitSample>& level, int block, const Eigen::Vector3d& centre,
+// One layer of one pixel, gathering from the pyramid.
+struct Gather {
+  const LitPyramid& light;
+  Eigen::Vector3f normal, centre;
+  float half_inverse2;   // 1 / 2 sigma^2
+  float max_spread_mm2;  // blocks that spread wider are opened
+  int channel;
+
+  [[nodiscard]] float From(int level, int x, int y) const {
+    const LitSample& s = light.levels[level](x, y);
+    const float flux = s.flux[channel];
+    if (flux == 0.0F) return 0.0F;
+    if (s.spread_mm2 > max_spread_mm2) return Opened(level - 1, 2 * x, 2 * y);
+    if (normal.dot(s.normal) < 0.0F) return 0.0F;
+    const Eigen::Vector3f offset = s.point_mm - centre;
+    const float along = offset.dot(normal);
+    const float exponent = half_inverse2 * (offset.squaredNorm() - along * along);
+    return exponent < 13.0F ? flux * std::exp(-exponent) : 0.0F;
+  }
+  // A block across an edge of depth, or grazed by the light: its mean is no place on the skin.
+  [[nodiscard]] float Opened(int level, int x, int y) const {
+    float sum = 0.0F;
+    for (int j = y; j < std::min(y + 2, light.levels[level].height()); ++j)
+      for (int i = x; i < std::min(x + 2, light.levels[level].width()); ++i) sum += From(level, i, j);
+    return sum;
+  }
+};
+
+// sum of flux K2 over the blocks of one pyramid level within reach.
+float GatherLevel(const Receiver& r, const LitPyramid& light, int level, const Eigen::Vector3d& centre,
                   const Eigen::Vector2d& at, double sigma, int channel) {
-  const double half_inverse2 = 0.5 / (sigma * sigma);
-  const double reach = kReachSigmas * sigma;
+  const int block = 1 << level;
+  const double half_inverse2 = 0.5 / (sigma * sigma), reach = kReachSigmas * sigma;
   const double half_x = Extent(r.normal, r.column_per_mm, reach) / block + 1.0,
                half_y = Extent(r.normal, r.row_per_mm, reach) / block + 1.0;
   const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
+  const Image<LitSample>& blocks = light.levels[level];
   const int x0 = std::max(0, static_cast<int>(std::ceil(bx - half_x))),
-            x1 = std::min(level.width() - 1, static_cast<int>(std::floor(bx + half_x)));
+            x1 = std::min(blocks.width() - 1, static_cast<int>(std::floor(bx + half_x)));
   const int y0 = std::max(0, static_cast<int>(std::ceil(by - half_y))),
-            y1 = std::min(level.height() - 1, static_cast<int>(std::floor(by + half_y)));
-  const Eigen::Vector3f n = r.normal.cast<float>(), c = centre.cast<float>();
-  const float q = static_cast<float>(half_inverse2);
+            y1 = std::min(blocks.height() - 1, static_cast<int>(std::floor(by + half_y)));
+  const Gather gather{light,
+                      r.normal.cast<float>(),
+                      centre.cast<float>(),
+                      static_cast<float>(half_inverse2),
+                      static_cast<float>(kMaxSpread * sigma * sigma),
+                      channel};
   float sum = 0.0F;
   for (int y = y0; y <= y1; ++y)
-    for (int x = x0; x <= x1; ++x) {
-      const LitSample& s = level(x, y);
-      const float flux = s.flux[channel];
-      if (flux == 0.0F || n.dot(s.normal) < 0.0F) continue;
-      const Eigen::Vector3f offset = s.point_mm - c;
-      const float along = offset.dot(n);
-      const float exponent = q * (offset.squaredNorm() - along * along);
-      if (exponent < 13.0F) sum += flux * std::exp(-exponent);
-    }
+    for (int x = x0; x <= x1; ++x) sum += gather.From(level, x, y);
   return sum * static_cast<float>(half_inverse2 / std::numbers::pi);
 }
 
@@ -152,8 +178,7 @@ Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, 
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       const auto pixel = lit.light.ProjectFromCamera(centre);
       if (!pixel) continue;
-      sum += map.weight[at] *
-             GatherLevel(r, light.levels[level], 1 << level, centre, *pixel, std::sqrt(own2 + h * h / 12.0), c);
+      sum += map.weight[at] * GatherLevel(r, light, level, centre, *pixel, std::sqrt(own2 + h * h / 12.0), c);
     }
     return sum * r.gain;
   });
