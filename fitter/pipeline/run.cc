@@ -149,7 +149,8 @@ Status Ablate(Work& w, const SrdSet& srds, int projector, double baseline) {
 Status EvaluateFully(Work& w) {
   const int projectors = static_cast<int>(w.frames.calibration()->projectors.size());
   w.clock.Start("evaluate: SRDs of pooled pixels");
-  SLX_ASSIGN_OR_RETURN(const auto pooled, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool, w.logger));
+  SLX_ASSIGN_OR_RETURN(const auto pooled,
+                       ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool, w.logger));
   std::vector<std::string> lights = {"stripe", "white"};
   if (w.frames.plan()->spot_radius > 0) lights.push_back("spot");
   for (int p = 0; p < projectors; ++p) {
@@ -199,7 +200,8 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   w.surface = w.face.surface;
   std::string decoded = "decoded sites:";
   for (int r = 0; r < kDecodeReasons; ++r)
-    decoded += std::string(r == 0 ? " " : ", ") + ToString(static_cast<DecodeReason>(r)) + " " + std::to_string(w.face.decode_counts[r]);
+    decoded += std::string(r == 0 ? " " : ", ") + ToString(static_cast<DecodeReason>(r)) + " " +
+               std::to_string(w.face.decode_counts[r]);
   w.logger.Info(decoded);
   if (w.options.geometry == GeometrySource::kTruth) {
     if (!w.truth)
