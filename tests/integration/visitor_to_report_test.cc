@@ -116,14 +116,22 @@ TEST_F(Visitor, MapsDoNotDependOnTheTruth) {
   ASSERT_TRUE(fs::exists(truth));
   const std::vector<std::string> maps = {"position.exr", "normal_fused.exr", "direct_0.exr", "layers_weight.exr",
                                          "layers_depth_mm.exr"};
-  std::vector<std::string> before;
-  for (const std::string& map : maps) before.push_back(Bytes(fit_ / map));
+  const std::string command = "stratalux-fit run latest --json --pool 3 --force --store " + store_;
+  auto maps_of = [&] {
+    const Outcome run = Execute(command);
+    EXPECT_EQ(run.code, 0);
+    std::vector<std::string> bytes;
+    for (const std::string& map : maps)
+      bytes.push_back(Bytes(fs::path(Json::parse(run.out)["folder"].get<std::string>()) / map));
+    return bytes;
+  };
+  const std::vector<std::string> before = maps_of();
   fs::remove(truth);
-  ASSERT_EQ(
-      Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --pool 3 --iterations 40 --force")
-          .code,
-      0);
-  for (size_t i = 0; i < maps.size(); ++i) EXPECT_TRUE(Bytes(fit_ / maps[i]) == before[i]) << maps[i];
+  const std::vector<std::string> after = maps_of();
+  for (size_t i = 0; i < maps.size(); ++i) {
+    EXPECT_GT(before[i].size(), 1000U) << maps[i];
+    EXPECT_TRUE(after[i] == before[i]) << maps[i];
+  }
 }
 
 TEST_F(Visitor, WithoutScatteringHardlyAnyLightIsInWideLayers) {
