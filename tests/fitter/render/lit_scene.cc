@@ -115,7 +115,7 @@ std::vector<Layer> SkinLayers() {
 }
 
 Pattern MiddleLine(const LitScene& scene, int width) {
-  const int columns = scene.rig.projectors[0].model.width;
+  const int columns = scene.lit.light.model.width;
   return {.kind = PatternKind::kComb, .period = columns, .width = width, .shift = (columns - width) / 2};
 }
 
