@@ -17,8 +17,10 @@ namespace {
 struct Receiver {
   Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
   double gain = 1.0;
-  double footprint2 = 0.0;                    // variance of the camera pixel's box on the surface, mm^2
-  double pitch_mm = 1.0;                      // of the light's pixels on the surface, mean of both axes
+  double footprint2 = 0.0;  // variance of the camera pixel's box on the surface, mm^2
+  double pitch_mm = 1.0;    // of the light's pixels on the surface, mean of both axes
+  // Variance below which the light's pixels sample a Gaussian too coarsely (0.55 of the longer pitch: 0.5 % of ripple).
+  double narrowest2 = 0.0;
   Eigen::Vector3d column_per_mm, row_per_mm;  // gradient of the light's pixel coordinates
 };
 
@@ -53,6 +55,7 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
   // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
   const double distance = (light.CentreInCamera() - r.point).norm();
   r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
+  r.narrowest2 = std::pow(0.55 * r.pitch_mm, 2) / cos_in;
   const Rigid3& pose = light.camera_from_projector;
   const Eigen::Vector3d in_light = pose.Inverse() * r.point;
   r.column_per_mm =
@@ -70,9 +73,9 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
   return std::exp(-half_inverse2 * std::max(0.0, offset.squaredNorm() - along * along));
 }
 
-constexpr double kReachSigmas = 3.6;
+constexpr double kReachSigmas = 4.5;
 constexpr double kMaxSpread = 0.15;  // of sigma^2; a block of 0.67 sigma on skin that faces the light spreads by 0.075
-constexpr double kSharpestRadiusMm = 3.0, kReliefMm = 20.0;  // of a face
+constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
 
 // Half the size, in the light's pixels, of what lies within `reach` of a point in its tangent plane. Offsets along the
 // normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by the face's relief.
@@ -178,7 +181,8 @@ Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, 
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       const auto pixel = lit.light.ProjectFromCamera(centre);
       if (!pixel) continue;
-      sum += map.weight[at] * GatherLevel(r, light, level, centre, *pixel, std::sqrt(own2 + h * h / 12.0), c);
+      sum += map.weight[at] *
+             GatherLevel(r, light, level, centre, *pixel, std::sqrt(std::max(own2 + h * h / 12.0, r.narrowest2)), c);
     }
     return sum * r.gain;
   });
@@ -191,8 +195,8 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
     for (int l = 0; l < map.layers; ++l) {
       const size_t at = static_cast<size_t>(profile) * map.layers + l;
       if (!(map.weight[at] > 0.0F)) continue;
-      const double variance =
-          double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2 + r.pitch_mm * r.pitch_mm / 12.0;
+      const double own2 = double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2;
+      const double variance = std::max(own2 + r.pitch_mm * r.pitch_mm / 12.0, r.narrowest2);
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       double layer = 0.0;
       for (const LitSample& s : light.levels[0].pixels())

@@ -58,10 +58,10 @@ MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
   return out;
 }
 
-// Mean profile of a channel over the lights on a common grid of u.
+// Mean profile of a channel over the lights in bins of u.
 struct MeanProfile {
   double step = 0.3;
-  std::vector<double> y, count;  // u = (k - half) step
+  std::vector<double> u, y, count;  // mean offset and radiance of each bin
   double line_width = 0.58, blur = 0.2;
 };
 
@@ -69,7 +69,7 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
   constexpr int kHalf = 40;
   MeanProfile mean;
   mean.y.assign(2 * kHalf + 1, 0.0);
-  mean.count.assign(2 * kHalf + 1, 0.0);
+  mean.u = mean.count = mean.y;
   double width = 0.0, blur = 0.0, n = 0.0;
   for (const SrdBatch* b : lights)
     for (int64_t i = channel; i < b->profiles(); i += channels) {
@@ -82,11 +82,15 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
         const double u = std::remainder(double(b->first_u_mm[i]) + k * double(b->step_mm[i]), period);
         const long bin = std::lround(u / mean.step) + kHalf;
         if (bin < 0 || bin > 2 * kHalf) continue;
+        mean.u[bin] += u;
         mean.y[bin] += b->y[i * b->samples + k];
         mean.count[bin] += 1.0;
       }
     }
-  for (size_t k = 0; k < mean.y.size(); ++k) mean.y[k] /= std::max(mean.count[k], 1.0);
+  for (size_t k = 0; k < mean.y.size(); ++k) {
+    mean.u[k] /= std::max(mean.count[k], 1.0);
+    mean.y[k] /= std::max(mean.count[k], 1.0);
+  }
   if (n > 0.0) {
     mean.line_width = width / n;
     mean.blur = blur / n;
@@ -109,10 +113,10 @@ double Measured(const Dipole& dipole, double u, double width, double blur) {
 
 double Misfit(const Dipole& dipole, const MeanProfile& mean) {
   double error = 0.0;
-  for (size_t k = 0; k < mean.y.size(); k += 2) {
-    const double u = (static_cast<double>(k) - static_cast<double>(mean.y.size() / 2)) * mean.step;
-    const double d = Measured(dipole, u, mean.line_width, mean.blur) - mean.y[k];
-    error += mean.count[k] > 0.0 ? d * d : 0.0;
+  for (size_t k = 0; k < mean.y.size(); ++k) {
+    if (!(mean.count[k] > 0.0)) continue;
+    const double d = Measured(dipole, mean.u[k], mean.line_width, mean.blur) - mean.y[k];
+    error += d * d;
   }
   return error;
 }
