@@ -73,7 +73,7 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
   return std::exp(-half_inverse2 * std::max(0.0, offset.squaredNorm() - along * along));
 }
 
-constexpr double kReachSigmas = 4.5;
+constexpr double kReachSigmas = 3.6;
 constexpr double kMaxSpread = 0.15;  // of sigma^2; a block of 0.67 sigma on skin that faces the light spreads by 0.075
 constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
 

@@ -110,9 +110,7 @@ TEST_F(Visitor, ReportHoldsEveryPictureAndNothingFromOutside) {
 
 TEST_F(Visitor, MapsDoNotDependOnTheTruth) {
   // The judge's knowledge is deleted; what the stages make must not change by a bit.
-  const fs::path truth =
-      folder_ / "store" / "sessions" /
-      Json::parse(Execute("stratalux-db ls --json --store " + store_).out)[0]["id"].get<std::string>() / "truth.seg";
+  const fs::path truth = folder_ / "store" / "sessions" / metrics_["session"].get<std::string>() / "truth.seg";
   ASSERT_TRUE(fs::exists(truth));
   const std::vector<std::string> maps = {"position.exr", "normal_fused.exr", "direct_0.exr", "layers_weight.exr",
                                          "layers_depth_mm.exr"};
