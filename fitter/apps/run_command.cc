@@ -36,7 +36,11 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_option("--gain", f.gain, "Angular gain: model or none")
       ->check(CLI::IsMember({"model", "none"}))
       ->capture_default_str();
-  verb.add_option("--iterations", f.run.em.max_iterations, "EM sweeps at most")
+  verb.add_option("--refinement", f.run.em.refinement_iterations,
+                  "EM sweeps of each pixel from the session's mean layers; 0: every pixel on its own")
+      ->check(CLI::Range(0, 100000))
+      ->capture_default_str();
+  verb.add_option("--iterations", f.run.em.max_iterations, "EM sweeps of the mean layers at most")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
@@ -50,9 +54,6 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->capture_default_str();
   verb.add_flag("--full-evaluation", f.run.full_evaluation,
                 "Hold out every projector in turn; baselines and ablations");
-  verb.add_option("--evaluation-pool", f.run.evaluation_pool, "Quads per side there")
-      ->check(CLI::Range(1, 16))
-      ->capture_default_str();
   verb.add_flag("--force", f.run.force, "Fit again even if this fit is complete");
 }
 

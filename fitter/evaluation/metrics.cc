@@ -28,6 +28,7 @@ std::string Metrics::ToJson() const {
     json["ablations"].push_back({{"name", a.name},
                                  {"projector", a.projector},
                                  {"light", a.light},
+                                 {"part", a.part},
                                  {"nrmse", a.nrmse},
                                  {"baseline_nrmse", a.baseline_nrmse}});
   json["fit"] = {{"divergence", divergence},

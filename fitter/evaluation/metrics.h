@@ -26,6 +26,7 @@ struct AblationFigure {
   std::string name;  // projectors_permuted | comb_frames_shuffled
   int projector = 0;
   std::string light;
+  std::string part;  // total (with the measured direct light) | subsurface
   double nrmse = 0.0;
   double baseline_nrmse = 0.0;  // the same fit, not ablated
 };

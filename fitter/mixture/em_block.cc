@@ -34,11 +34,47 @@ Noise NoiseOf(const SrdBatch& batch, int64_t profile) {
   return {1.0 / per_count, std::max(0.0, v[low] / per_count - std::max(0.0F, y[low]))};
 }
 
+// model[sample] += sum over taps of response mass; open windows see nothing beyond their grid.
+SLX_SIMD_CLONES void Project(const EmLight& light, float* model) {
+  const int before = (light.taps - light.cells_per_sample) / 2;
+  for (int k = 0; k < light.samples; ++k) {
+    Vec sum = Load(model + k * kLanes);
+    int cell = light.pad_cells + k * light.cells_per_sample - before;
+    for (int t = 0; t < light.taps; ++t, ++cell) {
+      int at = cell;
+      if (light.grid.wrapped)
+        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
+      if (at < 0 || at >= light.grid.cells) continue;
+      sum += Load(light.mass.data() + at * kLanes) * Load(light.response.data() + t * kLanes);
+    }
+    Store(model + k * kLanes, sum);
+  }
+}
+
+// q[cell] += sum over taps of response ratio: the transpose of Project.
+SLX_SIMD_CLONES void ProjectBack(const EmLight& light, const float* ratios, float* q) {
+  const int before = (light.taps - light.cells_per_sample) / 2;
+  for (int k = 0; k < light.samples; ++k) {
+    const Vec ratio = Load(ratios + k * kLanes);
+    int cell = light.pad_cells + k * light.cells_per_sample - before;
+    for (int t = 0; t < light.taps; ++t, ++cell) {
+      int at = cell;
+      if (light.grid.wrapped)
+        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
+      if (at < 0 || at >= light.grid.cells) continue;
+      Store(q + at * kLanes, Load(q + at * kLanes) + ratio * Load(light.response.data() + t * kLanes));
+    }
+  }
+}
+
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-                 std::span<const int64_t> members, const EmOptions& options)
-    : options_(options), members_(members), lights_(lights.size()) {
+                 std::span<const int64_t> members, const EmOptions& options, std::span<const LayerSet> start)
+    : options_(options),
+      sweeps_(start.empty() ? options.max_iterations : options.refinement_iterations),
+      members_(members),
+      lights_(lights.size()) {
   const size_t size = static_cast<size_t>(options.layers) * kLanes;
   for (auto* v : {&weight_, &depth_, &sigma_, &cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(size, 0.0F);
   moments_.assign(3 * size, 0.0F);
@@ -49,7 +85,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
     for (int i = 0; i < kLanes; ++i)
       if (lights_[p].counts[i] > 0.0F) sigma_floor_[i] = std::max(sigma_floor_[i], 0.9F * lights_[p].cell_mm[i]);
   }
-  Initialise();
+  Initialise(start);
 }
 
 void EmBlock::LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, EmLight& light) const {
@@ -105,7 +141,7 @@ void EmBlock::BuildResponse(const SrdBatch& batch, EmLight& light) const {
   auto line_of = [&](int i) -> LineResponse {
     const int64_t profile = members_[i];
     return {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * batch.step_mm[profile],
-            light.cell_mm[i]};
+            light.cell_mm[i], batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
   };
   double support = 0.0;
   for (int i = 0; i < count; ++i)
@@ -152,9 +188,8 @@ void EmBlock::BuildResponse(const SrdBatch& batch, EmLight& light) const {
     for (int i = 0; i < kLanes; ++i) light.unseen[c * kLanes + i] += light.coverage[i];
 }
 
-// Widths spread logarithmically, depths growing with the width, the observed total shared out evenly.
-void EmBlock::Initialise() {
-  for (int i = 0; i < kLanes; ++i) {
+void EmBlock::Initialise(std::span<const LayerSet> start) {
+  for (int i = 0; i < static_cast<int>(members_.size()); ++i) {
     double total = 0.0, exposure = 0.0, longest = 0.0;
     for (const EmLight& light : lights_) {
       if (!(light.counts[i] > 0.0F)) continue;
@@ -165,15 +200,34 @@ void EmBlock::Initialise() {
       longest = std::max(longest, double(light.cell_mm[i]) * light.grid.cells);
     }
     if (!(exposure > 0.0)) continue;
-    const double widest = std::min({options_.max_sigma_mm, longest / 4.0});
-    const double narrowest = sigma_floor_[i];
-    for (int l = 0; l < options_.layers; ++l) {
-      const double f = options_.layers > 1 ? static_cast<double>(l) / (options_.layers - 1) : 0.5;
-      const double sigma = narrowest * 1.1 * std::pow(std::max(widest * 0.7, narrowest * 2) / (narrowest * 1.1), f);
-      sigma_[l * kLanes + i] = static_cast<float>(sigma);
-      depth_[l * kLanes + i] = options_.direction_blind ? 0.0F : static_cast<float>(std::min(0.3 * sigma, 1.0));
-      weight_[l * kLanes + i] = static_cast<float>(total / exposure / options_.layers);
+    const size_t channel = start.empty() ? 0 : static_cast<size_t>(members_[i]) % start.size();
+    if (!start.empty() && !start[channel].weight.empty()) {
+      StartFrom(start[channel], i, total / exposure);
+    } else {
+      SpreadLayers(i, total / exposure, std::min(options_.max_sigma_mm, longest / 4.0));
     }
+  }
+}
+
+// Widths spread logarithmically, depths growing with the width, the observed total shared out evenly.
+void EmBlock::SpreadLayers(int lane, double total, double widest_mm) {
+  const double narrowest = sigma_floor_[lane];
+  for (int l = 0; l < options_.layers; ++l) {
+    const double f = options_.layers > 1 ? static_cast<double>(l) / (options_.layers - 1) : 0.5;
+    const double sigma = narrowest * 1.1 * std::pow(std::max(widest_mm * 0.7, narrowest * 2) / (narrowest * 1.1), f);
+    sigma_[l * kLanes + lane] = static_cast<float>(sigma);
+    depth_[l * kLanes + lane] = options_.direction_blind ? 0.0F : static_cast<float>(std::min(0.3 * sigma, 1.0));
+    weight_[l * kLanes + lane] = static_cast<float>(total / options_.layers);
+  }
+}
+
+void EmBlock::StartFrom(const LayerSet& layers, int lane, double total) {
+  double sum = 0.0;
+  for (double w : layers.weight) sum += w;
+  for (int l = 0; l < options_.layers; ++l) {
+    weight_[l * kLanes + lane] = static_cast<float>(layers.weight[l] / std::max(sum, 1e-9) * total);
+    depth_[l * kLanes + lane] = options_.direction_blind ? 0.0F : static_cast<float>(layers.depth_mm[l]);
+    sigma_[l * kLanes + lane] = std::max(static_cast<float>(layers.sigma_mm[l]), sigma_floor_[lane]);
   }
 }
 
@@ -188,48 +242,26 @@ void EmBlock::Predict(EmLight& light) {
   }
   std::fill(light.mass.begin(), light.mass.end(), 0.0F);
   AddLayers(light.grid, options_.layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data(), light.mass.data());
-  const int before = (light.taps - light.cells_per_sample) / 2;
   for (int k = 0; k < light.samples; ++k) {
     float* model = light.model.data() + k * kLanes;
     const float* own = light.surface_response.data() + k * kLanes;
     for (int i = 0; i < kLanes; ++i) model[i] = light.background[i] + light.surface[i] * own[i];
-    int cell = light.pad_cells + k * light.cells_per_sample - before;
-    for (int t = 0; t < light.taps; ++t, ++cell) {
-      int at = cell;
-      if (light.grid.wrapped)
-        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
-      if (at < 0 || at >= light.grid.cells) continue;
-      const float* m = light.mass.data() + at * kLanes;
-      const float* r = light.response.data() + t * kLanes;
-      for (int i = 0; i < kLanes; ++i) model[i] += m[i] * r[i];
-    }
   }
+  Project(light, light.model.data());
 }
 
 // q = B^T (y / (B m)) with the shifted Poisson's read noise on both sides; cells outside an open window are filled in
 // by the model's own expectation (exact EM for a truncated observation).
 void EmBlock::BackProject(EmLight& light) {
   std::copy(light.unseen.begin(), light.unseen.end(), light.q.begin());
-  const int before = (light.taps - light.cells_per_sample) / 2;
-  for (int k = 0; k < light.samples; ++k) {
-    float ratio[kLanes];
+  for (int k = 0; k < light.samples; ++k)
     for (int i = 0; i < kLanes; ++i) {
       const float shift = light.shift[k * kLanes + i];
       const float data = std::max(light.y[k * kLanes + i] + shift, 0.0F);
-      ratio[i] = light.counts[i] > 0.0F ? data / std::max(light.model[k * kLanes + i] + shift, kTiny) : 0.0F;
-      light.model[k * kLanes + i] = ratio[i];
+      float& model = light.model[k * kLanes + i];
+      model = light.counts[i] > 0.0F ? data / std::max(model + shift, kTiny) : 0.0F;
     }
-    int cell = light.pad_cells + k * light.cells_per_sample - before;
-    for (int t = 0; t < light.taps; ++t, ++cell) {
-      int at = cell;
-      if (light.grid.wrapped)
-        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
-      if (at < 0 || at >= light.grid.cells) continue;
-      float* q = light.q.data() + at * kLanes;
-      const float* r = light.response.data() + t * kLanes;
-      for (int i = 0; i < kLanes; ++i) q[i] += ratio[i] * r[i];
-    }
-  }
+  ProjectBack(light, light.model.data(), light.q.data());
 }
 
 // EM of the two terms that no layer holds; `model` holds the ratios here.
@@ -311,7 +343,7 @@ int EmBlock::Run() {
   constexpr int kCheckEvery = 8;
   std::array<double, kLanes> last{};
   last.fill(1e300);
-  for (int sweep = 1; sweep <= options_.max_iterations; ++sweep) {
+  for (int sweep = 1; sweep <= sweeps_; ++sweep) {
     Sweep();
     if (sweep % kCheckEvery != 0) continue;
     for (EmLight& light : lights_) Predict(light);
@@ -323,7 +355,7 @@ int EmBlock::Run() {
     if (settled) return sweep;
   }
   for (EmLight& light : lights_) Predict(light);
-  return options_.max_iterations;
+  return sweeps_;
 }
 
 std::array<double, kLanes> EmBlock::Divergence() const {

@@ -9,6 +9,7 @@
 
 #include "fitter/mixture/em_kernel.h"
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
@@ -36,7 +37,7 @@ class EmBlock {
  public:
   // `members`: at most kLanes profile indices; usable[light][profile] says which lights count for a profile.
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-          std::span<const int64_t> members, const EmOptions& options);
+          std::span<const int64_t> members, const EmOptions& options, std::span<const LayerSet> start = {});
 
   // Sweeps until the divergence settles; returns the sweeps done.
   int Run();
@@ -53,13 +54,16 @@ class EmBlock {
  private:
   void LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, EmLight& light) const;
   void BuildResponse(const SrdBatch& batch, EmLight& light) const;
-  void Initialise();
+  void Initialise(std::span<const LayerSet> start);
+  void SpreadLayers(int lane, double total, double widest_mm);
+  void StartFrom(const LayerSet& layers, int lane, double total);
   void Predict(EmLight& light);
   void BackProject(EmLight& light);
   void Sweep();
   void UpdateFloor(EmLight& light);
 
   EmOptions options_;
+  int sweeps_ = 0;  // at most
   std::span<const int64_t> members_;
   std::vector<EmLight> lights_;
   std::vector<float> weight_, depth_, sigma_;                          // [layer][lane], mm

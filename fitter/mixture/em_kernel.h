@@ -6,9 +6,9 @@
 
 #include <vector>
 
-namespace stratalux::fit {
+#include "fitter/mixture/simd.h"
 
-inline constexpr int kLanes = 16;
+namespace stratalux::fit {
 
 struct EmGrid {
   int cells = 0;

@@ -16,6 +16,9 @@ struct EmOptions {
   bool surface_term = true;      // light reflected at the very surface
   bool background_term = true;
   int max_iterations = 50;  // held-out light is predicted best at 50-100 (model section 7)
+  // Sweeps of a pixel that starts from the session's mean layers (FitMixture's `start`): fewer sweeps keep it closer to
+  // the mean where its own photons are few.
+  int refinement_iterations = 8;
   double tolerance = 1e-5;  // relative change of the divergence
   int cells_per_sample = 4;
   double max_sigma_mm = 11.0;

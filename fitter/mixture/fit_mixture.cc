@@ -7,6 +7,7 @@
 
 #include "fitter/mixture/em_block.h"
 #include "fitter/mixture/shift_law.h"
+#include "shared/base/check.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -66,6 +67,51 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   return map;
 }
 
+// Every light of every profile judged once.
+struct Judgement {
+  std::vector<std::vector<uint8_t>> usable;  // [light][profile]
+  std::vector<uint8_t> reason;               // [profile] FitReason
+  std::vector<int64_t> work;                 // profiles that some light can fit
+};
+
+Judgement JudgeAll(std::span<const SrdBatch* const> lights) {
+  const int64_t profiles = lights[0]->profiles();
+  Judgement judged{
+      std::vector(lights.size(), std::vector<uint8_t>(profiles, 0)), std::vector<uint8_t>(profiles, 0), {}};
+  for (int64_t i = 0; i < profiles; ++i) {
+    FitReason worst = FitReason::kNoProjector;
+    bool any = false;
+    for (size_t p = 0; p < lights.size(); ++p) {
+      const FitReason reason = Judge(*lights[p], i);
+      judged.usable[p][i] = reason == FitReason::kFitted ? 1 : 0;
+      any = any || judged.usable[p][i] != 0;
+      if (reason != FitReason::kNoProjector && reason != FitReason::kFitted) worst = reason;
+    }
+    judged.reason[i] = static_cast<uint8_t>(any ? FitReason::kFitted : worst);
+    if (any) judged.work.push_back(i);
+  }
+  return judged;
+}
+
+// Runs EM on blocks of sixteen usable profiles, gathered by channel so that no lane runs empty; `done(block, members,
+// sweeps)` is called from several threads.
+template <typename Done>
+void ForEachBlock(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
+                  const EmOptions& options, std::span<const LayerSet> start, const Done& done) {
+  std::vector<int64_t> work = judged.work;
+  std::stable_sort(work.begin(), work.end(), [&](int64_t a, int64_t b) { return a % channels < b % channels; });
+  const int64_t blocks = (static_cast<int64_t>(work.size()) + kLanes - 1) / kLanes;
+  ParallelFor(blocks, 8, [&](int64_t begin, int64_t end) {
+    for (int64_t block = begin; block < end; ++block) {
+      const int64_t count = std::min<int64_t>(kLanes, static_cast<int64_t>(work.size()) - block * kLanes);
+      const std::span<const int64_t> members(work.data() + block * kLanes, static_cast<size_t>(count));
+      EmBlock em(lights, judged.usable, members, options, start);
+      const int sweeps = em.Run();
+      done(em, members, sweeps);
+    }
+  });
+}
+
 }  // namespace
 
 Status EmOptions::Validate() const {
@@ -73,65 +119,93 @@ Status EmOptions::Validate() const {
   if (!(eta >= 1.0 && eta <= 3.0)) return Status::Usage("eta = " + std::to_string(eta) + ", allowed: 1 .. 3");
   if (max_iterations < 1 || max_iterations > 100000)
     return Status::Usage("max_iterations = " + std::to_string(max_iterations) + ", allowed: 1 .. 100000");
+  if (refinement_iterations < 0 || refinement_iterations > 100000)
+    return Status::Usage("refinement_iterations = " + std::to_string(refinement_iterations) + ", allowed: 0 .. 100000");
   if (!(tolerance >= 0.0)) return Status::Usage("tolerance must not be negative");
   if (cells_per_sample < 1 || cells_per_sample > 64) return Status::Usage("cells_per_sample must lie in 1 .. 64");
   return Status::Ok();
 }
 
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                              int height, int channels, const EmOptions& options,
+                              int height, int channels, const EmOptions& options, std::span<const LayerSet> start,
                               const std::function<void(int64_t)>& progress) {
   SLX_RETURN_IF_ERROR(options.Validate());
   const int64_t profiles = int64_t{width} * height * channels;
   SLX_RETURN_IF_ERROR(CheckBatches(lights, profiles));
+  SLX_CHECK(start.empty() || static_cast<int>(start.size()) == channels);
   MixtureMap map = EmptyMap(width, height, channels, options, projectors);
-
-  // Judge every light of every profile once; unusable ones are masked in copies of the flags alone.
-  std::vector<std::vector<uint8_t>> usable(lights.size(), std::vector<uint8_t>(profiles, 0));
-  std::vector<int64_t> work;
-  for (int64_t i = 0; i < profiles; ++i) {
-    FitReason worst = FitReason::kNoProjector;
-    bool any = false;
-    for (size_t p = 0; p < lights.size(); ++p) {
-      const FitReason reason = Judge(*lights[p], i);
-      usable[p][i] = reason == FitReason::kFitted ? 1 : 0;
-      any = any || usable[p][i] != 0;
-      if (reason != FitReason::kNoProjector && reason != FitReason::kFitted) worst = reason;
-    }
-    map.reason[i] = static_cast<uint8_t>(any ? FitReason::kFitted : worst);
-    if (any) work.push_back(i);
-  }
-
-  // Blocks of sixteen usable profiles of one channel each, gathered so that no lane runs empty.
-  std::stable_sort(work.begin(), work.end(), [&](int64_t a, int64_t b) { return a % channels < b % channels; });
-  const int64_t blocks = (static_cast<int64_t>(work.size()) + kLanes - 1) / kLanes;
-  ParallelFor(blocks, 8, [&](int64_t begin, int64_t end) {
-    for (int64_t block = begin; block < end; ++block) {
-      const int count = static_cast<int>(std::min<int64_t>(kLanes, static_cast<int64_t>(work.size()) - block * kLanes));
-      const std::span<const int64_t> members(work.data() + block * kLanes, count);
-      EmBlock em(lights, usable, members, options);
-      const int iterations = em.Run();
-      const auto divergence = em.Divergence();
-      for (int lane = 0; lane < count; ++lane) {
-        const int64_t i = members[lane];
-        for (int l = 0; l < options.layers; ++l) {
-          map.weight[i * options.layers + l] = em.Weight(l, lane);
-          map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
-          map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
-        }
-        for (size_t p = 0; p < lights.size(); ++p) {
-          map.surface[i * lights.size() + p] = em.Light(static_cast<int>(p)).surface[lane];
-          map.background[i * lights.size() + p] = em.Light(static_cast<int>(p)).background[lane];
-        }
-        map.divergence[i] = static_cast<float>(divergence[lane]);
-        map.iterations[i] = static_cast<uint16_t>(std::min(iterations, 65535));
-        if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
-          map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
-      }
-      if (progress) progress(count);
-    }
-  });
+  Judgement judged = JudgeAll(lights);
+  map.reason = std::move(judged.reason);
+  ForEachBlock(lights, judged, channels, options, start,
+               [&](const EmBlock& em, std::span<const int64_t> members, int sweeps) {
+                 const auto divergence = em.Divergence();
+                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane) {
+                   const int64_t i = members[lane];
+                   for (int l = 0; l < options.layers; ++l) {
+                     map.weight[i * options.layers + l] = em.Weight(l, lane);
+                     map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
+                     map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
+                   }
+                   for (size_t p = 0; p < lights.size(); ++p) {
+                     map.surface[i * lights.size() + p] = em.Light(static_cast<int>(p)).surface[lane];
+                     map.background[i * lights.size() + p] = em.Light(static_cast<int>(p)).background[lane];
+                   }
+                   map.divergence[i] = static_cast<float>(divergence[lane]);
+                   map.iterations[i] = static_cast<uint16_t>(std::min(sweeps, 65535));
+                   if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
+                     map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
+                 }
+                 if (progress) progress(static_cast<int64_t>(members.size()));
+               });
   return map;
+}
+
+Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
+                                         const EmOptions& options, int every) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_CHECK(every >= 1);
+  if (lights.empty()) return Status::Usage("EM needs at least one light");
+  SLX_RETURN_IF_ERROR(CheckBatches(lights, lights[0]->profiles()));
+  Judgement judged = JudgeAll(lights);
+  // Every so many pixels, all channels of each.
+  std::erase_if(judged.work, [&](int64_t i) { return i / channels % every != 0; });
+  // Layers by profile, so that the sums do not depend on the order in which blocks finish.
+  const size_t layers = static_cast<size_t>(options.layers);
+  std::vector<float> fitted(judged.work.size() * layers * 3);
+  std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
+  for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
+  ForEachBlock(lights, judged, channels, options, {},
+               [&](const EmBlock& em, std::span<const int64_t> members, int /*sweeps*/) {
+                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane)
+                   for (size_t l = 0; l < layers; ++l) {
+                     float* at = fitted.data() + (place[members[lane]] * layers + l) * 3;
+                     at[0] = em.Weight(static_cast<int>(l), lane);
+                     at[1] = em.DepthMm(static_cast<int>(l), lane);
+                     at[2] = em.SigmaMm(static_cast<int>(l), lane);
+                   }
+               });
+  std::vector<LayerSet> mean(channels);
+  std::vector<int64_t> count(channels, 0);
+  for (size_t k = 0; k < judged.work.size(); ++k) {
+    const size_t c = static_cast<size_t>(judged.work[k] % channels);
+    LayerSet& set = mean[c];
+    for (auto* v : {&set.weight, &set.depth_mm, &set.sigma_mm}) v->resize(layers, 0.0);
+    ++count[c];
+    for (size_t l = 0; l < layers; ++l) {
+      const float* at = fitted.data() + (k * layers + l) * 3;
+      set.weight[l] += at[0];
+      set.depth_mm[l] += double(at[0]) * at[1];
+      set.sigma_mm[l] += double(at[0]) * at[2];
+    }
+  }
+  for (int c = 0; c < channels; ++c)
+    for (size_t l = 0; l < mean[c].weight.size(); ++l) {
+      const double w = mean[c].weight[l];
+      mean[c].depth_mm[l] = w > 0.0 ? mean[c].depth_mm[l] / w : 0.0;
+      mean[c].sigma_mm[l] = w > 0.0 ? mean[c].sigma_mm[l] / w : 1.0;
+      mean[c].weight[l] /= static_cast<double>(count[c]);
+    }
+  return mean;
 }
 
 LayerSet LayersOf(const MixtureMap& map, int64_t profile) {

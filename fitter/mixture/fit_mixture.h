@@ -13,16 +13,18 @@
 namespace stratalux::fit {
 
 // Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
-// that cannot be fitted get zero weights and a reason, never NaN. `progress` (may be empty) receives numbers of
-// finished profiles. Same input, same bits, whatever the number of threads.
+// that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, by channel,
+// scaled to each profile's own light (MeanLayers below); empty: widths spread over all scales. `progress` (may be
+// empty) receives numbers of finished profiles. Same input, same bits, whatever the number of threads.
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                              int height, int channels, const EmOptions& options,
+                              int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
                               const std::function<void(int64_t)>& progress = {});
 
-// Layers of one profile, as prediction needs them.
-struct LayerSet {
-  std::vector<double> weight, depth_mm, sigma_mm;
-};
+// Mean weight, depth and width of each layer, by channel, over one usable profile in `every`: the coarser level that
+// single pixels start from. Empty where a channel has none.
+Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
+                                         const EmOptions& options, int every = 16);
+
 [[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
 
 // Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;

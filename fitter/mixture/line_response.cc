@@ -20,6 +20,11 @@ double Bowl(double x) {
 }  // namespace
 
 double LineResponse::At(double t_mm) const {
+  if (pair_mm <= 0.0) return OfOneSite(t_mm);
+  return 0.5 * (OfOneSite(t_mm - pair_mm) + OfOneSite(t_mm + pair_mm));
+}
+
+double LineResponse::OfOneSite(double t_mm) const {
   // Boxes convolved with a Gaussian are differences of its repeated antiderivatives at the boxes' corners.
   const double s = std::max(blur_mm, 1e-3 * cell_mm);
   const double w = 0.5 * line_width_mm, c = 0.5 * cell_mm, b = 0.5 * sample_box_mm;
@@ -33,6 +38,8 @@ double LineResponse::At(double t_mm) const {
   return sum / (cell_mm * sample_box_mm);
 }
 
-double LineResponse::Support() const { return 0.5 * (line_width_mm + cell_mm + sample_box_mm) + 4.8 * blur_mm; }
+double LineResponse::Support() const {
+  return 0.5 * (line_width_mm + cell_mm + sample_box_mm) + 4.8 * blur_mm + pair_mm;
+}
 
 }  // namespace stratalux::fit

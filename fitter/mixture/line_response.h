@@ -11,11 +11,16 @@ struct LineResponse {
   double blur_mm = 0.0;        // standard deviation
   double sample_box_mm = 0.0;  // binned profiles
   double cell_mm = 0.0;
+  // Half the distance, across the line, of the two sites that a sample averages (the greens of a quad); 0: one site.
+  double pair_mm = 0.0;
 
   // Mean over the cell centred at t, and over the sample's box, of Phi((t + w/2) / blur) - Phi((t - w/2) / blur).
   [[nodiscard]] double At(double t_mm) const;
   // Beyond this offset the response is below 1e-6.
   [[nodiscard]] double Support() const;
+
+ private:
+  [[nodiscard]] double OfOneSite(double t_mm) const;
 };
 
 }  // namespace stratalux::fit

@@ -53,4 +53,9 @@ struct MixtureMap {
   }
 };
 
+// Layers of one profile, or the mean of many.
+struct LayerSet {
+  std::vector<double> weight, depth_mm, sigma_mm;
+};
+
 }  // namespace stratalux::fit

@@ -24,6 +24,7 @@ struct SrdBatch {
   std::vector<float> step_mm;          // [profile]
   std::vector<float> line_width_mm;    // [profile]
   std::vector<float> blur_mm;          // [profile] standard deviation of projector + camera blur and pixel footprint
+  std::vector<float> pair_mm;          // [profile] LineResponse::pair_mm; empty: 0 everywhere
   std::vector<float> slope_in;         // [profile] tangent of incidence along e: t(omega_i) . e
   std::vector<float> slope_out;        // [profile] t(omega_o) . e
   std::vector<float> cos_in;           // [profile] n . omega_i

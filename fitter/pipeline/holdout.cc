@@ -159,8 +159,12 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
     for (const SrdBatch* b : lights) any = any || b->valid[i] != 0;
     usable += any ? 1 : 0;
   }
+  std::vector<LayerSet> start;
+  if (options.refinement_iterations > 0) {
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, options));
+  }
   Progress progress(logger, label, usable);
-  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options,
+  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options, start,
                     [&](int64_t done) { progress.Advance(done); });
 }
 

@@ -100,91 +100,125 @@ HoldOutInput InputFor(const Work& w, const SurfaceMap& surface, int projector, i
   return {w.frames, w.face, surface, w.truth, projector, pool, geometry};
 }
 
-// Tied model and its baselines for one projector on pooled pixels.
-Status EvaluatePooled(Work& w, const SrdSet& srds, const SurfaceMap& surface, int projector,
-                      const std::string& geometry, const std::vector<std::string>& lights, double* stripe_nrmse) {
-  const std::string label = "projector " + std::to_string(projector) + " held out, " + geometry;
-  SLX_ASSIGN_OR_RETURN(const auto tied, FitLayers(srds, projector, w.options.em, w.logger, label));
-  EmOptions blind_options = w.options.em;
-  blind_options.direction_blind = true;
-  SLX_ASSIGN_OR_RETURN(const auto blind,
-                       FitLayers(srds, projector, blind_options, w.logger, label + ", direction-blind"));
-  std::vector<int> training;
-  const auto batches = TrainingLights(srds, projector, &training);
-  std::vector<Dipole> dipoles;
-  for (int c = 0; c < srds.channels; ++c) dipoles.push_back(FitDipole(batches, c, srds.channels, w.options.em.eta));
-  SLX_ASSIGN_OR_RETURN(const auto dipole, DipoleMap(tied, dipoles));
-  const MixtureMap mean = Homogeneous(tied), mean_shape = HomogeneousLocalAlbedo(tied);
-  const size_t first = w.metrics.heldout.size();
-  SLX_RETURN_IF_ERROR(CompareHeldOut(InputFor(w, surface, projector, srds.pool, geometry),
-                                     {{"tied", &tied},
-                                      {"homogeneous", &mean},
-                                      {"homogeneous_local_albedo", &mean_shape},
-                                      {"direction_blind", &blind},
-                                      {"dipole", &dipole}},
-                                     lights, w.metrics.heldout)
-                          .status());
-  for (size_t i = first; i < w.metrics.heldout.size(); ++i) {
-    const HeldOutFigure& f = w.metrics.heldout[i];
-    if (f.light == "stripe" && f.model == "tied" && f.part == "total" && f.direct == "measured")
-      *stripe_nrmse = f.error.nrmse;
+// A tied fit with the baselines derived from it, and a direction-blind fit of the same data.
+struct Models {
+  MixtureMap tied, homogeneous, homogeneous_local_albedo, direction_blind;
+  [[nodiscard]] std::vector<ModelToCompare> List() const {
+    return {{"tied", &tied},
+            {"homogeneous", &homogeneous},
+            {"homogeneous_local_albedo", &homogeneous_local_albedo},
+            {"direction_blind", &direction_blind}};
   }
-  return Status::Ok();
+};
+
+Result<Models> FitBaselines(Work& w, const SrdSet& srds, int projector, MixtureMap tied, const std::string& label) {
+  Models m;
+  m.tied = std::move(tied);
+  m.homogeneous = Homogeneous(m.tied);
+  m.homogeneous_local_albedo = HomogeneousLocalAlbedo(m.tied);
+  EmOptions blind = w.options.em;
+  blind.direction_blind = true;
+  SLX_ASSIGN_OR_RETURN(m.direction_blind, FitLayers(srds, projector, blind, w.logger, label + ", direction-blind"));
+  return m;
 }
 
-Status Ablate(Work& w, const SrdSet& srds, int projector, double baseline) {
-  for (const auto& [name, ablated] : {std::pair("projectors_permuted", PermuteProjectors(srds, projector)),
-                                      std::pair("comb_frames_shuffled", ShuffleCombFrames(srds, 1))}) {
-    SLX_ASSIGN_OR_RETURN(const auto map,
-                         FitLayers(ablated, projector, w.options.em, w.logger, std::string("ablation ") + name));
+Status HoldOut(Work& w, int projector, const std::string& geometry) {
+  const std::string label = "projector " + std::to_string(projector) + " held out";
+  SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(w.srds, projector, w.options.em, w.logger, label));
+  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(tied), label));
+  return CompareHeldOut(InputFor(w, w.surface, projector, w.options.pool, geometry), models.List(), {"stripe", "white"},
+                        w.metrics.heldout)
+      .status();
+}
+
+// What must get worse: the training lights' directions given to each other, the frames of each comb cycle shuffled.
+Status Ablate(Work& w, const std::string& geometry) {
+  const int projector = w.options.heldout;
+  auto baseline_of = [&](const HeldOutFigure& f) {
+    for (const HeldOutFigure& b : w.metrics.heldout)
+      if (b.projector == projector && b.model == "tied" && b.light == f.light && b.part == f.part &&
+          b.direct == f.direct && b.geometry == f.geometry)
+        return b.error.nrmse;
+    return std::nan("");
+  };
+  auto ablate = [&](const std::string& name, const SrdSet& srds) -> Status {
+    SLX_ASSIGN_OR_RETURN(const auto map, FitLayers(srds, projector, w.options.em, w.logger, "ablation " + name));
     std::vector<HeldOutFigure> figures;
-    SLX_RETURN_IF_ERROR(CompareHeldOut(InputFor(w, w.surface, projector, srds.pool, "reconstructed"), {{name, &map}},
-                                       {"stripe"}, figures)
-                            .status());
-    w.metrics.ablations.push_back({name, projector, "stripe", figures[0].error.nrmse, baseline});
-  }
-  return Status::Ok();
+    SLX_RETURN_IF_ERROR(
+        CompareHeldOut(InputFor(w, w.surface, projector, srds.pool, geometry), {{name, &map}}, {"stripe"}, figures)
+            .status());
+    for (const HeldOutFigure& f : figures)
+      if (f.direct != "rendered")
+        w.metrics.ablations.push_back({name, projector, f.light, f.part, f.error.nrmse, baseline_of(f)});
+    return Status::Ok();
+  };
+  SLX_RETURN_IF_ERROR(ablate("projectors_permuted", PermuteProjectors(w.srds, projector)));
+  return ablate("comb_frames_shuffled", ShuffleCombFrames(w.srds, 1));
+}
+
+// The same fit on the true surface: what of the error is the model's, not the reconstruction's.
+Status EvaluateOnTruth(Work& w) {
+  const int projector = w.options.heldout;
+  SLX_ASSIGN_OR_RETURN(const auto surface, w.truth->Surface(*w.frames.calibration()));
+  SLX_ASSIGN_OR_RETURN(const auto srds, ExtractSrds(w.frames, surface, w.face.lit, w.options.pool, w.logger));
+  SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(srds, projector, w.options.em, w.logger, "true geometry"));
+  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, srds, projector, std::move(tied), "true geometry"));
+  return CompareHeldOut(InputFor(w, surface, projector, srds.pool, "truth"), models.List(), {"stripe"},
+                        w.metrics.heldout)
+      .status();
 }
 
 Status EvaluateFully(Work& w) {
   const int projectors = static_cast<int>(w.frames.calibration()->projectors.size());
-  w.clock.Start("evaluate: SRDs of pooled pixels");
-  SLX_ASSIGN_OR_RETURN(const auto pooled,
-                       ExtractSrds(w.frames, w.surface, w.face.lit, w.options.evaluation_pool, w.logger));
-  std::vector<std::string> lights = {"stripe", "white"};
-  if (w.frames.plan()->spot_radius > 0) lights.push_back("spot");
-  for (int p = 0; p < projectors; ++p) {
-    w.clock.Start("evaluate: hold out projector " + std::to_string(p));
-    double stripe = 0.0;
-    SLX_RETURN_IF_ERROR(EvaluatePooled(w, pooled, w.surface, p, "reconstructed", lights, &stripe));
-    if (p != w.options.heldout) continue;
-    w.clock.Start("evaluate: ablations");
-    SLX_RETURN_IF_ERROR(Ablate(w, pooled, p, stripe));
+  const std::string geometry = w.options.geometry == GeometrySource::kTruth ? "truth" : "reconstructed";
+  w.clock.Start("evaluate: ablations");
+  SLX_RETURN_IF_ERROR(Ablate(w, geometry));
+  if (w.truth && w.options.geometry == GeometrySource::kReconstructed) {
+    w.clock.Start("evaluate: true geometry");
+    SLX_RETURN_IF_ERROR(EvaluateOnTruth(w));
   }
-  if (!w.truth || w.options.geometry == GeometrySource::kTruth) return Status::Ok();
-  w.clock.Start("evaluate: true geometry");
-  SLX_ASSIGN_OR_RETURN(const auto true_surface, w.truth->Surface(*w.frames.calibration()));
-  SLX_ASSIGN_OR_RETURN(const auto true_srds,
-                       ExtractSrds(w.frames, true_surface, w.face.lit, w.options.evaluation_pool, w.logger));
-  double stripe = 0.0;
-  return EvaluatePooled(w, true_srds, true_surface, w.options.heldout, "truth", lights, &stripe);
+  for (int p = 0; p < projectors; ++p) {
+    if (p == w.options.heldout) continue;
+    w.clock.Start("evaluate: hold out projector " + std::to_string(p));
+    SLX_RETURN_IF_ERROR(HoldOut(w, p, geometry));
+  }
+  return Status::Ok();
 }
 
 Status CompareFullSize(Work& w) {
   w.clock.Start("render");
-  std::vector<std::string> lights = {"stripe", "white"};
   const std::string geometry = w.options.geometry == GeometrySource::kTruth ? "truth" : "reconstructed";
-  const HoldOutInput input = InputFor(w, w.surface, w.options.heldout, w.options.pool, geometry);
-  SLX_ASSIGN_OR_RETURN(w.pictures.comparisons, CompareHeldOut(input, {{"tied", &w.map}}, lights, w.metrics.heldout));
+  const int projector = w.options.heldout;
+  const HoldOutInput input = InputFor(w, w.surface, projector, w.options.pool, geometry);
+  SLX_ASSIGN_OR_RETURN(w.pictures.comparisons,
+                       CompareHeldOut(input, {{"tied", &w.map}}, {"stripe", "white"}, w.metrics.heldout));
   const MixtureMap mean = Homogeneous(w.map);
   SLX_ASSIGN_OR_RETURN(w.pictures.homogeneous,
-                       CompareHeldOut(input, {{"homogeneous", &mean}}, {"white"}, w.metrics.heldout));
+                       CompareHeldOut(input, {{"homogeneous", &mean}}, {"stripe", "white"}, w.metrics.heldout));
   if (w.truth) {
     SLX_ASSIGN_OR_RETURN(const auto depth, w.truth->Depth());
     SLX_ASSIGN_OR_RETURN(const auto normal, w.truth->Normal());
     w.metrics.truth = CompareSurface(w.surface, depth, normal);
   }
-  return Status::Ok();
+  if (!w.options.full_evaluation) return Status::Ok();
+
+  w.clock.Start("evaluate: baselines");
+  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, w.map, "fit"));
+  std::vector<int> training;
+  const auto batches = TrainingLights(w.srds, projector, &training);
+  std::vector<Dipole> dipoles;
+  for (int c = 0; c < w.srds.channels; ++c) dipoles.push_back(FitDipole(batches, c, w.srds.channels, w.options.em.eta));
+  SLX_ASSIGN_OR_RETURN(const auto dipole, DipoleMap(w.map, dipoles));
+  SLX_RETURN_IF_ERROR(CompareHeldOut(input,
+                                     {{"homogeneous_local_albedo", &models.homogeneous_local_albedo},
+                                      {"direction_blind", &models.direction_blind},
+                                      {"dipole", &dipole}},
+                                     {"stripe", "white"}, w.metrics.heldout)
+                          .status());
+  if (w.frames.plan()->spot_radius == 0) return Status::Ok();
+  return CompareHeldOut(input, {{"tied", &w.map}, {"direction_blind", &models.direction_blind}}, {"spot"},
+                        w.metrics.heldout)
+      .status();
 }
 
 Status WriteText(const std::filesystem::path& file, const std::string& text) {
@@ -239,8 +273,7 @@ Status RunOptions::Validate() const {
   SLX_RETURN_IF_ERROR(em.Validate());
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
-  if (pool < 1 || pool > 16 || evaluation_pool < 1 || evaluation_pool > 16)
-    return Status::Usage("pool must lie in 1 .. 16");
+  if (pool < 1 || pool > 16) return Status::Usage("pool = " + std::to_string(pool) + ", allowed: 1 .. 16");
   return Status::Ok();
 }
 
@@ -251,11 +284,11 @@ std::string RunOptions::ToJson() const {
                                        {"eta", em.eta},
                                        {"gain_model", em.gain_model},
                                        {"iterations", em.max_iterations},
+                                       {"refinement", em.refinement_iterations},
                                        {"tolerance", em.tolerance},
                                        {"heldout", heldout},
                                        {"pool", pool},
                                        {"full_evaluation", full_evaluation},
-                                       {"evaluation_pool", evaluation_pool},
                                        {"geometry", geometry == GeometrySource::kTruth ? "truth" : "reconstructed"}};
   return json.dump();
 }

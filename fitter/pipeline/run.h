@@ -23,8 +23,7 @@ struct RunOptions {
   EmOptions em;
   int heldout = 3;               // the projector left out of the full-size fit
   int pool = 1;                  // quads per side of that fit's profiles
-  bool full_evaluation = false;  // the other projectors, baselines and ablations on pooled pixels
-  int evaluation_pool = 3;
+  bool full_evaluation = false;  // every projector held out in turn; baselines, ablations, true geometry
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
   bool force = false;  // again, even if this fit is complete

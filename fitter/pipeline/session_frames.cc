@@ -3,6 +3,7 @@
 
 #include <set>
 
+#include "fitter/calibration/dark_frame.h"
 #include "fitter/pipeline/content_hash.h"
 
 namespace stratalux::fit {
@@ -76,7 +77,7 @@ Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
   if (count == 0)
     return Status::NotFound("session " + info().id + " has no black frame of projector " + std::to_string(projector));
   for (float& v : mean.pixels()) v /= static_cast<float>(count);
-  return mean;
+  return calibration_ ? QuietDarkFrame(mean, count, calibration_->camera) : std::move(mean);
 }
 
 std::string SessionFrames::ContentHash() const {

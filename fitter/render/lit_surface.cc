@@ -86,6 +86,31 @@ Image<LitSample> Halve(const Image<LitSample>& fine) {
   return coarse;
 }
 
+LitPlanes PlanesOf(const Image<LitSample>& blocks) {
+  LitPlanes planes;
+  planes.width = blocks.width();
+  planes.height = blocks.height();
+  planes.stride = blocks.width() + kGatherLanes;
+  const size_t size = static_cast<size_t>(planes.stride) * planes.height;
+  for (auto* plane : {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2,
+                      &planes.flux[0], &planes.flux[1], &planes.flux[2]})
+    plane->assign(size, 0.0F);
+  for (int y = 0; y < planes.height; ++y)
+    for (int x = 0; x < planes.width; ++x) {
+      const LitSample& s = blocks(x, y);
+      const size_t at = static_cast<size_t>(y) * planes.stride + x;
+      planes.x[at] = s.point_mm.x();
+      planes.y[at] = s.point_mm.y();
+      planes.z[at] = s.point_mm.z();
+      planes.nx[at] = s.normal.x();
+      planes.ny[at] = s.normal.y();
+      planes.nz[at] = s.normal.z();
+      planes.spread_mm2[at] = s.spread_mm2;
+      for (int c = 0; c < 3; ++c) planes.flux[c][at] = s.flux[c];
+    }
+  return planes;
+}
+
 }  // namespace
 
 LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms,
@@ -144,6 +169,7 @@ LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double patte
     for (float& f : s.flux) f *= pyramid.pattern.pixels()[i];
   }
   for (int level = 1; level <= 6; ++level) pyramid.levels.push_back(Halve(pyramid.levels.back()));
+  for (const auto& blocks : pyramid.levels) pyramid.planes.push_back(PlanesOf(blocks));
   return pyramid;
 }
 

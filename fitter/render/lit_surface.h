@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "fitter/reconstruction/surface_map.h"
+#include "fitter/render/gather_kernel.h"
 #include "shared/capture/rig_calibration.h"
 #include "shared/pattern/pattern.h"
 
@@ -35,7 +36,8 @@ struct LitSurface {
 // flux-weighted mean position.
 struct LitPyramid {
   std::vector<Image<LitSample>> levels;
-  Image<float> pattern;  // blurred
+  std::vector<LitPlanes> planes;  // the same, for the fast renderer
+  Image<float> pattern;           // blurred
 };
 [[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
 

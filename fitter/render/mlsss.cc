@@ -32,7 +32,8 @@ Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Ei
 }
 
 std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
-                                     const ProjectorCalibration& light, int i, int j, int channel) {
+                                     const ProjectorCalibration& light, int i, int j,
+                                     const Eigen::Vector2d& site_in_quad) {
   Receiver r;
   r.normal = surface.Normal(i, j);
   const Pinhole& camera = rig.camera.model;
@@ -40,18 +41,17 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
     const Eigen::Vector3d ray = camera.Unproject(pixel);
     return ray * (r.normal.dot(surface.Point(i, j)) / r.normal.dot(ray));
   };
-  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
+  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + site_in_quad;
   r.point = on_plane(site);
   const Eigen::Vector3d in = (light.CentreInCamera() - r.point).normalized(), out = -r.point.normalized();
   const double cos_in = r.normal.dot(in), cos_out = r.normal.dot(out);
   if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
   r.shift = ShiftVector(map.shift_law, in, r.normal, map.eta) - ShiftVector(map.shift_law, out, r.normal, map.eta);
   if (map.gain_model) r.gain = AngularGain(cos_in, map.eta, map.tau);
-  // Box of one mosaic pixel, 1/12 px^2 an axis; two sites of a colour on the diagonal add their spread.
+  // Box of one mosaic pixel, 1/12 px^2 an axis.
   const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
                py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
-  const double spread = rig.camera.cfa != Cfa::kMono && channel == 1 ? 1.0 / 12.0 + 0.25 : 1.0 / 12.0;
-  r.footprint2 = (spread + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
+  r.footprint2 = (1.0 / 12.0 + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
   // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
   const double distance = (light.CentreInCamera() - r.point).norm();
   r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
@@ -133,9 +133,17 @@ float GatherLevel(const Receiver& r, const LitPyramid& light, int level, const E
                       static_cast<float>(half_inverse2),
                       static_cast<float>(kMaxSpread * sigma * sigma),
                       channel};
-  float sum = 0.0F;
-  for (int y = y0; y <= y1; ++y)
-    for (int x = x0; x <= x1; ++x) sum += gather.From(level, x, y);
+  const auto [plain, left_out] = GatherBlocks(light.planes[level], x0, x1, y0, y1,
+                                              {{gather.normal.x(), gather.normal.y(), gather.normal.z()},
+                                               {gather.centre.x(), gather.centre.y(), gather.centre.z()},
+                                               gather.half_inverse2,
+                                               gather.max_spread_mm2,
+                                               channel});
+  float sum = plain;
+  if (left_out)
+    for (int y = y0; y <= y1; ++y)
+      for (int x = x0; x <= x1; ++x)
+        if (blocks(x, y).spread_mm2 > gather.max_spread_mm2) sum += gather.From(level, x, y);
   return sum * static_cast<float>(half_inverse2 / std::numbers::pi);
 }
 
@@ -148,6 +156,8 @@ template <typename PixelLight>
 Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
                           const LitSurface& lit, const RenderOptions& options, const PixelLight& light_of) {
   Image<float> image(surface.width(), surface.height(), map.channels);
+  std::vector<std::vector<Eigen::Vector2d>> sites;
+  for (int c = 0; c < map.channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
   ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
@@ -155,8 +165,11 @@ Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, cons
         for (int c = 0; c < map.channels; ++c) {
           const int64_t profile = ProfileOf(map, i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
-          const auto receiver = MakeReceiver(map, surface, rig, lit.light, i, j, c);
-          if (receiver) image(i, j, c) = static_cast<float>(light_of(*receiver, profile, c));
+          double sum = 0.0;
+          for (const Eigen::Vector2d& site : sites[c])
+            if (const auto receiver = MakeReceiver(map, surface, rig, lit.light, i, j, site))
+              sum += light_of(*receiver, profile, c);
+          image(i, j, c) = static_cast<float>(sum / static_cast<double>(sites[c].size()));
         }
       }
   });

@@ -46,7 +46,7 @@ void SrdExtractor::Prepare(const SurfaceMap& surface, ImageView<const uint8_t> l
   batch_.y.assign(profiles * batch_.samples, 0.0F);
   batch_.variance.assign(profiles * batch_.samples, 1.0F);
   for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
-                  &batch_.first_u_mm, &white_dn_})
+                  &batch_.first_u_mm, &batch_.pair_mm, &white_dn_})
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);
@@ -90,6 +90,7 @@ void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
   batch_.first_u_mm[profile] = static_cast<float>(offset * g.mm_per_column);
   batch_.step_mm[profile] = static_cast<float>(cycle_.step * g.mm_per_column);
   batch_.line_width_mm[profile] = static_cast<float>(cycle_.width * g.mm_per_column);
+  batch_.pair_mm[profile] = static_cast<float>(g.pair_mm);
   batch_.blur_mm[profile] = static_cast<float>(g.blur_mm);
   batch_.slope_in[profile] = static_cast<float>(g.slope_in);
   batch_.slope_out[profile] = static_cast<float>(g.slope_out);

@@ -38,11 +38,12 @@ inline constexpr int kSrdReasons = 6;
 // Where one pooled pixel lies with respect to one projector's columns. Lengths mm; e is the unit tangent across the
 // line, in the sense of rising columns: e = grad_t C / |grad_t C|, and m = 1 / |grad_t C| is the length of a column.
 struct SrdGeometry {
-  double column = 0.0;         // C at the colour's own site(s)
-  double mm_per_column = 0.0;  // m
-  double blur_mm = 0.0;        // projector and camera blur, pixel box and spread of the sites, standard deviation
-  double white_dn = 0.0;       // E: what a white Lambertian target would read here, all columns on
-  double slope_in = 0.0, slope_out = 0.0;                // t(omega) . e
+  double column = 0.0;                     // C at the colour's own site(s)
+  double mm_per_column = 0.0;              // m
+  double blur_mm = 0.0;                    // projector and camera blur, pixel box, pooled quads: standard deviation
+  double pair_mm = 0.0;                    // half the distance across the line of the two greens of a quad
+  double white_dn = 0.0;                   // E: what a white Lambertian target would read here, all columns on
+  double slope_in = 0.0, slope_out = 0.0;  // t(omega) . e
   double slope_in_across = 0.0, slope_out_across = 0.0;  // t(omega) . (n x e)
   double cos_in = 0.0, cos_out = 0.0;                    // n . omega
 };

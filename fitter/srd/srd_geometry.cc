@@ -33,34 +33,6 @@ Eigen::Vector3d ColumnGradient(const ProjectorCalibration& projector, const Eige
   return gradient;
 }
 
-// Variance, in mosaic px^2, of the positions of the sites that a pooled pixel of this colour adds up (x and y alike),
-// and half their covariance of x and y within one quad, which the two greens on a diagonal have.
-struct SiteSpread {
-  double variance = 0.0;
-  double covariance = 0.0;
-};
-
-SiteSpread SpreadOfSites(Cfa cfa, int channel, int pool) {
-  const int step = QuadStep(cfa);
-  SiteSpread spread;
-  spread.variance = step * step * (pool * pool - 1) / 12.0;  // centres of the pooled quads
-  if (cfa == Cfa::kMono) return spread;
-  const Eigen::Vector2d mean = QuadSiteOffset(cfa, channel);
-  double xx = 0.0, xy = 0.0;
-  int count = 0;
-  for (int y = 0; y < 2; ++y)
-    for (int x = 0; x < 2; ++x)
-      if (CfaColour(cfa, x, y) == channel) {
-        const Eigen::Vector2d d = Eigen::Vector2d(x - 0.5, y - 0.5) - mean;
-        xx += d.x() * d.x();
-        xy += d.x() * d.y();
-        ++count;
-      }
-  spread.variance += xx / count;
-  spread.covariance = xy / count;
-  return spread;
-}
-
 }  // namespace
 
 SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const Eigen::Vector3d& point,
@@ -94,15 +66,18 @@ SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const E
   g.slope_in_across = omega_in.dot(across) / g.cos_in;
   g.slope_out_across = omega_out.dot(across) / g.cos_out;
 
-  // Blur in columns^2: the projector's, and through dC/dx, dC/dy the camera's, its pixel box (1/12) and the sites'
-  // spread.
+  // Blur in columns^2: the projector's, and through dC/dx, dC/dy the camera's, its pixel box (1/12) and the centres of
+  // the pooled quads.
   const double dx = c_x->x() - c->x();
   const double dy = c_y->x() - c->x();
-  const SiteSpread spread = SpreadOfSites(cfa, channel, pool);
-  const double per_axis = rig.camera.line_blur_px * rig.camera.line_blur_px + 1.0 / 12.0 + spread.variance;
-  const double columns2 =
-      light.line_blur_px * light.line_blur_px + per_axis * (dx * dx + dy * dy) + 2.0 * spread.covariance * dx * dy;
+  const int step = QuadStep(cfa);
+  const double per_axis =
+      rig.camera.line_blur_px * rig.camera.line_blur_px + 1.0 / 12.0 + step * step * (pool * pool - 1) / 12.0;
+  const double columns2 = light.line_blur_px * light.line_blur_px + per_axis * (dx * dx + dy * dy);
   g.blur_mm = std::sqrt(std::max(columns2, 0.0)) * g.mm_per_column;
+  const auto sites = QuadSites(cfa, channel);
+  const Eigen::Vector2d half = (sites.back() - sites.front()) / 2.0;
+  g.pair_mm = std::abs(half.x() * dx + half.y() * dy) * g.mm_per_column;
   g.white_dn = light.WhiteTargetDn(at_site, normal, channel, exposure_ms);
   return g;
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <vector>
 
 #include "shared/image/pixel_format.h"
 
@@ -16,18 +17,20 @@ namespace stratalux {
   const int step = QuadStep(cfa);
   return {step * i + (step - 1) * 0.5, step * j + (step - 1) * 0.5};
 }
-// Mean position of colour `channel` within the quad, relative to its centre, mosaic px.
-[[nodiscard]] inline Eigen::Vector2d QuadSiteOffset(Cfa cfa, int channel) {
-  if (cfa == Cfa::kMono) return {0.0, 0.0};
-  Eigen::Vector2d sum(0.0, 0.0);
-  int count = 0;
+// Positions of the sites of colour `channel` within the quad, relative to its centre, mosaic px: one, or the two
+// greens.
+[[nodiscard]] inline std::vector<Eigen::Vector2d> QuadSites(Cfa cfa, int channel) {
+  if (cfa == Cfa::kMono) return {Eigen::Vector2d(0.0, 0.0)};
+  std::vector<Eigen::Vector2d> sites;
   for (int y = 0; y < 2; ++y)
     for (int x = 0; x < 2; ++x)
-      if (CfaColour(cfa, x, y) == channel) {
-        sum += Eigen::Vector2d(x - 0.5, y - 0.5);
-        ++count;
-      }
-  return sum / count;
+      if (CfaColour(cfa, x, y) == channel) sites.emplace_back(x - 0.5, y - 0.5);
+  return sites;
+}
+// Their mean.
+[[nodiscard]] inline Eigen::Vector2d QuadSiteOffset(Cfa cfa, int channel) {
+  const auto sites = QuadSites(cfa, channel);
+  return (sites.front() + sites.back()) / 2.0;
 }
 
 }  // namespace stratalux

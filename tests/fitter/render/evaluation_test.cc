@@ -164,7 +164,7 @@ TEST(Metrics, WritesSchemaOne) {
   m.fit = "f";
   m.heldout.push_back(
       {3, "stripe", "tied", "total", "measured", "reconstructed", 2, {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234}});
-  m.ablations.push_back({"projectors_permuted", 3, "stripe", 0.2, 0.05});
+  m.ablations.push_back({"projectors_permuted", 3, "stripe", "total", 0.2, 0.05});
   m.stages.push_back({"decode", 1.5, 1 << 20});
   m.masked_by_reason["too dark"] = 7;
   const auto without_truth = nlohmann::json::parse(m.ToJson());

@@ -193,11 +193,10 @@ TEST(RenderSubsurface, ShowsEachColourAtItsOwnSite) {
 }
 
 TEST(RenderSubsurface, ExchangesNoLightBetweenOppositeFaces) {
-  const LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
+  LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
   const MixtureMap map = UniformSkin(scene, SkinLayers());
-  LitPyramid light = LightWith(scene.lit, kWhite);
-  for (Image<LitSample>& level : light.levels)
-    for (LitSample& s : level.pixels()) s.normal = -s.normal;
+  for (LitSample& s : scene.lit.samples.pixels()) s.normal = -s.normal;
+  const LitPyramid light = LightWith(scene.lit, kWhite);
   EXPECT_EQ(Maximum(RenderSubsurface(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
   EXPECT_EQ(Maximum(RenderSubsurfaceReference(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
 }
