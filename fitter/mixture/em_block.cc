@@ -11,8 +11,6 @@ namespace stratalux::fit {
 namespace {
 
 constexpr float kTiny = 1e-12F;
-constexpr double kMinSigmaMm = 0.12;
-constexpr double kMaxCellMm = 0.15;  // model section 7: coarser grids cost accuracy
 
 // Photon counts per unit of y and sigma_read^2 in the same unit, from the noise model var = y / counts + shift /
 // counts.
@@ -78,7 +76,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
   const size_t size = static_cast<size_t>(options.layers) * kLanes;
   for (auto* v : {&weight_, &depth_, &sigma_, &cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(size, 0.0F);
   moments_.assign(3 * size, 0.0F);
-  sigma_floor_.fill(static_cast<float>(kMinSigmaMm));
+  sigma_floor_.fill(static_cast<float>(options.min_sigma_mm));
   for (size_t p = 0; p < lights.size(); ++p) {
     LoadLight(*lights[p], usable[p], lights_[p]);
     BuildResponse(*lights[p], lights_[p]);
@@ -93,8 +91,10 @@ void EmBlock::LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, 
   float widest = 0.0F;
   for (int64_t member : members_)
     if (usable[member] != 0) widest = std::max(widest, batch.step_mm[member]);
-  light.cells_per_sample = std::max(options_.cells_per_sample, static_cast<int>(std::ceil(widest / kMaxCellMm)));
-  if (!batch.wrapped) light.cells_per_sample = std::max(1, static_cast<int>(std::ceil(widest / (kMaxCellMm / 2))));
+  light.cells_per_sample =
+      std::max(options_.cells_per_sample, static_cast<int>(std::ceil(widest / options_.max_cell_mm)));
+  if (!batch.wrapped)
+    light.cells_per_sample = std::max(1, static_cast<int>(std::ceil(widest / (options_.max_cell_mm / 2))));
   light.pad_cells = batch.wrapped ? 0 : light.cells_per_sample * batch.samples / 4;
   light.grid = {light.cells_per_sample * batch.samples + 2 * light.pad_cells, batch.wrapped};
   light.y.assign(static_cast<size_t>(light.samples) * kLanes, 0.0F);
@@ -281,6 +281,20 @@ void EmBlock::UpdateFloor(EmLight& light) {
   }
 }
 
+// One floor for all lights: the mean of theirs, weighted by the photons each would see of it.
+void EmBlock::ShareBackground() {
+  for (int i = 0; i < kLanes; ++i) {
+    float photons = 0.0F, exposure = 0.0F;
+    for (const EmLight& light : lights_) {
+      const float seen = light.counts[i] * static_cast<float>(light.samples);
+      photons += seen * light.background[i];
+      exposure += seen;
+    }
+    for (EmLight& light : lights_)
+      if (light.counts[i] > 0.0F) light.background[i] = photons / exposure;
+  }
+}
+
 void EmBlock::Sweep() {
   const int layers = options_.layers;
   const size_t size = static_cast<size_t>(layers) * kLanes;
@@ -306,6 +320,7 @@ void EmBlock::Sweep() {
     for (int i = 0; i < kLanes; ++i) exposure[i] += light.counts[i] * light.gain[i] * light.coverage[i];
     UpdateFloor(light);
   }
+  if (options_.shared_background) ShareBackground();
   for (size_t at = 0; at < size; ++at) {
     const size_t i = at % kLanes;
     if (!(exposure[i] > 0.0F)) continue;
@@ -340,6 +355,7 @@ int EmBlock::Run() {
         light.surface[i] = 0.05F * mean * static_cast<float>(light.samples) / std::max(light.coverage[i], kTiny);
       if (options_.background_term) light.background[i] = 0.02F * mean;
     }
+  if (options_.shared_background) ShareBackground();
   constexpr int kCheckEvery = 8;
   std::array<double, kLanes> last{};
   last.fill(1e300);

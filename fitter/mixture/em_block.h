@@ -61,6 +61,7 @@ class EmBlock {
   void BackProject(EmLight& light);
   void Sweep();
   void UpdateFloor(EmLight& light);
+  void ShareBackground();
 
   EmOptions options_;
   int sweeps_ = 0;  // at most

@@ -21,8 +21,11 @@ struct EmOptions {
   int refinement_iterations = 8;
   double tolerance = 1e-5;  // relative change of the divergence
   int cells_per_sample = 4;
+  double min_sigma_mm = 0.12;  // and never below nine tenths of a cell
   double max_sigma_mm = 11.0;
-  double min_depth_mm = -0.5;  // slightly negative: a common depth bias of the geometry is absorbed here
+  double max_cell_mm = 0.15;       // coarser grids cost accuracy (model section 7)
+  bool shared_background = false;  // one floor for all lights
+  double min_depth_mm = -0.5;      // slightly negative: a common depth bias of the geometry is absorbed here
   double max_depth_mm = 8.0;
   [[nodiscard]] Status Validate() const;
 };
