@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "firmware-host/simulated/near_field.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::rig {
@@ -15,20 +16,10 @@ constexpr double kPi = std::numbers::pi;
 // 2006 find 0.25 to 0.4 over the face), GGX facets.
 constexpr double kF0 = 0.028;
 constexpr double kRoughness = 0.35;
-
-// Points (cell column, cell row, footprint column, footprint row) in [-1/2, 1/2]^4: the additive recurrence of Roberts'
-// R4 sequence, whose every beginning covers the box evenly.
-constexpr int kNearPairs = 16, kNearestPairs = 96;
-std::array<std::array<float, 4>, kNearestPairs> FootprintPairs() {
-  constexpr double kPhi4 = 1.1673039782614187;  // root of x^5 = x + 1
-  std::array<std::array<float, 4>, kNearestPairs> points{};
-  for (int k = 0; k < kNearestPairs; ++k)
-    for (int d = 0; d < 4; ++d) {
-      const double x = 0.5 + (k + 1) * std::pow(kPhi4, -(d + 1));
-      points[k][d] = static_cast<float>(x - std::floor(x) - 0.5);
-    }
-  return points;
-}
+// Projector pixels nearer than this are integrated over their extent and the camera pixel's footprint.
+constexpr float kNearPixels = 4.0F;
+// Blocks per axis of each coarser level's window that the finer level covers.
+constexpr int kHole = 5;
 
 // First block index of the window of each level, for a pixel at projector position c.
 std::array<int, kLevels> WindowStart(float c) {
@@ -36,6 +27,9 @@ std::array<int, kLevels> WindowStart(float c) {
             b16 = static_cast<int>(std::floor((c + 0.5F) / 16.0F));
   return {(b4 - 2) * 4, (b16 - 2) * 4, b16 - 6};
 }
+
+// Blocks between block x and the finer level's window.
+int BlocksFrom(int hole, int x) { return x < hole ? hole - x : std::max(0, x - hole - (kHole - 1)); }
 
 // Torrance & Sparrow facets with the GGX distribution (Walter et al. 2007) and Schlick's Fresnel term; 1 / sr.
 double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const Eigen::Vector3d& out) {
@@ -137,8 +131,9 @@ void LightTransport::CastProjector(const Scene& scene) {
         const auto hit =
             scene.Intersect({projector_.CentreInCamera(), projector_.camera_from_projector.rotation * ray});
         if (!hit) continue;
-        // Solid angle of a pixel: cos^3 of the angle to the axis over fx fy (distortion is small and left out of it).
-        const double solid_angle = std::pow(ray.z(), 3) / (m.fx * m.fy);
+        const double solid_angle = (m.Unproject({c + 0.5, double(r)}) - m.Unproject({c - 0.5, double(r)}))
+                                       .cross(m.Unproject({double(c), r + 0.5}) - m.Unproject({double(c), r - 0.5}))
+                                       .norm();
         const double flux = solid_angle * projector_.Falloff({double(c), double(r)});
         const SkinParameters skin = scene.Skin(*hit);
         Block& block = pyramid_[0](c, r);
@@ -202,6 +197,25 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   }
 }
 
+bool LightTransport::StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,
+                                         const Eigen::Vector3d& ty, TangentSteps& steps) const {
+  auto tangent = [&](const Eigen::Vector3d& origin, const Eigen::Vector3d& ray) -> Eigen::Vector2f {
+    const Eigen::Vector3d p = origin + ray * (pixel.normal.dot(pixel.point - origin) / pixel.normal.dot(ray));
+    return {static_cast<float>((p - pixel.point).dot(tx)), static_cast<float>((p - pixel.point).dot(ty))};
+  };
+  const Eigen::Vector2d cr = light.column_row.cast<double>();
+  auto projector_ray = [&](double dc, double dr) {
+    return tangent(projector_.CentreInCamera(), projector_.camera_from_projector.rotation *
+                                                    projector_.model.Unproject(cr + Eigen::Vector2d(dc, dr)));
+  };
+  auto camera_ray = [&](double du, double dv) {
+    return tangent(Eigen::Vector3d::Zero(), rig_.camera.model.Unproject({pixel.x + du, pixel.y + dv}));
+  };
+  steps = {projector_ray(1, 0), projector_ray(0, 1), camera_ray(1, 0), camera_ray(0, 1)};
+  return steps.column.norm() < 2.0F && steps.row.norm() < 2.0F && steps.u.norm() < 4.0F && steps.v.norm() < 4.0F &&
+         steps.ProjectorPixelArea() > 0.0F;
+}
+
 template <typename Visit>
 void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const {
   const SubjectPixel& pixel = pixels_[i];
@@ -227,73 +241,55 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
   const float exit =
       static_cast<float>(kPi) * std::sqrt(albedo_(colour, pixel.skin)) / std::max(albedo_(colour, pixel.skin), 1e-6F);
 
-  // Steps on the tangent plane: per projector pixel (near cells) and per camera pixel (its footprint).
-  Eigen::Vector2f step_c(0, 0), step_r(0, 0), step_u(0, 0), step_v(0, 0);
-  bool fine = light.lit;
-  if (fine) {
-    auto tangent = [&](const Eigen::Vector3d& origin, const Eigen::Vector3d& ray) -> Eigen::Vector2f {
-      const Eigen::Vector3d p = origin + ray * (pixel.normal.dot(pixel.point - origin) / pixel.normal.dot(ray));
-      return {static_cast<float>((p - pixel.point).dot(tx)), static_cast<float>((p - pixel.point).dot(ty))};
-    };
-    const Eigen::Vector2d cr = light.column_row.cast<double>();
-    auto projector_ray = [&](double dc, double dr) {
-      return tangent(projector_.CentreInCamera(), projector_.camera_from_projector.rotation *
-                                                      projector_.model.Unproject(cr + Eigen::Vector2d(dc, dr)));
-    };
-    auto camera_ray = [&](double du, double dv) {
-      return tangent(Eigen::Vector3d::Zero(), rig_.camera.model.Unproject({pixel.x + du, pixel.y + dv}));
-    };
-    step_c = projector_ray(1, 0);
-    step_r = projector_ray(0, 1);
-    step_u = camera_ray(1, 0);
-    step_v = camera_ray(0, 1);
-    fine = step_c.norm() < 2.0F && step_r.norm() < 2.0F && step_u.norm() < 4.0F && step_v.norm() < 4.0F;
-  }
+  const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
+  TangentSteps steps{};
+  NearField near;
+  const bool fine = light.lit && StepsOnTangentPlane(pixel, light, tx, ty, steps);
+  if (fine) IntegrateSpike(kernel, steps, light.column_row, start_c[0], start_r[0], near);
+  const float per_area = fine ? 1.0F / steps.ProjectorPixelArea() : 0.0F;
+  const std::array<Extent, 2> extents = {ExtentOf(steps, kBlock[0]), ExtentOf(steps, kBlock[1])};
   // Across a fold the tangent-plane offset can be short while the points are far apart: keep the distance in space.
-  auto plain = [&](const Block& b) {
+  auto plain_offset = [&](const Block& b) {
     const Eigen::Vector3f d = point - b.position;
-    const float x = d.dot(fx), y = d.dot(fy);
-    const float tangential = std::sqrt(x * x + y * y) + 1e-6F;
-    const float stretch = d.norm() / tangential;
-    return kernel(x * stretch, y * stretch);
+    const Eigen::Vector2f offset(d.dot(fx), d.dot(fy));
+    return Eigen::Vector2f(offset * (d.norm() / (offset.norm() + 1e-6F)));
   };
-  // A near cell and the pixel's footprint both have extent: pairs of sub-samples integrate the peak over the two.
-  static const auto pairs = FootprintPairs();
+  auto plain = [&](const Block& b) {
+    const Eigen::Vector2f offset = plain_offset(b);
+    return kernel(offset.x(), offset.y());
+  };
+  // Near enough that the kernel bends over the block: the mean over block and footprint, without the spike.
+  auto plain_mean = [&](const Block& b, const Extent& extent) {
+    return MeanOver(extent, plain_offset(b),
+                    [&](const Eigen::Vector2f& at) { return kernel(at.x(), at.y()) * (1.0F - SpikeShare(at.norm())); });
+  };
+  // A projector pixel of the finest level: its share of the spike, and the rest of the kernel.
   auto integrated = [&](const Block& b, int c, int r) {
-    const Eigen::Vector2f centre = (static_cast<float>(c) - light.column_row.x()) * step_c +
-                                   (static_cast<float>(r) - light.column_row.y()) * step_r;
-    const Eigen::Vector3f d = point - b.position;
-    const Eigen::Vector2f actual(-d.dot(fx), -d.dot(fy));
-    if ((actual - centre).norm() > 1.0F) return plain(b);  // another part of the face
-    // The nearest cells hold the kernel's spike: there, more pairs.
-    const bool nearest = std::abs(static_cast<float>(c) - light.column_row.x()) < 1.6F &&
-                         std::abs(static_cast<float>(r) - light.column_row.y()) < 1.6F;
-    const int count = nearest ? kNearestPairs : kNearPairs;
-    float sum = 0.0F;
-    for (int k = 0; k < count; ++k) {
-      const auto& p = pairs[k];
-      const Eigen::Vector2f entry = centre + p[0] * step_c + p[1] * step_r;
-      const Eigen::Vector2f leave = p[2] * step_u + p[3] * step_v;
-      sum += kernel(leave.x() - entry.x(), leave.y() - entry.y());
-    }
-    return sum / static_cast<float>(count);
+    const Eigen::Vector2f offset(static_cast<float>(c) - light.column_row.x(),
+                                 static_cast<float>(r) - light.column_row.y());
+    const Eigen::Vector2f on_plane = offset.x() * steps.column + offset.y() * steps.row;
+    const Eigen::Vector3f d = b.position - point;
+    if ((Eigen::Vector2f(d.dot(fx), d.dot(fy)) - on_plane).norm() > 1.0F) return plain(b);  // another part of the face
+    const float rest =
+        offset.cwiseAbs().maxCoeff() < kNearPixels ? MeanBesideSpike(kernel, steps, offset) : plain_mean(b, extents[0]);
+    return rest + per_area * near[(r - start_r[0]) * kNearWindow + c - start_c[0]];
   };
 
-  const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
   for (int level = 0; level < kLevels; ++level) {
     const Image<Block>& blocks = pyramid_[level];
     // The hole that the finer level fills, in blocks of this level.
     const int hole_c = level == 0 ? 1 << 28 : start_c[level - 1] / 4,
               hole_r = level == 0 ? 1 << 28 : start_r[level - 1] / 4;
-    const int hole = 5;
     for (int y = std::max(0, start_r[level]); y < std::min(blocks.height(), start_r[level] + kWindow[level]); ++y)
       for (int x = std::max(0, start_c[level]); x < std::min(blocks.width(), start_c[level] + kWindow[level]); ++x) {
-        if (x >= hole_c && x < hole_c + hole && y >= hole_r && y < hole_r + hole) continue;
+        if (x >= hole_c && x < hole_c + kHole && y >= hole_r && y < hole_r + kHole) continue;
         const Block& b = blocks(x, y);
         if (b.flux[1] == 0.0F) continue;
-        const bool near = level == 0 && fine && std::abs(static_cast<float>(x) - light.column_row.x()) < 3.0F &&
-                          std::abs(static_cast<float>(y) - light.column_row.y()) < 3.0F;
-        visit(level, x, y, exit * b.flux[colour] * (near ? integrated(b, x, y) : plain(b)));
+        const bool beside_hole = level == 1 && BlocksFrom(hole_c, x) < 3 && BlocksFrom(hole_r, y) < 3;
+        const float value = fine && level == 0    ? integrated(b, x, y)
+                            : fine && beside_hole ? plain_mean(b, extents[1])
+                                                  : plain(b);
+        visit(level, x, y, exit * b.flux[colour] * value);
       }
   }
 }
@@ -334,7 +330,7 @@ void LightTransport::RenderOneDimensional(const Pattern& pattern, std::vector<fl
   profile[0] =
       Blur(pattern.Profile(columns ? projector_.model.width : projector_.model.height), projector_.line_blur_px);
   profile[1] = BlockMeans(profile[0], 4);
-  profile[2] = BlockMeans(profile[1], 4);
+  profile[2] = BlockMeans(profile[0], 16);
   // Padded so that windows that reach over the projector's edge read zeros.
   constexpr int kPad = 64;
   for (auto& level : profile) {
@@ -379,10 +375,11 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
     const int block = kBlock[level];
     for (int y = 0; y < size.height(); ++y)
       for (int x = 0; x < size.width(); ++x) {
+        const int right = std::min((x + 1) * block, image.width()), bottom = std::min((y + 1) * block, image.height());
         float sum = 0.0F;
-        for (int j = y * block; j < std::min((y + 1) * block, image.height()); ++j)
-          for (int i = x * block; i < std::min((x + 1) * block, image.width()); ++i) sum += image(i, j);
-        levels[level](x, y) = sum / static_cast<float>(block * block);
+        for (int j = y * block; j < bottom; ++j)
+          for (int i = x * block; i < right; ++i) sum += image(i, j);
+        levels[level](x, y) = sum / static_cast<float>((right - x * block) * (bottom - y * block));
       }
   }
   ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {

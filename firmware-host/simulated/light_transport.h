@@ -8,6 +8,7 @@
 #include <limits>
 #include <vector>
 
+#include "firmware-host/simulated/near_field.h"
 #include "firmware-host/simulated/scene.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin_albedo.h"
@@ -28,7 +29,7 @@ struct SubjectPixel {
 inline constexpr int kLevels = 3;
 inline constexpr std::array<int, kLevels> kBlock = {1, 4, 16};
 // Blocks per axis that a pixel gathers from, at each level: 20 px, then 5 x 4 and 13 / 5 x 16 px around it.
-inline constexpr std::array<int, kLevels> kWindow = {20, 20, 13};
+inline constexpr std::array<int, kLevels> kWindow = {kNearWindow, 20, 13};
 inline constexpr int kResponses = 20 + 20 + 13;
 
 struct LightTransportOptions {
@@ -67,6 +68,9 @@ class LightTransport {
   void BuildPyramid();
   void PreparePixel(const Scene& scene, size_t i);
   void GatherResponses();
+  // False where light or view graze the surface: no tangent plane describes the pixel then.
+  [[nodiscard]] bool StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,
+                                         const Eigen::Vector3d& ty, TangentSteps& steps) const;
   // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
   template <typename Visit>
   void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;

@@ -108,6 +108,14 @@ void Scene::BuildSkin(uint64_t seed) {
   }
 }
 
+void Scene::UseUniformSkin(const SkinParameters& skin) {
+  melanin_ = skin.melanin;
+  blood_ = skin.blood;
+  melanin_bumps_.clear();
+  blood_bumps_.clear();
+  vessel_.clear();
+}
+
 double Scene::Height(double x, double y) const {
   if (name_ == "plane") return 700.0 + x * std::tan(RadFromDeg(10.0));
   if (name_ == "sphere") {

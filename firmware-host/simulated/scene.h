@@ -26,6 +26,8 @@ class Scene {
  public:
   // "head", "plane" (tilted by 10 degrees) or "sphere"; kUsage for other names.
   static Result<Scene> Create(const std::string& name, uint64_t seed);
+  // The same skin everywhere, for subjects whose light can be computed by hand.
+  void UseUniformSkin(const SkinParameters& skin);
 
   // Depth of the surface, mm; NaN where there is none.
   [[nodiscard]] double Height(double x, double y) const;

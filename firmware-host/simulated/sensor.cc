@@ -41,7 +41,7 @@ Image<uint16_t> ExposeSensor(const Image<float>& light_dn, const CameraCalibrati
   const float top = static_cast<float>(camera.saturation_dn);
   ParallelFor(light_dn.height(), 16, [&](int64_t begin, int64_t end) {
     for (int y = static_cast<int>(begin); y < end; ++y) {
-      Random random(options.seed * 7919 + static_cast<uint64_t>(number), static_cast<uint64_t>(y));
+      Random random(options.seed, (static_cast<uint64_t>(number) << 16) + static_cast<uint64_t>(y));
       uint64_t bits = 0;
       const float* light = light_dn.row(y);
       uint16_t* out = raw.row(y);

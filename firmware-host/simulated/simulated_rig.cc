@@ -139,7 +139,10 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
       exposures_.pop_front();
     }
     CapturedFrame frame;
-    frame.pixels = ExposeSensor(Light(exposure), calibration_.camera, exposure.number, {options_.noise, options_.seed});
+    CameraCalibration sensor = calibration_.camera;  // at the exposure's gain
+    sensor.gain_e_per_dn /= exposure.gain;
+    sensor.read_noise_dn *= exposure.gain;
+    frame.pixels = ExposeSensor(Light(exposure), sensor, exposure.number, {options_.noise, options_.seed});
     frame.cfa = calibration_.camera.cfa;
     frame.sequence = exposure.number;
     frame.time = exposure.time;

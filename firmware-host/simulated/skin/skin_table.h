@@ -46,11 +46,14 @@ struct SkinDirections {
 class SkinKernel {
  public:
   [[nodiscard]] float operator()(float x_mm, float y_mm) const;
-  // Integral over the plane by the table's own cells: radiance under unit irradiance, 1 / sr.
+  // Integral over the plane: radiance under unit irradiance, 1 / sr.
   [[nodiscard]] double Integral() const;
 
  private:
   friend class SkinTable;
+  // `means`: of S over the table's cells, times the 1.5th power of the ring's centre.
+  void SetRingMeans(const std::array<float, SkinGrid::kCells>& means);
+
   // S r^1.5 at bin centres (flat enough to interpolate linearly), [radius][psi], with the first psi repeated at the
   // end.
   std::array<float, SkinGrid::kRadii*(SkinGrid::kPolar + 1)> flat_{};
@@ -64,7 +67,8 @@ class SkinTable {
   static std::string DefaultPath();
   Status Save(const std::string& path, const std::string& manifest_json) const;
 
-  // Multilinear in angles, log melanin and log blood; clamped outside the grid.
+  // Multilinear in angles (through the normal: a theta below the first node lies between it and its mirror image), log
+  // melanin and log blood; clamped outside the grid.
   void Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.

@@ -215,7 +215,7 @@ TEST(ProfileModel, PredictsMonteCarloSkinFromUnseenLight) {
   // The independent judge: photons through layered skin, no Gaussians, few enough for a test.
   rig::LineSpreadOptions options;
   options.channel = 0;
-  options.photons = 120000;
+  options.photons = 250000;
   options.slit_mm = {1.0};
   const auto folder = std::filesystem::path(::testing::TempDir());
   auto read = [&](const char* name) {

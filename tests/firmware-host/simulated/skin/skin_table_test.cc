@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: Apache-2.0
+// The shipped table against Monte Carlo that shares no line with its generator but the tracer, which has published
+// numbers of its own to answer to (tests/shared/transport).
+#include "firmware-host/simulated/skin/skin_table.h"
+
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <mutex>
+#include <numbers>
+
+#include <gtest/gtest.h>
+
+#include "shared/units/angle.h"
+
+namespace stratalux::rig {
+namespace {
+
+using G = SkinGrid;
+
+const SkinTable& Shipped() {
+  static const SkinTable table = *SkinTable::Load(SkinTable::DefaultPath());
+  return table;
+}
+
+double Sin2(double deg) { return std::pow(std::sin(RadFromDeg(deg)), 2); }
+double RingAreaMm2(int ring) {
+  return M_PI * (std::pow(G::RadiusEdgeMm(ring + 1), 2) - std::pow(G::RadiusEdgeMm(ring), 2));
+}
+// Sum of a kernel's cells: radiance under unit irradiance.
+double CellSum(size_t kernel, int first_ring = 0, int last_ring = G::kRadii - 1) {
+  double sum = 0.0;
+  for (int r = first_ring; r <= last_ring; ++r)
+    for (int psi = 0; psi < G::kPolar; ++psi) sum += Shipped().Cell(kernel, r, psi) * RingAreaMm2(r) / G::kPolar;
+  return sum;
+}
+// Solid angle times cosine of an exit bin.
+double Projected(int out, int azimuth) {
+  return 0.5 * (Sin2(G::kThetaEdgesDeg[out + 1]) - Sin2(G::kThetaEdgesDeg[out])) * M_PI *
+         (azimuth == 0 || azimuth == 4 ? 0.25 : 0.5);
+}
+
+struct Estimate {
+  double sum = 0.0, squares = 0.0;
+  void Add(double w) {
+    sum += w;
+    squares += w * w;
+  }
+};
+
+// Photons through absorbing skin (weights by absorption on the way, not by path lengths afterwards).
+template <typename Visit>
+void Photons(int channel, const SkinParameters& skin, int in, int64_t photons, uint64_t seed, const Visit& visit) {
+  MonteCarloOptions options;
+  options.photons = photons;
+  options.seed = seed;
+  options.sin2_theta_low = Sin2(G::kThetaEdgesDeg[in]);
+  options.sin2_theta_high = Sin2(G::kThetaEdgesDeg[in + 1]);
+  options.max_path_mm = 200.0;
+  std::mutex mutex;
+  TraceLayeredTissue(AbsorbingSkin(channel, skin), options, [&](int64_t, std::span<const EscapedPhoton> list) {
+    const std::lock_guard lock(mutex);
+    for (const EscapedPhoton& e : list) visit(e);
+  });
+}
+
+TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
+  // All 25 exit bins of one incidence bin, green, at a node of melanin and blood.
+  constexpr int kIn = 2, kMelanin = 1, kBlood = 2, kChannel = 1;
+  constexpr int64_t kPhotons = 200000;
+  std::array<std::array<Estimate, G::kAzimuths>, G::kThetas> bins{};
+  Photons(kChannel, {static_cast<float>(G::kMelanin[kMelanin]), static_cast<float>(G::kBlood[kBlood])}, kIn, kPhotons,
+          77, [&](const EscapedPhoton& e) {
+            if (std::hypot(e.x_mm, e.y_mm) >= G::kMaxRadiusMm) return;
+            const double theta = DegFromRad(std::acos(std::min(1.0, std::abs(double(e.uz)))));
+            const double azimuth = DegFromRad(std::abs(std::atan2(e.uy, e.ux)));
+            for (int out = 0; out < G::kThetas; ++out)
+              if (theta >= G::kThetaEdgesDeg[out] && theta < G::kThetaEdgesDeg[out + 1])
+                bins[out][std::min(4, static_cast<int>((azimuth + 22.5) / 45.0))].Add(e.weight);
+          });
+  double chi2 = 0.0;
+  for (int out = 0; out < G::kThetas; ++out)
+    for (int az = 0; az < G::kAzimuths; ++az) {
+      const double scale = 1.0 / (kPhotons * Projected(out, az));
+      const double mean = bins[out][az].sum * scale, error = std::sqrt(bins[out][az].squares) * scale;
+      const double table = CellSum(G::KernelIndex(kChannel, kIn, out, az, kMelanin, kBlood));
+      // The table has 3 million photons of its own, both ways: a quarter of this error at most.
+      const double sigmas = (table - mean) / (error * 1.03);
+      chi2 += sigmas * sigmas;
+      EXPECT_LT(std::abs(sigmas), 4.0) << "exit " << out << ", azimuth " << az << ": " << table << " not " << mean;
+    }
+  EXPECT_LT(chi2, 25.0 + 4.0 * std::sqrt(50.0)) << "25 bins";
+}
+
+TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
+  constexpr int kIn = 1, kMelanin = 1, kBlood = 1, kChannel = 0, kGroup = 3;
+  constexpr int64_t kPhotons = 200000;
+  std::array<Estimate, G::kRadii> rings{};
+  Photons(kChannel, {static_cast<float>(G::kMelanin[kMelanin]), static_cast<float>(G::kBlood[kBlood])}, kIn, kPhotons,
+          78, [&](const EscapedPhoton& e) {
+            if (1.0 - double(e.uz) * e.uz >= Sin2(85.0)) return;
+            const double r = std::hypot(e.x_mm, e.y_mm);
+            for (int k = 0; k < G::kRadii; ++k)
+              if (r >= G::RadiusEdgeMm(k) && r < G::RadiusEdgeMm(k + 1)) rings[k].Add(e.weight);
+          });
+  for (int first = 0; first + kGroup <= 24; first += kGroup) {
+    double table = 0.0, sum = 0.0, squares = 0.0;
+    for (int out = 0; out < G::kThetas; ++out)
+      for (int az = 0; az < G::kAzimuths; ++az)
+        table += Projected(out, az) *
+                 CellSum(G::KernelIndex(kChannel, kIn, out, az, kMelanin, kBlood), first, first + kGroup - 1);
+    for (int k = first; k < first + kGroup; ++k) {
+      sum += rings[k].sum / kPhotons;
+      squares += rings[k].squares / (double(kPhotons) * kPhotons);
+    }
+    EXPECT_NEAR(table, sum, 4.0 * 1.03 * std::sqrt(squares)) << "from " << G::RadiusEdgeMm(first) << " mm";
+  }
+}
+
+TEST(SkinTable, RegeneratesItsCellsWithinTheirStandardErrors) {
+  const auto checks = RegenerateSkinCell(Shipped(), 2, 1, 3, 2, 150000, 5);
+  ASSERT_EQ(checks.size(), 16U);
+  for (size_t n = 0; n < checks.size(); ++n) {
+    EXPECT_GT(checks[n].mean, 0.0);
+    EXPECT_LT(std::abs(checks[n].table - checks[n].mean), 4.0 * checks[n].standard_error) << "node " << n;
+    EXPECT_LT(checks[n].standard_error, 0.1 * checks[n].mean) << "node " << n;
+  }
+}
+
+TEST(SkinTable, AlbedoIsTheSumOfItsKernelsAndOfMonteCarlo) {
+  // At a node of melanin, blood and incidence. The table ends at 85 degrees of exit (0.8 % of Lambertian light) and at
+  // 30 mm, and so do the photons counted here.
+  constexpr int kIn = 3, kChannel = 0;
+  const SkinParameters skin{static_cast<float>(G::kMelanin[1]), static_cast<float>(G::kBlood[1])};
+  double cells = 0.0;
+  for (int out = 0; out < G::kThetas; ++out)
+    for (int az = 0; az < G::kAzimuths; ++az)
+      cells += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, 1, 1));
+  const double albedo = Shipped().Albedo(kChannel, skin, G::MeanThetaRad(kIn));
+  EXPECT_NEAR(albedo / cells, 1.0, 0.002);
+  constexpr int64_t kPhotons = 150000;
+  Estimate all;
+  Photons(kChannel, skin, kIn, kPhotons, 79, [&](const EscapedPhoton& e) {
+    if (1.0 - double(e.uz) * e.uz < Sin2(85.0) && std::hypot(e.x_mm, e.y_mm) < G::kMaxRadiusMm) all.Add(e.weight);
+  });
+  EXPECT_NEAR(cells, all.sum / kPhotons, 4.0 * std::sqrt(all.squares) / kPhotons);
+}
+
+double PlaneIntegral(const SkinKernel& kernel, double* first_moment_x = nullptr) {
+  constexpr int kAngles = 64;
+  double sum = 0.0, moment = 0.0;
+  for (double inner = 0.0, outer = 0.001; inner < G::kMaxRadiusMm;
+       inner = outer, outer = std::min(outer * 1.01, 30.0)) {
+    const double r = inner > 0.0 ? std::sqrt(inner * outer) : outer / 2.0;
+    const double area = M_PI * (outer * outer - inner * inner) / kAngles;
+    for (int k = 0; k < kAngles; ++k) {
+      const double psi = 2.0 * M_PI * (k + 0.37) / kAngles;
+      const double s = kernel(static_cast<float>(r * std::cos(psi)), static_cast<float>(r * std::sin(psi))) * area;
+      sum += s;
+      moment += s * r * std::cos(psi);
+    }
+    if (outer >= 30.0) break;
+  }
+  if (first_moment_x != nullptr) *first_moment_x = moment / sum;
+  return sum;
+}
+
+TEST(SkinKernel, InterpolationKeepsTheEnergyOfTheCells) {
+  // The mean over a ring is not the value at its centre: interpolating ring means as if it were loses 2 %.
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in) {
+      const int out = (in + 2) % G::kThetas, az = in;
+      SkinKernel kernel;
+      Shipped().Interpolate(c, {static_cast<float>(G::kMelanin[1]), static_cast<float>(G::kBlood[2])},
+                            {static_cast<float>(G::MeanThetaRad(in)), static_cast<float>(G::MeanThetaRad(out)),
+                             static_cast<float>(az * M_PI / 4)},
+                            kernel);
+      const double cells = CellSum(G::KernelIndex(c, in, out, az, 1, 2));
+      EXPECT_NEAR(PlaneIntegral(kernel) / cells, 1.0, 0.003) << c << ' ' << in << ' ' << out;
+      EXPECT_NEAR(kernel.Integral() / cells, 1.0, 0.002) << c << ' ' << in << ' ' << out;
+    }
+}
+
+TEST(SkinKernel, IsReciprocal) {
+  // S(i -> o) at exit minus entry = x is S(o -> i) at -x, turned into the other lamp's frame.
+  auto at = [](const SkinKernel& kernel, double r, double psi) {
+    return kernel(static_cast<float>(r * std::cos(psi)), static_cast<float>(r * std::sin(psi)));
+  };
+  constexpr float kAzimuth = static_cast<float>(M_PI / 2);
+  for (const auto& [in, out] : std::vector<std::pair<float, float>>{{0.1F, 0.15F}, {0.1F, 0.9F}, {0.5F, 1.1F}}) {
+    SkinKernel there, back;
+    Shipped().Interpolate(1, {}, {in, out, kAzimuth}, there);
+    Shipped().Interpolate(1, {}, {out, in, kAzimuth}, back);
+    EXPECT_NEAR(there.Integral() / back.Integral(), 1.0, 1e-4);
+    for (const double r : {0.05, 0.5, 3.0})
+      for (int k = 0; k < 16; ++k) {
+        const double psi = 2.0 * M_PI * (k + 0.5) / 16.0;
+        EXPECT_NEAR(at(back, r, kAzimuth - M_PI - psi) / at(there, r, psi), 1.0, 0.01) << r << " mm, direction " << k;
+      }
+  }
+}
+
+TEST(SkinKernel, IsContinuousThroughTheNormal) {
+  // A view a hair to either side of the normal is the same view.
+  for (const float in : {0.0F, 0.8F}) {
+    SkinKernel towards, away;
+    Shipped().Interpolate(0, {}, {in, 1e-4F, 0.0F}, towards);
+    Shipped().Interpolate(0, {}, {in, 1e-4F, std::numbers::pi_v<float>}, away);
+    double a = 0.0, b = 0.0;
+    const double energy = PlaneIntegral(towards, &a) / PlaneIntegral(away, &b);
+    EXPECT_NEAR(energy, 1.0, 1e-3);
+    EXPECT_NEAR(a, b, 1e-3) << "mm, light at " << in;
+    if (in == 0.0F) {
+      EXPECT_NEAR(a, 0.0, 1e-3) << "mm";
+    }
+  }
+}
+
+TEST(SkinTable, MoreMelaninOrBloodReflectsLess) {
+  for (int c = 0; c < kSkinChannels; ++c) {
+    double last = 1.0;
+    for (const float melanin : {0.005F, 0.02F, 0.05F, 0.15F, 0.3F}) {
+      const double albedo = Shipped().Albedo(c, {melanin, 0.004F}, 0.5);
+      EXPECT_LT(albedo, last);
+      EXPECT_GT(albedo, 0.0);
+      last = albedo;
+    }
+    last = 1.0;
+    for (const float blood : {0.0005F, 0.002F, 0.01F, 0.06F}) {
+      const double albedo = Shipped().Albedo(c, {0.03F, blood}, 0.5);
+      EXPECT_LT(albedo, last);
+      last = albedo;
+    }
+  }
+}
+
+// Loading what is no table.
+class SkinTableFile : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::ifstream in(SkinTable::DefaultPath(), std::ios::binary);
+    bytes_.assign(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
+    ASSERT_GT(bytes_.size(), 1000U);
+    path_ = ::testing::TempDir() + "skin_table_" + ::testing::UnitTest::GetInstance()->current_test_info()->name();
+  }
+  void TearDown() override { std::filesystem::remove(path_); }
+  Status LoadBytes() {
+    std::ofstream(path_, std::ios::binary).write(bytes_.data(), static_cast<std::streamsize>(bytes_.size()));
+    const auto table = SkinTable::Load(path_);
+    EXPECT_FALSE(table.ok());
+    EXPECT_NE(table.status().message().find(path_), std::string::npos)
+        << "names the file: " << table.status().message();
+    return table.status();
+  }
+  std::vector<char> bytes_;
+  std::string path_;
+};
+
+TEST_F(SkinTableFile, MissingIsNotFound) {
+  const auto table = SkinTable::Load(path_ + ".none");
+  ASSERT_FALSE(table.ok());
+  EXPECT_EQ(table.status().code(), StatusCode::kNotFound);
+  EXPECT_NE(table.status().message().find(path_ + ".none"), std::string::npos);
+  EXPECT_NE(table.status().message().find("generate"), std::string::npos) << "says how to make one";
+}
+
+TEST_F(SkinTableFile, TruncatedIsDamaged) {
+  const std::vector<char> whole = bytes_;
+  for (const size_t size : {size_t{0}, size_t{7}, size_t{30}, whole.size() / 2, whole.size() - 1}) {
+    bytes_.assign(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));
+    EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity) << size << " bytes";
+  }
+}
+
+TEST_F(SkinTableFile, WrongMagicIsNoTable) {
+  bytes_[0] = 'X';
+  EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity);
+}
+
+TEST_F(SkinTableFile, WrongVersionIsANewerSchema) {
+  bytes_[7] = '2';
+  const Status status = LoadBytes();
+  EXPECT_EQ(status.code(), StatusCode::kNewerSchema);
+  EXPECT_NE(status.message().find("version 2"), std::string::npos) << status.message();
+}
+
+TEST_F(SkinTableFile, AFlippedBitIsDamage) {
+  bytes_[bytes_.size() - 100] = static_cast<char>(bytes_[bytes_.size() - 100] ^ 1);
+  EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity);
+}
+
+TEST_F(SkinTableFile, SizesThatOverflowAreDamage) {
+  const std::vector<char> whole = bytes_;
+  for (int field = 0; field < 4; ++field) {
+    bytes_ = whole;
+    for (int k = 0; k < 8; ++k) bytes_[8 + field * 8 + k] = static_cast<char>(0xff);
+    EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity) << "header field " << field;
+  }
+}
+
+TEST_F(SkinTableFile, SavedAndLoadedIsTheSame) {
+  ASSERT_TRUE(Shipped().Save(path_, "{\"made\": \"by a test\"}").ok());
+  const auto again = SkinTable::Load(path_);
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(again->manifest(), "{\"made\": \"by a test\"}");
+  for (size_t kernel = 0; kernel < G::kKernels; kernel += 97)
+    for (int r = 0; r < G::kRadii; ++r) EXPECT_EQ(again->Cell(kernel, r, 3), Shipped().Cell(kernel, r, 3));
+}
+
+}  // namespace
+}  // namespace stratalux::rig
