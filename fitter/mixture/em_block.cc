@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/shift_law.h"
@@ -201,12 +202,26 @@ void EmBlock::Initialise(std::span<const LayerSet> start) {
     }
     if (!(exposure > 0.0)) continue;
     const size_t channel = start.empty() ? 0 : static_cast<size_t>(members_[i]) % start.size();
+    // Shares of the light that returns: surface (the fit does not identify it and stays near its start: skin's Fresnel
+    // reflection is 3 to 7 % of the light that returns), and floor over a whole cycle or window.
+    const double surface = options_.surface_term ? 0.05 : 0.0;
+    double floor = 0.02;
     if (!start.empty() && !start[channel].weight.empty()) {
-      StartFrom(start[channel], i, total / exposure);
+      const LayerSet& mean = start[channel];
+      floor = mean.background / std::max(std::accumulate(mean.weight.begin(), mean.weight.end(), 0.0), 1e-9);
+      StartFrom(mean, i, (1.0 - surface) * total / exposure);
     } else {
       SpreadLayers(i, total / exposure, std::min(options_.max_sigma_mm, longest / 4.0));
     }
+    for (EmLight& light : lights_) {
+      if (!(light.counts[i] > 0.0F)) continue;
+      const double light_total = total / exposure * light.gain[i];
+      if (options_.surface_term) light.surface[i] = static_cast<float>(surface * light_total);
+      if (options_.background_term)
+        light.background[i] = static_cast<float>(floor * light_total * light.coverage[i] / light.samples);
+    }
   }
+  if (options_.shared_background) ShareBackground();
 }
 
 // Widths spread logarithmically, depths growing with the width, the observed total shared out evenly.
@@ -345,17 +360,6 @@ void EmBlock::Sweep() {
 }
 
 int EmBlock::Run() {
-  for (EmLight& light : lights_)
-    for (int i = 0; i < kLanes; ++i) {
-      if (!(light.counts[i] > 0.0F)) continue;
-      double sum = 0.0;
-      for (int k = 0; k < light.samples; ++k) sum += light.y[k * kLanes + i];
-      const float mean = static_cast<float>(std::max(sum, 1e-9) / light.samples);
-      if (options_.surface_term)
-        light.surface[i] = 0.05F * mean * static_cast<float>(light.samples) / std::max(light.coverage[i], kTiny);
-      if (options_.background_term) light.background[i] = 0.02F * mean;
-    }
-  if (options_.shared_background) ShareBackground();
   constexpr int kCheckEvery = 8;
   std::array<double, kLanes> last{};
   last.fill(1e300);
@@ -388,6 +392,16 @@ std::array<double, kLanes> EmBlock::Divergence() const {
       }
   for (int i = 0; i < kLanes; ++i) divergence[i] = total[i] > 0.0 ? divergence[i] / total[i] : 0.0;
   return divergence;
+}
+
+float EmBlock::MeanBackground(int lane) const {
+  float background = 0.0F, lights = 0.0F;
+  for (const EmLight& light : lights_) {
+    if (!(light.counts[lane] > 0.0F)) continue;
+    background += light.background[lane] * static_cast<float>(light.samples) / light.coverage[lane];
+    lights += 1.0F;
+  }
+  return background / std::max(lights, 1.0F);
 }
 
 float EmBlock::LargestShift(int lane) const {

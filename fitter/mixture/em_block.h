@@ -48,6 +48,8 @@ class EmBlock {
   [[nodiscard]] const EmLight& Light(int light) const { return lights_[light]; }
   // Kullback-Leibler divergence of data and model over the data's sum, per lane.
   [[nodiscard]] std::array<double, kLanes> Divergence() const;
+  // Mean over the lights of a lane of the floor over a whole cycle, in units of reflectance.
+  [[nodiscard]] float MeanBackground(int lane) const;
   // Largest |s| over the lights of a lane.
   [[nodiscard]] float LargestShift(int lane) const;
 

@@ -171,18 +171,22 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
   std::erase_if(judged.work, [&](int64_t i) { return i / channels % every != 0; });
   // Layers by profile, so that the sums do not depend on the order in which blocks finish.
   const size_t layers = static_cast<size_t>(options.layers);
-  std::vector<float> fitted(judged.work.size() * layers * 3);
+  const size_t stride = 3 * layers + 1;
+  std::vector<float> fitted(judged.work.size() * stride);
   std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
   for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
   ForEachBlock(lights, judged, channels, options, {},
                [&](const EmBlock& em, std::span<const int64_t> members, int /*sweeps*/) {
-                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane)
+                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane) {
+                   float* profile = fitted.data() + place[members[lane]] * stride;
                    for (size_t l = 0; l < layers; ++l) {
-                     float* at = fitted.data() + (place[members[lane]] * layers + l) * 3;
+                     float* at = profile + 3 * l;
                      at[0] = em.Weight(static_cast<int>(l), lane);
                      at[1] = em.DepthMm(static_cast<int>(l), lane);
                      at[2] = em.SigmaMm(static_cast<int>(l), lane);
                    }
+                   profile[3 * layers] = em.MeanBackground(lane);
+                 }
                });
   std::vector<LayerSet> mean(channels);
   std::vector<int64_t> count(channels, 0);
@@ -192,19 +196,23 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
     for (auto* v : {&set.weight, &set.depth_mm, &set.sigma_mm}) v->resize(layers, 0.0);
     ++count[c];
     for (size_t l = 0; l < layers; ++l) {
-      const float* at = fitted.data() + (k * layers + l) * 3;
+      const float* at = fitted.data() + k * stride + 3 * l;
       set.weight[l] += at[0];
       set.depth_mm[l] += double(at[0]) * at[1];
       set.sigma_mm[l] += double(at[0]) * at[2];
     }
+    set.background += fitted[k * stride + 3 * layers];
   }
-  for (int c = 0; c < channels; ++c)
+  for (int c = 0; c < channels; ++c) {
+    if (count[c] == 0) continue;
+    mean[c].background /= static_cast<double>(count[c]);
     for (size_t l = 0; l < mean[c].weight.size(); ++l) {
       const double w = mean[c].weight[l];
       mean[c].depth_mm[l] = w > 0.0 ? mean[c].depth_mm[l] / w : 0.0;
       mean[c].sigma_mm[l] = w > 0.0 ? mean[c].sigma_mm[l] / w : 1.0;
       mean[c].weight[l] /= static_cast<double>(count[c]);
     }
+  }
   return mean;
 }
 
