@@ -224,16 +224,21 @@ void EmBlock::Initialise(std::span<const LayerSet> start) {
   if (options_.shared_background) ShareBackground();
 }
 
-// Widths spread logarithmically, depths growing with the width, the observed total shared out evenly.
+// Widths spread logarithmically, depths growing with the width, the observed total shared out in proportion to 1 /
+// width: EM raises a wide layer that the data ask for faster than it lowers one whose light is below the noise of a
+// sample.
 void EmBlock::SpreadLayers(int lane, double total, double widest_mm) {
   const double narrowest = sigma_floor_[lane];
+  double share = 0.0;
   for (int l = 0; l < options_.layers; ++l) {
     const double f = options_.layers > 1 ? static_cast<double>(l) / (options_.layers - 1) : 0.5;
     const double sigma = narrowest * 1.1 * std::pow(std::max(widest_mm * 0.7, narrowest * 2) / (narrowest * 1.1), f);
     sigma_[l * kLanes + lane] = static_cast<float>(sigma);
     depth_[l * kLanes + lane] = options_.direction_blind ? 0.0F : static_cast<float>(std::min(0.3 * sigma, 1.0));
-    weight_[l * kLanes + lane] = static_cast<float>(total / options_.layers);
+    weight_[l * kLanes + lane] = static_cast<float>(total / sigma);
+    share += 1.0 / sigma;
   }
+  for (int l = 0; l < options_.layers; ++l) weight_[l * kLanes + lane] /= static_cast<float>(share);
 }
 
 void EmBlock::StartFrom(const LayerSet& layers, int lane, double total) {
