@@ -11,12 +11,14 @@ int main(int argc, char** argv) {
       "  stratalux-fit run latest --store store\n"
       "  stratalux-fit run s000003 --store store --full-evaluation --shift refracted_sine\n"
       "  stratalux-fit decode latest --store store --out decoded\n"
+      "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
       "  stratalux-fit profiles fit --in arm.csv --out arm.json");
   app.set_version_flag("--version", stratalux::kVersion);
   app.require_subcommand(1);
   int exit_code = 0;
   stratalux::fit::AddRunCommands(app, exit_code);
   stratalux::fit::AddDecodeCommand(app, exit_code);
+  stratalux::fit::AddRenderCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
   try {
     app.parse(argc, argv);

@@ -61,22 +61,6 @@ Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
   return reflectance;
 }
 
-Image<float> TrainedSurface(const HoldOutInput& in, const MixtureMap& map) {
-  Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
-  const size_t lights = map.training_projectors.size();
-  for (int j = 0; j < reflectance.height(); ++j)
-    for (int i = 0; i < reflectance.width(); ++i)
-      for (int c = 0; c < map.channels; ++c) {
-        if (i / in.pool >= map.width || j / in.pool >= map.height) continue;
-        const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
-        if (!map.Fitted(profile)) continue;
-        float sum = 0.0F;
-        for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
-        reflectance(i, j, c) = sum / static_cast<float>(lights);
-      }
-  return reflectance;
-}
-
 Image<float> Sum(const Image<float>& a, const Image<float>& b) {
   Image<float> sum = a;
   for (size_t i = 0; i < sum.size(); ++i) sum.pixels()[i] += b.pixels()[i];
@@ -178,7 +162,7 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
   SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.projector));
   const Image<uint8_t> mask = SkinMask(in, *models[0].map);
   const Image<float> rho_measured = MeasuredSurface(in, *models[0].map),
-                     rho_trained = TrainedSurface(in, *models[0].map);
+                     rho_trained = SurfaceReflectance(*models[0].map, in.surface, in.pool);
   std::vector<LightComparison> comparisons;
   for (const std::string& light : lights) {
     const Pattern pattern = PatternOf(light, plan);

@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fitter/pipeline/content_hash.h"
+#include "fitter/pipeline/saved_fit.h"
 #include "fitter/scattering/baselines.h"
 #include "shared/base/version.h"
 
@@ -251,7 +252,7 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   w.clock.Start("fit");
   SLX_ASSIGN_OR_RETURN(w.map, FitLayers(w.srds, w.options.heldout, w.options.em, w.logger, "fit"));
   SummariseFit(w.map, w.srds, w.metrics);
-  SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map));
+  SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.options.pool));
   if (w.options.until < Stage::kRender) return Status::Ok();
   SLX_RETURN_IF_ERROR(CompareFullSize(w));
   if (w.options.full_evaluation && w.options.until >= Stage::kEvaluate) SLX_RETURN_IF_ERROR(EvaluateFully(w));

@@ -57,8 +57,5 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger);
 
 // Writes report/index.html into `folder`.
 Status WriteReport(const std::filesystem::path& folder, const RunPictures& pictures, const Metrics& metrics);
-// Maps as EXR, mesh as PLY.
-Status WriteMaps(const std::filesystem::path& folder, const FaceGeometry& face, const SurfaceMap& surface);
-Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map);
 
 }  // namespace stratalux::fit

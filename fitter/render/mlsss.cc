@@ -74,7 +74,8 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
 }
 
 constexpr double kReachSigmas = 3.6;
-constexpr double kMaxSpread = 0.15;  // of sigma^2; a block of 0.67 sigma on skin that faces the light spreads by 0.075
+constexpr double kBlockSigmas = 0.95;  // widest block, of sigma
+constexpr double kMaxSpread = 0.3;  // of sigma^2; the widest block on skin that faces the light spreads by 0.15
 constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
 
 // Half the size, in the light's pixels, of what lies within `reach` of a point in its tangent plane. Offsets along the
@@ -147,6 +148,15 @@ float GatherLevel(const Receiver& r, const LitPyramid& light, int level, const E
   return sum * static_cast<float>(half_inverse2 / std::numbers::pi);
 }
 
+// Something nearer to the light takes it: the light's pixel shows another place.
+bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point) {
+  constexpr double kSamePlaceMm = 3.0;
+  const LitSample& s = lit.samples(std::clamp(static_cast<int>(std::lround(at.x())), 0, lit.samples.width() - 1),
+                                   std::clamp(static_cast<int>(std::lround(at.y())), 0, lit.samples.height() - 1));
+  return s.flux[1] > 0.0F && (point - lit.light.CentreInCamera()).norm() >
+                                 (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
+}
+
 int64_t ProfileOf(const MixtureMap& map, int i, int j, int c, int pool) {
   const int x = i / pool, y = j / pool;
   return x < map.width && y < map.height ? map.ProfileIndex(x, y, c) : -1;
@@ -187,9 +197,9 @@ Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, 
       const size_t at = static_cast<size_t>(profile) * map.layers + l;
       if (!(map.weight[at] > 0.0F)) continue;
       const double own2 = double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2;
-      // Blocks of at most two thirds of the width; a block's own extent, h^2 / 12, is part of the width.
+      // A block's own extent, h^2 / 12, is part of the width.
       int level = 0;
-      while (level < coarsest && r.pitch_mm * (2 << level) < 0.67 * std::sqrt(own2)) ++level;
+      while (level < coarsest && r.pitch_mm * (2 << level) < kBlockSigmas * std::sqrt(own2)) ++level;
       const double h = r.pitch_mm * (1 << level);
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       const auto pixel = lit.light.ProjectFromCamera(centre);
@@ -220,6 +230,21 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
   });
 }
 
+Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, int pool) {
+  Image<float> reflectance(surface.width(), surface.height(), map.channels, std::nanf(""));
+  const size_t lights = map.training_projectors.size();
+  for (int j = 0; j < reflectance.height(); ++j)
+    for (int i = 0; i < reflectance.width(); ++i)
+      for (int c = 0; c < map.channels; ++c) {
+        const int64_t profile = ProfileOf(map, i, j, c, pool);
+        if (profile < 0 || !map.Fitted(profile)) continue;
+        float sum = 0.0F;
+        for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
+        reflectance(i, j, c) = sum / static_cast<float>(lights);
+      }
+  return reflectance;
+}
+
 Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap& surface, const RigCalibration& rig,
                            const LitPyramid& light, const LitSurface& lit) {
   Image<float> image(surface.width(), surface.height(), reflectance.channels());
@@ -236,8 +261,9 @@ Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap&
           double sum = 0.0;
           for (int k = 0; k < 9; ++k) {
             const Eigen::Vector3d ray = camera.Unproject(site + half * Eigen::Vector2d(k % 3 - 1, k / 3 - 1));
-            const auto at = lit.light.ProjectFromCamera(ray * (n.dot(surface.Point(i, j)) / n.dot(ray)));
-            if (!at || !lit.light.model.Contains(*at)) continue;
+            const Eigen::Vector3d point = ray * (n.dot(surface.Point(i, j)) / n.dot(ray));
+            const auto at = lit.light.ProjectFromCamera(point);
+            if (!at || !lit.light.model.Contains(*at) || InShadow(lit, *at, point)) continue;
             const int x = std::clamp(static_cast<int>(std::floor(at->x())), 0, light.pattern.width() - 2);
             const int y = std::clamp(static_cast<int>(std::floor(at->y())), 0, light.pattern.height() - 2);
             const double u = std::clamp(at->x() - x, 0.0, 1.0), v = std::clamp(at->y() - y, 0.0, 1.0);

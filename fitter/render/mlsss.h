@@ -27,6 +27,10 @@ struct RenderOptions {
                                                      const RigCalibration& rig, const LitPyramid& light,
                                                      const LitSurface& lit, const RenderOptions& options = {});
 
+// The fitted surface term as reflectance of every quad, W x H x C: the mean of the training lights'; NaN where nothing
+// was fitted.
+[[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, int pool);
+
 // Light reflected by the very surface: reflectance (W x H x C on quads) times irradiance times the pattern at (C, R),
 // averaged over the pixel's footprint.
 [[nodiscard]] Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap& surface,

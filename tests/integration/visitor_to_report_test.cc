@@ -45,8 +45,7 @@ class Visitor : public ::testing::Test {
     store_ = (folder_ / "store").string();
     ASSERT_EQ(Execute("stratalux-db init --store " + store_).code, 0);
     ASSERT_EQ(Execute("stratalux-rig capture --simulate --store " + store_ + " --seed 5 --size 696x520").code, 0);
-    const Outcome run =
-        Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --pool 3 --iterations 40 --json");
+    const Outcome run = Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --json");
     ASSERT_EQ(run.code, 0);
     fit_ = Json::parse(run.out)["folder"].get<std::string>();
     metrics_ = Json::parse(Bytes(fit_ / "metrics.json"));
@@ -82,21 +81,56 @@ TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
 TEST_F(Visitor, LayersPredictTheHeldOutLightBetterThanTheBaselines) {
   for (const char* geometry : {"reconstructed", "truth"}) {
     const double tied = Nrmse("stripe", "tied", "subsurface", "none", 3, geometry);
-    EXPECT_LT(tied, Nrmse("stripe", "homogeneous", "subsurface", "none", 3, geometry)) << geometry;
-    EXPECT_LT(tied, 0.2);
-    EXPECT_LT(Nrmse("white", "tied", "total", "measured", 3, geometry),
-              Nrmse("white", "homogeneous", "total", "measured", 3, geometry));
+    EXPECT_LT(tied, 0.95 * Nrmse("stripe", "homogeneous", "subsurface", "none", 3, geometry)) << geometry;
+    EXPECT_LT(tied, 0.1) << geometry;
   }
+  EXPECT_LT(Nrmse("white", "tied", "subsurface", "none", 3, "reconstructed"),
+            0.8 * Nrmse("white", "homogeneous", "subsurface", "none", 3, "reconstructed"));
+  // The whole direction effect is a centroid of 0.1 mm, which the reconstruction's own displacement hides: on the true
+  // surface it shows.
   EXPECT_LT(Nrmse("stripe", "tied", "subsurface", "none", 3, "truth"),
-            Nrmse("stripe", "direction_blind", "subsurface", "none", 3, "truth"));
+            0.7 * Nrmse("stripe", "direction_blind", "subsurface", "none", 3, "truth"));
 }
 
-TEST_F(Visitor, ShuffledCombFramesPredictWorse) {
-  ASSERT_EQ(metrics_["ablations"].size(), 2U);
+TEST_F(Visitor, EveryProjectorIsHeldOutOnceWithEveryModel) {
+  for (int p = 0; p < 4; ++p)
+    for (const char* model : {"tied", "homogeneous", "homogeneous_local_albedo", "direction_blind"})
+      for (const char* light : {"stripe", "white"}) {
+        const double total = Nrmse(light, model, "total", "measured", p, "reconstructed"),
+                     part = Nrmse(light, model, "subsurface", "none", p, "reconstructed");
+        EXPECT_TRUE(total > 0.0 && total < 0.3) << p << model << light << total;
+        EXPECT_TRUE(part > 0.0 && part < 0.2) << p << model << light << part;
+      }
+  EXPECT_FALSE(metrics_["stages"].empty());
+  for (const Json& stage : metrics_["stages"]) EXPECT_GT(stage["peak_rss_bytes"].get<int64_t>(), 1 << 20);
+  EXPECT_GT(metrics_["fit"]["divergence"].get<double>(), 0.0);
+}
+
+TEST_F(Visitor, SpoiltFitsPredictWorse) {
+  ASSERT_EQ(metrics_["ablations"].size(), 4U);  // two spoilt fits, total and subsurface
   for (const Json& a : metrics_["ablations"]) {
-    if (a["name"] != "comb_frames_shuffled") continue;
-    EXPECT_GT(a["nrmse"].get<double>(), 1.5 * a["baseline_nrmse"].get<double>());
+    if (a["part"] != "subsurface") continue;
+    const double factor = a["name"] == "comb_frames_shuffled" ? 3.0 : 1.05;
+    EXPECT_GT(a["nrmse"].get<double>(), factor * a["baseline_nrmse"].get<double>()) << a["name"];
   }
+}
+
+TEST_F(Visitor, IsRelitByLightsThatNobodyCaptured) {
+  const auto relit = [&](const std::string& light, const std::string& name) {
+    const fs::path out = folder_ / name;
+    EXPECT_EQ(Execute("stratalux-fit render latest --store " + store_ + " " + light + " --out " + out.string()).code,
+              0);
+    for (const char* file : {"subsurface.exr", "surface.exr", "total.exr", "total.png"})
+      EXPECT_GT(fs::file_size(out / file), 5000U) << file;
+  };
+  relit("--point=-200,-100,200", "point");
+  relit("--direction=1,0,-1 --colour 1,0.8,0.6", "direction");
+  relit("--projector 3 --pattern 'comb columns period=128 width=2 shift=0'", "stripe");
+  const std::string render = "stratalux-fit render latest --store " + store_ + " --out " + folder_.string() + "/no ";
+  for (const char* wrong : {"", "--point=1,2", "--direction=0,0,0", "--projector 9", "--projector 1 --pattern nonsense",
+                            "--point=0,0,200 --direction=0,0,-1"})
+    EXPECT_EQ(Execute(render + wrong).code, 2) << wrong;
+  EXPECT_EQ(Execute(render + "--projector 1 --fit 0123").code, 4);
 }
 
 TEST_F(Visitor, ReportHoldsEveryPictureAndNothingFromOutside) {
@@ -114,7 +148,7 @@ TEST_F(Visitor, MapsDoNotDependOnTheTruth) {
   ASSERT_TRUE(fs::exists(truth));
   const std::vector<std::string> maps = {"position.exr", "normal_fused.exr", "direct_0.exr", "layers_weight.exr",
                                          "layers_depth_mm.exr"};
-  const std::string command = "stratalux-fit run latest --json --pool 3 --force --store " + store_;
+  const std::string command = "stratalux-fit run s000001 --json --pool 3 --force --store " + store_;
   auto maps_of = [&] {
     const Outcome run = Execute(command);
     EXPECT_EQ(run.code, 0);
@@ -136,16 +170,11 @@ TEST_F(Visitor, WithoutScatteringHardlyAnyLightIsInWideLayers) {
   ASSERT_EQ(
       Execute("stratalux-rig capture --simulate --no-scattering --store " + store_ + " --seed 5 --size 696x520").code,
       0);
-  const Outcome scattering = Execute("stratalux-fit run s000001 --store " + store_ + " --json");
   const Outcome opaque = Execute("stratalux-fit run s000002 --store " + store_ + " --json");
-  ASSERT_EQ(scattering.code, 0);
   ASSERT_EQ(opaque.code, 0);
-  auto wide = [](const Outcome& run) {
-    const fs::path folder = Json::parse(run.out)["folder"].get<std::string>();
-    return Json::parse(Bytes(folder / "metrics.json"))["fit"]["wide_weight_fraction"].get<double>();
-  };
-  EXPECT_LT(wide(opaque), 0.06);
-  EXPECT_GT(wide(scattering), 4.0 * wide(opaque));
+  const fs::path folder = Json::parse(opaque.out)["folder"].get<std::string>();
+  EXPECT_LE(Json::parse(Bytes(folder / "metrics.json"))["fit"]["wide_weight_fraction"].get<double>(), 0.02);
+  EXPECT_GT(metrics_["fit"]["wide_weight_fraction"].get<double>(), 0.15);
 }
 
 }  // namespace

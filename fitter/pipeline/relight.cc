@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/relight.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fitter/pipeline/exr_file.h"
+#include "fitter/render/mlsss.h"
+#include "fitter/report/html_report.h"
+#include "shared/image/png.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr double kFarMm = 1e5;  // of a directional light: parallel to a thousandth over a face
+constexpr double kNearestMm = 5.0;
+
+struct Extent {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  double nearest_mm = 0.0;  // to a position
+};
+
+Extent ExtentOf(const SurfaceMap& surface, const Eigen::Vector3d& position) {
+  Extent extent;
+  double count = 0.0, nearest2 = 1e300;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i) {
+      if (surface.mask(i, j) == 0) continue;
+      const Eigen::Vector3d point = surface.Point(i, j);
+      extent.centre += point;
+      count += 1.0;
+      nearest2 = std::min(nearest2, (point - position).squaredNorm());
+    }
+  extent.centre /= std::max(count, 1.0);
+  extent.nearest_mm = std::sqrt(nearest2);
+  return extent;
+}
+
+Result<ProjectorCalibration> LightFor(const SavedFit& fit, const RigCalibration& rig, const VirtualLight& light,
+                                      double& exposure_ms) {
+  exposure_ms = 1.0;
+  if (light.kind == VirtualLight::Kind::kProjector) {
+    if (light.projector < 0 || light.projector >= static_cast<int>(rig.projectors.size()))
+      return Status::Usage("projector " + std::to_string(light.projector) + " does not exist; the rig has " +
+                           std::to_string(rig.projectors.size()));
+    // Its own white at the middle of the face becomes 1.
+    ProjectorCalibration projector = rig.projectors[light.projector];
+    const Eigen::Vector3d centre = ExtentOf(fit.surface, Eigen::Vector3d::Zero()).centre;
+    const double distance2 = (projector.CentreInCamera() - centre).squaredNorm();
+    for (int c = 0; c < 3; ++c) projector.white_dn_mm2_per_ms[c] = light.colour[c] * distance2;
+    return projector;
+  }
+  Eigen::Vector3d position = light.vector;
+  const Extent extent = ExtentOf(fit.surface, position);
+  if (light.kind == VirtualLight::Kind::kDirectional) {
+    position = extent.centre + kFarMm * light.vector.normalized();
+  } else if (extent.nearest_mm < kNearestMm) {
+    return Status::Usage("the light stands " + std::to_string(extent.nearest_mm) +
+                         " mm from the face; move it at least " + std::to_string(kNearestMm) + " mm away");
+  }
+  return MakePointLight(fit.surface, position, light.colour);
+}
+
+}  // namespace
+
+Status VirtualLight::Validate() const {
+  if (!vector.allFinite()) return Status::Usage("the light's position or direction must be finite numbers");
+  if (kind == Kind::kDirectional && !(vector.norm() > 0.0)) return Status::Usage("a direction cannot be 0,0,0");
+  for (double c : colour)
+    if (!(c >= 0.0 && c <= 1e6)) return Status::Usage("the light's colour must lie in 0 .. 1e6");
+  return Status::Ok();
+}
+
+Result<Relit> Relight(const SavedFit& fit, const RigCalibration& rig, const VirtualLight& light) {
+  SLX_RETURN_IF_ERROR(light.Validate());
+  double exposure_ms = 1.0;
+  SLX_ASSIGN_OR_RETURN(const auto projector, LightFor(fit, rig, light, exposure_ms));
+  if (light.kind == VirtualLight::Kind::kProjector) {
+    SLX_RETURN_IF_ERROR(light.pattern.Validate(projector.model.width, projector.model.height));
+  }
+  const LitSurface lit = BuildLitSurface(fit.surface, projector, exposure_ms);
+  const LitPyramid pyramid = LightWith(lit, light.pattern);
+  Relit relit;
+  relit.subsurface = RenderSubsurface(fit.map, fit.surface, rig, pyramid, lit, {fit.pool});
+  relit.surface = RenderSurface(SurfaceReflectance(fit.map, fit.surface, fit.pool), fit.surface, rig, pyramid, lit);
+  relit.total = relit.subsurface;
+  for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
+  return relit;
+}
+
+Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white) {
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  if (!(white > 0.0)) {
+    Image<float> lit = relit.total;
+    for (float& v : lit.pixels())
+      if (!(v > 0.0F)) v = std::nanf("");  // outside the face
+    white = std::max(Percentile(lit, 0.995), 1e-6);
+  }
+  const std::vector<std::string> colours =
+      relit.total.channels() == 1 ? std::vector<std::string>{"Y"} : std::vector<std::string>{"R", "G", "B"};
+  for (const auto& [name, image] :
+       {std::pair("subsurface", &relit.subsurface), {"surface", &relit.surface}, {"total", &relit.total}}) {
+    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, colours));
+    SLX_RETURN_IF_ERROR(WritePng8(folder / (std::string(name) + ".png"), ToSrgb(*image, white)));
+  }
+  return Status::Ok();
+}
+
+}  // namespace stratalux::fit
