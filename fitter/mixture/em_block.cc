@@ -134,6 +134,10 @@ void EmBlock::LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, 
     if (options_.gain_model)
       light.gain[i] = static_cast<float>(AngularGain(batch.cos_in[profile], options_.eta, options_.tau));
     light.counts[i] = static_cast<float>(noise.counts);
+    if (!batch.white.empty()) {
+      light.white[i] = batch.white[profile];
+      light.white_variance[i] = batch.white_variance[profile];
+    }
   }
 }
 
@@ -364,6 +368,43 @@ void EmBlock::Sweep() {
   }
 }
 
+// The shape is EM's; its scale and that of the white frames are averaged by their Fisher information. White frames
+// enter here and not as samples of EM: they know nothing of positions and would only slow it down. `model` holds
+// predictions.
+void EmBlock::ScaleToWhite() {
+  bool scaled_any = false;
+  for (int i = 0; i < kLanes; ++i) {
+    double information = 0.0, scaled = 0.0;
+    bool any = false;
+    for (const EmLight& light : lights_) {
+      if (!(light.counts[i] > 0.0F)) continue;
+      double sum = 0.0, of_samples = 0.0;
+      for (int k = 0; k < light.samples; ++k) {
+        const double m = light.model[k * kLanes + i];
+        sum += m;
+        of_samples += m * m * light.counts[i] / std::max(m + light.shift[k * kLanes + i], double(kTiny));
+      }
+      information += of_samples;
+      scaled += of_samples;  // EM's own scale: 1
+      if (!(light.white_variance[i] > 0.0F) || !(sum > 0.0)) continue;
+      const double of_white = sum * sum / light.white_variance[i];
+      information += of_white;
+      scaled += of_white * light.white[i] / sum;
+      any = true;
+    }
+    if (!any || !(scaled > 0.0)) continue;
+    scaled_any = true;
+    const auto scale = static_cast<float>(scaled / information);
+    for (int l = 0; l < options_.layers; ++l) weight_[l * kLanes + i] *= scale;
+    for (EmLight& light : lights_) {
+      light.surface[i] *= scale;
+      light.background[i] *= scale;
+    }
+  }
+  if (!scaled_any) return;
+  for (EmLight& light : lights_) Predict(light);
+}
+
 int EmBlock::Run() {
   constexpr int kCheckEvery = 8;
   std::array<double, kLanes> last{};
@@ -377,9 +418,13 @@ int EmBlock::Run() {
     for (int i = 0; i < kLanes; ++i)
       settled = settled && last[i] - now[i] <= options_.tolerance * kCheckEvery * std::abs(last[i]);
     last = now;
-    if (settled) return sweep;
+    if (settled) {
+      ScaleToWhite();
+      return sweep;
+    }
   }
   for (EmLight& light : lights_) Predict(light);
+  ScaleToWhite();
   return sweeps_;
 }
 

@@ -31,6 +31,7 @@ struct EmLight {
   std::array<float, kLanes> cell_mm{}, origin{};  // cell size; cell coordinate of u = 0
   std::array<float, kLanes> coverage{};           // sum over samples of the response, inside
   std::array<float, kLanes> surface{}, background{};
+  std::array<float, kLanes> white{}, white_variance{};  // variance 0: none
 };
 
 class EmBlock {
@@ -64,6 +65,7 @@ class EmBlock {
   void Sweep();
   void UpdateFloor(EmLight& light);
   void ShareBackground();
+  void ScaleToWhite();
 
   EmOptions options_;
   int sweeps_ = 0;  // at most

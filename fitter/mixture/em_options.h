@@ -18,7 +18,7 @@ struct EmOptions {
   int max_iterations = 50;  // held-out light is predicted best at 50-100 (model section 7)
   // Sweeps of a pixel that starts from the session's mean layers (FitMixture's `start`): fewer sweeps keep it closer to
   // the mean where its own photons are few.
-  int refinement_iterations = 8;
+  int refinement_iterations = 4;
   double tolerance = 1e-5;  // relative change of the divergence
   int cells_per_sample = 4;
   double min_sigma_mm = 0.12;  // and never below nine tenths of a cell

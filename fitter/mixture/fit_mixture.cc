@@ -235,7 +235,11 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
     for (const SrdBatch* batch : lights) {
       if (Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
       double sum = 0.0;
-      for (int k = 0; k < batch->samples; ++k) sum += batch->y[i * batch->samples + k];
+      if (!batch->white.empty() && batch->white_variance[i] > 0.0F) {
+        sum = batch->white[i];
+      } else {
+        for (int k = 0; k < batch->samples; ++k) sum += batch->y[i * batch->samples + k];
+      }
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];
       x.push_back(-std::log(AngularGain(cos_in, eta, 1.0) / AngularGain(cos_in, eta, 0.0)));

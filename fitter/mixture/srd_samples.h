@@ -18,8 +18,11 @@ struct SrdBatch {
   // Box that each sample averages over, as a share of the step: 0 for combs (a sample is a point in the line's
   // position), 1 for binned profiles (CSV).
   float sample_box = 0.0F;
-  std::vector<float> y;                // [profile][K]; may be negative (never clipped)
-  std::vector<float> variance;         // [profile][K] of y, from the camera's noise model
+  std::vector<float> y;         // [profile][K]; may be negative (never clipped)
+  std::vector<float> variance;  // [profile][K] of y, from the camera's noise model
+  // Response to all columns at once in units of the samples' sum, from the white frames, and its variance (0: unknown);
+  // empty where there are none. It fixes the scale far better than the sum of dim samples does.
+  std::vector<float> white, white_variance;
   std::vector<float> first_u_mm;       // [profile]
   std::vector<float> step_mm;          // [profile]
   std::vector<float> line_width_mm;    // [profile]

@@ -109,6 +109,9 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
               {.kind = PatternKind::kComb, .period = cycle.period, .width = cycle.width, .shift = k * cycle.step}));
       extractor.AddFrame(k, raw, dark);
     }
+    int whites = 0;
+    SLX_ASSIGN_OR_RETURN(const auto white, frames.MeanWhite(p, whites));
+    extractor.SetWhite(white, whites, dark);
     set.batches.push_back(extractor.Take());
     std::string text = "SRDs of projector " + std::to_string(p) + ":";
     for (int r = 0; r < kSrdReasons; ++r)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The report of a session: the pictures of the paper in its order, then the figures.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <fstream>
@@ -221,24 +222,79 @@ ReportSection LayerMaps(const RunPictures& in) {
   return section;
 }
 
+// One table for each way of judging: a row a model, a column a light and part.
+std::vector<ReportTable> HeldOutTables(const Metrics& m) {
+  struct Column {
+    const char *title, *light, *part, *direct;
+  };
+  constexpr std::array<Column, 6> kColumns = {{{"stripe, total", "stripe", "total", "measured"},
+                                               {"stripe, subsurface", "stripe", "subsurface", "none"},
+                                               {"white, total", "white", "total", "measured"},
+                                               {"white, subsurface", "white", "subsurface", "none"},
+                                               {"spot, total", "spot", "total", "measured"},
+                                               {"spot, subsurface", "spot", "subsurface", "none"}}};
+  std::vector<ReportTable> tables;
+  std::vector<std::pair<int, std::string>> views;
+  for (const HeldOutFigure& f : m.heldout)
+    if (std::find(views.begin(), views.end(), std::pair(f.projector, f.geometry)) == views.end())
+      views.emplace_back(f.projector, f.geometry);
+  for (const auto& [projector, geometry] : views) {
+    auto find = [&, p = projector, g = geometry](const std::string& model, const Column& c) -> const HeldOutFigure* {
+      for (const HeldOutFigure& f : m.heldout)
+        if (f.projector == p && f.geometry == g && f.model == model && f.light == c.light && f.part == c.part &&
+            f.direct == c.direct)
+          return &f;
+      return nullptr;
+    };
+    ReportTable table{"Projector " + std::to_string(projector) + " held out, " + geometry +
+                          " geometry: NRMSE (total: also PSNR in dB, SSIM)",
+                      {"model"},
+                      {}};
+    std::vector<std::string> models;
+    for (const HeldOutFigure& f : m.heldout)
+      if (f.projector == projector && f.geometry == geometry &&
+          std::find(models.begin(), models.end(), f.model) == models.end())
+        models.push_back(f.model);
+    std::vector<Column> shown;
+    for (const Column& c : kColumns)
+      if (std::any_of(models.begin(), models.end(), [&](const auto& model) { return find(model, c) != nullptr; })) {
+        shown.push_back(c);
+        table.header.push_back(c.title);
+      }
+    for (const std::string& model : models) {
+      std::vector<std::string> row = {model};
+      for (const Column& c : shown) {
+        const HeldOutFigure* f = find(model, c);
+        if (f == nullptr) {
+          row.emplace_back("");
+        } else if (f->part == "total") {
+          row.push_back(Fixed(f->error.nrmse, 4) + " (" + Fixed(f->error.psnr_db, 1) + ", " + Fixed(f->error.ssim, 3) +
+                        ")");
+        } else {
+          row.push_back(Fixed(f->error.nrmse, 4));
+        }
+      }
+      table.rows.push_back(std::move(row));
+    }
+    tables.push_back(std::move(table));
+  }
+  return tables;
+}
+
 ReportSection Figures(const Metrics& m) {
   ReportSection section{
-      "Figures", "NRMSE over skin that the held-out light reaches; model section 9 defines each figure.", {}, {}, {}};
-  ReportTable table{
-      "Held-out light",
-      {"projector", "light", "geometry", "pool", "model", "part", "direct", "NRMSE", "PSNR dB", "SSIM", "pixels"},
-      {}};
-  for (const HeldOutFigure& f : m.heldout)
-    table.rows.push_back({std::to_string(f.projector), f.light, f.geometry, std::to_string(f.pool), f.model, f.part,
-                          f.direct, Fixed(f.error.nrmse, 4), Fixed(f.error.psnr_db, 1), Fixed(f.error.ssim, 4),
-                          std::to_string(f.error.pixels)});
-  section.tables.push_back(table);
+      "Figures",
+      "NRMSE over skin that the held-out light reaches; total: with the light's measured direct part. "
+      "All figures, those by colour and with rendered direct light too, are in metrics.json.",
+      {},
+      {},
+      HeldOutTables(m)};
   ReportTable ablations{"Ablations: each must be worse than the fit it spoils",
-                        {"name", "projector", "light", "NRMSE", "not spoilt"},
+                        {"name", "projector", "light", "part", "NRMSE", "not spoilt"},
                         {}};
   for (const AblationFigure& a : m.ablations)
     ablations.rows.push_back(
-        {a.name, std::to_string(a.projector), a.light, Fixed(a.nrmse, 4), Fixed(a.baseline_nrmse, 4)});
+        {a.name, std::to_string(a.projector), a.light, a.part, Fixed(a.nrmse, 4), Fixed(a.baseline_nrmse, 4)});
   if (!ablations.rows.empty()) section.tables.push_back(ablations);
   if (m.truth)
     section.tables.push_back({"Against the simulated truth",
@@ -300,9 +356,10 @@ Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, c
       report.sections.back().plots.push_back(RowProfile(in, c));
     } else if (c.light == "white") {
       report.sections.push_back(LightSection("Point light at the held-out projector (figure 9)", c, white));
-      if (!in.homogeneous.empty())
-        report.sections.back().images.push_back(
-            {"(e) homogeneous: the mean layers everywhere, sum", ToSrgb(in.homogeneous[0].total, white)});
+      for (const LightComparison& mean : in.homogeneous)
+        if (mean.light == c.light)
+          report.sections.back().images.push_back(
+              {"(e) homogeneous: the mean layers everywhere, sum", ToSrgb(mean.total, white)});
     }
   }
   report.sections.push_back(LayerMaps(in));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/session_frames.h"
 
+#include <cmath>
 #include <set>
 
 #include "fitter/calibration/dark_frame.h"
@@ -59,25 +60,40 @@ Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, c
   return store_.ReadFrame(info().id, *row);
 }
 
-Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
+Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int& count) const {
+  const float saturation = calibration_ ? static_cast<float>(calibration_->camera.saturation_dn) : 1e9F;
+  const std::string name = kind == PatternKind::kWhite ? "white" : "black";
   Image<float> mean;
-  int count = 0;
+  count = 0;
   for (const db::FrameRow& row : rows_) {
     const FrameRecord& r = row.record;
-    if (r.projector != projector || r.pattern.kind != PatternKind::kBlack || r.level_check == LevelCheck::kFailed)
-      continue;
+    if (r.projector != projector || r.pattern.kind != kind || r.level_check == LevelCheck::kFailed) continue;
     SLX_ASSIGN_OR_RETURN(const auto image, store_.ReadFrame(info().id, row));
     if (mean.empty()) mean = Image<float>(image.width(), image.height());
     if (mean.width() != image.width() || mean.height() != image.height())
-      return Status::Integrity("session " + info().id + ": black frames of projector " + std::to_string(projector) +
-                               " differ in size");
-    for (size_t i = 0; i < mean.size(); ++i) mean.pixels()[i] += image.pixels()[i];
+      return Status::Integrity("session " + info().id + ": " + name + " frames of projector " +
+                               std::to_string(projector) + " differ in size");
+    for (size_t i = 0; i < mean.size(); ++i) {
+      const float level = image.pixels()[i];
+      mean.pixels()[i] += kind == PatternKind::kWhite && level >= saturation ? std::nanf("") : level;
+    }
     ++count;
   }
   if (count == 0)
-    return Status::NotFound("session " + info().id + " has no black frame of projector " + std::to_string(projector));
+    return Status::NotFound("session " + info().id + " has no " + name + " frame of projector " +
+                            std::to_string(projector));
   for (float& v : mean.pixels()) v /= static_cast<float>(count);
+  return mean;
+}
+
+Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
+  int count = 0;
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, count));
   return calibration_ ? QuietDarkFrame(mean, count, calibration_->camera) : std::move(mean);
+}
+
+Result<Image<float>> SessionFrames::MeanWhite(int projector, int& count) const {
+  return MeanOf(projector, PatternKind::kWhite, count);
 }
 
 std::string SessionFrames::ContentHash() const {

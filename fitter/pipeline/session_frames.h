@@ -35,10 +35,14 @@ class SessionFrames {
   // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
   // black.
   [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
+  // Mean of the projector's white frames (reference and motion checks), raw; NaN where a site was saturated. `count`
+  // receives their number.
+  [[nodiscard]] Result<Image<float>> MeanWhite(int projector, int& count) const;
   // Hash over all frame hashes: the session's content.
   [[nodiscard]] std::string ContentHash() const;
 
  private:
+  [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int& count) const;
   SessionFrames(db::SessionStore store, db::SessionRow session);
   static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose);
 

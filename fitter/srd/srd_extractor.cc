@@ -139,6 +139,39 @@ void SrdExtractor::AddFrame(int k, ImageView<const uint16_t> raw, ImageView<cons
   });
 }
 
+void SrdExtractor::SetWhite(ImageView<const float> mean_dn, int count, ImageView<const float> dark_dn) {
+  const CameraCalibration& camera = rig_.camera;
+  const int block = QuadStep(camera.cfa) * options_.pool;
+  const double read2 = camera.read_noise_dn * camera.read_noise_dn;
+  // Every column is lit width / step times in a cycle.
+  const double cycle = static_cast<double>(cycle_.width) / cycle_.step;
+  batch_.white.assign(batch_.valid.size(), 0.0F);
+  batch_.white_variance.assign(batch_.valid.size(), 0.0F);
+  ParallelFor(height_, 16, [&](int64_t begin, int64_t end) {
+    for (int y = static_cast<int>(begin); y < end; ++y)
+      for (int x = 0; x < width_; ++x) {
+        const int64_t first = (int64_t{y} * width_ + x) * channels_;
+        double sum[3] = {}, level[3] = {};
+        int sites[3] = {};
+        for (int j = y * block; j < (y + 1) * block; ++j)
+          for (int i = x * block; i < (x + 1) * block; ++i) {
+            const int c = CfaColour(camera.cfa, i, j);
+            sum[c] += mean_dn(i, j) - dark_dn(i, j);
+            level[c] += mean_dn(i, j) - camera.black_level_dn;
+            ++sites[c];
+          }
+        for (int c = 0; c < channels_; ++c) {
+          const int64_t profile = first + c;
+          if (reason_[profile] != static_cast<uint8_t>(SrdReason::kValid) || !std::isfinite(sum[c])) continue;
+          const double scale = cycle / (static_cast<double>(sites[c]) * white_dn_[profile]);
+          batch_.white[profile] = static_cast<float>(sum[c] * scale);
+          const double variance = (std::max(level[c], 0.0) / camera.gain_e_per_dn + sites[c] * read2) / count;
+          batch_.white_variance[profile] = static_cast<float>(std::max(variance, 1e-6) * scale * scale);
+        }
+      }
+  });
+}
+
 SrdBatch SrdExtractor::Take() {
   for (int64_t i = 0; i < batch_.profiles(); ++i) {
     if (reason_[i] == static_cast<uint8_t>(SrdReason::kValid)) {

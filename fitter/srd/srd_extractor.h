@@ -65,6 +65,9 @@ class SrdExtractor {
   // `raw`: mosaic of cycle frame k; `dark_dn`: the same exposure with the projector black (ambient, black level).
   void AddFrame(int k, ImageView<const uint16_t> raw, ImageView<const float> dark_dn);
 
+  // Mean of `count` white frames of this projector (all columns on), raw; NaN where a site was saturated. Optional.
+  void SetWhite(ImageView<const float> mean_dn, int count, ImageView<const float> dark_dn);
+
   // Call once, after all frames. Profile index as in MixtureMap, of width() x height() x channels.
   SrdBatch Take();
   [[nodiscard]] int width() const { return width_; }

@@ -152,6 +152,35 @@ TEST(FitMixture, DivergenceNeverRisesWithMoreSweeps) {
   }
 }
 
+TEST(FitMixture, WhiteFramesFixTheScaleThatDimSamplesCannot) {
+  // Samples with a tenth of the albedo in noise of their sum, white frames with a hundredth.
+  EmOptions options;
+  options.surface_term = false;
+  Lights lights = MakeLights({-0.6, 0.4}, 64, 40, options);
+  Random random(3);
+  auto spread = [&](const Lights& data) {
+    const auto map = Fit(data, options);
+    double sum = 0.0, squares = 0.0;
+    for (int64_t i = 0; i < 64; ++i) {
+      double total = 0.0;
+      for (double w : LayersOf(*map, i).weight) total += w;
+      sum += total / 64;
+      squares += total * total / 64;
+    }
+    return std::sqrt(squares - sum * sum) / sum;
+  };
+  const double without = spread(lights);
+  for (SrdBatch& b : lights.batches)
+    for (int64_t i = 0; i < b.profiles(); ++i) {
+      double white = 0.0;
+      for (double y : PredictSamples(KnownLayers(), b, i, options)) white += y;
+      b.white.push_back(static_cast<float>(white * (1.0 + 0.01 * random.Normal())));
+      b.white_variance.push_back(static_cast<float>(1e-4 * white * white));
+    }
+  EXPECT_GT(without, 0.04);
+  EXPECT_LT(spread(lights), 0.02);
+}
+
 TEST(FitMixture, KnowsTheSlitExactly) {
   // Fitted through a line of 1 mm, the layers predict a line of 0.25 mm.
   EmOptions options;
