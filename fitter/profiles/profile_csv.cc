@@ -121,16 +121,23 @@ Status MakeRegular(const CsvTable& table, std::vector<Row>& rows, LineProfile& p
       message << "source '" << profile.source << "': u_mm = " << rows[k].u << " appears twice";
       return At(table, table.line[rows[k].row], message.str());
     }
-  for (size_t k = 1; k < rows.size(); ++k) {
-    const double expected = profile.first_u_mm + static_cast<double>(k) * profile.step_mm;
-    if (std::abs(rows[k].u - expected) > kRegular * profile.step_mm) {
-      std::ostringstream message;
-      message << "source '" << profile.source << "': u_mm = " << rows[k].u << " breaks the regular step of "
-              << profile.step_mm << " mm (expected " << expected << "); resample the profile on a regular grid";
-      return At(table, table.line[rows[k].row], message.str());
-    }
-  }
-  return Status::Ok();
+  bool regular = true;
+  for (size_t k = 1; k < rows.size(); ++k)
+    regular = regular && std::abs(rows[k].u - profile.first_u_mm - static_cast<double>(k) * profile.step_mm) <=
+                             kRegular * profile.step_mm;
+  if (regular) return Status::Ok();
+  // Name the row that departs from the usual step.
+  std::vector<double> steps;
+  for (size_t k = 1; k < rows.size(); ++k) steps.push_back(rows[k].u - rows[k - 1].u);
+  std::vector<double> sorted = steps;
+  std::sort(sorted.begin(), sorted.end());
+  const double usual = sorted[(sorted.size() - 1) / 2];
+  size_t worst = 0;
+  while (worst + 1 < steps.size() && std::abs(steps[worst] - usual) <= kRegular * usual) ++worst;
+  std::ostringstream message;
+  message << "source '" << profile.source << "': u_mm = " << rows[worst + 1].u << " breaks the regular step of "
+          << usual << " mm (expected " << rows[worst].u + usual << "); resample the profile on a regular grid";
+  return At(table, table.line[rows[worst + 1].row], message.str());
 }
 
 }  // namespace
