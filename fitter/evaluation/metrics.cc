@@ -31,6 +31,14 @@ std::string Metrics::ToJson() const {
                                  {"part", a.part},
                                  {"nrmse", a.nrmse},
                                  {"baseline_nrmse", a.baseline_nrmse}});
+  json["srd_centroid"] = Json::array();
+  for (const CentroidFigure& c : centroids)
+    json["srd_centroid"].push_back({{"projector", c.projector},
+                                    {"geometry", c.geometry},
+                                    {"measured_mm_per_shift", c.error.measured_mm},
+                                    {"predicted_mm_per_shift", c.error.predicted_mm},
+                                    {"rms_mm", c.error.rms_mm},
+                                    {"profiles", c.error.profiles}});
   json["fit"] = {{"divergence", divergence},
                  {"iterations_median", iterations_median},
                  {"tau", tau},

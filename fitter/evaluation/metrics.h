@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "fitter/evaluation/image_error.h"
+#include "fitter/evaluation/srd_centroid.h"
 
 namespace stratalux::fit {
 
@@ -31,6 +32,12 @@ struct AblationFigure {
   double baseline_nrmse = 0.0;  // the same fit, not ablated
 };
 
+struct CentroidFigure {
+  int projector = 0;
+  std::string geometry;
+  CentroidError error;
+};
+
 struct StageFigure {
   std::string name;
   double seconds = 0.0;
@@ -41,7 +48,8 @@ struct Metrics {
   std::string session, fit, program_version, options_json;
   std::vector<HeldOutFigure> heldout;
   std::vector<AblationFigure> ablations;
-  double divergence = 0.0;  // median
+  std::vector<CentroidFigure> centroids;  // of the tied model's held-out SRDs
+  double divergence = 0.0;                // median
   int iterations_median = 0;
   double tau = 0.0;
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface

@@ -33,6 +33,13 @@ Noise NoiseOf(const SrdBatch& batch, int64_t profile) {
   return {1.0 / per_count, std::max(0.0, v[low] / per_count - std::max(0.0F, y[low]))};
 }
 
+// Where a cell of a sample's reach lies in memory; -1 outside an open window.
+inline __attribute__((always_inline)) int CellInGrid(const EmGrid& grid, int cell) {
+  if (cell >= 0 && cell < grid.cells) return cell;
+  if (!grid.wrapped) return -1;
+  return cell < 0 ? cell + grid.cells : cell - grid.cells;
+}
+
 // model[sample] += sum over taps of response mass; open windows see nothing beyond their grid.
 SLX_SIMD_CLONES void Project(const EmLight& light, float* model) {
   const int before = (light.taps - light.cells_per_sample) / 2;
@@ -40,10 +47,8 @@ SLX_SIMD_CLONES void Project(const EmLight& light, float* model) {
     Vec sum = Load(model + k * kLanes);
     int cell = light.pad_cells + k * light.cells_per_sample - before;
     for (int t = 0; t < light.taps; ++t, ++cell) {
-      int at = cell;
-      if (light.grid.wrapped)
-        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
-      if (at < 0 || at >= light.grid.cells) continue;
+      const int at = CellInGrid(light.grid, cell);
+      if (at < 0) continue;
       sum += Load(light.mass.data() + at * kLanes) * Load(light.response.data() + t * kLanes);
     }
     Store(model + k * kLanes, sum);
@@ -57,10 +62,8 @@ SLX_SIMD_CLONES void ProjectBack(const EmLight& light, const float* ratios, floa
     const Vec ratio = Load(ratios + k * kLanes);
     int cell = light.pad_cells + k * light.cells_per_sample - before;
     for (int t = 0; t < light.taps; ++t, ++cell) {
-      int at = cell;
-      if (light.grid.wrapped)
-        at = cell < 0 ? cell + light.grid.cells : cell >= light.grid.cells ? cell - light.grid.cells : cell;
-      if (at < 0 || at >= light.grid.cells) continue;
+      const int at = CellInGrid(light.grid, cell);
+      if (at < 0) continue;
       Store(q + at * kLanes, Load(q + at * kLanes) + ratio * Load(light.response.data() + t * kLanes));
     }
   }

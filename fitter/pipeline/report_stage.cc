@@ -296,6 +296,14 @@ ReportSection Figures(const Metrics& m) {
     ablations.rows.push_back(
         {a.name, std::to_string(a.projector), a.light, a.part, Fixed(a.nrmse, 4), Fixed(a.baseline_nrmse, 4)});
   if (!ablations.rows.empty()) section.tables.push_back(ablations);
+  ReportTable centroids{"Direction: how far an SRD's centroid moves with its shift coefficient, mm (held-out light)",
+                        {"projector", "geometry", "measured", "predicted", "rms of single pixels", "profiles"},
+                        {}};
+  for (const CentroidFigure& c : m.centroids)
+    centroids.rows.push_back({std::to_string(c.projector), c.geometry, Fixed(c.error.measured_mm, 3),
+                              Fixed(c.error.predicted_mm, 3), Fixed(c.error.rms_mm, 3),
+                              std::to_string(c.error.profiles)});
+  if (!centroids.rows.empty()) section.tables.push_back(centroids);
   if (m.truth)
     section.tables.push_back({"Against the simulated truth",
                               {"depth rms mm", "depth bias mm", "normal median deg", "quads"},

@@ -126,6 +126,7 @@ Result<Models> FitBaselines(Work& w, const SrdSet& srds, int projector, MixtureM
 Status HoldOut(Work& w, int projector, const std::string& geometry) {
   const std::string label = "projector " + std::to_string(projector) + " held out";
   SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(w.srds, projector, w.options.em, w.logger, label));
+  w.metrics.centroids.push_back({projector, geometry, CompareCentroids(tied, w.srds.batches[projector])});
   SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(tied), label));
   return CompareHeldOut(InputFor(w, w.surface, projector, w.options.pool, geometry), models.List(), {"stripe", "white"},
                         w.metrics.heldout)
@@ -163,6 +164,7 @@ Status EvaluateOnTruth(Work& w) {
   SLX_ASSIGN_OR_RETURN(const auto surface, w.truth->Surface(*w.frames.calibration()));
   SLX_ASSIGN_OR_RETURN(const auto srds, ExtractSrds(w.frames, surface, w.face.lit, w.options.pool, w.logger));
   SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(srds, projector, w.options.em, w.logger, "true geometry"));
+  w.metrics.centroids.push_back({projector, "truth", CompareCentroids(tied, srds.batches[projector])});
   SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, srds, projector, std::move(tied), "true geometry"));
   return CompareHeldOut(InputFor(w, surface, projector, srds.pool, "truth"), models.List(), {"stripe"},
                         w.metrics.heldout)
@@ -193,6 +195,7 @@ Status CompareFullSize(Work& w) {
   const HoldOutInput input = InputFor(w, w.surface, projector, w.options.pool, geometry);
   SLX_ASSIGN_OR_RETURN(w.pictures.comparisons,
                        CompareHeldOut(input, {{"tied", &w.map}}, {"stripe", "white"}, w.metrics.heldout));
+  w.metrics.centroids.push_back({projector, geometry, CompareCentroids(w.map, w.srds.batches[projector])});
   const MixtureMap mean = Homogeneous(w.map);
   SLX_ASSIGN_OR_RETURN(w.pictures.homogeneous,
                        CompareHeldOut(input, {{"homogeneous", &mean}}, {"stripe", "white"}, w.metrics.heldout));

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/srd_centroid.h"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kProfiles = 40;
+
+// Light from slopes -0.8 .. 0.8, seen frontally; paper's straight rays, so that s is the slope itself.
+SrdBatch Batch() {
+  SrdBatch b;
+  b.samples = 64;
+  for (int i = 0; i < kProfiles; ++i) {
+    const float slope = -0.8F + 1.6F * static_cast<float>(i) / (kProfiles - 1);
+    b.slope_in.push_back(slope);
+    b.cos_in.push_back(1.0F / std::sqrt(1.0F + slope * slope));
+    b.first_u_mm.push_back(-10.0F + 0.01F * static_cast<float>(i));
+  }
+  for (auto* v : {&b.slope_out, &b.slope_in_across, &b.slope_out_across}) v->assign(kProfiles, 0.0F);
+  b.cos_out.assign(kProfiles, 1.0F);
+  b.step_mm.assign(kProfiles, 0.3F);
+  b.line_width_mm.assign(kProfiles, 0.3F);
+  b.blur_mm.assign(kProfiles, 0.1F);
+  b.valid.assign(kProfiles, 1);
+  b.y.assign(kProfiles * 64, 0.0F);
+  b.variance.assign(kProfiles * 64, 1e-6F);
+  return b;
+}
+
+MixtureMap OneLayer(float depth_mm) {
+  MixtureMap map;
+  map.width = kProfiles;
+  map.height = 1;
+  map.channels = 1;
+  map.layers = 1;
+  map.shift_law = ShiftLaw::kPaper;
+  map.gain_model = false;
+  map.training_projectors = {0};
+  map.weight.assign(kProfiles, 0.4F);
+  map.depth_mm.assign(kProfiles, depth_mm);
+  map.sigma_mm.assign(kProfiles, 0.3F);
+  map.surface.assign(kProfiles, 0.0F);
+  map.background.assign(kProfiles, 0.0F);
+  map.reason.assign(kProfiles, 0);
+  return map;
+}
+
+SrdBatch LitSkin(const MixtureMap& skin) {
+  SrdBatch b = Batch();
+  EmOptions options;
+  options.shift_law = ShiftLaw::kPaper;
+  options.gain_model = false;
+  for (int i = 0; i < kProfiles; ++i) {
+    const auto y = PredictSamples(LayersOf(skin, i), b, i, options);
+    for (int k = 0; k < 64; ++k) b.y[i * 64 + k] = static_cast<float>(y[k]);
+  }
+  return b;
+}
+
+TEST(CompareCentroids, FindsTheDepthOfALayerAndSeesThatABlindFitPredictsNone) {
+  const MixtureMap skin = OneLayer(0.5F);
+  const SrdBatch heldout = LitSkin(skin);
+  const CentroidError own = CompareCentroids(skin, heldout, 3.0, 1),
+                      blind = CompareCentroids(OneLayer(0), heldout, 3.0, 1);
+  EXPECT_EQ(own.profiles, kProfiles);
+  EXPECT_NEAR(own.measured_mm, 0.5, 0.005);  // mm of centroid per mm of depth and unit of s
+  EXPECT_NEAR(own.predicted_mm, own.measured_mm, 1e-3);
+  EXPECT_LT(own.rms_mm, 1e-3);
+  EXPECT_NEAR(blind.measured_mm, own.measured_mm, 1e-9);
+  EXPECT_NEAR(blind.predicted_mm, 0.0, 1e-3);
+  EXPECT_GT(blind.rms_mm, 0.1);
+}
+
+TEST(CompareCentroids, CountsNothingWhereNothingIsLit) {
+  SrdBatch dark = LitSkin(OneLayer(0.5F));
+  dark.valid.assign(kProfiles, 0);
+  const CentroidError none = CompareCentroids(OneLayer(0.5F), dark, 3.0, 1);
+  EXPECT_EQ(none.profiles, 0);
+  EXPECT_EQ(none.measured_mm, 0.0);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
