@@ -75,7 +75,7 @@ double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& ce
 
 constexpr double kReachSigmas = 3.6;
 constexpr double kBlockSigmas = 0.95;  // widest block, of sigma
-constexpr double kMaxSpread = 0.3;  // of sigma^2; the widest block on skin that faces the light spreads by 0.15
+constexpr double kMaxSpread = 0.3;     // of sigma^2; the widest block on skin that faces the light spreads by 0.15
 constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
 
 // Half the size, in the light's pixels, of what lies within `reach` of a point in its tangent plane. Offsets along the
