@@ -3,21 +3,54 @@
 
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 
 #include <fcntl.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "shared/base/read_file.h"
+
 namespace stratalux::db {
 
 using Json = nlohmann::ordered_json;
 
-std::string ReasonsToJson(const std::vector<std::string>& reasons) { return Json(reasons).dump(); }
+namespace {
+
+// A file name in a reason may be no UTF-8, which JSON is.
+std::string TextOf(const Json& json, int indent) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
+}
+
+Result<SessionInfo> InfoFrom(const Json& json) {
+  if (json.at("schema").get<int>() > 1)
+    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (1)");
+  SessionInfo info;
+  json.at("session").get_to(info.id);
+  SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
+  json.at("rig").get_to(info.rig);
+  json.at("visitor").get_to(info.visitor);
+  json.at("consent").get_to(info.consent);
+  json.at("simulated").get_to(info.simulated);
+  json.at("seed").get_to(info.seed);
+  info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
+  SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
+  json.at("reasons").get_to(info.reasons);
+  json.at("program_version").get_to(info.program_version);
+  if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
+  if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
+  return info;
+}
+
+}  // namespace
+
+std::string ReasonsToJson(const std::vector<std::string>& reasons) { return TextOf(Json(reasons), -1); }
 
 std::vector<std::string> ReasonsFromJson(const std::string& text) {
   const Json json = Json::parse(text, nullptr, false);
-  return json.is_array() ? json.get<std::vector<std::string>>() : std::vector<std::string>();
+  std::vector<std::string> reasons;
+  if (!json.is_array()) return reasons;
+  for (const Json& reason : json) reasons.push_back(reason.is_string() ? reason.get<std::string>() : reason.dump());
+  return reasons;
 }
 
 Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
@@ -39,7 +72,7 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
       {"calibration", info.calibration_json.empty() ? Json() : Json::parse(info.calibration_json, nullptr, false)},
       {"frames", frames},
       {"segments", segments}};
-  const std::string text = json.dump(1) + "\n";
+  const std::string text = TextOf(json, 1) + "\n";
   const std::filesystem::path target = folder / "manifest.json", temporary = folder / "manifest.json.new";
   auto fail = [&] { return Status::Failed("cannot write " + target.string() + ": " + std::strerror(errno)); };
   const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0640);
@@ -52,28 +85,13 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
 
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
-  std::ifstream in(file);
-  if (!in) return Status::NotFound(file.string() + " does not exist");
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
-    const Json json = Json::parse(in);
-    if (json.at("schema").get<int>() > 1)
-      return Status(StatusCode::kNewerSchema,
-                    file.string() + ": schema " + json.at("schema").dump() + " is newer than this program (1)");
-    SessionInfo info;
-    json.at("session").get_to(info.id);
-    SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
-    json.at("rig").get_to(info.rig);
-    json.at("visitor").get_to(info.visitor);
-    json.at("consent").get_to(info.consent);
-    json.at("simulated").get_to(info.simulated);
-    json.at("seed").get_to(info.seed);
-    info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
-    SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
-    json.at("reasons").get_to(info.reasons);
-    json.at("program_version").get_to(info.program_version);
-    if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
-    if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
-    return info;
+    auto info = InfoFrom(Json::parse(text));
+    // What no version writes is damage, not somebody's wrong flag.
+    if (info.status().code() == StatusCode::kUsage)
+      return Status::Integrity(file.string() + ": " + info.status().message());
+    return std::move(info).WithContext(file.string());
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
   }

@@ -222,7 +222,11 @@ Result<SegmentReader> SegmentReader::Open(const std::filesystem::path& file) {
   SegmentReader reader;
   reader.file_ = file.string();
   reader.fd_ = open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  if (reader.fd_ < 0) return Status::Integrity("cannot open segment " + reader.file_ + ": " + ErrnoText());
+  if (reader.fd_ < 0) {
+    const bool missing = errno == ENOENT;
+    const std::string message = "cannot open segment " + reader.file_ + ": " + ErrnoText();
+    return missing ? Status::Integrity(message) : Status::Failed(message);
+  }
   struct stat info {};
   if (fstat(reader.fd_, &info) != 0) return Status::Failed("cannot read " + reader.file_ + ": " + ErrnoText());
   reader.size_ = info.st_size;

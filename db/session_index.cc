@@ -35,7 +35,7 @@ Status SessionIndex::Create(const std::filesystem::path& folder) {
   std::filesystem::create_directories(folder / "sessions", error);
   if (error) return Status::Failed("cannot create store " + folder.string() + ": " + error.message());
   const auto file = folder / "index.sqlite";
-  if (std::filesystem::exists(file)) return Open(folder, AccessMode::kReadWrite).status();
+  if (std::filesystem::exists(file, error)) return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
   return Migrate(connection, folder);
@@ -57,19 +57,24 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
 
 Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, AccessMode mode) {
   const auto file = folder / "index.sqlite";
-  if (!std::filesystem::exists(file))
+  std::error_code error;
+  const auto type = std::filesystem::status(file, error).type();
+  if (type == std::filesystem::file_type::not_found)
     return Status::NotFound("no store in " + folder.string() + " (make one with `stratalux-db init --store " +
                             folder.string() + "`)");
+  if (type == std::filesystem::file_type::none)
+    return Status::Failed("cannot open store " + folder.string() + ": " + error.message());
   const bool write = mode == AccessMode::kReadWrite;
   SLX_ASSIGN_OR_RETURN(auto connection,
                        Connection::Open(file, write ? Connection::Mode::kReadWrite : Connection::Mode::kReadOnly));
   auto identity = connection.QueryInteger("PRAGMA application_id");
-  if (!identity.ok())
-    return Status::Integrity(file.string() + " is not a Stratalux index: " + identity.status().message());
+  if (identity.status().code() == StatusCode::kIntegrity)
+    return identity.status().WithContext("damaged, or not a Stratalux index");
+  if (!identity.ok()) return identity.status();
   SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (*identity != kApplicationId)
     return Status::Integrity(file.string() + " is not a Stratalux index (application id " + std::to_string(*identity) +
-                             ")");
+                             "); restore it from a copy (the frames in sessions/ are not touched)");
   if (version > kSchemaVersion)
     return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
                                                 " is newer than this program's " + std::to_string(kSchemaVersion) +

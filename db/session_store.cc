@@ -67,6 +67,12 @@ Result<Encoded> Encode(const FrameRecord& record, ImageView<const uint16_t> pixe
   return out;
 }
 
+// Where a session's bytes are not what they were, only a copy or a new capture helps.
+Status WithRemedy(const Status& status, const std::string& id) {
+  if (status.code() != StatusCode::kIntegrity) return status;
+  return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
+}
+
 Result<Image<uint16_t>> Decode(const FrameHeader& h, const std::vector<uint8_t>& bytes, const std::string& where) {
   if (h.width <= 0 || h.height <= 0 || h.channels <= 0 || h.width > 65536 || h.height > 65536 || h.channels > 64)
     return Status::Integrity(where + ": impossible size");
@@ -99,7 +105,7 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
     // Each segment that is there, also one none of whose frames was acknowledged; `verify` names a missing one.
     for (int64_t n = 1;; ++n) {
       const auto file = folder / "sessions" / row.info.id / SegmentName(n);
-      if (!std::filesystem::exists(file)) break;
+      if (std::error_code error; !std::filesystem::exists(file, error)) break;
       SLX_RETURN_IF_ERROR(TruncateSegment(file, std::max(ends[n], kSegmentStart)));
     }
     SLX_RETURN_IF_ERROR(index.SetStatus(number, SessionStatus::kFailed,
@@ -114,6 +120,9 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
 struct SessionStore::Impl {
   std::filesystem::path folder;
   SessionIndex index;
+
+  Result<std::vector<FrameRow>> ListFrames(const std::string& id);
+  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame) const;
 };
 
 struct SessionWriter::Impl {
@@ -286,20 +295,25 @@ Result<SessionRow> SessionStore::FindSession(const std::string& selector) const 
                             " (`stratalux-db ls` lists them)");
   if (found.size() > 1)
     return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
-                         (found.size() > 2 ? ", ..." : ""));
+                         (found.size() > 2 ? ", ..." : "") + "; give more of the id");
   return *found[0];
 }
 
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
-  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(id));
-  SLX_ASSIGN_OR_RETURN(const auto places, impl_->index.Places(number));
+  auto rows = impl_->ListFrames(id);
+  return rows.ok() ? std::move(rows) : WithRemedy(rows.status(), id);
+}
+
+Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
+  SLX_ASSIGN_OR_RETURN(const auto places, index.Places(number));
   // Only what the index speaks of: behind it a live or failed writer may have left half a record.
   std::map<int64_t, SegmentReader> segments;
   std::vector<FrameRow> rows;
   for (const auto& p : places) {
     auto reader = segments.find(p.segment);
     if (reader == segments.end()) {
-      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::Open(SessionFolder(id) / SegmentName(p.segment)));
+      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::Open(folder / "sessions" / id / SegmentName(p.segment)));
       reader = segments.emplace(p.segment, std::move(opened)).first;
     }
     SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader->second.ReadHeader(p.offset).WithContext("session " + id));
@@ -320,7 +334,12 @@ Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) co
 }
 
 Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const FrameRow& frame) const {
-  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(SessionFolder(id) / frame.segment));
+  auto image = impl_->ReadFrame(id, frame);
+  return image.ok() ? std::move(image) : WithRemedy(image.status(), id);
+}
+
+Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) const {
+  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
   FrameHeader header{};
   SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(frame.offset, &header).WithContext("session " + id));
   return Decode(header, bytes, "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));

@@ -13,7 +13,10 @@ Status Connection::Error(const std::string& what) const {
   const std::string message =
       file_ + ": " + what + ": " + (handle_ ? sqlite3_errmsg(handle_.get()) : "cannot be opened");
   if (code == SQLITE_BUSY || code == SQLITE_LOCKED) return Status::Busy(message);
-  if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB) return Status::Integrity(message);
+  if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB)
+    return Status::Integrity(message + "; restore it from a copy (the frames in sessions/ are not touched)");
+  if (code == SQLITE_FULL || code == SQLITE_IOERR)
+    return Status::Failed(message + "; look at the free space and the health of its disk");
   return Status::Failed(message);
 }
 

@@ -8,7 +8,8 @@
 namespace stratalux::db {
 
 Result<TruthSegment> TruthSegment::Open(const std::filesystem::path& file) {
-  if (!std::filesystem::exists(file)) return Status::NotFound(file.string() + " does not exist");
+  if (std::error_code error; !std::filesystem::exists(file, error))
+    return Status::NotFound(file.string() + " does not exist");
   SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(file));
   bool sealed = false;
   SLX_ASSIGN_OR_RETURN(const auto frames, reader.Walk(false, &sealed));

@@ -1,27 +1,105 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# The include check must find a planted violation of every kind, and pass a clean tree.
+# The include check must name every planted violation of every kind, and pass a clean tree.
 set -euo pipefail
 check=$(cd "$(dirname "$0")" && pwd)/check-includes.sh
 tree=$(mktemp -d)
 trap 'rm -rf "$tree"' EXIT
-fresh() { rm -rf "${tree:?}"/*; mkdir -p "$tree"/{shared/{base,image,pattern},db,firmware-host/apps,fitter/{render,evaluation}}; }
-fresh
-"$check" "$tree" || { echo "a clean tree was refused"; exit 1; }
-plant() {   # FILE INCLUDE
-  fresh
-  echo "#include $2" >"$tree/$1"
-  if "$check" "$tree" >/dev/null; then echo "not found: $1 includes $2"; exit 1; fi
+planted=()
+fresh() {
+  planted=()
+  rm -rf "${tree:?}"/*
+  mkdir -p "$tree"/{shared/{base,image,pattern},db/interchange,firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
 }
-plant shared/base/a.h '"db/session_store.h"'
-plant shared/image/a.h '"shared/pattern/pattern.h"'
-plant db/a.cc '"fitter/render/mlsss.h"'
-plant db/a.h '<sqlite3.h>'
-plant fitter/render/a.cc '<sqlite3.h>'
-plant firmware-host/apps/a.cc '"fitter/render/mlsss.h"'
-plant firmware-host/apps/a.cc '<opencv2/core.hpp>'
-plant fitter/render/a.cc '"firmware-host/gpio/line_bank.h"'
-plant fitter/render/a.cc '"db/truth_segment.h"'
+write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
+plant() {                             # FILE LINE: the check must complain of this line
+  write "$1" "$2"
+  planted+=("$1:$(wc -l <"$tree/$1"):$2")
+}
+expect_all_found() {
+  local log violation
+  if log=$("$check" "$tree"); then echo "nothing found of: ${planted[*]}"; exit 1; fi
+  for violation in "${planted[@]}"; do
+    grep -qF "$violation   <- " <<<"$log" || { echo "not found: $violation"; exit 1; }
+  done
+  fresh
+}
+expect_clean() { "$check" "$tree" || { echo "a clean tree was refused"; exit 1; }; fresh; }
+
 fresh
-echo '#include "db/truth_segment.h"' >"$tree/fitter/evaluation/a.cc"
-"$check" "$tree" || { echo "evaluation may open the truth"; exit 1; }
+expect_clean
+
+# Layers.
+plant shared/base/a.h '#include "db/session_store.h"'
+plant shared/image/a.h '#include "shared/pattern/pattern.h"'
+plant db/a.cc '#include "fitter/render/mlsss.h"'
+plant firmware-host/apps/a.cc '#include "fitter/render/mlsss.h"'
+plant fitter/render/a.cc '#include "firmware-host/gpio/line_bank.h"'
+plant fitter/render/a.cc '#include "db/truth_segment.h"'
+plant firmware-host/apps/a.cc '#include "db/truth_segment.h"'
+expect_all_found
+write fitter/evaluation/a.cc '#include "db/truth_segment.h"'
+expect_clean
+
+# SQLite.
+plant db/a.h '#include <sqlite3.h>'
+plant db/interchange/a.cc '#include <sqlite3.h>'
+plant fitter/render/a.cc '#include <sqlite3.h>'
+plant firmware-host/apps/a.cc '#include "db/sqlite.h"'
+plant db/interchange/a.h '#include "db/sqlite.h"'
+expect_all_found
+write db/a.cc '#include <sqlite3.h>'
+write db/sqlite.h 'struct sqlite3;'
+write db/session_index.h '#include "db/sqlite.h"'
+expect_clean
+
+# OpenCV and Ceres.
+for header in '<opencv2/core.hpp>' '<ceres/ceres.h>'; do
+  for file in firmware-host/apps/a.cc db/a.cc shared/image/a.cc; do plant "$file" "#include $header"; done
+done
+expect_all_found
+write fitter/render/a.cc '#include <opencv2/core.hpp>'
+write fitter/render/a.h '#include <ceres/ceres.h>'
+expect_clean
+
+# Devices: each library in the one adapter of its folder.
+adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<linux/videodev2.h>' camera '<libcamera/camera.h>'
+          projector '<xf86drm.h>' projector '<xf86drmMode.h>' projector '<drm/drm.h>' projector '<drm_fourcc.h>')
+for ((i = 0; i < ${#adapters[@]}; i += 2)); do
+  for file in "firmware-host/${adapters[i]}/adapter.h" firmware-host/apps/a.cc shared/base/a.cc db/a.cc fitter/render/a.cc; do
+    plant "$file" "#include ${adapters[i + 1]}"
+  done
+done
+expect_all_found
+for adapter in 'gpio/gpiod_lines.cc <gpiod.h>' 'camera/v4l2_source.cc <linux/videodev2.h>' \
+               'camera/libcamera_source.cc <libcamera/camera.h>' 'projector/kms_projector.cc <xf86drmMode.h>'; do
+  read -r file header <<<"$adapter"
+  write "firmware-host/$file" "#include $header"
+  write "firmware-host/${file%.cc}.h" '#include "shared/base/result.h"'
+done
+expect_clean
+for ((i = 0; i < ${#adapters[@]}; i += 2)); do
+  for name in one two; do write "firmware-host/${adapters[i]}/$name.cc" "#include ${adapters[i + 1]}"; done
+  log=$("$check" "$tree") && { echo "not found: ${adapters[i + 1]} in two adapters"; exit 1; }
+  grep -q "two\.cc   <- .* more than one adapter" <<<"$log" || { echo "two adapters are not named"; exit 1; }
+  fresh
+done
+
+# Headers of db and firmware-host.
+for file in db/a.h firmware-host/gpio/gpiod_a.h; do
+  for header in '<nlohmann/json.hpp>' '<CLI/CLI.hpp>' '<png.h>' '<fcntl.h>' '<toml++/toml.h>' '"json.hpp"'; do
+    plant "$file" "#include $header"
+  done
+  for type in 'struct gpiod_chip;' 'nlohmann::json parsed;' 'cv::Mat image;' 'struct v4l2_buffer;' 'struct sqlite3;' \
+              'drmModeRes* mode;' 'libcamera::Camera* camera;' '  toml::table* table;'; do
+    plant "$file" "$type"
+  done
+done
+expect_all_found
+for folder in db firmware-host/gpio; do
+  write "$folder/gpiod_a.h" '#include <Eigen/Core>'
+  write "$folder/gpiod_a.h" '#include "shared/base/result.h"'
+  write "$folder/gpiod_a.h" '// No sqlite3 type appears here; gpiod_chip neither.'
+  write "$folder/a.cc" '#include <nlohmann/json.hpp>'
+done
+expect_clean

@@ -14,17 +14,52 @@ forbid() {
     bad=1
   fi
 }
+# only_in PLACE HEADERS WHAT: the headers (an expression) may be included by the sources that match PLACE alone.
+only_in() {
+  local hits
+  hits=$(grep -rnE --include='*.h' --include='*.cc' "#include [<\"]($2)" shared db firmware-host fitter 2>/dev/null | grep -vE "^$1:")
+  if [ -n "$hits" ]; then
+    echo "$hits" | sed "s|\$|   <- $3|"
+    bad=1
+  fi
+}
+# one_adapter FOLDER HEADERS WHAT: those sources lie in FOLDER, and there is but one.
+one_adapter() {
+  local files
+  only_in "$1/[^/]*\.cc" "$2" "$3 only in one adapter .cc of $1"
+  files=$(grep -rlE --include='*.cc' "#include [<\"]($2)" "$1" 2>/dev/null)
+  if [ "$(printf '%s' "$files" | grep -c .)" -gt 1 ]; then
+    echo "$files" | sed "s|\$|   <- $3 in more than one adapter|"
+    bad=1
+  fi
+}
 forbid "shared" '#include "(db|firmware-host|fitter)/' 'shared includes upward'
 forbid "db" '#include "(firmware-host|fitter)/' 'db includes upward'
 forbid "firmware-host" '#include "fitter/' 'the controller includes the fitter'
 forbid "fitter" '#include "firmware-host/' 'the fitter includes the controller'
-forbid "shared firmware-host fitter" '#include <sqlite3\.h>' 'sqlite3 only in db/*.cc'
-hits=$(grep -rnE --include='*.h' '#include <sqlite3\.h>' db 2>/dev/null) && { echo "$hits   <- sqlite3 only in db/*.cc"; bad=1; }
-forbid "shared db firmware-host" '#include <(opencv2|ceres)/' 'OpenCV and Ceres only in fitter'
 forbid "firmware-host shared" '#include "db/truth_segment\.h"' 'truth is for evaluation alone'
 for folder in fitter/*/; do
   [ "$folder" = fitter/evaluation/ ] || forbid "$folder" '#include "db/truth_segment\.h"' 'truth is for evaluation alone'
 done
+
+# Libraries stay where they are wrapped.
+only_in 'db/[^/]*\.cc' 'sqlite3' 'sqlite3 only in db/*.cc'
+only_in 'fitter/.*' '(opencv2|ceres)/|opencv\.hpp' 'OpenCV and Ceres only in fitter'
+one_adapter firmware-host/gpio 'gpiod\.h' 'libgpiod'
+one_adapter firmware-host/camera 'linux/videodev2\.h|linux/v4l2' 'V4L2'
+one_adapter firmware-host/camera 'libcamera/' 'libcamera'
+one_adapter firmware-host/projector 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
+# Headers of db and firmware-host show the standard library, our own types and Eigen: no library's header, no library's
+# type. (db/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
+headers() { grep -rnE --include='*.h' "$1" db firmware-host 2>/dev/null; }
+hits=$(headers '#include ' | grep -vE '#include (<[a-z_]+>|<Eigen/[A-Za-z]+>|"(shared|db|firmware-host)/[^"]+")')
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a header that shows more than the standard library, Eigen and ours|'; bad=1; }
+types='sqlite3|gpiod_[a-z]|gpiod::|v4l2_[a-z]|libcamera::|drm[A-Z_]|cv::|ceres::|nlohmann::|toml::|CLI::|png_[a-z]|XXH'
+hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -v '^db/sqlite\.h:')
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a type of a library in a header|'; bad=1; }
+hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/sqlite\.h"' shared firmware-host fitter db/*/ 2>/dev/null)
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- db/sqlite.h only in db|'; bad=1; }
+
 # Inside shared/, each folder may include only itself and those above it in the list.
 order="base units geometry image transport pattern capture config"
 later="$order"

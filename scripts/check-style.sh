@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-#   scripts/check-style.sh format   clang-format would change nothing
-#   scripts/check-style.sh spdx     every source file begins with its licence
+#   scripts/check-style.sh format [ROOT]   clang-format would change nothing
+#   scripts/check-style.sh spdx [ROOT]     every source file begins with its licence
 set -uo pipefail
-cd "$(dirname "$0")/.." || exit 2
+cd "${2:-$(dirname "$0")/..}" || exit 2
 sources() { find shared db firmware-host fitter tests -name '*.h' -o -name '*.cc' | sort; }
 case "${1:-}" in
   format) sources | xargs clang-format --dry-run -Werror ;;
@@ -13,5 +13,5 @@ case "${1:-}" in
       head -n 1 "$file" | grep -q 'SPDX-License-Identifier: Apache-2.0' || { echo "$file: no SPDX line"; bad=1; }
     done
     exit $bad ;;
-  *) echo "usage: scripts/check-style.sh format|spdx" >&2; exit 2 ;;
+  *) echo "usage: scripts/check-style.sh format|spdx [ROOT]" >&2; exit 2 ;;
 esac

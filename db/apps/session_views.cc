@@ -22,6 +22,9 @@ std::string SizeText(int64_t bytes) {
   return text;
 }
 
+// Names of files and visitors may be no UTF-8, which JSON is.
+std::string TextOf(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
+
 Json ParsedOrNull(const std::string& text) { return text.empty() ? Json() : Json::parse(text, nullptr, false); }
 
 Json SessionJson(const SessionRow& row) {
@@ -144,7 +147,7 @@ std::string SessionsAsJson(const std::vector<ListedSession>& sessions) {
     json.push_back(SessionJson(row));
     json.back()["fits"] = fits;
   }
-  return json.dump(2) + "\n";
+  return TextOf(json);
 }
 
 Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector) {
@@ -171,7 +174,8 @@ std::string DetailsAsText(const SessionDetails& details) {
   }
   const Json calibration = ParsedOrNull(info.calibration_json);
   text += Line("plan", info.plan_json.empty() ? "none" : "kept (--json prints it)");
-  text += Line("calibration", calibration.is_object() ? calibration.value("source", "source unknown") : "none");
+  const Json source = calibration.is_object() ? calibration.value("source", Json()) : Json("none");
+  text += Line("calibration", source.is_string() ? source.get<std::string>() : "source unknown");
   for (const FitRow& fit : details.fits) text += Line("fit", fit.id + "  " + ToIso8601(fit.created_wall));
   return text;
 }
@@ -193,7 +197,7 @@ std::string DetailsAsJson(const SessionDetails& details) {
                             {"created", ToIso8601(fit.created_wall)},
                             {"options", ParsedOrNull(fit.options_json)},
                             {"metrics", ParsedOrNull(fit.metrics_json)}});
-  return json.dump(2) + "\n";
+  return TextOf(json);
 }
 
 std::vector<FrameRow> Filter(std::vector<FrameRow> frames, const FrameFilter& filter) {
@@ -220,7 +224,7 @@ std::string FramesAsText(const std::vector<FrameRow>& frames) {
 std::string FramesAsJson(const std::vector<FrameRow>& frames) {
   Json json = Json::array();
   for (const FrameRow& f : frames) json.push_back(FrameJson(f));
-  return json.dump(2) + "\n";
+  return TextOf(json);
 }
 
 std::string VerifiedAsText(const Verified& verified) {
@@ -243,7 +247,7 @@ std::string VerifiedAsJson(const Verified& verified) {
                     {"bytes", report.bytes},
                     {"problems", report.problems},
                     {"notes", report.notes}});
-  return json.dump(2) + "\n";
+  return TextOf(json);
 }
 
 }  // namespace stratalux::db

@@ -47,11 +47,16 @@ int Print(const std::string& text) {
   return Report(Status::Failed("cannot write the output"));
 }
 
+// A folder's name may be no UTF-8, which JSON is.
+std::string TextOf(const nlohmann::ordered_json& json) {
+  return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+}
+
 int RunInit(const Flags& flags) {
   const Status status = SessionStore::Create(flags.store);
   if (!status.ok()) return Report(status);
   const nlohmann::ordered_json json = {{"store", flags.store}, {"schema", kSchemaVersion}};
-  return Print(flags.json ? json.dump(2) + "\n"
+  return Print(flags.json ? TextOf(json)
                           : "store " + flags.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
 }
 
@@ -115,7 +120,7 @@ int RunImport(SessionStore& store, const Flags& flags) {
   const auto report = ImportSession(store, {flags.manifest, flags.root, flags.pose}, logger);
   if (!report.ok()) return Report(report.status());
   const nlohmann::ordered_json json = {{"session", report->session}, {"frames", report->frames}};
-  return Print(flags.json ? json.dump(2) + "\n"
+  return Print(flags.json ? TextOf(json)
                           : "session " + report->session + ": " + std::to_string(report->frames) + " frames\n");
 }
 

@@ -103,6 +103,7 @@ Status ReadHead(TomlTable head, ImportManifest& manifest, FrameRecord& common, P
 Result<std::vector<Pose>> ReadPoses(std::vector<TomlTable> tables, const ImportManifest& manifest) {
   std::vector<Pose> poses;
   std::set<int> seen;
+  Status twice;
   for (TomlTable& table : tables) {
     Pose pose;
     table.Require("index");
@@ -112,10 +113,11 @@ Result<std::vector<Pose>> ReadPoses(std::vector<TomlTable> tables, const ImportM
     table.Get("crop_y", pose.crop_y, 0, manifest.camera_height - 1);
     table.Get("width", pose.width, 1, manifest.camera_width);
     table.Get("height", pose.height, 1, manifest.camera_height);
-    if (!seen.insert(pose.index).second && pose.index >= 0)
-      return At(table, "index", std::to_string(pose.index) + " is used twice");
+    if (!seen.insert(pose.index).second && pose.index >= 0 && twice.ok())
+      twice = At(table, "index", std::to_string(pose.index) + " is used twice");
     poses.push_back(pose);
   }
+  if (!twice.ok()) return twice;
   if (poses.empty()) poses.emplace_back();  // a manifest without poses: one, at the root
   return poses;
 }
@@ -187,8 +189,11 @@ Status ReadEntry(TomlTable& table, const Projectors& projectors, const FrameReco
 
 Status ReadEntries(std::vector<TomlTable> tables, const Projectors& projectors, const FrameRecord& common,
                    std::vector<Shot>& shots) {
-  for (TomlTable& table : tables) SLX_RETURN_IF_ERROR(ReadEntry(table, projectors, common, shots));
-  return Status::Ok();
+  // Every entry is read, also behind a wrong one: a key that nobody asked for counts as unknown.
+  Status first;
+  for (TomlTable& table : tables)
+    if (const Status status = ReadEntry(table, projectors, common, shots); first.ok()) first = status;
+  return first;
 }
 
 ImportFrame FrameOf(const Shot& shot, const Pose& pose, const std::filesystem::path& root) {

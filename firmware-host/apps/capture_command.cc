@@ -14,6 +14,8 @@
 namespace stratalux::rig {
 namespace {
 
+using Json = nlohmann::ordered_json;
+
 SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const SimulatedRig& rig) {
   SessionInfo info;
   info.kind = plan.options.kind;
@@ -64,10 +66,22 @@ void Fail(CaptureReport& report, const Status& status) {
 
 }  // namespace
 
+Status CaptureOptions::Validate() const {
+  // JSON takes UTF-8 alone: what is none comes back otherwise than it went in.
+  const Json json = visitor;
+  const std::string shown = json.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (Json::parse(shown) != json) return Status::Usage("--visitor " + shown + ": the pseudonym is not UTF-8 text");
+  for (const unsigned char c : visitor)
+    if (c < 0x20 || c == 0x7f) return Status::Usage("--visitor " + shown + ": the pseudonym has control characters");
+  return Status::Ok();
+}
+
 Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger) {
   const auto start = std::chrono::steady_clock::now();
+  SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_ASSIGN_OR_RETURN(const std::unique_ptr<SimulatedRig> rig, SimulatedRig::Create(options.simulated, logger));
+  SLX_RETURN_IF_ERROR(CheckFits(plan, {rig->lines(), rig->camera(), rig->projectors()}));
   SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
   SLX_ASSIGN_OR_RETURN(db::SessionStore store,
                        db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
@@ -105,15 +119,15 @@ std::string OutcomeAsText(const CaptureOutcome& outcome) {
 
 std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   const CaptureReport& r = outcome.report;
-  nlohmann::ordered_json faults = nlohmann::ordered_json::object();
+  Json faults = Json::object();
   for (int i = 1; i < kShotFaultCount; ++i)
     if (r.faults[i] > 0) faults[ToString(static_cast<ShotFault>(i))] = r.faults[i];
-  const nlohmann::ordered_json json = {{"session", outcome.session}, {"status", ToString(r.status)},
-                                       {"planned", r.planned},       {"captured", r.captured},
-                                       {"frames", r.frames},         {"retried", r.retried},
-                                       {"faults", faults},           {"missing_steps", r.missing_steps},
-                                       {"reasons", r.reasons},       {"seconds", outcome.seconds}};
-  return json.dump(2) + "\n";
+  const Json json = {{"session", outcome.session}, {"status", ToString(r.status)},
+                     {"planned", r.planned},       {"captured", r.captured},
+                     {"frames", r.frames},         {"retried", r.retried},
+                     {"faults", faults},           {"missing_steps", r.missing_steps},
+                     {"reasons", r.reasons},       {"seconds", outcome.seconds}};
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 int ExitCode(const CaptureOutcome& outcome) {

@@ -18,6 +18,9 @@ struct CaptureOptions {
   RigConfig config;     // store, plan, deadlines, queue; the sizes of camera and projectors stand in `simulated`
   std::string visitor;  // pseudonym
   SimulatedRigOptions simulated;
+
+  // The pseudonym is text that every list and JSON file can show: UTF-8, no control characters.
+  [[nodiscard]] Status Validate() const;
 };
 
 struct CaptureOutcome {

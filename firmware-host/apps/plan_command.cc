@@ -71,7 +71,7 @@ std::string PlanAsJson(const CapturePlan& plan, double settle_ms) { return PlanJ
 Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
-  if (error) return Status::Failed("create " + folder.string() + ": " + error.message());
+  if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   nlohmann::ordered_json json = PlanJson(plan, settle_ms);
   std::map<std::string, std::string> files;  // pattern text -> file
   for (const PlanStep& step : plan.steps) {
@@ -86,7 +86,7 @@ Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesyst
   std::ofstream out(folder / "plan.json");
   out << json.dump(2) << "\n";
   out.close();
-  return out ? Status::Ok() : Status::Failed("write " + (folder / "plan.json").string() + " failed");
+  return out ? Status::Ok() : Status::Failed("cannot write " + (folder / "plan.json").string());
 }
 
 }  // namespace stratalux::rig

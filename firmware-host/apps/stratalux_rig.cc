@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // stratalux-rig: the controller's command line.
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <optional>
+#include <sstream>
 #include <string>
+#include <string_view>
 
 #include <CLI/CLI.hpp>
 
@@ -48,9 +51,23 @@ int Report(const Status& status) {
   return status.exit_code();
 }
 
+// Data go to stdout; a full pipe or disk must not pass for success.
+int Print(const std::string& text) {
+  if (std::fputs(text.c_str(), stdout) >= 0 && std::fflush(stdout) == 0) return 0;
+  return Report(Status::Failed("cannot write the output"));
+}
+
+// The whole of `text` as a number that T can hold.
+template <typename T>
+bool ParseWhole(std::string_view text, T& value) {
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  return error == std::errc() && end == text.data() + text.size();
+}
+
 Status ParseSize(const std::string& text, int& width, int& height) {
-  int end = 0;
-  if (std::sscanf(text.c_str(), "%dx%d%n", &width, &height, &end) == 2 && end == static_cast<int>(text.size()))
+  const size_t x = text.find('x');
+  if (x != std::string::npos && ParseWhole(std::string_view(text).substr(0, x), width) &&
+      ParseWhole(std::string_view(text).substr(x + 1), height))
     return Status::Ok();
   return Status::Usage("--size '" + text + "': expected WIDTHxHEIGHT in pixels, such as 696x520");
 }
@@ -69,6 +86,11 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   }
   config.plan.exposure_ms = flags.exposure_ms.value_or(config.plan.exposure_ms);
   config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
+  if (!(config.settle_ms >= 0.0 && config.settle_ms <= kLongestSettleMs)) {
+    std::ostringstream message;
+    message << "--settle " << config.settle_ms << " is out of range, allowed: 0 .. " << kLongestSettleMs << " ms";
+    return Status::Usage(message.str());
+  }
   if (const char* store = std::getenv("STRATALUX_STORE")) config.store = store;
   config.store = flags.store.value_or(config.store);
   if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera_width, config.camera_height));
@@ -104,8 +126,9 @@ int RunCapture(const Flags& flags) {
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   const Result<CaptureOutcome> outcome = CaptureSimulated(*options, InstallStopSignals(), logger);
   if (!outcome.ok()) return Report(outcome.status());
-  std::fputs((flags.json ? OutcomeAsJson(*outcome) : OutcomeAsText(*outcome)).c_str(), stdout);
-  return ExitCode(*outcome);
+  const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
+  const int captured = ExitCode(*outcome);
+  return captured != 0 ? captured : printed;
 }
 
 int RunPlan(const Flags& flags, const CLI::App& render) {
@@ -117,8 +140,7 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
     const Status status = RenderPlan(*plan, config->settle_ms, flags.out);
     return status.ok() ? 0 : Report(status);
   }
-  std::fputs((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms).c_str(), stdout);
-  return 0;
+  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms));
 }
 
 void AddPlanFlags(CLI::App& command, Flags& flags) {
@@ -134,7 +156,12 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       ->default_str("head");
   capture->add_option("--store", flags.store,
                       "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
+  // CLI11 would wrap a negative seed and cut a long one.
   capture->add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
+      ->check([](const std::string& text) {
+        uint64_t seed = 0;
+        return ParseWhole(text, seed) ? "" : "'" + text + "' is no whole number of 0 .. 2^64-1";
+      })
       ->capture_default_str();
   capture->add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
   capture->add_option("--visitor", flags.visitor, "pseudonym kept with the session");

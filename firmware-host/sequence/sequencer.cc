@@ -6,8 +6,6 @@
 #include "firmware-host/sequence/capture_run.h"
 
 namespace stratalux::rig {
-namespace {
-
 Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
   const PlanOptions& o = plan.options;
   if (plan.steps.empty()) return Status::Usage("plan: it has no steps");
@@ -26,8 +24,6 @@ Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
                            std::to_string(devices.projectors[p]->height()));
   return Status::Ok();
 }
-
-}  // namespace
 
 Status SequencerOptions::Validate() const {
   if (max_retries < 0 || max_retries > 100)

@@ -36,6 +36,9 @@ struct SequencerOptions {
   [[nodiscard]] Status Validate() const;
 };
 
+// kUsage where the plan asks for what these devices do not have; touches none of them.
+[[nodiscard]] Status CheckFits(const CapturePlan& plan, const RigDevices& devices);
+
 class Sequencer {
  public:
   // `stop` (signal handler, E-stop) is looked at before each shot; `on_step`, if set, is called after each planned

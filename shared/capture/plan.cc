@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <sstream>
 #include <string_view>
 
 namespace stratalux {
@@ -24,8 +25,9 @@ Result<E> ParseName(const std::array<std::string_view, N>& names, const std::str
 
 Status RequireRange(const char* name, double value, double low, double high) {
   if (value >= low && value <= high) return Status::Ok();
-  return Status::Usage(std::string("plan: ") + name + " = " + std::to_string(value) +
-                       ", allowed: " + std::to_string(low) + " .. " + std::to_string(high));
+  std::ostringstream text;
+  text << "plan: " << name << " = " << value << ", allowed: " << low << " .. " << high;
+  return Status::Usage(text.str());
 }
 
 // Appends steps with running indices.
@@ -150,7 +152,7 @@ Status PlanOptions::Validate() const {
   SLX_RETURN_IF_ERROR(RequireRange("motion_whites", motion_whites, 0, 64));
   SLX_RETURN_IF_ERROR(RequireRange("guards", guards, 0, 16));
   SLX_RETURN_IF_ERROR(RequireRange("spot_radius", spot_radius, 0, 256));
-  SLX_RETURN_IF_ERROR(RequireRange("comb_step", comb_step, 1, std::max(1, comb_width)));
+  SLX_RETURN_IF_ERROR(RequireRange("comb_step (at most comb_width)", comb_step, 1, std::max(1, comb_width)));
   if (comb_period < 1 || comb_period % comb_step != 0 || comb_width % comb_step != 0)
     return Status::Usage("plan: comb_step = " + std::to_string(comb_step) + " must divide comb_period = " +
                          std::to_string(comb_period) + " and comb_width = " + std::to_string(comb_width));

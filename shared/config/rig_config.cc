@@ -42,7 +42,7 @@ Result<RigConfig> Read(TomlTable root) {
   rig.Get("store", config.store);
   camera.Get("width", config.camera_width, 16, 16384);
   camera.Get("height", config.camera_height, 16, 16384);
-  capture.Get("settle_ms", config.settle_ms, 0, 10000);
+  capture.Get("settle_ms", config.settle_ms, 0, kLongestSettleMs);
   capture.Get("deadline_ms", config.deadline_ms, 1, 600000);
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
   capture.Get("max_retries", config.max_retries, 0, 10);

@@ -10,6 +10,8 @@
 
 namespace stratalux {
 
+inline constexpr double kLongestSettleMs = 10000.0;
+
 struct RigConfig {
   std::string name = "rig";
   std::string store;  // folder; empty: not set here

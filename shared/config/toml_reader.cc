@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/config/toml_reader.h"
 
-#include <fstream>
-#include <iterator>
+#include <sstream>
 
 #include <toml++/toml.h>
+
+#include "shared/base/read_file.h"
 
 namespace stratalux {
 
@@ -41,9 +42,9 @@ TomlTable::TomlTable(std::shared_ptr<Document> document, std::shared_ptr<Node> n
     : document_(std::move(document)), node_(std::move(node)) {}
 
 Result<TomlTable> TomlTable::ParseFile(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) return Status::Usage("cannot read " + file.string());
-  return ParseText({std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()}, file.string());
+  const auto text = ReadFile(file);
+  if (!text.ok()) return Status::Usage(text.status().message());
+  return ParseText(*text, file.string());
 }
 
 Result<TomlTable> TomlTable::ParseText(const std::string& text, const std::string& name) {
@@ -134,7 +135,9 @@ void TomlTable::Get(const std::string& key, std::vector<double>& value, double l
   for (size_t i = 0; array != nullptr && i < array->size(); ++i) {
     const auto v = array->get(i)->value<double>();
     if (!v || !(*v >= low && *v <= high))
-      return Fail(key, "element " + std::to_string(i) + " must lie in " + Number(low) + " .. " + Number(high));
+      return Fail(key, "element " + std::to_string(i) + ", " + Text(*array->get(i)) +
+                           (v ? ", is out of range" : ", is not a number") + ", allowed: " + Number(low) + " .. " +
+                           Number(high));
     read.push_back(*v);
   }
   if (read.empty()) return Fail(key, "must be a non-empty list of numbers");
@@ -189,10 +192,13 @@ std::vector<TomlTable> TomlTable::Tables(const std::string& key) {
 Status TomlTable::Finish() const {
   if (!document_->error.ok()) return document_->error;
   if (node_->table != nullptr)
-    for (const auto& [key, value] : *node_->table)
-      if (!node_->asked.contains(std::string(key.str())))
-        return Status::Usage(document_->name + ":" + std::to_string(key.source().begin.line) + ": unknown key '" +
-                             node_->path + std::string(key.str()) + "'");
+    for (const auto& [key, value] : *node_->table) {
+      if (node_->asked.contains(std::string(key.str()))) continue;
+      std::string known;
+      for (const std::string& name : node_->asked) known += (known.empty() ? "; known: " : ", ") + name;
+      return Status::Usage(document_->name + ":" + std::to_string(key.source().begin.line) + ": unknown key '" +
+                           node_->path + std::string(key.str()) + "'" + known);
+    }
   for (const auto& child : node_->children) SLX_RETURN_IF_ERROR(TomlTable(document_, child).Finish());
   return Status::Ok();
 }

@@ -4,10 +4,11 @@
 #include <cerrno>
 #include <cstring>
 #include <fstream>
-#include <iterator>
 #include <string>
 
 #include <png.h>
+
+#include "shared/base/read_file.h"
 
 namespace stratalux {
 namespace {
@@ -20,12 +21,6 @@ struct PngImage {
   PngImage(const PngImage&) = delete;
   PngImage& operator=(const PngImage&) = delete;
 };
-
-Result<std::vector<uint8_t>> ReadFile(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) return Status::NotFound(file.string() + ": " + std::strerror(errno));
-  return std::vector<uint8_t>(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
-}
 
 Status WriteFile(const std::filesystem::path& file, const std::vector<uint8_t>& bytes) {
   std::ofstream out(file, std::ios::binary | std::ios::trunc);
@@ -56,7 +51,7 @@ Result<std::vector<uint8_t>> Encode(const void* pixels, int width, int height, i
 struct Reader {
   png_structp png = nullptr;
   png_infop info = nullptr;
-  const std::vector<uint8_t>* bytes = nullptr;
+  const std::string* bytes = nullptr;
   size_t position = 0;
   std::string error;
   ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }
@@ -74,12 +69,18 @@ void OnRead(png_structp png, png_bytep out, png_size_t count) {
   reader->position += count;
 }
 
+// Deflate makes at most 1032 bytes of one: a header that claims more pixels than the file can hold is a lie, and must
+// not be given the memory it asks for.
+constexpr size_t kDeflateAtMost = 1032;
+
 // Returns false on error; between setjmp and the end no object with a destructor is created here.
 bool Decode(Reader& reader, Image<uint16_t>& image, std::vector<uint8_t>& raw, std::vector<png_bytep>& rows,
             int& depth) {
   if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
   png_set_read_fn(reader.png, &reader, OnRead);
   png_read_info(reader.png, reader.info);
+  const size_t stored = png_get_rowbytes(reader.png, reader.info) * png_get_image_height(reader.png, reader.info);
+  if (stored / kDeflateAtMost > reader.bytes->size()) png_error(reader.png, "file is truncated");
   png_set_expand(reader.png);
   png_set_strip_alpha(reader.png);
   depth = png_get_bit_depth(reader.png, reader.info) == 16 ? 16 : 8;
@@ -100,8 +101,8 @@ bool Decode(Reader& reader, Image<uint16_t>& image, std::vector<uint8_t>& raw, s
 }  // namespace
 
 Result<Image<uint16_t>> ReadPng(const std::filesystem::path& file, int* bit_depth) {
-  SLX_ASSIGN_OR_RETURN(const std::vector<uint8_t> bytes, ReadFile(file));
-  if (bytes.size() < 8 || png_sig_cmp(bytes.data(), 0, 8) != 0)
+  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(file));
+  if (bytes.size() < 8 || png_sig_cmp(reinterpret_cast<png_const_bytep>(bytes.data()), 0, 8) != 0)
     return Status::Usage(file.string() + ": not a PNG file");
   Reader reader;
   reader.bytes = &bytes;

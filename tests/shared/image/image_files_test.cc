@@ -78,5 +78,20 @@ TEST_F(PngFile, NamesMissingForeignAndTruncatedFiles) {
   }
 }
 
+TEST_F(PngFile, ClaimsOfMorePixelsThanTheFileCanHoldGetNoMemory) {
+  // Signature and header of 60000 x 60000 pixels of 16 bits, then nothing: 7 GB that deflate cannot make of 41 bytes.
+  constexpr char kHeader[] =
+      "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\xea\x60\0\0\xea\x60\x10\0\0\0\0\xf5\x29\xf6\xdd\0\0\0\0IDAT";
+  std::ofstream(file_, std::ios::binary).write(kHeader, sizeof kHeader - 1);
+  const auto read = ReadPng(file_, nullptr);
+  EXPECT_EQ(read.status().code(), StatusCode::kIntegrity);
+  EXPECT_NE(read.status().message().find("truncated"), std::string::npos) << read.status().message();
+}
+
+TEST_F(PngFile, AFolderIsNoPicture) {
+  const auto read = ReadPng(file_.parent_path(), nullptr);
+  EXPECT_FALSE(read.ok());
+}
+
 }  // namespace
 }  // namespace stratalux
