@@ -25,7 +25,8 @@ if(STRATALUX_WERROR)
   add_compile_options(-Werror)
 endif()
 if(STRATALUX_SANITIZE)
-  add_compile_options(-fsanitize=${STRATALUX_SANITIZE} -fno-omit-frame-pointer -g)
+  # GCC's maybe-uninitialized analysis trips over instrumented std::optional.
+  add_compile_options(-fsanitize=${STRATALUX_SANITIZE} -fno-omit-frame-pointer -g -Wno-maybe-uninitialized)
   add_link_options(-fsanitize=${STRATALUX_SANITIZE})
 endif()
 

@@ -56,7 +56,7 @@ Status Render(const Flags& f, Logger& logger) {
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", session}, {"fit", folder.filename().string()}, {"folder", f.out}};
-    std::printf("%s\n", json.dump(1).c_str());
+    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
   } else {
     std::printf("%s\n", (std::filesystem::path(f.out) / "total.png").c_str());
   }

@@ -77,7 +77,7 @@ int Execute(Flags& f) {
                                          {"folder", outcome->folder.string()},
                                          {"report", report.string()},
                                          {"was_complete", outcome->was_complete}};
-    std::printf("%s\n", json.dump(1).c_str());
+    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
   } else {
     std::printf("%s\n", f.run.until == Stage::kReport ? report.c_str() : outcome->folder.c_str());
   }
@@ -95,7 +95,7 @@ int PrintReport(const Flags& f) {
   if (!f.path_only) logger.Info("metrics: " + (*folder / "metrics.json").string());
   if (f.json) {
     const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", (*folder / "metrics.json").string()}};
-    std::printf("%s\n", json.dump(1).c_str());
+    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
   } else {
     std::printf("%s\n", page.c_str());
   }

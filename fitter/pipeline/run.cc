@@ -255,6 +255,13 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   w.clock.Start("fit");
   SLX_ASSIGN_OR_RETURN(w.map, FitLayers(w.srds, w.options.heldout, w.options.em, w.logger, "fit"));
   SummariseFit(w.map, w.srds, w.metrics);
+  if (w.metrics.pixels == 0) {
+    std::string reasons;
+    for (const auto& [reason, count] : w.metrics.masked_by_reason)
+      reasons += (reasons.empty() ? "" : ", ") + reason + " " + std::to_string(count);
+    return Status::Failed("no pixel could be fitted (" + reasons +
+                          "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
+  }
   SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.options.pool));
   if (w.options.until < Stage::kRender) return Status::Ok();
   SLX_RETURN_IF_ERROR(CompareFullSize(w));
@@ -302,7 +309,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, options.session));
   SLX_RETURN_IF_ERROR(RequireFittable(frames));
   if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
-    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist");
+    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
+                         std::to_string(frames.calibration()->projectors.size() - 1));
   RunOutcome outcome;
   outcome.session = frames.info().id;
   outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);
@@ -323,7 +331,14 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
 
   SLX_ASSIGN_OR_RETURN(auto truth, SceneTruth::Open(frames.folder()));
   Work w{options, logger, std::move(frames), StageClock(logger), {}, {}, std::move(truth), {}, {}, {}, {}};
-  SLX_RETURN_IF_ERROR(RunStages(w, folder).WithContext("session " + outcome.session));
+  if (w.frames.info().simulated && !w.truth)
+    logger.Warning("session " + outcome.session +
+                   " is simulated but has no truth.seg: nothing is compared with the truth");
+  if (Status status = RunStages(w, folder); !status.ok()) {
+    if (options.until == Stage::kReport) std::filesystem::remove_all(folder, error);  // the partial fit
+    const std::string session = "session " + outcome.session;
+    return status.message().starts_with(session) ? status : status.WithContext(session);
+  }
   if (options.until == Stage::kReport) {
     w.metrics.session = outcome.session;
     w.metrics.fit = outcome.fit;
