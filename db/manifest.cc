@@ -21,15 +21,49 @@ std::string TextOf(const Json& json, int indent) {
   return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
+constexpr int kManifestSchema = 2;
+
+Json JsonOf(const Consent& consent) {
+  if (consent.text_version.empty()) return nullptr;
+  Json scope = Json::array();
+  if (consent.fit) scope.push_back("fit");
+  if (consent.research) scope.push_back("research");
+  if (consent.publication) scope.push_back("publication");
+  return {{"text_version", consent.text_version},
+          {"language", consent.language},
+          {"scope", scope},
+          {"given_wall_ns", consent.given_wall.ns}};
+}
+
+Consent ConsentOf(const Json& json) {
+  Consent consent;
+  if (json.is_string()) consent.text_version = json.get<std::string>();  // schema 1
+  if (!json.is_object()) return consent;
+  json.at("text_version").get_to(consent.text_version);
+  json.at("language").get_to(consent.language);
+  json.at("given_wall_ns").get_to(consent.given_wall.ns);
+  for (const Json& scope : json.at("scope")) {
+    consent.fit |= scope == "fit";
+    consent.research |= scope == "research";
+    consent.publication |= scope == "publication";
+  }
+  return consent;
+}
+
 Result<SessionInfo> InfoFrom(const Json& json) {
-  if (json.at("schema").get<int>() > 1)
-    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (1)");
+  if (json.at("schema").get<int>() > kManifestSchema)
+    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
+                                                std::to_string(kManifestSchema) + ")");
   SessionInfo info;
   json.at("session").get_to(info.id);
   SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
   json.at("rig").get_to(info.rig);
   json.at("visitor").get_to(info.visitor);
-  json.at("consent").get_to(info.consent);
+  info.consent = ConsentOf(json.at("consent"));
+  if (json.contains("retention")) {
+    SLX_ASSIGN_OR_RETURN(info.retention, ParseRetention(json.at("retention").get<std::string>()));
+  }
+  info.finished_wall.ns = json.value("finished_wall_ns", int64_t{0});
   json.at("simulated").get_to(info.simulated);
   json.at("seed").get_to(info.seed);
   info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
@@ -42,6 +76,19 @@ Result<SessionInfo> InfoFrom(const Json& json) {
 }
 
 }  // namespace
+
+std::string ConsentToJson(const Consent& consent) {
+  return consent.text_version.empty() ? "" : TextOf(JsonOf(consent), -1);
+}
+
+Consent ConsentFromJson(const std::string& text) {
+  const Json json = Json::parse(text, nullptr, false);
+  try {
+    return ConsentOf(json);
+  } catch (const nlohmann::json::exception&) {
+    return {};
+  }
+}
 
 std::string ReasonsToJson(const std::vector<std::string>& reasons) { return TextOf(Json(reasons), -1); }
 
@@ -56,15 +103,17 @@ std::vector<std::string> ReasonsFromJson(const std::string& text) {
 Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
                      const std::vector<std::string>& segments) {
   const Json json = {
-      {"schema", 1},
+      {"schema", kManifestSchema},
       {"session", info.id},
       {"kind", ToString(info.kind)},
       {"rig", info.rig},
       {"visitor", info.visitor},
-      {"consent", info.consent},
+      {"consent", JsonOf(info.consent)},
+      {"retention", ToString(info.retention)},
       {"simulated", info.simulated},
       {"seed", info.seed},
       {"started_wall_ns", info.started_wall.ns},
+      {"finished_wall_ns", info.finished_wall.ns},
       {"status", ToString(info.status)},
       {"reasons", info.reasons},
       {"program_version", info.program_version},

@@ -15,6 +15,11 @@ Status WriteManifest(const std::filesystem::path& session_folder, const SessionI
                      const std::vector<std::string>& segments);
 Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);
 
+// {"text_version", "language", "scope": ["fit", "research", "publication"], "given_wall_ns"}; "" for no consent.
+[[nodiscard]] std::string ConsentToJson(const Consent& consent);
+// An empty consent for any other text.
+[[nodiscard]] Consent ConsentFromJson(const std::string& text);
+
 [[nodiscard]] std::string ReasonsToJson(const std::vector<std::string>& reasons);
 [[nodiscard]] std::vector<std::string> ReasonsFromJson(const std::string& text);
 

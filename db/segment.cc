@@ -103,6 +103,7 @@ FrameHeader MakeFrameHeader(const FrameRecord& r, int64_t frame, const std::stri
   h.channels = r.channels;
   h.crop_x = r.crop_x;
   h.crop_y = r.crop_y;
+  std::memcpy(h.retake_cause, r.retake_cause.data(), std::min(r.retake_cause.size(), sizeof h.retake_cause - 1));
   std::memcpy(h.pattern, text.data(), std::min(text.size(), sizeof h.pattern - 1));
   return h;
 }
@@ -120,6 +121,7 @@ Result<FrameRecord> RecordOf(const FrameHeader& h) {
   r.bracket = h.bracket;
   r.pose = h.pose;
   r.retry = h.retry;
+  r.retake_cause.assign(h.retake_cause, strnlen(h.retake_cause, sizeof h.retake_cause));
   r.trigger_number = h.trigger_number;
   r.trigger_time = {h.trigger_ns};
   r.sync_time = {h.sync_ns};

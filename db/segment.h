@@ -34,7 +34,8 @@ struct FrameHeader {
   char pattern[64];               // Pattern::ToString, or the name of a truth map; zero-padded
   uint64_t payload_bytes;
   uint8_t payload_hash[16];  // XXH3-128, canonical
-  uint8_t reserved[48];
+  char retake_cause[32];     // zero-padded; all zero before version 0.2
+  uint8_t reserved[16];
   uint64_t header_hash;  // XXH3-64 of all before it
 };
 static_assert(sizeof(FrameHeader) == 320);

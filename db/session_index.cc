@@ -8,6 +8,7 @@
 
 #include "db/manifest.h"
 #include "db/migration_0001.h"
+#include "db/migration_0002.h"
 
 namespace stratalux::db {
 namespace {
@@ -50,6 +51,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   }
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));
+  if (version < 2) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0002));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -79,6 +81,12 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
     return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
                                                 " is newer than this program's " + std::to_string(kSchemaVersion) +
                                                 "; use a newer stratalux");
+  if (!write && version < kSchemaVersion) {
+    SLX_ASSIGN_OR_RETURN(auto writer, Connection::Open(file, Connection::Mode::kReadWrite));
+    SLX_RETURN_IF_ERROR(
+        Migrate(writer, folder)
+            .WithContext("the store has schema " + std::to_string(version) + " and must be migrated first"));
+  }
   SLX_RETURN_IF_ERROR(
       connection.Execute("PRAGMA foreign_keys = ON; PRAGMA synchronous = FULL; PRAGMA secure_delete = ON"));
   if (write) SLX_RETURN_IF_ERROR(Migrate(connection, folder));
@@ -88,21 +96,28 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
 Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   if (!info.calibration_json.empty()) {
-    SLX_ASSIGN_OR_RETURN(auto calibration, connection_.Prepare("INSERT OR IGNORE INTO calibrations VALUES (?1, ?2)"));
-    SLX_RETURN_IF_ERROR(calibration.Bind(1, ContentId(info.calibration_json)).Bind(2, info.calibration_json).Run());
+    SLX_ASSIGN_OR_RETURN(auto calibration,
+                         connection_.Prepare("INSERT OR IGNORE INTO calibrations (id, record_json, rig)"
+                                             " VALUES (?1, ?2, ?3)"));
+    SLX_RETURN_IF_ERROR(
+        calibration.Bind(1, ContentId(info.calibration_json)).Bind(2, info.calibration_json).Bind(3, info.rig).Run());
+  }
+  if (!info.visitor.empty()) {
+    SLX_ASSIGN_OR_RETURN(auto visitor, connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
+    SLX_RETURN_IF_ERROR(visitor.Bind(1, info.visitor).Bind(2, info.started_wall.ns).Run());
   }
   SLX_ASSIGN_OR_RETURN(
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
   insert.Bind(1, std::string("pending-") + suffix).Bind(2, std::string(ToString(info.kind))).Bind(3, info.rig);
   insert.Bind(4, info.visitor)
-      .Bind(5, info.consent)
+      .Bind(5, info.consent.text_version)
       .Bind(6, int64_t{info.simulated})
       .Bind(7, static_cast<int64_t>(info.seed));
   insert.Bind(8, info.started_wall.ns)
@@ -110,6 +125,7 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
       .Bind(10, ReasonsToJson(info.reasons));
   insert.Bind(11, info.program_version).Bind(12, info.plan_json);
   if (!info.calibration_json.empty()) insert.Bind(13, ContentId(info.calibration_json));
+  insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
   char id[40];
@@ -121,10 +137,14 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
   return number;
 }
 
-Status SessionIndex::SetStatus(int64_t number, SessionStatus status, const std::vector<std::string>& reasons) {
-  SLX_ASSIGN_OR_RETURN(auto update,
-                       connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2 WHERE number = ?3"));
-  return update.Bind(1, std::string(ToString(status))).Bind(2, ReasonsToJson(reasons)).Bind(3, number).Run();
+Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
+  SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2,"
+                                                        " finished_wall_ns = ?3 WHERE number = ?4"));
+  return update.Bind(1, std::string(ToString(ending.status)))
+      .Bind(2, ReasonsToJson(ending.reasons))
+      .Bind(3, ending.finished_wall.ns)
+      .Bind(4, number)
+      .Run();
 }
 
 Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
@@ -132,6 +152,10 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
   SLX_ASSIGN_OR_RETURN(
       auto insert,
       connection_.Prepare("INSERT INTO frames VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
+  SLX_ASSIGN_OR_RETURN(
+      auto proof,
+      connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)"));
+  int64_t bytes = 0;
   for (const auto& [segment, f] : frames) {
     const FrameHeader& h = f.header;
     insert.Bind(1, number).Bind(2, h.frame).Bind(3, segment).Bind(4, f.offset);
@@ -140,7 +164,16 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
     insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, std::string(h.pattern));
     insert.Bind(11, int64_t{h.retry}).Bind(12, int64_t{h.level_check});
     SLX_RETURN_IF_ERROR(insert.Run());
+    proof.Bind(1, number).Bind(2, h.frame).Bind(3, int64_t{h.bracket}).Bind(4, int64_t{h.pose});
+    proof.Bind(5, h.trigger_number).Bind(6, h.trigger_ns).Bind(7, h.sync_ns).Bind(8, h.driver_sequence);
+    proof.Bind(9, h.frame_ns).Bind(10, int64_t{h.frame_clock});
+    proof.Bind(11, h.exposure_ms).Bind(12, h.gain).Bind(13, h.mean_dn).Bind(14, std::string(h.retake_cause));
+    SLX_RETURN_IF_ERROR(proof.Run());
+    bytes += static_cast<int64_t>(h.payload_bytes);
   }
+  SLX_ASSIGN_OR_RETURN(auto totals, connection_.Prepare("UPDATE sessions SET frame_count = frame_count + ?1,"
+                                                        " stored_bytes = stored_bytes + ?2 WHERE number = ?3"));
+  SLX_RETURN_IF_ERROR(totals.Bind(1, static_cast<int64_t>(frames.size())).Bind(2, bytes).Bind(3, number).Run());
   return transaction.Commit();
 }
 
@@ -148,10 +181,10 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
   SLX_ASSIGN_OR_RETURN(
       auto select,
       connection_.Prepare(
-          "SELECT s.id, s.kind, s.rig, s.visitor, s.consent, s.simulated, s.seed, s.started_wall_ns, s.status,"
-          " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), o.frames, o.bytes"
-          " FROM sessions s JOIN session_overview o ON o.number = s.number"
-          " LEFT JOIN calibrations c ON c.id = s.calibration_id ORDER BY s.number DESC"));
+          "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
+          " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), s.frame_count, s.stored_bytes,"
+          " s.retention, coalesce(s.finished_wall_ns, 0), s.consent FROM sessions s LEFT JOIN calibrations c ON c.id = "
+          "s.calibration_id ORDER BY s.number DESC"));
   std::vector<SessionRow> rows;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -161,7 +194,8 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
     SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
     row.info.rig = select.Text(2);
     row.info.visitor = select.Text(3);
-    row.info.consent = select.Text(4);
+    row.info.consent = ConsentFromJson(select.Text(4));
+    if (row.info.consent.text_version.empty()) row.info.consent.text_version = select.Text(17);  // schema 1
     row.info.simulated = select.Integer(5) != 0;
     row.info.seed = static_cast<uint64_t>(select.Integer(6));
     row.info.started_wall.ns = select.Integer(7);
@@ -172,6 +206,8 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
     row.info.calibration_json = select.Text(12);
     row.frames = select.Integer(13);
     row.bytes = select.Integer(14);
+    SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(15)));
+    row.info.finished_wall.ns = select.Integer(16);
     rows.push_back(std::move(row));
   }
 }

@@ -21,8 +21,13 @@ class SessionIndex {
 
   // Gives info.id; returns the session's number.
   Result<int64_t> InsertSession(SessionInfo& info);
-  Status SetStatus(int64_t number, SessionStatus status, const std::vector<std::string>& reasons);
-  // All rows in one transaction: the group's commit.
+  struct Ending {
+    SessionStatus status = SessionStatus::kFailed;
+    std::vector<std::string> reasons;
+    WallNs finished_wall;
+  };
+  Status SetStatus(int64_t number, const Ending& ending);
+  // Frames, proofs and totals in one transaction: the group's commit.
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   Result<std::vector<SessionRow>> Sessions();
   Result<int64_t> NumberOf(const std::string& id);

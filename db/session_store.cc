@@ -108,9 +108,10 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
       if (std::error_code error; !std::filesystem::exists(file, error)) break;
       SLX_RETURN_IF_ERROR(TruncateSegment(file, std::max(ends[n], kSegmentStart)));
     }
-    SLX_RETURN_IF_ERROR(index.SetStatus(number, SessionStatus::kFailed,
-                                        {"the writer stopped before the session was finished; " +
-                                         std::to_string(places.size()) + " acknowledged frames kept"}));
+    SLX_RETURN_IF_ERROR(index.SetStatus(number, {SessionStatus::kFailed,
+                                                 {"the writer stopped before the session was finished; " +
+                                                  std::to_string(places.size()) + " acknowledged frames kept"},
+                                                 WallNow()}));
   }
   return Status::Ok();
 }
@@ -143,7 +144,7 @@ struct SessionWriter::Impl {
       failure = status.WithContext("session " + info.id);
       // What was never acknowledged goes; should that fail, too, `verify` names the tail.
       if (segment) (void)TruncateSegment(folder / SegmentName(segments), acknowledged_end).ok();
-      (void)index.SetStatus(number, SessionStatus::kFailed, {status.message()}).ok();
+      (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
     }
     return failure;
   }
@@ -236,10 +237,11 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   }
   w.info.status = status;
   w.info.reasons = std::move(reasons);
+  w.info.finished_wall = WallNow();
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
   if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
-  if (Status s = w.index.SetStatus(w.number, status, w.info.reasons); !s.ok()) return w.Fail(s);
+  if (Status s = w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}); !s.ok()) return w.Fail(s);
   return Status::Ok();
 }
 
@@ -273,7 +275,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) {
-    (void)index.SetStatus(number, SessionStatus::kFailed, {"no folder: " + error.message()}).ok();
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {"no folder: " + error.message()}, WallNow()}).ok();
     return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   }
   return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{

@@ -20,7 +20,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 1;
+inline constexpr int kSchemaVersion = 2;
 
 struct SessionRow {
   SessionInfo info;

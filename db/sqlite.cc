@@ -58,6 +58,10 @@ Statement& Statement::Bind(int index, int64_t value) {
   sqlite3_bind_int64(handle_.get(), index, value);
   return *this;
 }
+Statement& Statement::Bind(int index, double value) {
+  sqlite3_bind_double(handle_.get(), index, value);
+  return *this;
+}
 Statement& Statement::Bind(int index, const std::string& value) {
   sqlite3_bind_text(handle_.get(), index, value.data(), static_cast<int>(value.size()), SQLITE_TRANSIENT);
   return *this;
@@ -81,6 +85,7 @@ Status Statement::Run() {
 }
 
 int64_t Statement::Integer(int column) const { return sqlite3_column_int64(handle_.get(), column); }
+double Statement::Real(int column) const { return sqlite3_column_double(handle_.get(), column); }
 std::string Statement::Text(int column) const {
   const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(handle_.get(), column));
   return text == nullptr ? std::string()

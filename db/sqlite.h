@@ -43,6 +43,7 @@ class Connection {
 class Statement {
  public:
   Statement& Bind(int index, int64_t value);
+  Statement& Bind(int index, double value);
   Statement& Bind(int index, const std::string& value);
   Statement& Bind(int index, std::span<const uint8_t> bytes);
   // True while there is a row.
@@ -50,6 +51,7 @@ class Statement {
   // Runs to the end and resets, for statements without rows.
   Status Run();
   [[nodiscard]] int64_t Integer(int column) const;
+  [[nodiscard]] double Real(int column) const;
   [[nodiscard]] std::string Text(int column) const;
   [[nodiscard]] std::vector<uint8_t> Blob(int column) const;
 

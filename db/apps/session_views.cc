@@ -7,6 +7,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/manifest.h"
+
 namespace stratalux::db {
 namespace {
 
@@ -150,6 +152,20 @@ std::string SessionsAsJson(const std::vector<ListedSession>& sessions) {
   return TextOf(json);
 }
 
+namespace {
+
+std::string ConsentAsText(const Consent& consent) {
+  if (consent.text_version.empty()) return "none";
+  std::string scope;
+  if (consent.fit) scope += " fit";
+  if (consent.research) scope += " research";
+  if (consent.publication) scope += " publication";
+  return "text " + consent.text_version + (consent.language.empty() ? "" : " (" + consent.language + ")") + ":" +
+         (scope.empty() ? " nothing" : scope);
+}
+
+}  // namespace
+
 Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector) {
   SessionDetails details;
   SLX_ASSIGN_OR_RETURN(details.row, store.FindSession(selector));
@@ -162,7 +178,8 @@ std::string DetailsAsText(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   std::string text = Line("session", info.id) + Line("started", ToIso8601(info.started_wall)) +
                      Line("kind", stratalux::ToString(info.kind)) + Line("rig", info.rig) +
-                     Line("visitor", info.visitor) + Line("consent", info.consent) +
+                     Line("visitor", info.visitor) + Line("consent", ConsentAsText(info.consent)) +
+                     Line("retention", stratalux::ToString(info.retention)) +
                      Line("status", stratalux::ToString(info.status));
   for (const std::string& reason : info.reasons) text += Line("  reason", reason);
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
@@ -183,7 +200,8 @@ std::string DetailsAsText(const SessionDetails& details) {
 std::string DetailsAsJson(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   Json json = SessionJson(details.row);
-  json["consent"] = info.consent;
+  json["consent"] = ParsedOrNull(ConsentToJson(info.consent));
+  json["retention"] = stratalux::ToString(info.retention);
   json["seed"] = info.seed;
   json["program_version"] = info.program_version;
   json["plan"] = ParsedOrNull(info.plan_json);

@@ -115,10 +115,13 @@ Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, 
     if (fault != ShotFault::kNone) {
       logger_.Warning(Describe(step) + ": " + ToString(fault) + "; the pre-roll is shot again");
       report_.Note(fault);
+      for (int spoilt : steps) retake_cause_[spoilt] = fault;
       return false;
     }
     if (!light_timed_) light_since_ = shot.record.trigger_time;
     light_timed_ = true;
+    if (const auto cause = retake_cause_.find(step); cause != retake_cause_.end())
+      shot.record.retake_cause = ToString(cause->second);
     shots.push_back(std::move(shot));
   }
   return true;
@@ -162,6 +165,8 @@ Status CaptureRun::ShootNext(const std::vector<int>& block, size_t& position) {
   const PlanStep& step = plan_.steps[block[position]];
   const int64_t triggers_before = shooter_.camera_triggers();
   SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(step, retries_[step.index]));
+  if (const auto cause = retake_cause_.find(step.index); cause != retake_cause_.end())
+    shot.record.retake_cause = ToString(cause->second);
   if (!light_timed_) light_since_ = shooter_.last_trigger();
   light_timed_ = true;
   if (shot.fault != ShotFault::kNone) {
@@ -198,7 +203,10 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& block, size_t& position) {
   // Given up; but the memory may stand elsewhere than planned, so what follows starts afresh.
   if (retries_[last.index] >= options_.max_retries) return Reload(block, position);
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
-  for (int step : group) ++retries_[step];
+  for (int step : group) {
+    ++retries_[step];
+    retake_cause_[step] = ShotFault::kWrongLevel;
+  }
   report_.retried += static_cast<int>(group.size());
   position -= group.size();
   return Reload(block, position);
@@ -209,6 +217,7 @@ Status CaptureRun::ShootAgain(const std::vector<int>& block, size_t& position, S
   report_.Note(fault);
   if (retries_[step] < options_.max_retries) {
     ++retries_[step];
+    retake_cause_[step] = fault;
     ++report_.retried;
     logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
     return Reload(block, position);

@@ -55,8 +55,9 @@ class CaptureRun {
   Shooter shooter_;
   PatternWitness witness_;
   CaptureReport report_;
-  std::vector<Shot> held_;             // shots of the group that is not judged yet
-  std::map<int, int> retries_;         // by step
+  std::vector<Shot> held_;      // shots of the group that is not judged yet
+  std::map<int, int> retries_;  // by step
+  std::map<int, ShotFault> retake_cause_;
   std::map<int, FrameRecord> proven_;  // by step: the last good frame
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
   int silent_steps_ = 0;

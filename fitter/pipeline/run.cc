@@ -242,9 +242,6 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
                std::to_string(w.face.decode_counts[r]);
   w.logger.Info(decoded);
   if (w.options.geometry == GeometrySource::kTruth) {
-    if (!w.truth)
-      return Status::Usage("session " + w.frames.info().id +
-                           " has no truth: --geometry truth works on simulated sessions");
     SLX_ASSIGN_OR_RETURN(w.surface, w.truth->Surface(*w.frames.calibration()));
   }
   SLX_RETURN_IF_ERROR(WriteMaps(folder, w.face, w.surface));
@@ -321,6 +318,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
     outcome.was_complete = true;
     return outcome;
   }
+  SLX_ASSIGN_OR_RETURN(auto truth, SceneTruth::Open(frames.folder()));
+  if (options.geometry == GeometrySource::kTruth && !truth)
+    return Status::Usage("session " + outcome.session +
+                         " has no truth: --geometry truth works on simulated sessions with their truth.seg");
   // Everything is written beside the final name and renamed when complete: a fit is visible only whole.
   const auto folder =
       options.until == Stage::kReport ? std::filesystem::path(outcome.folder.string() + ".partial") : outcome.folder;
@@ -329,7 +330,6 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   std::filesystem::create_directories(folder / "report", error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
 
-  SLX_ASSIGN_OR_RETURN(auto truth, SceneTruth::Open(frames.folder()));
   Work w{options, logger, std::move(frames), StageClock(logger), {}, {}, std::move(truth), {}, {}, {}, {}};
   if (w.frames.info().simulated && !w.truth)
     logger.Warning("session " + outcome.session +

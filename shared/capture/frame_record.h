@@ -19,8 +19,9 @@ struct FrameRecord {
   CapturePhase phase = CapturePhase::kReference;
   Pattern pattern;
   int bracket = 0;
-  int pose = -1;  // calibration sessions: board pose; else -1
-  int retry = 0;  // 0 = first shot
+  int pose = -1;             // calibration sessions: board pose; else -1
+  int retry = 0;             // 0 = first shot
+  std::string retake_cause;  // why the shot before this one did not count (up to 31 characters); empty for a first shot
   int64_t trigger_number = -1;
   MonotonicNs trigger_time;
   MonotonicNs sync_time;  // projector's SYNC edge; 0 where the device has none

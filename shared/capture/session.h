@@ -16,15 +16,34 @@ enum class SessionStatus { kRecording, kComplete, kDegraded, kFailed };
 [[nodiscard]] const char* ToString(SessionStatus);
 [[nodiscard]] Result<SessionStatus> ParseSessionStatus(const std::string& text);
 
+// What a visitor agreed to, as it was shown to them.
+struct Consent {
+  std::string text_version;  // of the text; empty: none was asked for
+  std::string language;      // in which it was shown, such as "de"
+  bool fit = false;          // scopes: measuring and fitting for the visitor
+  bool research = false;
+  bool publication = false;
+  WallNs given_wall;
+
+  friend bool operator==(const Consent&, const Consent&) = default;
+};
+
+// How long a session is kept before `stratalux-db purge` removes it.
+enum class Retention { kShort, kStandard, kLong, kKeep };
+[[nodiscard]] const char* ToString(Retention);
+[[nodiscard]] Result<Retention> ParseRetention(const std::string& text);
+
 struct SessionInfo {
   std::string id;  // given by the store
   SessionKind kind = SessionKind::kVisitor;
   std::string rig;      // rig name
   std::string visitor;  // pseudonym, may be empty
-  std::string consent;  // text version of the consent given, may be empty (STORE makes it binding)
+  Consent consent;
+  Retention retention = Retention::kStandard;
   bool simulated = false;
   uint64_t seed = 0;  // simulated sessions
   WallNs started_wall;
+  WallNs finished_wall;  // 0 while recording
   SessionStatus status = SessionStatus::kRecording;
   std::vector<std::string> reasons;  // why degraded or failed
   std::string program_version;

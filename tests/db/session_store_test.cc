@@ -161,7 +161,8 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
   info.kind = SessionKind::kFlat;
   info.rig = "rig \"7\"";
   info.visitor = "v-12";
-  info.consent = "2026-01";
+  info.consent = {"2026-01", "de", true, false, true, {1'600'000'000'000'000'000}};
+  info.retention = Retention::kLong;
   info.simulated = true;
   info.seed = std::numeric_limits<uint64_t>::max();
   info.started_wall = {1'700'000'000'000'000'000};
@@ -179,6 +180,8 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
     EXPECT_EQ(read->rig, info.rig);
     EXPECT_EQ(read->visitor, info.visitor);
     EXPECT_EQ(read->consent, info.consent);
+    EXPECT_EQ(read->retention, info.retention);
+    EXPECT_GT(read->finished_wall.ns, info.started_wall.ns);
     EXPECT_TRUE(read->simulated);
     EXPECT_EQ(read->seed, info.seed);
     EXPECT_EQ(read->started_wall, info.started_wall);

@@ -117,7 +117,7 @@ TEST_F(DamagedStore, AManifestThatIsNoneIsFoundAndTheFramesStayReadable) {
   const std::string intact = ReadText(manifest);
   std::string kind = intact, newer = intact;
   kind.replace(kind.find("\"visitor\""), 9, "\"partygo\"");
-  newer.replace(newer.find("\"schema\": 1"), 11, "\"schema\": 9");
+  newer.replace(newer.find("\"schema\": 2"), 11, "\"schema\": 9");
   const std::array<std::array<std::string, 2>, 6> cases = {{{"", "parse error at line 1"},
                                                             {intact.substr(0, 100), "parse error at line "},
                                                             {"[1, 2]\n", "type_error"},
@@ -178,9 +178,9 @@ class DamagedIndex : public TinyStore {
 
 TEST_F(DamagedIndex, OfANewerSchema) {
   std::string bytes = ReadText(Index());
-  bytes[63] = 2;  // user_version, big-endian, at 60
+  bytes[63] = 3;  // user_version, big-endian, at 60
   WriteText(Index(), bytes);
-  ExpectRefusedByAll(7, {Index().string(), "schema 2 is newer than this program's 1", "use a newer stratalux"});
+  ExpectRefusedByAll(7, {Index().string(), "schema 3 is newer than this program's 2", "use a newer stratalux"});
   ExpectRefused("stratalux-db init", 7, {Index().string(), "use a newer stratalux"});
 }
 

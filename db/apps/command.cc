@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/apps/command.h"
+
+#include <cstdio>
+#include <cstdlib>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+namespace stratalux::db {
+
+CLI::App* Commands::Add(const std::string& name, const std::string& description, std::function<int()> run) {
+  CLI::App* command = app_.add_subcommand(name, description);
+  command->add_option("--store", flags_.store, "folder of the store (default: $STRATALUX_STORE)");
+  command->add_flag("--json", flags_.json, "print JSON");
+  command->footer(app_.get_footer());
+  entries_.push_back({command, std::move(run)});
+  return command;
+}
+
+int Commands::Run() {
+  if (const char* store = std::getenv("STRATALUX_STORE"); store != nullptr && flags_.store.empty())
+    flags_.store = store;
+  if (flags_.store.empty()) return Report(Status::Usage("no store given; use --store DIR or set STRATALUX_STORE"));
+  for (const Entry& entry : entries_)
+    if (entry.app->parsed()) return entry.run();
+  return Report(Status::Usage("no command given; --help lists them"));
+}
+
+int Report(const Status& status) {
+  std::fprintf(stderr, "stratalux-db: %s\n", status.message().c_str());
+  return status.exit_code();
+}
+
+int Print(const std::string& text) {
+  if (std::fputs(text.c_str(), stdout) >= 0 && std::fflush(stdout) == 0) return 0;
+  return Report(Status::Failed("cannot write the output"));
+}
+
+std::string TextOf(const nlohmann::ordered_json& json) {
+  return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frame of `stratalux-db`: each verb group adds its commands here; main parses and runs the one that was given.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json_fwd.hpp>
+
+#include "db/session_store.h"
+
+namespace stratalux::db {
+
+// Flags that every command has.
+struct CommonFlags {
+  std::string store;  // --store, else $STRATALUX_STORE
+  bool json = false;
+};
+
+class Commands {
+ public:
+  explicit Commands(CLI::App& app) : app_(app) {}
+
+  // A command with --store and --json; `run` gives the exit code.
+  CLI::App* Add(const std::string& name, const std::string& description, std::function<int()> run);
+  [[nodiscard]] const CommonFlags& flags() const { return flags_; }
+  // Of the command that was parsed.
+  int Run();
+
+ private:
+  struct Entry {
+    CLI::App* app;
+    std::function<int()> run;
+  };
+  CLI::App& app_;
+  CommonFlags flags_;
+  std::vector<Entry> entries_;
+};
+
+// Each keeps its own flags alive as long as its commands.
+void AddViewCommands(Commands& commands);      // init, ls, show, frames, verify
+void AddTransferCommands(Commands& commands);  // import
+
+// Prints to stderr; the status's exit code.
+int Report(const Status& status);
+// Data go to stdout; a full pipe or disk must not pass for success.
+int Print(const std::string& text);
+// Two spaces of indent and a newline; what is no UTF-8 is replaced.
+[[nodiscard]] std::string TextOf(const nlohmann::ordered_json& json);
+
+}  // namespace stratalux::db

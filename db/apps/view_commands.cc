@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-db init|ls|show|frames|verify`.
+#include <memory>
+#include <optional>
+
+#include <nlohmann/json.hpp>
+
+#include "db/apps/command.h"
+#include "db/apps/extract.h"
+#include "db/apps/session_views.h"
+
+namespace stratalux::db {
+namespace {
+
+struct ViewFlags {
+  std::string session, phase, extract;
+  std::optional<int> projector;
+};
+
+int RunInit(const CommonFlags& common) {
+  const Status status = SessionStore::Create(common.store);
+  if (!status.ok()) return Report(status);
+  const nlohmann::ordered_json json = {{"store", common.store}, {"schema", kSchemaVersion}};
+  return Print(common.json ? TextOf(json)
+                           : "store " + common.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
+}
+
+int RunList(const CommonFlags& common) {
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  if (!store.ok()) return Report(store.status());
+  const auto sessions = ListWithFits(*store);
+  if (!sessions.ok()) return Report(sessions.status());
+  return Print((common.json ? SessionsAsJson : SessionsAsText)(*sessions));
+}
+
+int RunShow(const CommonFlags& common, const ViewFlags& flags) {
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  if (!store.ok()) return Report(store.status());
+  const auto details = LoadDetails(*store, flags.session);
+  if (!details.ok()) return Report(details.status());
+  return Print((common.json ? DetailsAsJson : DetailsAsText)(*details));
+}
+
+int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
+  FrameFilter filter{{}, flags.projector};
+  if (!flags.phase.empty()) {
+    const auto phase = ParseCapturePhase(flags.phase);
+    if (!phase.ok()) return Report(phase.status().WithContext("--phase"));
+    filter.phase = *phase;
+  }
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  if (!store.ok()) return Report(store.status());
+  const auto session = store->FindSession(flags.session);
+  if (!session.ok()) return Report(session.status());
+  const auto all = store->ListFrames(session->info.id);
+  if (!all.ok()) return Report(all.status());
+  const auto frames = Filter(*all, filter);
+  if (!flags.extract.empty()) {
+    Logger logger;
+    const Status status = ExtractFrames(*store, session->info.id, frames, flags.extract, logger);
+    if (!status.ok()) return Report(status);
+  }
+  return Print((common.json ? FramesAsJson : FramesAsText)(frames));
+}
+
+int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  if (!store.ok()) return Report(store.status());
+  std::vector<SessionRow> sessions;
+  if (flags.session.empty()) {
+    auto all = store->ListSessions();
+    if (!all.ok()) return Report(all.status());
+    sessions = std::move(all).value();
+  } else {
+    const auto one = store->FindSession(flags.session);
+    if (!one.ok()) return Report(one.status());
+    sessions.push_back(*one);
+  }
+  Verified verified;
+  bool sound = true;
+  for (const SessionRow& session : sessions) {
+    auto report = VerifySession(*store, session);
+    if (!report.ok()) return Report(report.status());
+    sound = sound && report->problems.empty();
+    verified.emplace_back(session.info.id, std::move(report).value());
+  }
+  const int printed = Print((common.json ? VerifiedAsJson : VerifiedAsText)(verified));
+  return sound ? printed : static_cast<int>(StatusCode::kIntegrity);
+}
+
+}  // namespace
+
+void AddViewCommands(Commands& commands) {
+  const auto flags = std::make_shared<ViewFlags>();
+  const CommonFlags& common = commands.flags();
+  commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
+  commands.Add("ls", "List the sessions, newest first", [&common] { return RunList(common); });
+  CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
+  CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
+                                  [&common, flags] { return RunFrames(common, *flags); });
+  CLI::App* verify = commands.Add("verify", "Read every byte of one session or of all and compare it with its hash",
+                                  [&common, flags] { return RunVerify(common, *flags); });
+  show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
+  frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
+  verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all)");
+  frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");
+  frames->add_option("--projector", flags->projector, "this projector only; -1: frames lit by all of them");
+  frames->add_option("--extract", flags->extract, "write the frames to this folder as PNG (12-bit values << 4)");
+}
+
+}  // namespace stratalux::db
