@@ -12,10 +12,8 @@ namespace stratalux::rig {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-// Skin's surface reflection: Fresnel at normal incidence for n = 1.4; slope parameter of facial skin (Weyrich et al.
-// 2006 find 0.25 to 0.4 over the face), GGX facets.
+// Skin's surface reflection: Fresnel at normal incidence for n = 1.4.
 constexpr double kF0 = 0.028;
-constexpr double kRoughness = 0.35;
 // Projector pixels nearer than this are integrated over their extent and the camera pixel's footprint.
 constexpr float kNearPixels = 4.0F;
 // Blocks per axis of each coarser level's window that the finer level covers.
@@ -32,11 +30,11 @@ std::array<int, kLevels> WindowStart(float c) {
 int BlocksFrom(int hole, int x) { return x < hole ? hole - x : std::max(0, x - hole - (kHole - 1)); }
 
 // Torrance & Sparrow facets with the GGX distribution (Walter et al. 2007) and Schlick's Fresnel term; 1 / sr.
-double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const Eigen::Vector3d& out) {
+double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const Eigen::Vector3d& out, double roughness) {
   const double ni = n.dot(in), no = n.dot(out);
   if (ni <= 0.0 || no <= 0.0) return 0.0;
   const Eigen::Vector3d h = (in + out).normalized();
-  const double nh = n.dot(h), a2 = kRoughness * kRoughness;
+  const double nh = n.dot(h), a2 = roughness * roughness;
   const double d = a2 / (kPi * std::pow(nh * nh * (a2 - 1.0) + 1.0, 2));
   auto smith = [a2](double c) { return 2.0 * c / (c + std::sqrt(a2 + (1.0 - a2) * c * c)); };
   const double f = kF0 + (1.0 - kF0) * std::pow(1.0 - std::max(0.0, h.dot(in)), 5);
@@ -135,13 +133,19 @@ void LightTransport::CastProjector(const Scene& scene) {
                                        .cross(m.Unproject({double(c), r + 0.5}) - m.Unproject({double(c), r - 0.5}))
                                        .norm();
         const double flux = solid_angle * projector_.Falloff({double(c), double(r)});
-        const SkinParameters skin = scene.Skin(*hit);
+        const Material material = scene.MaterialAt(*hit);
+        if (!material.Translucent()) continue;  // what it reflects never enters the tissue
         Block& block = pyramid_[0](c, r);
         block.position = hit->cast<float>();
         for (int k = 0; k < 3; ++k)
-          block.flux[k] = static_cast<float>(flux * projector_.white_dn_mm2_per_ms[k]) * std::sqrt(albedo_(k, skin));
+          block.flux[k] =
+              static_cast<float>(flux * projector_.white_dn_mm2_per_ms[k]) * std::sqrt(AlbedoOf(k, material));
       }
   });
+}
+
+float LightTransport::AlbedoOf(int channel, const Material& material) const {
+  return material.Translucent() ? albedo_(channel, material.skin) : material.albedo[channel];
 }
 
 void LightTransport::BuildPyramid() {
@@ -181,8 +185,10 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   light.lit = hit && (*hit - pixel.point).norm() < 0.6;
   if (!light.lit) return;
   const Eigen::Vector3d out = -pixel.point.normalized();
-  double reflectance = kPi * SpecularBrdf(pixel.normal, -to_point, out);
-  if (!options_.scattering) reflectance += albedo_(colour, pixel.skin);
+  const Material& material = pixel.material;
+  double reflectance =
+      kPi * material.surface_reflectance * SpecularBrdf(pixel.normal, -to_point, out, material.roughness);
+  if (!options_.scattering || !material.Translucent()) reflectance += AlbedoOf(colour, material);
   light.direct = static_cast<float>(white * reflectance);
   // The pixel's footprint on the tangent plane, in projector pixels.
   for (int axis = 0; axis < 2; ++axis) {
@@ -233,13 +239,12 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
   if (out_t.dot(ty) < 0.0) ty = -ty;
   const double azimuth = out_t.norm() > 1e-6 ? std::acos(std::clamp(out_t.normalized().dot(tx), -1.0, 1.0)) : 0.0;
   table_.Interpolate(
-      colour, pixel.skin,
+      colour, pixel.material.skin,
       {static_cast<float>(std::acos(cos_in)), static_cast<float>(std::acos(cos_out)), static_cast<float>(azimuth)},
       kernel);
   const Eigen::Vector3f fx = tx.cast<float>(), fy = ty.cast<float>(), point = pixel.point.cast<float>();
   // Radiance to digital numbers: a white target of irradiance E reads E in this unit, its radiance being E / pi.
-  const float exit =
-      static_cast<float>(kPi) * std::sqrt(albedo_(colour, pixel.skin)) / std::max(albedo_(colour, pixel.skin), 1e-6F);
+  const float exit = static_cast<float>(kPi) / std::sqrt(std::max(AlbedoOf(colour, pixel.material), 1e-6F));
 
   const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
   TangentSteps steps{};
@@ -302,6 +307,7 @@ void LightTransport::GatherResponses() {
   ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {
     SkinKernel kernel;
     for (int64_t i = begin; i < end; ++i) {
+      if (!pixels_[i].material.Translucent()) continue;
       const auto start_c = WindowStart(at_[i].column_row.x()), start_r = WindowStart(at_[i].column_row.y());
       float* columns = column_response_.data() + i * kResponses;
       float* rows = row_response_.data() + i * kResponses;
@@ -397,7 +403,7 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
         }
         direct[i] += light.direct * sum;
       }
-      if (!options_.scattering) continue;
+      if (!options_.scattering || !pixels_[i].material.Translucent()) continue;
       float sum = 0.0F;
       ForEachBlock(static_cast<size_t>(i), kernel,
                    [&](int level, int x, int y, float response) { sum += response * levels[level](x, y); });

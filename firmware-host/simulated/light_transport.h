@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "firmware-host/simulated/near_field.h"
-#include "firmware-host/simulated/scene.h"
+#include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin_albedo.h"
 #include "shared/capture/rig_calibration.h"
@@ -22,7 +22,7 @@ namespace stratalux::rig {
 struct SubjectPixel {
   int x = 0, y = 0;               // mosaic
   Eigen::Vector3d point, normal;  // rig frame, mm
-  SkinParameters skin;
+  Material material;
 };
 
 // Projector image at three resolutions: full, 4 x 4 and 16 x 16 blocks.
@@ -64,6 +64,8 @@ class LightTransport {
     float footprint_rows = 0.0F;
   };
 
+  // Diffuse albedo, of a translucent body for light at 30 degrees.
+  [[nodiscard]] float AlbedoOf(int channel, const Material& material) const;
   void CastProjector(const Scene& scene);
   void BuildPyramid();
   void PreparePixel(const Scene& scene, size_t i);

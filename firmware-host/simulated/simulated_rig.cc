@@ -15,7 +15,6 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr float kAmbientDnPerMs = 0.1F;                    // a black box is nearly dark
 constexpr std::chrono::nanoseconds kSyncDelay{400'000};    // TRIGGER to light
 constexpr std::chrono::nanoseconds kShutterDelay{20'000};  // TRIGGER to exposure
 constexpr std::chrono::nanoseconds kReadout{8'000'000};
@@ -206,7 +205,7 @@ void World::FindSubject() {
         if (!hit) continue;
         const Eigen::Vector3d normal = scene_.Normal(*hit);
         if (normal.dot(-hit->normalized()) < 0.02) continue;
-        rows[y].push_back({x, y, *hit, normal, scene_.Skin(*hit)});
+        rows[y].push_back({x, y, *hit, normal, scene_.MaterialAt(*hit)});
       }
   });
   for (const auto& row : rows) subject_.insert(subject_.end(), row.begin(), row.end());
@@ -215,9 +214,9 @@ void World::FindSubject() {
 const LightTransport& World::Transport(size_t projector) {
   if (!transports_[projector]) {
     logger_.Debug("simulated rig: light transport of projector " + std::to_string(projector));
-    transports_[projector] =
-        std::make_unique<LightTransport>(scene_, table_, albedo_, calibration_, static_cast<int>(projector), subject_,
-                                         LightTransportOptions{options_.scattering});
+    transports_[projector] = std::make_unique<LightTransport>(
+        scene_, table_, albedo_, calibration_, static_cast<int>(projector), subject_,
+        LightTransportOptions{options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent});
   }
   return *transports_[projector];
 }
@@ -236,7 +235,8 @@ Image<float> World::Light(const Exposure& exposure) {
   }
   const float scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
   const Pinhole& camera = calibration_.camera.model;
-  Image<float> image(camera.width, camera.height, 1, kAmbientDnPerMs * scale);
+  Image<float> image(camera.width, camera.height, 1,
+                     static_cast<float>(scene_.description().ambient_dn_per_ms) * scale);
   for (size_t i = 0; i < light.size(); ++i) image(subject_[i].x, subject_[i].y) += light[i] * scale;
   return image;
 }
@@ -257,6 +257,7 @@ std::vector<TruthMap> World::Truth(const CapturePlan& plan) {
   const Pinhole& camera = calibration_.camera.model;
   const int width = camera.width / 2, height = camera.height / 2;
   TruthMap depth{"depth", Image<float>(width, height, 1, kNaN)}, normal{"normal", Image<float>(width, height, 3, kNaN)};
+  TruthMap material{"material", Image<float>(width, height)};
   TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
@@ -264,15 +265,18 @@ std::vector<TruthMap> World::Truth(const CapturePlan& plan) {
         const auto hit = scene_.Intersect({Eigen::Vector3d::Zero(), camera.Unproject(QuadCentre(Cfa::kRggb, i, j))});
         if (!hit) continue;
         const Eigen::Vector3d n = scene_.Normal(*hit);
-        const SkinParameters skin = scene_.Skin(*hit);
+        const Material here = scene_.MaterialAt(*hit);
         mask.map(i, j) = 1.0F;
+        material.map(i, j) = static_cast<float>(here.kind);
         depth.map(i, j) = static_cast<float>(hit->z());
         for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
-        optics.map(i, j, 0) = skin.melanin;
-        optics.map(i, j, 1) = skin.blood;
+        if (here.kind != MaterialKind::kSkin) continue;
+        optics.map(i, j, 0) = here.skin.melanin;
+        optics.map(i, j, 1) = here.skin.blood;
       }
   });
-  std::vector<TruthMap> maps = {std::move(depth), std::move(normal), std::move(mask), std::move(optics)};
+  std::vector<TruthMap> maps = {std::move(depth), std::move(normal), std::move(mask), std::move(optics),
+                                std::move(material)};
   AddTruthOfLights(plan, maps);
   return maps;
 }

@@ -65,7 +65,7 @@ SubjectPixel FlatWorld::Pixel(int dx, int dy) const {
   const Eigen::Vector3d ray = rig_.camera.model.Unproject({double(pixel.x), double(pixel.y)});
   pixel.point = ray * (kHeightOnAxis * normal_.z() / normal_.dot(ray));
   pixel.normal = normal_;
-  pixel.skin = options_.skin;
+  pixel.material = Material::Skin(options_.skin);
   return pixel;
 }
 
@@ -89,7 +89,7 @@ FlatWorld::LocalKernel FlatWorld::KernelAt(const SubjectPixel& pixel) const {
   local.y = normal_.cross(local.x);
   if (out_t.dot(local.y) < 0.0) local.y = -local.y;
   const double azimuth = std::atan2(out_t.dot(local.y), out_t.dot(local.x));
-  table_.Interpolate(CfaColour(rig_.camera.cfa, pixel.x, pixel.y), pixel.skin,
+  table_.Interpolate(CfaColour(rig_.camera.cfa, pixel.x, pixel.y), pixel.material.skin,
                      {static_cast<float>(std::acos(std::min(1.0, normal_.dot(in)))),
                       static_cast<float>(std::acos(std::min(1.0, normal_.dot(out)))), static_cast<float>(azimuth)},
                      local.kernel);

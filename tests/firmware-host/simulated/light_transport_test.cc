@@ -372,7 +372,7 @@ TEST(LightTransport, TheNoseCastsAShadow) {
     for (int x = 0; x < rig.camera.model.width; x += 4) {
       const auto hit = head.Intersect({Eigen::Vector3d::Zero(), rig.camera.model.Unproject({double(x), double(y)})});
       if (!hit || std::abs(hit->x()) > 45.0 || std::abs(hit->y()) > 45.0) continue;
-      pixels.push_back({x, y, *hit, head.Normal(*hit), head.Skin(*hit)});
+      pixels.push_back({x, y, *hit, head.Normal(*hit), head.MaterialAt(*hit)});
     }
   for (const int p : {0, 3}) {
     // 60 degrees to the left and to the right: from their own places (33 degrees) the nose is too blunt for a shadow.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/simulated/scene.h"
+#include "firmware-host/simulated/scene/scene.h"
 
 #include <cmath>
 

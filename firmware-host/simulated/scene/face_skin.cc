@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/simulated/scene/face_skin.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "shared/base/random.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr double kVesselSigmaMm = 0.9, kVesselBlood = 3.0;  // blood of a vessel's axis, relative to the skin's
+constexpr double kScarSigmaMm = 1.1;
+
+// Down across forehead and temple.
+Polyline WalkVessel(Random& random, double left, double right, double top) {
+  Polyline line;
+  Eigen::Vector2d at(random.Uniform(left, right), top);
+  for (int i = 0; i < 14; ++i) {
+    line.push_back(at);
+    at += Eigen::Vector2d(random.Uniform(1, 7), random.Uniform(1.5, 6));
+  }
+  return line;
+}
+
+}  // namespace
+
+FaceSkin::FaceSkin(const SkinDescription& skin, uint64_t seed) {
+  Random random(seed, 2);
+  melanin_ = 0.012 * std::pow(8.0, random.Uniform());  // 1.2 % (light) to 10 % (dark)
+  blood_ = random.Uniform(0.003, 0.008);
+  melanin_ = skin.melanin.value_or(melanin_);
+  blood_ = skin.blood.value_or(blood_);
+  // Patches of a few centimetres.
+  for (int i = 0; i < 24; ++i) {
+    const double x = random.Uniform(-80, 80), y = random.Uniform(-100, 100), s = random.Uniform(12, 35);
+    melanin_bumps_.push_back({x, y, s, s, skin.patches * random.Uniform(-0.2, 0.25)});
+    blood_bumps_.push_back({y * 0.8, x, s, s, skin.patches * random.Uniform(-0.2, 0.3)});
+  }
+  // Freckles and moles: small, strong.
+  const int by_seed = 30 + static_cast<int>(random.Uniform() * 60);
+  const int freckles = skin.freckles.value_or(by_seed);
+  for (int i = 0; i < std::max(freckles, by_seed); ++i) {
+    const double s = random.Uniform(0.7, 1.8);
+    const Bump freckle = {55 * random.Normal(), 25 + 40 * random.Normal(), s, s, random.Uniform(0.4, 2.5)};
+    if (i < freckles) melanin_bumps_.push_back(freckle);
+  }
+  for (const double side : {-1.0, 1.0})
+    blood_bumps_.push_back({side * 42, 16, 22, 18, skin.redness * random.Uniform(0.6, 1.4)});
+  blood_bumps_.push_back({0, 20, 13, 12, skin.redness * random.Uniform(0.3, 0.9)});
+  blood_bumps_.push_back({0, 44, 21, 5, skin.redness * 2.0});
+  blood_bumps_.push_back({0, 53, 18, 5.5, skin.redness * 2.2});
+  for (int i = 0; i < skin.vessels; ++i)
+    vessels_.push_back(i == 0 ? WalkVessel(random, -20, 10, -78)
+                              : WalkVessel(random, -55, 30, random.Uniform(-85, 10)));
+  if (skin.scar) scar_ = {{24, 12}, {31, 19}, {35, 28}, {44, 33}};
+}
+
+SkinParameters FaceSkin::At(double x, double y) const {
+  double melanin = melanin_ * std::max(0.3, 1.0 + Sum(melanin_bumps_, x, y));
+  double vessel = 0.0;
+  for (const Polyline& line : vessels_) {
+    const double distance = DistanceTo(line, {x, y});
+    if (distance < 5.0)
+      vessel = std::max(vessel, kVesselBlood * std::exp(-distance * distance / (2 * kVesselSigmaMm * kVesselSigmaMm)));
+  }
+  double blood = blood_ * (std::max(0.3, 1.0 + Sum(blood_bumps_, x, y)) + vessel);
+  if (const double distance = DistanceTo(scar_, {x, y}); distance < 6.0) {
+    const double pale = std::exp(-distance * distance / (2 * kScarSigmaMm * kScarSigmaMm));
+    melanin *= 1.0 - 0.7 * pale;
+    blood *= 1.0 - 0.6 * pale;
+  }
+  return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06))};
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "firmware-host/simulated/scene/shape.h"
+#include "shared/base/parallel.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr double kExtentMm = 170.0;  // half-size of the tabulated square
+constexpr double kCellMm = 0.5;
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+}  // namespace
+
+void HeightField::Tabulate() {
+  const int size = static_cast<int>(2 * kExtentMm / kCellMm) + 1;
+  table_ = Image<float>(size, size);
+  ParallelFor(size, 16, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < size; ++i)
+        table_(i, j) = static_cast<float>(Height(-kExtentMm + i * kCellMm, -kExtentMm + j * kCellMm));
+  });
+}
+
+double HeightField::Tabulated(double x, double y) const {
+  const double u = (x + kExtentMm) / kCellMm, v = (y + kExtentMm) / kCellMm;
+  if (!(u >= 0 && v >= 0 && u < table_.width() - 1 && v < table_.height() - 1)) return kNaN;
+  const int i = static_cast<int>(u), j = static_cast<int>(v);
+  const double a = u - i, b = v - j;
+  return (1 - a) * (1 - b) * table_(i, j) + a * (1 - b) * table_(i + 1, j) + (1 - a) * b * table_(i, j + 1) +
+         a * b * table_(i + 1, j + 1);
+}
+
+std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
+  constexpr double kNear = 560.0, kFar = 800.0;  // the subject lies between these depths
+  if (ray.direction.z() <= 0.0) return std::nullopt;
+  double t = std::max(0.0, (kNear - ray.origin_mm.z()) / ray.direction.z());
+  const double t_end = (kFar - ray.origin_mm.z()) / ray.direction.z();
+  double before = t;
+  // March: the gap to the surface, over the steepest slope that matters, bounds the step.
+  while (t < t_end) {
+    const Eigen::Vector3d p = ray.origin_mm + t * ray.direction;
+    const double gap = Tabulated(p.x(), p.y()) - p.z();
+    if (gap <= 0.0) break;
+    before = t;
+    t += std::isnan(gap) ? 1.0 : std::clamp(0.3 * gap, 0.25, 20.0);
+  }
+  if (t >= t_end) return std::nullopt;
+  double low = std::max(0.0, before - 0.5), high = t + 0.5;
+  auto below = [&](double s) {
+    const Eigen::Vector3d p = ray.origin_mm + s * ray.direction;
+    return p.z() >= Height(p.x(), p.y());
+  };
+  if (!below(high)) return std::nullopt;
+  if (below(low)) low = before - 4.0;
+  for (int i = 0; i < 34; ++i) {
+    const double middle = 0.5 * (low + high);
+    (below(middle) ? high : low) = middle;
+  }
+  return ray.origin_mm + high * ray.direction;
+}
+
+Eigen::Vector3d HeightField::Normal(const Eigen::Vector3d& point) const {
+  constexpr double kStep = 0.02;
+  auto slope = [&](double dx, double dy) {
+    const double plus = Height(point.x() + dx, point.y() + dy), minus = Height(point.x() - dx, point.y() - dy);
+    if (!std::isnan(plus) && !std::isnan(minus)) return (plus - minus) / (2 * kStep);
+    const double here = Height(point.x(), point.y());
+    if (!std::isnan(plus)) return (plus - here) / kStep;
+    return std::isnan(minus) ? 0.0 : (here - minus) / kStep;
+  };
+  return Eigen::Vector3d(slope(kStep, 0), slope(0, kStep), -1.0).normalized();
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/simulated/scene/scene.h"
+
+#include <Eigen/Geometry>
+#include <cmath>
+#include <limits>
+
+#include "firmware-host/simulated/scene/head.h"
+#include "firmware-host/simulated/scene/plate.h"
+#include "firmware-host/simulated/scene/solids.h"
+#include "shared/units/angle.h"
+
+namespace stratalux::rig {
+namespace {
+
+const Eigen::Vector3d kPivotMm(0.0, 0.0, 700.0);
+
+Rigid3 PoseOf(const PoseDescription& pose, const Eigen::Vector3d& offset_mm) {
+  auto turn = [&](int axis) {
+    return Eigen::AngleAxisd(RadFromDeg(pose.rotation_deg[axis]), Eigen::Vector3d::Unit(axis));
+  };
+  Rigid3 rig_from_shape;
+  rig_from_shape.rotation = turn(2) * turn(1) * turn(0);
+  const Eigen::Vector3d position(pose.position_mm[0], pose.position_mm[1], pose.position_mm[2]);
+  rig_from_shape.translation_mm = kPivotMm + position + offset_mm - rig_from_shape.rotation * kPivotMm;
+  return rig_from_shape;
+}
+
+std::shared_ptr<const Shape> MakeShape(const SceneDescription& scene, uint64_t seed) {
+  switch (scene.shape) {
+    case ShapeKind::kHead:
+      return std::make_shared<Head>(scene.head, FaceSkin(scene.skin, seed), seed);
+    case ShapeKind::kPlane:
+      return std::make_shared<TiltedPlane>(FaceSkin(scene.skin, seed));
+    case ShapeKind::kSphere:
+      return std::make_shared<Sphere>(FaceSkin(scene.skin, seed));
+    default:
+      return std::make_shared<Plate>(scene.shape, scene.plate);
+  }
+}
+
+}  // namespace
+
+Result<Scene> Scene::Create(const std::string& name_or_file, uint64_t seed) {
+  SLX_ASSIGN_OR_RETURN(const SceneDescription description, LoadScene(name_or_file));
+  return Create(description, seed);
+}
+
+Result<Scene> Scene::Create(const SceneDescription& description, uint64_t seed) {
+  SLX_RETURN_IF_ERROR(description.Validate());
+  Scene scene;
+  scene.description_ = description;
+  scene.shape_ = MakeShape(description, description.seed.value_or(seed));
+  return scene.In({});
+}
+
+SubjectState Scene::StateAt(double seconds) const {
+  const MotionDescription& motion = description_.motion;
+  SubjectState state;
+  const double moving = seconds - motion.drift_start_s;
+  const Eigen::Vector3d drift(motion.drift_mm_per_s[0], motion.drift_mm_per_s[1], motion.drift_mm_per_s[2]);
+  if (moving > 0.0 && drift.norm() > 0.0)
+    state.offset_mm = drift.normalized() * (motion.step_mm * std::floor(moving * drift.norm() / motion.step_mm));
+  for (const double at : motion.blink_at_s)
+    if (seconds >= at && seconds < at + motion.blink_s) state.lids = EyeLids::kClosed;
+  return state;
+}
+
+Scene Scene::In(const SubjectState& state) const {
+  Scene scene = *this;
+  scene.state_ = state;
+  const bool turned = description_.pose.rotation_deg != std::array<double, 3>{};
+  const bool moved = description_.pose.position_mm != std::array<double, 3>{} || !state.offset_mm.isZero(0.0);
+  scene.resting_ = !turned && !moved;
+  scene.rig_from_shape_ = PoseOf(description_.pose, state.offset_mm);
+  scene.shape_from_rig_ = scene.rig_from_shape_.Inverse();
+  return scene;
+}
+
+double Scene::Height(double x, double y) const {
+  if (resting_) return shape_->Height(x, y);
+  // Parallel to the axis, from the camera's side.
+  const auto hit = Intersect({Eigen::Vector3d(x, y, 0.0), Eigen::Vector3d::UnitZ()});
+  return hit ? hit->z() : std::numeric_limits<double>::quiet_NaN();
+}
+
+std::optional<Eigen::Vector3d> Scene::Intersect(const Ray3& ray) const {
+  if (resting_) return shape_->Intersect(ray);
+  const auto hit = shape_->Intersect({shape_from_rig_ * ray.origin_mm, shape_from_rig_.rotation * ray.direction});
+  if (!hit) return std::nullopt;
+  return rig_from_shape_ * *hit;
+}
+
+Eigen::Vector3d Scene::Normal(const Eigen::Vector3d& point) const {
+  const Eigen::Vector3d normal = shape_->Normal(ToShape(point));
+  return resting_ ? normal : rig_from_shape_.rotation * normal;
+}
+
+Material Scene::MaterialAt(const Eigen::Vector3d& point) const {
+  Material material = shape_->MaterialAt(ToShape(point), state_.lids);
+  if (uniform_skin_) material = Material::Skin(*uniform_skin_);
+  return material;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// A subject's surface, z = h(x, y) in a frame of its own: the rig frame (camera at the origin, +z forward) while the
+// subject rests. Lengths in mm. Immutable, hence safe from any thread.
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+
+#include "firmware-host/simulated/scene/material.h"
+#include "shared/geometry/rigid3.h"
+#include "shared/image/image.h"
+
+namespace stratalux::rig {
+
+enum class EyeLids { kAsDescribed, kClosed };
+
+class Shape {
+ public:
+  virtual ~Shape() = default;
+  // Depth of the surface; NaN where there is none.
+  [[nodiscard]] virtual double Height(double x, double y) const = 0;
+  // First point of the ray on the surface.
+  [[nodiscard]] virtual std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const = 0;
+  // Unit normal at a surface point, towards -z.
+  [[nodiscard]] virtual Eigen::Vector3d Normal(const Eigen::Vector3d& point) const = 0;
+  [[nodiscard]] virtual Material MaterialAt(const Eigen::Vector3d& point, EyeLids lids) const = 0;
+};
+
+// A curved surface, between 560 and 800 mm from the camera and within 170 mm of its axis: rays are marched through a
+// table of h and end by bisection on h itself.
+class HeightField : public Shape {
+ public:
+  [[nodiscard]] std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const override;
+  [[nodiscard]] Eigen::Vector3d Normal(const Eigen::Vector3d& point) const override;
+
+ protected:
+  // To be called once Height() is ready.
+  void Tabulate();
+
+ private:
+  [[nodiscard]] double Tabulated(double x, double y) const;
+  Image<float> table_;
+};
+
+}  // namespace stratalux::rig

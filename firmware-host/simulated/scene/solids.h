@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Subjects whose light can be computed by hand: a tilted plane and a sphere of skin.
+#pragma once
+
+#include <utility>
+
+#include "firmware-host/simulated/scene/face_skin.h"
+#include "firmware-host/simulated/scene/shape.h"
+
+namespace stratalux::rig {
+
+// Turned by 10 degrees about y, 700 mm away on the axis, without an edge in sight.
+class TiltedPlane : public HeightField {
+ public:
+  explicit TiltedPlane(FaceSkin skin) : skin_(std::move(skin)) { Tabulate(); }
+  [[nodiscard]] double Height(double x, double y) const override;
+  [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point, EyeLids) const override {
+    return Material::Skin(skin_.At(point.x(), point.y()));
+  }
+
+ private:
+  FaceSkin skin_;
+};
+
+// Radius 80 mm, centre 760 mm away on the axis.
+class Sphere : public HeightField {
+ public:
+  explicit Sphere(FaceSkin skin) : skin_(std::move(skin)) { Tabulate(); }
+  [[nodiscard]] double Height(double x, double y) const override;
+  [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point, EyeLids) const override {
+    return Material::Skin(skin_.At(point.x(), point.y()));
+  }
+
+ private:
+  FaceSkin skin_;
+};
+
+}  // namespace stratalux::rig
