@@ -139,13 +139,9 @@ void LightTransport::CastProjector(const Scene& scene) {
         block.position = hit->cast<float>();
         for (int k = 0; k < 3; ++k)
           block.flux[k] =
-              static_cast<float>(flux * projector_.white_dn_mm2_per_ms[k]) * std::sqrt(AlbedoOf(k, material));
+              static_cast<float>(flux * projector_.white_dn_mm2_per_ms[k]) * std::sqrt(albedo_.Of(k, material));
       }
   });
-}
-
-float LightTransport::AlbedoOf(int channel, const Material& material) const {
-  return material.Translucent() ? albedo_(channel, material.skin) : material.albedo[channel];
 }
 
 void LightTransport::BuildPyramid() {
@@ -188,7 +184,7 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   const Material& material = pixel.material;
   double reflectance =
       kPi * material.surface_reflectance * SpecularBrdf(pixel.normal, -to_point, out, material.roughness);
-  if (!options_.scattering || !material.Translucent()) reflectance += AlbedoOf(colour, material);
+  if (!options_.scattering || !material.Translucent()) reflectance += albedo_.Of(colour, material);
   light.direct = static_cast<float>(white * reflectance);
   // The pixel's footprint on the tangent plane, in projector pixels.
   for (int axis = 0; axis < 2; ++axis) {
@@ -244,7 +240,7 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
       kernel);
   const Eigen::Vector3f fx = tx.cast<float>(), fy = ty.cast<float>(), point = pixel.point.cast<float>();
   // Radiance to digital numbers: a white target of irradiance E reads E in this unit, its radiance being E / pi.
-  const float exit = static_cast<float>(kPi) / std::sqrt(std::max(AlbedoOf(colour, pixel.material), 1e-6F));
+  const float exit = static_cast<float>(kPi) / std::sqrt(std::max(albedo_.Of(colour, pixel.material), 1e-6F));
 
   const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
   TangentSteps steps{};

@@ -64,8 +64,6 @@ class LightTransport {
     float footprint_rows = 0.0F;
   };
 
-  // Diffuse albedo, of a translucent body for light at 30 degrees.
-  [[nodiscard]] float AlbedoOf(int channel, const Material& material) const;
   void CastProjector(const Scene& scene);
   void BuildPyramid();
   void PreparePixel(const Scene& scene, size_t i);

@@ -6,6 +6,7 @@
 #include <limits>
 #include <mutex>
 
+#include "firmware-host/simulated/interreflection.h"
 #include "firmware-host/simulated/light_transport.h"
 #include "firmware-host/simulated/rig_description.h"
 #include "firmware-host/simulated/sensor.h"
@@ -44,6 +45,7 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
         albedo_(table_),
         calibration_(DescribeSimulatedRig(options)),
         states_(calibration_.projectors.size()),
+        bounces_(calibration_.projectors.size()),
         transports_(calibration_.projectors.size()) {
     for (size_t p = 0; p < states_.size(); ++p) projectors_.emplace_back(*this, p);
     FindSubject();
@@ -173,6 +175,7 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
   void FindSubject();
   Image<float> Light(const Exposure& exposure);
   const LightTransport& Transport(size_t projector);
+  const Interreflection& Bounce(size_t projector);
   void AddTruthOfLights(const CapturePlan& plan, std::vector<TruthMap>& maps);
   Image<float> ToQuads(const std::vector<float>& per_pixel, double exposure_ms) const;
 
@@ -192,7 +195,8 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
   int64_t triggers_ = 0, edge_number_ = 0, frame_number_ = 0;
   bool started_ = false;
   double exposure_ms_ = 16.0, gain_ = 1.0;
-  std::vector<std::unique_ptr<LightTransport>> transports_;  // made on first use by the camera's thread
+  std::vector<std::unique_ptr<Interreflection>> bounces_;
+  std::vector<std::unique_ptr<LightTransport>> transports_;  // both made on first use by the camera's thread
 };
 
 void World::FindSubject() {
@@ -221,6 +225,13 @@ const LightTransport& World::Transport(size_t projector) {
   return *transports_[projector];
 }
 
+const Interreflection& World::Bounce(size_t projector) {
+  if (!bounces_[projector])
+    bounces_[projector] =
+        std::make_unique<Interreflection>(scene_, albedo_, calibration_, static_cast<int>(projector), subject_);
+  return *bounces_[projector];
+}
+
 Image<float> World::Light(const Exposure& exposure) {
   std::vector<float> light(subject_.size(), 0.0F);
   for (size_t p = 0; p < exposure.shown.size(); ++p) {
@@ -231,6 +242,10 @@ Image<float> World::Light(const Exposure& exposure) {
     const LightTransport& transport = Transport(p);
     transport.Render({.kind = PatternKind::kWhite}, white, white);
     transport.Render(*exposure.shown[p], pattern, pattern);
+    if (scene_.description().interreflection) {
+      Bounce(p).Render({.kind = PatternKind::kWhite}, white);
+      Bounce(p).Render(*exposure.shown[p], pattern);
+    }
     for (size_t i = 0; i < light.size(); ++i) light[i] += black * white[i] + (1.0F - black) * pattern[i];
   }
   const float scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
@@ -298,6 +313,11 @@ void World::AddTruthOfLights(const CapturePlan& plan, std::vector<TruthMap>& map
       for (float& v : direct) v *= open;
       maps.push_back({"subsurface " + name + suffix, ToQuads(subsurface, o.exposure_ms)});
       maps.push_back({"direct " + name + suffix, ToQuads(direct, o.exposure_ms)});
+      if (!scene_.description().interreflection) continue;
+      std::vector<float> indirect(subject_.size(), 0.0F);
+      Bounce(p).Render(pattern, indirect);
+      for (float& v : indirect) v *= open;
+      maps.push_back({"interreflection " + name + suffix, ToQuads(indirect, o.exposure_ms)});
     }
     TruthMap at{"column" + suffix,
                 Image<float>(calibration_.camera.model.width, calibration_.camera.model.height, 2, kNaN)};

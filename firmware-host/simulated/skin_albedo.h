@@ -6,6 +6,7 @@
 #include <array>
 #include <vector>
 
+#include "firmware-host/simulated/scene/material.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 
 namespace stratalux::rig {
@@ -14,6 +15,10 @@ class SkinAlbedo {
  public:
   explicit SkinAlbedo(const SkinTable& table);
   [[nodiscard]] float operator()(int channel, const SkinParameters& parameters) const;
+  // Diffuse albedo of any material.
+  [[nodiscard]] float Of(int channel, const Material& material) const {
+    return material.Translucent() ? (*this)(channel, material.skin) : material.albedo[channel];
+  }
 
  private:
   static constexpr int kSteps = 24;

@@ -17,7 +17,7 @@ class TomlTable;
 
 namespace stratalux::rig {
 
-enum class ShapeKind { kHead, kPlane, kSphere, kSlab, kWhite, kRamp, kChart, kCheckerboard, kCharuco };
+enum class ShapeKind { kHead, kPlane, kSphere, kSlab, kWhite, kRamp, kChart, kCheckerboard, kCharuco, kBowl };
 [[nodiscard]] const char* ToString(ShapeKind kind);
 [[nodiscard]] Result<ShapeKind> ParseShapeKind(const std::string& text);
 
@@ -86,7 +86,7 @@ struct SceneDescription {
   [[nodiscard]] Status Validate() const;
 };
 
-// `name_or_file`: head, plane, sphere, slab, white, ramp, chart, checkerboard, charuco, or a TOML file.
+// `name_or_file`: head, plane, sphere, slab, white, ramp, chart, checkerboard, charuco, bowl, or a TOML file.
 // kUsage (exit 2) with file:line for what a file may not say.
 [[nodiscard]] Result<SceneDescription> LoadScene(const std::string& name_or_file);
 // Reads the scene's own tables of `root` and leaves others to the caller.

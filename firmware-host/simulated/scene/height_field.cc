@@ -63,6 +63,18 @@ std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
   return ray.origin_mm + high * ray.direction;
 }
 
+bool HeightField::Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const {
+  constexpr double kStep = 1.0, kSkip = 1.5, kSlack = 0.05;  // near its ends a line touches the surface anyway
+  const Eigen::Vector3d line = to - from;
+  const double length = line.norm();
+  for (double s = kSkip; s < length - kSkip; s += kStep) {
+    const Eigen::Vector3d p = from + line * (s / length);
+    // The table cuts corners where the surface is steep.
+    if (p.z() > Tabulated(p.x(), p.y()) + kSlack && p.z() > Height(p.x(), p.y()) + kSlack) return true;
+  }
+  return false;
+}
+
 Eigen::Vector3d HeightField::Normal(const Eigen::Vector3d& point) const {
   constexpr double kStep = 0.02;
   auto slope = [&](double dx, double dy) {

@@ -15,6 +15,7 @@ class Plate : public Shape {
   [[nodiscard]] double Height(double x, double y) const override;
   [[nodiscard]] std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const override;
   [[nodiscard]] Eigen::Vector3d Normal(const Eigen::Vector3d&) const override { return {0.0, 0.0, -1.0}; }
+  [[nodiscard]] bool Hides(const Eigen::Vector3d&, const Eigen::Vector3d&) const override { return false; }
   [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point, EyeLids) const override;
 
  private:

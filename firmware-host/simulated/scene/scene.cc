@@ -34,6 +34,8 @@ std::shared_ptr<const Shape> MakeShape(const SceneDescription& scene, uint64_t s
       return std::make_shared<TiltedPlane>(FaceSkin(scene.skin, seed));
     case ShapeKind::kSphere:
       return std::make_shared<Sphere>(FaceSkin(scene.skin, seed));
+    case ShapeKind::kBowl:
+      return std::make_shared<Bowl>(scene.plate.light_albedo);
     default:
       return std::make_shared<Plate>(scene.shape, scene.plate);
   }
@@ -89,6 +91,10 @@ std::optional<Eigen::Vector3d> Scene::Intersect(const Ray3& ray) const {
   const auto hit = shape_->Intersect({shape_from_rig_ * ray.origin_mm, shape_from_rig_.rotation * ray.direction});
   if (!hit) return std::nullopt;
   return rig_from_shape_ * *hit;
+}
+
+bool Scene::Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const {
+  return shape_->Hides(ToShape(from), ToShape(to));
 }
 
 Eigen::Vector3d Scene::Normal(const Eigen::Vector3d& point) const {

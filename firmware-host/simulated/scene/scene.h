@@ -43,6 +43,8 @@ class Scene {
   [[nodiscard]] double Height(double x, double y) const;
   // First point of the ray on the surface; nullopt when it misses.
   [[nodiscard]] std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const;
+  // Whether the subject itself stands between two of its points.
+  [[nodiscard]] bool Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const;
   // Unit normal at a surface point, towards the camera's side.
   [[nodiscard]] Eigen::Vector3d Normal(const Eigen::Vector3d& point) const;
   [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point) const;

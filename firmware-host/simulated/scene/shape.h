@@ -23,6 +23,8 @@ class Shape {
   [[nodiscard]] virtual std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const = 0;
   // Unit normal at a surface point, towards -z.
   [[nodiscard]] virtual Eigen::Vector3d Normal(const Eigen::Vector3d& point) const = 0;
+  // Whether the surface itself stands between two of its points.
+  [[nodiscard]] virtual bool Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const = 0;
   [[nodiscard]] virtual Material MaterialAt(const Eigen::Vector3d& point, EyeLids lids) const = 0;
 };
 
@@ -32,6 +34,7 @@ class HeightField : public Shape {
  public:
   [[nodiscard]] std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const override;
   [[nodiscard]] Eigen::Vector3d Normal(const Eigen::Vector3d& point) const override;
+  [[nodiscard]] bool Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const override;
 
  protected:
   // To be called once Height() is ready.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/simulated/scene/solids.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -14,6 +15,11 @@ double Sphere::Height(double x, double y) const {
   constexpr double kRadius = 80.0;
   const double q = kRadius * kRadius - x * x - y * y;
   return q > 0.0 ? 760.0 - std::sqrt(q) : std::numeric_limits<double>::quiet_NaN();
+}
+
+double Bowl::Height(double x, double y) const {
+  const double q = kRadiusMm * kRadiusMm - x * x - y * y;
+  return 660.0 + std::sqrt(std::max(0.0, q));
 }
 
 }  // namespace stratalux::rig

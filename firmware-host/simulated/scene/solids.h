@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Subjects whose light can be computed by hand: a tilted plane and a sphere of skin.
+// Subjects whose light can be computed by hand: a tilted plane and a sphere of skin, a matt bowl.
 #pragma once
 
 #include <utility>
@@ -33,6 +33,21 @@ class Sphere : public HeightField {
 
  private:
   FaceSkin skin_;
+};
+
+// The far half of a sphere of radius 80 mm about the point 660 mm away on the axis, seen from inside, sunk into a flat
+// board: each of its points lights all others alike, as in an integrating sphere.
+class Bowl : public HeightField {
+ public:
+  static constexpr double kRadiusMm = 80.0;
+  explicit Bowl(double albedo) : albedo_(static_cast<float>(albedo)) { Tabulate(); }
+  [[nodiscard]] double Height(double x, double y) const override;
+  [[nodiscard]] Material MaterialAt(const Eigen::Vector3d&, EyeLids) const override {
+    return Material::Matt({albedo_, albedo_, albedo_});
+  }
+
+ private:
+  float albedo_;
 };
 
 }  // namespace stratalux::rig
