@@ -35,7 +35,7 @@ std::chrono::nanoseconds FromMilliseconds(double ms) {
 }
 
 // The tolerances of a single probe follow the camera at hand.
-SequencerOptions OptionsFor(const RigConfig& config, const SimulatedRig& rig) {
+SequencerOptions OptionsFor(const RigConfig& config, SimulatedRig& rig) {
   const CameraCalibration& camera = rig.calibration().camera;
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
@@ -44,8 +44,7 @@ SequencerOptions OptionsFor(const RigConfig& config, const SimulatedRig& rig) {
   options.max_retries = config.max_retries;
   options.witness.gain_e_per_dn = camera.gain_e_per_dn;
   options.witness.saturation_dn = 0.975 * camera.saturation_dn;
-  // The simulated rig keeps its own clock: settling costs no real time.
-  options.shooter.wait = [](std::chrono::nanoseconds) {};
+  options.shooter.wait = [&rig](std::chrono::nanoseconds time) { rig.Sleep(time); };
   return options;
 }
 

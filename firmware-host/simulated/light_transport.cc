@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <span>
 
 #include "firmware-host/simulated/near_field.h"
 #include "shared/base/parallel.h"
@@ -16,6 +17,10 @@ constexpr double kPi = std::numbers::pi;
 constexpr double kF0 = 0.028;
 // Projector pixels nearer than this are integrated over their extent and the camera pixel's footprint.
 constexpr float kNearPixels = 4.0F;
+// Zeros around a profile, so that windows that reach over the projector's edge read no light.
+constexpr int kPad = 64;
+// Values of a blur that differs over the subject.
+constexpr int kBlurNodes = 5;
 // Blocks per axis of each coarser level's window that the finer level covers.
 constexpr int kHole = 5;
 
@@ -84,7 +89,7 @@ std::vector<float> BlockMeans(const std::vector<float>& profile, int block) {
 }
 
 // Linear interpolation with clamped ends.
-float Sample(const std::vector<float>& profile, float position) {
+float Sample(std::span<const float> profile, float position) {
   const float p = std::clamp(position, 0.0F, static_cast<float>(profile.size()) - 1.001F);
   const int i = static_cast<int>(p);
   const float f = p - static_cast<float>(i);
@@ -92,7 +97,7 @@ float Sample(const std::vector<float>& profile, float position) {
 }
 
 // Mean over a footprint of half-width w.
-float SampleFootprint(const std::vector<float>& profile, float position, float w) {
+float SampleFootprint(std::span<const float> profile, float position, float w) {
   return 0.25F * (Sample(profile, position - 0.75F * w) + Sample(profile, position - 0.25F * w) +
                   Sample(profile, position + 0.25F * w) + Sample(profile, position + 0.75F * w));
 }
@@ -114,7 +119,22 @@ LightTransport::LightTransport(const Scene& scene, const SkinTable& table, const
   ParallelFor(static_cast<int64_t>(pixels.size()), 1024, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) PreparePixel(scene, static_cast<size_t>(i));
   });
+  ChooseBlurNodes();
   GatherResponses();
+}
+
+void LightTransport::ChooseBlurNodes() {
+  blur_px_ = {projector_.line_blur_px};
+  if (options_.optics.defocus_px_per_mm == 0.0 || pixels_.empty()) return;
+  std::vector<double> blur(pixels_.size());
+  for (size_t i = 0; i < pixels_.size(); ++i)
+    blur[i] = options_.optics.BlurPx((pixels_[i].point - projector_.CentreInCamera()).norm());
+  const auto [least, most] = std::minmax_element(blur.begin(), blur.end());
+  const double step = std::max(1e-6, (*most - *least) / (kBlurNodes - 1));
+  for (int k = 1; k < kBlurNodes; ++k) blur_px_.push_back(0.0);
+  for (int k = 0; k < kBlurNodes; ++k) blur_px_[k] = *least + k * step;
+  for (size_t i = 0; i < pixels_.size(); ++i)
+    at_[i].blur_node = std::min(static_cast<float>((blur[i] - *least) / step), kBlurNodes - 1.001F);
 }
 
 // The surface patch that each projector pixel lights: its flux is intensity times solid angle, whatever the patch's
@@ -324,52 +344,74 @@ void LightTransport::Render(const Pattern& pattern, std::vector<float>& subsurfa
   }
 }
 
-void LightTransport::RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface,
-                                          std::vector<float>& direct) const {
-  const bool columns = pattern.axis == PatternAxis::kColumns;
-  const int axis = columns ? 0 : 1;
-  std::array<std::vector<float>, kLevels> profile;
-  profile[0] =
-      Blur(pattern.Profile(columns ? projector_.model.width : projector_.model.height), projector_.line_blur_px);
-  profile[1] = BlockMeans(profile[0], 4);
-  profile[2] = BlockMeans(profile[0], 16);
-  // Padded so that windows that reach over the projector's edge read zeros.
-  constexpr int kPad = 64;
-  for (auto& level : profile) {
+LightTransport::Profiles LightTransport::ProfilesOf(const Pattern& pattern, double blur_px) const {
+  std::vector<float> shown =
+      pattern.Profile(pattern.axis == PatternAxis::kColumns ? projector_.model.width : projector_.model.height);
+  if (options_.optics.gamma != 1.0)
+    for (float& v : shown) v = std::pow(v, static_cast<float>(options_.optics.gamma));
+  Profiles profiles;
+  profiles[0] = Blur(shown, blur_px);
+  profiles[1] = BlockMeans(profiles[0], 4);
+  profiles[2] = BlockMeans(profiles[0], 16);
+  for (auto& level : profiles) {
     level.insert(level.begin(), kPad, 0.0F);
     level.insert(level.end(), kPad, 0.0F);
   }
-  const std::vector<float> surface(profile[0].begin() + kPad, profile[0].end() - kPad);
-  const std::vector<float>& response = columns ? column_response_ : row_response_;
+  return profiles;
+}
+
+LightTransport::Split LightTransport::LightOf(size_t i, int axis, const Profiles& profiles) const {
+  const PixelLight& light = at_[i];
+  const float position = light.column_row[axis];
+  Split split;
+  if (light.lit) {
+    const std::span<const float> surface(profiles[0].data() + kPad, profiles[0].size() - 2 * kPad);
+    split.direct =
+        light.direct * SampleFootprint(surface, position, axis == 0 ? light.footprint_columns : light.footprint_rows);
+  }
+  const std::vector<float>& response = axis == 0 ? column_response_ : row_response_;
+  if (response.empty()) return split;
+  const auto start = WindowStart(position);
+  const float* r = response.data() + i * kResponses;
+  for (int level = 0; level < kLevels; ++level) {
+    const int from = start[level] + kPad;
+    if (from >= 0 && from + kWindow[level] <= static_cast<int>(profiles[level].size())) {
+      const float* p = profiles[level].data() + from;
+      for (int k = 0; k < kWindow[level]; ++k) split.subsurface += r[k] * p[k];
+    }
+    r += kWindow[level];
+  }
+  return split;
+}
+
+void LightTransport::RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface,
+                                          std::vector<float>& direct) const {
+  const int axis = pattern.axis == PatternAxis::kColumns ? 0 : 1;
+  std::vector<Profiles> nodes;
+  for (const double blur : blur_px_) nodes.push_back(ProfilesOf(pattern, blur));
   ParallelFor(static_cast<int64_t>(pixels_.size()), 8192, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
-      const PixelLight& light = at_[i];
-      const float position = light.column_row[axis];
-      if (light.lit)
-        direct[i] +=
-            light.direct * SampleFootprint(surface, position, columns ? light.footprint_columns : light.footprint_rows);
-      if (response.empty()) continue;
-      const auto start = WindowStart(position);
-      const float* r = response.data() + i * kResponses;
-      float sum = 0.0F;
-      int first = 0;
-      for (int level = 0; level < kLevels; ++level) {
-        const int from = start[level] + kPad;
-        if (from >= 0 && from + kWindow[level] <= static_cast<int>(profile[level].size())) {
-          const float* p = profile[level].data() + from;
-          for (int k = 0; k < kWindow[level]; ++k) sum += r[first + k] * p[k];
-        }
-        first += kWindow[level];
+      const auto node = static_cast<size_t>(at_[i].blur_node);
+      const float share = at_[i].blur_node - static_cast<float>(node);
+      Split light = LightOf(static_cast<size_t>(i), axis, nodes[node]);
+      if (share > 0.0F) {
+        const Split next = LightOf(static_cast<size_t>(i), axis, nodes[node + 1]);
+        light.direct += share * (next.direct - light.direct);
+        light.subsurface += share * (next.subsurface - light.subsurface);
       }
-      subsurface[i] += sum;
+      direct[i] += light.direct;
+      subsurface[i] += light.subsurface;
     }
   });
 }
 
 void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface,
                                           std::vector<float>& direct) const {
-  const Image<float> image =
-      Blur2d(pattern.Render(projector_.model.width, projector_.model.height), projector_.line_blur_px);
+  // Two-dimensional patterns take the blur of the subject's middle.
+  Image<float> shown = pattern.Render(projector_.model.width, projector_.model.height);
+  if (options_.optics.gamma != 1.0)
+    for (float& v : shown.pixels()) v = std::pow(v, static_cast<float>(options_.optics.gamma));
+  const Image<float> image = Blur2d(shown, blur_px_[blur_px_.size() / 2]);
   std::array<Image<float>, kLevels> levels = {image, {}, {}};
   for (int level = 1; level < kLevels; ++level) {
     const Image<Block>& size = pyramid_[level];

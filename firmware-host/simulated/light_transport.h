@@ -8,6 +8,7 @@
 #include <limits>
 #include <vector>
 
+#include "firmware-host/simulated/device_options.h"
 #include "firmware-host/simulated/near_field.h"
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/skin/skin_table.h"
@@ -34,6 +35,7 @@ inline constexpr int kResponses = 20 + 20 + 13;
 
 struct LightTransportOptions {
   bool scattering = true;
+  ProjectorOptics optics = {};  // response and defocus; blur in focus, fall-off and black level are the calibration's
 };
 
 class LightTransport {
@@ -59,12 +61,14 @@ class LightTransport {
   struct PixelLight {
     Eigen::Vector2f column_row{0, 0};
     bool lit = false;
+    float blur_node = 0.0F;          // position among blur_px_
     float direct = 0.0F;             // surface reflection under full white
     float footprint_columns = 0.0F;  // half-width of the pixel's footprint
     float footprint_rows = 0.0F;
   };
 
   void CastProjector(const Scene& scene);
+  void ChooseBlurNodes();
   void BuildPyramid();
   void PreparePixel(const Scene& scene, size_t i);
   void GatherResponses();
@@ -74,6 +78,13 @@ class LightTransport {
   // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
   template <typename Visit>
   void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;
+  // Light along the pattern's axis at one blur, padded by kPad on both sides; and its means over blocks.
+  using Profiles = std::array<std::vector<float>, kLevels>;
+  [[nodiscard]] Profiles ProfilesOf(const Pattern& pattern, double blur_px) const;
+  struct Split {
+    float direct = 0.0F, subsurface = 0.0F;
+  };
+  [[nodiscard]] Split LightOf(size_t i, int axis, const Profiles& profiles) const;
   void RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
   void RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
 
@@ -85,6 +96,7 @@ class LightTransport {
   LightTransportOptions options_;
   std::array<Image<Block>, kLevels> pyramid_;
   std::vector<PixelLight> at_;
+  std::vector<double> blur_px_;  // where the blur differs over the subject: a few values between its ends
   std::vector<float> column_response_, row_response_;  // [pixel][kResponses]
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/simulated/rig_description.h"
 
+#include <algorithm>
 #include <array>
 
 #include "shared/units/angle.h"
@@ -25,6 +26,11 @@ const std::array<Place, 4> kPlaces = {{{{-450, -60, 0}, 1.0, {1.00, 1.00, 0.97}}
                                        {{200, 300, 20}, 0.7, {1.03, 0.99, 0.98}},
                                        {{430, 80, 0}, -0.8, {0.99, 1.00, 1.02}}}};
 
+// From the projector to the working point.
+double LightDistance(const ProjectorCalibration& projector) {
+  return (Eigen::Vector3d(0, 4, kWorkingDistanceMm) - projector.CentreInCamera()).norm();
+}
+
 }  // namespace
 
 RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
@@ -38,12 +44,15 @@ RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
                   f,
                   (options.camera_width - 1) / 2.0 + 0.004 * options.camera_width,
                   (options.camera_height - 1) / 2.0 - 0.003 * options.camera_height,
-                  {-0.06, 0.05, 0.0, 0.0, 0.0}};
-  camera.cfa = Cfa::kRggb;
-  camera.black_level_dn = 64.0;
-  camera.saturation_dn = 4095.0;
-  camera.gain_e_per_dn = 4.0;
-  camera.read_noise_dn = 3.0;
+                  {}};
+  const CameraElectronics& electronics = options.devices.camera;
+  std::copy(electronics.distortion.begin(), electronics.distortion.end(), camera.model.distortion.begin());
+  camera.cfa = electronics.cfa;
+  camera.black_level_dn = electronics.black_level_dn;
+  camera.saturation_dn = electronics.bits == 10 ? 4092.0 : 4095.0;
+  camera.gain_e_per_dn = electronics.gain_e_per_dn;
+  camera.read_noise_dn = electronics.read_noise_dn;
+  camera.line_blur_px = electronics.blur_px;
   for (size_t p = 0; p < kPlaces.size(); ++p) {
     const Place& place = kPlaces[p];
     ProjectorCalibration projector;
@@ -55,13 +64,15 @@ RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
                        fp,
                        (options.projector_width - 1) / 2.0 + 6.0,
                        (options.projector_height - 1) / 2.0 - 9.0,
-                       {-0.03, 0.02, 0.0, 0.0, 0.0}};
+                       {}};
+    const ProjectorOptics& optics = options.devices.ForProjector(p);
+    std::copy(optics.distortion.begin(), optics.distortion.end(), projector.model.distortion.begin());
     projector.camera_from_projector = LookAt(place.centre_mm, {0, 4, kWorkingDistanceMm});
     projector.camera_from_projector.rotation = projector.camera_from_projector.rotation *
                                                Eigen::AngleAxisd(RadFromDeg(place.roll_deg), Eigen::Vector3d::UnitZ());
-    projector.line_blur_px = 0.5;
-    projector.black_level = 0.002;
-    projector.falloff = {-0.12, 0.02};
+    projector.line_blur_px = optics.BlurPx(LightDistance(projector));
+    projector.black_level = optics.black_level;
+    projector.falloff = optics.falloff;
     for (int c = 0; c < 3; ++c)
       projector.white_dn_mm2_per_ms[c] =
           kWhiteTargetDn / kNominalExposureMs * kWorkingDistanceMm * kWorkingDistanceMm * place.colour[c];

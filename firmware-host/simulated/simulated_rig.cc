@@ -1,54 +1,53 @@
 // SPDX-License-Identifier: Apache-2.0
+// The simulated devices: lines, projectors and camera on a clock of their own, and the faults they are told to have.
 #include "firmware-host/simulated/simulated_rig.h"
 
-#include <cmath>
 #include <deque>
-#include <limits>
 #include <mutex>
 
-#include "firmware-host/simulated/interreflection.h"
-#include "firmware-host/simulated/light_transport.h"
-#include "firmware-host/simulated/rig_description.h"
 #include "firmware-host/simulated/sensor.h"
-#include "shared/base/parallel.h"
-#include "shared/geometry/quad.h"
+#include "firmware-host/simulated/simulation_file.h"
+#include "firmware-host/simulated/world.h"
+#include "shared/base/random.h"
 
 namespace stratalux::rig {
 namespace {
 
-constexpr std::chrono::nanoseconds kSyncDelay{400'000};    // TRIGGER to light
-constexpr std::chrono::nanoseconds kShutterDelay{20'000};  // TRIGGER to exposure
-constexpr std::chrono::nanoseconds kReadout{8'000'000};
-constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+constexpr MonotonicNs kStart{1'000'000'000};
+constexpr size_t kTimeline = 4;  // pictures of a projector that one exposure may see
+constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultDrift = 0.9;
+
+std::chrono::nanoseconds FromMs(double ms) { return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6)); }
 
 struct ProjectorState {
   std::vector<Pattern> memory;
   int64_t shown = -1;  // index into memory; -1: nothing yet (black)
   bool enabled = false;
+  std::vector<Shown> timeline = {{std::nullopt, kStart}};
 };
 
-struct Exposure {
-  std::vector<std::optional<Pattern>> shown;  // per projector; nullopt: light off
-  MonotonicNs time;
-  double exposure_ms = 0.0;
-  double gain = 1.0;
+enum class Picture { kSound, kTorn, kTornAndFlagged };
+
+// A frame on its way out of the camera.
+struct PendingFrame {
+  Exposure light;  // what it shows
   int64_t number = 0;
+  MonotonicNs time;
+  double exposure_ms = 0.0;  // as reported
+  Picture picture = Picture::kSound;
+  bool device_error = false;
 };
 
-class World final : public SimulatedRig, public LineBank, public FrameSource {
+class Devices final : public SimulatedRig, public LineBank, public FrameSource {
  public:
-  World(const SimulatedRigOptions& options, Scene scene, SkinTable table, Logger& logger)
+  Devices(const SimulatedRigOptions& options, Scene scene, SkinTable table, Logger& logger)
       : options_(options),
-        logger_(logger),
-        scene_(std::move(scene)),
-        table_(std::move(table)),
-        albedo_(table_),
-        calibration_(DescribeSimulatedRig(options)),
-        states_(calibration_.projectors.size()),
-        bounces_(calibration_.projectors.size()),
-        transports_(calibration_.projectors.size()) {
+        faults_(options.faults),
+        world_(options, std::move(scene), std::move(table), kStart, logger),
+        sensor_(world_.calibration().camera.model,
+                {options.devices.camera, options.noise ? Noise::kOn : Noise::kOff, options.seed}),
+        states_(world_.calibration().projectors.size()) {
     for (size_t p = 0; p < states_.size(); ++p) projectors_.emplace_back(*this, p);
-    FindSubject();
   }
 
   LineBank& lines() override { return *this; }
@@ -58,57 +57,23 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
     for (MemoryProjector& p : projectors_) list.push_back(&p);
     return list;
   }
-  const RigCalibration& calibration() const override { return calibration_; }
-  std::vector<TruthMap> Truth(const CapturePlan& plan) override;
+  const RigCalibration& calibration() const override { return world_.calibration(); }
+  std::vector<TruthMap> Truth(const CapturePlan& plan) override { return world_.Truth(plan); }
+  void Sleep(std::chrono::nanoseconds time) override {
+    const std::lock_guard lock(mutex_);
+    clock_ = clock_ + time;
+  }
+  std::vector<InjectedFault> injected() const override {
+    const std::lock_guard lock(mutex_);
+    return injected_;
+  }
 
   // LineBank.
-  Status SetEnable(int projector, bool on) override {
-    const std::lock_guard lock(mutex_);
-    if (projector < 0 || projector >= static_cast<int>(states_.size()))
-      return Status::Usage("projector " + std::to_string(projector) + " does not exist");
-    states_[projector].enabled = on;
-    return Status::Ok();
-  }
-  Status AllOff() override {
-    const std::lock_guard lock(mutex_);
-    for (ProjectorState& s : states_) s.enabled = false;
-    return Status::Ok();
-  }
-  Result<TriggerReceipt> TriggerProjector(int projector) override {
-    const std::lock_guard lock(mutex_);
-    const TriggerReceipt receipt{triggers_++, clock_};
-    for (size_t p = 0; p < states_.size(); ++p) {
-      if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
-      ProjectorState& s = states_[p];
-      if (s.shown + 1 < static_cast<int64_t>(s.memory.size())) ++s.shown;
-      edges_.push_back({static_cast<int>(p), edge_number_++, clock_ + kSyncDelay});
-    }
-    return receipt;
-  }
-  Result<TriggerReceipt> TriggerCamera() override {
-    const std::lock_guard lock(mutex_);
-    const TriggerReceipt receipt{triggers_++, clock_};
-    Exposure exposure{{}, clock_ + kShutterDelay, exposure_ms_, gain_, frame_number_++};
-    for (const ProjectorState& s : states_) {
-      std::optional<Pattern> shown;
-      if (s.enabled) shown = s.shown >= 0 ? s.memory[s.shown] : Pattern{};
-      exposure.shown.push_back(shown);
-    }
-    clock_ = clock_ + std::chrono::nanoseconds(static_cast<int64_t>(exposure_ms_ * 1e6)) + kReadout;
-    if (started_) exposures_.push_back(std::move(exposure));
-    return receipt;
-  }
-  Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override {
-    const std::lock_guard lock(mutex_);
-    if (edges_.empty()) {
-      clock_ = clock_ + timeout;
-      return std::optional<SyncEdge>();
-    }
-    const SyncEdge edge = edges_.front();
-    edges_.pop_front();
-    if (clock_ < edge.time) clock_ = edge.time;
-    return std::optional(edge);
-  }
+  Status SetEnable(int projector, bool on) override;
+  Status AllOff() override;
+  Result<TriggerReceipt> TriggerProjector(int projector) override;
+  Result<TriggerReceipt> TriggerCamera() override;
+  Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
 
   // FrameSource.
   Status Start() override {
@@ -119,212 +84,221 @@ class World final : public SimulatedRig, public LineBank, public FrameSource {
   Status Stop() override {
     const std::lock_guard lock(mutex_);
     started_ = false;
-    exposures_.clear();
+    pending_.clear();
     return Status::Ok();
   }
   Status SetExposure(double exposure_ms, double gain) override {
     const std::lock_guard lock(mutex_);
+    last_exposure_ms_ = exposure_ms_;
     exposure_ms_ = exposure_ms;
     gain_ = gain;
     return Status::Ok();
   }
-  Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds timeout) override {
-    Exposure exposure;
-    {
-      const std::lock_guard lock(mutex_);
-      if (exposures_.empty()) {
-        clock_ = clock_ + timeout;
-        return std::optional<CapturedFrame>();
-      }
-      exposure = std::move(exposures_.front());
-      exposures_.pop_front();
-    }
-    CapturedFrame frame;
-    CameraCalibration sensor = calibration_.camera;  // at the exposure's gain
-    sensor.gain_e_per_dn /= exposure.gain;
-    sensor.read_noise_dn *= exposure.gain;
-    frame.pixels = ExposeSensor(Light(exposure), sensor, exposure.number, {options_.noise, options_.seed});
-    frame.cfa = calibration_.camera.cfa;
-    frame.sequence = exposure.number;
-    frame.time = exposure.time;
-    frame.clock = ClockSource::kSimulated;
-    frame.exposure_ms = exposure.exposure_ms;
-    frame.gain = exposure.gain;
-    return std::optional(std::move(frame));
-  }
+  Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds timeout) override;
 
  private:
   class MemoryProjector final : public Projector {
    public:
-    MemoryProjector(World& world, size_t index) : world_(world), index_(index) {}
-    int width() const override { return world_.calibration_.projectors[index_].model.width; }
-    int height() const override { return world_.calibration_.projectors[index_].model.height; }
+    MemoryProjector(Devices& devices, size_t index) : devices_(devices), index_(index) {}
+    int width() const override { return devices_.calibration().projectors[index_].model.width; }
+    int height() const override { return devices_.calibration().projectors[index_].model.height; }
     Status Load(const std::vector<Pattern>& sequence) override {
       for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
-      const std::lock_guard lock(world_.mutex_);
-      world_.states_[index_].memory = sequence;
-      world_.states_[index_].shown = -1;
+      const std::lock_guard lock(devices_.mutex_);
+      ProjectorState& state = devices_.states_[index_];
+      state.memory = sequence;
+      state.shown = -1;
+      devices_.Show(state, devices_.clock_);
       return Status::Ok();
     }
 
    private:
-    World& world_;
+    Devices& devices_;
     size_t index_;
   };
 
-  void FindSubject();
-  Image<float> Light(const Exposure& exposure);
-  const LightTransport& Transport(size_t projector);
-  const Interreflection& Bounce(size_t projector);
-  void AddTruthOfLights(const CapturePlan& plan, std::vector<TruthMap>& maps);
-  Image<float> ToQuads(const std::vector<float>& per_pixel, double exposure_ms) const;
+  // All with mutex_ held.
+  void Show(ProjectorState& state, MonotonicNs since);
+  std::chrono::nanoseconds Jittered(double ms);
+  void Log(const Fault& fault, int64_t number);
+  [[nodiscard]] PendingFrame Expose();
+  void Deliver(PendingFrame frame);
 
   SimulatedRigOptions options_;
-  Logger& logger_;
-  Scene scene_;
-  SkinTable table_;
-  SkinAlbedo albedo_;
-  RigCalibration calibration_;
-  std::vector<SubjectPixel> subject_;
-  std::mutex mutex_;  // guards what follows
+  FaultScript faults_;
+  World world_;
+  Sensor sensor_;
+  mutable std::mutex mutex_;  // guards what follows
   std::vector<ProjectorState> states_;
   std::deque<MemoryProjector> projectors_;
   std::deque<SyncEdge> edges_;
-  std::deque<Exposure> exposures_;
-  MonotonicNs clock_{1'000'000'000};
-  int64_t triggers_ = 0, edge_number_ = 0, frame_number_ = 0;
+  std::deque<PendingFrame> pending_;
+  std::optional<PendingFrame> last_;
+  MonotonicNs clock_ = kStart;
+  int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
   bool started_ = false;
-  double exposure_ms_ = 16.0, gain_ = 1.0;
-  std::vector<std::unique_ptr<Interreflection>> bounces_;
-  std::vector<std::unique_ptr<LightTransport>> transports_;  // both made on first use by the camera's thread
+  double exposure_ms_ = 16.0, last_exposure_ms_ = 16.0, gain_ = 1.0;
+  Eigen::Vector3d push_mm_ = Eigen::Vector3d::Zero();
+  double light_ = 1.0;
+  std::vector<InjectedFault> injected_;
 };
 
-void World::FindSubject() {
-  const Pinhole& camera = calibration_.camera.model;
-  std::vector<std::vector<SubjectPixel>> rows(camera.height);
-  ParallelFor(camera.height, 8, [&](int64_t begin, int64_t end) {
-    for (int y = static_cast<int>(begin); y < end; ++y)
-      for (int x = 0; x < camera.width; ++x) {
-        const auto hit = scene_.Intersect({Eigen::Vector3d::Zero(), camera.Unproject({double(x), double(y)})});
-        if (!hit) continue;
-        const Eigen::Vector3d normal = scene_.Normal(*hit);
-        if (normal.dot(-hit->normalized()) < 0.02) continue;
-        rows[y].push_back({x, y, *hit, normal, scene_.MaterialAt(*hit)});
-      }
-  });
-  for (const auto& row : rows) subject_.insert(subject_.end(), row.begin(), row.end());
+void Devices::Show(ProjectorState& state, MonotonicNs since) {
+  std::optional<Pattern> picture;
+  if (state.enabled) picture = state.shown >= 0 ? state.memory[state.shown] : Pattern{};
+  state.timeline.push_back({picture, since});
+  if (state.timeline.size() > kTimeline) state.timeline.erase(state.timeline.begin());
 }
 
-const LightTransport& World::Transport(size_t projector) {
-  if (!transports_[projector]) {
-    logger_.Debug("simulated rig: light transport of projector " + std::to_string(projector));
-    transports_[projector] = std::make_unique<LightTransport>(
-        scene_, table_, albedo_, calibration_, static_cast<int>(projector), subject_,
-        LightTransportOptions{options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent});
+std::chrono::nanoseconds Devices::Jittered(double ms) {
+  const double jitter_us = options_.devices.timing.jitter_us;
+  if (jitter_us <= 0.0) return FromMs(ms);
+  Random random(options_.seed, (uint64_t{1} << 48) + static_cast<uint64_t>(jitters_++));
+  return FromMs(std::max(0.0, ms + 1e-3 * jitter_us * random.Normal()));
+}
+
+void Devices::Log(const Fault& fault, int64_t number) {
+  injected_.push_back({fault.kind, number, 1e-9 * static_cast<double>((clock_ - kStart).count())});
+}
+
+Status Devices::SetEnable(int projector, bool on) {
+  const std::lock_guard lock(mutex_);
+  if (projector < 0 || projector >= static_cast<int>(states_.size()))
+    return Status::Usage("projector " + std::to_string(projector) + " does not exist");
+  states_[projector].enabled = on;
+  Show(states_[projector], clock_);
+  return Status::Ok();
+}
+
+Status Devices::AllOff() {
+  const std::lock_guard lock(mutex_);
+  for (ProjectorState& s : states_) {
+    s.enabled = false;
+    Show(s, clock_);
   }
-  return *transports_[projector];
+  return Status::Ok();
 }
 
-const Interreflection& World::Bounce(size_t projector) {
-  if (!bounces_[projector])
-    bounces_[projector] =
-        std::make_unique<Interreflection>(scene_, albedo_, calibration_, static_cast<int>(projector), subject_);
-  return *bounces_[projector];
+Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
+  const std::lock_guard lock(mutex_);
+  const TriggerReceipt receipt{triggers_++, clock_};
+  const int64_t pulse = pulses_++;
+  int edges = 1, advance = 1;
+  for (const Fault& fault : faults_.AtPulse(pulse)) {
+    Log(fault, pulse);
+    if (fault.kind == FaultKind::kLinesGone) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
+    if (fault.kind == FaultKind::kEdgeLost || fault.kind == FaultKind::kSyncStuck) edges = 0;
+    if (fault.kind == FaultKind::kEdgeDoubled) edges = 2;
+    if (fault.kind == FaultKind::kProjectorLag) advance = 0;
+    if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
+  }
+  for (size_t p = 0; p < states_.size(); ++p) {
+    if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
+    ProjectorState& s = states_[p];
+    s.shown = std::min(s.shown + advance, static_cast<int64_t>(s.memory.size()) - 1);
+    const MonotonicNs light = clock_ + Jittered(options_.devices.timing.sync_delay_ms);
+    Show(s, light);
+    for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
+    if (edges == 0) ++edge_number_;  // the kernel counted it
+  }
+  return receipt;
 }
 
-Image<float> World::Light(const Exposure& exposure) {
-  std::vector<float> light(subject_.size(), 0.0F);
-  for (size_t p = 0; p < exposure.shown.size(); ++p) {
-    if (!exposure.shown[p]) continue;
-    // A projector's black still shines: b + (1 - b) pattern.
-    const float black = static_cast<float>(calibration_.projectors[p].black_level);
-    std::vector<float> white(subject_.size(), 0.0F), pattern(subject_.size(), 0.0F);
-    const LightTransport& transport = Transport(p);
-    transport.Render({.kind = PatternKind::kWhite}, white, white);
-    transport.Render(*exposure.shown[p], pattern, pattern);
-    if (scene_.description().interreflection) {
-      Bounce(p).Render({.kind = PatternKind::kWhite}, white);
-      Bounce(p).Render(*exposure.shown[p], pattern);
+PendingFrame Devices::Expose() {
+  PendingFrame frame;
+  frame.number = frame_number_++;
+  frame.time = clock_ + Jittered(options_.devices.timing.shutter_delay_ms);
+  frame.exposure_ms = exposure_ms_;
+  frame.light = {frame.time, exposure_ms_, gain_, frame.number, {}, push_mm_, light_};
+  for (const ProjectorState& s : states_) frame.light.timeline.push_back(s.timeline);
+  clock_ = clock_ + FromMs(exposure_ms_) + Jittered(options_.devices.timing.readout_ms);
+  return frame;
+}
+
+void Devices::Deliver(PendingFrame frame) {
+  last_ = frame;
+  if (started_) pending_.push_back(std::move(frame));
+}
+
+Result<TriggerReceipt> Devices::TriggerCamera() {
+  const std::lock_guard lock(mutex_);
+  const TriggerReceipt receipt{triggers_++, clock_};
+  const int64_t number = exposures_++;
+  const std::vector<Fault> faults = faults_.AtExposure(number);
+  for (const Fault& fault : faults) {  // what changes the scene comes first
+    if (fault.kind == FaultKind::kSubjectMoved && number == fault.at)
+      push_mm_.x() += fault.value != 0.0 ? fault.value : kDefaultMoveMm;
+    if (fault.kind == FaultKind::kLampDrift) light_ *= fault.value != 0.0 ? fault.value : kDefaultDrift;
+  }
+  const std::optional<PendingFrame> before = last_;
+  PendingFrame frame = Expose();
+  int copies = 1;
+  bool extra = false;
+  for (const Fault& fault : faults) {
+    Log(fault, number);
+    if (fault.kind == FaultKind::kFrameLost) copies = 0;
+    if (fault.kind == FaultKind::kFrameDoubled) copies = 2;
+    if (fault.kind == FaultKind::kFrameExtra) extra = true;
+    if (fault.kind == FaultKind::kFrameLate)
+      frame.time = frame.time + FromMs(fault.value != 0.0 ? fault.value : kDefaultLateMs);
+    if (fault.kind == FaultKind::kFrameStale && before) frame = *before;
+    if (fault.kind == FaultKind::kFrameFrozen && before) frame.light = before->light;
+    if (fault.kind == FaultKind::kFrameCorrupt) frame.picture = Picture::kTornAndFlagged;
+    if (fault.kind == FaultKind::kFrameGarbled) frame.picture = Picture::kTorn;
+    if (fault.kind == FaultKind::kExposureLatch) frame.light.exposure_ms = last_exposure_ms_;
+    if (fault.kind == FaultKind::kCameraGone) frame.device_error = true;
+  }
+  for (int k = 0; k < copies; ++k) Deliver(frame);
+  if (copies == 0) last_ = frame;
+  if (extra) Deliver(Expose());
+  return receipt;
+}
+
+Result<std::optional<SyncEdge>> Devices::WaitSync(std::chrono::nanoseconds timeout) {
+  const std::lock_guard lock(mutex_);
+  if (edges_.empty()) {
+    clock_ = clock_ + timeout;
+    return std::optional<SyncEdge>();
+  }
+  const SyncEdge edge = edges_.front();
+  edges_.pop_front();
+  if (clock_ < edge.time) clock_ = edge.time;
+  return std::optional(edge);
+}
+
+// From a row on, what the camera read belongs to another picture.
+void Tear(Image<uint16_t>& pixels, int64_t number) {
+  Random random(0x7ea2, static_cast<uint64_t>(number));
+  const int first = static_cast<int>(random.Uniform(0.2, 0.8) * pixels.height());
+  const int shift = 2 * static_cast<int>(random.Uniform(0.1, 0.4) * pixels.width());
+  for (int y = first; y < pixels.height(); ++y)
+    std::rotate(pixels.row(y), pixels.row(y) + shift % pixels.width(), pixels.row(y) + pixels.width());
+}
+
+Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds timeout) {
+  PendingFrame pending;
+  {
+    const std::lock_guard lock(mutex_);
+    if (pending_.empty()) {
+      clock_ = clock_ + timeout;
+      return std::optional<CapturedFrame>();
     }
-    for (size_t i = 0; i < light.size(); ++i) light[i] += black * white[i] + (1.0F - black) * pattern[i];
+    pending = std::move(pending_.front());
+    pending_.pop_front();
   }
-  const float scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
-  const Pinhole& camera = calibration_.camera.model;
-  Image<float> image(camera.width, camera.height, 1,
-                     static_cast<float>(scene_.description().ambient_dn_per_ms) * scale);
-  for (size_t i = 0; i < light.size(); ++i) image(subject_[i].x, subject_[i].y) += light[i] * scale;
-  return image;
-}
-
-Image<float> World::ToQuads(const std::vector<float>& per_pixel, double exposure_ms) const {
-  const Pinhole& camera = calibration_.camera.model;
-  Image<float> quads(camera.width / 2, camera.height / 2, 3);
-  for (size_t i = 0; i < subject_.size(); ++i) {
-    const SubjectPixel& s = subject_[i];
-    if (s.x / 2 >= quads.width() || s.y / 2 >= quads.height()) continue;
-    const int colour = CfaColour(calibration_.camera.cfa, s.x, s.y);
-    quads(s.x / 2, s.y / 2, colour) += static_cast<float>(exposure_ms) * per_pixel[i] * (colour == 1 ? 0.5F : 1.0F);
-  }
-  return quads;
-}
-
-std::vector<TruthMap> World::Truth(const CapturePlan& plan) {
-  const Pinhole& camera = calibration_.camera.model;
-  const int width = camera.width / 2, height = camera.height / 2;
-  TruthMap depth{"depth", Image<float>(width, height, 1, kNaN)}, normal{"normal", Image<float>(width, height, 3, kNaN)};
-  TruthMap material{"material", Image<float>(width, height)};
-  TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
-  ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
-    for (int j = static_cast<int>(begin); j < end; ++j)
-      for (int i = 0; i < width; ++i) {
-        const auto hit = scene_.Intersect({Eigen::Vector3d::Zero(), camera.Unproject(QuadCentre(Cfa::kRggb, i, j))});
-        if (!hit) continue;
-        const Eigen::Vector3d n = scene_.Normal(*hit);
-        const Material here = scene_.MaterialAt(*hit);
-        mask.map(i, j) = 1.0F;
-        material.map(i, j) = static_cast<float>(here.kind);
-        depth.map(i, j) = static_cast<float>(hit->z());
-        for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
-        if (here.kind != MaterialKind::kSkin) continue;
-        optics.map(i, j, 0) = here.skin.melanin;
-        optics.map(i, j, 1) = here.skin.blood;
-      }
-  });
-  std::vector<TruthMap> maps = {std::move(depth), std::move(normal), std::move(mask), std::move(optics),
-                                std::move(material)};
-  AddTruthOfLights(plan, maps);
-  return maps;
-}
-
-void World::AddTruthOfLights(const CapturePlan& plan, std::vector<TruthMap>& maps) {
-  const PlanOptions& o = plan.options;
-  const std::vector<std::pair<std::string, Pattern>> lights = {
-      {"white", {.kind = PatternKind::kWhite}},
-      {"stripe", {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}},
-      {"spot", {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius}}};
-  for (size_t p = 0; p < transports_.size() && p < static_cast<size_t>(o.projectors); ++p) {
-    const float open = 1.0F - static_cast<float>(calibration_.projectors[p].black_level);
-    const std::string suffix = " " + std::to_string(p);
-    for (const auto& [name, pattern] : lights) {
-      if (name == "spot" && o.spot_radius == 0) continue;
-      std::vector<float> subsurface(subject_.size(), 0.0F), direct(subject_.size(), 0.0F);
-      Transport(p).Render(pattern, subsurface, direct);
-      for (float& v : subsurface) v *= open;  // what a frame minus its black frame holds
-      for (float& v : direct) v *= open;
-      maps.push_back({"subsurface " + name + suffix, ToQuads(subsurface, o.exposure_ms)});
-      maps.push_back({"direct " + name + suffix, ToQuads(direct, o.exposure_ms)});
-      if (!scene_.description().interreflection) continue;
-      std::vector<float> indirect(subject_.size(), 0.0F);
-      Bounce(p).Render(pattern, indirect);
-      for (float& v : indirect) v *= open;
-      maps.push_back({"interreflection " + name + suffix, ToQuads(indirect, o.exposure_ms)});
-    }
-    TruthMap at{"column" + suffix,
-                Image<float>(calibration_.camera.model.width, calibration_.camera.model.height, 2, kNaN)};
-    for (size_t i = 0; i < subject_.size(); ++i)
-      for (int k = 0; k < 2; ++k) at.map(subject_[i].x, subject_[i].y, k) = Transport(p).ColumnRow(i)[k];
-    maps.push_back(std::move(at));
-  }
+  if (pending.device_error) return Status::Failed("simulated camera: the device is gone (ENODEV)");
+  CapturedFrame frame;
+  frame.pixels = sensor_.Expose(world_.Light(pending.light),
+                                {pending.light.exposure_ms, pending.light.gain, pending.light.number});
+  if (pending.picture != Picture::kSound) Tear(frame.pixels, pending.number);
+  frame.cfa = calibration().camera.cfa;
+  frame.sequence = pending.number;
+  frame.time = pending.time;
+  frame.clock = ClockSource::kSimulated;
+  frame.exposure_ms = pending.exposure_ms;
+  frame.gain = pending.light.gain;
+  frame.corrupt = pending.picture == Picture::kTornAndFlagged;
+  return std::optional(std::move(frame));
 }
 
 }  // namespace
@@ -342,12 +316,24 @@ Status SimulatedRigOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOptions& options, Logger& logger) {
-  SLX_RETURN_IF_ERROR(options.Validate());
-  SLX_ASSIGN_OR_RETURN(auto scene, Scene::Create(options.scene, options.seed));
+Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOptions& given, Logger& logger) {
+  SLX_RETURN_IF_ERROR(given.Validate());
+  SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(given.scene));
+  SimulatedRigOptions options = given;
+  if (given.scene.ends_with(".toml")) {
+    options.devices = simulation.devices;
+    options.faults = simulation.faults;
+    options.faults.script.insert(options.faults.script.end(), given.faults.script.begin(), given.faults.script.end());
+    if (given.faults.rate > 0.0) {
+      options.faults.rate = given.faults.rate;
+      options.faults.seed = given.faults.seed;
+      options.faults.kinds = given.faults.kinds;
+    }
+  }
+  SLX_ASSIGN_OR_RETURN(auto scene, Scene::Create(simulation.scene, options.seed));
   SLX_ASSIGN_OR_RETURN(auto table,
                        SkinTable::Load(options.skin_table.empty() ? SkinTable::DefaultPath() : options.skin_table));
-  return std::unique_ptr<SimulatedRig>(new World(options, std::move(scene), std::move(table), logger));
+  return std::unique_ptr<SimulatedRig>(new Devices(options, std::move(scene), std::move(table), logger));
 }
 
 }  // namespace stratalux::rig

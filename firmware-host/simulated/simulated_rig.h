@@ -11,6 +11,8 @@
 #include "firmware-host/camera/frame_source.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/projector/projector.h"
+#include "firmware-host/simulated/device_options.h"
+#include "firmware-host/simulated/fault_script.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
@@ -26,7 +28,9 @@ struct SimulatedRigOptions {
   int projector_height = 768;
   bool scattering = true;  // false: an opaque matt skin of the same albedo (ablation)
   bool noise = true;
-  std::string scene = "head";  // "head" | "plane" | "sphere" (SIMRIG: TOML files)
+  std::string scene = "head";  // a shape's name or a scene file (simulation_file.h)
+  DeviceOptions devices;       // replaced by those of a scene file
+  FaultOptions faults;         // a scene file's come on top
   std::string skin_table;      // path; empty: the shipped table
 
   [[nodiscard]] Status Validate() const;
@@ -48,6 +52,10 @@ class SimulatedRig {
   virtual std::vector<Projector*> projectors() = 0;
   // The exact calibration of the simulated devices.
   [[nodiscard]] virtual const RigCalibration& calibration() const = 0;
+  // Lets the rig's own clock run: settling costs no real time.
+  virtual void Sleep(std::chrono::nanoseconds time) = 0;
+  // The faults that happened so far.
+  [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
   // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
   virtual std::vector<TruthMap> Truth(const CapturePlan& plan) = 0;
 };

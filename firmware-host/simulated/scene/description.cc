@@ -2,7 +2,6 @@
 #include "firmware-host/simulated/scene/description.h"
 
 #include <algorithm>
-#include <filesystem>
 #include <string_view>
 
 #include "shared/config/toml_reader.h"
@@ -140,21 +139,14 @@ Result<SceneDescription> ReadScene(TomlTable& root) {
   return scene;
 }
 
-Result<SceneDescription> LoadScene(const std::string& name_or_file) {
-  if (const auto shape = ParseShapeKind(name_or_file); shape.ok()) {
-    SceneDescription scene;
-    scene.name = name_or_file;
-    scene.shape = *shape;
-    return scene;
-  }
-  if (!name_or_file.ends_with(".toml"))
-    return Status::Usage("scene '" + name_or_file + "' is unknown; allowed: " + Names(kShapes) +
+Result<SceneDescription> SceneOfName(const std::string& name) {
+  const auto shape = ParseShapeKind(name);
+  if (!shape.ok())
+    return Status::Usage("scene '" + name + "' is unknown; allowed: " + Names(kShapes) +
                          ", or a scene file ending in .toml");
-  SLX_ASSIGN_OR_RETURN(auto root, TomlTable::ParseFile(name_or_file));
-  SLX_ASSIGN_OR_RETURN(SceneDescription scene, ReadScene(root));
-  SLX_RETURN_IF_ERROR(root.Finish());
-  if (scene.name == "head") scene.name = std::filesystem::path(name_or_file).stem().string();
-  SLX_RETURN_IF_ERROR(scene.Validate().WithContext(name_or_file));
+  SceneDescription scene;
+  scene.name = name;
+  scene.shape = *shape;
   return scene;
 }
 

@@ -86,9 +86,8 @@ struct SceneDescription {
   [[nodiscard]] Status Validate() const;
 };
 
-// `name_or_file`: head, plane, sphere, slab, white, ramp, chart, checkerboard, charuco, bowl, or a TOML file.
-// kUsage (exit 2) with file:line for what a file may not say.
-[[nodiscard]] Result<SceneDescription> LoadScene(const std::string& name_or_file);
+// The plain scene of a shape's name; kUsage lists the names.
+[[nodiscard]] Result<SceneDescription> SceneOfName(const std::string& name);
 // Reads the scene's own tables of `root` and leaves others to the caller.
 [[nodiscard]] Result<SceneDescription> ReadScene(TomlTable& root);
 

@@ -43,8 +43,8 @@ std::shared_ptr<const Shape> MakeShape(const SceneDescription& scene, uint64_t s
 
 }  // namespace
 
-Result<Scene> Scene::Create(const std::string& name_or_file, uint64_t seed) {
-  SLX_ASSIGN_OR_RETURN(const SceneDescription description, LoadScene(name_or_file));
+Result<Scene> Scene::Create(const std::string& name, uint64_t seed) {
+  SLX_ASSIGN_OR_RETURN(const SceneDescription description, SceneOfName(name));
   return Create(description, seed);
 }
 

@@ -30,8 +30,8 @@ class Scene {
  public:
   // The description's seed, else `seed`.
   static Result<Scene> Create(const SceneDescription& description, uint64_t seed);
-  // A name or a file (LoadScene).
-  static Result<Scene> Create(const std::string& name_or_file, uint64_t seed);
+  // The plain scene of a shape's name.
+  static Result<Scene> Create(const std::string& name, uint64_t seed);
   // The same skin everywhere, for subjects whose light can be computed by hand.
   void UseUniformSkin(const SkinParameters& skin) { uniform_skin_ = skin; }
 

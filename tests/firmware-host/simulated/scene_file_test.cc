@@ -9,6 +9,7 @@
 
 #include "firmware-host/simulated/scene/plate.h"
 #include "firmware-host/simulated/scene/scene.h"
+#include "firmware-host/simulated/simulation_file.h"
 
 namespace stratalux::rig {
 namespace {
@@ -25,7 +26,8 @@ class SceneFile : public ::testing::Test {
   void TearDown() override { std::filesystem::remove(file_); }
   Result<SceneDescription> Load(const std::string& text) {
     std::ofstream(file_) << text;
-    return LoadScene(file_.string());
+    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(file_.string()));
+    return simulation.scene;
   }
   Scene Make(const std::string& text) { return *Scene::Create(*Load(text), 1); }
   std::filesystem::path file_;
@@ -61,14 +63,15 @@ TEST_F(SceneFile, EveryComplaintNamesFileLineAndRemedy) {
     EXPECT_THAT(scene.status().message(), HasSubstr(file_.filename().string())) << c.text;
     EXPECT_THAT(scene.status().message(), HasSubstr(c.complaint)) << c.text;
   }
-  EXPECT_EQ(LoadScene("/nowhere/scene.toml").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(LoadSimulation("/nowhere/scene.toml").status().code(), StatusCode::kUsage);
 }
 
 TEST_F(SceneFile, ShippedScenesLoad) {
   int scenes = 0;
   for (const auto& entry : std::filesystem::directory_iterator(STRATALUX_SOURCE_DIR "/docs/examples/scenes")) {
-    const auto scene = Scene::Create(entry.path().string(), 1);
-    EXPECT_TRUE(scene.ok()) << scene.status().message();
+    const auto simulation = LoadSimulation(entry.path().string());
+    ASSERT_TRUE(simulation.ok()) << simulation.status().message();
+    EXPECT_TRUE(Scene::Create(simulation->scene, 1).ok()) << entry.path();
     ++scenes;
   }
   EXPECT_GE(scenes, 7);

@@ -8,13 +8,32 @@
 namespace stratalux::rig {
 namespace {
 
-CameraCalibration Camera(double gain_e_per_dn, double read_noise_dn) {
-  CameraCalibration camera;
-  camera.black_level_dn = 64.0;
-  camera.saturation_dn = 4095.0;
+CameraElectronics Camera(double gain_e_per_dn, double read_noise_dn) {
+  CameraElectronics camera;
   camera.gain_e_per_dn = gain_e_per_dn;
   camera.read_noise_dn = read_noise_dn;
   return camera;
+}
+
+struct NoiseOf {
+  bool noise = true;
+  uint64_t seed = 1;
+};
+
+Image<uint16_t> Expose(Image<float> light, const CameraElectronics& camera, const SensorExposure& exposure,
+                       const NoiseOf& noise = {}) {
+  Pinhole model;
+  model.width = light.width();
+  model.height = light.height();
+  model.fx = model.fy = 1.2 * light.width();
+  model.cx = 0.5 * (light.width() - 1);
+  model.cy = 0.5 * (light.height() - 1);
+  return Sensor(model, {camera, noise.noise ? Noise::kOn : Noise::kOff, noise.seed}).Expose(std::move(light), exposure);
+}
+
+Image<uint16_t> ExposeSensor(Image<float> light, const CameraElectronics& camera, int64_t number,
+                             const NoiseOf& noise) {
+  return Expose(std::move(light), camera, {16.0, 1.0, number}, noise);
 }
 
 struct Moments {
@@ -56,8 +75,8 @@ TEST(Sensor, ReadNoiseIsThatOfTheCalibration) {
 }
 
 TEST(Sensor, WithoutNoiseRoundsToTheNearestNumberAndSaturates) {
-  const CameraCalibration camera = Camera(4.0, 3.0);
-  const SensorOptions clean{.noise = false, .seed = 1};
+  const CameraElectronics camera = Camera(4.0, 3.0);
+  const NoiseOf clean{.noise = false, .seed = 1};
   EXPECT_EQ(ExposeSensor(Flat(0.0F), camera, 0, clean)(3, 3), 64);
   EXPECT_EQ(ExposeSensor(Flat(100.4F), camera, 0, clean)(3, 3), 164);
   EXPECT_EQ(ExposeSensor(Flat(100.6F), camera, 0, clean)(3, 3), 165);
@@ -66,7 +85,7 @@ TEST(Sensor, WithoutNoiseRoundsToTheNearestNumberAndSaturates) {
 }
 
 TEST(Sensor, NoiseNeverLeavesTheTwelveBits) {
-  CameraCalibration camera = Camera(1.0, 10.0);
+  CameraElectronics camera = Camera(1.0, 10.0);
   camera.black_level_dn = 5.0;
   bool zero = false, top = false;
   for (const float light : {0.0F, 4090.0F}) {
@@ -81,7 +100,7 @@ TEST(Sensor, NoiseNeverLeavesTheTwelveBits) {
 }
 
 TEST(Sensor, NoiseIsIndependentBetweenNeighboursAndFrames) {
-  const CameraCalibration camera = Camera(4.0, 3.0);
+  const CameraElectronics camera = Camera(4.0, 3.0);
   const Image<uint16_t> a = ExposeSensor(Flat(500.0F), camera, 10, {.noise = true, .seed = 1});
   const Image<uint16_t> b = ExposeSensor(Flat(500.0F), camera, 11, {.noise = true, .seed = 1});
   const double mean = 564.0, variance = 500.0 / 4.0 + 9.0;
@@ -99,7 +118,7 @@ TEST(Sensor, NoiseIsIndependentBetweenNeighboursAndFrames) {
 }
 
 TEST(Sensor, FrameDependsOnSeedAndNumberAlone) {
-  const CameraCalibration camera = Camera(4.0, 3.0);
+  const CameraElectronics camera = Camera(4.0, 3.0);
   auto frame = [&](int64_t number, uint64_t seed) {
     const Image<uint16_t> raw = ExposeSensor(Flat(500.0F), camera, number, {.noise = true, .seed = seed});
     return std::vector<uint16_t>(raw.pixels().begin(), raw.pixels().end());

@@ -36,6 +36,8 @@ class SimulatedRigTest : public ::testing::Test {
     EXPECT_TRUE(rig.lines().SetEnable(projector, true).ok());
     EXPECT_TRUE(rig.camera().SetExposure(exposure_ms, gain).ok());
     EXPECT_TRUE(rig.lines().TriggerProjector(projector).ok());
+    while ((*rig.lines().WaitSync({})).has_value()) {
+    }
     EXPECT_TRUE(rig.lines().TriggerCamera().ok());
     auto frame = rig.camera().Wait(std::chrono::milliseconds(100));
     EXPECT_TRUE(frame.ok() && frame->has_value());

@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/simulated/world.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "firmware-host/simulated/rig_description.h"
+#include "shared/base/parallel.h"
+#include "shared/base/random.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
+
+double Ms(std::chrono::nanoseconds t) { return 1e-6 * static_cast<double>(t.count()); }
+
+// Integral over time of a step at 0 that is answered with time constant tau.
+double StepIntegral(double t_ms, double tau_ms) {
+  if (t_ms <= 0.0) return 0.0;
+  return tau_ms > 0.0 ? t_ms - tau_ms * (1.0 - std::exp(-t_ms / tau_ms)) : t_ms;
+}
+
+}  // namespace
+
+std::vector<double> ShareOfPictures(const std::vector<Shown>& timeline, MonotonicNs start, double exposure_ms,
+                                    double lag_ms) {
+  std::vector<double> answered(timeline.size() + 1, 0.0);  // of the step to each picture, share of the exposure
+  answered[0] = 1.0;
+  for (size_t k = 1; k < timeline.size(); ++k) {
+    const double from = Ms(start - timeline[k].since);
+    answered[k] = (StepIntegral(from + exposure_ms, lag_ms) - StepIntegral(from, lag_ms)) / exposure_ms;
+  }
+  std::vector<double> shares(timeline.size());
+  for (size_t k = 0; k < timeline.size(); ++k) shares[k] = answered[k] - answered[k + 1];
+  return shares;
+}
+
+World::World(const SimulatedRigOptions& options, Scene scene, SkinTable table, MonotonicNs start, Logger& logger)
+    : options_(options),
+      logger_(logger),
+      scene_(std::move(scene)),
+      table_(std::move(table)),
+      albedo_(table_),
+      start_(start),
+      calibration_(DescribeSimulatedRig(options)) {}
+
+World::Stage& World::StageIn(const SubjectState& state) {
+  if (!resting_) resting_ = MakeStage({});
+  if (state == resting_->state) return *resting_;
+  if (!moved_ || !(moved_->state == state)) moved_ = MakeStage(state);
+  return *moved_;
+}
+
+std::unique_ptr<World::Stage> World::MakeStage(const SubjectState& state) const {
+  auto stage = std::make_unique<Stage>(Stage{state, scene_.In(state), {}, {}, {}, {}});
+  const Pinhole& camera = calibration_.camera.model;
+  std::vector<std::vector<SubjectPixel>> rows(camera.height);
+  ParallelFor(camera.height, 8, [&](int64_t begin, int64_t end) {
+    for (int y = static_cast<int>(begin); y < end; ++y)
+      for (int x = 0; x < camera.width; ++x) {
+        const auto hit = stage->scene.Intersect({Eigen::Vector3d::Zero(), camera.Unproject({double(x), double(y)})});
+        if (!hit) continue;
+        const Eigen::Vector3d normal = stage->scene.Normal(*hit);
+        if (normal.dot(-hit->normalized()) < 0.02) continue;
+        rows[y].push_back({x, y, *hit, normal, stage->scene.MaterialAt(*hit)});
+      }
+  });
+  for (const auto& row : rows) stage->pixels.insert(stage->pixels.end(), row.begin(), row.end());
+  stage->transports.resize(calibration_.projectors.size());
+  stage->bounces.resize(calibration_.projectors.size());
+  stage->white.resize(calibration_.projectors.size());
+  return stage;
+}
+
+const LightTransport& World::Transport(Stage& stage, size_t projector) const {
+  auto& transport = stage.transports[projector];
+  if (!transport) {
+    logger_.Debug("simulated rig: light transport of projector " + std::to_string(projector));
+    LightTransportOptions options;
+    options.scattering = options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent;
+    options.optics = options_.devices.ForProjector(projector);
+    transport = std::make_unique<LightTransport>(stage.scene, table_, albedo_, calibration_,
+                                                 static_cast<int>(projector), stage.pixels, options);
+  }
+  return *transport;
+}
+
+const Interreflection& World::Bounce(Stage& stage, size_t projector) const {
+  auto& bounce = stage.bounces[projector];
+  if (!bounce)
+    bounce = std::make_unique<Interreflection>(stage.scene, albedo_, calibration_, static_cast<int>(projector),
+                                               stage.pixels);
+  return *bounce;
+}
+
+const std::vector<float>& World::White(Stage& stage, size_t projector) const {
+  auto& white = stage.white[projector];
+  if (white.empty()) {
+    white.assign(stage.pixels.size(), 0.0F);
+    Transport(stage, projector).Render(kWhite, white, white);
+    if (scene_.description().interreflection) Bounce(stage, projector).Render(kWhite, white);
+  }
+  return white;
+}
+
+void World::Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const {
+  if (pattern.kind == PatternKind::kWhite) {
+    const std::vector<float>& white = White(stage, projector);
+    for (size_t i = 0; i < light.size(); ++i) light[i] += white[i];
+    return;
+  }
+  Transport(stage, projector).Render(pattern, light, light);
+  if (scene_.description().interreflection) Bounce(stage, projector).Render(pattern, light);
+}
+
+void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const {
+  const std::vector<Shown>& timeline = exposure.timeline[projector];
+  const ProjectorOptics& optics = options_.devices.ForProjector(projector);
+  const CameraElectronics& camera = options_.devices.camera;
+  const double line_ms = camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us : 0.0;
+  double factor = exposure.light * (1.0 + optics.drift_per_minute * Ms(exposure.start - start_) / 60000.0);
+  if (optics.flicker > 0.0)
+    factor *= 1.0 + optics.flicker *
+                        Random(options_.seed, (static_cast<uint64_t>(exposure.number) << 8) + 64 + projector).Normal();
+  // [row][picture]; one row stands for all of a global shutter's.
+  std::vector<std::vector<double>> shares(line_ms > 0.0 ? calibration_.camera.model.height : 1);
+  for (size_t y = 0; y < shares.size(); ++y)
+    shares[y] = ShareOfPictures(
+        timeline,
+        exposure.start + std::chrono::nanoseconds(static_cast<int64_t>(1e6 * line_ms * static_cast<double>(y))),
+        exposure.exposure_ms, optics.lag_ms);
+  // A projector's black still shines: b + (1 - b) pattern.
+  const double black = optics.black_level;
+  for (size_t k = 0; k < timeline.size(); ++k) {
+    const bool seen = std::any_of(shares.begin(), shares.end(), [k](const auto& row) { return row[k] > 1e-6; });
+    if (!timeline[k].pattern || !seen) continue;
+    std::vector<float> pattern;
+    if (timeline[k].pattern->kind != PatternKind::kBlack) {
+      pattern.assign(stage.pixels.size(), 0.0F);
+      Render(stage, projector, *timeline[k].pattern, pattern);
+    }
+    const std::vector<float>& white = White(stage, projector);
+    ParallelFor(static_cast<int64_t>(light.size()), 16384, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        const double share = shares[shares.size() == 1 ? 0 : stage.pixels[i].y][k] * factor;
+        const auto dark = static_cast<float>(share * black), open = static_cast<float>(share * (1.0 - black));
+        light[i] += dark * white[i] + (pattern.empty() ? 0.0F : open * pattern[i]);
+      }
+    });
+  }
+}
+
+Image<float> World::Light(const Exposure& exposure) {
+  SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - start_));
+  state.offset_mm += exposure.push_mm;
+  Stage& stage = StageIn(state);
+  std::vector<float> light(stage.pixels.size(), 0.0F);
+  for (size_t p = 0; p < exposure.timeline.size(); ++p) AddProjector(stage, p, exposure, light);
+  const auto scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
+  const Pinhole& camera = calibration_.camera.model;
+  Image<float> image(camera.width, camera.height, 1,
+                     static_cast<float>(scene_.description().ambient_dn_per_ms) * scale);
+  for (size_t i = 0; i < light.size(); ++i) image(stage.pixels[i].x, stage.pixels[i].y) += light[i] * scale;
+  return image;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Truth maps of the simulated world: names and shapes in docs/simulated-rig.md.
+#include <limits>
+
+#include "firmware-host/simulated/world.h"
+#include "shared/base/parallel.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+
+}  // namespace
+
+Image<float> World::ToQuads(const Stage& stage, const std::vector<float>& per_pixel, double exposure_ms) const {
+  const Pinhole& camera = calibration_.camera.model;
+  const Cfa cfa = calibration_.camera.cfa;
+  const int step = QuadStep(cfa);
+  Image<float> quads(camera.width / step, camera.height / step, QuadChannels(cfa));
+  for (size_t i = 0; i < stage.pixels.size(); ++i) {
+    const SubjectPixel& s = stage.pixels[i];
+    if (s.x / step >= quads.width() || s.y / step >= quads.height()) continue;
+    const int colour = CfaColour(cfa, s.x, s.y);
+    quads(s.x / step, s.y / step, colour) +=
+        static_cast<float>(exposure_ms) * per_pixel[i] * (colour == 1 ? 0.5F : 1.0F);
+  }
+  return quads;
+}
+
+void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) const {
+  const Pinhole& camera = calibration_.camera.model;
+  const Cfa cfa = calibration_.camera.cfa;
+  const int width = camera.width / QuadStep(cfa), height = camera.height / QuadStep(cfa);
+  TruthMap depth{"depth", Image<float>(width, height, 1, kNaN)}, normal{"normal", Image<float>(width, height, 3, kNaN)};
+  TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
+  TruthMap material{"material", Image<float>(width, height)};
+  ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < width; ++i) {
+        const auto hit = stage.scene.Intersect({Eigen::Vector3d::Zero(), camera.Unproject(QuadCentre(cfa, i, j))});
+        if (!hit) continue;
+        const Eigen::Vector3d n = stage.scene.Normal(*hit);
+        const Material here = stage.scene.MaterialAt(*hit);
+        mask.map(i, j) = 1.0F;
+        material.map(i, j) = static_cast<float>(here.kind);
+        depth.map(i, j) = static_cast<float>(hit->z());
+        for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
+        if (here.kind != MaterialKind::kSkin) continue;
+        optics.map(i, j, 0) = here.skin.melanin;
+        optics.map(i, j, 1) = here.skin.blood;
+      }
+  });
+  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material}) maps.push_back(std::move(*map));
+}
+
+void World::AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const {
+  const PlanOptions& o = plan.options;
+  const std::vector<std::pair<std::string, Pattern>> lights = {
+      {"white", {.kind = PatternKind::kWhite}},
+      {"stripe", {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}},
+      {"spot", {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius}}};
+  for (size_t p = 0; p < calibration_.projectors.size() && p < static_cast<size_t>(o.projectors); ++p) {
+    const float open = 1.0F - static_cast<float>(calibration_.projectors[p].black_level);
+    const std::string suffix = " " + std::to_string(p);
+    auto add = [&](const std::string& name, std::vector<float> light) {
+      for (float& v : light) v *= open;  // what a frame minus its black frame holds
+      maps.push_back({name + suffix, ToQuads(stage, light, o.exposure_ms)});
+    };
+    for (const auto& [name, pattern] : lights) {
+      if (name == "spot" && o.spot_radius == 0) continue;
+      std::vector<float> subsurface(stage.pixels.size(), 0.0F), direct(stage.pixels.size(), 0.0F);
+      Transport(stage, p).Render(pattern, subsurface, direct);
+      add("subsurface " + name, std::move(subsurface));
+      add("direct " + name, std::move(direct));
+      if (!scene_.description().interreflection) continue;
+      std::vector<float> indirect(stage.pixels.size(), 0.0F);
+      Bounce(stage, p).Render(pattern, indirect);
+      add("interreflection " + name, std::move(indirect));
+    }
+    TruthMap at{"column" + suffix,
+                Image<float>(calibration_.camera.model.width, calibration_.camera.model.height, 2, kNaN)};
+    for (size_t i = 0; i < stage.pixels.size(); ++i)
+      for (int k = 0; k < 2; ++k) at.map(stage.pixels[i].x, stage.pixels[i].y, k) = Transport(stage, p).ColumnRow(i)[k];
+    maps.push_back(std::move(at));
+  }
+}
+
+std::vector<TruthMap> World::Truth(const CapturePlan& plan) {
+  Stage& stage = StageIn({});
+  std::vector<TruthMap> maps;
+  AddTruthOfShape(stage, maps);
+  AddTruthOfLights(stage, plan, maps);
+  return maps;
+}
+
+}  // namespace stratalux::rig
