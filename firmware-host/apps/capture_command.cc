@@ -102,6 +102,7 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   }
   if (outcome.report.status != SessionStatus::kFailed) Fail(outcome.report, StoreTruth(archive.writer(), *rig, plan));
   Fail(outcome.report, archive.writer().Finish(outcome.report.status, outcome.report.reasons));
+  outcome.injected = rig->injected();
   outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return outcome;
 }
@@ -121,11 +122,15 @@ std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   Json faults = Json::object();
   for (int i = 1; i < kShotFaultCount; ++i)
     if (r.faults[i] > 0) faults[ToString(static_cast<ShotFault>(i))] = r.faults[i];
+  Json injected = Json::array();
+  for (const InjectedFault& fault : outcome.injected)
+    injected.push_back({{"kind", ToString(fault.kind)}, {"number", fault.number}, {"seconds", fault.seconds}});
   const Json json = {{"session", outcome.session}, {"status", ToString(r.status)},
                      {"planned", r.planned},       {"captured", r.captured},
                      {"frames", r.frames},         {"retried", r.retried},
                      {"faults", faults},           {"missing_steps", r.missing_steps},
-                     {"reasons", r.reasons},       {"seconds", outcome.seconds}};
+                     {"reasons", r.reasons},       {"injected", injected},
+                     {"seconds", outcome.seconds}};
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

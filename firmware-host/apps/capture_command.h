@@ -26,6 +26,7 @@ struct CaptureOptions {
 struct CaptureOutcome {
   std::string session;
   CaptureReport report;
+  std::vector<InjectedFault> injected;  // simulation
   double seconds = 0.0;
 };
 

@@ -8,6 +8,7 @@
 #include <sstream>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
@@ -26,6 +27,9 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
   stratalux-rig capture --simulate --store store --no-scattering --visitor opaque
   stratalux-rig capture --simulate --config rig.toml --kind flat
+  stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
+  stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
+  stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration
   stratalux-rig plan render --out patterns
@@ -40,6 +44,9 @@ struct Flags {
   std::string visitor;
   std::string out;
   uint64_t seed = 1;
+  std::vector<std::string> faults;
+  double fault_rate = 0.0;
+  uint64_t fault_seed = 1;
   bool no_scattering = false;
   bool no_noise = false;
   bool json = false;
@@ -108,6 +115,12 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
+  for (const std::string& text : flags.faults) {
+    SLX_ASSIGN_OR_RETURN(const Fault fault, ParseFault(text).WithContext("--fault"));
+    simulated.faults.script.push_back(fault);
+  }
+  simulated.faults.rate = flags.fault_rate;
+  simulated.faults.seed = flags.fault_seed;
   simulated.noise = !flags.no_noise;
   simulated.camera_width = options.config.camera_width;
   simulated.camera_height = options.config.camera_height;
@@ -118,9 +131,10 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
 
 int RunCapture(const Flags& flags) {
   if (flags.scene.empty())
-    return Report(Status::Usage(
-        "capture: this version drives the simulated rig only (--simulate[=head|plane|sphere]); the back-ends for real "
-        "lines, cameras and projectors are not part of it"));
+    return Report(
+        Status::Usage("capture: this version drives the simulated rig only (--simulate[=SCENE]); the back-ends for "
+                      "real lines, cameras "
+                      "and projectors are not part of it"));
   const Result<CaptureOptions> options = CaptureFrom(flags);
   if (!options.ok()) return Report(options.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
@@ -151,11 +165,22 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
 
 CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   CLI::App* capture = app.add_subcommand("capture", "Run a capture plan and store a session");
-  capture->add_option("--simulate", flags.scene, "use the simulated rig; a scene: head (default), plane, sphere")
+  capture
+      ->add_option(
+          "--simulate", flags.scene,
+          "use the simulated rig; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
+          "sphere, slab, white, ramp, chart, checkerboard, charuco, bowl")
       ->expected(0, 1)
       ->default_str("head");
   capture->add_option("--store", flags.store,
                       "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
+  capture->add_option("--fault", flags.faults,
+                      "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
+  capture
+      ->add_option("--fault-rate", flags.fault_rate, "simulation: chance of a random fault at each exposure and pulse")
+      ->check(CLI::Range(0.0, 1.0));
+  capture->add_option("--fault-seed", flags.fault_seed, "simulation: another seed, other random faults")
+      ->capture_default_str();
   // CLI11 would wrap a negative seed and cut a long one.
   capture->add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
       ->check([](const std::string& text) {

@@ -96,6 +96,17 @@ float Sample(std::span<const float> profile, float position) {
   return (1 - f) * profile[i] + f * profile[i + 1];
 }
 
+// In four sums, which the compiler keeps side by side.
+float Dot(const float* a, const float* b, int n) {
+  std::array<float, 4> sums{};
+  int k = 0;
+  for (; k + 4 <= n; k += 4)
+    for (int j = 0; j < 4; ++j) sums[j] += a[k + j] * b[k + j];
+  float rest = 0.0F;
+  for (; k < n; ++k) rest += a[k] * b[k];
+  return (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest;
+}
+
 // Mean over a footprint of half-width w.
 float SampleFootprint(std::span<const float> profile, float position, float w) {
   return 0.25F * (Sample(profile, position - 0.75F * w) + Sample(profile, position - 0.25F * w) +
@@ -376,8 +387,7 @@ LightTransport::Split LightTransport::LightOf(size_t i, int axis, const Profiles
   for (int level = 0; level < kLevels; ++level) {
     const int from = start[level] + kPad;
     if (from >= 0 && from + kWindow[level] <= static_cast<int>(profiles[level].size())) {
-      const float* p = profiles[level].data() + from;
-      for (int k = 0; k < kWindow[level]; ++k) split.subsurface += r[k] * p[k];
+      split.subsurface += Dot(r, profiles[level].data() + from, kWindow[level]);
     }
     r += kWindow[level];
   }

@@ -144,11 +144,15 @@ void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposur
       Render(stage, projector, *timeline[k].pattern, pattern);
     }
     const std::vector<float>& white = White(stage, projector);
+    std::vector<std::array<float, 2>> weights;  // of black and of the picture, by row
+    for (const auto& row : shares)
+      weights.push_back(
+          {static_cast<float>(row[k] * factor * black), static_cast<float>(row[k] * factor * (1.0 - black))});
+    if (pattern.empty()) pattern.assign(light.size(), 0.0F);
     ParallelFor(static_cast<int64_t>(light.size()), 16384, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
-        const double share = shares[shares.size() == 1 ? 0 : stage.pixels[i].y][k] * factor;
-        const auto dark = static_cast<float>(share * black), open = static_cast<float>(share * (1.0 - black));
-        light[i] += dark * white[i] + (pattern.empty() ? 0.0F : open * pattern[i]);
+        const auto& [dark, open] = weights[weights.size() == 1 ? 0 : stage.pixels[i].y];
+        light[i] += dark * white[i] + open * pattern[i];
       }
     });
   }

@@ -129,5 +129,114 @@ TEST(Sensor, FrameDependsOnSeedAndNumberAlone) {
   for (const int64_t number : {1, 2, 100, 7919}) EXPECT_NE(frame(number, 1), frame(0, 2)) << "seeds share no noise";
 }
 
+TEST(Sensor, DarkCurrentGrowsWithTheExposureAndHasShotNoise) {
+  CameraElectronics camera = Camera(4.0, 3.0);
+  camera.dark_current_e_per_s = 8000.0;
+  for (const double exposure_ms : {10.0, 20.0, 100.0}) {
+    const Moments m = MomentsOf(Expose(Flat(0.0F), camera, {exposure_ms, 1.0, 3}));
+    const double signal = 8.0 * exposure_ms / 4.0, variance = signal / 4.0 + 9.0 + 1.0 / 12.0;
+    EXPECT_NEAR(m.mean, 64.0 + signal, 5.0 * std::sqrt(variance / kPixels));
+    EXPECT_NEAR(m.variance / variance, 1.0, 5.0 * std::sqrt(2.0 / kPixels));
+  }
+}
+
+TEST(Sensor, FixedPatternIsTheSameInEveryFrameAndScalesAsItsKindDoes) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.prnu = 0.02;
+  camera.dsnu_dn = 5.0;
+  const Image<uint16_t> dark = ExposeSensor(Flat(0.0F), camera, 0, {.noise = false}),
+                        bright = ExposeSensor(Flat(2000.0F), camera, 1, {.noise = false, .seed = 8});
+  EXPECT_NEAR(MomentsOf(dark).variance, 25.0 + 1.0 / 12.0, 25.0 * 5 * std::sqrt(2.0 / kPixels));
+  const double both = 25.0 + 40.0 * 40.0;
+  EXPECT_NEAR(MomentsOf(bright).variance / both, 1.0, 0.03);
+  // Where a pixel reads more in the dark, it does in the light.
+  double covariance = 0.0;
+  const double mean_dark = MomentsOf(dark).mean, mean_bright = MomentsOf(bright).mean;
+  for (size_t i = 0; i < dark.size(); ++i)
+    covariance += (dark.data()[i] - mean_dark) * (bright.data()[i] - mean_bright) / kPixels;
+  EXPECT_NEAR(covariance, 25.0, 6.0);
+}
+
+TEST(Sensor, VignettingIsTheFourthPowerOfTheFieldAnglesCosine) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.vignetting = 1.0;
+  const Image<uint16_t> raw = ExposeSensor(Flat(3000.0F), camera, 0, {.noise = false});
+  for (const int x : {0, 60, 128, 255}) {
+    const double u = (x - 127.5) / (1.2 * kSize), v = (40 - 127.5) / (1.2 * kSize);
+    EXPECT_NEAR(raw(x, 40) - 64, 3000.0 * std::pow(std::cos(std::atan(std::hypot(u, v))), 4), 0.51);
+  }
+}
+
+TEST(Sensor, HotPixelsAreAsManyAsStatedAndGrowWithTime) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.hot_pixels_per_mpx = 500.0;
+  const Image<uint16_t> brief = Expose(Flat(0.0F), camera, {10.0, 1.0, 0}, {.noise = false});
+  const Image<uint16_t> longer = Expose(Flat(0.0F), camera, {30.0, 1.0, 0}, {.noise = false});
+  int hot = 0;
+  for (size_t i = 0; i < brief.size(); ++i) {
+    hot += longer.data()[i] > 64;
+    if (longer.data()[i] < 4095) {
+      EXPECT_NEAR(longer.data()[i] - 64, 3 * (brief.data()[i] - 64), 2.0);
+    }
+  }
+  EXPECT_NEAR(hot, 33, 3);  // 500 per 1e6 of 65,536; two may fall together
+}
+
+TEST(Sensor, BlurKeepsTheLightAndHasItsVariance) {
+  for (const Cfa cfa : {Cfa::kMono, Cfa::kRggb})
+    for (const double sigma : {0.6, 1.5}) {
+      CameraElectronics camera = Camera(4.0, 0.0);
+      camera.cfa = cfa;
+      camera.black_level_dn = 0.0;
+      camera.blur_px = sigma;
+      Image<float> point(64, 64);
+      point(32, 32) = 4000.0F;
+      const Image<uint16_t> raw = ExposeSensor(point, camera, 0, {.noise = false});
+      double sum = 0.0, square = 0.0;
+      for (int y = 0; y < 64; ++y)
+        for (int x = 0; x < 64; ++x) {
+          sum += raw(x, y);
+          square += raw(x, y) * (x - 32.0) * (x - 32.0);
+        }
+      EXPECT_NEAR(sum / 4000.0, 1.0, 0.01);
+      EXPECT_NEAR(std::sqrt(square / sum), sigma, 0.02);
+    }
+}
+
+TEST(Sensor, BloomingSpillsUpAndDownOnlyAboveTheFullWell) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.blooming = 0.5;
+  Image<float> spot(9, 33);
+  for (float& v : spot.pixels()) v = 100.0F;
+  spot(4, 16) = 4031.0F;  // exactly full
+  const Image<uint16_t> full = ExposeSensor(spot, camera, 0, {.noise = false});
+  EXPECT_EQ(full(4, 15), 164);
+  spot(4, 16) = 8031.0F;
+  const Image<uint16_t> over = ExposeSensor(spot, camera, 0, {.noise = false});
+  EXPECT_NEAR(over(4, 15), 164 + 1000, 1);
+  EXPECT_NEAR(over(4, 17), 164 + 1000, 1);
+  EXPECT_EQ(over(3, 16), 164);
+  EXPECT_EQ(over(5, 16), 164);
+}
+
+TEST(Sensor, CompressionIsQuadraticAndTenBitsAreFourApart) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.compression = 0.05;
+  const double full = 4095.0 - 64.0;
+  for (const float light : {100.0F, 1500.0F, 3500.0F})
+    EXPECT_NEAR(ExposeSensor(Flat(light), camera, 0, {.noise = false})(5, 5), 64 + light * (1 - 0.05 * light / full),
+                0.51);
+  camera.compression = 0.0;
+  camera.bits = 10;
+  for (float light = 0.0F; light < 4300.0F; light += 97.3F) {
+    const int v = ExposeSensor(Flat(light), camera, 0, {.noise = false})(5, 5);
+    EXPECT_EQ(v % 4, 0);
+    EXPECT_LE(v, 4092);
+    if (light < 4000.0F) {
+      EXPECT_NEAR(v, 64 + light, 2.01);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::rig
