@@ -10,7 +10,7 @@
 
 namespace stratalux::db {
 
-// Written to a temporary file, synced and renamed, so that a manifest is whole or absent.
+// On the disk when this returns: whole, or as it was before.
 Status WriteManifest(const std::filesystem::path& session_folder, const SessionInfo& info, int64_t frames,
                      const std::vector<std::string>& segments);
 Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);

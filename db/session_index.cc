@@ -6,6 +6,7 @@
 
 #include <xxhash.h>
 
+#include "db/durable_file.h"
 #include "db/manifest.h"
 #include "db/migration_0001.h"
 #include "db/migration_0002.h"
@@ -23,6 +24,16 @@ std::string ContentId(const std::string& text) {
   return HashText(digest);
 }
 
+// An index whose creation was cut short: no table yet, and nobody else's mark.
+bool IsUnborn(const std::filesystem::path& file) {
+  auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
+  if (!connection.ok()) return false;
+  const auto marks = connection->QueryInteger(
+      "SELECT count(*) + (SELECT application_id FROM pragma_application_id) + (SELECT user_version FROM "
+      "pragma_user_version) FROM sqlite_master");
+  return marks.ok() && *marks == 0;
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -32,11 +43,10 @@ std::string SegmentName(int64_t number) {
 }
 
 Status SessionIndex::Create(const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder / "sessions", error);
-  if (error) return Status::Failed("cannot create store " + folder.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(MakeFolder(folder / "sessions"));
   const auto file = folder / "index.sqlite";
-  if (std::filesystem::exists(file, error)) return Open(folder, AccessMode::kReadWrite).status();
+  std::error_code error;
+  if (std::filesystem::exists(file, error) && !IsUnborn(file)) return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
   return Migrate(connection, folder);
@@ -210,6 +220,12 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
     row.info.finished_wall.ns = select.Integer(16);
     rows.push_back(std::move(row));
   }
+}
+
+Result<bool> SessionIndex::HasUnfinished() {
+  SLX_ASSIGN_OR_RETURN(const int64_t count,
+                       connection_.QueryInteger("SELECT count(*) FROM sessions WHERE status = 'recording'"));
+  return count > 0;
 }
 
 Result<int64_t> SessionIndex::NumberOf(const std::string& id) {

@@ -30,6 +30,7 @@ class SessionIndex {
   // Frames, proofs and totals in one transaction: the group's commit.
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   Result<std::vector<SessionRow>> Sessions();
+  Result<bool> HasUnfinished();
   Result<int64_t> NumberOf(const std::string& id);
   struct Place {
     int64_t frame, segment, offset, bytes;
