@@ -41,21 +41,23 @@ std::vector<fs::path> FilesOf(const fs::path& folder) {
 }
 
 // Bytes that count. `acknowledged`: where the last acknowledged frame ends; 0 without one.
-void Examine(const fs::path& file, int64_t acknowledged, Findings& found) {
+enum class Trust { kMemory, kAcknowledgedOnly };
+void Examine(const fs::path& file, int64_t acknowledged, Trust trust, Findings& found) {
   const std::string name = file.filename().string();
   std::error_code error;
   if (!fs::is_regular_file(fs::symlink_status(file, error)))
     return found.notes.push_back(name + " is no regular file and was left as it is");
   const auto size = static_cast<int64_t>(fs::file_size(file, error));
   const auto reader = SegmentReader::Open(file);
-  if (reader.ok() && reader->SealedFrames()) {  // whole: whatever the index knows of it, nothing behind it is unwritten
+  if (trust == Trust::kMemory && reader.ok() &&
+      reader->SealedFrames()) {  // whole: whatever the index knows of it, nothing behind it is unwritten
     if (reader->frames_end() > std::max(acknowledged, kSegmentStart) && name != "truth.seg")
       found.notes.push_back(name +
                             " holds frames that the index does not know; they were kept: `stratalux-db reindex`");
     return found.segments.push_back(name);
   }
   int64_t keep = acknowledged;
-  if (name == "truth.seg" && reader.ok()) keep = reader->IntactEnd();
+  if (trust == Trust::kMemory && name == "truth.seg" && reader.ok()) keep = reader->IntactEnd();
   if (keep <= kSegmentStart) keep = 0;
   if (keep > size)
     found.notes.push_back(name + " lacks the last " + BytesText(keep - size) + " of acknowledged frames");
@@ -63,7 +65,8 @@ void Examine(const fs::path& file, int64_t acknowledged, Findings& found) {
   if (keep > 0) found.segments.push_back(name);
 }
 
-Result<Findings> Examine(SessionIndex& index, const fs::path& store, const SessionRow& session) {
+Result<Findings> Examine(SessionIndex& index, const fs::path& store, const SessionRow& session,
+                         const std::vector<std::string>& doubtful) {
   Findings found;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(session.info.id));
   SLX_ASSIGN_OR_RETURN(const auto places, index.Places(number));
@@ -75,8 +78,11 @@ Result<Findings> Examine(SessionIndex& index, const fs::path& store, const Sessi
   }
   const auto folder = store / "sessions" / session.info.id;
   for (const fs::path& file : FilesOf(folder)) {
-    const auto end = ends.find(file.filename().string());
-    if (file.extension() == ".seg") Examine(file, end == ends.end() ? 0 : end->second, found);
+    const std::string name = file.filename().string();
+    const auto end = ends.find(name);
+    const bool doubted = std::find(doubtful.begin(), doubtful.end(), name) != doubtful.end();
+    if (file.extension() == ".seg")
+      Examine(file, end == ends.end() ? 0 : end->second, doubted ? Trust::kAcknowledgedOnly : Trust::kMemory, found);
     if (file.extension() == ".new") found.cuts.push_back({file, 0, 0});  // half a manifest
   }
   for (const auto& [name, end] : ends)
@@ -132,7 +138,7 @@ Status RecoverOne(SessionIndex& index, const fs::path& store, const SessionRow& 
     notes.push_back("session " + id + ": ended as its manifest says: " + ToString(end->status));
     return Status::Ok();
   }
-  SLX_RETURN_IF_ERROR(AbandonSession(index, store, session, ReasonFor(session.frames), notes));
+  SLX_RETURN_IF_ERROR(AbandonSession(index, store, session, ReasonFor(session.frames), {}, notes));
   notes.push_back("session " + id + ": ended as failed: " + ReasonFor(session.frames));
   return Status::Ok();
 }
@@ -146,9 +152,9 @@ Result<std::vector<SessionRow>> Unfinished(SessionIndex& index) {
 }  // namespace
 
 Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionRow& session, const std::string& reason,
-                      RecoveryNotes& notes) {
+                      const std::vector<std::string>& doubtful, RecoveryNotes& notes) {
   const auto folder = store / "sessions" / session.info.id;
-  SLX_ASSIGN_OR_RETURN(const Findings found, Examine(index, store, session));
+  SLX_ASSIGN_OR_RETURN(const Findings found, Examine(index, store, session, doubtful));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(session.info.id));
   SLX_RETURN_IF_ERROR(Apply(found, folder));
   Describe(found, session.info.id, Tense::kDone, notes);
@@ -183,7 +189,7 @@ Result<RecoveryNotes> FindUnfinished(SessionIndex& index, const fs::path& store)
     const std::string& id = session.info.id;
     notes.push_back("session " + id + ": its writer is gone; the next program that may write the store ends it");
     if (EndOf(store / "sessions" / id, id).ok()) continue;
-    SLX_ASSIGN_OR_RETURN(const Findings found, Examine(index, store, session));
+    SLX_ASSIGN_OR_RETURN(const Findings found, Examine(index, store, session, {}));
     Describe(found, id, Tense::kWould, notes);
   }
   return notes;

@@ -20,8 +20,9 @@ using RecoveryNotes = std::vector<std::string>;
 Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const std::filesystem::path& store);
 // What RecoverSessions would do; writes nothing.
 Result<RecoveryNotes> FindUnfinished(SessionIndex& index, const std::filesystem::path& store);
-// Cuts one session and ends it as failed. The caller holds the write lock.
+// Cuts one session and ends it as failed. The caller holds the write lock. `doubtful`: names of segments whose last
+// sync failed; of these only what was acknowledged stays, whatever memory shows.
 Status AbandonSession(SessionIndex& index, const std::filesystem::path& store, const SessionRow& session,
-                      const std::string& reason, RecoveryNotes& notes);
+                      const std::string& reason, const std::vector<std::string>& doubtful, RecoveryNotes& notes);
 
 }  // namespace stratalux::db

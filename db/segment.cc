@@ -145,11 +145,16 @@ Result<FrameRecord> RecordOf(const FrameHeader& h) {
 }
 
 SegmentWriter::SegmentWriter(SegmentWriter&& o) noexcept
-    : fd_(std::exchange(o.fd_, -1)), bytes_(o.bytes_), file_(std::move(o.file_)), headers_(std::move(o.headers_)) {}
+    : fd_(std::exchange(o.fd_, -1)),
+      bytes_(o.bytes_),
+      sync_failed_(o.sync_failed_),
+      file_(std::move(o.file_)),
+      headers_(std::move(o.headers_)) {}
 SegmentWriter& SegmentWriter::operator=(SegmentWriter&& o) noexcept {
   if (fd_ >= 0) close(fd_);
   fd_ = std::exchange(o.fd_, -1);
   bytes_ = o.bytes_;
+  sync_failed_ = o.sync_failed_;
   file_ = std::move(o.file_);
   headers_ = std::move(o.headers_);
   return *this;
@@ -195,8 +200,11 @@ Result<SegmentFrame> SegmentWriter::Append(FrameHeader header, Codec codec, std:
 }
 
 Status SegmentWriter::Sync() {
-  if (fdatasync(fd_) != 0) return Status::Failed("cannot sync " + file_ + ": " + ErrnoText());
-  return Status::Ok();
+  // The kernel reports lost pages once: a second sync would say ok about a file that has holes.
+  if (!sync_failed_ && fdatasync(fd_) == 0) return Status::Ok();
+  const std::string reason = sync_failed_ ? "an earlier sync failed" : ErrnoText();
+  sync_failed_ = true;
+  return Status::Failed("cannot sync " + file_ + ": " + reason);
 }
 
 Status SegmentWriter::Seal() {

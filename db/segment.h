@@ -65,12 +65,15 @@ class SegmentWriter {
   // Footer with all headers, trailer, sync.
   Status Seal();
   [[nodiscard]] int64_t bytes() const { return bytes_; }
+  // What memory shows of the file may then never have reached the disk.
+  [[nodiscard]] bool sync_failed() const { return sync_failed_; }
 
  private:
   SegmentWriter() = default;
   Status Write(const void* data, size_t size);
   int fd_ = -1;
   int64_t bytes_ = 0;
+  bool sync_failed_ = false;
   std::string file_;
   std::vector<FrameHeader> headers_;
 };

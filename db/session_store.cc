@@ -98,7 +98,10 @@ struct SessionWriter::Impl {
     // and the next opening ends it, by the rows it then finds.
     if (commit_in_doubt && !index.SetStatus(number, {SessionStatus::kRecording, {status.message()}, {}}).ok())
       return failure;
-    (void)AbandonSession(index, store, row, status.message(), ignored).ok();
+    std::vector<std::string> doubtful;
+    if (segment && segment->sync_failed()) doubtful.push_back(SegmentName(segments));
+    if (truth && truth->sync_failed()) doubtful.push_back("truth.seg");
+    (void)AbandonSession(index, store, row, status.message(), doubtful, ignored).ok();
     return failure;
   }
   Status Committed(const Status& status) {

@@ -64,7 +64,9 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator(folder, error))
     if (entry.path().extension() == ".seg") segments.push_back(entry.path());
-  if (error) report.problems.push_back(folder.string() + ": " + error.message());
+  // A session whose folder could not be made has failed and has no frames: nothing is missing.
+  const bool never_began = session.info.status == SessionStatus::kFailed && session.frames == 0;
+  if (error) (never_began ? report.notes : report.problems).push_back(folder.string() + ": " + error.message());
   std::sort(segments.begin(), segments.end());
   int64_t stored_frames = 0;
   for (const auto& file : segments) CheckSegment(file, session, report, stored_frames);

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The power fails after every single write, sync, rename, ... of a night in small; no promise of the store may break.
 #include <algorithm>
-#include <cstdlib>
 #include <set>
 
 #include <gmock/gmock.h>
-#include <unistd.h>
 
+#include "tests/db/crash/crash_fixture.h"
 #include "tests/db/crash/enumeration.h"
 
 namespace stratalux::db::crash {
@@ -15,31 +14,7 @@ namespace {
 namespace fs = std::filesystem;
 using Kind = DiskCall::Kind;
 
-class CrashEnumeration : public ::testing::Test {
- protected:
-  void SetUp() override {
-    // Thousands of stores: in memory where there is a place for it.
-    const fs::path place = access("/dev/shm", W_OK) == 0 ? fs::path("/dev/shm") : fs::temp_directory_path();
-    std::string name = (place / "stratalux-crash-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = fs::canonical(name);
-    fs::create_directory(Store());
-    SkipSyncs();
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-  [[nodiscard]] fs::path Store() const { return folder_ / "store"; }
-  [[nodiscard]] fs::path Remains() const { return folder_ / "remains"; }
-
-  WorkloadReport Record(DiskLog& log) {
-    StartRecording(Store());
-    WorkloadReport report = RunWorkload(Store());
-    log = StopRecording();
-    for (const Status& failure : report.failures) ADD_FAILURE() << failure.message();
-    return report;
-  }
-
-  fs::path folder_;
-};
+using CrashEnumeration = CrashTest;
 
 // In the midst of a group, of a footer, of a truth map, and around the manifest's renaming.
 std::vector<size_t> KillPoints(const DiskLog& log) {
@@ -135,10 +110,10 @@ DiskLog WithoutSyncsOf(DiskLog log, const std::set<Inode>& inodes) {
   return log;
 }
 
-class BrokenOrder : public CrashEnumeration {
+class BrokenOrder : public CrashTest {
  protected:
   void SetUp() override {
-    CrashEnumeration::SetUp();
+    CrashTest::SetUp();
     workload_ = Record(log_);
   }
   void ExpectFound(const std::string& what, const DiskLog& log) {
