@@ -121,6 +121,17 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
   return ReplaceFile(folder / "manifest.json", text);
 }
 
+Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "manifest.json";
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    const Json json = Json::parse(text);
+    return ManifestContents{json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>()};
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
+}
+
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));

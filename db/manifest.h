@@ -15,6 +15,13 @@ Status WriteManifest(const std::filesystem::path& session_folder, const SessionI
                      const std::vector<std::string>& segments);
 Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);
 
+// What the manifest says lies beside it.
+struct ManifestContents {
+  int64_t frames = 0;
+  std::vector<std::string> segments;
+};
+Result<ManifestContents> ReadManifestContents(const std::filesystem::path& session_folder);
+
 // {"text_version", "language", "scope": ["fit", "research", "publication"], "given_wall_ns"}; "" for no consent.
 [[nodiscard]] std::string ConsentToJson(const Consent& consent);
 // An empty consent for any other text.

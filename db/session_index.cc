@@ -34,6 +34,21 @@ bool IsUnborn(const std::filesystem::path& file) {
   return marks.ok() && *marks == 0;
 }
 
+// The index is gone, what it spoke of is not.
+bool IsLost(const std::filesystem::path& folder) {
+  std::error_code error;
+  const auto log_bytes = std::filesystem::file_size(folder / "index.sqlite-wal", error);
+  if (!error && log_bytes > 0) return true;
+  const std::filesystem::directory_iterator sessions(folder / "sessions", error);
+  return !error && sessions != std::filesystem::directory_iterator();
+}
+
+Status LostIndex(const std::filesystem::path& folder) {
+  return Status::Integrity((folder / "index.sqlite").string() +
+                           " is missing, but sessions are there; restore it from a copy or rebuild it with"
+                           " `stratalux-db reindex` (the frames in sessions/ are not touched)");
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -50,6 +65,12 @@ Status SessionIndex::Create(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
   return Migrate(connection, folder);
+}
+
+Status SessionIndex::CreateNew(const std::filesystem::path& folder) {
+  std::error_code error;
+  if (!std::filesystem::exists(folder / "index.sqlite", error) && IsLost(folder)) return LostIndex(folder);
+  return Create(folder);
 }
 
 Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path& folder) {
@@ -71,6 +92,7 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   const auto file = folder / "index.sqlite";
   std::error_code error;
   const auto type = std::filesystem::status(file, error).type();
+  if (type == std::filesystem::file_type::not_found && IsLost(folder)) return LostIndex(folder);
   if (type == std::filesystem::file_type::not_found)
     return Status::NotFound("no store in " + folder.string() + " (make one with `stratalux-db init --store " +
                             folder.string() + "`)");

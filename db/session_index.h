@@ -16,7 +16,10 @@ namespace stratalux::db {
 
 class SessionIndex {
  public:
+  // An existing index is left as it is (kOk).
   static Status Create(const std::filesystem::path& folder);
+  // Create(), but kIntegrity where sessions lie without their index: an empty one would hide them.
+  static Status CreateNew(const std::filesystem::path& folder);
   static Result<SessionIndex> Open(const std::filesystem::path& folder, AccessMode mode);
 
   // Gives info.id; returns the session's number.

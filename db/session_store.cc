@@ -219,7 +219,7 @@ SessionStore::SessionStore(SessionStore&&) noexcept = default;
 SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
 SessionStore::~SessionStore() = default;
 
-Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::Create(folder); }
+Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::CreateNew(folder); }
 
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));

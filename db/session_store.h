@@ -94,7 +94,8 @@ class SessionWriter {
 // Thread-bound; open one per thread.
 class SessionStore {
  public:
-  // Creates STORE/index.sqlite at the newest schema; an existing store is left as it is (kOk).
+  // Creates STORE/index.sqlite at the newest schema; an existing store is left as it is (kOk). kIntegrity where
+  // sessions lie without their index.
   static Status Create(const std::filesystem::path& folder);
   // kNotFound: no store there; kNewerSchema; kIntegrity: a foreign or damaged file; kBusy: another writer.
   static Result<SessionStore> Open(const std::filesystem::path& folder, AccessMode mode);

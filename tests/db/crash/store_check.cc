@@ -121,7 +121,9 @@ class Checker {
   }
 
   void CheckNewSession(SessionStore& store) {
-    auto writer = store.BeginSession({}, {.group_frames = 2});
+    SessionInfo info;
+    info.simulated = true;
+    auto writer = store.BeginSession(info, {.group_frames = 2});
     if (!Ok("new session", writer.status())) return;
     for (int i = 0; i < 3; ++i) Ok("new frame", AppendFrame(*writer, i));
     Ok("new session's end", writer->Finish(SessionStatus::kComplete));

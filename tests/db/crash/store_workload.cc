@@ -56,6 +56,7 @@ class Workload {
     const int first_step = 100 * static_cast<int>(now_.sessions.size());
     SessionInfo info;
     info.rig = "bench";
+    info.simulated = true;
     info.visitor = "v-" + std::to_string(first_step);
     auto writer = store.BeginSession(info, kOptions);
     if (!Note(writer.status())) return;
