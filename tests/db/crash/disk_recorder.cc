@@ -2,10 +2,12 @@
 #include "tests/db/crash/disk_recorder.h"
 
 #include <cerrno>
+#include <csignal>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <mutex>
 #include <optional>
 #include <utility>
 
@@ -35,6 +37,12 @@ struct Recording {
 // Never destroyed: files are closed until the very end of the program.
 Recording* recording = nullptr;
 bool skip_syncs = false;
+
+std::recursive_mutex& Mutex() {
+  static auto* mutex = new std::recursive_mutex;
+  return *mutex;
+}
+using Lock = std::lock_guard<std::recursive_mutex>;
 
 // Below the root; nullopt elsewhere.
 std::optional<std::string> Relative(const char* path) {
@@ -94,7 +102,9 @@ bool Strikes(DiskFault::Kind kind, int64_t count) {
 }
 
 int SpaceRefusal() {
-  if (!Strikes(DiskFault::Kind::kNoSpace, recording->space_calls++)) return 0;
+  const int64_t count = recording->space_calls++;
+  if (Strikes(DiskFault::Kind::kDeath, count)) std::raise(SIGKILL);
+  if (!Strikes(DiskFault::Kind::kNoSpace, count)) return 0;
   ++recording->failed;
   return ENOSPC;
 }
@@ -110,17 +120,23 @@ void StartRecording(const fs::path& folder, const DiskFault& fault) {
   for (const auto& [path, bytes] : fresh->log.start)
     fresh->names[path.ends_with('/') ? path.substr(0, path.size() - 1) : path] = fresh->next++;
   fresh->log.inodes = fresh->names;
+  const Lock lock(Mutex());
   delete recording;
   recording = fresh;
 }
 
-void Mark(int64_t promises) { Note(Kind::kMark, -1, promises); }
+void Mark(int64_t promises) {
+  const Lock lock(Mutex());
+  Note(Kind::kMark, -1, promises);
+}
 void RepairDisk() {
+  const Lock lock(Mutex());
   recording->fault = {};
   recording->half_was_written = false;
 }
 
 DiskLog StopRecording() {
+  const Lock lock(Mutex());
   DiskLog log = std::move(recording->log);
   delete recording;
   recording = nullptr;
@@ -163,10 +179,17 @@ void WriteImage(const DiskImage& image, const fs::path& folder) {
 
 // ---- hooks
 
-int RefusalOf(const char* path) { return Relative(path) ? SpaceRefusal() : 0; }
-int RefusalOf(int fd) { return InodeOf(fd) ? SpaceRefusal() : 0; }
+int RefusalOf(const char* path) {
+  const Lock lock(Mutex());
+  return Relative(path) ? SpaceRefusal() : 0;
+}
+int RefusalOf(int fd) {
+  const Lock lock(Mutex());
+  return InodeOf(fd) ? SpaceRefusal() : 0;
+}
 
 size_t SpaceFor(int fd, size_t size) {
+  const Lock lock(Mutex());
   if (!InodeOf(fd) || size == 0) return size;
   if (!std::exchange(recording->half_was_written, false)) {
     if (SpaceRefusal() == 0) return size;
@@ -178,6 +201,7 @@ size_t SpaceFor(int fd, size_t size) {
 }
 
 int SyncRefusalOf(int fd) {
+  const Lock lock(Mutex());
   const auto inode = InodeOf(fd);
   if (!inode || !Strikes(DiskFault::Kind::kSyncError, recording->sync_calls++)) return 0;
   ++recording->failed;
@@ -186,9 +210,13 @@ int SyncRefusalOf(int fd) {
 }
 
 bool SyncIsSkipped() { return skip_syncs || recording != nullptr; }
-bool IsRecorded(int fd) { return InodeOf(fd).has_value(); }
+bool IsRecorded(int fd) {
+  const Lock lock(Mutex());
+  return InodeOf(fd).has_value();
+}
 
 void NoteOpen(int fd, const char* path, int flags) {
+  const Lock lock(Mutex());
   if (recording == nullptr) return;
   recording->open_files.erase(fd);  // closed where no hook sees it, as fclose does
   const auto name = Relative(path);
@@ -201,27 +229,33 @@ void NoteOpen(int fd, const char* path, int flags) {
 }
 
 void NoteClose(int fd) {
+  const Lock lock(Mutex());
   if (recording != nullptr) recording->open_files.erase(fd);
 }
 
 void NoteWrite(int fd, const void* data, size_t size, int64_t offset) {
+  const Lock lock(Mutex());
   if (const auto inode = InodeOf(fd)) Note(Kind::kWrite, *inode, offset, data, size);
 }
 
 void NoteTruncate(int fd, int64_t size) {
+  const Lock lock(Mutex());
   if (const auto inode = InodeOf(fd)) Note(Kind::kTruncate, *inode, size);
 }
 
 void NoteTruncate(const char* path, int64_t size) {
+  const Lock lock(Mutex());
   const auto name = Relative(path);
   if (name && recording->names.contains(*name)) Note(Kind::kTruncate, recording->names[*name], size);
 }
 
 void NoteSync(int fd) {
+  const Lock lock(Mutex());
   if (const auto inode = InodeOf(fd)) Note(Kind::kSync, *inode, 0);
 }
 
 void NoteRename(const char* from, const char* to) {
+  const Lock lock(Mutex());
   const auto old_name = Relative(from), name = Relative(to);
   if (!old_name || !name) return;
   DiskCall call;
@@ -240,6 +274,7 @@ void NoteRename(const char* from, const char* to) {
 }
 
 void NoteUnlink(const char* path) {
+  const Lock lock(Mutex());
   const auto name = Relative(path);
   if (!name) return;
   DiskCall call;
@@ -250,6 +285,7 @@ void NoteUnlink(const char* path) {
 }
 
 void NoteMakeFolder(const char* path) {
+  const Lock lock(Mutex());
   if (const auto name = Relative(path)) Link(*name, true);
 }
 

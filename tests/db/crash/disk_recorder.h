@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The fault layer under the store: libc's file calls, as this program, SQLite and libstdc++ make them, pass through
 // functions of the same names (disk_calls.cc) and on to here. Below one folder each change is written down in order, or
-// is refused as a full or broken disk would refuse it. Only one thread may change files meanwhile.
+// is refused as a full or broken disk would refuse it. Thread-safe; the log of a night is of one thread.
 #pragma once
 
 #include <cstdint>
@@ -45,7 +45,7 @@ struct DiskLog {
 
 // What the disk refuses.
 struct DiskFault {
-  enum class Kind { kNone, kNoSpace, kSyncError };
+  enum class Kind { kNone, kNoSpace, kSyncError, kDeath };  // kDeath: SIGKILL where kNoSpace would refuse
   enum class Extent { kOnce, kFromThenOn };
   Kind kind = Kind::kNone;
   int64_t at = 0;  // 0-based, counted over the calls that can fail so
