@@ -187,7 +187,7 @@ Result<RecoveryNotes> FindUnfinished(SessionIndex& index, const fs::path& store)
   SLX_ASSIGN_OR_RETURN(const auto sessions, Unfinished(index));
   for (const SessionRow& session : sessions) {
     const std::string& id = session.info.id;
-    notes.push_back("session " + id + ": its writer is gone; the next program that may write the store ends it");
+    notes.push_back("session " + id + ": its writer is gone; the next program that writes to the store ends it");
     if (EndOf(store / "sessions" / id, id).ok()) continue;
     SLX_ASSIGN_OR_RETURN(const Findings found, Examine(index, store, session, {}));
     Describe(found, id, Tense::kWould, notes);

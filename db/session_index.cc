@@ -34,13 +34,17 @@ bool IsUnborn(const std::filesystem::path& file) {
   return marks.ok() && *marks == 0;
 }
 
+bool HasSessions(const std::filesystem::path& folder) {
+  std::error_code error;
+  const std::filesystem::directory_iterator sessions(folder / "sessions", error);
+  return !error && sessions != std::filesystem::directory_iterator();
+}
+
 // The index is gone, what it spoke of is not.
 bool IsLost(const std::filesystem::path& folder) {
   std::error_code error;
   const auto log_bytes = std::filesystem::file_size(folder / "index.sqlite-wal", error);
-  if (!error && log_bytes > 0) return true;
-  const std::filesystem::directory_iterator sessions(folder / "sessions", error);
-  return !error && sessions != std::filesystem::directory_iterator();
+  return (!error && log_bytes > 0) || HasSessions(folder);
 }
 
 Status LostIndex(const std::filesystem::path& folder) {
@@ -58,10 +62,12 @@ std::string SegmentName(int64_t number) {
 }
 
 Status SessionIndex::Create(const std::filesystem::path& folder) {
-  SLX_RETURN_IF_ERROR(MakeFolder(folder / "sessions"));
+  if (const Status made = MakeFolder(folder / "sessions"); !made.ok())
+    return made.WithContext("cannot create store " + folder.string());
   const auto file = folder / "index.sqlite";
   std::error_code error;
-  if (std::filesystem::exists(file, error) && !IsUnborn(file)) return Open(folder, AccessMode::kReadWrite).status();
+  if (std::filesystem::exists(file, error) && (HasSessions(folder) || !IsUnborn(file)))
+    return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
   return Migrate(connection, folder);

@@ -107,6 +107,9 @@ TEST_F(BadStoreTest, AMissingIndexIsNotReplacedByAnEmptyOne) {
     EXPECT_THAT(status.message(), HasSubstr("reindex"));
   }
   EXPECT_FALSE(fs::exists(Index()));
+  WriteBytes(Index(), {});
+  EXPECT_EQ(SessionStore::Create(folder_).code(), StatusCode::kIntegrity) << "nor is one that lost its bytes";
+  EXPECT_TRUE(ReadBytes(Index()).empty());
   WriteBytes(Index(), intact);
   ExpectReadable(OpenStore(), first_, 3);
 }
