@@ -281,36 +281,6 @@ TEST_F(SessionStoreTest, AnAbandonedSessionBecomesFailedAndKeepsWhatWasAcknowled
   EXPECT_THAT(VerifySession(store, *row)->problems, IsEmpty());
 }
 
-TEST_F(SessionStoreTest, AManifestEndsASessionWhoseLastRowWasNotWritten) {
-  const std::string id = StoreSession(3);
-  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
-                  ->Execute("UPDATE sessions SET status = 'recording', finished_wall_ns = NULL")
-                  .ok());
-  const auto before = ReadBytes(Segment(id));
-  const SessionStore store = OpenStore();
-  EXPECT_THAT(store.notes(), ::testing::ElementsAre(AllOf(HasSubstr(id), HasSubstr("complete"))));
-  EXPECT_EQ(store.FindSession(id)->info.status, SessionStatus::kComplete);
-  EXPECT_EQ(ReadBytes(Segment(id)), before);
-}
-
-TEST_F(SessionStoreTest, RecoveryCutsNothingThroughASymbolicLink) {
-  std::string id;
-  {
-    SessionStore store = OpenStore();
-    auto writer = store.BeginSession({}, Groups(2));
-    id = writer->info().id;
-    for (int i = 0; i < 3; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
-  }
-  const auto elsewhere = folder_ / "elsewhere.seg";
-  std::filesystem::rename(Segment(id), elsewhere);
-  std::filesystem::create_symlink(elsewhere, Segment(id));
-  const auto before = ReadBytes(elsewhere);
-  const SessionStore store = OpenStore();
-  EXPECT_THAT(store.notes(), ::testing::Contains(HasSubstr("frames-0001.seg is no regular file")));
-  EXPECT_EQ(ReadBytes(elsewhere), before);
-  EXPECT_EQ(store.ListFrames(id)->size(), 2U) << "reading through it is no harm";
-}
-
 TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
   // `frames` of groups of 2, then half a record, then death without a destructor.
   for (const int frames : {0, 1, 5}) {
