@@ -42,9 +42,7 @@ Status SyncOpened(const fs::path& file, int flags) {
 Status WriteWhole(const fs::path& file, const std::string& bytes) {
   const Descriptor opened(file, O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW);
   if (opened.get() < 0) return Failure("create", file, errno);
-  SLX_RETURN_IF_ERROR(WriteAll(opened.get(), bytes.data(), bytes.size(), file.string()));
-  if (fsync(opened.get()) != 0) return Failure("sync", file, errno);
-  return Status::Ok();
+  return WriteAll(opened.get(), bytes.data(), bytes.size(), file.string());
 }
 
 }  // namespace
@@ -88,11 +86,14 @@ Status ReplaceFile(const fs::path& file, const std::string& bytes) {
   fs::path beside = file;
   beside += ".new";
   Status written = WriteWhole(beside, bytes);
-  if (written.ok() && rename(beside.c_str(), file.c_str()) != 0) written = Failure("write", file, errno);
-  if (!written.ok()) {
-    unlink(beside.c_str());
-    return written;
-  }
+  if (written.ok()) written = KeepFile(beside, file);
+  if (!written.ok()) unlink(beside.c_str());
+  return written;
+}
+
+Status KeepFile(const fs::path& beside, const fs::path& file) {
+  SLX_RETURN_IF_ERROR(SyncOpened(beside, O_RDONLY));
+  if (rename(beside.c_str(), file.c_str()) != 0) return Failure("write", file, errno);
   return SyncFolder(file.parent_path());
 }
 

@@ -20,6 +20,8 @@ Status SyncFolder(const std::filesystem::path& folder);
 Status MakeFolder(const std::filesystem::path& folder);
 // A file that is there whole, with its new bytes or its old ones: written beside, synced, renamed, its folder synced.
 Status ReplaceFile(const std::filesystem::path& file, const std::string& bytes);
+// The same for a file that others have written to `beside`: synced, renamed to `file`, its folder synced.
+Status KeepFile(const std::filesystem::path& beside, const std::filesystem::path& file);
 // The first `size` bytes stay. Never follows a symbolic link.
 Status CutFile(const std::filesystem::path& file, int64_t size);
 // Every file and folder at and below `folder`; symbolic links are left alone.

@@ -40,8 +40,10 @@ std::vector<fs::path> FilesOf(const fs::path& folder) {
   return files;
 }
 
-// Bytes that count. `acknowledged`: where the last acknowledged frame ends; 0 without one.
+// kAcknowledgedOnly: memory shows more of the file than may be on the disk.
 enum class Trust { kMemory, kAcknowledgedOnly };
+
+// `acknowledged`: where the last acknowledged frame ends; 0 without one.
 void Examine(const fs::path& file, int64_t acknowledged, Trust trust, Findings& found) {
   const std::string name = file.filename().string();
   std::error_code error;
@@ -49,11 +51,10 @@ void Examine(const fs::path& file, int64_t acknowledged, Trust trust, Findings& 
     return found.notes.push_back(name + " is no regular file and was left as it is");
   const auto size = static_cast<int64_t>(fs::file_size(file, error));
   const auto reader = SegmentReader::Open(file);
-  if (trust == Trust::kMemory && reader.ok() &&
-      reader->SealedFrames()) {  // whole: whatever the index knows of it, nothing behind it is unwritten
+  // A footer is written once all frames before it are acknowledged: nothing of the file is to be cut.
+  if (trust == Trust::kMemory && reader.ok() && reader->SealedFrames()) {
     if (reader->frames_end() > std::max(acknowledged, kSegmentStart) && name != "truth.seg")
-      found.notes.push_back(name +
-                            " holds frames that the index does not know; they were kept: `stratalux-db reindex`");
+      found.notes.push_back(name + " holds frames that the index does not know, and was kept: `stratalux-db reindex`");
     return found.segments.push_back(name);
   }
   int64_t keep = acknowledged;
@@ -83,7 +84,7 @@ Result<Findings> Examine(SessionIndex& index, const fs::path& store, const Sessi
     const bool doubted = std::find(doubtful.begin(), doubtful.end(), name) != doubtful.end();
     if (file.extension() == ".seg")
       Examine(file, end == ends.end() ? 0 : end->second, doubted ? Trust::kAcknowledgedOnly : Trust::kMemory, found);
-    if (file.extension() == ".new") found.cuts.push_back({file, 0, 0});  // half a manifest
+    if (name == "manifest.json.new") found.cuts.push_back({file, 0, 0});
   }
   for (const auto& [name, end] : ends)
     if (std::error_code error; !fs::exists(folder / name, error))
@@ -176,7 +177,10 @@ Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const fs::path& store
   if (lock.status().code() == StatusCode::kBusy) return notes;  // a live writer: its session is its own
   if (!lock.ok()) return FindUnfinished(index, store);
   SLX_ASSIGN_OR_RETURN(const auto sessions, Unfinished(index));
-  for (const SessionRow& session : sessions) SLX_RETURN_IF_ERROR(RecoverOne(index, store, session, notes));
+  for (const SessionRow& session : sessions)
+    if (const Status ended = RecoverOne(index, store, session, notes); !ended.ok())
+      notes.push_back("session " + session.info.id +
+                      ": could not be ended, the next opening tries again: " + ended.message());
   return notes;
 }
 

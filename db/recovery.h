@@ -16,7 +16,8 @@ namespace stratalux::db {
 // For people: what was cut, ended or found missing, one line each, naming session and file.
 using RecoveryNotes = std::vector<std::string>;
 
-// Every session left `recording`. Does nothing while a writer is alive; only tells where the disk cannot be written.
+// Every session left `recording`. Does nothing while a writer is alive; only tells where the disk cannot be written. A
+// session that cannot be ended is a note, too: the others need not wait for it.
 Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const std::filesystem::path& store);
 // What RecoverSessions would do; writes nothing.
 Result<RecoveryNotes> FindUnfinished(SessionIndex& index, const std::filesystem::path& store);

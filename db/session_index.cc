@@ -34,6 +34,17 @@ bool IsUnborn(const std::filesystem::path& file) {
   return marks.ok() && *marks == 0;
 }
 
+// A whole copy or none, also when an earlier attempt was cut short.
+Status BackUp(Connection& connection, const std::filesystem::path& file) {
+  std::filesystem::path beside = file;
+  beside += ".new";
+  std::error_code error;
+  std::filesystem::remove(beside, error);
+  SLX_ASSIGN_OR_RETURN(auto copy, connection.Prepare("VACUUM INTO ?1"));
+  SLX_RETURN_IF_ERROR(copy.Bind(1, beside.string()).Run());
+  return KeepFile(beside, file);
+}
+
 bool HasSessions(const std::filesystem::path& folder) {
   std::error_code error;
   const std::filesystem::directory_iterator sessions(folder / "sessions", error);
@@ -83,8 +94,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (version == kSchemaVersion) return Status::Ok();
   if (version > 0) {
-    const std::string backup = (folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")).string();
-    SLX_RETURN_IF_ERROR(connection.Execute("VACUUM INTO '" + backup + "'"));
+    SLX_RETURN_IF_ERROR(BackUp(connection, folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")));
   }
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));

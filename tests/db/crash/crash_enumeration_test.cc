@@ -5,6 +5,8 @@
 
 #include <gmock/gmock.h>
 
+#include "db/migration_0001.h"
+#include "db/sqlite.h"
 #include "tests/db/crash/crash_fixture.h"
 #include "tests/db/crash/enumeration.h"
 
@@ -93,6 +95,53 @@ TEST_F(CrashEnumeration, ARecoveryMayBeCutAnywhereToo) {
   EXPECT_GT(sum.points, 100);
   EXPECT_GT(mended, kills.size() / 2) << "openings that found something to mend say so";
   ExpectNone(sum);
+}
+
+// A store of schema 1 with one session of one frame, as version 0.1 of the programs left it.
+std::string StoreOfSchema1(const std::filesystem::path& folder) {
+  std::string id;
+  {
+    EXPECT_TRUE(SessionStore::Create(folder).ok());
+    auto store = SessionStore::Open(folder, AccessMode::kReadWrite);
+    SessionInfo info;
+    info.simulated = true;
+    auto writer = store->BeginSession(info);
+    id = writer->info().id;
+    EXPECT_TRUE(AppendFrame(*writer, 0).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+  }
+  std::filesystem::rename(folder / "index.sqlite", folder / "newer");
+  auto old = Connection::Open(folder / "index.sqlite", Connection::Mode::kCreate);
+  EXPECT_TRUE(old->Execute("PRAGMA journal_mode = WAL").ok());
+  EXPECT_TRUE(old->Execute(kMigration0001).ok());
+  const Status copied = old->Execute(
+      "ATTACH '" + (folder / "newer").string() +
+      "' AS newer; INSERT INTO sessions SELECT number, id, kind, rig, visitor, consent, simulated, seed,"
+      " started_wall_ns, status, reasons_json, program_version, plan_json, calibration_id FROM newer.sessions;"
+      " INSERT INTO frames SELECT * FROM newer.frames; DETACH newer; PRAGMA application_id = 1397512241;"
+      " PRAGMA user_version = 1");
+  EXPECT_TRUE(copied.ok()) << copied.message();
+  old = Status::Failed("closed");
+  std::filesystem::remove(folder / "newer");
+  return id;
+}
+
+TEST_F(CrashEnumeration, AMigrationMayBeCutAnywhereToo) {
+  const std::string id = StoreOfSchema1(Store());
+  StartRecording(Store());
+  Promise promise;
+  promise.created = true;
+  promise.sessions.push_back({id, 1, SessionStatus::kComplete, {}});
+  {
+    const auto store = SessionStore::Open(Store(), AccessMode::kReadWrite);
+    ASSERT_TRUE(store.ok()) << store.status().message();
+  }
+  const DiskLog log = StopRecording();
+  const auto report = Enumerate(log, {promise}, Remains());
+  Print("power cuts during a migration", report);
+  EXPECT_GT(report.points, 30);
+  EXPECT_TRUE(std::filesystem::exists(Store() / "index-before-2.sqlite"));
+  ExpectNone(report);
 }
 
 // ---- The enumeration must be able to fail: each guarantee is taken away in turn.
