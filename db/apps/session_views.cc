@@ -1,28 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/apps/session_views.h"
 
-#include <array>
 #include <cstdio>
 #include <map>
 
 #include <nlohmann/json.hpp>
 
+#include "db/apps/display_text.h"
 #include "db/manifest.h"
 
 namespace stratalux::db {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-std::string SizeText(int64_t bytes) {
-  constexpr std::array<const char*, 5> kUnits = {"B", "KiB", "MiB", "GiB", "TiB"};
-  size_t unit = 0;
-  auto size = static_cast<double>(bytes);
-  for (; size >= 1024.0 && unit + 1 < kUnits.size(); ++unit) size /= 1024.0;
-  char text[32];
-  std::snprintf(text, sizeof text, unit == 0 ? "%.0f %s" : "%.1f %s", size, kUnits[unit]);
-  return text;
-}
 
 // Names of files and visitors may be no UTF-8, which JSON is.
 std::string TextOf(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
@@ -115,42 +105,6 @@ std::string Line(const std::string& name, const std::string& value) {
 }
 
 }  // namespace
-
-Result<std::vector<ListedSession>> ListWithFits(const SessionStore& store) {
-  SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
-  std::vector<ListedSession> listed;
-  for (const SessionRow& row : rows) {
-    SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
-    listed.push_back({row, static_cast<int64_t>(fits.size())});
-  }
-  return listed;
-}
-
-std::string SessionsAsText(const std::vector<ListedSession>& sessions) {
-  char line[320];
-  auto format = [&line](const char* id, const char* when, const char* kind, const char* rig, const char* visitor,
-                        const char* status, const char* frames, const char* size, const char* fits) {
-    std::snprintf(line, sizeof line, "%-16s  %-20s  %-11s  %-18s  %-12s  %-9s  %6s  %10s  %4s\n", id, when, kind, rig,
-                  visitor, status, frames, size, fits);
-    return std::string(line);
-  };
-  std::string text = format("session", "started", "kind", "rig", "visitor", "status", "frames", "size", "fits");
-  for (const auto& [row, fits] : sessions)
-    text += format(row.info.id.c_str(), ToIso8601(row.info.started_wall).c_str(), stratalux::ToString(row.info.kind),
-                   row.info.rig.c_str(), row.info.visitor.empty() ? "-" : row.info.visitor.c_str(),
-                   stratalux::ToString(row.info.status), std::to_string(row.frames).c_str(),
-                   SizeText(row.bytes).c_str(), std::to_string(fits).c_str());
-  return text;
-}
-
-std::string SessionsAsJson(const std::vector<ListedSession>& sessions) {
-  Json json = Json::array();
-  for (const auto& [row, fits] : sessions) {
-    json.push_back(SessionJson(row));
-    json.back()["fits"] = fits;
-  }
-  return TextOf(json);
-}
 
 namespace {
 
