@@ -3,6 +3,7 @@
 
 #include <cctype>
 #include <map>
+#include <memory>
 
 #include <sqlite3.h>
 
@@ -32,12 +33,34 @@ void PlannedStepsFunction(sqlite3_context* context, int, sqlite3_value** argumen
 }
 
 void ReasonClassFunction(sqlite3_context* context, int, sqlite3_value** arguments) {
+  if (sqlite3_value_type(arguments[0]) == SQLITE_NULL) return sqlite3_result_null(context);
   const std::string text = ReasonClass(TextOf(arguments[0]));
   sqlite3_result_text(context, text.data(), static_cast<int>(text.size()), SQLITE_TRANSIENT);
 }
 
 void RetentionDaysFunction(sqlite3_context* context, int, sqlite3_value** arguments) {
-  ReturnInteger(context, RetentionDays(TextOf(arguments[0])));
+  ReturnInteger(context, DaysKept(TextOf(arguments[0])));
+}
+
+// The steps one group has seen; SQLite keeps the pointer for it.
+using Seen = std::vector<bool>;
+
+void MissingStepsStep(sqlite3_context* context, int, sqlite3_value** arguments) {
+  auto** seen = static_cast<Seen**>(sqlite3_aggregate_context(context, sizeof(Seen*)));
+  const int64_t step = sqlite3_value_int64(arguments[0]);
+  constexpr int64_t kMostSteps = 1'000'000;  // a hundred times the longest plan
+  if (seen == nullptr || step < 0 || step > kMostSteps) return;
+  if (*seen == nullptr) *seen = new Seen;
+  if (static_cast<size_t>(step) >= (*seen)->size()) (*seen)->resize(static_cast<size_t>(step) + 1);
+  (**seen)[static_cast<size_t>(step)] = true;
+}
+
+void MissingStepsFinal(sqlite3_context* context) {
+  auto** seen = static_cast<Seen**>(sqlite3_aggregate_context(context, 0));
+  if (seen == nullptr || *seen == nullptr) return sqlite3_result_null(context);
+  const std::unique_ptr<Seen> owned(*seen);
+  const std::string text = MissingRuns(*owned);
+  sqlite3_result_text(context, text.data(), static_cast<int>(text.size()), SQLITE_TRANSIENT);
 }
 
 using Function = void (*)(sqlite3_context*, int, sqlite3_value**);
@@ -74,7 +97,19 @@ std::string ReasonClass(const std::string& reason) {
   return text;
 }
 
-std::optional<int64_t> RetentionDays(const std::string& retention) {
+std::string MissingRuns(const std::vector<bool>& seen) {
+  std::string text;
+  for (size_t first = 0; first < seen.size(); ++first) {
+    if (seen[first]) continue;
+    size_t last = first;
+    while (last + 1 < seen.size() && !seen[last + 1]) ++last;
+    text += (text.empty() ? "" : ", ") + std::to_string(first) + (last > first ? "-" + std::to_string(last) : "");
+    first = last;
+  }
+  return text;
+}
+
+std::optional<int64_t> DaysKept(const std::string& retention) {
   if (retention == "short") return 30;
   if (retention == "standard") return 365;
   if (retention == "long") return 3650;
@@ -84,6 +119,8 @@ std::optional<int64_t> RetentionDays(const std::string& retention) {
 Status RegisterQueryFunctions(const Connection& connection) {
   const auto drop = [](void* cache) { delete static_cast<PlanCache*>(cache); };
   if (Register(connection.handle(), "planned_steps", PlannedStepsFunction, new PlanCache, drop) != SQLITE_OK ||
+      sqlite3_create_function_v2(connection.handle(), "missing_steps", 1, SQLITE_UTF8 | SQLITE_INNOCUOUS, nullptr,
+                                 nullptr, MissingStepsStep, MissingStepsFinal, nullptr) != SQLITE_OK ||
       Register(connection.handle(), "reason_class", ReasonClassFunction) != SQLITE_OK ||
       Register(connection.handle(), "retention_days", RetentionDaysFunction) != SQLITE_OK)
     return connection.Error("register functions");

@@ -25,6 +25,7 @@ using QueryParameters = std::map<std::string, Cell>;
 
 // Functions that SQL run here may call besides SQLite's own:
 //   planned_steps(plan_json)     steps of the capture plan; NULL where the text is no plan
+//   missing_steps(step)          aggregate: what lies between 0 and the largest step and is not among them, "1-2, 4"
 //   reason_class(text)           the text with every number as N, so that equal failures meet in one group
 //   retention_days(retention)    days a session of that class is kept; NULL: for ever
 class ReadOnlyIndex {

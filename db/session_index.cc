@@ -25,6 +25,18 @@ std::string ContentId(const std::string& text) {
   return HashText(digest);
 }
 
+// A whole copy or none, also when an earlier attempt was cut short.
+Status BackUp(Connection& connection, const std::filesystem::path& file) {
+  std::filesystem::path beside = file;
+  beside += ".new";
+  std::error_code error;
+  std::filesystem::remove(beside, error);
+  SLX_ASSIGN_OR_RETURN(auto copy, connection.Prepare("VACUUM INTO ?1"));
+  SLX_RETURN_IF_ERROR(copy.Bind(1, beside.string()).Run());
+  std::filesystem::rename(beside, file, error);
+  return error ? Status::Failed("cannot keep " + file.string() + ": " + error.message()) : Status::Ok();
+}
+
 Status WriteMetrics(Connection& connection, int64_t number, const std::string& fit, const std::string& metrics_json) {
   SLX_ASSIGN_OR_RETURN(auto clear, connection.Prepare("DELETE FROM metrics WHERE session = ?1 AND fit = ?2"));
   SLX_RETURN_IF_ERROR(clear.Bind(1, number).Bind(2, fit).Run());
@@ -67,8 +79,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (version == kSchemaVersion) return Status::Ok();
   if (version > 0) {
-    const std::string backup = (folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")).string();
-    SLX_RETURN_IF_ERROR(connection.Execute("VACUUM INTO '" + backup + "'"));
+    SLX_RETURN_IF_ERROR(BackUp(connection, folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")));
   }
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));

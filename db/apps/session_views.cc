@@ -2,12 +2,12 @@
 #include "db/apps/session_views.h"
 
 #include <cstdio>
-#include <map>
 
 #include <nlohmann/json.hpp>
 
 #include "db/apps/display_text.h"
 #include "db/manifest.h"
+#include "db/read_only_index.h"
 
 namespace stratalux::db {
 namespace {
@@ -32,11 +32,15 @@ Json SessionJson(const SessionRow& row) {
           {"bytes", row.bytes}};
 }
 
-// (phase, projector) -> frames, in the order of the phases.
-using Counts = std::map<std::pair<CapturePhase, int>, int64_t>;
-Counts CountPhases(const std::vector<FrameRow>& frames) {
-  Counts counts;
-  for (const FrameRow& f : frames) ++counts[{f.record.phase, f.record.projector}];
+Result<std::vector<PhaseCount>> CountPhases(const SessionStore& store, const std::string& session) {
+  SLX_ASSIGN_OR_RETURN(auto index, ReadOnlyIndex::Open(store.folder()));
+  SLX_ASSIGN_OR_RETURN(const auto table,
+                       index.Run("SELECT f.phase, f.projector, count(*) FROM sessions s JOIN frames f ON f.session ="
+                                 " s.number WHERE s.id = :session GROUP BY f.phase, f.projector ORDER BY min(f.step)",
+                                 {{"session", session}}));
+  std::vector<PhaseCount> counts;
+  for (const auto& row : table.rows)
+    counts.push_back({std::get<std::string>(row[0]), std::get<int64_t>(row[1]), std::get<int64_t>(row[2])});
   return counts;
 }
 
@@ -123,7 +127,7 @@ std::string ConsentAsText(const Consent& consent) {
 Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector) {
   SessionDetails details;
   SLX_ASSIGN_OR_RETURN(details.row, store.FindSession(selector));
-  SLX_ASSIGN_OR_RETURN(details.frames, store.ListFrames(details.row.info.id));
+  SLX_ASSIGN_OR_RETURN(details.phases, CountPhases(store, details.row.info.id));
   SLX_ASSIGN_OR_RETURN(details.fits, store.ListFits(details.row.info.id));
   return details;
 }
@@ -139,9 +143,9 @@ std::string DetailsAsText(const SessionDetails& details) {
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
   text += Line("program", info.program_version) +
           Line("frames", std::to_string(details.row.frames) + ", " + SizeText(details.row.bytes));
-  for (const auto& [key, count] : CountPhases(details.frames)) {
-    const std::string lit = key.second < 0 ? "all projectors" : "projector " + std::to_string(key.second);
-    text += Line(std::string("  ") + stratalux::ToString(key.first), std::to_string(count) + ", " + lit);
+  for (const auto& [phase, projector, count] : details.phases) {
+    const std::string lit = projector < 0 ? "all projectors" : "projector " + std::to_string(projector);
+    text += Line("  " + phase, std::to_string(count) + ", " + lit);
   }
   const Json calibration = ParsedOrNull(info.calibration_json);
   text += Line("plan", info.plan_json.empty() ? "none" : "kept (--json prints it)");
@@ -161,8 +165,8 @@ std::string DetailsAsJson(const SessionDetails& details) {
   json["plan"] = ParsedOrNull(info.plan_json);
   json["calibration"] = ParsedOrNull(info.calibration_json);
   json["phases"] = Json::array();
-  for (const auto& [key, count] : CountPhases(details.frames))
-    json["phases"].push_back({{"phase", stratalux::ToString(key.first)}, {"projector", key.second}, {"frames", count}});
+  for (const auto& [phase, projector, count] : details.phases)
+    json["phases"].push_back({{"phase", phase}, {"projector", projector}, {"frames", count}});
   json["fits"] = Json::array();
   for (const FitRow& fit : details.fits)
     json["fits"].push_back({{"fit", fit.id},

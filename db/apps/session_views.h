@@ -12,11 +12,18 @@
 
 namespace stratalux::db {
 
+struct PhaseCount {
+  std::string phase;
+  int64_t projector = -1;  // -1: lit by all of them
+  int64_t frames = 0;
+};
+
 struct SessionDetails {
   SessionRow row;
-  std::vector<FrameRow> frames;
+  std::vector<PhaseCount> phases;  // in the order of the plan
   std::vector<FitRow> fits;
 };
+// From the index alone: no segment is opened (`verify` does that).
 [[nodiscard]] Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector);
 [[nodiscard]] std::string DetailsAsText(const SessionDetails& details);
 // {"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "consent",

@@ -9,10 +9,11 @@
 -- column planned      number steps of the plan
 -- column good         number steps with a good frame
 -- column missing      number steps without
--- column steps        text   the missing ones, the first 20 runs
+-- column steps        text   the missing ones, such as 3, 17-20
 WITH candidates AS (
   SELECT s.number, s.id, s.started_wall_ns, s.rig, s.status, planned_steps(s.plan_json) AS planned,
-         (SELECT count(DISTINCT f.step) FROM frames f WHERE f.session = s.number AND f.level_check <> 2) AS good
+         (SELECT count(*) FROM (SELECT DISTINCT f.step FROM frames f WHERE f.session = s.number AND f.level_check <> 2))
+           AS good
   FROM sessions s
   WHERE s.status <> 'complete' AND s.plan_json <> ''
     AND s.started_wall_ns >= coalesce(:since_ns, -9223372036854775808)
@@ -21,11 +22,8 @@ WITH candidates AS (
 short AS MATERIALIZED (
   SELECT * FROM candidates WHERE good < planned ORDER BY number DESC LIMIT coalesce(:limit, -1))
 SELECT id AS session, started_wall_ns AS started, rig, status, planned, good, planned - good AS missing,
-       (SELECT group_concat(CASE WHEN first = last THEN first ELSE first || '-' || last END, ', ')
-        FROM (SELECT before + 1 AS first, step - 1 AS last
-              FROM (SELECT step, lag(step, 1, -1) OVER (ORDER BY step) AS before
-                    FROM (SELECT DISTINCT f.step FROM frames f WHERE f.session = short.number AND f.level_check <> 2
-                          UNION SELECT short.planned))
-              WHERE step > before + 1 ORDER BY step LIMIT 20)) AS steps
+       -- The step behind the last one of the plan ends the search.
+       (SELECT missing_steps(step) FROM (SELECT f.step FROM frames f WHERE f.session = short.number AND f.level_check <> 2
+                                         UNION ALL SELECT short.planned)) AS steps
 FROM short
 ORDER BY number DESC
