@@ -7,9 +7,11 @@
 #include <xxhash.h>
 
 #include "db/durable_file.h"
+#include "db/fit_metrics.h"
 #include "db/manifest.h"
 #include "db/migration_0001.h"
 #include "db/migration_0002.h"
+#include "db/migration_0003.h"
 
 namespace stratalux::db {
 namespace {
@@ -64,6 +66,25 @@ Status LostIndex(const std::filesystem::path& folder) {
                            " `stratalux-db reindex` (the frames in sessions/ are not touched)");
 }
 
+Status WriteMetrics(Connection& connection, int64_t number, const std::string& fit, const std::string& metrics_json) {
+  SLX_ASSIGN_OR_RETURN(auto clear, connection.Prepare("DELETE FROM metrics WHERE session = ?1 AND fit = ?2"));
+  SLX_RETURN_IF_ERROR(clear.Bind(1, number).Bind(2, fit).Run());
+  SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT INTO metrics VALUES (?1, ?2, ?3, ?4)"));
+  for (const auto& [name, value] : FlattenMetrics(metrics_json))
+    SLX_RETURN_IF_ERROR(insert.Bind(1, number).Bind(2, fit).Bind(3, name).Bind(4, value).Run());
+  return Status::Ok();
+}
+
+// Fits registered before schema 3 have their figures in metrics_json alone.
+Status WriteMetricsOfAllFits(Connection& connection) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT session, id, metrics_json FROM fits"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    SLX_RETURN_IF_ERROR(WriteMetrics(connection, select.Integer(0), select.Text(1), select.Text(2)));
+  }
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -99,6 +120,10 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));
   if (version < 2) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0002));
+  if (version < 3) {
+    SLX_RETURN_IF_ERROR(connection.Execute(kMigration0003));
+    SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
+  }
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -287,13 +312,12 @@ Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
 }
 
 Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   SLX_ASSIGN_OR_RETURN(auto insert, connection_.Prepare("INSERT OR REPLACE INTO fits VALUES (?1, ?2, ?3, ?4, ?5)"));
-  return insert.Bind(1, fit.id)
-      .Bind(2, number)
-      .Bind(3, fit.options_json)
-      .Bind(4, fit.metrics_json)
-      .Bind(5, fit.created_wall.ns)
-      .Run();
+  insert.Bind(1, fit.id).Bind(2, number).Bind(3, fit.options_json).Bind(4, fit.metrics_json);
+  SLX_RETURN_IF_ERROR(insert.Bind(5, fit.created_wall.ns).Run());
+  SLX_RETURN_IF_ERROR(WriteMetrics(connection_, number, fit.id, fit.metrics_json));
+  return transaction.Commit();
 }
 
 Result<std::vector<FitRow>> SessionIndex::Fits(int64_t number, const std::string& session) {

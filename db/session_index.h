@@ -40,6 +40,7 @@ class SessionIndex {
     std::vector<uint8_t> hash;
   };
   Result<std::vector<Place>> Places(int64_t number);
+  // The row, and its figures in `metrics`.
   Status UpsertFit(int64_t number, const FitRow& fit);
   Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
 

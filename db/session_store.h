@@ -22,7 +22,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 2;
+inline constexpr int kSchemaVersion = 3;
 
 struct SessionRow {
   SessionInfo info;

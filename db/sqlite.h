@@ -32,6 +32,8 @@ class Connection {
   [[nodiscard]] int64_t LastInsertId() const;
   // Status of a failed call, naming the file.
   [[nodiscard]] Status Error(const std::string& what) const;
+  // For what db/*.cc does with SQLite itself (authorizer, functions, limits).
+  [[nodiscard]] sqlite3* handle() const { return handle_.get(); }
 
  private:
   struct Closer {

@@ -43,7 +43,7 @@ int Report(const Status& status) {
 }
 
 int Print(const std::string& text) {
-  if (std::fputs(text.c_str(), stdout) >= 0 && std::fflush(stdout) == 0) return 0;
+  if (std::fwrite(text.data(), 1, text.size(), stdout) == text.size() && std::fflush(stdout) == 0) return 0;
   return Report(Status::Failed("cannot write the output"));
 }
 

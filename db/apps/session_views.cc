@@ -1,28 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/apps/session_views.h"
 
-#include <array>
 #include <cstdio>
-#include <map>
 
 #include <nlohmann/json.hpp>
 
+#include "db/apps/display_text.h"
 #include "db/manifest.h"
+#include "db/read_only_index.h"
 
 namespace stratalux::db {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-std::string SizeText(int64_t bytes) {
-  constexpr std::array<const char*, 5> kUnits = {"B", "KiB", "MiB", "GiB", "TiB"};
-  size_t unit = 0;
-  auto size = static_cast<double>(bytes);
-  for (; size >= 1024.0 && unit + 1 < kUnits.size(); ++unit) size /= 1024.0;
-  char text[32];
-  std::snprintf(text, sizeof text, unit == 0 ? "%.0f %s" : "%.1f %s", size, kUnits[unit]);
-  return text;
-}
 
 // Names of files and visitors may be no UTF-8, which JSON is.
 std::string TextOf(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
@@ -42,11 +32,15 @@ Json SessionJson(const SessionRow& row) {
           {"bytes", row.bytes}};
 }
 
-// (phase, projector) -> frames, in the order of the phases.
-using Counts = std::map<std::pair<CapturePhase, int>, int64_t>;
-Counts CountPhases(const std::vector<FrameRow>& frames) {
-  Counts counts;
-  for (const FrameRow& f : frames) ++counts[{f.record.phase, f.record.projector}];
+Result<std::vector<PhaseCount>> CountPhases(const SessionStore& store, const std::string& session) {
+  SLX_ASSIGN_OR_RETURN(auto index, ReadOnlyIndex::Open(store.folder()));
+  SLX_ASSIGN_OR_RETURN(const auto table,
+                       index.Run("SELECT f.phase, f.projector, count(*) FROM sessions s JOIN frames f ON f.session ="
+                                 " s.number WHERE s.id = :session GROUP BY f.phase, f.projector ORDER BY min(f.step)",
+                                 {{"session", session}}));
+  std::vector<PhaseCount> counts;
+  for (const auto& row : table.rows)
+    counts.push_back({std::get<std::string>(row[0]), std::get<int64_t>(row[1]), std::get<int64_t>(row[2])});
   return counts;
 }
 
@@ -116,42 +110,6 @@ std::string Line(const std::string& name, const std::string& value) {
 
 }  // namespace
 
-Result<std::vector<ListedSession>> ListWithFits(const SessionStore& store) {
-  SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
-  std::vector<ListedSession> listed;
-  for (const SessionRow& row : rows) {
-    SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
-    listed.push_back({row, static_cast<int64_t>(fits.size())});
-  }
-  return listed;
-}
-
-std::string SessionsAsText(const std::vector<ListedSession>& sessions) {
-  char line[320];
-  auto format = [&line](const char* id, const char* when, const char* kind, const char* rig, const char* visitor,
-                        const char* status, const char* frames, const char* size, const char* fits) {
-    std::snprintf(line, sizeof line, "%-16s  %-20s  %-11s  %-18s  %-12s  %-9s  %6s  %10s  %4s\n", id, when, kind, rig,
-                  visitor, status, frames, size, fits);
-    return std::string(line);
-  };
-  std::string text = format("session", "started", "kind", "rig", "visitor", "status", "frames", "size", "fits");
-  for (const auto& [row, fits] : sessions)
-    text += format(row.info.id.c_str(), ToIso8601(row.info.started_wall).c_str(), stratalux::ToString(row.info.kind),
-                   row.info.rig.c_str(), row.info.visitor.empty() ? "-" : row.info.visitor.c_str(),
-                   stratalux::ToString(row.info.status), std::to_string(row.frames).c_str(),
-                   SizeText(row.bytes).c_str(), std::to_string(fits).c_str());
-  return text;
-}
-
-std::string SessionsAsJson(const std::vector<ListedSession>& sessions) {
-  Json json = Json::array();
-  for (const auto& [row, fits] : sessions) {
-    json.push_back(SessionJson(row));
-    json.back()["fits"] = fits;
-  }
-  return TextOf(json);
-}
-
 namespace {
 
 std::string ConsentAsText(const Consent& consent) {
@@ -169,7 +127,7 @@ std::string ConsentAsText(const Consent& consent) {
 Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector) {
   SessionDetails details;
   SLX_ASSIGN_OR_RETURN(details.row, store.FindSession(selector));
-  SLX_ASSIGN_OR_RETURN(details.frames, store.ListFrames(details.row.info.id));
+  SLX_ASSIGN_OR_RETURN(details.phases, CountPhases(store, details.row.info.id));
   SLX_ASSIGN_OR_RETURN(details.fits, store.ListFits(details.row.info.id));
   return details;
 }
@@ -185,9 +143,9 @@ std::string DetailsAsText(const SessionDetails& details) {
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
   text += Line("program", info.program_version) +
           Line("frames", std::to_string(details.row.frames) + ", " + SizeText(details.row.bytes));
-  for (const auto& [key, count] : CountPhases(details.frames)) {
-    const std::string lit = key.second < 0 ? "all projectors" : "projector " + std::to_string(key.second);
-    text += Line(std::string("  ") + stratalux::ToString(key.first), std::to_string(count) + ", " + lit);
+  for (const auto& [phase, projector, count] : details.phases) {
+    const std::string lit = projector < 0 ? "all projectors" : "projector " + std::to_string(projector);
+    text += Line("  " + phase, std::to_string(count) + ", " + lit);
   }
   const Json calibration = ParsedOrNull(info.calibration_json);
   text += Line("plan", info.plan_json.empty() ? "none" : "kept (--json prints it)");
@@ -207,8 +165,8 @@ std::string DetailsAsJson(const SessionDetails& details) {
   json["plan"] = ParsedOrNull(info.plan_json);
   json["calibration"] = ParsedOrNull(info.calibration_json);
   json["phases"] = Json::array();
-  for (const auto& [key, count] : CountPhases(details.frames))
-    json["phases"].push_back({{"phase", stratalux::ToString(key.first)}, {"projector", key.second}, {"frames", count}});
+  for (const auto& [phase, projector, count] : details.phases)
+    json["phases"].push_back({{"phase", phase}, {"projector", projector}, {"frames", count}});
   json["fits"] = Json::array();
   for (const FitRow& fit : details.fits)
     json["fits"].push_back({{"fit", fit.id},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `stratalux-db ls|show|frames|verify` print: text for people, JSON for programs.
+// What `stratalux-db show|frames|verify` print: text for people, JSON for programs.
 #pragma once
 
 #include <optional>
@@ -12,27 +12,22 @@
 
 namespace stratalux::db {
 
-// A session with the number of its fits.
-struct ListedSession {
-  SessionRow row;
-  int64_t fits = 0;
+struct PhaseCount {
+  std::string phase;
+  int64_t projector = -1;  // -1: lit by all of them
+  int64_t frames = 0;
 };
-[[nodiscard]] Result<std::vector<ListedSession>> ListWithFits(const SessionStore& store);
-
-// A table: id, when, kind, rig, visitor, status, frames, size, fits.
-[[nodiscard]] std::string SessionsAsText(const std::vector<ListedSession>& sessions);
-// [{"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "fits"}].
-[[nodiscard]] std::string SessionsAsJson(const std::vector<ListedSession>& sessions);
 
 struct SessionDetails {
   SessionRow row;
-  std::vector<FrameRow> frames;
+  std::vector<PhaseCount> phases;  // in the order of the plan
   std::vector<FitRow> fits;
 };
+// From the index alone: no segment is opened (`verify` does that).
 [[nodiscard]] Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector);
 [[nodiscard]] std::string DetailsAsText(const SessionDetails& details);
-// The object of SessionsAsJson plus "consent", "seed", "program_version", "plan", "calibration", "phases" and the fits
-// as objects.
+// {"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "consent",
+// "seed", "program_version", "plan", "calibration", "phases", "fits" as objects}.
 [[nodiscard]] std::string DetailsAsJson(const SessionDetails& details);
 
 struct FrameFilter {

@@ -11,6 +11,8 @@ namespace {
 constexpr const char* kExamples = R"(Examples:
   stratalux-db init --store store
   stratalux-db ls --store store
+  stratalux-db ls --since 12h --status degraded,failed
+  stratalux-db query last-night
   stratalux-db show latest --json
   stratalux-db frames s000017 --phase sweep --projector 2
   stratalux-db frames latest --phase reference --extract pictures
@@ -18,7 +20,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
-Exit codes: 0 ok, 1 failed, 2 usage, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
+Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
 
 int Main(int argc, char** argv) {
   CLI::App app("Stratalux's session store: list, show, verify and import sessions");
@@ -27,6 +29,7 @@ int Main(int argc, char** argv) {
   app.require_subcommand(1);
   Commands commands(app);
   AddViewCommands(commands);
+  AddQueryCommands(commands);
   AddTransferCommands(commands);
   try {
     app.parse(argc, argv);

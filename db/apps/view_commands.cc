@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-db init|ls|show|frames|verify`.
+// `stratalux-db init|show|frames|verify`.
 #include <memory>
 #include <optional>
 
@@ -23,14 +23,6 @@ int RunInit(const CommonFlags& common) {
   const nlohmann::ordered_json json = {{"store", common.store}, {"schema", kSchemaVersion}};
   return Print(common.json ? TextOf(json)
                            : "store " + common.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
-}
-
-int RunList(const CommonFlags& common) {
-  const auto store = OpenStore(common, AccessMode::kReadOnly);
-  if (!store.ok()) return Report(store.status());
-  const auto sessions = ListWithFits(*store);
-  if (!sessions.ok()) return Report(sessions.status());
-  return Print((common.json ? SessionsAsJson : SessionsAsText)(*sessions));
 }
 
 int RunShow(const CommonFlags& common, const ViewFlags& flags) {
@@ -94,7 +86,6 @@ void AddViewCommands(Commands& commands) {
   const auto flags = std::make_shared<ViewFlags>();
   const CommonFlags& common = commands.flags();
   commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
-  commands.Add("ls", "List the sessions, newest first", [&common] { return RunList(common); });
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });

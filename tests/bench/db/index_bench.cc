@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+// How long an operator waits on an index of 1,000 sessions x 1,000 frames: every named query, `ls` and `show`, inside
+// one process and through the program, beside the same question asked without schema 2's totals and schema 3's indexes.
+//
+//   build/bench/bin/index_bench [--sessions=N] [--frames=N] [Google Benchmark's flags]
+#include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <map>
+#include <string>
+
+#include <benchmark/benchmark.h>
+#include <sys/resource.h>
+
+#include "db/apps/session_views.h"
+#include "db/apps/table_output.h"
+#include "db/named_query.h"
+#include "db/session_filter.h"
+#include "tests/db/index_rows.h"
+
+namespace stratalux::db {
+namespace {
+
+// The same answers from the rows alone.
+const std::map<std::string, std::string> kPeers = {
+    {"ls",
+     "SELECT s.id, count(f.frame), sum(f.stored_bytes), (SELECT count(*) FROM fits t WHERE t.session = s.number)"
+     " FROM sessions s LEFT JOIN frames f ON f.session = s.number GROUP BY s.number ORDER BY s.number DESC"},
+    {"disk-use",
+     "SELECT s.rig, s.kind, s.status, count(DISTINCT s.number), count(*), sum(f.stored_bytes) FROM sessions s"
+     " JOIN frames f ON f.session = s.number GROUP BY 1, 2, 3"},
+    {"rigs",
+     "SELECT s.rig, count(DISTINCT s.number), count(*), sum(f.stored_bytes) FROM sessions s JOIN frames f"
+     " ON f.session = s.number GROUP BY 1"},
+    {"sessions-per-day",
+     "SELECT s.started_wall_ns / 86400000000000, count(DISTINCT s.number), count(*),"
+     " sum(f.stored_bytes) FROM sessions s JOIN frames f ON f.session = s.number GROUP BY 1"},
+    {"retakes",
+     "SELECT s.rig, p.retake_cause, count(*), count(DISTINCT s.number) FROM proofs p"
+     " JOIN sessions s ON s.number = p.session WHERE +p.retake_cause <> '' GROUP BY 1, 2"},
+    {"missing-frames",
+     "SELECT s.id, planned_steps(s.plan_json) AS planned, count(DISTINCT f.step) AS good FROM sessions s"
+     " LEFT JOIN frames f NOT INDEXED ON f.session = s.number AND f.level_check <> 2"
+     " GROUP BY s.number HAVING good < planned"},
+};
+
+struct Folder {
+  std::filesystem::path path;
+  ~Folder() { std::filesystem::remove_all(path); }
+};
+
+// A figure of a question that failed would be worth nothing.
+void Check(const Status& status) {
+  if (status.ok()) return;
+  std::fprintf(stderr, "index_bench: %s\n", status.message().c_str());
+  std::exit(1);
+}
+
+void RunStatement(benchmark::State& state, const std::filesystem::path& store, const std::string& sql) {
+  auto index = ReadOnlyIndex::Open(store);
+  Check(index.status());
+  for (auto _ : state) {
+    auto table = index->Run(sql, {}, {.time = std::chrono::minutes(1), .rows = INT64_MAX, .bytes = INT64_MAX});
+    Check(table.status());
+    benchmark::DoNotOptimize(table);
+  }
+}
+
+void RunNamed(benchmark::State& state, const std::filesystem::path& store, const NamedQuery& query, WallNs now) {
+  auto index = ReadOnlyIndex::Open(store);
+  Check(index.status());
+  for (auto _ : state) {
+    auto table = RunQuery(*index, query, {{"now_ns", now.ns}}, {.rows = INT64_MAX});
+    Check(table.status());
+    benchmark::DoNotOptimize(TableAsText(*table));
+  }
+}
+
+void RunList(benchmark::State& state, const std::filesystem::path& store) {
+  auto index = ReadOnlyIndex::Open(store);
+  Check(index.status());
+  for (auto _ : state) {
+    const auto table = ListSessions(*index, {});
+    Check(table.status());
+    benchmark::DoNotOptimize(TableAsText(*table));
+  }
+}
+
+void RunShow(benchmark::State& state, const std::filesystem::path& folder) {
+  const auto store = SessionStore::Open(folder, AccessMode::kReadOnly);
+  Check(store.status());
+  for (auto _ : state) {
+    const auto details = LoadDetails(*store, "latest");
+    Check(details.status());
+    benchmark::DoNotOptimize(DetailsAsText(*details));
+  }
+}
+
+// Processor time of all children so far, ms.
+double ChildrenMs() {
+  rusage usage{};
+  getrusage(RUSAGE_CHILDREN, &usage);
+  const auto ms = [](const timeval& t) {
+    return static_cast<double>(t.tv_sec) * 1e3 + static_cast<double>(t.tv_usec) / 1e3;
+  };
+  return ms(usage.ru_utime) + ms(usage.ru_stime);
+}
+
+void RunProgram(benchmark::State& state, const std::string& arguments) {
+  const std::string command = std::string(STRATALUX_BIN_DIR) + "/stratalux-db " + arguments + " > /dev/null";
+  const double before = ChildrenMs();
+  for (auto _ : state)
+    if (std::system(command.c_str()) != 0) Check(Status::Failed(command));
+  state.counters["children_ms"] = (ChildrenMs() - before) / static_cast<double>(state.iterations());
+}
+
+// Keeps what it prints, for the table at the end.
+class Collector : public benchmark::ConsoleReporter {
+ public:
+  Collector() : ConsoleReporter(OO_Tabular) {}
+  void ReportRuns(const std::vector<Run>& runs) override {
+    ConsoleReporter::ReportRuns(runs);
+    for (const Run& run : runs) {
+      wall_ms_[run.run_name.function_name] = run.GetAdjustedRealTime();
+      const auto children = run.counters.find("children_ms");
+      cpu_ms_[run.run_name.function_name] =
+          children == run.counters.end() ? run.GetAdjustedCPUTime() : children->second.value;
+    }
+  }
+  [[nodiscard]] Cell Wall(const std::string& name) const { return Of(wall_ms_, name); }
+  [[nodiscard]] Cell Cpu(const std::string& name) const { return Of(cpu_ms_, name); }
+
+ private:
+  using Times = std::map<std::string, double>;
+  static Cell Of(const Times& times, const std::string& name) {
+    const auto found = times.find(name);
+    return found == times.end() ? Cell() : Cell(std::round(found->second * 100.0) / 100.0);
+  }
+  Times wall_ms_, cpu_ms_;
+};
+
+template <typename Function>
+void Register(const std::string& name, Function function) {
+  benchmark::RegisterBenchmark(name.c_str(), function)->Unit(benchmark::kMillisecond)->UseRealTime();
+}
+
+int Option(int argc, char** argv, const std::string& name, int otherwise) {
+  int value = otherwise;
+  for (int i = 1; i < argc; ++i)
+    if (const std::string text = argv[i]; text.starts_with(name + "="))
+      std::from_chars(text.data() + name.size() + 1, text.data() + text.size(), value);
+  return value;
+}
+
+// Wall time is what an operator waits; on a busy machine the processor time says what the question costs.
+ResultTable Summary(const Collector& results, const std::vector<std::string>& names) {
+  ResultTable table;
+  table.columns = {{"question"},    {"in process, ms"}, {"its CPU, ms"},  {"program, ms"},
+                   {"its CPU, ms"}, {"at most, ms"},    {"peer CPU, ms"}, {"peer / ours"}};
+  for (const std::string& name : names) {
+    const Cell ours = results.Cpu(name), peer = results.Cpu("peer/" + name);
+    Cell ratio;
+    if (std::holds_alternative<double>(ours) && std::holds_alternative<double>(peer))
+      ratio = std::round(std::get<double>(peer) / std::get<double>(ours) * 10.0) / 10.0;
+    table.rows.push_back({name, results.Wall(name), ours, results.Wall("program/" + name),
+                          results.Cpu("program/" + name), int64_t{name == "show" ? 20 : 100}, peer, ratio});
+  }
+  return table;
+}
+
+int Main(int argc, char** argv) {
+  IndexRowsOptions options;
+  options.sessions = Option(argc, argv, "--sessions", 1000);
+  options.frames_per_session = Option(argc, argv, "--frames", 1000);
+  options.fits = IndexRowsOptions::Fits::kReal;
+  std::string name = (std::filesystem::temp_directory_path() / "stratalux-bench-XXXXXX").string();
+  if (mkdtemp(name.data()) == nullptr) return 1;
+  const Folder folder{name};
+  std::fprintf(stderr, "writing %d sessions x %d frames\n", options.sessions, options.frames_per_session);
+  const auto sessions = WriteIndexRows(folder.path, options);
+  int64_t frames = 0;
+  for (const auto& session : sessions) frames += session.row.frames;
+
+  const std::string store = " --store " + folder.path.string();
+  const std::string now = " --now " + ToIso8601(options.now);
+  std::vector<std::string> names = {"ls", "show"};
+  Register("ls", [&](auto& state) { RunList(state, folder.path); });
+  Register("program/ls", [&](auto& state) { RunProgram(state, "ls" + store); });
+  Register("show", [&](auto& state) { RunShow(state, folder.path); });
+  Register("program/show", [&](auto& state) { RunProgram(state, "show latest" + store); });
+  for (const NamedQuery& query : NamedQueries()) {
+    names.push_back(query.name);
+    Register(query.name, [&](auto& state) { RunNamed(state, folder.path, query, options.now); });
+    Register("program/" + query.name,
+             [&, arguments = "query " + query.name + now + store](auto& state) { RunProgram(state, arguments); });
+  }
+  for (const auto& [question, sql] : kPeers)
+    Register("peer/" + question, [&, statement = sql](auto& state) { RunStatement(state, folder.path, statement); });
+  Collector results;
+  benchmark::Initialize(&argc, argv);
+  benchmark::RunSpecifiedBenchmarks(&results);
+  std::printf("\n%s\n", TableAsText(Summary(results, names)).c_str());
+  const auto bytes = std::filesystem::file_size(folder.path / "index.sqlite");
+  std::printf("%lld frames, index of %.1f MiB: %.0f bytes a frame (target 400)\n", static_cast<long long>(frames),
+              static_cast<double>(bytes) / (1 << 20), static_cast<double>(bytes) / static_cast<double>(frames));
+  return 0;
+}
+
+}  // namespace
+}  // namespace stratalux::db
+
+int main(int argc, char** argv) { return stratalux::db::Main(argc, argv); }
