@@ -41,7 +41,8 @@ class Commands {
 
 // Each keeps its own flags alive as long as its commands.
 void AddViewCommands(Commands& commands);      // init, show, frames, verify
-void AddQueryCommands(Commands& commands);     // ls, query, sql, stats
+void AddQueryCommands(Commands& commands);     // ls, query, sql
+void AddStatsCommand(Commands& commands);      // stats
 void AddTransferCommands(Commands& commands);  // import
 
 // The store of --store; what opening it mended or could not goes to stderr as warnings.

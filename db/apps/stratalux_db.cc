@@ -30,6 +30,7 @@ int Main(int argc, char** argv) {
   Commands commands(app);
   AddViewCommands(commands);
   AddQueryCommands(commands);
+  AddStatsCommand(commands);
   AddTransferCommands(commands);
   try {
     app.parse(argc, argv);

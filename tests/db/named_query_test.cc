@@ -2,6 +2,8 @@
 #include "db/named_query.h"
 
 #include <algorithm>
+#include <fstream>
+#include <iterator>
 #include <map>
 #include <regex>
 #include <set>
@@ -87,6 +89,23 @@ TEST_F(NamedQueryTest, EachTakesTheParametersItNamesAndNoOther) {
     const std::set<std::string> named(query.parameters.begin(), query.parameters.end());
     for (const auto& [name, placeholder] : placeholders)
       EXPECT_EQ(named.contains(name), query.sql.find(placeholder) != std::string::npos) << query.name << " --" << name;
+  }
+}
+
+TEST_F(NamedQueryTest, EachIsDocumented) {
+  std::ifstream file(std::string(STRATALUX_SOURCE_DIR) + "/docs/store-queries.md");
+  const std::string page((std::istreambuf_iterator<char>(file)), {});
+  for (const NamedQuery& query : NamedQueries()) {
+    const size_t start = page.find("### " + query.name + "\n");
+    ASSERT_NE(start, std::string::npos) << query.name;
+    const std::string section = page.substr(start, page.find("\n### ", start) - start);
+    EXPECT_NE(section.find(query.question), std::string::npos) << query.name;
+    for (const QueryColumn& column : query.columns)
+      EXPECT_NE(section.find("| `" + column.name + "` | " + column.kind + " | " + column.meaning + " |"),
+                std::string::npos)
+          << query.name << "." << column.name;
+    for (const std::string& parameter : query.parameters)
+      EXPECT_NE(section.find("`--" + parameter + "`"), std::string::npos) << query.name << " --" << parameter;
   }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command line: what it prints and how it exits.
+#include <algorithm>
 #include <cstdio>
 
 #include <gmock/gmock.h>
@@ -109,6 +110,66 @@ TEST_F(StrataluxDb, ExitsWithTheDocumentedCodes) {
   EXPECT_EQ(Db("frames latest --phase party").code, 2);
   EXPECT_EQ(Db("import --manifest " + (folder_ / "none.toml").string()).code, 2);
   EXPECT_EQ(Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db ls 2>/dev/null").code, 2);
+}
+
+TEST_F(StrataluxDb, ListsWhatPassesTheFilters) {
+  const std::string plain = StoreSession(1), fitted = StoreSession(2);
+  ASSERT_TRUE(OpenStore().RegisterFit({"f", fitted, "{}", R"({"fit": {"divergence": 0.5}})", {5}}).ok());
+  const auto ids = [this](const std::string& flags) {
+    std::vector<std::string> found;
+    for (const auto& session : Json("ls " + flags)) found.push_back(session["session"]);
+    return found;
+  };
+  using ::testing::ElementsAre;
+  EXPECT_THAT(ids("--sort session"), ElementsAre(plain, fitted));
+  EXPECT_THAT(ids("--fitted no"), ElementsAre(plain));
+  EXPECT_THAT(ids("--max-error divergence=0.5 --status complete,degraded --rig bench --rig other"),
+              ElementsAre(fitted));
+  EXPECT_THAT(ids("--max-error fit.divergence=0.4"), ElementsAre());
+  EXPECT_THAT(ids("--until 1h"), ElementsAre(fitted, plain)) << "the fixture's sessions start in 1970";
+  EXPECT_THAT(ids("--since 1h"), ElementsAre());
+  EXPECT_THAT(ids("--calibration none --limit 1"), ElementsAre(fitted));
+  EXPECT_THAT(Db("ls --csv").output, ::testing::StartsWith("session,started,kind,"));
+  for (const char* wrong : {"--since yesterday-ish", "--status great", "--kind party", "--fitted maybe",
+                            "--sort colour", "--max-error x=y", "--limit -1", "--json --csv"})
+    EXPECT_EQ(Db("ls " + std::string(wrong)).code, 2) << wrong;
+}
+
+TEST_F(StrataluxDb, AnswersByNameAndBySql) {
+  StoreSession(3);
+  EXPECT_THAT(Db("query --list").output, HasSubstr("missing-frames"));
+  EXPECT_EQ(Json("query disk-use")[0]["frames"], 3);
+  EXPECT_EQ(Db("query nothing").code, 4);
+  EXPECT_EQ(Db("query").code, 2);
+  EXPECT_EQ(Db("query calibration-age --since 7d").code, 2) << "a flag the query does not know";
+  EXPECT_EQ(Json("sql 'SELECT count(*) AS n FROM frames'")[0]["n"], 3);
+  EXPECT_EQ(Shell("echo 'SELECT 1 AS one' | STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR +
+                  "/stratalux-db sql - --csv")
+                .output,
+            "one\r\n1\r\n");
+  EXPECT_EQ(Db("sql 'DELETE FROM frames'").code, 2);
+  EXPECT_THAT(Db("sql 'DELETE FROM frames'", "2>&1").output, HasSubstr("only reads"));
+  const std::string many = "\"WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM c) SELECT x FROM c\"";
+  EXPECT_EQ(Db("sql " + many).code, 3) << "cut without being asked to";
+  EXPECT_EQ(Db("sql --limit 5 " + many).output, "x\n1\n2\n3\n4\n5\n");
+  EXPECT_EQ(Db("sql --limit 5 " + many).code, 0);
+  EXPECT_EQ(
+      Db("sql --seconds 0.05 \"WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM c) SELECT count(*) FROM c\"")
+          .code,
+      1);
+}
+
+TEST_F(StrataluxDb, DrawsItsStatistics) {
+  StoreSession(3);
+  const Outcome text = Db("stats --since 7d --until 1970-01-02");
+  EXPECT_EQ(text.code, 0);
+  EXPECT_THAT(text.output, HasSubstr("1 sessions, 1 complete; 3 frames"));
+  EXPECT_TRUE(std::all_of(text.output.begin(), text.output.end(), [](char c) { return c > 0; })) << "ASCII in a pipe";
+  EXPECT_EQ(Json("stats --since 7d --until 1970-01-02")["sessions"], 1);
+  const auto page = folder_ / "stats.html";
+  EXPECT_EQ(Db("stats --html " + page.string()).code, 0);
+  EXPECT_GT(std::filesystem::file_size(page), 1000U);
+  EXPECT_EQ(Db("stats --html /nowhere/at/all.html").code, 1);
 }
 
 TEST_F(StrataluxDb, KeepsMessagesOffStdout) {
