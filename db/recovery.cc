@@ -164,8 +164,8 @@ Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionR
   info.reasons = {reason};
   info.finished_wall = WallNow();
   const Status manifest = WriteManifest(folder, info, found.frames, found.segments);
-  // On a full disk the row alone must do, unless an older manifest says otherwise.
-  if (std::error_code error; !manifest.ok() && fs::exists(folder / "manifest.json", error)) return manifest;
+  // On a full disk the row alone must do, unless an older manifest says that the session ended otherwise.
+  if (!manifest.ok() && EndOf(folder, session.info.id).ok()) return manifest;
   return index.SetStatus(number, {info.status, info.reasons, info.finished_wall});
 }
 

@@ -48,7 +48,9 @@ class Workload {
   template <typename F>
   void WithStore(F&& use) {
     auto store = SessionStore::Open(folder_, AccessMode::kReadWrite);
-    if (Note(store.status())) use(*store);
+    if (!Note(store.status())) return;
+    report_.notes.insert(report_.notes.end(), store->notes().begin(), store->notes().end());
+    use(*store);
   }
 
   // Without an ending the writer goes away as a killed process does: frames appended, a group unfinished.
