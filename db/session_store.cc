@@ -2,48 +2,19 @@
 #include "db/session_store.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstring>
 #include <map>
 
-#include <fcntl.h>
-#include <sys/file.h>
-#include <unistd.h>
-
 #include "db/manifest.h"
+#include "db/privacy/consent.h"
+#include "db/privacy/frame_cipher.h"
 #include "db/segment.h"
 #include "db/session_index.h"
+#include "db/write_lock.h"
 #include "shared/image/raw12.h"
 
 namespace stratalux::db {
 namespace {
-
-// Held while a session is written; the kernel drops it with the process.
-class WriteLock {
- public:
-  static Result<WriteLock> Take(const std::filesystem::path& folder) {
-    WriteLock lock;
-    const auto file = folder / "write.lock";
-    lock.fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
-    if (lock.fd_ < 0) return Status::Failed("cannot write store " + folder.string() + ": " + std::strerror(errno));
-    if (flock(lock.fd_, LOCK_EX | LOCK_NB) != 0)
-      return Status::Busy("store " + folder.string() +
-                          " is being written by another program; try again when it has finished");
-    return lock;
-  }
-  WriteLock() = default;
-  WriteLock(WriteLock&& o) noexcept : fd_(std::exchange(o.fd_, -1)) {}
-  WriteLock& operator=(WriteLock&& o) noexcept {
-    std::swap(fd_, o.fd_);
-    return *this;
-  }
-  ~WriteLock() {
-    if (fd_ >= 0) close(fd_);
-  }
-
- private:
-  int fd_ = -1;
-};
 
 struct Encoded {
   Codec codec = Codec::kRaw16;
@@ -121,9 +92,10 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
 struct SessionStore::Impl {
   std::filesystem::path folder;
   SessionIndex index;
+  FrameOpener opener;
 
   Result<std::vector<FrameRow>> ListFrames(const std::string& id);
-  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame) const;
+  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
 };
 
 struct SessionWriter::Impl {
@@ -133,6 +105,7 @@ struct SessionWriter::Impl {
   SessionInfo info;
   int64_t number = 0;
   WriterOptions options;
+  std::unique_ptr<FrameSealer> sealer;  // null: stored as it is
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
   int64_t acknowledged_end = 0;  // in the current segment
@@ -150,7 +123,7 @@ struct SessionWriter::Impl {
   }
   Status NextSegment() {
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
-    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id));
+    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id, sealer.get()));
     segment = std::move(next);
     ++segments;
     acknowledged_end = kSegmentStart;
@@ -209,7 +182,7 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   if (name.empty() || name.size() > 63)
     return Status::Usage("truth map name '" + name + "' must have 1 .. 63 characters");
   if (!impl_->truth) {
-    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id);
+    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id, impl_->sealer.get());
     if (!created.ok()) return impl_->Fail(created.status());
     impl_->truth = std::move(created).value();
   }
@@ -255,7 +228,7 @@ Status SessionStore::Create(const std::filesystem::path& folder) { return Sessio
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
   if (mode == AccessMode::kReadWrite) SLX_RETURN_IF_ERROR(Recover(index, folder));
-  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index)}));
+  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), FrameOpener(folder)}));
 }
 
 const std::filesystem::path& SessionStore::folder() const { return impl_->folder; }
@@ -269,17 +242,40 @@ std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::
 Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
   const auto folder = SessionFolder(info.id);
+  const auto fail = [&](Status status) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
+    return status;
+  };
   std::error_code error;
   std::filesystem::create_directories(folder, error);
-  if (error) {
-    (void)index.SetStatus(number, {SessionStatus::kFailed, {"no folder: " + error.message()}, WallNow()}).ok();
-    return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  if (error) return fail(Status::Failed("cannot create " + folder.string() + ": " + error.message()));
+  std::unique_ptr<FrameSealer> sealer;
+  if (options.encryption == Encryption::kPerSession) {
+    auto key = CreateKey(impl_->folder);
+    if (!key.ok()) return fail(key.status());
+    if (Status status = index.SetKeyId(number, key->id); !status.ok()) return fail(status);
+    sealer = std::make_unique<FrameSealer>(info.id, std::move(key).value());
   }
-  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{
-      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, 0, {}, {}}));
+  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{folder,
+                                                                                    std::move(index),
+                                                                                    std::move(lock),
+                                                                                    std::move(info),
+                                                                                    number,
+                                                                                    options,
+                                                                                    std::move(sealer),
+                                                                                    {},
+                                                                                    {},
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    {},
+                                                                                    {}}));
 }
 
 Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
@@ -340,11 +336,14 @@ Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const Fra
   return image.ok() ? std::move(image) : WithRemedy(image.status(), id);
 }
 
-Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) const {
+Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) {
   SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
   FrameHeader header{};
-  SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(frame.offset, &header).WithContext("session " + id));
-  return Decode(header, bytes, "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));
+  const std::string where = "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset);
+  SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(frame.offset, &header).WithContext("session " + id));
+  SLX_ASSIGN_OR_RETURN(const auto bytes,
+                       opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
+  return Decode(header, bytes, where);
 }
 
 Status SessionStore::RegisterFit(const FitRow& fit) {

@@ -37,9 +37,10 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
 Result<RigConfig> Read(TomlTable root) {
   RigConfig config;
   TomlTable rig = root.Table("rig"), camera = root.Table("camera"), capture = root.Table("capture"),
-            plan = root.Table("plan");
+            plan = root.Table("plan"), store = root.Table("store");
   rig.Get("name", config.name);
   rig.Get("store", config.store);
+  if (store.Has("encrypt")) store.Get("encrypt", config.encrypt.emplace());
   camera.Get("width", config.camera_width, 16, 16384);
   camera.Get("height", config.camera_height, 16, 16384);
   capture.Get("settle_ms", config.settle_ms, 0, kLongestSettleMs);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 
 #include "shared/base/result.h"
@@ -14,7 +15,8 @@ inline constexpr double kLongestSettleMs = 10000.0;
 
 struct RigConfig {
   std::string name = "rig";
-  std::string store;  // folder; empty: not set here
+  std::string store;            // folder; empty: not set here
+  std::optional<bool> encrypt;  // frames; unset: a kiosk does, a capture by hand does not
   int camera_width = 1392;
   int camera_height = 1042;
   double settle_ms = 2.0;       // from SYNC to exposure

@@ -25,7 +25,7 @@ SessionStore StoreTest::OpenStore(AccessMode mode) const {
 
 std::string StoreTest::StoreSession(int frames, const WriterOptions& options) const {
   SessionStore store = OpenStore();
-  SessionInfo info;
+  SessionInfo info = SimulatedVisit();
   info.rig = "bench";
   auto writer = store.BeginSession(info, options);
   EXPECT_TRUE(writer.ok()) << writer.status().message();
@@ -36,6 +36,12 @@ std::string StoreTest::StoreSession(int frames, const WriterOptions& options) co
 
 std::filesystem::path StoreTest::Segment(const std::string& session, int number) const {
   return folder_ / "sessions" / session / ("frames-000" + std::to_string(number) + ".seg");
+}
+
+SessionInfo SimulatedVisit() {
+  SessionInfo info;
+  info.simulated = true;
+  return info;
 }
 
 FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels) {

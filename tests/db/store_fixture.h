@@ -25,6 +25,8 @@ class StoreTest : public ::testing::Test {
   std::filesystem::path folder_;
 };
 
+// A simulated visitor's session, whose consent records itself.
+[[nodiscard]] SessionInfo SimulatedVisit();
 [[nodiscard]] FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels = 1);
 // Samples over the format's whole range, different in each frame.
 [[nodiscard]] Image<uint16_t> PixelsFor(const FrameRecord& record);
