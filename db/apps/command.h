@@ -41,7 +41,8 @@ class Commands {
 
 // Each keeps its own flags alive as long as its commands.
 void AddViewCommands(Commands& commands);      // init, ls, show, frames, verify
-void AddPrivacyCommands(Commands& commands);   // consent
+void AddPrivacyCommands(Commands& commands);   // consent, access, key
+void AddForgetCommands(Commands& commands);    // forget, purge, deletions
 void AddTransferCommands(Commands& commands);  // import
 
 // Prints to stderr; the status's exit code.

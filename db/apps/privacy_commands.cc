@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-db consent give|withdraw|show`.
+// `stratalux-db consent give|withdraw|show`, `access`, `key export|import`.
 #include <algorithm>
 #include <cstdio>
 #include <memory>
@@ -7,7 +7,9 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/privacy/access_log.h"
 #include "db/privacy/consent.h"
+#include "db/privacy/key_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -94,8 +96,83 @@ void AddConsent(Commands& commands) {
   flags->give->add_option("--scope", flags->scope, "fit, research, publication, joined by commas")->required();
 }
 
+int RunAccess(const CommonFlags& common, const std::string& session) {
+  std::string prefix = session;
+  if (session == "latest") {
+    const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+    if (!store.ok()) return Report(store.status());
+    const auto row = store->FindSession(session);
+    if (!row.ok()) return Report(row.status());
+    prefix = row->info.id;
+  }
+  const auto entries = ListAccess(common.store, prefix);
+  if (!entries.ok()) return Report(entries.status());
+  Json json = Json::array();
+  std::string text = "at                    who           action      session           detail\n";
+  for (const AccessEntry& e : *entries) {
+    json.push_back(
+        {{"at", ToIso8601(e.at)}, {"who", e.who}, {"action", e.action}, {"session", e.session}, {"detail", e.detail}});
+    char line[160];
+    std::snprintf(line, sizeof line, "%-20s  %-12s  %-10s  %-16s  ", ToIso8601(e.at).c_str(), e.who.c_str(),
+                  e.action.c_str(), e.session.c_str());
+    text += line + (e.detail.empty() ? "-" : e.detail) + "\n";
+  }
+  return Print(common.json ? TextOf(json) : text);
+}
+
+void AddAccess(Commands& commands) {
+  const auto session = std::make_shared<std::string>();
+  const CommonFlags& common = commands.flags();
+  CLI::App* access = commands.Add("access", "List who took what out of the store, oldest first",
+                                  [&common, session] { return RunAccess(common, *session); });
+  access->add_option("SESSION", *session, "id or prefix, also of a forgotten session, or latest (default: all)");
+}
+
+struct KeyFlags {
+  std::string session, file;
+  CLI::App *take_out = nullptr, *put_in = nullptr;
+};
+
+int ExportKey(const CommonFlags& common, const KeyFlags& flags) {
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  if (!store.ok()) return Report(store.status());
+  const auto row = store->FindSession(flags.session);
+  if (!row.ok()) return Report(row.status());
+  const Status status = ExportKeyFile(common.store, *row, flags.file);
+  if (!status.ok()) return Report(status);
+  const Json json = {{"session", row->info.id}, {"key_id", row->key_id}, {"file", flags.file}};
+  return Print(common.json ? TextOf(json) : "key of session " + row->info.id + " written to " + flags.file + "\n");
+}
+
+int ImportKey(const CommonFlags& common, const KeyFlags& flags) {
+  const auto session = ImportKeyFile(common.store, flags.file);
+  if (!session.ok()) return Report(session.status());
+  const Json json = {{"session", *session}};
+  return Print(common.json ? TextOf(json) : "session " + *session + " can be read here; delete " + flags.file + "\n");
+}
+
+void AddKey(Commands& commands) {
+  const auto flags = std::make_shared<KeyFlags>();
+  const CommonFlags& common = commands.flags();
+  CLI::App* key = commands.Add("key", "Take the key of an encrypted session to another machine", [&common, flags] {
+    return flags->take_out->parsed() ? ExportKey(common, *flags) : ImportKey(common, *flags);
+  });
+  key->require_subcommand(1);
+  key->fallthrough();
+  flags->take_out = key->add_subcommand("export", "Write the key to a file that only you can read; logged");
+  flags->put_in = key->add_subcommand("import", "Take in the key that FILE holds");
+  flags->take_out->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
+  flags->take_out->add_option("--out", flags->file, "file to write")->required();
+  flags->put_in->add_option("FILE", flags->file, "as `key export` wrote it")->required();
+  for (CLI::App* verb : {flags->take_out, flags->put_in}) verb->fallthrough();
+}
+
 }  // namespace
 
-void AddPrivacyCommands(Commands& commands) { AddConsent(commands); }
+void AddPrivacyCommands(Commands& commands) {
+  AddConsent(commands);
+  AddAccess(commands);
+  AddKey(commands);
+}
 
 }  // namespace stratalux::db

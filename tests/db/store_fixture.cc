@@ -7,8 +7,15 @@
 
 namespace stratalux::db {
 
+std::filesystem::path TemporaryFolder() {
+  std::error_code error;
+  const bool asked = std::getenv("TMPDIR") != nullptr;
+  return !asked && std::filesystem::is_directory("/dev/shm", error) ? "/dev/shm"
+                                                                    : std::filesystem::temp_directory_path();
+}
+
 void StoreTest::SetUp() {
-  std::string name = (std::filesystem::temp_directory_path() / "stratalux-db-XXXXXX").string();
+  std::string name = (TemporaryFolder() / "stratalux-db-XXXXXX").string();
   ASSERT_NE(mkdtemp(name.data()), nullptr);
   folder_ = name;
   const Status status = SessionStore::Create(folder_);

@@ -12,6 +12,9 @@
 
 namespace stratalux::db {
 
+// In memory where there is such a folder: hundreds of stores would wait for the disk's syncs. $TMPDIR overrides.
+[[nodiscard]] std::filesystem::path TemporaryFolder();
+
 class StoreTest : public ::testing::Test {
  protected:
   void SetUp() override;

@@ -2,6 +2,7 @@
 // Encrypted sessions: read where the key is, by nobody else, and not a bit of them can be changed unseen.
 #include <cstddef>
 #include <cstring>
+#include <optional>
 #include <set>
 
 #include <gmock/gmock.h>
@@ -51,9 +52,10 @@ class EncryptionTest : public StoreTest {
     bytes_ = ReadBytes(Segment(id_));
   }
   // The code of reading `frame` after the segment was replaced by `bytes`.
-  [[nodiscard]] StatusCode CodeOf(const std::vector<uint8_t>& bytes, size_t frame = 0) const {
+  [[nodiscard]] StatusCode CodeOf(const std::vector<uint8_t>& bytes, size_t frame = 0) {
+    if (!reader_) reader_.emplace(OpenStore(AccessMode::kReadOnly));
     WriteBytes(Segment(id_), bytes);
-    return OpenStore(AccessMode::kReadOnly).ReadFrame(id_, rows_[frame]).status().code();
+    return reader_->ReadFrame(id_, rows_[frame]).status().code();
   }
   [[nodiscard]] KeyId Key(const std::string& id) const {
     const auto bytes = ReadBytes(Segment(id));
@@ -63,6 +65,7 @@ class EncryptionTest : public StoreTest {
   std::string id_;
   std::vector<FrameRow> rows_;
   std::vector<uint8_t> bytes_;
+  std::optional<SessionStore> reader_;
 };
 
 TEST_F(EncryptionTest, GivesBackEveryPixelAndStoresNone) {
