@@ -28,7 +28,9 @@ Status LogAccess(const std::filesystem::path& store, const std::string& action, 
                        index.connection().Prepare("INSERT INTO access_log (at_wall_ns, who, action, session_id, detail)"
                                                   " VALUES (?1, ?2, ?3, ?4, ?5)"));
   insert.Bind(1, WallNow().ns).Bind(2, OperatingSystemUser()).Bind(3, action).Bind(4, session_id).Bind(5, detail);
-  return insert.Run().WithContext("access log (what leaves the store is logged first)");
+  SLX_RETURN_IF_ERROR(insert.Run().WithContext("access log (what leaves the store is logged first)"));
+  // Into the index itself: the caller's read-only connection, which closes last, could not.
+  return index.connection().QueryInteger("PRAGMA wal_checkpoint(PASSIVE)").status();
 }
 
 Result<std::vector<AccessEntry>> ListAccess(const std::filesystem::path& store, const std::string& session_prefix) {

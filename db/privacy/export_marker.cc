@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "db/privacy/access_log.h"
 #include "db/privacy/durable_file.h"
 #include "shared/base/read_file.h"
 
@@ -62,6 +63,12 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
                      {"about", "files of this session; `stratalux-db forget` deletes them"},
                      {"files", all}};
   return WriteFileDurably(marker, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
+                   const fs::path& folder, const std::vector<std::string>& files) {
+  SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
+  return WriteExportMarker(folder, session_id, files);
 }
 
 std::vector<std::string> ExportsIn(const fs::path& folder) {

@@ -19,6 +19,10 @@ namespace stratalux::db {
 Status WriteExportMarker(const std::filesystem::path& folder, const std::string& session_id,
                          const std::vector<std::string>& files);
 
+// What every export calls before its first file: the row of the access log (access_log.h), then the marker.
+Status BeginExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
+                   const std::filesystem::path& folder, const std::vector<std::string>& files);
+
 // The sessions that have a marker in this folder.
 [[nodiscard]] std::vector<std::string> ExportsIn(const std::filesystem::path& folder);
 

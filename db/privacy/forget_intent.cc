@@ -57,9 +57,11 @@ Status CollectHashes(Connection& connection, int64_t number, std::vector<std::st
   }
 }
 
+// Details that are places.
 Status CollectExports(Connection& connection, ForgetIntent& intent) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT DISTINCT detail FROM access_log WHERE session_id = ?1"
-                                                       " AND action IN ('extract', 'export', 'key export')"));
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection.Prepare("SELECT DISTINCT detail FROM access_log WHERE session_id = ?1 AND instr(detail, ':/') > 0"));
   select.Bind(1, intent.session);
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

@@ -10,7 +10,6 @@
 #include <sodium.h>
 #include <unistd.h>
 
-#include "db/privacy/access_log.h"
 #include "db/privacy/export_marker.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/key_store.h"
@@ -62,8 +61,7 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   secret.pop_back();
   const Json json = {{"schema", 1}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
   const auto folder = std::filesystem::absolute(file).parent_path();
-  SLX_RETURN_IF_ERROR(LogAccess(store, "key export", session.info.id, ExportPlace(folder)));
-  SLX_RETURN_IF_ERROR(WriteExportMarker(folder, session.info.id, {file.filename().string()}));
+  SLX_RETURN_IF_ERROR(BeginExport(store, "key export", session.info.id, folder, {file.filename().string()}));
   return WritePrivately(file, json.dump(1) + "\n");
 }
 
