@@ -102,9 +102,11 @@ const char* ToString(ExportState state) {
     case ExportState::kElsewhere:
       return "on another machine";
     case ExportState::kNotThere:
+      return "no export there any more";
+    case ExportState::kKept:
       break;
   }
-  return "no export there any more";
+  return "could not be deleted";
 }
 
 Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id) {

@@ -30,10 +30,12 @@ Status BeginExport(const std::filesystem::path& store, const std::string& action
 [[nodiscard]] std::string ExportPlace(const std::filesystem::path& folder);
 [[nodiscard]] std::optional<std::filesystem::path> LocalFolder(const std::string& place);
 
-enum class ExportState { kDeleted, kElsewhere, kNotThere };
-[[nodiscard]] const char* ToString(ExportState state);  // "deleted", "on another machine", "no export there any more"
+enum class ExportState { kDeleted, kElsewhere, kNotThere, kKept };
+// "deleted", "on another machine", "no export there any more", "could not be deleted".
+[[nodiscard]] const char* ToString(ExportState state);
 
-// Deletes the files the marker names, then the marker, then the folder if nothing else is in it.
+// Deletes the files the marker names, then the marker, then the folder if nothing else is in it. Never
+// kKept: what could not be deleted is an error that says why.
 [[nodiscard]] Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id);
 
 }  // namespace stratalux::db

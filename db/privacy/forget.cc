@@ -30,7 +30,7 @@ class Forgetting {
  private:
   Status WriteIntents();
   Status DestroyKeys();
-  Status RemoveExports();
+  void RemoveExports();
   Status RemoveFolders();
   Status RemoveRows(SessionIndex& index);
   Status Compact(SessionIndex& index);
@@ -49,6 +49,7 @@ class Forgetting {
   ForgetReport report_;  // sessions in the order of intents_
   std::vector<std::string> gone_visitors_;
   StoreScanResult scan_;
+  std::vector<StoreScanResult::Leftover> kept_exports_;
 };
 
 ForgottenSession SessionOf(const ForgetIntent& intent) {
@@ -109,14 +110,17 @@ Status Forgetting::DestroyKeys() {
   return Status::Ok();
 }
 
-Status Forgetting::RemoveExports() {
+void Forgetting::RemoveExports() {
   for (size_t i = 0; i < intents_.size(); ++i)
     for (const std::string& place : intents_[i].exports) {
-      SLX_ASSIGN_OR_RETURN(const ExportState state, RemoveExport(place, intents_[i].session));
-      report_.sessions[i].exports.push_back({place, state});
+      const auto state = RemoveExport(place, intents_[i].session);
+      report_.sessions[i].exports.push_back({place, state.ok() ? *state : ExportState::kKept});
+      // A folder we may not write keeps no frame alive: it is named, and the next call tries again.
+      if (!state.ok())
+        kept_exports_.push_back(
+            {intents_[i].session, intents_[i].visitor, "export " + place + ": " + state.status().message()});
       Done(ForgetStep::kExport);
     }
-  return Status::Ok();
 }
 
 Status Forgetting::RemoveFolders() {
@@ -246,7 +250,7 @@ Result<ForgetReport> Forgetting::Run() {
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
   SLX_RETURN_IF_ERROR(WriteIntents());
   SLX_RETURN_IF_ERROR(DestroyKeys());
-  SLX_RETURN_IF_ERROR(RemoveExports());
+  RemoveExports();
   SLX_RETURN_IF_ERROR(RemoveFolders());
   ScanPlan plan;
   {
@@ -259,6 +263,7 @@ Result<ForgetReport> Forgetting::Run() {
     SLX_ASSIGN_OR_RETURN(plan, PlanScan(index, intents_, gone_visitors_));
   }
   SLX_ASSIGN_OR_RETURN(scan_, ScanStore(store_, intents_, plan, logger_));
+  scan_.leftovers.insert(scan_.leftovers.end(), kept_exports_.begin(), kept_exports_.end());
   Done(ForgetStep::kScanned);
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(Certify(index));

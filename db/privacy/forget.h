@@ -51,7 +51,9 @@ struct ForgottenSession {
 struct ForgetReport {
   std::vector<ForgottenSession> sessions;
   int64_t markers = 0, scanned_files = 0, scanned_bytes = 0;
-  std::vector<std::string> leftovers;  // file, offset and what was found: to be removed by hand, then forgotten again
+  // File, offset and what was found, and exports that could not be deleted: to be removed by hand, then forgotten
+  // again.
+  std::vector<std::string> leftovers;
 };
 
 // What Forget would do; changes no byte. The state of an export on this machine is kDeleted where it would be.

@@ -315,6 +315,24 @@ TEST_F(ForgetTest, NamesWhatItCouldNotRemoveUntilItIsGone) {
   ExpectGone(traces, kVisitor);
 }
 
+TEST_F(ForgetTest, AnExportThatCannotBeDeletedKeepsNoFrameAlive) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  const std::string marker = *ReadFile(ExportMarker(exports_ / id, id));
+  WriteText(ExportMarker(exports_ / id, id), "{");  // stands for a folder on a read-only disk
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_EQ(report->sessions[0].exports[0].state, ExportState::kKept);
+  ASSERT_EQ(report->leftovers.size(), 1U);
+  EXPECT_THAT(report->leftovers[0], HasSubstr((exports_ / id).string()));
+  EXPECT_FALSE(fs::exists(folder_ / "sessions" / id));
+  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  WriteText(ExportMarker(exports_ / id, id), marker);
+  EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
+  EXPECT_FALSE(fs::exists(exports_ / id));
+  ExpectGone(traces, kVisitor);
+}
+
 TEST_F(ForgetTest, TakesTheCopyFromBeforeAMigrationWithIt) {
   const std::string id = Visit(kVisitor, 1, Encryption::kNone);
   const Traces traces = TracesOf(id);
