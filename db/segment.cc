@@ -14,6 +14,7 @@
 #include <xxhash.h>
 
 #include "db/durable_file.h"
+#include "db/privacy/frame_cipher.h"
 
 namespace stratalux::db {
 namespace {
@@ -149,6 +150,7 @@ SegmentWriter::SegmentWriter(SegmentWriter&& o) noexcept
       bytes_(o.bytes_),
       sync_failed_(o.sync_failed_),
       file_(std::move(o.file_)),
+      sealer_(o.sealer_),
       headers_(std::move(o.headers_)) {}
 SegmentWriter& SegmentWriter::operator=(SegmentWriter&& o) noexcept {
   if (fd_ >= 0) close(fd_);
@@ -156,6 +158,7 @@ SegmentWriter& SegmentWriter::operator=(SegmentWriter&& o) noexcept {
   bytes_ = o.bytes_;
   sync_failed_ = o.sync_failed_;
   file_ = std::move(o.file_);
+  sealer_ = o.sealer_;
   headers_ = std::move(o.headers_);
   return *this;
 }
@@ -163,8 +166,10 @@ SegmentWriter::~SegmentWriter() {
   if (fd_ >= 0) close(fd_);
 }
 
-Result<SegmentWriter> SegmentWriter::Create(const std::filesystem::path& file, const std::string& session_id) {
+Result<SegmentWriter> SegmentWriter::Create(const std::filesystem::path& file, const std::string& session_id,
+                                            FrameSealer* sealer) {
   SegmentWriter writer;
+  writer.sealer_ = sealer;
   writer.file_ = file.string();
   writer.fd_ = open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
   if (writer.fd_ < 0) return Status::Failed("cannot create " + writer.file_ + ": " + ErrnoText());
@@ -189,6 +194,11 @@ Status SegmentWriter::Write(const void* data, size_t size) {
 
 Result<SegmentFrame> SegmentWriter::Append(FrameHeader header, Codec codec, std::span<const uint8_t> payload) {
   header.codec = static_cast<uint16_t>(codec);
+  std::vector<uint8_t> sealed;
+  if (sealer_ != nullptr) {
+    SLX_ASSIGN_OR_RETURN(sealed, sealer_->Seal(header, payload));
+    payload = sealed;
+  }
   header.payload_bytes = payload.size();
   PayloadHash(payload, header.payload_hash);
   header.header_hash = HashOf(header);

@@ -31,7 +31,7 @@ struct FrameHeader {
   double exposure_ms, gain, mean_dn;
   uint16_t frame_clock, level_check, format, cfa, codec, cipher;  // cipher 0: none
   int32_t width, height, channels, crop_x, crop_y;
-  uint8_t key_id[16], nonce[24];  // reserved for encryption
+  uint8_t key_id[16], nonce[24];  // of an encrypted payload (db/privacy/frame_cipher.h), else 0
   char pattern[64];               // Pattern::ToString, or the name of a truth map; zero-padded
   uint64_t payload_bytes;
   uint8_t payload_hash[16];  // XXH3-128, canonical
@@ -51,10 +51,14 @@ struct SegmentFrame {
 [[nodiscard]] Result<FrameRecord> RecordOf(const FrameHeader& header);
 [[nodiscard]] std::string HashText(const uint8_t (&hash)[16]);
 
+class FrameSealer;  // db/privacy/frame_cipher.h
+
 class SegmentWriter {
  public:
-  // Fails when the file exists. Its name is on the disk when this returns, its header with the first Sync().
-  static Result<SegmentWriter> Create(const std::filesystem::path& file, const std::string& session_id);
+  // Fails when the file exists. Its name is on the disk when this returns, its header with the first Sync(). `sealer`
+  // encrypts each payload and must outlive the writer; null: stored as they are.
+  static Result<SegmentWriter> Create(const std::filesystem::path& file, const std::string& session_id,
+                                      FrameSealer* sealer = nullptr);
   ~SegmentWriter();
   SegmentWriter(SegmentWriter&&) noexcept;
   SegmentWriter& operator=(SegmentWriter&&) noexcept;
@@ -75,6 +79,7 @@ class SegmentWriter {
   int64_t bytes_ = 0;
   bool sync_failed_ = false;
   std::string file_;
+  FrameSealer* sealer_ = nullptr;
   std::vector<FrameHeader> headers_;
 };
 

@@ -220,6 +220,11 @@ Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
       .Run();
 }
 
+Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {
+  SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET key_id = ?1 WHERE number = ?2"));
+  return update.Bind(1, key_id).Bind(2, number).Run();
+}
+
 Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   SLX_ASSIGN_OR_RETURN(
@@ -256,7 +261,8 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
       connection_.Prepare(
           "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
           " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), s.frame_count, s.stored_bytes,"
-          " s.retention, coalesce(s.finished_wall_ns, 0), s.consent FROM sessions s LEFT JOIN calibrations c ON c.id = "
+          " s.retention, coalesce(s.finished_wall_ns, 0), s.consent, lower(hex(s.key_id)) FROM sessions s LEFT JOIN "
+          "calibrations c ON c.id = "
           "s.calibration_id ORDER BY s.number DESC"));
   std::vector<SessionRow> rows;
   while (true) {
@@ -281,6 +287,7 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
     row.bytes = select.Integer(14);
     SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(15)));
     row.info.finished_wall.ns = select.Integer(16);
+    row.key_id = select.Text(18);
     rows.push_back(std::move(row));
   }
 }

@@ -43,6 +43,9 @@ class SessionIndex {
   // The row, and its figures in `metrics`.
   Status UpsertFit(int64_t number, const FitRow& fit);
   Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
+  Status SetKeyId(int64_t number, std::span<const uint8_t> key_id);
+  // For the statements of db/privacy.
+  [[nodiscard]] Connection& connection() { return connection_; }
 
  private:
   explicit SessionIndex(Connection connection) : connection_(std::move(connection)) {}

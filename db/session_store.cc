@@ -7,6 +7,8 @@
 
 #include "db/durable_file.h"
 #include "db/manifest.h"
+#include "db/privacy/consent.h"
+#include "db/privacy/frame_cipher.h"
 #include "db/recovery.h"
 #include "db/segment.h"
 #include "db/session_index.h"
@@ -67,9 +69,10 @@ struct SessionStore::Impl {
   std::filesystem::path folder;
   SessionIndex index;
   RecoveryNotes notes;
+  FrameOpener opener;
 
   Result<std::vector<FrameRow>> ListFrames(const std::string& id);
-  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame) const;
+  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
 };
 
 struct SessionWriter::Impl {
@@ -79,6 +82,7 @@ struct SessionWriter::Impl {
   SessionInfo info;
   int64_t number = 0;
   WriterOptions options;
+  std::unique_ptr<FrameSealer> sealer;  // null: stored as it is
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
   std::chrono::steady_clock::time_point oldest_pending;
@@ -110,7 +114,7 @@ struct SessionWriter::Impl {
   }
   Status NextSegment() {
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
-    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id));
+    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id, sealer.get()));
     segment = std::move(next);
     ++segments;
     return Status::Ok();
@@ -179,7 +183,7 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   if (name.empty() || name.size() > 63)
     return Status::Usage("truth map name '" + name + "' must have 1 .. 63 characters");
   if (!impl_->truth) {
-    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id);
+    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id, impl_->sealer.get());
     if (!created.ok()) return impl_->Fail(created.status());
     impl_->truth = std::move(created).value();
   }
@@ -225,7 +229,7 @@ Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, Acc
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
   const bool write = mode == AccessMode::kReadWrite;
   SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
-  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes)}));
+  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes), FrameOpener(folder)}));
 }
 
 const std::filesystem::path& SessionStore::folder() const { return impl_->folder; }
@@ -241,12 +245,21 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
   const auto folder = SessionFolder(info.id);
-  if (const Status made = MakeFolder(folder); !made.ok()) {
-    (void)index.SetStatus(number, {SessionStatus::kFailed, {made.message()}, WallNow()}).ok();
-    return made;
+  const auto fail = [&](Status status) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
+    return status;
+  };
+  if (const Status made = MakeFolder(folder); !made.ok()) return fail(made);
+  std::unique_ptr<FrameSealer> sealer;
+  if (options.encryption == Encryption::kPerSession) {
+    auto key = CreateKey(impl_->folder);
+    if (!key.ok()) return fail(key.status());
+    if (Status status = index.SetKeyId(number, key->id); !status.ok()) return fail(status);
+    sealer = std::make_unique<FrameSealer>(info.id, std::move(key).value());
   }
   auto writer = std::make_unique<SessionWriter::Impl>(std::move(index));
   writer->store = impl_->folder;
@@ -255,6 +268,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   writer->info = std::move(info);
   writer->number = number;
   writer->options = options;
+  writer->sealer = std::move(sealer);
   return SessionWriter(std::move(writer));
 }
 
@@ -316,11 +330,14 @@ Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const Fra
   return image.ok() ? std::move(image) : WithRemedy(image.status(), id);
 }
 
-Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) const {
+Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) {
   SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
   FrameHeader header{};
-  SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(frame.offset, &header).WithContext("session " + id));
-  return Decode(header, bytes, "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));
+  const std::string where = "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset);
+  SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(frame.offset, &header).WithContext("session " + id));
+  SLX_ASSIGN_OR_RETURN(const auto bytes,
+                       opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
+  return Decode(header, bytes, where);
 }
 
 Status SessionStore::RegisterFit(const FitRow& fit) {

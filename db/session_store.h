@@ -27,7 +27,8 @@ inline constexpr int kSchemaVersion = 3;
 struct SessionRow {
   SessionInfo info;
   int64_t frames = 0;
-  int64_t bytes = 0;  // payload bytes on disk
+  int64_t bytes = 0;   // payload bytes on disk
+  std::string key_id;  // 32 hex digits; empty: not encrypted
 };
 
 struct FrameRow {
@@ -50,12 +51,16 @@ struct FitRow {
 
 enum class AccessMode { kReadOnly, kReadWrite };
 
+// kPerSession: each session has a key of its own in keys.sqlite (db/privacy/frame_cipher.h).
+enum class Encryption { kNone, kPerSession };
+
 struct WriterOptions {
   // Frames are acknowledged together: once there are so many, or with the first one that is appended when the oldest
   // has waited so long. Nobody appends: nothing happens; Flush() when the frames pause.
   int group_frames = 16;
   std::chrono::milliseconds group_window{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
+  Encryption encryption = Encryption::kNone;
 
   [[nodiscard]] Status Validate() const;
 };
@@ -108,7 +113,8 @@ class SessionStore {
   // for the program to show as a warning.
   [[nodiscard]] const std::vector<std::string>& notes() const;
 
-  // Starts a session; info.id is given here (order never depends on a wall clock). Read-write mode only.
+  // Starts a session; info.id is given here (order never depends on a wall clock). Read-write mode only. A session of
+  // kind visitor takes its consent from the store (db/privacy/consent.h): kUsage with the remedy where none holds.
   Result<SessionWriter> BeginSession(SessionInfo info, const WriterOptions& options = {});
 
   // Newest first.
@@ -117,6 +123,7 @@ class SessionStore {
   Result<SessionRow> FindSession(const std::string& selector) const;
   Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
   // Decoded pixels; 8-bit frames are widened. Every read checks the hash: kIntegrity names session, segment and offset.
+  // kNotFound for an encrypted session whose key is not here.
   Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
   [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;
 

@@ -126,6 +126,8 @@ Result<bool> Statement::Step() {
   return connection_->Error("step");
 }
 
+void Statement::Reset() { sqlite3_reset(handle_.get()); }
+
 Status Statement::Run() {
   const Result<bool> row = Step();
   sqlite3_reset(handle_.get());

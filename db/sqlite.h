@@ -52,6 +52,7 @@ class Statement {
   Statement& Bind(int index, std::span<const uint8_t> bytes);
   // True while there is a row.
   Result<bool> Step();
+  void Reset();
   // Runs to the end and resets, for statements without rows.
   Status Run();
   [[nodiscard]] int64_t Integer(int column) const;

@@ -3,6 +3,7 @@
 
 #include <cstring>
 
+#include "db/privacy/frame_cipher.h"
 #include "db/segment.h"
 
 namespace stratalux::db {
@@ -32,7 +33,11 @@ Result<Image<float>> TruthSegment::Read(const std::string& name) const {
     if (e.name != name) continue;
     SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(file_));
     FrameHeader h{};
-    SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(e.offset, &h));
+    SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(e.offset, &h));
+    // STORE/sessions/<id>/truth.seg
+    FrameOpener opener(file_.parent_path().parent_path().parent_path());
+    SLX_ASSIGN_OR_RETURN(const auto bytes,
+                         opener.Open(reader.session_id(), h, std::move(stored)).WithContext(file_.string()));
     Image<float> map(h.width, h.height, h.channels);
     if (bytes.size() != map.size() * sizeof(float))
       return Status::Integrity(file_.string() + ": map '" + name + "' has the wrong length");

@@ -9,7 +9,7 @@ planted=()
 fresh() {
   planted=()
   rm -rf "${tree:?}"/*
-  mkdir -p "$tree"/{shared/{base,image,pattern},db/interchange,firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
+  mkdir -p "$tree"/{shared/{base,image,pattern},db/{interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
 }
 write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
 plant() {                             # FILE LINE: the check must complain of this line
@@ -47,10 +47,13 @@ plant db/interchange/a.cc '#include <sqlite3.h>'
 plant fitter/render/a.cc '#include <sqlite3.h>'
 plant firmware-host/apps/a.cc '#include "db/sqlite.h"'
 plant db/interchange/a.h '#include "db/sqlite.h"'
+plant db/privacy/a.h '#include "db/sqlite.h"'
+plant db/privacy/a.cc '#include <sqlite3.h>'
 expect_all_found
 write db/a.cc '#include <sqlite3.h>'
 write db/sqlite.h 'struct sqlite3;'
 write db/session_index.h '#include "db/sqlite.h"'
+write db/privacy/a.cc '#include "db/sqlite.h"'
 expect_clean
 
 # OpenCV and Ceres.

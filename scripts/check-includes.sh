@@ -58,8 +58,9 @@ hits=$(headers '#include ' | grep -vE '#include (<[a-z_]+>|<Eigen/[A-Za-z]+>|"(s
 types='sqlite3|gpiod_[a-z]|gpiod::|v4l2_[a-z]|libcamera::|drm[A-Z_]|cv::|ceres::|nlohmann::|toml::|CLI::|png_[a-z]|XXH'
 hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -v '^db/sqlite\.h:')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a type of a library in a header|'; bad=1; }
-hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/sqlite\.h"' shared firmware-host fitter db/*/ 2>/dev/null)
-[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- db/sqlite.h only in db|'; bad=1; }
+hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/sqlite\.h"' shared firmware-host fitter db/*/ 2>/dev/null |
+       grep -v '^db/privacy/[^/]*\.cc:')
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- db/sqlite.h only in db and the sources of db/privacy|'; bad=1; }
 
 # Inside shared/, each folder may include only itself and those above it in the list.
 order="base units geometry image transport pattern capture config"

@@ -43,6 +43,8 @@ class Commands {
 void AddViewCommands(Commands& commands);      // init, show, frames, verify
 void AddQueryCommands(Commands& commands);     // ls, query, sql
 void AddStatsCommand(Commands& commands);      // stats
+void AddPrivacyCommands(Commands& commands);   // consent, access, key
+void AddForgetCommands(Commands& commands);    // forget, purge, deletions
 void AddTransferCommands(Commands& commands);  // import
 
 // The store of --store; what opening it mended or could not goes to stderr as warnings.

@@ -6,6 +6,7 @@
 #include <system_error>
 #include <utility>
 
+#include "db/privacy/export_marker.h"
 #include "shared/image/png.h"
 
 namespace stratalux::db {
@@ -37,6 +38,9 @@ Status ExtractFrames(const SessionStore& store, const std::string& session_id, c
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  std::vector<std::string> names;
+  for (const FrameRow& frame : frames) names.push_back(ExtractedName(frame));
+  SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "extract", session_id, folder, names));
   Progress progress(logger, "extract", static_cast<int64_t>(frames.size()));
   for (const FrameRow& frame : frames) {
     SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(session_id, frame));

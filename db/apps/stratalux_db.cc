@@ -18,6 +18,12 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db frames latest --phase reference --extract pictures
   stratalux-db verify
   stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
+  stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
+  stratalux-db forget s000017 --dry-run
+  stratalux-db forget --visitor v-5f3a91c2 --yes
+  stratalux-db purge --dry-run --now 2027-01-31
+  stratalux-db access s000017
+  stratalux-db key export s000017 --out s000017.key
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
 Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
@@ -32,6 +38,8 @@ int Main(int argc, char** argv) {
   AddQueryCommands(commands);
   AddStatsCommand(commands);
   AddTransferCommands(commands);
+  AddPrivacyCommands(commands);
+  AddForgetCommands(commands);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

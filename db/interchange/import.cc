@@ -2,8 +2,11 @@
 #include "db/interchange/import.h"
 
 #include <map>
+#include <set>
 #include <utility>
 
+#include "db/privacy/export_marker.h"
+#include "db/privacy/tombstone.h"
 #include "shared/base/version.h"
 #include "shared/image/png.h"
 
@@ -84,10 +87,21 @@ Status AppendFrame(SessionWriter& writer, const ImportManifest& manifest, const 
   return writer.Append(record, std::as_const(narrow).view());
 }
 
+// What `forget` could not reach, such as an export on another machine, must not come back by this door.
+Status RefuseForgottenExports(const std::filesystem::path& store, const ImportManifest& manifest) {
+  std::set<std::filesystem::path> folders;
+  for (const ImportFrame& frame : manifest.frames) folders.insert(frame.file.parent_path());
+  for (const auto& folder : folders)
+    for (const std::string& session : ExportsIn(folder))
+      SLX_RETURN_IF_ERROR(RefuseForgotten(store, session).WithContext(folder.string()));
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<ImportReport> ImportSession(SessionStore& store, const ImportOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(ImportManifest manifest, ReadImportManifest(options));
+  SLX_RETURN_IF_ERROR(RefuseForgottenExports(store.folder(), manifest));
   const auto total = static_cast<int64_t>(manifest.frames.size());
   {
     Progress progress(logger, "check", total);

@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/privacy/consent.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "shared/base/version.h"
@@ -21,6 +22,7 @@ SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& pl
   info.kind = plan.options.kind;
   info.rig = options.config.name;
   info.visitor = options.visitor;
+  info.retention = options.retention;
   info.simulated = true;
   info.seed = options.simulated.seed;
   info.started_wall = WallNow();
@@ -54,6 +56,20 @@ Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePla
   return Status::Ok();
 }
 
+// Before the rig moves and before a store is made. BeginSession asks again.
+Status AskConsent(const CaptureOptions& options) {
+  const bool shows_somebody = options.config.plan.kind == SessionKind::kVisitor;
+  if (!shows_somebody || options.visitor.empty() || options.visitor == db::kSimulatedVisitor || options.consent)
+    return Status::Ok();
+  return db::ValidConsent(options.config.store, options.visitor).status();
+}
+
+db::WriterOptions WriterOptionsFor(const RigConfig& config) {
+  db::WriterOptions options;
+  options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
+  return options;
+}
+
 void Fail(CaptureReport& report, const Status& status) {
   if (status.ok()) return;
   report.status = SessionStatus::kFailed;
@@ -66,12 +82,9 @@ void Fail(CaptureReport& report, const Status& status) {
 }  // namespace
 
 Status CaptureOptions::Validate() const {
-  // JSON takes UTF-8 alone: what is none comes back otherwise than it went in.
-  const Json json = visitor;
-  const std::string shown = json.dump(-1, ' ', false, Json::error_handler_t::replace);
-  if (Json::parse(shown) != json) return Status::Usage("--visitor " + shown + ": the pseudonym is not UTF-8 text");
-  for (const unsigned char c : visitor)
-    if (c < 0x20 || c == 0x7f) return Status::Usage("--visitor " + shown + ": the pseudonym has control characters");
+  if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
+  if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
+  if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");
   return Status::Ok();
 }
 
@@ -79,13 +92,16 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   const auto start = std::chrono::steady_clock::now();
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
+  SLX_RETURN_IF_ERROR(AskConsent(options));
   SLX_ASSIGN_OR_RETURN(const std::unique_ptr<SimulatedRig> rig, SimulatedRig::Create(options.simulated, logger));
   SLX_RETURN_IF_ERROR(CheckFits(plan, {rig->lines(), rig->camera(), rig->projectors()}));
   SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
   SLX_ASSIGN_OR_RETURN(db::SessionStore store,
                        db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
   for (const std::string& note : store.notes()) logger.Warning(note);
-  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer, store.BeginSession(DescribeSession(options, plan, *rig)));
+  if (options.consent) SLX_RETURN_IF_ERROR(db::GiveConsent(options.config.store, options.visitor, *options.consent));
+  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer,
+                       store.BeginSession(DescribeSession(options, plan, *rig), WriterOptionsFor(options.config)));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");

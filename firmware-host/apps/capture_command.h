@@ -4,12 +4,14 @@
 
 #include <atomic>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
+#include "shared/capture/session.h"
 #include "shared/config/rig_config.h"
 
 namespace stratalux::rig {
@@ -17,9 +19,12 @@ namespace stratalux::rig {
 struct CaptureOptions {
   RigConfig config;     // store, plan, deadlines, queue; the sizes of camera and projectors stand in `simulated`
   std::string visitor;  // pseudonym
+  // Recorded for the visitor before the capture; without one, the store must hold a consent already.
+  std::optional<Consent> consent;
+  Retention retention = Retention::kStandard;
   SimulatedRigOptions simulated;
 
-  // The pseudonym is text that every list and JSON file can show: UTF-8, no control characters.
+  // kUsage: a pseudonym that not every list and JSON file can show, a consent without a visitor.
   [[nodiscard]] Status Validate() const;
 };
 
@@ -31,7 +36,8 @@ struct CaptureOutcome {
 };
 
 // Runs a whole capture on the simulated rig and stores it, with its truth maps. Fails where no session came to be (a
-// bad plan, no such store); a session that went wrong is an outcome whose report says why.
+// bad plan, no such store, a visitor without consent: kUsage with the command that records it); a session that went
+// wrong is an outcome whose report says why.
 [[nodiscard]] Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop,
                                                       Logger& logger);
 

@@ -12,6 +12,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "db/privacy/consent.h"
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/stop_signals.h"
@@ -25,7 +26,9 @@ constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
 constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store
   stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
-  stratalux-rig capture --simulate --store store --no-scattering --visitor opaque
+  stratalux-rig capture --simulate --store store --no-scattering
+  stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \\
+      --consent-text 2026-03 --consent-language de
   stratalux-rig capture --simulate --config rig.toml --kind flat
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
@@ -42,6 +45,8 @@ struct Flags {
   std::optional<double> exposure_ms, settle_ms;
   std::string scene;
   std::string visitor;
+  std::string consent_scope, consent_text, consent_language;
+  std::string retention = "standard";
   std::string out;
   uint64_t seed = 1;
   std::vector<std::string> faults;
@@ -49,6 +54,7 @@ struct Flags {
   uint64_t fault_seed = 1;
   bool no_scattering = false;
   bool no_noise = false;
+  bool encrypt = false;
   bool json = false;
   bool verbose = false;
 };
@@ -104,6 +110,18 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   return config;
 }
 
+// Nothing given: the store must hold a consent already.
+Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
+  if (flags.consent_scope.empty() && flags.consent_text.empty() && flags.consent_language.empty()) return Status::Ok();
+  if (flags.consent_scope.empty() || flags.consent_text.empty() || flags.consent_language.empty())
+    return Status::Usage(
+        "--consent-scope, --consent-text and --consent-language go together: what the visitor agreed to");
+  consent.emplace();
+  consent->text_version = flags.consent_text;
+  consent->language = flags.consent_language;
+  return db::SetScope(flags.consent_scope, *consent).WithContext("--consent-scope");
+}
+
 Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   CaptureOptions options;
   SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
@@ -111,6 +129,9 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
     return Status::Usage(
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
   options.visitor = flags.visitor;
+  SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
+  SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
+  if (flags.encrypt) options.config.encrypt = true;
   SimulatedRigOptions& simulated = options.simulated;
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
@@ -189,7 +210,16 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       })
       ->capture_default_str();
   capture->add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
-  capture->add_option("--visitor", flags.visitor, "pseudonym kept with the session");
+  capture->add_option(
+      "--visitor", flags.visitor,
+      "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the next three)");
+  capture->add_option("--consent-scope", flags.consent_scope,
+                      "what the visitor agrees to now: fit, research, publication, joined by commas");
+  capture->add_option("--consent-text", flags.consent_text, "version of the text that was shown");
+  capture->add_option("--consent-language", flags.consent_language, "in which it was shown, such as de");
+  capture->add_option("--retention", flags.retention, "how long it is kept: short, standard, long, keep")
+      ->capture_default_str();
+  capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
   capture->add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
   capture->add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");

@@ -11,6 +11,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/exr_file.h"
 #include "fitter/pipeline/geometry_stage.h"
@@ -91,6 +92,9 @@ Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohman
     const std::string name =
         "projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : "");
     const std::filesystem::path base = std::filesystem::path(f.out) / name;
+    SLX_RETURN_IF_ERROR(
+        db::BeginExport(f.store, "decode", frames.info().id, f.out,
+                        {name + "_column.exr", name + "_row.exr", name + "_column.png", name + "_row.png"}));
     SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_column.exr", report.map.column, {"Y"}));
     SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_row.exr", report.map.row, {"Y"}));
     SLX_RETURN_IF_ERROR(WritePng8(

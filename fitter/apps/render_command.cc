@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/relight.h"
 #include "fitter/pipeline/run.h"
@@ -54,6 +55,7 @@ Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto fit, LoadFit(folder));
   logger.Info("relighting fit " + folder.filename().string() + " of session " + session);
   SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, *frames.calibration(), light));
+  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", session}, {"fit", folder.filename().string()}, {"folder", f.out}};

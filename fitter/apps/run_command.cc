@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
 
 namespace stratalux::fit {
@@ -92,6 +93,13 @@ int PrintReport(const Flags& f) {
     return folder.status().exit_code();
   }
   const auto page = *folder / "report" / "index.html";
+  // STORE/sessions/<id>/fits/<fit>
+  const std::string session = folder->parent_path().parent_path().filename().string();
+  if (const Status logged = db::LogAccess(f.run.store, "report", session, "fit " + folder->filename().string());
+      !logged.ok()) {
+    logger.Error(logged.message());
+    return logged.exit_code();
+  }
   if (!f.path_only) logger.Info("metrics: " + (*folder / "metrics.json").string());
   if (f.json) {
     const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", (*folder / "metrics.json").string()}};

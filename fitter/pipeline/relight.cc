@@ -88,6 +88,10 @@ Result<Relit> Relight(const SavedFit& fit, const RigCalibration& rig, const Virt
   return relit;
 }
 
+std::vector<std::string> RelitFiles() {
+  return {"subsurface.exr", "surface.exr", "total.exr", "subsurface.png", "surface.png", "total.png"};
+}
+
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);

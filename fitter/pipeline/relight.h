@@ -32,6 +32,8 @@ struct Relit {
 [[nodiscard]] Result<Relit> Relight(const SavedFit& fit, const RigCalibration& rig, const VirtualLight& light);
 
 // subsurface, surface and total as EXR (linear) and PNG (sRGB; `white` maps to 255, 0: the 99.5th percentile of total).
+// Their names: RelitFiles().
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white);
+[[nodiscard]] std::vector<std::string> RelitFiles();
 
 }  // namespace stratalux::fit

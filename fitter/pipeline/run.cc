@@ -8,6 +8,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/privacy/access_log.h"
 #include "fitter/pipeline/content_hash.h"
 #include "fitter/pipeline/saved_fit.h"
 #include "fitter/scattering/baselines.h"
@@ -351,6 +352,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
     const std::string session = "session " + outcome.session;
     return status.message().starts_with(session) ? status : status.WithContext(session);
   }
+  SLX_RETURN_IF_ERROR(db::LogAccess(options.store, "fit", outcome.session, "fit " + outcome.fit));
   if (options.until == Stage::kReport) {
     w.metrics.session = outcome.session;
     w.metrics.fit = outcome.fit;

@@ -33,6 +33,13 @@ enum class Retention { kShort, kStandard, kLong, kKeep };
 [[nodiscard]] const char* ToString(Retention);
 [[nodiscard]] Result<Retention> ParseRetention(const std::string& text);
 
+// Days from the end of a session; `keep` has none.
+struct RetentionDays {
+  int short_days = 30;       // a demonstration
+  int standard_days = 365;   // a visit and its follow-up
+  int long_days = 10 * 365;  // a study
+};
+
 struct SessionInfo {
   std::string id;  // given by the store
   SessionKind kind = SessionKind::kVisitor;

@@ -37,9 +37,13 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
 Result<RigConfig> Read(TomlTable root) {
   RigConfig config;
   TomlTable rig = root.Table("rig"), camera = root.Table("camera"), capture = root.Table("capture"),
-            plan = root.Table("plan");
+            plan = root.Table("plan"), store = root.Table("store"), retention = root.Table("retention");
   rig.Get("name", config.name);
   rig.Get("store", config.store);
+  if (store.Has("encrypt")) store.Get("encrypt", config.encrypt.emplace());
+  retention.Get("short_days", config.retention.short_days, 0, 100000);
+  retention.Get("standard_days", config.retention.standard_days, 0, 100000);
+  retention.Get("long_days", config.retention.long_days, 0, 100000);
   camera.Get("width", config.camera_width, 16, 16384);
   camera.Get("height", config.camera_height, 16, 16384);
   capture.Get("settle_ms", config.settle_ms, 0, kLongestSettleMs);

@@ -3,10 +3,12 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
+#include "shared/capture/session.h"
 
 namespace stratalux {
 
@@ -14,7 +16,8 @@ inline constexpr double kLongestSettleMs = 10000.0;
 
 struct RigConfig {
   std::string name = "rig";
-  std::string store;  // folder; empty: not set here
+  std::string store;            // folder; empty: not set here
+  std::optional<bool> encrypt;  // frames; unset: a kiosk does, a capture by hand does not
   int camera_width = 1392;
   int camera_height = 1042;
   double settle_ms = 2.0;       // from SYNC to exposure
@@ -22,6 +25,7 @@ struct RigConfig {
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
+  RetentionDays retention;      // of `stratalux-db purge`
   PlanOptions plan;
 };
 

@@ -129,7 +129,7 @@ TEST_F(DamageTest, ACompleteSessionMustHoldEveryPlannedStep) {
   options.projectors = 1;
   const auto plan = BuildPlan(options);
   SessionStore store = OpenStore();
-  SessionInfo info;
+  SessionInfo info = SimulatedVisit();
   info.plan_json = PlanOptionsToJson(options);
   auto writer = store.BeginSession(info);
   ASSERT_TRUE(writer.ok());
@@ -150,7 +150,7 @@ TEST_F(DamageTest, ACompleteSessionMustHoldEveryPlannedStep) {
 
 TEST_F(DamageTest, DamagedTruthIsRefused) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({});
+  auto writer = store.BeginSession(SimulatedVisit());
   ASSERT_TRUE(writer.ok());
   const Image<float> map(8, 8, 1, 2.0F);
   ASSERT_TRUE(writer->AppendTruth("depth", map.view()).ok());

@@ -58,7 +58,7 @@ using SessionStoreTest = StoreTest;
 
 TEST_F(SessionStoreTest, GivesBackEveryFormatAndTheWholeProofOfAFrame) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({});
+  auto writer = store.BeginSession(SimulatedVisit());
   ASSERT_TRUE(writer.ok()) << writer.status().message();
   // Odd widths: the last pixel of a packed row stands alone. Three 12-bit channels are not packed.
   const std::vector<FrameRecord> records = {
@@ -96,7 +96,7 @@ TEST_F(SessionStoreTest, GivesBackEveryFormatAndTheWholeProofOfAFrame) {
 
 TEST_F(SessionStoreTest, GivesBackTruthMapsBitForBitIncludingNaN) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({});
+  auto writer = store.BeginSession(SimulatedVisit());
   ASSERT_TRUE(writer.ok());
   Image<float> map(3, 2, 3, 0.25F);
   map(1, 1, 2) = std::numeric_limits<float>::quiet_NaN();
@@ -117,7 +117,7 @@ TEST_F(SessionStoreTest, GivesBackTruthMapsBitForBitIncludingNaN) {
 
 TEST_F(SessionStoreTest, RefusesSamplesAboveTheBitDepthAndPixelsOfAnotherSize) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({});
+  auto writer = store.BeginSession(SimulatedVisit());
   ASSERT_TRUE(writer.ok());
   const FrameRecord record = RecordFor(0, PixelFormat::kMono12, 4, 4);
   Image<uint16_t> pixels(4, 4, 1, 4096);
@@ -131,7 +131,7 @@ TEST_F(SessionStoreTest, RefusesSamplesAboveTheBitDepthAndPixelsOfAnotherSize) {
 
 TEST_F(SessionStoreTest, AcknowledgesAGroupOnlyWhenOthersCanReadIt) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({}, Groups(4));
+  auto writer = store.BeginSession(SimulatedVisit(), Groups(4));
   ASSERT_TRUE(writer.ok());
   for (int i = 0; i < 9; ++i) {
     ASSERT_TRUE(AppendTo(*writer, i).ok());
@@ -145,7 +145,8 @@ TEST_F(SessionStoreTest, AcknowledgesAGroupOnlyWhenOthersCanReadIt) {
 
 TEST_F(SessionStoreTest, AGroupDoesNotWaitLongerThanItsWindow) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({}, {.group_frames = 1000, .group_window = std::chrono::milliseconds(0)});
+  auto writer =
+      store.BeginSession(SimulatedVisit(), {.group_frames = 1000, .group_window = std::chrono::milliseconds(0)});
   ASSERT_TRUE(writer.ok());
   for (int i = 0; i < 3; ++i) {
     ASSERT_TRUE(AppendTo(*writer, i).ok());
@@ -158,7 +159,7 @@ TEST_F(SessionStoreTest, RefusesImpossibleWriterOptions) {
   for (const WriterOptions& options :
        {WriterOptions{.group_frames = 0}, WriterOptions{.group_window = std::chrono::milliseconds(-1)},
         WriterOptions{.max_segment_bytes = 0}})
-    EXPECT_EQ(store.BeginSession({}, options).status().code(), StatusCode::kUsage);
+    EXPECT_EQ(store.BeginSession(SimulatedVisit(), options).status().code(), StatusCode::kUsage);
   EXPECT_TRUE(store.ListSessions()->empty());
 }
 
@@ -240,21 +241,21 @@ TEST_F(SessionStoreTest, ReplacesAFitOfEqualId) {
 TEST_F(SessionStoreTest, ASecondWriterIsToldToWait) {
   SessionStore store = OpenStore();
   {
-    auto writer = store.BeginSession({});
+    auto writer = store.BeginSession(SimulatedVisit());
     ASSERT_TRUE(writer.ok());
     SessionStore other = OpenStore();
-    EXPECT_EQ(other.BeginSession({}).status().code(), StatusCode::kBusy);
+    EXPECT_EQ(other.BeginSession(SimulatedVisit()).status().code(), StatusCode::kBusy);
     EXPECT_EQ(other.FindSession(writer->info().id)->info.status, SessionStatus::kRecording)
         << "a live writer's session must not be recovered";
   }
-  EXPECT_TRUE(store.BeginSession({}).ok());
+  EXPECT_TRUE(store.BeginSession(SimulatedVisit()).ok());
 }
 
 TEST_F(SessionStoreTest, AnAbandonedSessionBecomesFailedAndKeepsWhatWasAcknowledged) {
   std::string id;
   {
     SessionStore store = OpenStore();
-    auto writer = store.BeginSession({}, Groups(2));
+    auto writer = store.BeginSession(SimulatedVisit(), Groups(2));
     ASSERT_TRUE(writer.ok());
     id = writer->info().id;
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
@@ -290,7 +291,7 @@ TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
     if (child == 0) {
       auto store = SessionStore::Open(folder_, AccessMode::kReadWrite);
       if (!store.ok()) _exit(1);
-      auto writer = store->BeginSession({}, Groups(2));
+      auto writer = store->BeginSession(SimulatedVisit(), Groups(2));
       if (!writer.ok()) _exit(2);
       for (int i = 0; i < frames; ++i)
         if (!AppendTo(*writer, i).ok()) _exit(3);
@@ -315,7 +316,7 @@ TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
 TEST_F(SessionStoreTest, AFailedWriteFailsItsSessionAndNoOther) {
   const std::string good = StoreSession(3);
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({}, {.group_frames = 1});
+  auto writer = store.BeginSession(SimulatedVisit(), {.group_frames = 1});
   ASSERT_TRUE(writer.ok());
   const std::string id = writer->info().id;
   // The segment would grow beyond 1 MiB: the kernel answers EFBIG, as a full disk answers ENOSPC.

@@ -7,8 +7,15 @@
 
 namespace stratalux::db {
 
+std::filesystem::path TemporaryFolder() {
+  std::error_code error;
+  const bool asked = std::getenv("TMPDIR") != nullptr;
+  return !asked && std::filesystem::is_directory("/dev/shm", error) ? "/dev/shm"
+                                                                    : std::filesystem::temp_directory_path();
+}
+
 void StoreTest::SetUp() {
-  std::string name = (std::filesystem::temp_directory_path() / "stratalux-db-XXXXXX").string();
+  std::string name = (TemporaryFolder() / "stratalux-db-XXXXXX").string();
   ASSERT_NE(mkdtemp(name.data()), nullptr);
   folder_ = name;
   const Status status = SessionStore::Create(folder_);
@@ -25,7 +32,7 @@ SessionStore StoreTest::OpenStore(AccessMode mode) const {
 
 std::string StoreTest::StoreSession(int frames, const WriterOptions& options) const {
   SessionStore store = OpenStore();
-  SessionInfo info;
+  SessionInfo info = SimulatedVisit();
   info.rig = "bench";
   auto writer = store.BeginSession(info, options);
   EXPECT_TRUE(writer.ok()) << writer.status().message();
@@ -36,6 +43,12 @@ std::string StoreTest::StoreSession(int frames, const WriterOptions& options) co
 
 std::filesystem::path StoreTest::Segment(const std::string& session, int number) const {
   return folder_ / "sessions" / session / ("frames-000" + std::to_string(number) + ".seg");
+}
+
+SessionInfo SimulatedVisit() {
+  SessionInfo info;
+  info.simulated = true;
+  return info;
 }
 
 FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels) {

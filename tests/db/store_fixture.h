@@ -12,6 +12,9 @@
 
 namespace stratalux::db {
 
+// In memory where there is such a folder: hundreds of stores would wait for the disk's syncs. $TMPDIR overrides.
+[[nodiscard]] std::filesystem::path TemporaryFolder();
+
 class StoreTest : public ::testing::Test {
  protected:
   void SetUp() override;
@@ -30,6 +33,8 @@ class StoreTest : public ::testing::Test {
   return {.group_frames = frames, .group_window = std::chrono::hours(1)};
 }
 
+// A simulated visitor's session, whose consent records itself.
+[[nodiscard]] SessionInfo SimulatedVisit();
 [[nodiscard]] FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels = 1);
 // Samples over the format's whole range, different in each frame.
 [[nodiscard]] Image<uint16_t> PixelsFor(const FrameRecord& record);

@@ -39,6 +39,9 @@ class DamagedStore : public TinyStore {
   // Refused by whoever needs the frames.
   void ExpectFramesRefused(const std::vector<std::string>& parts) const {
     ExpectRefused("stratalux-db frames s000001 --extract " + (folder_ / "pictures").string(), 6, parts);
+    ExpectFitsRefused(parts);
+  }
+  void ExpectFitsRefused(const std::vector<std::string>& parts) const {
     ExpectRefused("stratalux-fit run s000001", 6, parts);
     ExpectRefused("stratalux-fit decode s000001", 6, parts);
   }
@@ -85,8 +88,13 @@ TEST_F(DamagedStore, AFlippedBitOfAPayloadNamesItsFrame) {
   WriteText(segment_, bytes);
   const std::vector<std::string> parts = {segment_.string(), "offset " + std::to_string(offset),
                                           "payload of frame " + (*white)["frame"].dump(), "hash"};
-  ExpectFramesRefused({parts[0], parts[1], parts[2], parts[3], "restore sessions/" + id_});
+  ExpectFitsRefused({parts[0], parts[1], parts[2], parts[3], "restore sessions/" + id_});
   ExpectFoundByVerify(parts);
+  // The sound frames before it have left the store: the log knows.
+  const Outcome extract = Run("stratalux-db frames s000001 --extract " + (folder_ / "pictures").string());
+  EXPECT_EQ(extract.code, 6);
+  for (const std::string& part : parts) EXPECT_THAT(extract.err, HasSubstr(part));
+  EXPECT_EQ(Json::parse(Run("stratalux-db access --json").out).size(), 1U);
 }
 
 TEST_F(DamagedStore, AFlippedBitOfAHeaderNamesItsPlace) {

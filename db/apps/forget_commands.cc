@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-db forget|purge|deletions`.
+#include <cstdio>
+#include <ctime>
+#include <memory>
+#include <optional>
+
+#include <nlohmann/json.hpp>
+
+#include "db/apps/command.h"
+#include "db/privacy/consent.h"
+#include "db/privacy/forget.h"
+#include "db/privacy/retention.h"
+#include "db/privacy/tombstone.h"
+#include "shared/config/rig_config.h"
+
+namespace stratalux::db {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct ForgetFlags {
+  std::string session, visitor;
+  bool dry_run = false, yes = false, resume = false;
+  // purge
+  std::string config, now;
+  std::optional<int> short_days, standard_days, long_days;
+};
+
+Json JsonOf(const ForgetReport& report, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+  Json sessions = Json::array();
+  for (const ForgottenSession& s : report.sessions) {
+    Json exports = Json::array();
+    for (const ForgottenExport& e : s.exports) exports.push_back({{"place", e.place}, {"state", ToString(e.state)}});
+    Json json = {
+        {"session", s.id},  {"frames", s.frames},       {"fits", s.fits},     {"files", s.files},
+        {"bytes", s.bytes}, {"encrypted", s.encrypted}, {"exports", exports}, {"visitor_removed", s.visitor_removed}};
+    for (const DueSession& d : due)
+      if (d.id == s.id) json["due"] = d.reason;
+    sessions.push_back(std::move(json));
+  }
+  return {{"dry_run", flags.dry_run},           {"sessions", sessions},
+          {"markers", report.markers},          {"files_read", report.scanned_files},
+          {"bytes_read", report.scanned_bytes}, {"leftovers", report.leftovers}};
+}
+
+std::string SessionText(const ForgottenSession& s, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+  std::string text = s.id + (flags.dry_run ? ": would go: " : ": gone: ") + std::to_string(s.frames) + " frames, " +
+                     std::to_string(s.fits) + " fits, " + std::to_string(s.files) + " files, " +
+                     std::to_string(s.bytes) + " bytes" + (s.encrypted ? ", its key" : "") +
+                     (s.visitor_removed ? ", the visitor and its consents" : "");
+  for (const DueSession& d : due)
+    if (d.id == s.id) text += " (" + d.reason + ")";
+  text += "\n";
+  for (const ForgottenExport& e : s.exports)
+    text += "  export " + e.place + ": " +
+            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
+  return text;
+}
+
+std::string ReportAsText(const ForgetReport& report, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+  std::string text;
+  for (const ForgottenSession& s : report.sessions) text += SessionText(s, due, flags);
+  if (report.sessions.empty()) text += "no session\n";
+  if (flags.dry_run) return text + "nothing was changed (--dry-run)\n";
+  if (report.scanned_files > 0)
+    text += "scan: " + std::to_string(report.markers) + " markers looked for in " +
+            std::to_string(report.scanned_files) + " files (" + std::to_string(report.scanned_bytes) + " bytes): " +
+            (report.leftovers.empty() ? "none found" : "FOUND, remove by hand and run `forget --resume`") + "\n";
+  for (const std::string& leftover : report.leftovers) text += "  " + leftover + "\n";
+  return text;
+}
+
+int Finish(const CommonFlags& common, const ForgetFlags& flags, ForgetRequest request,
+           const std::vector<DueSession>& due) {
+  Logger logger;
+  const auto report = flags.dry_run ? PlanForget(common.store, request) : Forget(common.store, request, logger);
+  if (!report.ok()) return Report(report.status());
+  const int printed = Print(common.json ? TextOf(JsonOf(*report, due, flags)) : ReportAsText(*report, due, flags));
+  return report->leftovers.empty() ? printed : static_cast<int>(StatusCode::kDegraded);
+}
+
+// The sessions a forget speaks of. An id that is forgotten already gives none.
+Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& flags) {
+  ForgetRequest request;
+  SLX_ASSIGN_OR_RETURN(const auto store, SessionStore::Open(common.store, AccessMode::kReadOnly));
+  if (flags.resume) return request;
+  if (!flags.visitor.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
+    for (const SessionRow& row : rows)
+      if (row.info.visitor == flags.visitor) request.sessions.push_back(row.info.id);
+    SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
+    if (request.sessions.empty() && consents.empty())
+      return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);
+    request.visitors.push_back(flags.visitor);
+    return request;
+  }
+  const auto row = store.FindSession(flags.session);
+  if (row.ok()) {
+    request.sessions.push_back(row->info.id);
+    return request;
+  }
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(common.store, flags.session));
+  if (!forgotten) return row.status();
+  return request;
+}
+
+int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
+  if (int(!flags.session.empty()) + int(!flags.visitor.empty()) + int(flags.resume) != 1)
+    return Report(Status::Usage("forget: name a SESSION or --visitor V (or --resume what broke off)"));
+  auto request = RequestFor(common, flags);
+  if (!request.ok()) return Report(request.status());
+  if (!flags.dry_run && !flags.yes && !flags.resume)
+    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
+                                " session(s) for ever; --dry-run shows them, --yes does it"));
+  if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
+      UnfinishedForgets(common.store).empty()) {
+    std::fprintf(stderr, "stratalux-db: session %s is forgotten already (%s)\n", flags.session.c_str(),
+                 CertificateFile(common.store, flags.session).c_str());
+    return 0;
+  }
+  return Finish(common, flags, std::move(request).value(), {});
+}
+
+// "2027-01-31" or "2027-01-31T12:00:00Z".
+Result<WallNs> ParseDate(const std::string& text) {
+  for (const char* format : {"%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d"}) {
+    std::tm utc{};
+    const char* end = strptime(text.c_str(), format, &utc);
+    if (end != nullptr && *end == '\0') return WallNs{static_cast<int64_t>(timegm(&utc)) * 1'000'000'000};
+  }
+  return Status::Usage("--now '" + text + "': expected a date such as 2027-01-31 or 2027-01-31T12:00:00Z");
+}
+
+Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
+  RetentionDays days;
+  if (!flags.config.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto config, LoadRigConfig(flags.config));
+    days = config.retention;
+  }
+  days.short_days = flags.short_days.value_or(days.short_days);
+  days.standard_days = flags.standard_days.value_or(days.standard_days);
+  days.long_days = flags.long_days.value_or(days.long_days);
+  return days;
+}
+
+int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
+  const auto days = DaysFor(flags);
+  if (!days.ok()) return Report(days.status());
+  const auto now = flags.now.empty() ? Result<WallNs>(WallNow()) : ParseDate(flags.now);
+  if (!now.ok()) return Report(now.status());
+  const auto due = DueSessions(common.store, *days, *now);
+  if (!due.ok()) return Report(due.status());
+  ForgetRequest request;
+  request.reason = ForgetReason::kPurge;
+  for (const DueSession& session : *due) request.sessions.push_back(session.id);
+  if (!flags.dry_run && due->empty() && UnfinishedForgets(common.store).empty())
+    return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
+  return Finish(common, flags, std::move(request), *due);
+}
+
+int RunDeletions(const CommonFlags& common) {
+  const auto deletions = ListDeletions(common.store);
+  if (!deletions.ok()) return Report(deletions.status());
+  Json all = Json::array();
+  std::string text = "session           deleted               reason   frames  clean  markers  files read\n";
+  for (const Deletion& deletion : *deletions) {
+    const Json json = Json::parse(deletion.certificate_json, nullptr, false);
+    if (!json.is_object() || !json.contains("verification")) {
+      all.push_back({{"session", deletion.session}, {"unfinished", true}});
+      text += deletion.session + "  begun and not finished: `stratalux-db forget --resume`\n";
+      continue;
+    }
+    all.push_back(json);
+    const Json& proof = json["verification"];
+    char line[200];
+    std::snprintf(line, sizeof line, "%-16s  %-20s  %-7s  %6lld  %-5s  %7lld  %lld\n", deletion.session.c_str(),
+                  json.value("deleted", "").c_str(), json.value("reason", "").c_str(), json.value("frames", 0LL),
+                  proof.value("clean", false) ? "yes" : "NO", proof.value("markers", 0LL),
+                  proof.value("files_read", 0LL));
+    text += line;
+  }
+  return Print(common.json ? TextOf(all) : text);
+}
+
+}  // namespace
+
+void AddForgetCommands(Commands& commands) {
+  const auto flags = std::make_shared<ForgetFlags>();
+  const CommonFlags& common = commands.flags();
+  CLI::App* forget = commands.Add("forget", "Remove a session or a visitor for ever, prove it, certify it",
+                                  [&common, flags] { return RunForget(common, *flags); });
+  forget->add_option("SESSION", flags->session, "id, unique prefix, or latest");
+  forget->add_option("--visitor", flags->visitor, "all sessions and consents of this pseudonym");
+  forget->add_flag("--resume", flags->resume, "only finish what broke off");
+  forget->add_flag("--yes", flags->yes, "do it");
+  CLI::App* purge = commands.Add("purge", "Forget visitors' sessions past their class, or whose consent was withdrawn",
+                                 [&common, flags] { return RunPurge(common, *flags); });
+  purge->add_option("--config", flags->config, "TOML file with [retention] (docs/examples/rig.toml)");
+  purge->add_option("--short-days", flags->short_days, "days of the class short (default: 30)");
+  purge->add_option("--standard-days", flags->standard_days, "days of the class standard (default: 365)");
+  purge->add_option("--long-days", flags->long_days, "days of the class long (default: 3650)");
+  purge->add_option("--now", flags->now, "as if today were this date, such as 2027-01-31 (UTC)");
+  for (CLI::App* command : {forget, purge})
+    command->add_flag("--dry-run", flags->dry_run, "show what would go; change nothing");
+  for (const char* name : {"--short-days", "--standard-days", "--long-days"})
+    purge->get_option(name)->check(CLI::Range(0, 100000));
+  commands.Add("deletions", "List the certificates of what was forgotten", [&common] { return RunDeletions(common); });
+}
+
+}  // namespace stratalux::db

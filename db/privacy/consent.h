@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Who agreed to what. A visitor's session begins only under a consent that holds and covers `fit`.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "shared/capture/session.h"
+
+namespace stratalux::db {
+
+// The pseudonym of a simulated capture without one; its consent is recorded by itself, marked by its text version.
+inline constexpr const char* kSimulatedVisitor = "simulated";
+inline constexpr const char* kSimulatedConsentText = "simulation";
+
+struct ConsentRow {
+  std::string visitor;
+  Consent consent;
+  std::optional<WallNs> withdrawn;
+};
+
+// Pseudonyms are text that every list and JSON file can show: UTF-8, no control characters, not empty. kUsage.
+Status CheckPseudonym(const std::string& visitor);
+// Sets the scopes from "fit,research,publication" (any of them); kUsage for others and for none.
+Status SetScope(const std::string& text, Consent& consent);
+[[nodiscard]] std::string ScopeText(const Consent& consent);
+
+// Records a new consent; given_wall is now when it is 0. kUsage without text version, language or scope.
+Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent);
+// Marks all that the visitor gave as withdrawn. kNotFound where none holds.
+Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor);
+// In the order in which they were given; all visitors for an empty pseudonym.
+[[nodiscard]] Result<std::vector<ConsentRow>> ListConsents(const std::filesystem::path& store,
+                                                           const std::string& visitor);
+// The visitor's newest consent if it holds and covers `fit`. kUsage otherwise, with the command that records one.
+[[nodiscard]] Result<Consent> ValidConsent(const std::filesystem::path& store, const std::string& visitor);
+
+// What BeginSession asks: fills visitor and consent of a visitor's session, or says why there is none (kUsage).
+// Sessions of other kinds show nobody and pass.
+Status RequireConsent(const std::filesystem::path& store, SessionInfo& info);
+
+}  // namespace stratalux::db

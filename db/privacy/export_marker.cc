@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/export_marker.h"
+
+#include <algorithm>
+#include <array>
+#include <set>
+
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+#include "db/privacy/access_log.h"
+#include "db/privacy/durable_file.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+constexpr std::string_view kPrefix = ".stratalux-export-", kSuffix = ".json";
+constexpr uintmax_t kOverwritten = 4096;  // bytes
+
+bool StaysInside(const fs::path& name) {
+  if (name.empty() || name.is_absolute()) return false;
+  return std::none_of(name.begin(), name.end(), [](const fs::path& part) { return part == ".."; });
+}
+
+Result<std::vector<std::string>> ReadMarker(const fs::path& file, const std::string& session_id) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  const Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object() || json.value("session", "") != session_id || !json.contains("files"))
+    return Status::Integrity(file.string() + " is no export marker of session " + session_id);
+  std::vector<std::string> files;
+  for (const Json& name : json["files"])
+    if (name.is_string()) files.push_back(name.get<std::string>());
+  return files;
+}
+
+std::string HostName() {
+  std::array<char, 256> name{};
+  return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "localhost";
+}
+
+}  // namespace
+
+fs::path ExportMarker(const fs::path& folder, const std::string& session_id) {
+  return folder / (std::string(kPrefix) + session_id + std::string(kSuffix));
+}
+
+Status WriteExportMarker(const fs::path& folder, const std::string& session_id, const std::vector<std::string>& files) {
+  std::set<std::string> all;
+  const fs::path marker = ExportMarker(folder, session_id);
+  if (const auto earlier = ReadMarker(marker, session_id); earlier.ok()) all.insert(earlier->begin(), earlier->end());
+  for (const std::string& name : files) {
+    if (!StaysInside(name)) return Status::Usage("export file '" + name + "' lies outside " + folder.string());
+    all.insert(name);
+  }
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  const Json json = {{"schema", 1},
+                     {"session", session_id},
+                     {"about", "files of this session; `stratalux-db forget` deletes them"},
+                     {"files", all}};
+  return WriteFileDurably(marker, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
+                   const fs::path& folder, const std::vector<std::string>& files) {
+  SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
+  return WriteExportMarker(folder, session_id, files);
+}
+
+std::vector<std::string> ExportsIn(const fs::path& folder) {
+  std::vector<std::string> sessions;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder.empty() ? fs::path(".") : folder, error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with(kPrefix) && name.ends_with(kSuffix) && name.size() > kPrefix.size() + kSuffix.size())
+      sessions.push_back(name.substr(kPrefix.size(), name.size() - kPrefix.size() - kSuffix.size()));
+  }
+  std::sort(sessions.begin(), sessions.end());
+  return sessions;
+}
+
+std::string ExportPlace(const fs::path& folder) {
+  std::error_code error;
+  const fs::path whole = fs::weakly_canonical(folder, error);
+  return HostName() + ":" + (error ? fs::absolute(folder) : whole).string();
+}
+
+std::optional<fs::path> LocalFolder(const std::string& place) {
+  const std::string host = HostName() + ":";
+  if (!place.starts_with(host)) return std::nullopt;
+  return fs::path(place.substr(host.size()));
+}
+
+const char* ToString(ExportState state) {
+  switch (state) {
+    case ExportState::kDeleted:
+      return "deleted";
+    case ExportState::kElsewhere:
+      return "on another machine";
+    case ExportState::kNotThere:
+      return "no export there any more";
+    case ExportState::kKept:
+      break;
+  }
+  return "could not be deleted";
+}
+
+Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id) {
+  const auto folder = LocalFolder(place);
+  if (!folder) return ExportState::kElsewhere;
+  const fs::path marker = ExportMarker(*folder, session_id);
+  if (std::error_code error; !fs::exists(marker, error)) return ExportState::kNotThere;
+  SLX_ASSIGN_OR_RETURN(const auto files, ReadMarker(marker, session_id));
+  std::error_code error;
+  std::set<fs::path> folders;
+  for (const std::string& name : files) {
+    if (!StaysInside(name)) continue;  // not ours: no marker of ours names such a file
+    const fs::path file = *folder / name;
+    // Small files may be keys.
+    if (fs::file_size(file, error) <= kOverwritten && !error) SLX_RETURN_IF_ERROR(WipeFile(file));
+    fs::remove(file, error);
+    if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
+    for (fs::path up = fs::path(name).parent_path(); !up.empty(); up = up.parent_path()) folders.insert(up);
+  }
+  for (auto sub = folders.rbegin(); sub != folders.rend(); ++sub) fs::remove(*folder / *sub, error);  // if empty
+  fs::remove(marker, error);
+  if (error) return Status::Failed("cannot delete " + marker.string() + ": " + error.message());
+  fs::remove(*folder, error);  // if empty
+  return ExportState::kDeleted;
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+// Removes sessions from a store so that nothing of them is left in it, and proves it.
+//
+// In this order: an intent that outlives a power cut (from here on the session cannot come back: tombstone.h), the key,
+// logged exports on this machine, the session's folder, the rows with VACUUM and a truncated log, a scan of every file
+// of the store for what would give the session away, the certificate. Broken off anywhere, the next call finishes it.
+// The scan looks for: the session's id, its key id, the first 8 bytes of each payload hash (not of frames that a
+// remaining session shares, such as black ones without noise), and the pseudonym once no session of the visitor is
+// left.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "db/privacy/export_marker.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::db {
+
+enum class ForgetReason { kForget, kPurge };
+[[nodiscard]] const char* ToString(ForgetReason reason);
+
+enum class ForgetStep { kIntent, kKey, kExport, kFile, kRows, kCompacted, kScanned, kCertified, kDone };
+
+struct ForgetRequest {
+  std::vector<std::string> sessions;  // ids
+  std::vector<std::string>
+      visitors;  // removed with their consents, also without a session; their sessions must be listed
+  ForgetReason reason = ForgetReason::kForget;
+  std::function<void(ForgetStep)> after_step;  // may be empty; kKey .. kFile come once for each key, export and file
+};
+
+struct ForgottenExport {
+  std::string place;  // host:/folder
+  ExportState state = ExportState::kElsewhere;
+};
+
+struct ForgottenSession {
+  std::string id;
+  int64_t frames = 0, fits = 0;
+  int64_t files = 0, bytes = 0;  // of its folder
+  bool encrypted = false;
+  bool visitor_removed = false;
+  std::vector<ForgottenExport> exports;
+};
+
+struct ForgetReport {
+  std::vector<ForgottenSession> sessions;
+  int64_t markers = 0, scanned_files = 0, scanned_bytes = 0;
+  // File, offset and what was found, and exports that could not be deleted: to be removed by hand, then forgotten
+  // again.
+  std::vector<std::string> leftovers;
+};
+
+// What Forget would do; changes no byte. The state of an export on this machine is kDeleted where it would be.
+[[nodiscard]] Result<ForgetReport> PlanForget(const std::filesystem::path& store, const ForgetRequest& request);
+
+// Also finishes what an earlier call began. kBusy while a session is written or another program reads the index (then
+// the files are gone already; call again). Leftovers are no error: they stand in the report and in the certificate, and
+// the next call looks again.
+[[nodiscard]] Result<ForgetReport> Forget(const std::filesystem::path& store, const ForgetRequest& request,
+                                          Logger& logger);
+
+// Sessions whose forgetting was begun and not finished.
+[[nodiscard]] std::vector<std::string> UnfinishedForgets(const std::filesystem::path& store);
+
+}  // namespace stratalux::db

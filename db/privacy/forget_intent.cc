@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/forget_intent.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+#include <nlohmann/json.hpp>
+#include <sodium.h>
+
+#include "db/privacy/durable_file.h"
+#include "db/privacy/forget.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+constexpr size_t kHashBytes = 8;
+
+std::string Hex(std::span<const uint8_t> bytes) {
+  std::string text(2 * bytes.size() + 1, '\0');
+  sodium_bin2hex(text.data(), text.size(), bytes.data(), bytes.size());
+  text.pop_back();
+  return text;
+}
+
+// The index knows the frames; truth maps are known by their segment alone. Without encryption two simulations of one
+// seed share their truth: only a sealed payload is a session's own.
+void AddTruthHashes(const fs::path& folder, std::vector<std::string>& hashes) {
+  const auto reader = SegmentReader::Open(folder / "truth.seg");
+  if (!reader.ok()) return;
+  bool sealed = false;
+  const auto maps = reader->Walk(false, &sealed);
+  if (!maps.ok()) return;
+  for (const SegmentFrame& map : *maps) hashes.push_back(Hex(std::span(map.header.payload_hash).first(kHashBytes)));
+}
+
+void MeasureFolder(const fs::path& folder, ForgetIntent& intent) {
+  std::error_code error;
+  for (const auto& entry : fs::recursive_directory_iterator(folder, error)) {
+    if (!entry.is_regular_file(error)) continue;
+    ++intent.files;
+    intent.bytes += static_cast<int64_t>(entry.file_size(error));
+  }
+}
+
+Status CollectHashes(Connection& connection, int64_t number, std::vector<std::string>& hashes) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames WHERE session = ?1"));
+  select.Bind(1, number);
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    const auto hash = select.Blob(0);
+    if (hash.size() >= kHashBytes) hashes.push_back(Hex(std::span(hash).first(kHashBytes)));
+  }
+}
+
+// Details that are places.
+Status CollectExports(Connection& connection, ForgetIntent& intent) {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection.Prepare("SELECT DISTINCT detail FROM access_log WHERE session_id = ?1 AND instr(detail, ':/') > 0"));
+  select.Bind(1, intent.session);
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    intent.exports.push_back(select.Text(0));
+  }
+}
+
+Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const std::string& id, int64_t number) {
+  ForgetIntent intent;
+  intent.session = id;
+  intent.began = WallNow();
+  Connection& connection = index.connection();
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection.Prepare("SELECT visitor, lower(hex(key_id)), frame_count,"
+                                          " (SELECT count(*) FROM fits WHERE session = number) FROM sessions"
+                                          " WHERE number = ?1"));
+  SLX_RETURN_IF_ERROR(select.Bind(1, number).Step().status());
+  intent.visitor = select.Text(0);
+  intent.key_id = select.Text(1);
+  intent.frames = select.Integer(2);
+  intent.fits = select.Integer(3);
+  SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
+  if (!intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
+  SLX_RETURN_IF_ERROR(CollectExports(connection, intent));
+  MeasureFolder(store / "sessions" / id, intent);
+  return intent;
+}
+
+// Hashes of frames that remaining sessions hold, too: they would be found, and rightly.
+Status DropShared(Connection& connection, const std::vector<int64_t>& numbers, std::vector<ForgetIntent>& intents) {
+  std::set<std::string> ours;
+  for (const ForgetIntent& intent : intents)
+    if (intent.key_id.empty()) ours.insert(intent.hashes.begin(), intent.hashes.end());
+  if (ours.empty()) return Status::Ok();
+  std::string list;
+  for (const int64_t number : numbers) list += (list.empty() ? "" : ",") + std::to_string(number);
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames WHERE session NOT IN (" + list + ")"));
+  std::set<std::string> shared;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    const auto hash = select.Blob(0);
+    if (hash.size() < kHashBytes) continue;
+    if (const auto found = ours.find(Hex(std::span(hash).first(kHashBytes))); found != ours.end())
+      shared.insert(*found);
+  }
+  for (ForgetIntent& intent : intents)
+    std::erase_if(intent.hashes, [&shared](const std::string& hash) { return shared.contains(hash); });
+  return Status::Ok();
+}
+
+ForgetIntent IntentFrom(const Json& json) {
+  ForgetIntent intent;
+  json.at("session").get_to(intent.session);
+  json.at("visitor").get_to(intent.visitor);
+  json.at("reason").get_to(intent.reason);
+  json.at("key_id").get_to(intent.key_id);
+  json.at("began_wall_ns").get_to(intent.began.ns);
+  json.at("frames").get_to(intent.frames);
+  json.at("fits").get_to(intent.fits);
+  json.at("files").get_to(intent.files);
+  json.at("bytes").get_to(intent.bytes);
+  json.at("hashes").get_to(intent.hashes);
+  json.at("exports").get_to(intent.exports);
+  return intent;
+}
+
+}  // namespace
+
+Result<std::vector<uint8_t>> FromHex(const std::string& text) {
+  std::vector<uint8_t> bytes(text.size() / 2);
+  size_t length = 0;
+  if (text.size() % 2 != 0 ||
+      sodium_hex2bin(bytes.data(), bytes.size(), text.data(), text.size(), nullptr, &length, nullptr) != 0 ||
+      length != bytes.size())
+    return Status::Integrity("'" + text + "' is no hexadecimal number");
+  return bytes;
+}
+
+Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::path& store,
+                                                 const std::vector<std::string>& ids) {
+  std::vector<ForgetIntent> intents;
+  std::vector<int64_t> numbers;
+  for (const std::string& id : ids) {
+    SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
+    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number));
+    numbers.push_back(number);
+    intents.push_back(std::move(intent));
+  }
+  if (!intents.empty()) SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
+  return intents;
+}
+
+fs::path IntentFile(const fs::path& store, const std::string& session_id) {
+  return store / "deletions" / (session_id + ".forgetting");
+}
+
+Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
+  std::error_code error;
+  if (fs::create_directories(store / "deletions", error)) SLX_RETURN_IF_ERROR(SyncFolder(store));
+  if (error) return Status::Failed("cannot create " + (store / "deletions").string() + ": " + error.message());
+  const Json json = {{"session", intent.session}, {"visitor", intent.visitor}, {"reason", intent.reason},
+                     {"key_id", intent.key_id},   {"frames", intent.frames},   {"began_wall_ns", intent.began.ns},
+                     {"fits", intent.fits},       {"files", intent.files},     {"bytes", intent.bytes},
+                     {"hashes", intent.hashes},   {"exports", intent.exports}};
+  return WriteFileDurably(IntentFile(store, intent.session),
+                          json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
+  std::vector<ForgetIntent> intents;
+  for (const std::string& id : UnfinishedForgets(store)) {
+    const fs::path file = IntentFile(store, id);
+    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+    try {
+      intents.push_back(IntentFrom(Json::parse(text)));
+    } catch (const nlohmann::json::exception& error) {
+      return Status::Integrity(file.string() + ": " + error.what());
+    }
+  }
+  return intents;
+}
+
+std::vector<std::string> UnfinishedForgets(const fs::path& store) {
+  std::vector<std::string> ids;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
+    if (entry.path().extension() == ".forgetting") ids.push_back(entry.path().stem().string());
+  std::sort(ids.begin(), ids.end());
+  return ids;
+}
+
+}  // namespace stratalux::db

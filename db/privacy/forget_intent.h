@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// STORE/deletions/<id>.forgetting: what a broken-off `forget` must still remove and look for. Wiped at the end.
+// Internal to db/privacy.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "db/privacy/key_store.h"
+#include "db/session_index.h"
+
+namespace stratalux::db {
+
+struct ForgetIntent {
+  std::string session, visitor, reason;
+  std::string key_id;  // hexadecimal; empty: not encrypted
+  WallNs began;
+  int64_t frames = 0, fits = 0, files = 0, bytes = 0;
+  std::vector<std::string> hashes;   // first 8 bytes of each payload hash, 16 hex digits
+  std::vector<std::string> exports;  // places, export_marker.h
+};
+
+// The 16 bytes of a key id, or of the first part of a hash, from hexadecimal text; kIntegrity for other text.
+[[nodiscard]] Result<std::vector<uint8_t>> FromHex(const std::string& text);
+
+// From index and files, without the hashes that other sessions share. kNotFound names the first unknown id.
+[[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
+                                                               const std::vector<std::string>& ids);
+
+[[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
+Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);
+[[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store);
+
+}  // namespace stratalux::db

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/key_file.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <sodium.h>
+#include <unistd.h>
+
+#include "db/privacy/export_marker.h"
+#include "db/privacy/forget_intent.h"
+#include "db/privacy/key_store.h"
+#include "db/privacy/tombstone.h"
+#include "db/write_lock.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Result<KeyId> KeyIdFrom(const std::string& hex) {
+  SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hex));
+  KeyId id{};
+  if (bytes.size() != id.size()) return Status::Integrity("'" + hex + "' is no key id");
+  std::copy(bytes.begin(), bytes.end(), id.begin());
+  return id;
+}
+
+Result<SessionKey> KeyFrom(const Json& json) {
+  SessionKey key;
+  SLX_ASSIGN_OR_RETURN(key.id, KeyIdFrom(json.at("key_id").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(auto bytes, FromHex(json.at("key").get<std::string>()));
+  auto secret = std::make_shared<SecretKey>();
+  if (bytes.size() != secret->bytes.size()) return Status::Integrity("a key has 32 bytes");
+  std::copy(bytes.begin(), bytes.end(), secret->bytes.begin());
+  sodium_memzero(bytes.data(), bytes.size());
+  key.key = std::move(secret);
+  return key;
+}
+
+Status WritePrivately(const std::filesystem::path& file, const std::string& text) {
+  const int fd = open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
+  if (fd < 0) return Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
+  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && fsync(fd) == 0;
+  close(fd);
+  return written ? Status::Ok() : Status::Failed("cannot write " + file.string() + ": " + std::strerror(errno));
+}
+
+}  // namespace
+
+Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& session, const std::filesystem::path& file) {
+  if (session.key_id.empty()) return Status::Usage("session " + session.info.id + " is not encrypted");
+  SLX_ASSIGN_OR_RETURN(const KeyId id, KeyIdFrom(session.key_id));
+  SLX_ASSIGN_OR_RETURN(const SessionKey key, FindKey(store, id));
+  std::string secret(2 * key.key->bytes.size() + 1, '\0');
+  sodium_bin2hex(secret.data(), secret.size(), key.key->bytes.data(), key.key->bytes.size());
+  secret.pop_back();
+  const Json json = {{"schema", 1}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
+  const auto folder = std::filesystem::absolute(file).parent_path();
+  SLX_RETURN_IF_ERROR(BeginExport(store, "key export", session.info.id, folder, {file.filename().string()}));
+  return WritePrivately(file, json.dump(1) + "\n");
+}
+
+Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std::filesystem::path& file) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  std::string session;
+  SessionKey key;
+  try {
+    const Json json = Json::parse(text);
+    json.at("session").get_to(session);
+    SLX_ASSIGN_OR_RETURN(key, KeyFrom(json).WithContext(file.string()));
+  } catch (const nlohmann::json::exception&) {
+    return Status::Integrity(file.string() + " is no key file of `stratalux-db key export`");
+  }
+  SLX_RETURN_IF_ERROR(SessionStore::Open(store, AccessMode::kReadOnly).status());
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session));
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
+  SLX_RETURN_IF_ERROR(ImportKey(store, key));
+  return session;
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// STORE/keys.sqlite: one random key for each encrypted session, in a file of its own (mode 0600), so that it stays out
+// of manifests, pulls and backups and so that destroying a key destroys what was written with it.
+//
+// Every write is followed by a wipe of SQLite's journal, which holds the page as it was before. Callers of CreateKey,
+// ImportKey and DestroyKey hold the store's write lock: nobody else then has a journal there.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+
+namespace stratalux::db {
+
+using KeyId = std::array<uint8_t, 16>;
+
+// 32 bytes that are overwritten when the last owner goes.
+struct SecretKey {
+  std::array<uint8_t, 32> bytes{};
+  SecretKey() = default;
+  SecretKey(const SecretKey&) = delete;
+  SecretKey& operator=(const SecretKey&) = delete;
+  ~SecretKey();
+};
+
+struct SessionKey {
+  KeyId id{};
+  std::shared_ptr<const SecretKey> key;
+};
+
+[[nodiscard]] std::string ToHex(const KeyId& id);
+[[nodiscard]] std::filesystem::path KeyFile(const std::filesystem::path& store);
+
+// A fresh random key, safe on the disk when this returns. Makes keys.sqlite when missing.
+[[nodiscard]] Result<SessionKey> CreateKey(const std::filesystem::path& store);
+// kNotFound where the key (or keys.sqlite) is not there; kIntegrity for a damaged or foreign keys.sqlite.
+[[nodiscard]] Result<SessionKey> FindKey(const std::filesystem::path& store, const KeyId& id);
+// Stores a key that came from another machine; kOk when it is there already.
+Status ImportKey(const std::filesystem::path& store, const SessionKey& key);
+// Overwrites and removes the key; kOk when it is not there.
+Status DestroyKey(const std::filesystem::path& store, const KeyId& id);
+[[nodiscard]] Result<std::vector<KeyId>> ListKeys(const std::filesystem::path& store);
+
+}  // namespace stratalux::db

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/marker_scan.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+
+#include "shared/base/check.h"
+
+namespace stratalux::db {
+namespace {
+
+constexpr int kFilterBits = 20;  // 128 KiB: stays in the cache next to the data
+constexpr size_t kBlock = size_t{1} << 20;
+
+uint64_t Load(const uint8_t* at) {
+  uint64_t word = 0;
+  std::memcpy(&word, at, sizeof word);
+  return word;
+}
+// Multiplicative hashing: the upper bits of the product depend on all bytes.
+uint64_t FilterBit(uint64_t word) { return (word * 0x9e3779b97f4a7c15ULL) >> (64 - kFilterBits); }
+
+}  // namespace
+
+MarkerScan::MarkerScan() : filter_((size_t{1} << kFilterBits) / 64) {}
+
+int MarkerScan::Add(std::span<const uint8_t> bytes) {
+  SLX_CHECK(bytes.size() >= kShortest);
+  const int number = static_cast<int>(markers_.size());
+  const uint64_t start = Load(bytes.data());
+  markers_.emplace_back(bytes.begin(), bytes.end());
+  by_start_.emplace(start, number);
+  filter_[FilterBit(start) / 64] |= uint64_t{1} << (FilterBit(start) % 64);
+  longest_ = std::max(longest_, bytes.size());
+  return number;
+}
+
+int MarkerScan::Add(const std::string& text) {
+  return Add(std::span(reinterpret_cast<const uint8_t*>(text.data()), text.size()));
+}
+
+// Markers that start at the first `starts` bytes of the block.
+void MarkerScan::ScanBlock(std::span<const uint8_t> block, size_t starts, int64_t offset,
+                           std::vector<Hit>& hits) const {
+  for (size_t i = 0; i < starts && i + kShortest <= block.size(); ++i) {
+    const uint64_t word = Load(block.data() + i);
+    const uint64_t bit = FilterBit(word);
+    if ((filter_[bit / 64] >> (bit % 64) & 1U) == 0) continue;
+    const auto [first, last] = by_start_.equal_range(word);
+    for (auto candidate = first; candidate != last; ++candidate) {
+      const auto& marker = markers_[static_cast<size_t>(candidate->second)];
+      if (marker.size() <= block.size() - i && std::memcmp(marker.data(), block.data() + i, marker.size()) == 0)
+        hits.push_back({candidate->second, offset + static_cast<int64_t>(i)});
+    }
+  }
+}
+
+Result<std::vector<MarkerScan::Hit>> MarkerScan::Scan(const std::filesystem::path& file) const {
+  std::ifstream in(file, std::ios::binary);
+  if (!in) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
+  std::vector<Hit> hits;
+  std::vector<uint8_t> block(kBlock + longest_ - 1);
+  size_t kept = 0;  // bytes of the block before, in which a marker may have started
+  int64_t offset = 0;
+  while (true) {
+    in.read(reinterpret_cast<char*>(block.data() + kept), static_cast<std::streamsize>(block.size() - kept));
+    const size_t filled = kept + static_cast<size_t>(in.gcount());
+    const bool last = filled < block.size();
+    if (in.bad()) return Status::Failed("cannot read " + file.string());
+    const size_t starts = last ? filled : kBlock;
+    ScanBlock(std::span(block).first(filled), starts, offset, hits);
+    if (last) return hits;
+    kept = filled - starts;
+    std::memmove(block.data(), block.data() + starts, kept);
+    offset += static_cast<int64_t>(starts);
+  }
+}
+
+}  // namespace stratalux::db

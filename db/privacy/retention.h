@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which visitors' sessions are due: past the days of their class, or made under a consent that was withdrawn. Sessions
+// of other kinds show nobody and are never due.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "shared/capture/session.h"
+
+namespace stratalux::db {
+
+struct DueSession {
+  std::string id;
+  std::string reason;  // "standard: 400 days old, kept for 365", "consent withdrawn on 2026-11-21T11:08:06Z"
+};
+
+// Oldest first. The age counts from the end of the session (its start, when it never ended) to `now`; a session of the
+// future, as a clock that was wrong makes them, is not due. Whether a consent was withdrawn is asked of the consent the
+// session was made under, and of the visitor's newest where that is not known here.
+[[nodiscard]] Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, const RetentionDays& days,
+                                                          WallNs now);
+
+}  // namespace stratalux::db

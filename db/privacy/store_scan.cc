@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/store_scan.h"
+
+#include <algorithm>
+#include <cctype>
+#include <map>
+
+#include "db/privacy/consent.h"
+#include "db/privacy/marker_scan.h"
+#include "db/privacy/tombstone.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+
+enum class Kind { kId, kKeyId, kHash, kVisitor };
+
+struct Marker {
+  Kind kind = Kind::kId;
+  std::string session, visitor;
+};
+
+const char* ToString(Kind kind) {
+  switch (kind) {
+    case Kind::kId:
+      return "session id";
+    case Kind::kKeyId:
+      return "key id";
+    case Kind::kHash:
+      return "payload hash";
+    case Kind::kVisitor:
+      break;
+  }
+  return "pseudonym";
+}
+
+class Markers {
+ public:
+  Status Add(const ForgetIntent& intent) {
+    AddText(intent.session, {Kind::kId, intent.session, intent.visitor});
+    if (!intent.key_id.empty())
+      SLX_RETURN_IF_ERROR(AddHex(intent.key_id, {Kind::kKeyId, intent.session, intent.visitor}));
+    for (const std::string& hash : intent.hashes)
+      SLX_RETURN_IF_ERROR(AddHex(hash, {Kind::kHash, intent.session, intent.visitor}));
+    return Status::Ok();
+  }
+  void AddText(const std::string& text, Marker marker) {
+    if (text.size() < MarkerScan::kShortest) return;
+    scan_.Add(text);
+    all_.push_back(std::move(marker));
+  }
+  [[nodiscard]] const MarkerScan& scan() const { return scan_; }
+  [[nodiscard]] const Marker& operator[](int number) const { return all_[static_cast<size_t>(number)]; }
+
+ private:
+  // As bytes and as text: files of either kind may hold it.
+  Status AddHex(const std::string& hex, const Marker& marker) {
+    SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hex));
+    if (bytes.size() < MarkerScan::kShortest) return Status::Ok();
+    scan_.Add(bytes);
+    all_.push_back(marker);
+    AddText(hex, marker);
+    return Status::Ok();
+  }
+  MarkerScan scan_;
+  std::vector<Marker> all_;
+};
+
+// How often the index may hold the id: its deletions row (table and key) and its access_log rows (table and index).
+Result<int64_t> AllowedInIndex(SessionIndex& index, const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      index.connection().Prepare(
+          "SELECT coalesce((SELECT 2 + (length(certificate_json) - length(replace(certificate_json, ?1, '')))"
+          " / length(?1) FROM deletions WHERE session_id = ?1), 0)"
+          " + coalesce((SELECT sum(2 + (length(detail) - length(replace(detail, ?1, ''))) / length(?1))"
+          " FROM access_log WHERE session_id = ?1), 0)"));
+  SLX_RETURN_IF_ERROR(select.Bind(1, id).Step().status());
+  return select.Integer(0);
+}
+
+// The first hit that must not be, if any.
+const MarkerScan::Hit* Forbidden(const fs::path& store, const fs::path& file, const Markers& markers,
+                                 const ScanPlan& plan, const std::vector<MarkerScan::Hit>& hits) {
+  std::map<std::string, int64_t> ids;
+  const bool is_index = file == store / "index.sqlite";
+  for (const MarkerScan::Hit& hit : hits) {
+    const Marker& marker = markers[hit.marker];
+    if (marker.kind == Kind::kId && file == CertificateFile(store, marker.session)) continue;
+    if (marker.kind == Kind::kId && is_index) {
+      const auto allowed = plan.ids_in_index.find(marker.session);
+      if (allowed != plan.ids_in_index.end() && ++ids[marker.session] <= allowed->second) continue;
+    }
+    return &hit;
+  }
+  return nullptr;
+}
+
+void AddLeftover(StoreScanResult& result, const Marker& marker, const std::string& file, const std::string& where) {
+  result.leftovers.push_back({marker.session, marker.visitor, file + where + ": " + ToString(marker.kind)});
+}
+
+Status ScanOne(const fs::path& store, const fs::path& file, const Markers& markers, const ScanPlan& plan,
+               StoreScanResult& result) {
+  const auto hits = markers.scan().Scan(file);
+  if (std::error_code error; !hits.ok() && !fs::exists(file, error)) return Status::Ok();  // gone meanwhile
+  if (!hits.ok()) return hits.status();
+  std::error_code error;
+  ++result.files;
+  result.bytes += static_cast<int64_t>(fs::file_size(file, error));
+  if (const MarkerScan::Hit* hit = Forbidden(store, file, markers, plan, *hits))
+    AddLeftover(result, markers[hit->marker], file.lexically_relative(store).string(),
+                ", offset " + std::to_string(hit->offset));
+  return Status::Ok();
+}
+
+// Long enough, with a digit, not the simulation's, and no part of a pseudonym that remains.
+Result<bool> IsTelling(SessionIndex& index, const std::string& visitor) {
+  const bool digit = std::any_of(visitor.begin(), visitor.end(), [](unsigned char c) { return std::isdigit(c) != 0; });
+  if (visitor.size() < MarkerScan::kShortest || !digit || visitor == kSimulatedVisitor) return false;
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       index.connection().Prepare("SELECT 1 FROM visitors WHERE instr(id, ?1) > 0 AND id <> ?1"));
+  SLX_ASSIGN_OR_RETURN(const bool part, select.Bind(1, visitor).Step());
+  return !part;
+}
+
+}  // namespace
+
+Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& intents) {
+  Markers markers;
+  for (const ForgetIntent& intent : intents) SLX_RETURN_IF_ERROR(markers.Add(intent));
+  SLX_ASSIGN_OR_RETURN(const auto hits, markers.scan().Scan(file));
+  return !hits.empty();
+}
+
+Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& intents,
+                          const std::vector<std::string>& gone_visitors) {
+  ScanPlan plan;
+  for (const ForgetIntent& intent : intents) {
+    SLX_ASSIGN_OR_RETURN(plan.ids_in_index[intent.session], AllowedInIndex(index, intent.session));
+  }
+  for (const std::string& visitor : gone_visitors) {
+    SLX_ASSIGN_OR_RETURN(const bool telling, IsTelling(index, visitor));
+    if (telling) plan.pseudonyms.push_back(visitor);
+  }
+  return plan;
+}
+
+Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
+                                  Logger& logger) {
+  Markers markers;
+  std::vector<std::pair<std::string, Marker>> names;  // what a file's name may tell
+  for (const ForgetIntent& intent : intents) {
+    SLX_RETURN_IF_ERROR(markers.Add(intent));
+    names.emplace_back(intent.session, Marker{Kind::kId, intent.session, intent.visitor});
+  }
+  for (const std::string& visitor : plan.pseudonyms) {
+    markers.AddText(visitor, {Kind::kVisitor, "", visitor});
+    names.emplace_back(visitor, Marker{Kind::kVisitor, "", visitor});
+  }
+  StoreScanResult result;
+  result.markers = static_cast<int64_t>(markers.scan().size());
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (const auto& entry : fs::recursive_directory_iterator(store, error)) {
+    const fs::path& path = entry.path();
+    if (path.parent_path() == store / "deletions" && path.extension() == ".forgetting") continue;
+    if (entry.is_regular_file(error)) files.push_back(path);
+    for (const auto& [text, marker] : names)
+      if (path.filename().string().find(text) != std::string::npos && path != CertificateFile(store, marker.session))
+        AddLeftover(result, marker, path.lexically_relative(store).string(), " (its name)");
+  }
+  if (error) return Status::Failed("cannot list " + store.string() + ": " + error.message());
+  Progress progress(logger, "scan", static_cast<int64_t>(files.size()));
+  for (const fs::path& file : files) {
+    SLX_RETURN_IF_ERROR(ScanOne(store, file, markers, plan, result));
+    progress.Advance();
+  }
+  return result;
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The proof of a forget: every file of the store is read and searched for what would give the sessions away. Internal
+// to db/privacy.
+#pragma once
+
+#include <filesystem>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "db/privacy/forget_intent.h"
+#include "shared/base/log.h"
+
+namespace stratalux::db {
+
+struct StoreScanResult {
+  int64_t markers = 0, files = 0, bytes = 0;
+  struct Leftover {
+    std::string session, visitor;  // whose; a pseudonym has no session
+    std::string text;              // "sessions/x/y.json, offset 12: session id"
+  };
+  std::vector<Leftover> leftovers;
+};
+
+// What the index says before the scan, which reads index.sqlite as a file and therefore needs it closed: closing a file
+// drops every lock that the process holds on it, SQLite's own included.
+struct ScanPlan {
+  std::map<std::string, int64_t>
+      ids_in_index;                     // session -> how often its id stands in rows of deletions and access_log
+  std::vector<std::string> pseudonyms;  // of visitors without a session, as far as a scan can tell them
+};
+// Left to the rows: pseudonyms that are short, have no digit or are part of one that remains cannot be told from
+// chance.
+[[nodiscard]] Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& intents,
+                                        const std::vector<std::string>& gone_visitors);
+
+// The intents' own files are left out: they go next. A session's id may stand in its certificate and, as often as the
+// plan says, in the index.
+[[nodiscard]] Result<StoreScanResult> ScanStore(const std::filesystem::path& store,
+                                                const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
+                                                Logger& logger);
+
+// True where a file holds any marker of the intents.
+[[nodiscard]] Result<bool> HoldsMarker(const std::filesystem::path& file, const std::vector<ForgetIntent>& intents);
+
+}  // namespace stratalux::db

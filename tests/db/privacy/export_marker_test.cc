@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+// An export is found again, and deleted without harm to what else lies in its folder.
+#include "db/privacy/export_marker.h"
+
+#include <gmock/gmock.h>
+
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+using ::testing::ElementsAre;
+namespace fs = std::filesystem;
+
+class ExportMarkerTest : public StoreTest {
+ protected:
+  void SetUp() override {
+    StoreTest::SetUp();
+    out_ = folder_ / "out";
+    ASSERT_TRUE(WriteExportMarker(out_, "s000001-0badcafe", {"a.png", "deep/er/b.png"}).ok());
+    fs::create_directories(out_ / "deep" / "er");
+    for (const char* name : {"a.png", "deep/er/b.png"}) WriteText(out_ / name, "pixels");
+  }
+  fs::path out_;
+};
+
+TEST_F(ExportMarkerTest, DeletesItsFilesAndTheFolderTheyMade) {
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_FALSE(fs::exists(out_));
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kNotThere);
+}
+
+TEST_F(ExportMarkerTest, TouchesNothingElse) {
+  ASSERT_TRUE(WriteExportMarker(out_, "s000002-0badcafe", {"c.png"}).ok());
+  WriteText(out_ / "c.png", "pixels");
+  WriteText(out_ / "deep" / "thesis.txt", "mine");
+  EXPECT_THAT(ExportsIn(out_), ElementsAre("s000001-0badcafe", "s000002-0badcafe"));
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_FALSE(fs::exists(out_ / "a.png"));
+  EXPECT_FALSE(fs::exists(out_ / "deep" / "er"));
+  EXPECT_TRUE(fs::exists(out_ / "deep" / "thesis.txt"));
+  EXPECT_TRUE(fs::exists(out_ / "c.png"));
+  EXPECT_THAT(ExportsIn(out_), ElementsAre("s000002-0badcafe"));
+}
+
+TEST_F(ExportMarkerTest, ASecondExportToTheSameFolderKeepsTheFirstOnesFiles) {
+  ASSERT_TRUE(WriteExportMarker(out_, "s000001-0badcafe", {"c.png"}).ok());
+  WriteText(out_ / "c.png", "pixels");
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_FALSE(fs::exists(out_));
+}
+
+TEST_F(ExportMarkerTest, NoMarkerCanNameAFileOutsideItsFolder) {
+  WriteText(folder_ / "victim", "mine");
+  for (const char* name : {"../victim", "deep/../../victim", "/etc/hostname", ""})
+    EXPECT_EQ(WriteExportMarker(out_, "s000001-0badcafe", {name}).code(), StatusCode::kUsage) << name;
+  WriteText(ExportMarker(out_, "s000001-0badcafe"),
+            R"({"session": "s000001-0badcafe", "files": ["../victim", "a.png"]})");  // made by somebody else
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_TRUE(fs::exists(folder_ / "victim"));
+}
+
+TEST_F(ExportMarkerTest, AnotherMachinesPlaceIsNotLookedFor) {
+  EXPECT_EQ(*RemoveExport("elsewhere.example:" + out_.string(), "s000001-0badcafe"), ExportState::kElsewhere);
+  EXPECT_TRUE(fs::exists(out_ / "a.png"));
+  EXPECT_EQ(LocalFolder(ExportPlace(out_)), fs::weakly_canonical(out_));
+}
+
+TEST_F(ExportMarkerTest, ADamagedMarkerIsAnErrorAndDeletesNothing) {
+  WriteText(ExportMarker(out_, "s000001-0badcafe"), "{");
+  EXPECT_EQ(RemoveExport(ExportPlace(out_), "s000001-0badcafe").status().code(), StatusCode::kIntegrity);
+  EXPECT_TRUE(fs::exists(out_ / "a.png"));
+}
+
+}  // namespace
+}  // namespace stratalux::db

@@ -1,0 +1,442 @@
+// SPDX-License-Identifier: Apache-2.0
+// What was forgotten is in no byte of the store, does not come back, and can be interrupted anywhere.
+#include "db/privacy/forget.h"
+
+#include <csignal>
+#include <fstream>
+#include <random>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "db/apps/extract.h"
+#include "db/interchange/import.h"
+#include "db/privacy/access_log.h"
+#include "db/privacy/consent.h"
+#include "db/privacy/key_file.h"
+#include "db/privacy/key_store.h"
+#include "db/privacy/tombstone.h"
+#include "db/segment.h"
+#include "db/sqlite.h"
+#include "db/verify.h"
+#include "shared/base/read_file.h"
+#include "tests/db/privacy/raw_bytes.h"
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+
+constexpr const char* kVisitor = "v-5f3a91c2";
+constexpr const char* kOther = "v-77e0b3d4";
+
+// Bytes that give a session away.
+struct Traces {
+  std::string id, key_id, key;
+  std::vector<std::string> hashes;  // first 8 bytes
+};
+
+class ForgetTest : public StoreTest {
+ protected:
+  void SetUp() override {
+    StoreTest::SetUp();
+    for (const char* visitor : {kVisitor, kOther})
+      ASSERT_TRUE(GiveConsent(folder_, visitor, {"2026-03", "de", true, true, false, {}}).ok());
+  }
+  void TearDown() override {
+    StoreTest::TearDown();
+    fs::remove_all(exports_);
+  }
+
+  // A session with pixels of its own, a fit with files, and an export outside the store.
+  std::string Visit(const std::string& visitor, int seed, Encryption encryption) {
+    SessionStore store = OpenStore();
+    SessionInfo info;
+    info.visitor = visitor;
+    auto writer = store.BeginSession(info, {.max_segment_bytes = 1500, .encryption = encryption});
+    EXPECT_TRUE(writer.ok()) << writer.status().message();
+    for (int i = 0; i < 6; ++i) EXPECT_TRUE(AppendTo(*writer, 100 * seed + i).ok());
+    const Image<float> map(4, 4, 1, static_cast<float>(seed) + 0.25F);
+    EXPECT_TRUE(writer->AppendTruth("depth", map.view()).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    const std::string id = writer->info().id;
+    fs::create_directories(store.FitFolder(id, "f1") / "report");
+    WriteText(store.FitFolder(id, "f1") / "report" / "index.html", "<h1>" + id + " " + visitor + "</h1>");
+    EXPECT_TRUE(store.RegisterFit({"f1", id, "{}", R"({"session": ")" + id + R"("})", {5}}).ok());
+    Logger quiet(LogLevel::kError);
+    EXPECT_TRUE(ExtractFrames(store, id, *store.ListFrames(id), exports_ / id, quiet).ok());
+    return id;
+  }
+  [[nodiscard]] Traces TracesOf(const std::string& id) const {
+    Traces traces{id, {}, {}, {}};
+    const SessionStore store = OpenStore(AccessMode::kReadOnly);
+    for (int n = 1; fs::exists(Segment(id, n)); ++n) {
+      bool sealed = false;
+      const auto reader = SegmentReader::Open(Segment(id, n));
+      const auto frames = reader->Walk(true, &sealed);
+      for (const SegmentFrame& f : *frames) {
+        traces.hashes.emplace_back(reinterpret_cast<const char*>(f.header.payload_hash), 8);
+        traces.key_id.assign(reinterpret_cast<const char*>(f.header.key_id), 16);
+      }
+    }
+    if (traces.key_id == std::string(16, '\0')) {
+      traces.key_id.clear();
+      return traces;
+    }
+    KeyId key_id{};
+    std::copy(traces.key_id.begin(), traces.key_id.end(), key_id.begin());
+    const auto key = FindKey(folder_, key_id);
+    traces.key.assign(key->key->bytes.begin(), key->key->bytes.end());
+    return traces;
+  }
+  Result<ForgetReport> ForgetNow(const std::vector<std::string>& sessions) const {
+    Logger quiet(LogLevel::kError);
+    ForgetRequest request;
+    request.sessions = sessions;
+    return Forget(folder_, request, quiet);
+  }
+  // Nothing but the id where it must be: the certificate, and in the index the tombstone and the access log.
+  void ExpectGone(const Traces& traces, const std::string& visitor) const {
+    int64_t rows = 0;
+    {
+      auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadOnly);
+      // Each access_log row in table and index and once in its folder's name; the tombstone in table and key, its
+      // certificate once, and once for the export it names.
+      rows =
+          *connection->QueryInteger("SELECT 3 * count(*) FROM access_log WHERE session_id = '" + traces.id + "'") + 4;
+      EXPECT_EQ(*connection->QueryInteger("PRAGMA freelist_count"), 0);
+      EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM sessions WHERE id = '" + traces.id + "'"), 0);
+    }
+    const RawBytes raw = ReadRaw(folder_);
+    for (const std::string& hash : traces.hashes) EXPECT_THAT(FilesWith(raw, hash), IsEmpty()) << "payload hash";
+    if (!traces.key.empty()) {
+      EXPECT_THAT(FilesWith(raw, traces.key_id), IsEmpty()) << "key id";
+      EXPECT_THAT(FilesWith(raw, traces.key), IsEmpty()) << "key";
+    }
+    EXPECT_THAT(FilesWith(raw, visitor), IsEmpty()) << "pseudonym";
+    std::map<std::string, int> expected = {{"deletions/" + traces.id + ".json", 1}};
+    auto found = FilesWith(raw, traces.id);
+    EXPECT_LE(found["index.sqlite"], rows);
+    found.erase("index.sqlite");
+    for (auto& [file, count] : found) count = 1;
+    EXPECT_EQ(found, expected);
+    for (const auto& [file, bytes] : raw) EXPECT_THAT(file, Not(HasSubstr(".forgetting")));
+  }
+  void ExpectUnharmed(const std::string& id, int seed) const {
+    const SessionStore store = OpenStore(AccessMode::kReadOnly);
+    EXPECT_THAT(VerifySession(store, *store.FindSession(id))->problems, IsEmpty());
+    const auto rows = store.ListFrames(id);
+    ASSERT_EQ(rows->size(), 6U);
+    for (const FrameRow& row : *rows) {
+      EXPECT_EQ(row.record.step / 100, seed);
+      EXPECT_TRUE(store.ReadFrame(id, row).ok());
+    }
+    EXPECT_EQ(store.ListFits(id)->size(), 1U);
+  }
+
+  fs::path exports_ = TemporaryFolder() / ("stratalux-exports-" + std::to_string(getpid()));
+};
+
+TEST_F(ForgetTest, LeavesNoTraceInAnyByteOfTheStore) {
+  for (const Encryption encryption : {Encryption::kPerSession, Encryption::kNone}) {
+    SCOPED_TRACE(encryption == Encryption::kNone ? "plain" : "encrypted");
+    ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
+    const std::string id = Visit(kVisitor, 1, encryption), other = Visit(kOther, 2, encryption);
+    const Traces traces = TracesOf(id);
+    // The oracle must be able to find them.
+    const RawBytes before = ReadRaw(folder_);
+    EXPECT_GE(FilesWith(before, traces.id).size(), 5U);
+    EXPECT_GE(FilesWith(before, kVisitor).size(), 3U);
+    for (const std::string& hash : traces.hashes) EXPECT_GE(FilesWith(before, hash).size(), 2U);
+    if (encryption == Encryption::kPerSession) {
+      EXPECT_EQ(FilesWith(before, traces.key).size(), 1U);
+    }
+
+    const auto report = ForgetNow({id});
+    ASSERT_TRUE(report.ok()) << report.status().message();
+    EXPECT_THAT(report->leftovers, IsEmpty());
+    EXPECT_TRUE(report->sessions[0].visitor_removed);
+    ExpectGone(traces, kVisitor);
+    EXPECT_FALSE(fs::exists(exports_ / id)) << "the export goes, too";
+    EXPECT_TRUE(fs::exists(exports_ / other));
+    ExpectUnharmed(other, 2);
+    EXPECT_THAT(*ListConsents(folder_, kVisitor), IsEmpty());
+    EXPECT_EQ(ListConsents(folder_, kOther)->size(), 1U);
+    std::printf("%s: %zu markers looked for by the program in %lld files, found none; %zu by the test in raw bytes\n",
+                encryption == Encryption::kNone ? "plain" : "encrypted", static_cast<size_t>(report->markers),
+                static_cast<long long>(report->scanned_files), traces.hashes.size() + 3);
+  }
+}
+
+TEST_F(ForgetTest, ClearsPagesThatWereFreedLongBefore) {
+  // Many rows, so that deleting frees whole pages, and a log that was never cut.
+  std::vector<std::string> ids;
+  for (int i = 0; i < 12; ++i) ids.push_back(Visit(i % 2 == 0 ? kVisitor : kOther, i + 1, Encryption::kNone));
+  std::vector<Traces> traces;
+  std::vector<std::string> mine;
+  for (size_t i = 0; i < ids.size(); i += 2) {
+    mine.push_back(ids[i]);
+    traces.push_back(TracesOf(ids[i]));
+  }
+  const auto report = ForgetNow(mine);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  for (const Traces& t : traces) ExpectGone(t, kVisitor);
+  for (size_t i = 1; i < ids.size(); i += 2) ExpectUnharmed(ids[i], static_cast<int>(i) + 1);
+}
+
+TEST_F(ForgetTest, KeepsTheVisitorWhileASessionIsLeft) {
+  const std::string first = Visit(kVisitor, 1, Encryption::kNone), second = Visit(kVisitor, 2, Encryption::kNone);
+  const auto once = ForgetNow({first});
+  ASSERT_TRUE(once.ok()) << once.status().message();
+  EXPECT_FALSE(once->sessions[0].visitor_removed);
+  EXPECT_THAT(once->leftovers, IsEmpty());
+  EXPECT_EQ(ListConsents(folder_, kVisitor)->size(), 1U);
+  ExpectUnharmed(second, 2);
+  EXPECT_TRUE(ForgetNow({second})->sessions[0].visitor_removed);
+}
+
+TEST_F(ForgetTest, SharedPixelsOfARemainingSessionAreNoLeftover) {
+  const std::string id = Visit(kVisitor, 3, Encryption::kNone), twin = Visit(kOther, 3, Encryption::kNone);
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok());
+  EXPECT_THAT(report->leftovers, IsEmpty());
+  ExpectUnharmed(twin, 3);
+}
+
+TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
+  const std::string other = Visit(kOther, 99, Encryption::kPerSession);
+  int points = 0;
+  for (bool finished = false; !finished; ++points) {
+    ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
+    const std::string id = Visit(kVisitor, 1 + points, Encryption::kPerSession);
+    const Traces traces = TracesOf(id);
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      Logger quiet(LogLevel::kError);
+      ForgetRequest request;
+      request.sessions = {id};
+      int left = points;
+      request.after_step = [&left](ForgetStep) {
+        if (left-- == 0) _exit(9);
+      };
+      _exit(Forget(folder_, request, quiet).ok() ? 0 : 1);
+    }
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    ASSERT_TRUE(WIFEXITED(status) && (WEXITSTATUS(status) == 9 || WEXITSTATUS(status) == 0)) << status;
+    finished = WEXITSTATUS(status) == 0;
+    SCOPED_TRACE("point " + std::to_string(points));
+    EXPECT_TRUE(*IsForgotten(folder_, id)) << "from the first step on";
+    { const SessionStore reopened = OpenStore(); }  // recovery must not bring it back
+    const auto again = ForgetNow({});
+    ASSERT_TRUE(again.ok()) << again.status().message();
+    EXPECT_THAT(again->leftovers, IsEmpty());
+    ExpectGone(traces, kVisitor);
+    EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+    ASSERT_FALSE(::testing::Test::HasFailure());
+  }
+  ExpectUnharmed(other, 99);
+  EXPECT_GE(points, 12);
+  std::printf("stopped at %d points, finished from each\n", points - 1);
+}
+
+TEST_F(ForgetTest, FinishesAfterBeingKilledAtAnyMoment) {
+  std::mt19937 random(11);
+  const std::string other = Visit(kOther, 99, Encryption::kPerSession);
+  int killed = 0;
+  for (int round = 0; round < 40; ++round) {
+    ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
+    const std::string id = Visit(kVisitor, 1 + round, Encryption::kPerSession);
+    const Traces traces = TracesOf(id);
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) _exit(ForgetNow({id}).ok() ? 0 : 1);
+    std::this_thread::sleep_for(std::chrono::microseconds(random() % 12000));
+    kill(child, SIGKILL);
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    killed += WIFSIGNALED(status) ? 1 : 0;
+    const bool listed = OpenStore(AccessMode::kReadOnly).FindSession(id).ok();
+    const auto again = ForgetNow(listed ? std::vector{id} : std::vector<std::string>{});
+    ASSERT_TRUE(again.ok()) << again.status().message();
+    EXPECT_THAT(again->leftovers, IsEmpty());
+    ExpectGone(traces, kVisitor);
+    ASSERT_FALSE(::testing::Test::HasFailure()) << "round " << round;
+  }
+  ExpectUnharmed(other, 99);
+  std::printf("killed %d times of 40, finished after each\n", killed);
+}
+
+TEST_F(ForgetTest, CertifiesWithoutPixelsAndWithoutThePseudonym) {
+  exports_ /= kVisitor;  // an operator who files exports by visitor
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
+  const Traces traces = TracesOf(id);
+  ASSERT_TRUE(ForgetNow({id}).ok());
+  const auto json = nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)));
+  EXPECT_EQ(json["session"], id);
+  EXPECT_EQ(json["reason"], "forget");
+  EXPECT_EQ(json["frames"], 6);
+  EXPECT_EQ(json["fits"], 1);
+  EXPECT_EQ(json["key_destroyed"], true);
+  EXPECT_EQ(json["visitor_removed"], true);
+  EXPECT_EQ(json["verification"]["clean"], true);
+  EXPECT_GT(json["verification"]["markers"], 6);
+  EXPECT_THAT(json["exports"][0]["place"].get<std::string>(), HasSubstr("(forgotten)"));
+  EXPECT_EQ(json["exports"][0]["state"], "deleted");
+  ExpectGone(traces, kVisitor);
+  const auto deletions = ListDeletions(folder_);
+  ASSERT_EQ(deletions->size(), 1U);
+  EXPECT_EQ(nlohmann::json::parse((*deletions)[0].certificate_json), json);
+  ASSERT_FALSE(ListAccess(folder_, id)->empty()) << "who looked outlives the session";
+  fs::remove_all(exports_.parent_path());
+}
+
+TEST_F(ForgetTest, NamesWhatItCouldNotRemoveUntilItIsGone) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  WriteText(folder_ / "notes.txt", "nice face in " + id + "\n");
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok());
+  EXPECT_THAT(report->leftovers, ::testing::ElementsAre("notes.txt, offset 13: session id"));
+  EXPECT_TRUE(*IsForgotten(folder_, id));
+  EXPECT_EQ(nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)))["verification"]["clean"], false);
+  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  fs::remove(folder_ / "notes.txt");
+  EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
+  EXPECT_EQ(nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)))["verification"]["clean"], true);
+  ExpectGone(traces, kVisitor);
+}
+
+TEST_F(ForgetTest, AnExportThatCannotBeDeletedKeepsNoFrameAlive) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  const std::string marker = *ReadFile(ExportMarker(exports_ / id, id));
+  WriteText(ExportMarker(exports_ / id, id), "{");  // stands for a folder on a read-only disk
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_EQ(report->sessions[0].exports[0].state, ExportState::kKept);
+  ASSERT_EQ(report->leftovers.size(), 1U);
+  EXPECT_THAT(report->leftovers[0], HasSubstr((exports_ / id).string()));
+  EXPECT_FALSE(fs::exists(folder_ / "sessions" / id));
+  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  WriteText(ExportMarker(exports_ / id, id), marker);
+  EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
+  EXPECT_FALSE(fs::exists(exports_ / id));
+  ExpectGone(traces, kVisitor);
+}
+
+TEST_F(ForgetTest, TakesTheCopyFromBeforeAMigrationWithIt) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
+                  ->Execute("VACUUM INTO '" + (folder_ / "index-before-2.sqlite").string() + "'")
+                  .ok());
+  WriteText(folder_ / "index-before-1.sqlite", "a copy that knows nothing of it");
+  ASSERT_TRUE(ForgetNow({id}).ok());
+  ExpectGone(traces, kVisitor);
+  EXPECT_FALSE(fs::exists(folder_ / "index-before-2.sqlite"));
+  EXPECT_TRUE(fs::exists(folder_ / "index-before-1.sqlite"));
+}
+
+TEST_F(ForgetTest, DoesNotReturnByReopeningImportOrKey) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
+  const auto row = OpenStore(AccessMode::kReadOnly).FindSession(id);
+  const fs::path copy = exports_ / "copy-by-hand";
+  ASSERT_TRUE(ExportKeyFile(folder_, *row, exports_ / "carried.key").ok());
+  fs::copy(exports_ / id, copy, fs::copy_options::recursive);
+  fs::copy(exports_ / "carried.key", exports_ / "hidden.key");
+  fs::copy(folder_ / "sessions" / id, exports_ / "session", fs::copy_options::recursive);
+  ASSERT_TRUE(ForgetNow({id}).ok());
+  EXPECT_FALSE(fs::exists(exports_ / "carried.key")) << "a logged key goes with its session";
+  const auto refused = ImportKeyFile(folder_, exports_ / "hidden.key");
+  EXPECT_EQ(refused.status().code(), StatusCode::kUsage);
+  EXPECT_THAT(refused.status().message(), HasSubstr("forgotten"));
+
+  WriteText(copy / "m.toml", R"([import]
+rig = "r"
+camera_width = 64
+camera_height = 64
+bit_depth = 12
+projector_width = 1024
+projector_height = 1024
+[[file]]
+file = "000000-gray-rows-bit-3-10-inverse.png"
+pattern = "white"
+)");
+  SessionStore store = OpenStore();
+  Logger quiet(LogLevel::kError);
+  const auto imported = ImportSession(store, {copy / "m.toml", "", {}}, quiet);
+  EXPECT_EQ(imported.status().code(), StatusCode::kUsage);
+  EXPECT_THAT(imported.status().message(), HasSubstr("deletions/" + id + ".json"));
+  fs::remove(ExportMarker(copy, id));
+  EXPECT_TRUE(ImportSession(store, {copy / "m.toml", "", {}}, quiet).ok()) << "the marker alone was in its way";
+
+  // Its folder put back by hand is no session, and without the key no picture.
+  fs::copy(exports_ / "session", folder_ / "sessions" / id, fs::copy_options::recursive);
+  const SessionStore reopened = OpenStore();
+  EXPECT_EQ(reopened.FindSession(id).status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(reopened.ListSessions()->size(), 1U);
+}
+
+TEST_F(ForgetTest, EitherTombstoneIsEnough) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  EXPECT_FALSE(*IsForgotten(folder_, id));
+  ASSERT_TRUE(ForgetNow({id}).ok());
+  EXPECT_TRUE(*IsForgotten(folder_, id));
+  fs::rename(folder_ / "deletions", folder_ / "lost");
+  EXPECT_TRUE(*IsForgotten(folder_, id)) << "by the index";
+  fs::rename(folder_ / "lost", folder_ / "deletions");
+  fs::remove(folder_ / "index.sqlite");
+  EXPECT_TRUE(*IsForgotten(folder_, id)) << "by the file";
+  EXPECT_FALSE(*IsForgotten(folder_, "../index"));
+}
+
+TEST_F(ForgetTest, APlanChangesNoByte) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
+  const RawBytes before = ReadRaw(folder_);
+  ForgetRequest request;
+  request.sessions = {id};
+  const auto plan = PlanForget(folder_, request);
+  ASSERT_TRUE(plan.ok());
+  EXPECT_EQ(plan->sessions[0].frames, 6);
+  EXPECT_GT(plan->sessions[0].files, 3);
+  EXPECT_EQ(plan->sessions[0].exports[0].state, ExportState::kDeleted);
+  RawBytes after = ReadRaw(folder_);
+  after.erase("index.sqlite-shm");  // SQLite's, of any opening
+  EXPECT_EQ(after["index.sqlite-wal"], "");
+  after.erase("index.sqlite-wal");
+  EXPECT_TRUE(after == before);
+  EXPECT_TRUE(fs::exists(exports_ / id));
+}
+
+TEST_F(ForgetTest, WaitsForWritersAndReaders) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  {
+    SessionStore store = OpenStore();
+    const auto writer = store.BeginSession(SimulatedVisit());
+    EXPECT_EQ(ForgetNow({id}).status().code(), StatusCode::kBusy);
+    EXPECT_FALSE(*IsForgotten(folder_, id)) << "not begun";
+  }
+  const Traces traces = TracesOf(id);
+  {
+    auto reader = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadOnly);
+    ASSERT_TRUE(reader->Execute("BEGIN").ok());
+    ASSERT_EQ(*reader->QueryInteger("SELECT count(*) FROM sessions"), 2);
+    const Status status = ForgetNow({id}).status();
+    EXPECT_EQ(status.code(), StatusCode::kBusy);
+    EXPECT_THAT(status.message(), HasSubstr("forget --resume"));
+  }
+  ASSERT_TRUE(ForgetNow({}).ok());
+  ExpectGone(traces, kVisitor);
+}
+
+}  // namespace
+}  // namespace stratalux::db

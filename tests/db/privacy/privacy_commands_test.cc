@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+// The privacy verbs as an operator runs them.
+#include <cstdio>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+#include <sys/wait.h>
+
+#include "db/privacy/access_log.h"
+#include "tests/db/privacy/raw_bytes.h"
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+struct Outcome {
+  int code = -1;
+  std::string output;  // stdout and stderr
+};
+
+class PrivacyCommands : public StoreTest {
+ protected:
+  [[nodiscard]] Outcome Db(const std::string& arguments, const std::string& redirect = "2>&1") const {
+    Outcome outcome;
+    FILE* pipe = popen(("STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR + "/stratalux-db " + arguments +
+                        " " + redirect)
+                           .c_str(),
+                       "r");
+    if (pipe == nullptr) return outcome;
+    char buffer[4096];
+    for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.output.append(buffer, n);
+    const int status = pclose(pipe);
+    outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    return outcome;
+  }
+  [[nodiscard]] nlohmann::json Json(const std::string& arguments) const {
+    return nlohmann::json::parse(Db(arguments + " --json", "2>/dev/null").output, nullptr, false);
+  }
+  // Without SQLite's -wal and -shm, which come and go at any opening.
+  [[nodiscard]] RawBytes Lasting() const {
+    RawBytes raw = ReadRaw(folder_);
+    std::erase_if(raw, [](const auto& file) { return file.first.ends_with("-wal") || file.first.ends_with("-shm"); });
+    return raw;
+  }
+};
+
+TEST_F(PrivacyCommands, ConsentIsGivenShownAndWithdrawn) {
+  EXPECT_EQ(Db("consent show").code, 0);
+  EXPECT_EQ(Db("consent show --visitor v-1").code, 4);
+  EXPECT_EQ(Db("consent give --visitor v-1 --text-version 3 --language de --scope fit,research").code, 0);
+  EXPECT_EQ(Db("consent give --visitor v-1 --text-version 3 --language de").code, 2);
+  EXPECT_EQ(Db("consent give --visitor v-1 --text-version 3 --language de --scope all").code, 2);
+  EXPECT_EQ(Db("consent").code, 2);
+  const auto rows = Json("consent show --visitor v-1");
+  ASSERT_EQ(rows.size(), 1U);
+  EXPECT_EQ(rows[0]["scope"], nlohmann::json({"fit", "research"}));
+  EXPECT_EQ(rows[0]["language"], "de");
+  EXPECT_TRUE(rows[0]["withdrawn"].is_null());
+  EXPECT_EQ(Db("consent withdraw --visitor v-1").code, 0);
+  EXPECT_FALSE(Json("consent show")[0]["withdrawn"].is_null());
+  EXPECT_EQ(Db("consent withdraw --visitor v-1").code, 4);
+}
+
+TEST_F(PrivacyCommands, ForgetAsksFirst) {
+  const std::string id = StoreSession(2, {.encryption = Encryption::kPerSession});
+  const RawBytes before = Lasting();
+  EXPECT_EQ(Db("forget").code, 2);
+  EXPECT_EQ(Db("forget " + id).code, 2);
+  EXPECT_EQ(Db("forget " + id + " --visitor simulated --yes").code, 2);
+  EXPECT_EQ(Db("forget s9 --yes").code, 4);
+  EXPECT_EQ(Db("forget --visitor nobody --yes").code, 4);
+  const Outcome dry = Db("forget " + id + " --dry-run");
+  EXPECT_EQ(dry.code, 0);
+  EXPECT_THAT(dry.output, HasSubstr("2 frames"));
+  EXPECT_THAT(dry.output, HasSubstr("nothing was changed"));
+  const RawBytes after = Lasting();
+  EXPECT_TRUE(after == before);
+  const auto done = Json("forget " + id + " --yes");
+  EXPECT_EQ(done["sessions"][0]["session"], id);
+  EXPECT_EQ(done["leftovers"].size(), 0U);
+  const Outcome again = Db("forget " + id + " --yes");
+  EXPECT_EQ(again.code, 0);
+  EXPECT_THAT(again.output, HasSubstr("forgotten already"));
+  EXPECT_EQ(Json("deletions")[0]["session"], id);
+  EXPECT_EQ(Db("show " + id).code, 4);
+}
+
+TEST_F(PrivacyCommands, LeftoversAreDegradedUntilResumed) {
+  const std::string id = StoreSession(1);
+  WriteText(folder_ / "thumbnail.txt", id);
+  const Outcome first = Db("forget " + id + " --yes");
+  EXPECT_EQ(first.code, 3);
+  EXPECT_THAT(first.output, HasSubstr("thumbnail.txt, offset 0: session id"));
+  std::filesystem::remove(folder_ / "thumbnail.txt");
+  EXPECT_EQ(Db("forget --resume").code, 0);
+  EXPECT_THAT(Db("deletions").output, HasSubstr("yes"));
+}
+
+TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
+  const std::string id = StoreSession(2);
+  EXPECT_THAT(Db("purge").output, HasSubstr("no session is due"));
+  const RawBytes before = Lasting();
+  const Outcome dry = Db("purge --dry-run --now 2099-01-01");
+  EXPECT_EQ(dry.code, 0);
+  EXPECT_THAT(dry.output, HasSubstr("kept for 365"));
+  const RawBytes after = Lasting();
+  EXPECT_TRUE(after == before);
+  EXPECT_EQ(Db("purge --now yesterday").code, 2);
+  EXPECT_EQ(Db("purge --standard-days -3").code, 2);
+  WriteText(folder_ / "rig.toml", "[retention]\nstandard_days = 99999\n");
+  EXPECT_THAT(Db("purge --now 2099-01-01 --config " + (folder_ / "rig.toml").string()).output,
+              HasSubstr("no session is due"));
+  const auto done = Json("purge --now 2099-01-01T00:00:00Z");
+  EXPECT_EQ(done["sessions"][0]["session"], id);
+  EXPECT_EQ(Json("deletions")[0]["reason"], "purge");
+  EXPECT_EQ(Json("ls").size(), 0U);
+}
+
+TEST_F(PrivacyCommands, WhatLeavesTheStoreIsLogged) {
+  const std::string id = StoreSession(2), other = StoreSession(1);
+  const auto out = folder_ / "out";
+  ASSERT_EQ(Db("frames " + id + " --extract " + out.string()).code, 0);
+  EXPECT_EQ(Db("ls").code + Db("show " + id).code + Db("frames " + id).code, 0);
+  const auto log = Json("access");
+  ASSERT_EQ(log.size(), 1U) << "lists give nothing away";
+  EXPECT_EQ(log[0]["action"], "extract");
+  EXPECT_EQ(log[0]["session"], id);
+  EXPECT_EQ(log[0]["who"], OperatingSystemUser());
+  EXPECT_THAT(log[0]["detail"].get<std::string>(), HasSubstr(":" + std::filesystem::canonical(out).string()));
+  EXPECT_EQ(Json("access " + other).size(), 0U);
+  EXPECT_EQ(Json("access s000001").size(), 1U);
+}
+
+TEST_F(PrivacyCommands, AKeyIsCarriedToAnotherStoreByHand) {
+  const std::string id = StoreSession(1, {.encryption = Encryption::kPerSession}), plain = StoreSession(1);
+  const auto file = folder_ / "carried" / "a.key";
+  EXPECT_EQ(Db("key export " + plain + " --out " + file.string()).code, 2);
+  ASSERT_EQ(Db("key export " + id + " --out " + file.string()).code, 0);
+  EXPECT_NE(Db("key export " + id + " --out " + file.string()).code, 0) << "never over another file";
+  EXPECT_EQ(Json("access")[0]["action"], "key export");
+  // As a pull leaves it: everything but the keys.
+  std::filesystem::remove(folder_ / "keys.sqlite");
+  const std::string read = "frames " + id + " --extract " + (folder_ / "out").string();
+  const Outcome without = Db(read);
+  EXPECT_EQ(without.code, 4);
+  EXPECT_THAT(without.output, HasSubstr("key import"));
+  EXPECT_EQ(Db("frames " + plain + " --extract " + (folder_ / "plain").string()).code, 0);
+  EXPECT_EQ(Db("verify").code, 0);
+  ASSERT_EQ(Db("key import " + file.string()).code, 0);
+  EXPECT_EQ(Db(read).code, 0);
+  WriteText(folder_ / "no.key", "{}");
+  EXPECT_EQ(Db("key import " + (folder_ / "no.key").string()).code, 6);
+}
+
+}  // namespace
+}  // namespace stratalux::db
