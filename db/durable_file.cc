@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/durable_file.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <utility>
 #include <vector>
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 namespace stratalux::db {
@@ -95,6 +97,24 @@ Status KeepFile(const fs::path& beside, const fs::path& file) {
   SLX_RETURN_IF_ERROR(SyncOpened(beside, O_RDONLY));
   if (rename(beside.c_str(), file.c_str()) != 0) return Failure("write", file, errno);
   return SyncFolder(file.parent_path());
+}
+
+Status WipeFile(const fs::path& file) {
+  {
+    const Descriptor opened(file, O_WRONLY | O_NOFOLLOW);
+    if (opened.get() < 0) return errno == ENOENT ? Status::Ok() : Failure("wipe", file, errno);
+    struct stat info {};
+    if (fstat(opened.get(), &info) != 0) return Failure("wipe", file, errno);
+    const std::string zeros(64 * 1024, '\0');
+    for (auto left = static_cast<size_t>(info.st_size); left > 0;) {
+      const size_t part = std::min(left, zeros.size());
+      SLX_RETURN_IF_ERROR(WriteAll(opened.get(), zeros.data(), part, file.string()));
+      left -= part;
+    }
+    if (fdatasync(opened.get()) != 0) return Failure("wipe", file, errno);
+  }
+  if (unlink(file.c_str()) != 0 && errno != ENOENT) return Failure("remove", file, errno);
+  return Status::Ok();
 }
 
 Status CutFile(const fs::path& file, int64_t size) {

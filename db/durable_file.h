@@ -24,6 +24,9 @@ Status ReplaceFile(const std::filesystem::path& file, const std::string& bytes);
 Status KeepFile(const std::filesystem::path& beside, const std::filesystem::path& file);
 // The first `size` bytes stay. Never follows a symbolic link.
 Status CutFile(const std::filesystem::path& file, int64_t size);
+// Overwrites with zeros, syncs, removes; kOk where there is no such file. A flash disk may keep the old blocks
+// (docs/privacy.md).
+Status WipeFile(const std::filesystem::path& file);
 // Every file and folder at and below `folder`; symbolic links are left alone.
 Status SyncTree(const std::filesystem::path& folder);
 

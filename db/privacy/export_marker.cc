@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "db/durable_file.h"
 #include "db/privacy/access_log.h"
-#include "db/privacy/durable_file.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -62,7 +62,7 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
                      {"session", session_id},
                      {"about", "files of this session; `stratalux-db forget` deletes them"},
                      {"files", all}};
-  return WriteFileDurably(marker, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+  return ReplaceFile(marker, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,

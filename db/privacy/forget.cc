@@ -6,8 +6,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/durable_file.h"
 #include "db/privacy/access_log.h"
-#include "db/privacy/durable_file.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/store_scan.h"
 #include "db/privacy/tombstone.h"
@@ -230,7 +230,7 @@ Status Forgetting::Certify(SessionIndex& index) {
                                                                " deleted_wall_ns = ?3 WHERE session_id = ?1"));
   for (size_t i = 0; i < intents_.size(); ++i) {
     const std::string certificate = CertificateFor(intents_[i], report_.sessions[i]);
-    SLX_RETURN_IF_ERROR(WriteFileDurably(CertificateFile(store_, intents_[i].session), certificate));
+    SLX_RETURN_IF_ERROR(ReplaceFile(CertificateFile(store_, intents_[i].session), certificate));
     update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, WallNow().ns);
     SLX_RETURN_IF_ERROR(update.Run());
     Done(ForgetStep::kCertified);

@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <sodium.h>
 
-#include "db/privacy/durable_file.h"
+#include "db/durable_file.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 
@@ -168,8 +168,8 @@ Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
                      {"key_id", intent.key_id},   {"frames", intent.frames},   {"began_wall_ns", intent.began.ns},
                      {"fits", intent.fits},       {"files", intent.files},     {"bytes", intent.bytes},
                      {"hashes", intent.hashes},   {"exports", intent.exports}};
-  return WriteFileDurably(IntentFile(store, intent.session),
-                          json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+  return ReplaceFile(IntentFile(store, intent.session),
+                     json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {

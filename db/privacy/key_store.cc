@@ -10,7 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "db/privacy/durable_file.h"
+#include "db/durable_file.h"
 #include "db/sqlite.h"
 #include "shared/units/time.h"
 
