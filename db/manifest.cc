@@ -1,13 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/manifest.h"
 
-#include <cerrno>
-#include <cstring>
-
-#include <fcntl.h>
 #include <nlohmann/json.hpp>
-#include <unistd.h>
 
+#include "db/durable_file.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -122,14 +118,18 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
       {"frames", frames},
       {"segments", segments}};
   const std::string text = TextOf(json, 1) + "\n";
-  const std::filesystem::path target = folder / "manifest.json", temporary = folder / "manifest.json.new";
-  auto fail = [&] { return Status::Failed("cannot write " + target.string() + ": " + std::strerror(errno)); };
-  const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0640);
-  if (fd < 0) return fail();
-  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && fsync(fd) == 0;
-  close(fd);
-  if (!written || rename(temporary.c_str(), target.c_str()) != 0) return fail();
-  return Status::Ok();
+  return ReplaceFile(folder / "manifest.json", text);
+}
+
+Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "manifest.json";
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    const Json json = Json::parse(text);
+    return ManifestContents{json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>()};
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
 }
 
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {

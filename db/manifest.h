@@ -10,10 +10,17 @@
 
 namespace stratalux::db {
 
-// Written to a temporary file, synced and renamed, so that a manifest is whole or absent.
+// On the disk when this returns: whole, or as it was before.
 Status WriteManifest(const std::filesystem::path& session_folder, const SessionInfo& info, int64_t frames,
                      const std::vector<std::string>& segments);
 Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);
+
+// What the manifest says lies beside it.
+struct ManifestContents {
+  int64_t frames = 0;
+  std::vector<std::string> segments;
+};
+Result<ManifestContents> ReadManifestContents(const std::filesystem::path& session_folder);
 
 // {"text_version", "language", "scope": ["fit", "research", "publication"], "given_wall_ns"}; "" for no consent.
 [[nodiscard]] std::string ConsentToJson(const Consent& consent);

@@ -13,6 +13,8 @@
 #include <unistd.h>
 #include <xxhash.h>
 
+#include "db/durable_file.h"
+
 namespace stratalux::db {
 namespace {
 
@@ -143,11 +145,16 @@ Result<FrameRecord> RecordOf(const FrameHeader& h) {
 }
 
 SegmentWriter::SegmentWriter(SegmentWriter&& o) noexcept
-    : fd_(std::exchange(o.fd_, -1)), bytes_(o.bytes_), file_(std::move(o.file_)), headers_(std::move(o.headers_)) {}
+    : fd_(std::exchange(o.fd_, -1)),
+      bytes_(o.bytes_),
+      sync_failed_(o.sync_failed_),
+      file_(std::move(o.file_)),
+      headers_(std::move(o.headers_)) {}
 SegmentWriter& SegmentWriter::operator=(SegmentWriter&& o) noexcept {
   if (fd_ >= 0) close(fd_);
   fd_ = std::exchange(o.fd_, -1);
   bytes_ = o.bytes_;
+  sync_failed_ = o.sync_failed_;
   file_ = std::move(o.file_);
   headers_ = std::move(o.headers_);
   return *this;
@@ -167,20 +174,16 @@ Result<SegmentWriter> SegmentWriter::Create(const std::filesystem::path& file, c
   header.header_bytes = sizeof header;
   std::memcpy(header.session, session_id.data(), std::min(session_id.size(), sizeof header.session - 1));
   header.hash = HashOf(header);
-  SLX_RETURN_IF_ERROR(writer.Write(&header, sizeof header));
-  return writer;
+  Status made = writer.Write(&header, sizeof header);
+  if (made.ok()) made = SyncFolder(file.parent_path());
+  if (made.ok()) return writer;
+  unlink(file.c_str());
+  return made;
 }
 
 Status SegmentWriter::Write(const void* data, size_t size) {
-  const char* at = static_cast<const char*>(data);
-  while (size > 0) {
-    const ssize_t done = write(fd_, at, size);
-    if (done < 0 && errno == EINTR) continue;
-    if (done <= 0) return Status::Failed("cannot write " + file_ + ": " + ErrnoText());
-    at += done;
-    size -= static_cast<size_t>(done);
-    bytes_ += done;
-  }
+  SLX_RETURN_IF_ERROR(WriteAll(fd_, data, size, file_));
+  bytes_ += static_cast<int64_t>(size);
   return Status::Ok();
 }
 
@@ -197,8 +200,11 @@ Result<SegmentFrame> SegmentWriter::Append(FrameHeader header, Codec codec, std:
 }
 
 Status SegmentWriter::Sync() {
-  if (fdatasync(fd_) != 0) return Status::Failed("cannot sync " + file_ + ": " + ErrnoText());
-  return Status::Ok();
+  // The kernel reports lost pages once: a second sync would say ok about a file that has holes.
+  if (!sync_failed_ && fdatasync(fd_) == 0) return Status::Ok();
+  const std::string reason = sync_failed_ ? "an earlier sync failed" : ErrnoText();
+  sync_failed_ = true;
+  return Status::Failed("cannot sync " + file_ + ": " + reason);
 }
 
 Status SegmentWriter::Seal() {
@@ -304,6 +310,37 @@ Status SegmentReader::CheckFooter(int64_t offset, const std::vector<SegmentFrame
   return Status::Ok();
 }
 
+std::optional<int64_t> SegmentReader::SealedFrames() const {
+  Trailer trailer{};
+  const int64_t end = size_ - static_cast<int64_t>(sizeof trailer);
+  if (end < kSegmentStart || !ReadAt(end, &trailer, sizeof trailer).ok() ||
+      std::memcmp(trailer.magic, kEndMagic, sizeof kEndMagic) != 0 ||
+      trailer.footer_offset < static_cast<uint64_t>(kSegmentStart) ||
+      trailer.footer_offset + sizeof(FooterStart) > static_cast<uint64_t>(end))
+    return std::nullopt;
+  std::vector<uint8_t> footer(static_cast<size_t>(end) - trailer.footer_offset);
+  if (!ReadAt(static_cast<int64_t>(trailer.footer_offset), footer.data(), footer.size()).ok() ||
+      XXH3_64bits(footer.data(), footer.size()) != trailer.footer_hash)
+    return std::nullopt;
+  return static_cast<int64_t>((footer.size() - sizeof(FooterStart)) / sizeof(FrameHeader));
+}
+
+int64_t SegmentReader::frames_end() const {
+  Trailer trailer{};
+  const bool read = ReadAt(size_ - static_cast<int64_t>(sizeof trailer), &trailer, sizeof trailer).ok();
+  return read ? static_cast<int64_t>(trailer.footer_offset) : 0;
+}
+
+int64_t SegmentReader::IntactEnd() const {
+  int64_t offset = sizeof(FileHeader);
+  while (offset < size_) {
+    FrameHeader header{};
+    if (!Read(offset, &header).ok()) break;
+    offset += static_cast<int64_t>(sizeof header + header.payload_bytes);
+  }
+  return offset;
+}
+
 Result<std::vector<SegmentFrame>> SegmentReader::Walk(bool payloads, bool* sealed) const {
   std::vector<SegmentFrame> frames;
   int64_t offset = sizeof(FileHeader);
@@ -330,16 +367,6 @@ Result<std::vector<SegmentFrame>> SegmentReader::Walk(bool payloads, bool* seale
     frames.push_back(frame);
   }
   return frames;
-}
-
-Status TruncateSegment(const std::filesystem::path& file, int64_t frames_end) {
-  std::error_code error;
-  const auto size = std::filesystem::file_size(file, error);
-  if (error) return Status::Integrity("cannot open segment " + file.string() + ": " + error.message());
-  if (static_cast<int64_t>(size) <= frames_end) return Status::Ok();
-  std::filesystem::resize_file(file, static_cast<uintmax_t>(frames_end), error);
-  if (error) return Status::Failed("cannot truncate " + file.string() + ": " + error.message());
-  return Status::Ok();
 }
 
 }  // namespace stratalux::db

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -52,7 +53,7 @@ struct SegmentFrame {
 
 class SegmentWriter {
  public:
-  // Fails when the file exists.
+  // Fails when the file exists. Its name is on the disk when this returns, its header with the first Sync().
   static Result<SegmentWriter> Create(const std::filesystem::path& file, const std::string& session_id);
   ~SegmentWriter();
   SegmentWriter(SegmentWriter&&) noexcept;
@@ -60,16 +61,19 @@ class SegmentWriter {
 
   // Fills codec, payload size and hashes; returns the header's offset. Data reach the disk with Sync().
   Result<SegmentFrame> Append(FrameHeader header, Codec codec, std::span<const uint8_t> payload);
-  Status Sync();
+  Status Sync();  // an error is final: the bytes since the last good one are lost
   // Footer with all headers, trailer, sync.
   Status Seal();
   [[nodiscard]] int64_t bytes() const { return bytes_; }
+  // What memory shows of the file may then never have reached the disk.
+  [[nodiscard]] bool sync_failed() const { return sync_failed_; }
 
  private:
   SegmentWriter() = default;
   Status Write(const void* data, size_t size);
   int fd_ = -1;
   int64_t bytes_ = 0;
+  bool sync_failed_ = false;
   std::string file_;
   std::vector<FrameHeader> headers_;
 };
@@ -85,6 +89,12 @@ class SegmentReader {
   Result<FrameHeader> ReadHeader(int64_t offset) const;
   // Header and payload at `offset`, both checked against their hashes.
   Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
+  // Frames of an intact footer at the end of the file; nullopt where there is none.
+  [[nodiscard]] std::optional<int64_t> SealedFrames() const;
+  // Where the records end and the footer begins; only where SealedFrames() is.
+  [[nodiscard]] int64_t frames_end() const;
+  // Behind the last record of an unbroken row of intact ones, from the first on.
+  [[nodiscard]] int64_t IntactEnd() const;
   // All frames by walking the file; kIntegrity where a header or (with `payloads`) a payload is damaged, the file
   // truncated, or the footer of a sealed segment disagrees.
   Result<std::vector<SegmentFrame>> Walk(bool payloads, bool* sealed) const;
@@ -99,8 +109,5 @@ class SegmentReader {
   int64_t size_ = 0;
   std::string file_, session_id_;
 };
-
-// Cuts an unsealed segment after `frames_end`, dropping what was never acknowledged.
-Status TruncateSegment(const std::filesystem::path& file, int64_t frames_end);
 
 }  // namespace stratalux::db

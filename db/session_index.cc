@@ -6,6 +6,7 @@
 
 #include <xxhash.h>
 
+#include "db/durable_file.h"
 #include "db/manifest.h"
 #include "db/migration_0001.h"
 #include "db/migration_0002.h"
@@ -23,6 +24,35 @@ std::string ContentId(const std::string& text) {
   return HashText(digest);
 }
 
+// An index whose creation was cut short: no table yet, and nobody else's mark.
+bool IsUnborn(const std::filesystem::path& file) {
+  auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
+  if (!connection.ok()) return false;
+  const auto marks = connection->QueryInteger(
+      "SELECT count(*) + (SELECT application_id FROM pragma_application_id) + (SELECT user_version FROM "
+      "pragma_user_version) FROM sqlite_master");
+  return marks.ok() && *marks == 0;
+}
+
+bool HasSessions(const std::filesystem::path& folder) {
+  std::error_code error;
+  const std::filesystem::directory_iterator sessions(folder / "sessions", error);
+  return !error && sessions != std::filesystem::directory_iterator();
+}
+
+// The index is gone, what it spoke of is not.
+bool IsLost(const std::filesystem::path& folder) {
+  std::error_code error;
+  const auto log_bytes = std::filesystem::file_size(folder / "index.sqlite-wal", error);
+  return (!error && log_bytes > 0) || HasSessions(folder);
+}
+
+Status LostIndex(const std::filesystem::path& folder) {
+  return Status::Integrity((folder / "index.sqlite").string() +
+                           " is missing, but sessions are there; restore it from a copy or rebuild it with"
+                           " `stratalux-db reindex` (the frames in sessions/ are not touched)");
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -32,14 +62,21 @@ std::string SegmentName(int64_t number) {
 }
 
 Status SessionIndex::Create(const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder / "sessions", error);
-  if (error) return Status::Failed("cannot create store " + folder.string() + ": " + error.message());
+  if (const Status made = MakeFolder(folder / "sessions"); !made.ok())
+    return made.WithContext("cannot create store " + folder.string());
   const auto file = folder / "index.sqlite";
-  if (std::filesystem::exists(file, error)) return Open(folder, AccessMode::kReadWrite).status();
+  std::error_code error;
+  if (std::filesystem::exists(file, error) && (HasSessions(folder) || !IsUnborn(file)))
+    return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
   return Migrate(connection, folder);
+}
+
+Status SessionIndex::CreateNew(const std::filesystem::path& folder) {
+  std::error_code error;
+  if (!std::filesystem::exists(folder / "index.sqlite", error) && IsLost(folder)) return LostIndex(folder);
+  return Create(folder);
 }
 
 Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path& folder) {
@@ -61,6 +98,7 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   const auto file = folder / "index.sqlite";
   std::error_code error;
   const auto type = std::filesystem::status(file, error).type();
+  if (type == std::filesystem::file_type::not_found && IsLost(folder)) return LostIndex(folder);
   if (type == std::filesystem::file_type::not_found)
     return Status::NotFound("no store in " + folder.string() + " (make one with `stratalux-db init --store " +
                             folder.string() + "`)");
@@ -210,6 +248,12 @@ Result<std::vector<SessionRow>> SessionIndex::Sessions() {
     row.info.finished_wall.ns = select.Integer(16);
     rows.push_back(std::move(row));
   }
+}
+
+Result<bool> SessionIndex::HasUnfinished() {
+  SLX_ASSIGN_OR_RETURN(const int64_t count,
+                       connection_.QueryInteger("SELECT count(*) FROM sessions WHERE status = 'recording'"));
+  return count > 0;
 }
 
 Result<int64_t> SessionIndex::NumberOf(const std::string& id) {

@@ -16,7 +16,10 @@ namespace stratalux::db {
 
 class SessionIndex {
  public:
+  // An existing index is left as it is (kOk).
   static Status Create(const std::filesystem::path& folder);
+  // Create(), but kIntegrity where sessions lie without their index: an empty one would hide them.
+  static Status CreateNew(const std::filesystem::path& folder);
   static Result<SessionIndex> Open(const std::filesystem::path& folder, AccessMode mode);
 
   // Gives info.id; returns the session's number.
@@ -30,6 +33,7 @@ class SessionIndex {
   // Frames, proofs and totals in one transaction: the group's commit.
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   Result<std::vector<SessionRow>> Sessions();
+  Result<bool> HasUnfinished();
   Result<int64_t> NumberOf(const std::string& id);
   struct Place {
     int64_t frame, segment, offset, bytes;

@@ -2,48 +2,19 @@
 #include "db/session_store.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstring>
 #include <map>
 
-#include <fcntl.h>
-#include <sys/file.h>
-#include <unistd.h>
-
+#include "db/durable_file.h"
 #include "db/manifest.h"
+#include "db/recovery.h"
 #include "db/segment.h"
 #include "db/session_index.h"
+#include "db/write_lock.h"
 #include "shared/image/raw12.h"
 
 namespace stratalux::db {
 namespace {
-
-// Held while a session is written; the kernel drops it with the process.
-class WriteLock {
- public:
-  static Result<WriteLock> Take(const std::filesystem::path& folder) {
-    WriteLock lock;
-    const auto file = folder / "write.lock";
-    lock.fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
-    if (lock.fd_ < 0) return Status::Failed("cannot write store " + folder.string() + ": " + std::strerror(errno));
-    if (flock(lock.fd_, LOCK_EX | LOCK_NB) != 0)
-      return Status::Busy("store " + folder.string() +
-                          " is being written by another program; try again when it has finished");
-    return lock;
-  }
-  WriteLock() = default;
-  WriteLock(WriteLock&& o) noexcept : fd_(std::exchange(o.fd_, -1)) {}
-  WriteLock& operator=(WriteLock&& o) noexcept {
-    std::swap(fd_, o.fd_);
-    return *this;
-  }
-  ~WriteLock() {
-    if (fd_ >= 0) close(fd_);
-  }
-
- private:
-  int fd_ = -1;
-};
 
 struct Encoded {
   Codec codec = Codec::kRaw16;
@@ -90,44 +61,19 @@ Result<Image<uint16_t>> Decode(const FrameHeader& h, const std::vector<uint8_t>&
   return image;
 }
 
-// Marks sessions whose writer died as failed and cuts what was never acknowledged.
-Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
-  const auto lock = WriteLock::Take(folder);
-  if (!lock.ok()) return Status::Ok();  // a live writer: its session is its own
-  SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
-  for (const SessionRow& row : sessions) {
-    if (row.info.status != SessionStatus::kRecording) continue;
-    SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(row.info.id));
-    SLX_ASSIGN_OR_RETURN(const auto places, index.Places(number));
-    std::map<int64_t, int64_t> ends;
-    for (const auto& p : places)
-      ends[p.segment] = std::max(ends[p.segment], p.offset + static_cast<int64_t>(sizeof(FrameHeader)) + p.bytes);
-    // Each segment that is there, also one none of whose frames was acknowledged; `verify` names a missing one.
-    for (int64_t n = 1;; ++n) {
-      const auto file = folder / "sessions" / row.info.id / SegmentName(n);
-      if (std::error_code error; !std::filesystem::exists(file, error)) break;
-      SLX_RETURN_IF_ERROR(TruncateSegment(file, std::max(ends[n], kSegmentStart)));
-    }
-    SLX_RETURN_IF_ERROR(index.SetStatus(number, {SessionStatus::kFailed,
-                                                 {"the writer stopped before the session was finished; " +
-                                                  std::to_string(places.size()) + " acknowledged frames kept"},
-                                                 WallNow()}));
-  }
-  return Status::Ok();
-}
-
 }  // namespace
 
 struct SessionStore::Impl {
   std::filesystem::path folder;
   SessionIndex index;
+  RecoveryNotes notes;
 
   Result<std::vector<FrameRow>> ListFrames(const std::string& id);
   [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame) const;
 };
 
 struct SessionWriter::Impl {
-  std::filesystem::path folder;
+  std::filesystem::path store, folder;
   SessionIndex index;
   WriteLock lock;
   SessionInfo info;
@@ -135,25 +81,38 @@ struct SessionWriter::Impl {
   WriterOptions options;
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
-  int64_t acknowledged_end = 0;  // in the current segment
+  std::chrono::steady_clock::time_point oldest_pending;
+  bool commit_in_doubt = false;  // one failed, but may lie in SQLite's log
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
   Status failure;  // the first one; every later call repeats it
 
-  Status Fail(Status status) {
-    if (failure.ok()) {
-      failure = status.WithContext("session " + info.id);
-      // What was never acknowledged goes; should that fail, too, `verify` names the tail.
-      if (segment) (void)TruncateSegment(folder / SegmentName(segments), acknowledged_end).ok();
-      (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
-    }
+  explicit Impl(SessionIndex opened) : index(std::move(opened)) {}
+  Status Fail(const Status& status) {
+    if (!failure.ok()) return failure;
+    failure = status.WithContext("session " + info.id);
+    SessionRow row;
+    row.info = info;
+    RecoveryNotes ignored;  // the caller hears the reason
+    // Rows of a commit that failed may come back with the log at the next opening, until another commit has taken their
+    // place in it. Cut before that, their bytes would be missing. Where this fails, too, the session stays `recording`
+    // and the next opening ends it, by the rows it then finds.
+    if (commit_in_doubt && !index.SetStatus(number, {SessionStatus::kRecording, {status.message()}, {}}).ok())
+      return failure;
+    std::vector<std::string> doubtful;
+    if (segment && segment->sync_failed()) doubtful.push_back(SegmentName(segments));
+    if (truth && truth->sync_failed()) doubtful.push_back("truth.seg");
+    (void)AbandonSession(index, store, row, status.message(), doubtful, ignored).ok();
     return failure;
+  }
+  Status Committed(const Status& status) {
+    commit_in_doubt |= !status.ok();
+    return status.ok() ? status : Fail(status);
   }
   Status NextSegment() {
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
     SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id));
     segment = std::move(next);
     ++segments;
-    acknowledged_end = kSegmentStart;
     return Status::Ok();
   }
   Status Flush() {
@@ -161,9 +120,8 @@ struct SessionWriter::Impl {
     if (pending.empty()) return Status::Ok();
     // Bytes on disk first, then the rows that speak of them, then the caller hears of it.
     if (Status s = segment->Sync(); !s.ok()) return Fail(s);
-    if (Status s = index.InsertFrames(number, pending); !s.ok()) return Fail(s);
+    SLX_RETURN_IF_ERROR(Committed(index.InsertFrames(number, pending)));
     acknowledged += static_cast<int64_t>(pending.size());
-    acknowledged_end = segment->bytes();
     pending.clear();
     return Status::Ok();
   }
@@ -176,10 +134,22 @@ struct SessionWriter::Impl {
     auto frame = segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), codec, bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
+    const auto now = std::chrono::steady_clock::now();
+    if (pending.empty()) oldest_pending = now;
     pending.emplace_back(segments, *frame);
-    return static_cast<int>(pending.size()) >= options.group_frames ? Flush() : Status::Ok();
+    const bool due =
+        static_cast<int>(pending.size()) >= options.group_frames || now - oldest_pending >= options.group_window;
+    return due ? Flush() : Status::Ok();
   }
 };
+
+Status WriterOptions::Validate() const {
+  if (group_frames < 1) return Status::Usage("group_frames " + std::to_string(group_frames) + " must be at least 1");
+  if (group_window.count() < 0) return Status::Usage("group_window must not be negative");
+  if (max_segment_bytes < 1)
+    return Status::Usage("max_segment_bytes " + std::to_string(max_segment_bytes) + " must be at least 1");
+  return Status::Ok();
+}
 
 SessionWriter::SessionWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SessionWriter::SessionWriter(SessionWriter&&) noexcept = default;
@@ -241,8 +211,7 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
   if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
-  if (Status s = w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}); !s.ok()) return w.Fail(s);
-  return Status::Ok();
+  return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
 }
 
 SessionStore::SessionStore(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -250,15 +219,17 @@ SessionStore::SessionStore(SessionStore&&) noexcept = default;
 SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
 SessionStore::~SessionStore() = default;
 
-Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::Create(folder); }
+Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::CreateNew(folder); }
 
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
-  if (mode == AccessMode::kReadWrite) SLX_RETURN_IF_ERROR(Recover(index, folder));
-  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index)}));
+  const bool write = mode == AccessMode::kReadWrite;
+  SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
+  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes)}));
 }
 
 const std::filesystem::path& SessionStore::folder() const { return impl_->folder; }
+const std::vector<std::string>& SessionStore::notes() const { return impl_->notes; }
 std::filesystem::path SessionStore::SessionFolder(const std::string& id) const {
   return impl_->folder / "sessions" / id;
 }
@@ -267,19 +238,24 @@ std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::
 }
 
 Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
+  SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
   const auto folder = SessionFolder(info.id);
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (error) {
-    (void)index.SetStatus(number, {SessionStatus::kFailed, {"no folder: " + error.message()}, WallNow()}).ok();
-    return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  if (const Status made = MakeFolder(folder); !made.ok()) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {made.message()}, WallNow()}).ok();
+    return made;
   }
-  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{
-      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, 0, {}, {}}));
+  auto writer = std::make_unique<SessionWriter::Impl>(std::move(index));
+  writer->store = impl_->folder;
+  writer->folder = folder;
+  writer->lock = std::move(lock);
+  writer->info = std::move(info);
+  writer->number = number;
+  writer->options = options;
+  return SessionWriter(std::move(writer));
 }
 
 Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
@@ -349,6 +325,13 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
 
 Status SessionStore::RegisterFit(const FitRow& fit) {
   SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
+  // Its files first: a fit that is listed is whole.
+  const auto folder = FitFolder(fit.session, fit.id);
+  if (std::error_code error; std::filesystem::exists(folder, error)) {
+    SLX_RETURN_IF_ERROR(SyncTree(folder));
+    SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
+    SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
+  }
   return impl_->index.UpsertFit(number, fit);
 }
 

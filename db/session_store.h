@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // The session store: an SQLite index over append-only frame segments (docs/file-formats.md).
 //
-// Order of a write: segment bytes -> fdatasync -> row COMMIT -> acknowledge. A failed write or sync fails the session
-// and leaves every other one readable. No sqlite3 type appears here.
+// Order of a write: segment bytes -> fdatasync -> row COMMIT -> acknowledge. A failed write or sync fails the session,
+// for good, and leaves every other one readable. Names count as much as bytes: a folder is synced before anything is
+// acknowledged that lies in it. No sqlite3 type appears here.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -49,14 +51,20 @@ struct FitRow {
 enum class AccessMode { kReadOnly, kReadWrite };
 
 struct WriterOptions {
-  int group_frames = 16;  // frames acknowledged together
+  // Frames are acknowledged together: once there are so many, or with the first one that is appended when the oldest
+  // has waited so long. Nobody appends: nothing happens; Flush() when the frames pause.
+  int group_frames = 16;
+  std::chrono::milliseconds group_window{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
+
+  [[nodiscard]] Status Validate() const;
 };
 
 class SessionStore;
 
 // Appends the frames of one session. Thread-bound. Dropped without Finish(): the session stays `recording` and the next
-// read-write open marks it `failed` with the reason.
+// read-write open ends it (db/recovery.h). After a failure every call repeats it, and the session is `failed`, or stays
+// `recording` for the next open where not even that can be written.
 class SessionWriter {
  public:
   ~SessionWriter();
@@ -72,7 +80,8 @@ class SessionWriter {
   Status AppendTruth(const std::string& name, ImageView<const float> pixels);
   Status Flush();
   [[nodiscard]] int64_t acknowledged_frames() const;
-  // Seals the segment, writes manifest.json and the final status.
+  // Seals the segment, writes manifest.json, then the final status. A power cut after the manifest: the next open finds
+  // the session finished.
   Status Finish(SessionStatus status, std::vector<std::string> reasons = {});
 
  private:
@@ -85,7 +94,8 @@ class SessionWriter {
 // Thread-bound; open one per thread.
 class SessionStore {
  public:
-  // Creates STORE/index.sqlite at the newest schema; an existing store is left as it is (kOk).
+  // Creates STORE/index.sqlite at the newest schema; an existing store is left as it is (kOk). kIntegrity where
+  // sessions lie without their index.
   static Status Create(const std::filesystem::path& folder);
   // kNotFound: no store there; kNewerSchema; kIntegrity: a foreign or damaged file; kBusy: another writer.
   static Result<SessionStore> Open(const std::filesystem::path& folder, AccessMode mode);
@@ -94,6 +104,9 @@ class SessionStore {
   SessionStore& operator=(SessionStore&&) noexcept;
 
   [[nodiscard]] const std::filesystem::path& folder() const;
+  // What opening mended (read-write), or found to mend (read-only, or a disk that cannot be written): one line each,
+  // for the program to show as a warning.
+  [[nodiscard]] const std::vector<std::string>& notes() const;
 
   // Starts a session; info.id is given here (order never depends on a wall clock). Read-write mode only.
   Result<SessionWriter> BeginSession(SessionInfo info, const WriterOptions& options = {});
@@ -107,7 +120,7 @@ class SessionStore {
   Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
   [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;
 
-  // Folder for a fit's outputs, registered once complete; replaces an equal id.
+  // Folder for a fit's outputs, registered once complete (which syncs it); replaces an equal id.
   [[nodiscard]] std::filesystem::path FitFolder(const std::string& session_id, const std::string& fit_id) const;
   Status RegisterFit(const FitRow& fit);
   Result<std::vector<FitRow>> ListFits(const std::string& session_id) const;

@@ -1,7 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/sqlite.h"
 
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+
+#include <fcntl.h>
 #include <sqlite3.h>
+#include <unistd.h>
 
 namespace stratalux::db {
 
@@ -10,11 +16,20 @@ void Statement::Finalizer::operator()(sqlite3_stmt* handle) const { sqlite3_fina
 
 Status Connection::Error(const std::string& what) const {
   const int code = handle_ ? sqlite3_errcode(handle_.get()) & 0xff : SQLITE_CANTOPEN;
-  const std::string message =
-      file_ + ": " + what + ": " + (handle_ ? sqlite3_errmsg(handle_.get()) : "cannot be opened");
+  std::string message = file_ + ": " + what + ": " + (handle_ ? sqlite3_errmsg(handle_.get()) : "cannot be opened");
+  // SQLite tries to read what it could not create: then the system's last word is that there is no such file.
+  const int reason = handle_ ? sqlite3_system_errno(handle_.get()) : 0;
+  if ((code == SQLITE_CANTOPEN || code == SQLITE_IOERR) && reason != 0 && reason != ENOENT)
+    message += std::string(" (") + std::strerror(reason) + ")";
   if (code == SQLITE_BUSY || code == SQLITE_LOCKED) return Status::Busy(message);
   if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB)
     return Status::Integrity(message + "; restore it from a copy (the frames in sessions/ are not touched)");
+  if (code == SQLITE_READONLY)
+    return Status::Failed(message + "; its disk is mounted read-only, or its permissions forbid writing");
+  if (code == SQLITE_CANTOPEN)
+    return Status::Failed(message +
+                          "; it or its -wal can be neither opened nor made: look at the permissions and the"
+                          " free space");
   if (code == SQLITE_FULL || code == SQLITE_IOERR)
     return Status::Failed(message + "; look at the free space and the health of its disk");
   return Status::Failed(message);
@@ -24,6 +39,12 @@ Result<Connection> Connection::Open(const std::filesystem::path& file, Mode mode
   Connection connection;
   connection.file_ = file.string();
   sqlite3* handle = nullptr;
+  // SQLite would tell the reason of its last attempt, to open for reading, instead of that of the first.
+  if (mode == Mode::kCreate) {
+    const int fd = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
+    if (fd < 0) return Status::Failed("cannot create " + connection.file_ + ": " + std::strerror(errno));
+    close(fd);
+  }
   const int flags = mode == Mode::kReadOnly    ? SQLITE_OPEN_READONLY
                     : mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
                                                : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
@@ -31,6 +52,33 @@ Result<Connection> Connection::Open(const std::filesystem::path& file, Mode mode
   connection.handle_.reset(handle);
   if (code != SQLITE_OK) return connection.Error("open");
   sqlite3_busy_timeout(handle, 5000);
+  // A WAL database needs its -shm, which cannot be made here.
+  const bool unwritable = access(file.parent_path().empty() ? "." : file.parent_path().c_str(), W_OK) != 0;
+  if (unwritable && sqlite3_exec(handle, "PRAGMA schema_version", nullptr, nullptr, nullptr) == SQLITE_CANTOPEN)
+    return OpenUnwritable(file);
+  return connection;
+}
+
+// Nobody can write the file, so that no locks are needed. What the -wal holds is read, where there is one, with its
+// index in memory (exclusive mode).
+Result<Connection> Connection::OpenUnwritable(const std::filesystem::path& file) {
+  Connection connection;
+  connection.file_ = file.string();
+  std::error_code error;
+  const auto log_bytes = std::filesystem::file_size(file.string() + "-wal", error);
+  const bool log = !error && log_bytes > 0;
+  std::string name = "file:";
+  for (const char c : std::filesystem::absolute(file).string()) {
+    char escaped[4] = {c, 0};
+    if (c == '%' || c == '?' || c == '#') std::snprintf(escaped, sizeof escaped, "%%%02X", static_cast<unsigned>(c));
+    name += escaped;
+  }
+  name += log ? "?vfs=unix-none" : "?immutable=1";
+  sqlite3* handle = nullptr;
+  const int code = sqlite3_open_v2(name.c_str(), &handle, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI, nullptr);
+  connection.handle_.reset(handle);
+  if (code != SQLITE_OK) return connection.Error("open");
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA locking_mode = EXCLUSIVE"));
   return connection;
 }
 

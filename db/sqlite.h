@@ -21,6 +21,7 @@ class Statement;
 class Connection {
  public:
   enum class Mode { kReadOnly, kReadWrite, kCreate };
+  // On a disk that cannot be written the connection only reads, whatever the mode.
   static Result<Connection> Open(const std::filesystem::path& file, Mode mode);
 
   // Runs one or more statements without results.
@@ -36,6 +37,7 @@ class Connection {
   struct Closer {
     void operator()(sqlite3* handle) const;
   };
+  static Result<Connection> OpenUnwritable(const std::filesystem::path& file);
   std::unique_ptr<sqlite3, Closer> handle_;
   std::string file_;
 };

@@ -55,6 +55,26 @@ void CheckPlan(const SessionRow& session, const std::vector<FrameRow>& frames, V
   }
 }
 
+void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
+  const auto manifest = ReadManifest(folder);
+  if (!manifest.ok()) return report.problems.push_back(manifest.status().message());
+  const auto contents = ReadManifestContents(folder);
+  if (!contents.ok()) return report.problems.push_back(contents.status().message());
+  const std::string file = (folder / "manifest.json").string();
+  if (manifest->id != session.info.id) report.problems.push_back(file + " names session " + manifest->id);
+  if (manifest->status != session.info.status)
+    report.problems.push_back(file + " says '" + ToString(manifest->status) + "', the index '" +
+                              ToString(session.info.status) + "'");
+  if (contents->frames != session.frames)
+    report.problems.push_back(file + " speaks of " + std::to_string(contents->frames) + " frames, the index of " +
+                              std::to_string(session.frames));
+  for (const std::string& name : contents->segments) {
+    const bool inside = !name.empty() && name.find('/') == std::string::npos;
+    if (std::error_code error; !inside || !std::filesystem::exists(folder / name, error))
+      report.problems.push_back(file + " names " + name + ", which is not there");
+  }
+}
+
 }  // namespace
 
 Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& session) {
@@ -64,7 +84,9 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator(folder, error))
     if (entry.path().extension() == ".seg") segments.push_back(entry.path());
-  if (error) report.problems.push_back(folder.string() + ": " + error.message());
+  // A session whose folder could not be made has failed and has no frames: nothing is missing.
+  const bool never_began = session.info.status == SessionStatus::kFailed && session.frames == 0;
+  if (error) (never_began ? report.notes : report.problems).push_back(folder.string() + ": " + error.message());
   std::sort(segments.begin(), segments.end());
   int64_t stored_frames = 0;
   for (const auto& file : segments) CheckSegment(file, session, report, stored_frames);
@@ -79,14 +101,8 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
       report.problems.push_back(folder.string() + ": segments hold " + std::to_string(stored_frames) +
                                 " frames, the index " + std::to_string(indexed));
   }
-  if (session.info.status == SessionStatus::kComplete || session.info.status == SessionStatus::kDegraded) {
-    const auto manifest = ReadManifest(folder);
-    if (!manifest.ok()) {
-      report.problems.push_back(manifest.status().message());
-    } else if (manifest->id != session.info.id) {
-      report.problems.push_back(folder.string() + "/manifest.json names session " + manifest->id);
-    }
-  }
+  if (session.info.status == SessionStatus::kComplete || session.info.status == SessionStatus::kDegraded)
+    CheckManifest(folder, session, report);
   return report;
 }
 

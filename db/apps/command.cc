@@ -7,6 +7,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "shared/base/log.h"
+
 namespace stratalux::db {
 
 CLI::App* Commands::Add(const std::string& name, const std::string& description, std::function<int()> run) {
@@ -25,6 +27,14 @@ int Commands::Run() {
   for (const Entry& entry : entries_)
     if (entry.app->parsed()) return entry.run();
   return Report(Status::Usage("no command given; --help lists them"));
+}
+
+Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode) {
+  auto store = SessionStore::Open(flags.store, mode);
+  Logger logger;
+  if (store.ok())
+    for (const std::string& note : store->notes()) logger.Warning(note);
+  return store;
 }
 
 int Report(const Status& status) {

@@ -43,6 +43,9 @@ class Commands {
 void AddViewCommands(Commands& commands);      // init, ls, show, frames, verify
 void AddTransferCommands(Commands& commands);  // import
 
+// The store of --store; what opening it mended or could not goes to stderr as warnings.
+Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode);
+
 // Prints to stderr; the status's exit code.
 int Report(const Status& status);
 // Data go to stdout; a full pipe or disk must not pass for success.

@@ -17,7 +17,7 @@ struct ImportFlags {
 };
 
 int RunImport(const CommonFlags& common, const ImportFlags& flags) {
-  auto store = SessionStore::Open(common.store, AccessMode::kReadWrite);
+  auto store = OpenStore(common, AccessMode::kReadWrite);
   if (!store.ok()) return Report(store.status());
   Logger logger;
   const auto report = ImportSession(*store, {flags.manifest, flags.root, flags.pose}, logger);

@@ -26,7 +26,7 @@ int RunInit(const CommonFlags& common) {
 }
 
 int RunList(const CommonFlags& common) {
-  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto sessions = ListWithFits(*store);
   if (!sessions.ok()) return Report(sessions.status());
@@ -34,7 +34,7 @@ int RunList(const CommonFlags& common) {
 }
 
 int RunShow(const CommonFlags& common, const ViewFlags& flags) {
-  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto details = LoadDetails(*store, flags.session);
   if (!details.ok()) return Report(details.status());
@@ -48,7 +48,7 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
     if (!phase.ok()) return Report(phase.status().WithContext("--phase"));
     filter.phase = *phase;
   }
-  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto session = store->FindSession(flags.session);
   if (!session.ok()) return Report(session.status());
@@ -64,7 +64,7 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
 }
 
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
-  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
+  const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   std::vector<SessionRow> sessions;
   if (flags.session.empty()) {

@@ -84,6 +84,7 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
   SLX_ASSIGN_OR_RETURN(db::SessionStore store,
                        db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
+  for (const std::string& note : store.notes()) logger.Warning(note);
   SLX_ASSIGN_OR_RETURN(db::SessionWriter writer, store.BeginSession(DescribeSession(options, plan, *rig)));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;

@@ -3,6 +3,7 @@
 // until there is space, so a slow disk slows the capture and loses nothing.
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <deque>
@@ -32,11 +33,14 @@ class BoundedQueue {
   [[nodiscard]] std::optional<T> Pop() {
     std::unique_lock lock(mutex_);
     filled_.wait(lock, [&] { return closed_ || !items_.empty(); });
-    if (items_.empty()) return std::nullopt;
-    std::optional<T> item(std::move(items_.front()));
-    items_.pop_front();
-    space_.notify_one();
-    return item;
+    return TakeFront();
+  }
+
+  // As Pop(), but nullopt also when nothing came within `patience`; finished() tells which.
+  [[nodiscard]] std::optional<T> PopWithin(std::chrono::milliseconds patience) {
+    std::unique_lock lock(mutex_);
+    filled_.wait_for(lock, patience, [&] { return closed_ || !items_.empty(); });
+    return TakeFront();
   }
 
   // No more items; those inside are still popped.
@@ -47,12 +51,26 @@ class BoundedQueue {
     filled_.notify_all();
   }
 
+  // Closed and empty: nothing will come.
+  [[nodiscard]] bool finished() const {
+    const std::lock_guard lock(mutex_);
+    return closed_ && items_.empty();
+  }
+
   [[nodiscard]] size_t size() const {
     const std::lock_guard lock(mutex_);
     return items_.size();
   }
 
  private:
+  std::optional<T> TakeFront() {
+    if (items_.empty()) return std::nullopt;
+    std::optional<T> item(std::move(items_.front()));
+    items_.pop_front();
+    space_.notify_one();
+    return item;
+  }
+
   const size_t capacity_;
   mutable std::mutex mutex_;
   std::condition_variable space_, filled_;

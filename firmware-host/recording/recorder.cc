@@ -6,6 +6,12 @@
 
 namespace stratalux::rig {
 
+namespace {
+
+constexpr std::chrono::milliseconds kPause{250};  // as long as the store keeps a group of frames open
+
+}  // namespace
+
 Recorder::Recorder(FrameArchive& archive, int queue_frames)
     : archive_(archive), queue_(static_cast<size_t>(std::max(1, queue_frames))), thread_([this] { WriteFrames(); }) {}
 
@@ -28,10 +34,18 @@ Status Recorder::Close() {
 
 void Recorder::WriteFrames() {
   Status status;
+  bool flushed = true;
   while (status.ok()) {
-    const std::optional<Item> item = queue_.Pop();
-    if (!item) break;
-    status = archive_.Append(item->record, item->pixels);
+    const std::optional<Item> item = flushed ? queue_.Pop() : queue_.PopWithin(kPause);
+    if (item) {
+      status = archive_.Append(item->record, item->pixels);
+      flushed = false;
+    } else if (queue_.finished()) {
+      break;
+    } else {
+      status = archive_.Flush();  // the visitor moves, a retake waits: what came is safe meanwhile
+      flushed = true;
+    }
   }
   if (status.ok()) status = archive_.Flush();
   if (status.ok()) return;

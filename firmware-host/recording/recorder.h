@@ -24,7 +24,8 @@ class FrameArchive {
 
 class Recorder : public FrameSink {
  public:
-  // The archive is used by the writer thread alone until Close() returns. `queue_frames` >= 1 bounds the memory.
+  // Flushes when no frame came for 250 ms. The archive is used by the writer thread alone until Close() returns.
+  // `queue_frames` >= 1 bounds the memory.
   Recorder(FrameArchive& archive, int queue_frames);
   ~Recorder() override;
   Recorder(const Recorder&) = delete;

@@ -104,8 +104,9 @@ Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohman
   return Status::Ok();
 }
 
-Status Decode(const Flags& f) {
+Status Decode(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, f.session));
+  for (const std::string& note : frames.store().notes()) logger.Warning(note);
   if (frames.rows().empty()) return Status::NotFound("session " + frames.info().id + " has no frames");
   nlohmann::ordered_json results = nlohmann::ordered_json::array();
   for (int pose : frames.poses())
@@ -145,7 +146,7 @@ void AddDecodeCommand(CLI::App& app, int& exit_code) {
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;
-    const Status status = Decode(*flags);
+    const Status status = Decode(*flags, logger);
     if (!status.ok()) logger.Error(status.message());
     exit_code = status.exit_code();
   });

@@ -42,6 +42,7 @@ Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto light, LightOf(f));
   SLX_RETURN_IF_ERROR(light.Validate());
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, f.session));
+  for (const std::string& note : frames.store().notes()) logger.Warning(note);
   const std::string session = frames.info().id;
   if (!frames.calibration()) return Status::Usage("session " + session + " names no calibration");
   std::filesystem::path folder;

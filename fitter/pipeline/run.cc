@@ -301,9 +301,20 @@ std::string RunOptions::ToJson() const {
   return json.dump();
 }
 
+namespace {
+
+// A folder of the right name may lack its row: the power failed in between.
+Result<bool> IsListed(const db::SessionStore& store, const RunOutcome& outcome) {
+  SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(outcome.session));
+  return std::any_of(fits.begin(), fits.end(), [&outcome](const db::FitRow& fit) { return fit.id == outcome.fit; });
+}
+
+}  // namespace
+
 Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, options.session));
+  for (const std::string& note : frames.store().notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(RequireFittable(frames));
   if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
     return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
@@ -312,7 +323,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   outcome.session = frames.info().id;
   outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
-  if (!options.force && options.until == Stage::kReport &&
+  SLX_ASSIGN_OR_RETURN(const bool listed, IsListed(frames.store(), outcome));
+  if (!options.force && options.until == Stage::kReport && listed &&
       std::filesystem::exists(outcome.folder / "report" / "index.html")) {
     logger.Info("fit " + outcome.fit + " is complete already (--force fits again)");
     outcome.was_complete = true;

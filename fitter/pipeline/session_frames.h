@@ -20,6 +20,7 @@ class SessionFrames {
   [[nodiscard]] const SessionInfo& info() const { return session_.info; }
   [[nodiscard]] std::filesystem::path folder() const;
   [[nodiscard]] db::SessionStore& store() { return store_; }
+  [[nodiscard]] const db::SessionStore& store() const { return store_; }
   // From the session's manifest; nullopt for imports without one.
   [[nodiscard]] const std::optional<PlanOptions>& plan() const { return plan_; }
   [[nodiscard]] const std::optional<RigCalibration>& calibration() const { return calibration_; }

@@ -131,7 +131,7 @@ TEST_F(SessionStoreTest, RefusesSamplesAboveTheBitDepthAndPixelsOfAnotherSize) {
 
 TEST_F(SessionStoreTest, AcknowledgesAGroupOnlyWhenOthersCanReadIt) {
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({}, {.group_frames = 4});
+  auto writer = store.BeginSession({}, Groups(4));
   ASSERT_TRUE(writer.ok());
   for (int i = 0; i < 9; ++i) {
     ASSERT_TRUE(AppendTo(*writer, i).ok());
@@ -141,6 +141,25 @@ TEST_F(SessionStoreTest, AcknowledgesAGroupOnlyWhenOthersCanReadIt) {
   }
   ASSERT_TRUE(writer->Flush().ok());
   EXPECT_EQ(writer->acknowledged_frames(), 9);
+}
+
+TEST_F(SessionStoreTest, AGroupDoesNotWaitLongerThanItsWindow) {
+  SessionStore store = OpenStore();
+  auto writer = store.BeginSession({}, {.group_frames = 1000, .group_window = std::chrono::milliseconds(0)});
+  ASSERT_TRUE(writer.ok());
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_TRUE(AppendTo(*writer, i).ok());
+    EXPECT_EQ(writer->acknowledged_frames(), i + 1);
+  }
+}
+
+TEST_F(SessionStoreTest, RefusesImpossibleWriterOptions) {
+  SessionStore store = OpenStore();
+  for (const WriterOptions& options :
+       {WriterOptions{.group_frames = 0}, WriterOptions{.group_window = std::chrono::milliseconds(-1)},
+        WriterOptions{.max_segment_bytes = 0}})
+    EXPECT_EQ(store.BeginSession({}, options).status().code(), StatusCode::kUsage);
+  EXPECT_TRUE(store.ListSessions()->empty());
 }
 
 TEST_F(SessionStoreTest, SpreadsALongSessionOverSegments) {
@@ -235,13 +254,23 @@ TEST_F(SessionStoreTest, AnAbandonedSessionBecomesFailedAndKeepsWhatWasAcknowled
   std::string id;
   {
     SessionStore store = OpenStore();
-    auto writer = store.BeginSession({}, {.group_frames = 2});
+    auto writer = store.BeginSession({}, Groups(2));
     ASSERT_TRUE(writer.ok());
     id = writer->info().id;
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
   }
   EXPECT_EQ(OpenStore(AccessMode::kReadOnly).FindSession(id)->info.status, SessionStatus::kRecording);
+  // Reading tells what is left to do and does nothing; writing does it and says so; then there is nothing to say.
+  EXPECT_THAT(OpenStore(AccessMode::kReadOnly).notes(),
+              ::testing::Contains(AllOf(HasSubstr(id), HasSubstr("356 bytes to be cut from frames-0001.seg"))));
   const SessionStore store = OpenStore(AccessMode::kReadWrite);
+  EXPECT_THAT(store.notes(),
+              ::testing::Contains(AllOf(HasSubstr(id), HasSubstr("356 bytes cut from frames-0001.seg"))));
+  EXPECT_THAT(store.notes(), ::testing::Contains(HasSubstr("4 acknowledged frames kept")));
+  EXPECT_THAT(OpenStore(AccessMode::kReadWrite).notes(), IsEmpty());
+  const auto manifest = ReadManifest(store.SessionFolder(id));
+  ASSERT_TRUE(manifest.ok()) << manifest.status().message();
+  EXPECT_EQ(manifest->status, SessionStatus::kFailed);
   const auto row = store.FindSession(id);
   EXPECT_EQ(row->info.status, SessionStatus::kFailed);
   ASSERT_EQ(row->info.reasons.size(), 1U);
@@ -261,7 +290,7 @@ TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
     if (child == 0) {
       auto store = SessionStore::Open(folder_, AccessMode::kReadWrite);
       if (!store.ok()) _exit(1);
-      auto writer = store->BeginSession({}, {.group_frames = 2});
+      auto writer = store->BeginSession({}, Groups(2));
       if (!writer.ok()) _exit(2);
       for (int i = 0; i < frames; ++i)
         if (!AppendTo(*writer, i).ok()) _exit(3);

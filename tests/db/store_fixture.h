@@ -25,6 +25,11 @@ class StoreTest : public ::testing::Test {
   std::filesystem::path folder_;
 };
 
+// Groups that no slow machine closes early.
+[[nodiscard]] inline WriterOptions Groups(int frames) {
+  return {.group_frames = frames, .group_window = std::chrono::hours(1)};
+}
+
 [[nodiscard]] FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels = 1);
 // Samples over the format's whole range, different in each frame.
 [[nodiscard]] Image<uint16_t> PixelsFor(const FrameRecord& record);

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Cuts the power after every call of a log, in several ways each, and checks each store that remains.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "tests/db/crash/disk_model.h"
+#include "tests/db/crash/store_check.h"
+
+namespace stratalux::db::crash {
+
+struct EnumerationReport {
+  int64_t points = 0;   // calls that change or sync something
+  int64_t cuts = 0;     // points x ways of cutting
+  CheckCounts checked;  // distinct states of a disk, each with what was promised by then
+  int64_t violations = 0;
+  std::vector<std::string> first_violations;
+};
+
+struct EnumerationOptions {
+  int random_cuts = 3;  // of each kind that draws
+  bool until_first_violation = false;
+  size_t from_call = 0;  // earlier ones are made, but not cut after
+};
+
+// `folder` is used for one store after the other.
+EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& promises,
+                            const std::filesystem::path& folder, const EnumerationOptions& options = {});
+void Add(const EnumerationReport& more, EnumerationReport& sum);
+void Print(const std::string& title, const EnumerationReport& report);
+
+}  // namespace stratalux::db::crash
