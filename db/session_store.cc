@@ -6,6 +6,7 @@
 #include <map>
 
 #include "db/durable_file.h"
+#include "db/fit_record.h"
 #include "db/manifest.h"
 #include "db/recovery.h"
 #include "db/segment.h"
@@ -241,12 +242,18 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  info.id.clear();
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
   const auto folder = SessionFolder(info.id);
   if (const Status made = MakeFolder(folder); !made.ok()) {
     (void)index.SetStatus(number, {SessionStatus::kFailed, {made.message()}, WallNow()}).ok();
     return made;
+  }
+  // What the index knows of an unfinished session, for `reindex`.
+  if (const Status begun = WriteManifest(folder, info, 0, {}); !begun.ok()) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow()}).ok();
+    return begun;
   }
   auto writer = std::make_unique<SessionWriter::Impl>(std::move(index));
   writer->store = impl_->folder;
@@ -327,11 +334,10 @@ Status SessionStore::RegisterFit(const FitRow& fit) {
   SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
   // Its files first: a fit that is listed is whole.
   const auto folder = FitFolder(fit.session, fit.id);
-  if (std::error_code error; std::filesystem::exists(folder, error)) {
-    SLX_RETURN_IF_ERROR(SyncTree(folder));
-    SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
-    SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
-  }
+  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
+  SLX_RETURN_IF_ERROR(SyncTree(folder));
+  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
+  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
   return impl_->index.UpsertFit(number, fit);
 }
 
