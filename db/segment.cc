@@ -286,18 +286,24 @@ Result<FrameHeader> SegmentReader::ReadHeader(int64_t offset) const {
 
 Result<std::vector<uint8_t>> SegmentReader::Read(int64_t offset, FrameHeader* header) const {
   SLX_ASSIGN_OR_RETURN(*header, ReadHeader(offset));
-  const std::string where = file_ + ", offset " + std::to_string(offset);
-  if (header->payload_bytes > static_cast<uint64_t>(size_))
-    return Status::Integrity(where + ": payload of " + std::to_string(header->payload_bytes) +
-                             " bytes exceeds the file");
-  std::vector<uint8_t> payload(header->payload_bytes);
-  SLX_RETURN_IF_ERROR(ReadAt(offset + static_cast<int64_t>(sizeof *header), payload.data(), payload.size()));
-  uint8_t hash[16];
-  PayloadHash(payload, hash);
-  if (std::memcmp(hash, header->payload_hash, sizeof hash) != 0)
-    return Status::Integrity(where + ": payload of frame " + std::to_string(header->frame) +
-                             " does not match its hash");
+  std::vector<uint8_t> payload;
+  SLX_RETURN_IF_ERROR(ReadPayload(offset, *header, payload));
+  payload.resize(header->payload_bytes);
   return payload;
+}
+
+Status SegmentReader::ReadPayload(int64_t offset, const FrameHeader& header, std::vector<uint8_t>& buffer) const {
+  const std::string where = file_ + ", offset " + std::to_string(offset);
+  if (header.payload_bytes > static_cast<uint64_t>(size_))
+    return Status::Integrity(where + ": payload of " + std::to_string(header.payload_bytes) +
+                             " bytes exceeds the file");
+  if (buffer.size() < header.payload_bytes) buffer.resize(header.payload_bytes);
+  SLX_RETURN_IF_ERROR(ReadAt(offset + static_cast<int64_t>(sizeof header), buffer.data(), header.payload_bytes));
+  uint8_t hash[16];
+  PayloadHash(std::span(buffer).first(header.payload_bytes), hash);
+  if (std::memcmp(hash, header.payload_hash, sizeof hash) != 0)
+    return Status::Integrity(where + ": payload of frame " + std::to_string(header.frame) + " does not match its hash");
+  return Status::Ok();
 }
 
 Status SegmentReader::CheckFooter(int64_t offset, const std::vector<SegmentFrame>& frames) const {
@@ -320,7 +326,7 @@ Status SegmentReader::CheckFooter(int64_t offset, const std::vector<SegmentFrame
   return Status::Ok();
 }
 
-std::optional<int64_t> SegmentReader::SealedFrames() const {
+std::optional<std::vector<uint8_t>> SegmentReader::FooterBytes() const {
   Trailer trailer{};
   const int64_t end = size_ - static_cast<int64_t>(sizeof trailer);
   if (end < kSegmentStart || !ReadAt(end, &trailer, sizeof trailer).ok() ||
@@ -332,7 +338,28 @@ std::optional<int64_t> SegmentReader::SealedFrames() const {
   if (!ReadAt(static_cast<int64_t>(trailer.footer_offset), footer.data(), footer.size()).ok() ||
       XXH3_64bits(footer.data(), footer.size()) != trailer.footer_hash)
     return std::nullopt;
-  return static_cast<int64_t>((footer.size() - sizeof(FooterStart)) / sizeof(FrameHeader));
+  return footer;
+}
+
+std::optional<int64_t> SegmentReader::SealedFrames() const {
+  const auto footer = FooterBytes();
+  if (!footer) return std::nullopt;
+  return static_cast<int64_t>((footer->size() - sizeof(FooterStart)) / sizeof(FrameHeader));
+}
+
+std::optional<std::vector<SegmentFrame>> SegmentReader::Footer() const {
+  const auto footer = FooterBytes();
+  if (!footer) return std::nullopt;
+  std::vector<SegmentFrame> frames((footer->size() - sizeof(FooterStart)) / sizeof(FrameHeader));
+  int64_t offset = kSegmentStart;
+  for (size_t i = 0; i < frames.size(); ++i) {
+    std::memcpy(&frames[i].header, footer->data() + sizeof(FooterStart) + i * sizeof(FrameHeader), sizeof(FrameHeader));
+    frames[i].offset = offset;
+    if (frames[i].header.payload_bytes > static_cast<uint64_t>(size_)) return std::nullopt;
+    offset += static_cast<int64_t>(sizeof(FrameHeader) + frames[i].header.payload_bytes);
+  }
+  if (offset + static_cast<int64_t>(footer->size() + sizeof(Trailer)) != size_) return std::nullopt;
+  return frames;
 }
 
 int64_t SegmentReader::frames_end() const {

@@ -94,8 +94,12 @@ class SegmentReader {
   Result<FrameHeader> ReadHeader(int64_t offset) const;
   // Header and payload at `offset`, both checked against their hashes.
   Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
+  // The payload behind `header` at `offset`, checked; `buffer` grows as needed, so that a loop allocates once.
+  Status ReadPayload(int64_t offset, const FrameHeader& header, std::vector<uint8_t>& buffer) const;
   // Frames of an intact footer at the end of the file; nullopt where there is none.
   [[nodiscard]] std::optional<int64_t> SealedFrames() const;
+  // All frames out of that footer, in one read; nullopt also where its headers are no unbroken row up to it.
+  [[nodiscard]] std::optional<std::vector<SegmentFrame>> Footer() const;
   // Where the records end and the footer begins; only where SealedFrames() is.
   [[nodiscard]] int64_t frames_end() const;
   // Behind the last record of an unbroken row of intact ones, from the first on.
@@ -109,6 +113,7 @@ class SegmentReader {
  private:
   SegmentReader() = default;
   Status ReadAt(int64_t offset, void* data, size_t size) const;
+  [[nodiscard]] std::optional<std::vector<uint8_t>> FooterBytes() const;  // an intact one
   Status CheckFooter(int64_t offset, const std::vector<SegmentFrame>& frames) const;
   int fd_ = -1;
   int64_t size_ = 0;

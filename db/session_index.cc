@@ -166,7 +166,7 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   return SessionIndex(std::move(connection));
 }
 
-Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
+Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int64_t> known_number) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   if (!info.calibration_json.empty()) {
     SLX_ASSIGN_OR_RETURN(auto calibration,
@@ -183,12 +183,15 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
-  insert.Bind(1, std::string("pending-") + suffix).Bind(2, std::string(ToString(info.kind))).Bind(3, info.rig);
+  const bool named = !info.id.empty();
+  insert.Bind(1, named ? info.id : std::string("pending-") + suffix)
+      .Bind(2, std::string(ToString(info.kind)))
+      .Bind(3, info.rig);
   insert.Bind(4, info.visitor)
       .Bind(5, info.consent.text_version)
       .Bind(6, int64_t{info.simulated})
@@ -199,8 +202,13 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info) {
   insert.Bind(11, info.program_version).Bind(12, info.plan_json);
   if (!info.calibration_json.empty()) insert.Bind(13, ContentId(info.calibration_json));
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
+  if (known_number) insert.Bind(16, *known_number);
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
+  if (named) {
+    SLX_RETURN_IF_ERROR(transaction.Commit());
+    return number;
+  }
   char id[40];
   std::snprintf(id, sizeof id, "s%06lld-%s", static_cast<long long>(number), suffix);
   info.id = id;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,8 +23,8 @@ class SessionIndex {
   static Status CreateNew(const std::filesystem::path& folder);
   static Result<SessionIndex> Open(const std::filesystem::path& folder, AccessMode mode);
 
-  // Gives info.id; returns the session's number.
-  Result<int64_t> InsertSession(SessionInfo& info);
+  // Gives info.id where it is empty; returns the session's number: `known_number`, else the next one.
+  Result<int64_t> InsertSession(SessionInfo& info, std::optional<int64_t> known_number = {});
   struct Ending {
     SessionStatus status = SessionStatus::kFailed;
     std::vector<std::string> reasons;
@@ -44,7 +45,7 @@ class SessionIndex {
   Status UpsertFit(int64_t number, const FitRow& fit);
   Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
   Status SetKeyId(int64_t number, std::span<const uint8_t> key_id);
-  // For the statements of db/privacy.
+  // For statements of one purpose (rebuilding, checking, forgetting).
   [[nodiscard]] Connection& connection() { return connection_; }
 
  private:

@@ -6,6 +6,7 @@
 #include <map>
 
 #include "db/durable_file.h"
+#include "db/fit_record.h"
 #include "db/manifest.h"
 #include "db/privacy/consent.h"
 #include "db/privacy/frame_cipher.h"
@@ -245,6 +246,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  info.id.clear();
   SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
@@ -260,6 +262,11 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     if (!key.ok()) return fail(key.status());
     if (Status status = index.SetKeyId(number, key->id); !status.ok()) return fail(status);
     sealer = std::make_unique<FrameSealer>(info.id, std::move(key).value());
+  }
+  // What the index knows of an unfinished session, for `reindex`.
+  if (const Status begun = WriteManifest(folder, info, 0, {}); !begun.ok()) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow()}).ok();
+    return begun;
   }
   auto writer = std::make_unique<SessionWriter::Impl>(std::move(index));
   writer->store = impl_->folder;
@@ -344,11 +351,10 @@ Status SessionStore::RegisterFit(const FitRow& fit) {
   SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
   // Its files first: a fit that is listed is whole.
   const auto folder = FitFolder(fit.session, fit.id);
-  if (std::error_code error; std::filesystem::exists(folder, error)) {
-    SLX_RETURN_IF_ERROR(SyncTree(folder));
-    SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
-    SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
-  }
+  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
+  SLX_RETURN_IF_ERROR(SyncTree(folder));
+  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
+  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
   return impl_->index.UpsertFit(number, fit);
 }
 

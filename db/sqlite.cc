@@ -148,16 +148,18 @@ std::vector<uint8_t> Statement::Blob(int column) const {
 }
 
 Result<Transaction> Transaction::Begin(Connection& connection) {
-  SLX_RETURN_IF_ERROR(connection.Execute("BEGIN IMMEDIATE"));
-  return Transaction(&connection);
+  const bool nested = sqlite3_get_autocommit(connection.handle_.get()) == 0;
+  SLX_RETURN_IF_ERROR(connection.Execute(nested ? "SAVEPOINT nested" : "BEGIN IMMEDIATE"));
+  return Transaction(&connection, nested ? Kind::kNested : Kind::kOuter);
 }
 
 Transaction::~Transaction() {
-  if (connection_ != nullptr) (void)connection_->Execute("ROLLBACK").ok();
+  if (connection_ != nullptr)
+    (void)connection_->Execute(kind_ == Kind::kNested ? "ROLLBACK TO nested; RELEASE nested" : "ROLLBACK").ok();
 }
 
 Status Transaction::Commit() {
-  SLX_RETURN_IF_ERROR(connection_->Execute("COMMIT"));
+  SLX_RETURN_IF_ERROR(connection_->Execute(kind_ == Kind::kNested ? "RELEASE nested" : "COMMIT"));
   connection_ = nullptr;
   return Status::Ok();
 }

@@ -36,6 +36,7 @@ class Connection {
   [[nodiscard]] sqlite3* handle() const { return handle_.get(); }
 
  private:
+  friend class Transaction;
   struct Closer {
     void operator()(sqlite3* handle) const;
   };
@@ -70,18 +71,22 @@ class Statement {
   std::unique_ptr<sqlite3_stmt, Finalizer> handle_;
 };
 
-// Rolls back unless committed.
+// Rolls back unless committed. Within another one it is a part of that: nothing is on the disk before the outer
+// commits.
 class Transaction {
  public:
   static Result<Transaction> Begin(Connection& connection);
   ~Transaction();
-  Transaction(Transaction&& other) noexcept : connection_(std::exchange(other.connection_, nullptr)) {}
+  Transaction(Transaction&& other) noexcept
+      : connection_(std::exchange(other.connection_, nullptr)), kind_(other.kind_) {}
   Transaction& operator=(Transaction&&) = delete;
   Status Commit();
 
  private:
-  explicit Transaction(Connection* connection) : connection_(connection) {}
+  enum class Kind { kOuter, kNested };
+  Transaction(Connection* connection, Kind kind) : connection_(connection), kind_(kind) {}
   Connection* connection_;
+  Kind kind_;
 };
 
 }  // namespace stratalux::db

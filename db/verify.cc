@@ -5,25 +5,42 @@
 #include <filesystem>
 #include <set>
 
+#include "db/complementary_pairs.h"
 #include "db/manifest.h"
 #include "db/segment.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::db {
 namespace {
 
-void CheckSegment(const std::filesystem::path& file, const SessionRow& session, VerifyReport& report,
-                  int64_t& stored_frames) {
+// Hashes every payload; each thread reads frames of its own into a buffer of its own.
+void CheckPayloads(const SegmentReader& reader, const std::vector<SegmentFrame>& frames, VerifyReport& report) {
+  std::vector<Status> results(frames.size());
+  ParallelFor(static_cast<int64_t>(frames.size()), 8, [&](int64_t begin, int64_t end) {
+    std::vector<uint8_t> buffer;
+    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i)
+      results[i] = reader.ReadPayload(frames[i].offset, frames[i].header, buffer);
+  });
+  for (const Status& result : results)
+    if (!result.ok()) report.problems.push_back(result.message());
+}
+
+void CheckSegment(const std::filesystem::path& file, const SessionRow& session, const VerifyOptions& options,
+                  VerifyReport& report, int64_t& stored_frames) {
   const auto reader = SegmentReader::Open(file);
   if (!reader.ok()) return report.problems.push_back(reader.status().message());
   if (reader->session_id() != session.info.id)
     report.problems.push_back(file.string() + " belongs to session " + reader->session_id());
   bool sealed = false;
-  const auto frames = reader->Walk(true, &sealed);
+  const auto frames = reader->Walk(false, &sealed);
   if (!frames.ok()) {
     // A live writer's last record may be half written: its rows say what counts.
     const bool live = session.info.status == SessionStatus::kRecording;
     return (live ? report.notes : report.problems).push_back(frames.status().message());
   }
+  if (options.depth == VerifyDepth::kDeep) CheckPayloads(*reader, *frames, report);
+  if (options.progress != nullptr && file.filename() != "truth.seg")
+    options.progress->Advance(static_cast<int64_t>(frames->size()));
   if (file.filename() != "truth.seg") stored_frames += static_cast<int64_t>(frames->size());
   for (const SegmentFrame& f : *frames) {
     ++report.frames;
@@ -55,6 +72,50 @@ void CheckPlan(const SessionRow& session, const std::vector<FrameRow>& frames, V
   }
 }
 
+// Each frame was triggered once, in order. A trigger without a frame, or a frame the driver counted and nobody has, is
+// explained by the shot that was taken again after it.
+void CheckProofs(const SessionRow& session, const std::vector<FrameRow>& frames, VerifyReport& report) {
+  auto& gaps = session.info.status == SessionStatus::kComplete ? report.problems : report.notes;
+  for (size_t i = 1; i < frames.size(); ++i) {
+    const FrameRecord &before = frames[i - 1].record, &now = frames[i].record;
+    if (before.trigger_number < 0 || now.trigger_number < 0) continue;  // imports
+    const std::string where = "frame " + std::to_string(frames[i].id) + " (step " + std::to_string(now.step) + "): ";
+    auto numbers = [](int64_t a, int64_t b) { return std::to_string(b) + " follows " + std::to_string(a); };
+    if (now.trigger_number <= before.trigger_number)
+      gaps.push_back(where + "trigger " + numbers(before.trigger_number, now.trigger_number));
+    if (now.driver_sequence >= 0 && now.driver_sequence <= before.driver_sequence)
+      gaps.push_back(where + "driver sequence " + numbers(before.driver_sequence, now.driver_sequence));
+    if (now.retry > 0) continue;
+    if (now.trigger_number > before.trigger_number + 1)
+      gaps.push_back(where + "no frame of the triggers between: " + numbers(before.trigger_number, now.trigger_number));
+    if (before.driver_sequence >= 0 && now.driver_sequence > before.driver_sequence + 1)
+      gaps.push_back(where + "the driver lost frames between: " + numbers(before.driver_sequence, now.driver_sequence));
+  }
+}
+
+void CheckPairs(const SessionStore& store, const SessionRow& session, const std::vector<FrameRow>& frames,
+                VerifyReport& report) {
+  const auto complaints =
+      CheckComplementaryPairs(frames, [&](const FrameRow& frame) { return store.ReadFrame(session.info.id, frame); });
+  auto& list = session.info.status == SessionStatus::kComplete ? report.problems : report.notes;
+  list.insert(list.end(), complaints.begin(), complaints.end());
+}
+
+// Segments that the manifest does not name, and files of nobody.
+void CheckNames(const std::filesystem::path& folder, const std::vector<std::string>& segments, VerifyReport& report) {
+  std::error_code error;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with("frames-") && name.ends_with(".seg")) {
+      if (std::find(segments.begin(), segments.end(), name) == segments.end())
+        report.problems.push_back(entry.path().string() + " is not named by the manifest");
+    } else if (name != "manifest.json" && name != "truth.seg" && name != "place.json" && name != "fits" &&
+               name != "previews") {
+      report.notes.push_back(entry.path().string() + " is no file of a session");
+    }
+  }
+}
+
 void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
   const auto manifest = ReadManifest(folder);
   if (!manifest.ok()) return report.problems.push_back(manifest.status().message());
@@ -73,11 +134,12 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
     if (std::error_code error; !inside || !std::filesystem::exists(folder / name, error))
       report.problems.push_back(file + " names " + name + ", which is not there");
   }
+  CheckNames(folder, contents->segments, report);
 }
 
 }  // namespace
 
-Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& session) {
+Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& session, const VerifyOptions& options) {
   VerifyReport report;
   const auto folder = store.SessionFolder(session.info.id);
   std::vector<std::filesystem::path> segments;
@@ -89,13 +151,15 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (error) (never_began ? report.notes : report.problems).push_back(folder.string() + ": " + error.message());
   std::sort(segments.begin(), segments.end());
   int64_t stored_frames = 0;
-  for (const auto& file : segments) CheckSegment(file, session, report, stored_frames);
+  for (const auto& file : segments) CheckSegment(file, session, options, report, stored_frames);
 
   const auto frames = store.ListFrames(session.info.id);
   if (!frames.ok()) {
     report.problems.push_back(frames.status().message());
   } else {
     CheckPlan(session, *frames, report);
+    CheckProofs(session, *frames, report);
+    if (options.depth == VerifyDepth::kDeep) CheckPairs(store, session, *frames, report);
     const auto indexed = static_cast<int64_t>(frames->size());
     if (stored_frames != indexed && report.problems.empty() && session.info.status != SessionStatus::kRecording)
       report.problems.push_back(folder.string() + ": segments hold " + std::to_string(stored_frames) +

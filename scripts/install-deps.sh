@@ -15,6 +15,9 @@ pkg-config           rig  finds libxxhash and libzstd
 libeigen3-dev        rig  small vectors, rotations
 libpng-dev           rig  PNG files
 libsqlite3-dev       rig  the store's index
+libtiff-dev          rig  stratalux-db: import and export of TIFF files (the controller does not link it)
+rsync                rig  stratalux-db pull
+openssh-client       rig  stratalux-db pull from another machine
 libtomlplusplus-dev  rig  configuration files
 nlohmann-json3-dev   rig  manifests, calibration records, metrics
 libcli11-dev         rig  command lines

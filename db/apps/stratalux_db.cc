@@ -16,7 +16,10 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db show latest --json
   stratalux-db frames s000017 --phase sweep --projector 2
   stratalux-db frames latest --phase reference --extract pictures
-  stratalux-db verify
+  stratalux-db verify --deep
+  stratalux-db export latest --out pictures --format tiff
+  stratalux-db backup --store store --to /media/disk/store-backup
+  stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
   stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run

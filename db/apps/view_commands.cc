@@ -15,6 +15,7 @@ namespace {
 struct ViewFlags {
   std::string session, phase, extract;
   std::optional<int> projector;
+  bool deep = false;
 };
 
 int RunInit(const CommonFlags& common) {
@@ -68,13 +69,28 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
     if (!one.ok()) return Report(one.status());
     sessions.push_back(*one);
   }
+  Logger logger;
+  int64_t frames = 0;
+  for (const SessionRow& session : sessions) frames += session.frames;
   Verified verified;
   bool sound = true;
-  for (const SessionRow& session : sessions) {
-    auto report = VerifySession(*store, session);
-    if (!report.ok()) return Report(report.status());
-    sound = sound && report->problems.empty();
-    verified.emplace_back(session.info.id, std::move(report).value());
+  {
+    Progress progress(logger, "verify", frames);
+    const VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders, &progress};
+    auto add = [&](const std::string& name, Result<VerifyReport> report) {
+      sound = sound && report->problems.empty();
+      verified.emplace_back(name, std::move(report).value());
+    };
+    if (flags.session.empty()) {
+      auto report = VerifyStore(*store, options);
+      if (!report.ok()) return Report(report.status());
+      if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
+    }
+    for (const SessionRow& session : sessions) {
+      auto report = VerifySession(*store, session, options);
+      if (!report.ok()) return Report(report.status());
+      add(session.info.id, std::move(report));
+    }
   }
   const int printed = Print((common.json ? VerifiedAsJson : VerifiedAsText)(verified));
   return sound ? printed : static_cast<int>(StatusCode::kIntegrity);
@@ -89,11 +105,13 @@ void AddViewCommands(Commands& commands) {
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
-  CLI::App* verify = commands.Add("verify", "Read every byte of one session or of all and compare it with its hash",
-                                  [&common, flags] { return RunVerify(common, *flags); });
+  CLI::App* verify =
+      commands.Add("verify", "Hold index, segments, manifests and proofs against each other; --deep reads every byte",
+                   [&common, flags] { return RunVerify(common, *flags); });
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
-  verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all)");
+  verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
+  verify->add_flag("--deep", flags->deep, "read every payload, too, and compare complementary patterns");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");
   frames->add_option("--projector", flags->projector, "this projector only; -1: frames lit by all of them");
   frames->add_option("--extract", flags->extract, "write the frames to this folder as PNG (12-bit values << 4)");

@@ -5,10 +5,10 @@
 #include <set>
 #include <utility>
 
+#include "db/interchange/image_file.h"
 #include "db/privacy/export_marker.h"
 #include "db/privacy/tombstone.h"
 #include "shared/base/version.h"
-#include "shared/image/png.h"
 
 namespace stratalux::db {
 namespace {
@@ -37,9 +37,10 @@ Status Align(const ImportFrame& frame, SampleAlignment alignment, Image<uint16_t
 
 // The file's pixels, or what is wrong with them.
 Result<Image<uint16_t>> ReadChecked(const ImportManifest& manifest, const ImportFrame& frame) {
-  int file_bits = 0;
-  auto image = ReadPng(frame.file, &file_bits);
-  if (!image.ok()) return Status::Usage(frame.where + ": " + image.status().message());
+  auto file = ReadImageFile(frame.file);
+  if (!file.ok()) return Status::Usage(frame.where + ": " + file.status().message());
+  const int file_bits = file->bits;
+  Image<uint16_t>* image = &file->image;
   const int wanted_bits = manifest.bit_depth == 8 ? 8 : 16;
   if (file_bits != wanted_bits)
     return Complaint(frame, "has " + std::to_string(file_bits) + " bits a sample; bit_depth = " +
@@ -55,7 +56,7 @@ Result<Image<uint16_t>> ReadChecked(const ImportManifest& manifest, const Import
                                 std::to_string(r.crop_y) + ") leaves the camera's frame of " +
                                 SizeText(manifest.camera_width, manifest.camera_height));
   if (manifest.bit_depth == 12) SLX_RETURN_IF_ERROR(Align(frame, manifest.alignment, *image));
-  return image;
+  return std::move(file->image);
 }
 
 // Reads all files and fills in their sizes; the frames of a pose must agree.

@@ -23,6 +23,7 @@ struct Pose {
 struct Shot {
   std::string file, where;
   FrameRecord record;
+  int pose = -1;  // this one only; -1: each
 };
 
 struct Projectors {
@@ -160,7 +161,7 @@ Status ReadEntry(TomlTable& table, const Projectors& projectors, const FrameReco
   std::string file, pattern, sequence, phase;
   std::vector<std::string> patterns;
   int first = 0;
-  Shot shot{{}, {}, common};
+  Shot shot{{}, {}, common, -1};
   shot.record.projector = 0;
   table.Get("file", file);
   table.Get("pattern", pattern);
@@ -168,9 +169,10 @@ Status ReadEntry(TomlTable& table, const Projectors& projectors, const FrameReco
   table.Get("patterns", patterns);
   table.Get("first", first, 0, 99999999);
   table.Get("phase", phase);
-  table.Get("projector", shot.record.projector, 0, 15);
+  table.Get("projector", shot.record.projector, -1, 15);
   table.Get("exposure_ms", shot.record.exposure_ms, 0.0, 10000.0);
   table.Get("bracket", shot.record.bracket, 0, 7);
+  table.Get("pose", shot.pose, 0, kMostPoses);
   if (file.empty() == sequence.empty())
     return Status::Usage(table.Where() + ": an entry needs either file and pattern, or sequence and patterns");
   if (!file.empty()) {
@@ -227,7 +229,8 @@ Result<ImportManifest> ReadImportManifest(const ImportOptions& options) {
   const auto root = options.root.empty() ? options.manifest.parent_path() : options.root;
   for (const Pose& pose : *poses) {
     if (options.pose && *options.pose != pose.index) continue;
-    for (const Shot& shot : shots) manifest.frames.push_back(FrameOf(shot, pose, root));
+    for (const Shot& shot : shots)
+      if (shot.pose < 0 || shot.pose == pose.index) manifest.frames.push_back(FrameOf(shot, pose, root));
   }
   if (manifest.frames.empty())
     return Status::Usage(options.manifest.string() + ": has no pose " + std::to_string(options.pose.value_or(-1)));

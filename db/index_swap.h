@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+// Putting a new index in the place of the old one. Internal to db/.
+#pragma once
+
+#include <filesystem>
+
+#include "shared/base/result.h"
+
+namespace stratalux::db {
+
+// Folds the old index's log into it and lets go of it, so that its file stands alone. kBusy while any program has it
+// open. A damaged or missing one is no failure: its log is kept beside it by SwapIndex.
+Status ReleaseIndex(const std::filesystem::path& store);
+
+// Undoes ReleaseIndex where the old index stays.
+Status ResumeIndex(const std::filesystem::path& store);
+
+// `fresh` becomes STORE/index.sqlite in one rename, synced before and after; the old index stays as
+// index-before-reindex-N.sqlite (returned; empty where there was none).
+[[nodiscard]] Result<std::filesystem::path> SwapIndex(const std::filesystem::path& store,
+                                                      const std::filesystem::path& fresh);
+
+}  // namespace stratalux::db

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// The index, built again from segments, manifests, fits and tombstones (docs/file-formats.md, "Reindex").
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::db {
+
+struct ReindexReport {
+  int64_t sessions = 0;
+  int64_t frames = 0;
+  int64_t fits = 0;
+  int64_t forgotten = 0;              // tombstones
+  std::vector<std::string> notes;     // tails that were cut, sessions that ended as failed
+  std::vector<std::string> problems;  // folders that could not be read: they stay, unlisted
+  std::filesystem::path kept;         // the old index
+};
+
+// The new index is built beside the old one and takes its place in one rename. Forgotten sessions stay out, whatever
+// their folders hold. Access log, jobs and withdrawn consents are in no file: they are taken over from the old index
+// where it can be read. kBusy, before anything is written, while a session is written or any program has the old index
+// open. kNotFound: no store there.
+[[nodiscard]] Result<ReindexReport> Reindex(const std::filesystem::path& store, Logger& logger);
+
+}  // namespace stratalux::db

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/tombstones.h"
+
+#include <algorithm>
+#include <system_error>
+
+namespace stratalux::db {
+
+namespace fs = std::filesystem;
+
+bool HasTombstone(const fs::path& store, const std::string& session_id) {
+  if (session_id.empty() || session_id.find('/') != std::string::npos) return false;
+  std::error_code error;
+  return fs::exists(store / "deletions" / (session_id + ".json"), error) ||
+         fs::exists(store / "deletions" / (session_id + ".forgetting"), error);
+}
+
+std::vector<fs::path> ListTombstones(const fs::path& store) {
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (auto entry = fs::directory_iterator(store / "deletions", error); !error && entry != fs::directory_iterator();
+       entry.increment(error))
+    if (entry->path().extension() == ".json") files.push_back(entry->path());
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+}  // namespace stratalux::db
