@@ -38,6 +38,7 @@ class SessionIndex {
   Result<std::vector<Place>> Places(int64_t number);
   Status UpsertFit(int64_t number, const FitRow& fit);
   Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
+  Result<bool> IsEncrypted(const std::string& id);
   Status SetKeyId(int64_t number, std::span<const uint8_t> key_id);
   // For the statements of db/privacy.
   [[nodiscard]] Connection& connection() { return connection_; }
