@@ -228,6 +228,11 @@ Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
       .Run();
 }
 
+Result<bool> SessionIndex::IsEncrypted(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT 1 FROM sessions WHERE id = ?1 AND key_id IS NOT NULL"));
+  return select.Bind(1, id).Step();
+}
+
 Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {
   SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET key_id = ?1 WHERE number = ?2"));
   return update.Bind(1, key_id).Bind(2, number).Run();

@@ -44,6 +44,7 @@ class SessionIndex {
   // The row, and its figures in `metrics`.
   Status UpsertFit(int64_t number, const FitRow& fit);
   Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
+  Result<bool> IsEncrypted(const std::string& id);
   Status SetKeyId(int64_t number, std::span<const uint8_t> key_id);
   // For statements of one purpose (rebuilding, checking, forgetting).
   [[nodiscard]] Connection& connection() { return connection_; }

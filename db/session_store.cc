@@ -342,6 +342,10 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   FrameHeader header{};
   const std::string where = "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset);
   SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(frame.offset, &header).WithContext("session " + id));
+  if (header.cipher == 0) {
+    SLX_ASSIGN_OR_RETURN(const bool encrypted, index.IsEncrypted(id));
+    if (encrypted) return Status::Integrity(where + ": a plain frame in an encrypted session was put there by another");
+  }
   SLX_ASSIGN_OR_RETURN(const auto bytes,
                        opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
   return Decode(header, bytes, where);

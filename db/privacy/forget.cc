@@ -82,6 +82,7 @@ Status Checkpoint(Connection& connection) {
 
 Status Forgetting::WriteIntents() {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
+  SLX_RETURN_IF_ERROR(TidyDeletions(store_));
   SLX_ASSIGN_OR_RETURN(intents_, ReadIntents(store_));
   std::vector<std::string> fresh;
   for (const std::string& id : request_.sessions)
@@ -240,7 +241,7 @@ Status Forgetting::Certify(SessionIndex& index) {
     if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),
                     [&](const auto& leftover) { return Concerns(leftover, intent); }))
       continue;
-    SLX_RETURN_IF_ERROR(WipeFile(IntentFile(store_, intent.session)));
+    SLX_RETURN_IF_ERROR(WipeIntent(store_, intent.session));
   }
   if (!intents_.empty()) SLX_RETURN_IF_ERROR(SyncFolder(store_ / "deletions"));
   return Status::Ok();

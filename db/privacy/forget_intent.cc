@@ -18,6 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 constexpr size_t kHashBytes = 8;
+constexpr const char* kWiping = ".wiping";
 
 std::string Hex(std::span<const uint8_t> bytes) {
   std::string text(2 * bytes.size() + 1, '\0');
@@ -170,6 +171,24 @@ Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
                      {"hashes", intent.hashes},   {"exports", intent.exports}};
   return ReplaceFile(IntentFile(store, intent.session),
                      json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+Status WipeIntent(const fs::path& store, const std::string& session_id) {
+  const fs::path file = IntentFile(store, session_id), wiped = file.string() + kWiping;
+  std::error_code error;
+  fs::rename(file, wiped, error);
+  if (error) return Status::Failed("cannot rename " + file.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(SyncFolder(store / "deletions"));
+  return WipeFile(wiped);
+}
+
+Status TidyDeletions(const fs::path& store) {
+  std::vector<fs::path> strays;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
+    if (entry.path().extension() == ".new" || entry.path().extension() == kWiping) strays.push_back(entry.path());
+  for (const fs::path& stray : strays) SLX_RETURN_IF_ERROR(WipeFile(stray));
+  return Status::Ok();
 }
 
 Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {

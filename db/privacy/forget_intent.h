@@ -31,6 +31,10 @@ struct ForgetIntent {
 
 [[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
 Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);
+// Renamed first: a half-wiped intent must not be taken for one.
+Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);
+// Wipes what a program that was killed in the midst of a write or a wipe left in STORE/deletions. Under the write lock.
+Status TidyDeletions(const std::filesystem::path& store);
 [[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

@@ -146,6 +146,15 @@ TEST_F(EncryptionTest, AFrameInAnothersPlaceIsRefused) {
   EXPECT_EQ(CodeOf(bytes_), StatusCode::kOk);
 }
 
+TEST_F(EncryptionTest, APlainFrameInAnEncryptedSessionIsRefused) {
+  const std::string plain = StoreSession(1);
+  const auto source = ReadBytes(Segment(plain));
+  auto bytes = bytes_;
+  bytes.resize(kFirst);
+  bytes.insert(bytes.end(), source.begin() + kFirst, source.end());
+  EXPECT_EQ(CodeOf(bytes), StatusCode::kIntegrity);
+}
+
 TEST_F(EncryptionTest, AFrameOfAnotherSessionIsRefused) {
   auto bytes = bytes_;
   const std::string other = "s000009-00000000";

@@ -275,6 +275,21 @@ TEST_F(ForgetTest, FinishesAfterBeingKilledAtAnyMoment) {
   std::printf("killed %d times of 40, finished after each\n", killed);
 }
 
+TEST_F(ForgetTest, FinishesAfterAWriteOrAWipeThatWasTorn) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  ASSERT_TRUE(ForgetNow({id}).ok());
+  const fs::path deletions = folder_ / "deletions";
+  WriteText(deletions / (id + ".json.new"), "{ \"session\": \"" + id);
+  WriteText(deletions / (id + ".forgetting.wiping"), std::string(40, '\0') + kVisitor + traces.hashes[0]);
+  WriteText(deletions / (other + ".forgetting.new"), "{ \"session\": \"" + other);
+  EXPECT_FALSE(*IsForgotten(folder_, other)) << "not begun";
+  const auto again = ForgetNow({});
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  ExpectGone(traces, kVisitor);
+  ExpectUnharmed(other, 2);
+}
+
 TEST_F(ForgetTest, CertifiesWithoutPixelsAndWithoutThePseudonym) {
   exports_ /= kVisitor;  // an operator who files exports by visitor
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
