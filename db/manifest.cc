@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "db/durable_file.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -130,6 +131,16 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
   close(fd);
   if (!written || rename(temporary.c_str(), target.c_str()) != 0) return fail();
   return Status::Ok();
+}
+
+Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<std::string>& segments) {
+  const std::filesystem::path file = folder / "manifest.json";
+  if (std::error_code error; !std::filesystem::exists(file, error)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object()) return Status::Integrity(file.string() + ": not a JSON object");
+  json["segments"] = segments;
+  return ReplaceFile(file, TextOf(json, 1) + "\n");
 }
 
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {

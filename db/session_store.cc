@@ -2,70 +2,18 @@
 #include "db/session_store.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstring>
 #include <map>
 
-#include <fcntl.h>
-#include <sys/file.h>
-#include <unistd.h>
-
+#include "db/codec/frame_codec.h"
 #include "db/manifest.h"
 #include "db/segment.h"
 #include "db/session_index.h"
-#include "shared/image/raw12.h"
+#include "db/transcode_journal.h"
+#include "db/write_lock.h"
 
 namespace stratalux::db {
 namespace {
-
-// Held while a session is written; the kernel drops it with the process.
-class WriteLock {
- public:
-  static Result<WriteLock> Take(const std::filesystem::path& folder) {
-    WriteLock lock;
-    const auto file = folder / "write.lock";
-    lock.fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
-    if (lock.fd_ < 0) return Status::Failed("cannot write store " + folder.string() + ": " + std::strerror(errno));
-    if (flock(lock.fd_, LOCK_EX | LOCK_NB) != 0)
-      return Status::Busy("store " + folder.string() +
-                          " is being written by another program; try again when it has finished");
-    return lock;
-  }
-  WriteLock() = default;
-  WriteLock(WriteLock&& o) noexcept : fd_(std::exchange(o.fd_, -1)) {}
-  WriteLock& operator=(WriteLock&& o) noexcept {
-    std::swap(fd_, o.fd_);
-    return *this;
-  }
-  ~WriteLock() {
-    if (fd_ >= 0) close(fd_);
-  }
-
- private:
-  int fd_ = -1;
-};
-
-struct Encoded {
-  Codec codec = Codec::kRaw16;
-  std::vector<uint8_t> bytes;
-};
-
-Result<Encoded> Encode(const FrameRecord& record, ImageView<const uint16_t> pixels) {
-  const unsigned top = record.format == PixelFormat::kMono12 ? 4095U : 65535U;
-  for (uint16_t v : pixels.pixels())
-    if (v > top)
-      return Status::Usage("frame of step " + std::to_string(record.step) + ": value " + std::to_string(v) +
-                           " exceeds " + std::to_string(BitDepth(record.format)) + " bits");
-  if (record.format == PixelFormat::kMono12 && pixels.channels() == 1) {
-    Encoded out{Codec::kRaw12, std::vector<uint8_t>(Raw12RowBytes(pixels.width()) * pixels.height())};
-    for (int y = 0; y < pixels.height(); ++y)
-      PackRaw12Row(pixels.row(y), pixels.width(), out.bytes.data() + Raw12RowBytes(pixels.width()) * y);
-    return out;
-  }
-  Encoded out{Codec::kRaw16, std::vector<uint8_t>(pixels.size() * 2)};
-  std::memcpy(out.bytes.data(), pixels.data(), out.bytes.size());
-  return out;
-}
 
 // Where a session's bytes are not what they were, only a copy or a new capture helps.
 Status WithRemedy(const Status& status, const std::string& id) {
@@ -73,22 +21,7 @@ Status WithRemedy(const Status& status, const std::string& id) {
   return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
 }
 
-Result<Image<uint16_t>> Decode(const FrameHeader& h, const std::vector<uint8_t>& bytes, const std::string& where) {
-  if (h.width <= 0 || h.height <= 0 || h.channels <= 0 || h.width > 65536 || h.height > 65536 || h.channels > 64)
-    return Status::Integrity(where + ": impossible size");
-  Image<uint16_t> image(h.width, h.height, h.channels);
-  const auto codec = static_cast<Codec>(h.codec);
-  const size_t expected = codec == Codec::kRaw8    ? image.size()
-                          : codec == Codec::kRaw12 ? Raw12RowBytes(h.width) * h.height
-                          : codec == Codec::kRaw16 ? image.size() * 2
-                                                   : 0;
-  if (bytes.size() != expected) return Status::Integrity(where + ": payload length does not fit size and codec");
-  if (codec == Codec::kRaw8) std::copy(bytes.begin(), bytes.end(), image.data());
-  if (codec == Codec::kRaw16) std::memcpy(image.data(), bytes.data(), bytes.size());
-  if (codec == Codec::kRaw12)
-    for (int y = 0; y < h.height; ++y) UnpackRaw12Row(bytes.data() + Raw12RowBytes(h.width) * y, h.width, image.row(y));
-  return image;
-}
+FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
 
 // Marks sessions whose writer died as failed and cuts what was never acknowledged.
 Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
@@ -121,9 +54,10 @@ Status Recover(SessionIndex& index, const std::filesystem::path& folder) {
 struct SessionStore::Impl {
   std::filesystem::path folder;
   SessionIndex index;
+  FrameDecoder decoder = {};
 
   Result<std::vector<FrameRow>> ListFrames(const std::string& id);
-  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame) const;
+  Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
 };
 
 struct SessionWriter::Impl {
@@ -133,10 +67,12 @@ struct SessionWriter::Impl {
   SessionInfo info;
   int64_t number = 0;
   WriterOptions options;
+  FrameEncoder encoder;
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
   int64_t acknowledged_end = 0;  // in the current segment
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
+  std::chrono::steady_clock::time_point pending_since;
   Status failure;  // the first one; every later call repeats it
 
   Status Fail(Status status) {
@@ -167,17 +103,35 @@ struct SessionWriter::Impl {
     pending.clear();
     return Status::Ok();
   }
-  Status Append(const FrameRecord& record, Codec codec, std::span<const uint8_t> bytes) {
+  Status FlushIfDue() {
     if (!failure.ok()) return failure;
+    const bool due = static_cast<int>(pending.size()) >= options.group_frames ||
+                     (!pending.empty() && options.now() - pending_since >= options.group_time);
+    return due ? Flush() : Status::Ok();
+  }
+  template <typename T>
+  Status Append(const FrameRecord& record, ImageView<const T> pixels) {
+    if (!failure.ok()) return failure;
+    const std::string name = "frame of step " + std::to_string(record.step);
+    if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
+        pixels.channels() != record.channels)
+      return Status::Usage(name + ": pixels do not have the record's size");
+    const std::span<const T> samples = pixels.pixels();
+    SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
+    return Append(record, encoded);
+  }
+  Status Append(const FrameRecord& record, const EncodedFrame& encoded) {
     if (!segment || segment->bytes() > options.max_segment_bytes) {
       SLX_RETURN_IF_ERROR(Flush());
       if (Status s = NextSegment(); !s.ok()) return Fail(s);
     }
-    auto frame = segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), codec, bytes);
+    auto frame =
+        segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), encoded.codec, encoded.bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
+    if (pending.empty()) pending_since = options.now();
     pending.emplace_back(segments, *frame);
-    return static_cast<int>(pending.size()) >= options.group_frames ? Flush() : Status::Ok();
+    return FlushIfDue();
   }
 };
 
@@ -190,18 +144,10 @@ const SessionInfo& SessionWriter::info() const { return impl_->info; }
 int64_t SessionWriter::acknowledged_frames() const { return impl_->acknowledged; }
 
 Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint16_t> pixels) {
-  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
-      pixels.channels() != record.channels)
-    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
-  SLX_ASSIGN_OR_RETURN(const Encoded encoded, Encode(record, pixels));
-  return impl_->Append(record, encoded.codec, encoded.bytes);
+  return impl_->Append(record, pixels);
 }
-
 Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint8_t> pixels) {
-  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
-      pixels.channels() != record.channels)
-    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
-  return impl_->Append(record, Codec::kRaw8, pixels.pixels());
+  return impl_->Append(record, pixels);
 }
 
 Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float> pixels) {
@@ -224,6 +170,7 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
 }
 
 Status SessionWriter::Flush() { return impl_->Flush(); }
+Status SessionWriter::FlushIfDue() { return impl_->FlushIfDue(); }
 
 Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons) {
   SLX_RETURN_IF_ERROR(Flush());
@@ -254,7 +201,10 @@ Status SessionStore::Create(const std::filesystem::path& folder) { return Sessio
 
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
-  if (mode == AccessMode::kReadWrite) SLX_RETURN_IF_ERROR(Recover(index, folder));
+  if (mode == AccessMode::kReadWrite) {
+    SLX_RETURN_IF_ERROR(EndInterruptedTranscode(index, folder));
+    SLX_RETURN_IF_ERROR(Recover(index, folder));
+  }
   return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index)}));
 }
 
@@ -278,8 +228,23 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     (void)index.SetStatus(number, {SessionStatus::kFailed, {"no folder: " + error.message()}, WallNow()}).ok();
     return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   }
-  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{
-      folder, std::move(index), std::move(lock), std::move(info), number, options, {}, {}, 0, 0, 0, 0, 0, {}, {}}));
+  return SessionWriter(std::unique_ptr<SessionWriter::Impl>(new SessionWriter::Impl{folder,
+                                                                                    std::move(index),
+                                                                                    std::move(lock),
+                                                                                    std::move(info),
+                                                                                    number,
+                                                                                    options,
+                                                                                    FrameEncoder(options.codec),
+                                                                                    {},
+                                                                                    {},
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    0,
+                                                                                    {},
+                                                                                    {},
+                                                                                    {}}));
 }
 
 Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
@@ -340,11 +305,12 @@ Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const Fra
   return image.ok() ? std::move(image) : WithRemedy(image.status(), id);
 }
 
-Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) const {
+Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) {
   SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
   FrameHeader header{};
   SLX_ASSIGN_OR_RETURN(const auto bytes, reader.Read(frame.offset, &header).WithContext("session " + id));
-  return Decode(header, bytes, "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));
+  return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes)
+      .WithContext("session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset));
 }
 
 Status SessionStore::RegisterFit(const FitRow& fit) {

@@ -5,8 +5,10 @@
 // and leaves every other one readable. No sqlite3 type appears here.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -16,6 +18,7 @@
 #include "shared/base/result.h"
 #include "shared/capture/frame_record.h"
 #include "shared/capture/session.h"
+#include "shared/capture/store_codec.h"
 #include "shared/image/image.h"
 
 namespace stratalux::db {
@@ -31,7 +34,7 @@ struct SessionRow {
 struct FrameRow {
   int64_t id = 0;  // position of the frame in the session, 0-based
   FrameRecord record;
-  std::string codec;    // "raw8" | "raw12" | "raw16" | "f32"
+  std::string codec;    // "raw8" | "raw12" | "raw16" | "f32" | "delta"
   std::string segment;  // file name within the session folder
   int64_t offset = 0;   // of the frame record in the segment
   int64_t stored_bytes = 0;
@@ -49,8 +52,12 @@ struct FitRow {
 enum class AccessMode { kReadOnly, kReadWrite };
 
 struct WriterOptions {
-  int group_frames = 16;  // frames acknowledged together
+  StoreCodec codec = StoreCodec::kDelta;  // smaller and fast enough for any camera here (docs/benchmarks.md)
+  // Frames are acknowledged together once there are so many, or once the first of them has waited so long.
+  int group_frames = 16;
+  std::chrono::milliseconds group_time{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
+  std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 };
 
 class SessionStore;
@@ -71,6 +78,8 @@ class SessionWriter {
   // Maps of truth.seg (simulation only); `name` such as "depth", "normal", "subsurface stripe 2". Not indexed.
   Status AppendTruth(const std::string& name, ImageView<const float> pixels);
   Status Flush();
+  // Flush() if the first unacknowledged frame has waited for group_time: for writers to whom no frame comes.
+  Status FlushIfDue();
   [[nodiscard]] int64_t acknowledged_frames() const;
   // Seals the segment, writes manifest.json and the final status.
   Status Finish(SessionStatus status, std::vector<std::string> reasons = {});

@@ -19,7 +19,7 @@ libtomlplusplus-dev  rig  configuration files
 nlohmann-json3-dev   rig  manifests, calibration records, metrics
 libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
-libzstd-dev          rig  the skin table's compression
+libzstd-dev          rig  compression of frames and of the skin table
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers

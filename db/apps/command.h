@@ -42,6 +42,7 @@ class Commands {
 // Each keeps its own flags alive as long as its commands.
 void AddViewCommands(Commands& commands);      // init, ls, show, frames, verify
 void AddTransferCommands(Commands& commands);  // import
+void AddTranscodeCommand(Commands& commands);
 
 // Prints to stderr; the status's exit code.
 int Report(const Status& status);

@@ -16,6 +16,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db frames latest --phase reference --extract pictures
   stratalux-db verify
   stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
+  stratalux-db transcode --all --codec delta
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
 Exit codes: 0 ok, 1 failed, 2 usage, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
@@ -28,6 +29,7 @@ int Main(int argc, char** argv) {
   Commands commands(app);
   AddViewCommands(commands);
   AddTransferCommands(commands);
+  AddTranscodeCommand(commands);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -84,7 +84,8 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
   SLX_ASSIGN_OR_RETURN(db::SessionStore store,
                        db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer, store.BeginSession(DescribeSession(options, plan, *rig)));
+  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer,
+                       store.BeginSession(DescribeSession(options, plan, *rig), {.codec = options.config.codec}));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");

@@ -3,6 +3,7 @@
 // until there is space, so a slow disk slows the capture and loses nothing.
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <deque>
@@ -39,12 +40,29 @@ class BoundedQueue {
     return item;
   }
 
+  // As Pop(), but waits for `time` at most; nullopt then, too (exhausted() tells which).
+  [[nodiscard]] std::optional<T> PopFor(std::chrono::milliseconds time) {
+    std::unique_lock lock(mutex_);
+    filled_.wait_for(lock, time, [&] { return closed_ || !items_.empty(); });
+    if (items_.empty()) return std::nullopt;
+    std::optional<T> item(std::move(items_.front()));
+    items_.pop_front();
+    space_.notify_one();
+    return item;
+  }
+
   // No more items; those inside are still popped.
   void Close() {
     const std::lock_guard lock(mutex_);
     closed_ = true;
     space_.notify_all();
     filled_.notify_all();
+  }
+
+  // Closed and empty: no item will come any more.
+  [[nodiscard]] bool exhausted() const {
+    const std::lock_guard lock(mutex_);
+    return closed_ && items_.empty();
   }
 
   [[nodiscard]] size_t size() const {

@@ -6,6 +6,10 @@
 
 namespace stratalux::rig {
 
+namespace {
+constexpr std::chrono::milliseconds kIdle{50};  // well below the 250 ms that a frame may wait to be acknowledged
+}
+
 Recorder::Recorder(FrameArchive& archive, int queue_frames)
     : archive_(archive), queue_(static_cast<size_t>(std::max(1, queue_frames))), thread_([this] { WriteFrames(); }) {}
 
@@ -28,10 +32,9 @@ Status Recorder::Close() {
 
 void Recorder::WriteFrames() {
   Status status;
-  while (status.ok()) {
-    const std::optional<Item> item = queue_.Pop();
-    if (!item) break;
-    status = archive_.Append(item->record, item->pixels);
+  while (status.ok() && !queue_.exhausted()) {
+    const std::optional<Item> item = queue_.PopFor(kIdle);
+    status = item ? archive_.Append(item->record, item->pixels) : archive_.FlushIfDue();
   }
   if (status.ok()) status = archive_.Flush();
   if (status.ok()) return;

@@ -7,6 +7,7 @@
 
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
+#include "shared/capture/store_codec.h"
 
 namespace stratalux {
 
@@ -22,6 +23,7 @@ struct RigConfig {
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
+  StoreCodec codec = StoreCodec::kDelta;
   PlanOptions plan;
 };
 
