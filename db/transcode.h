@@ -25,7 +25,7 @@ enum class TranscodeStep { kJournalWritten, kFrameWritten, kSegmentsSynced, kCom
 struct TranscodeOptions {
   StoreCodec codec = StoreCodec::kDelta;
   int64_t max_segment_bytes = WriterOptions{}.max_segment_bytes;
-  std::function<void(TranscodeStep)> on_step;  // may be empty; tests stop the program here
+  std::function<void(TranscodeStep)> on_step = {};  // may be empty; tests stop the program here
 };
 
 struct TranscodeReport {

@@ -23,6 +23,8 @@ libzstd-dev          rig  compression of frames and of the skin table
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
+libbenchmark-dev     test benchmarks (preset bench)
+libtiff-dev          test benchmarks: TIFF as the peer of the frame codecs
 clang-format         test the format check
 git                  test the style checks list the tracked files
 LIST
