@@ -132,6 +132,16 @@ Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folde
   }
 }
 
+Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<std::string>& segments) {
+  const std::filesystem::path file = folder / "manifest.json";
+  if (std::error_code error; !std::filesystem::exists(file, error)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object()) return Status::Integrity(file.string() + ": not a JSON object");
+  json["segments"] = segments;
+  return ReplaceFile(file, TextOf(json, 1) + "\n");
+}
+
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));

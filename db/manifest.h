@@ -14,6 +14,8 @@ namespace stratalux::db {
 Status WriteManifest(const std::filesystem::path& session_folder, const SessionInfo& info, int64_t frames,
                      const std::vector<std::string>& segments);
 Result<SessionInfo> ReadManifest(const std::filesystem::path& session_folder);
+// Names other segments in a manifest and leaves the rest as it is; kOk where there is none (sessions that failed).
+Status ReplaceSegments(const std::filesystem::path& session_folder, const std::vector<std::string>& segments);
 
 // What the manifest says lies beside it.
 struct ManifestContents {

@@ -54,20 +54,6 @@ std::string ErrnoText() { return std::strerror(errno); }
 
 }  // namespace
 
-const char* ToString(Codec codec) {
-  switch (codec) {
-    case Codec::kRaw8:
-      return "raw8";
-    case Codec::kRaw12:
-      return "raw12";
-    case Codec::kRaw16:
-      return "raw16";
-    case Codec::kF32:
-      return "f32";
-  }
-  return "unknown";
-}
-
 std::string HashText(const uint8_t (&hash)[16]) {
   constexpr const char* kHex = "0123456789abcdef";
   std::string text;
@@ -143,6 +129,10 @@ Result<FrameRecord> RecordOf(const FrameHeader& h) {
   r.crop_x = h.crop_x;
   r.crop_y = h.crop_y;
   return r;
+}
+
+FrameShape ShapeOf(const FrameHeader& h) {
+  return {static_cast<PixelFormat>(h.format), static_cast<Cfa>(h.cfa), h.width, h.height, h.channels};
 }
 
 SegmentWriter::SegmentWriter(SegmentWriter&& o) noexcept

@@ -10,15 +10,13 @@
 #include <string>
 #include <vector>
 
+#include "db/codec/codec.h"
 #include "shared/base/result.h"
 #include "shared/capture/frame_record.h"
 
 namespace stratalux::db {
 
 inline constexpr int64_t kSegmentStart = 64;  // the first frame follows the file header
-
-enum class Codec : uint16_t { kRaw8 = 1, kRaw12 = 2, kRaw16 = 3, kF32 = 4 };
-[[nodiscard]] const char* ToString(Codec codec);
 
 // Frozen layout: 320 bytes in front of each payload.
 struct FrameHeader {
@@ -49,6 +47,7 @@ struct SegmentFrame {
 [[nodiscard]] FrameHeader MakeFrameHeader(const FrameRecord& record, int64_t frame, const std::string& text);
 // kIntegrity for texts and enumerations that no writer of ours makes.
 [[nodiscard]] Result<FrameRecord> RecordOf(const FrameHeader& header);
+[[nodiscard]] FrameShape ShapeOf(const FrameHeader& header);
 [[nodiscard]] std::string HashText(const uint8_t (&hash)[16]);
 
 class FrameSealer;  // db/privacy/frame_cipher.h

@@ -268,6 +268,24 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
   return transaction.Commit();
 }
 
+Status SessionIndex::MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(auto update,
+                       connection_.Prepare("UPDATE frames SET segment = ?1, offset = ?2, stored_bytes = ?3, hash = ?4"
+                                           " WHERE session = ?5 AND frame = ?6"));
+  int64_t bytes = 0;
+  for (const auto& [segment, f] : frames) {
+    const auto payload_bytes = static_cast<int64_t>(f.header.payload_bytes);
+    update.Bind(1, segment).Bind(2, f.offset).Bind(3, payload_bytes);
+    update.Bind(4, std::span<const uint8_t>(f.header.payload_hash)).Bind(5, number).Bind(6, f.header.frame);
+    SLX_RETURN_IF_ERROR(update.Run());
+    bytes += payload_bytes;
+  }
+  SLX_ASSIGN_OR_RETURN(auto total, connection_.Prepare("UPDATE sessions SET stored_bytes = ?1 WHERE number = ?2"));
+  SLX_RETURN_IF_ERROR(total.Bind(1, bytes).Bind(2, number).Run());
+  return transaction.Commit();
+}
+
 Result<std::vector<SessionRow>> SessionIndex::Sessions() {
   SLX_ASSIGN_OR_RETURN(
       auto select,

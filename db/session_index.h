@@ -33,6 +33,8 @@ class SessionIndex {
   Status SetStatus(int64_t number, const Ending& ending);
   // Frames, proofs and totals in one transaction: the group's commit.
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
+  // Gives frames that are there already another place, size and hash, in one transaction.
+  Status MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   Result<std::vector<SessionRow>> Sessions();
   Result<bool> HasUnfinished();
   Result<int64_t> NumberOf(const std::string& id);

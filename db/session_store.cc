@@ -5,6 +5,7 @@
 #include <cstring>
 #include <map>
 
+#include "db/codec/frame_codec.h"
 #include "db/durable_file.h"
 #include "db/fit_record.h"
 #include "db/manifest.h"
@@ -13,33 +14,11 @@
 #include "db/recovery.h"
 #include "db/segment.h"
 #include "db/session_index.h"
+#include "db/transcode_journal.h"
 #include "db/write_lock.h"
-#include "shared/image/raw12.h"
 
 namespace stratalux::db {
 namespace {
-
-struct Encoded {
-  Codec codec = Codec::kRaw16;
-  std::vector<uint8_t> bytes;
-};
-
-Result<Encoded> Encode(const FrameRecord& record, ImageView<const uint16_t> pixels) {
-  const unsigned top = record.format == PixelFormat::kMono12 ? 4095U : 65535U;
-  for (uint16_t v : pixels.pixels())
-    if (v > top)
-      return Status::Usage("frame of step " + std::to_string(record.step) + ": value " + std::to_string(v) +
-                           " exceeds " + std::to_string(BitDepth(record.format)) + " bits");
-  if (record.format == PixelFormat::kMono12 && pixels.channels() == 1) {
-    Encoded out{Codec::kRaw12, std::vector<uint8_t>(Raw12RowBytes(pixels.width()) * pixels.height())};
-    for (int y = 0; y < pixels.height(); ++y)
-      PackRaw12Row(pixels.row(y), pixels.width(), out.bytes.data() + Raw12RowBytes(pixels.width()) * y);
-    return out;
-  }
-  Encoded out{Codec::kRaw16, std::vector<uint8_t>(pixels.size() * 2)};
-  std::memcpy(out.bytes.data(), pixels.data(), out.bytes.size());
-  return out;
-}
 
 // Where a session's bytes are not what they were, only a copy or a new capture helps.
 Status WithRemedy(const Status& status, const std::string& id) {
@@ -47,22 +26,7 @@ Status WithRemedy(const Status& status, const std::string& id) {
   return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
 }
 
-Result<Image<uint16_t>> Decode(const FrameHeader& h, const std::vector<uint8_t>& bytes, const std::string& where) {
-  if (h.width <= 0 || h.height <= 0 || h.channels <= 0 || h.width > 65536 || h.height > 65536 || h.channels > 64)
-    return Status::Integrity(where + ": impossible size");
-  Image<uint16_t> image(h.width, h.height, h.channels);
-  const auto codec = static_cast<Codec>(h.codec);
-  const size_t expected = codec == Codec::kRaw8    ? image.size()
-                          : codec == Codec::kRaw12 ? Raw12RowBytes(h.width) * h.height
-                          : codec == Codec::kRaw16 ? image.size() * 2
-                                                   : 0;
-  if (bytes.size() != expected) return Status::Integrity(where + ": payload length does not fit size and codec");
-  if (codec == Codec::kRaw8) std::copy(bytes.begin(), bytes.end(), image.data());
-  if (codec == Codec::kRaw16) std::memcpy(image.data(), bytes.data(), bytes.size());
-  if (codec == Codec::kRaw12)
-    for (int y = 0; y < h.height; ++y) UnpackRaw12Row(bytes.data() + Raw12RowBytes(h.width) * y, h.width, image.row(y));
-  return image;
-}
+FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
 
 }  // namespace
 
@@ -71,9 +35,10 @@ struct SessionStore::Impl {
   SessionIndex index;
   RecoveryNotes notes;
   FrameOpener opener;
+  FrameDecoder decoder = {};
 
   Result<std::vector<FrameRow>> ListFrames(const std::string& id);
-  [[nodiscard]] Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
+  Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
 };
 
 struct SessionWriter::Impl {
@@ -83,15 +48,16 @@ struct SessionWriter::Impl {
   SessionInfo info;
   int64_t number = 0;
   WriterOptions options;
+  FrameEncoder encoder;
   std::unique_ptr<FrameSealer> sealer;  // null: stored as it is
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
-  std::chrono::steady_clock::time_point oldest_pending;
   bool commit_in_doubt = false;  // one failed, but may lie in SQLite's log
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
+  std::chrono::steady_clock::time_point pending_since;
   Status failure;  // the first one; every later call repeats it
 
-  explicit Impl(SessionIndex opened) : index(std::move(opened)) {}
+  Impl(SessionIndex opened, StoreCodec codec) : index(std::move(opened)), encoder(codec) {}
   Status Fail(const Status& status) {
     if (!failure.ok()) return failure;
     failure = status.WithContext("session " + info.id);
@@ -130,21 +96,35 @@ struct SessionWriter::Impl {
     pending.clear();
     return Status::Ok();
   }
-  Status Append(const FrameRecord& record, Codec codec, std::span<const uint8_t> bytes) {
+  Status FlushIfDue() {
     if (!failure.ok()) return failure;
+    const bool due = static_cast<int>(pending.size()) >= options.group_frames ||
+                     (!pending.empty() && options.now() - pending_since >= options.group_window);
+    return due ? Flush() : Status::Ok();
+  }
+  template <typename T>
+  Status Append(const FrameRecord& record, ImageView<const T> pixels) {
+    if (!failure.ok()) return failure;
+    const std::string name = "frame of step " + std::to_string(record.step);
+    if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
+        pixels.channels() != record.channels)
+      return Status::Usage(name + ": pixels do not have the record's size");
+    const std::span<const T> samples = pixels.pixels();
+    SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
+    return Append(record, encoded);
+  }
+  Status Append(const FrameRecord& record, const EncodedFrame& encoded) {
     if (!segment || segment->bytes() > options.max_segment_bytes) {
       SLX_RETURN_IF_ERROR(Flush());
       if (Status s = NextSegment(); !s.ok()) return Fail(s);
     }
-    auto frame = segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), codec, bytes);
+    auto frame =
+        segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), encoded.codec, encoded.bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
-    const auto now = std::chrono::steady_clock::now();
-    if (pending.empty()) oldest_pending = now;
+    if (pending.empty()) pending_since = options.now();
     pending.emplace_back(segments, *frame);
-    const bool due =
-        static_cast<int>(pending.size()) >= options.group_frames || now - oldest_pending >= options.group_window;
-    return due ? Flush() : Status::Ok();
+    return FlushIfDue();
   }
 };
 
@@ -165,18 +145,10 @@ const SessionInfo& SessionWriter::info() const { return impl_->info; }
 int64_t SessionWriter::acknowledged_frames() const { return impl_->acknowledged; }
 
 Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint16_t> pixels) {
-  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
-      pixels.channels() != record.channels)
-    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
-  SLX_ASSIGN_OR_RETURN(const Encoded encoded, Encode(record, pixels));
-  return impl_->Append(record, encoded.codec, encoded.bytes);
+  return impl_->Append(record, pixels);
 }
-
 Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint8_t> pixels) {
-  if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
-      pixels.channels() != record.channels)
-    return Status::Usage("frame of step " + std::to_string(record.step) + ": pixels do not have the record's size");
-  return impl_->Append(record, Codec::kRaw8, pixels.pixels());
+  return impl_->Append(record, pixels);
 }
 
 Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float> pixels) {
@@ -199,6 +171,7 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
 }
 
 Status SessionWriter::Flush() { return impl_->Flush(); }
+Status SessionWriter::FlushIfDue() { return impl_->FlushIfDue(); }
 
 Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons) {
   SLX_RETURN_IF_ERROR(Flush());
@@ -229,6 +202,7 @@ Status SessionStore::Create(const std::filesystem::path& folder) { return Sessio
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
   const bool write = mode == AccessMode::kReadWrite;
+  if (write) SLX_RETURN_IF_ERROR(EndInterruptedTranscode(index, folder));
   SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
   return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes), FrameOpener(folder)}));
 }
@@ -268,7 +242,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow()}).ok();
     return begun;
   }
-  auto writer = std::make_unique<SessionWriter::Impl>(std::move(index));
+  auto writer = std::make_unique<SessionWriter::Impl>(std::move(index), options.codec);
   writer->store = impl_->folder;
   writer->folder = folder;
   writer->lock = std::move(lock);
@@ -348,7 +322,7 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   }
   SLX_ASSIGN_OR_RETURN(const auto bytes,
                        opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
-  return Decode(header, bytes, where);
+  return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
 }
 
 Status SessionStore::RegisterFit(const FitRow& fit) {

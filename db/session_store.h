@@ -9,6 +9,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -18,6 +19,7 @@
 #include "shared/base/result.h"
 #include "shared/capture/frame_record.h"
 #include "shared/capture/session.h"
+#include "shared/capture/store_codec.h"
 #include "shared/image/image.h"
 
 namespace stratalux::db {
@@ -34,7 +36,7 @@ struct SessionRow {
 struct FrameRow {
   int64_t id = 0;  // position of the frame in the session, 0-based
   FrameRecord record;
-  std::string codec;    // "raw8" | "raw12" | "raw16" | "f32"
+  std::string codec;    // "raw8" | "raw12" | "raw16" | "f32" | "delta"
   std::string segment;  // file name within the session folder
   int64_t offset = 0;   // of the frame record in the segment
   int64_t stored_bytes = 0;
@@ -55,12 +57,14 @@ enum class AccessMode { kReadOnly, kReadWrite };
 enum class Encryption { kNone, kPerSession };
 
 struct WriterOptions {
-  // Frames are acknowledged together: once there are so many, or with the first one that is appended when the oldest
-  // has waited so long. Nobody appends: nothing happens; Flush() when the frames pause.
+  StoreCodec codec = StoreCodec::kDelta;  // smaller and fast enough for any camera here (docs/benchmarks.md)
+  // Frames are acknowledged together once there are so many, or once the first of them has waited so long: looked at
+  // with each frame, and by FlushIfDue().
   int group_frames = 16;
   std::chrono::milliseconds group_window{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
   Encryption encryption = Encryption::kNone;
+  std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 
   [[nodiscard]] Status Validate() const;
 };
@@ -84,6 +88,8 @@ class SessionWriter {
   // Maps of truth.seg (simulation only); `name` such as "depth", "normal", "subsurface stripe 2". Not indexed.
   Status AppendTruth(const std::string& name, ImageView<const float> pixels);
   Status Flush();
+  // Flush() if the first unacknowledged frame has waited for group_window: for writers to whom no frame comes.
+  Status FlushIfDue();
   [[nodiscard]] int64_t acknowledged_frames() const;
   // Seals the segment, writes manifest.json, then the final status. A power cut after the manifest: the next open finds
   // the session finished.

@@ -8,6 +8,7 @@
 #include "db/complementary_pairs.h"
 #include "db/manifest.h"
 #include "db/segment.h"
+#include "db/transcode_journal.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::db {
@@ -137,6 +138,23 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
   CheckNames(folder, contents->segments, report);
 }
 
+// Segments of a transcode under way or interrupted that the index does not name (or names no longer).
+void SetAsideTranscoded(const SessionStore& store, const SessionRow& session, const std::vector<FrameRow>& frames,
+                        std::vector<std::filesystem::path>& segments, VerifyReport& report) {
+  const auto journal = ReadTranscodeJournal(store.folder());
+  if (!journal.ok()) return report.problems.push_back(journal.status().message());
+  if (!*journal || (*journal)->session != session.info.id) return;
+  std::set<std::string> indexed = {"truth.seg"};
+  for (const FrameRow& f : frames) indexed.insert(f.segment);
+  std::erase_if(segments, [&](const std::filesystem::path& file) {
+    const bool left = !indexed.contains(file.filename().string());
+    if (left)
+      report.notes.push_back(file.filename().string() +
+                             " belongs to an unfinished transcode; the next command that writes the store settles it");
+    return left;
+  });
+}
+
 }  // namespace
 
 Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& session, const VerifyOptions& options) {
@@ -151,9 +169,9 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (error) (never_began ? report.notes : report.problems).push_back(folder.string() + ": " + error.message());
   std::sort(segments.begin(), segments.end());
   int64_t stored_frames = 0;
-  for (const auto& file : segments) CheckSegment(file, session, options, report, stored_frames);
-
   const auto frames = store.ListFrames(session.info.id);
+  if (frames.ok()) SetAsideTranscoded(store, session, *frames, segments, report);
+  for (const auto& file : segments) CheckSegment(file, session, options, report, stored_frames);
   if (!frames.ok()) {
     report.problems.push_back(frames.status().message());
   } else {

@@ -23,10 +23,12 @@ nlohmann-json3-dev   rig  manifests, calibration records, metrics
 libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
-libzstd-dev          rig  the skin table's compression
+libzstd-dev          rig  compression of frames and of the skin table
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
+libbenchmark-dev     test benchmarks (preset bench)
+libtiff-dev          test benchmarks: TIFF as the peer of the frame codecs
 clang-format         test the format check
 git                  test the style checks list the tracked files
 LIST

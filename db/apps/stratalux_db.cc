@@ -21,6 +21,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db backup --store store --to /media/disk/store-backup
   stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
   stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
+  stratalux-db transcode --all --codec delta
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
   stratalux-db forget --visitor v-5f3a91c2 --yes
@@ -41,6 +42,7 @@ int Main(int argc, char** argv) {
   AddQueryCommands(commands);
   AddStatsCommand(commands);
   AddTransferCommands(commands);
+  AddTranscodeCommand(commands);
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
   try {

@@ -66,6 +66,7 @@ Status AskConsent(const CaptureOptions& options) {
 
 db::WriterOptions WriterOptionsFor(const RigConfig& config) {
   db::WriterOptions options;
+  options.codec = config.codec;
   options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
   return options;
 }

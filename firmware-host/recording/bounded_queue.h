@@ -36,10 +36,10 @@ class BoundedQueue {
     return TakeFront();
   }
 
-  // As Pop(), but nullopt also when nothing came within `patience`; finished() tells which.
-  [[nodiscard]] std::optional<T> PopWithin(std::chrono::milliseconds patience) {
+  // As Pop(), but waits for `time` at most; nullopt then, too (exhausted() tells which).
+  [[nodiscard]] std::optional<T> PopFor(std::chrono::milliseconds time) {
     std::unique_lock lock(mutex_);
-    filled_.wait_for(lock, patience, [&] { return closed_ || !items_.empty(); });
+    filled_.wait_for(lock, time, [&] { return closed_ || !items_.empty(); });
     return TakeFront();
   }
 
@@ -51,8 +51,8 @@ class BoundedQueue {
     filled_.notify_all();
   }
 
-  // Closed and empty: nothing will come.
-  [[nodiscard]] bool finished() const {
+  // Closed and empty: no item will come any more.
+  [[nodiscard]] bool exhausted() const {
     const std::lock_guard lock(mutex_);
     return closed_ && items_.empty();
   }

@@ -7,10 +7,8 @@
 namespace stratalux::rig {
 
 namespace {
-
-constexpr std::chrono::milliseconds kPause{250};  // as long as the store keeps a group of frames open
-
-}  // namespace
+constexpr std::chrono::milliseconds kIdle{50};  // well below the 250 ms that a frame may wait to be acknowledged
+}
 
 Recorder::Recorder(FrameArchive& archive, int queue_frames)
     : archive_(archive), queue_(static_cast<size_t>(std::max(1, queue_frames))), thread_([this] { WriteFrames(); }) {}
@@ -34,18 +32,9 @@ Status Recorder::Close() {
 
 void Recorder::WriteFrames() {
   Status status;
-  bool flushed = true;
-  while (status.ok()) {
-    const std::optional<Item> item = flushed ? queue_.Pop() : queue_.PopWithin(kPause);
-    if (item) {
-      status = archive_.Append(item->record, item->pixels);
-      flushed = false;
-    } else if (queue_.finished()) {
-      break;
-    } else {
-      status = archive_.Flush();  // the visitor moves, a retake waits: what came is safe meanwhile
-      flushed = true;
-    }
+  while (status.ok() && !queue_.exhausted()) {
+    const std::optional<Item> item = queue_.PopFor(kIdle);
+    status = item ? archive_.Append(item->record, item->pixels) : archive_.FlushIfDue();
   }
   if (status.ok()) status = archive_.Flush();
   if (status.ok()) return;

@@ -20,6 +20,8 @@ class FrameArchive {
   virtual Status Append(const FrameRecord& record, const Image<uint16_t>& pixels) = 0;
   // Returns once all appended frames are safe.
   virtual Status Flush() = 0;
+  // Called every few milliseconds while no frame comes: appended frames that have waited long enough become safe.
+  virtual Status FlushIfDue() { return Status::Ok(); }
 };
 
 class Recorder : public FrameSink {

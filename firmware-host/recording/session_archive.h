@@ -15,6 +15,7 @@ class SessionArchive : public FrameArchive {
     return writer_.Append(record, pixels.view());
   }
   Status Flush() override { return writer_.Flush(); }
+  Status FlushIfDue() override { return writer_.FlushIfDue(); }
   // For what follows the frames (truth maps, Finish), once the recorder is closed.
   [[nodiscard]] db::SessionWriter& writer() { return writer_; }
 

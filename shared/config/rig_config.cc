@@ -51,6 +51,9 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
   capture.Get("max_retries", config.max_retries, 0, 10);
   capture.Get("queue_frames", config.queue_frames, 1, 4096);
+  std::string codec = ToString(config.codec);
+  store.Get("codec", codec);
+  SLX_ASSIGN_OR_RETURN(config.codec, ParseStoreCodec(codec).WithContext(store.Where("codec")));
   SLX_RETURN_IF_ERROR(ReadPlan(plan, config.plan));
   SLX_RETURN_IF_ERROR(root.Finish());
   SLX_RETURN_IF_ERROR(BuildPlan(config.plan).status().WithContext(plan.Where()));

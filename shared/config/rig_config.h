@@ -9,6 +9,7 @@
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
 #include "shared/capture/session.h"
+#include "shared/capture/store_codec.h"
 
 namespace stratalux {
 
@@ -26,6 +27,7 @@ struct RigConfig {
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
   RetentionDays retention;      // of `stratalux-db purge`
+  StoreCodec codec = StoreCodec::kDelta;
   PlanOptions plan;
 };
 

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // The worked example of docs/file-formats.md is what the code writes.
 #include <cstdio>
+#include <sstream>
 
 #include <gmock/gmock.h>
 
+#include "db/codec/delta_planes.h"
+#include "db/codec/frame_codec.h"
 #include "db/segment.h"
 #include "shared/image/raw12.h"
 #include "tests/db/store_fixture.h"
@@ -91,6 +94,41 @@ TEST_F(FileFormats, TheWorkedExampleReadsBack) {
   // MIPI RAW12, by hand: 123 456 -> 12 45 63; a last 789 -> 78 09.
   const std::vector<uint8_t> row = {0x12, 0x45, 0x63, 0x78, 0x09};
   EXPECT_TRUE(std::equal(row.begin(), row.end(), bytes.begin() + 64 + 320));
+}
+
+// The bytes of the page's ```hex block.
+std::vector<uint8_t> BytesOnThePage() {
+  const auto page = ReadBytes(std::string(STRATALUX_SOURCE_DIR) + "/docs/file-formats.md");
+  const std::string text(page.begin(), page.end()), fence = "```hex\n";
+  const size_t start = text.find(fence);
+  if (start == std::string::npos) return {};
+  std::istringstream block(text.substr(start + fence.size(), text.find("```", start + 3) - start - fence.size()));
+  std::vector<uint8_t> bytes;
+  for (unsigned byte = 0; block >> std::hex >> byte;) bytes.push_back(static_cast<uint8_t>(byte));
+  return bytes;
+}
+
+TEST_F(FileFormats, TheWorkedExampleOfDeltaIsReadFromThePage) {
+  const FrameShape shape{PixelFormat::kMono12, Cfa::kRggb, 16, 4, 1};
+  Image<uint16_t> pixels(16, 4);
+  for (int y = 0; y < 4; ++y)
+    for (int x = 0; x < 16; ++x) pixels(x, y) = static_cast<uint16_t>(0x100 * (1 + y % 2 + x % 2));
+  pixels(5, 2) = 0x2ff;
+  const auto payload = BytesOnThePage();
+  ASSERT_EQ(payload.size(), 39U);
+  const auto image = FrameDecoder().Decode(shape, Codec::kDelta, payload);
+  ASSERT_TRUE(image.ok()) << image.status().message();
+  EXPECT_TRUE(std::equal(pixels.pixels().begin(), pixels.pixels().end(), image->pixels().begin()));
+  // The planes, by the page's words: all zero but these.
+  std::vector<uint8_t> planes(128), expected(128);
+  SplitPlanes(shape, std::as_const(pixels).pixels(), planes);
+  expected[2 * 16 + 5] = 0xfe;
+  expected[64 + 2 * 16 + 5] = 0x01;
+  expected[2 * 16 + 7] = 0xff;
+  expected[64] = 0x02;
+  expected[64 + 1] = expected[64 + 16] = 0x04;
+  expected[64 + 17] = 0x06;
+  EXPECT_EQ(planes, expected);
 }
 
 }  // namespace

@@ -316,7 +316,7 @@ TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
 TEST_F(SessionStoreTest, AFailedWriteFailsItsSessionAndNoOther) {
   const std::string good = StoreSession(3);
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession(SimulatedVisit(), {.group_frames = 1});
+  auto writer = store.BeginSession(SimulatedVisit(), {.codec = StoreCodec::kRaw12, .group_frames = 1});
   ASSERT_TRUE(writer.ok());
   const std::string id = writer->info().id;
   // The segment would grow beyond 1 MiB: the kernel answers EFBIG, as a full disk answers ENOSPC.

@@ -13,6 +13,7 @@ TEST(RigConfig, ShippedExampleSpellsOutTheDefaults) {
   ASSERT_TRUE(config.ok()) << config.status().message();
   EXPECT_EQ(PlanOptionsToJson(config->plan), PlanOptionsToJson({}));
   EXPECT_EQ(config->settle_ms, RigConfig{}.settle_ms);
+  EXPECT_EQ(config->codec, RigConfig{}.codec);
 }
 
 TEST(RigConfig, NamesFileLineKeyAndRange) {
@@ -29,6 +30,7 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
       {"[plan]\nkind = \"visiter\"\n", "allowed: visitor"},
       {"[plan]\nbrackets = []\n", "non-empty"},
       {"nonsense", "rig.toml:1"},
+      {"[rig]\nname = \"a\"\n[store]\ncodec = \"zip\"\n", "rig.toml:4: unknown codec 'zip' (allowed: raw12, delta)"},
       {"[cameras]\n", "unknown key 'cameras'"},
   };
   for (const auto& c : cases) {

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-db transcode`: frames of finished sessions coded anew.
+#include <cstdio>
+#include <memory>
+
+#include <nlohmann/json.hpp>
+
+#include "db/apps/command.h"
+#include "db/transcode.h"
+
+namespace stratalux::db {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct TranscodeFlags {
+  std::string session, codec;
+  bool all = false;
+};
+
+struct Transcoded {
+  std::string session;
+  TranscodeReport report;
+};
+
+Result<std::vector<SessionRow>> Selected(const SessionStore& store, const TranscodeFlags& flags) {
+  if (flags.all == !flags.session.empty()) return Status::Usage("give a SESSION or --all");
+  if (flags.all) return store.ListSessions();
+  SLX_ASSIGN_OR_RETURN(auto row, store.FindSession(flags.session));
+  return std::vector<SessionRow>{std::move(row)};
+}
+
+std::string AsText(const std::vector<Transcoded>& done) {
+  std::string text = "session           frames  rewritten  MiB before   MiB after\n";
+  char line[160];
+  constexpr double kMiB = 1024.0 * 1024.0;
+  for (const auto& [session, r] : done) {
+    std::snprintf(line, sizeof line, "%-16s  %6lld  %9lld  %10.1f  %10.1f\n", session.c_str(),
+                  static_cast<long long>(r.frames), static_cast<long long>(r.changed),
+                  static_cast<double>(r.bytes_before) / kMiB, static_cast<double>(r.bytes_after) / kMiB);
+    text += line;
+  }
+  return text;
+}
+
+std::string AsJson(const std::vector<Transcoded>& done, const std::string& codec) {
+  Json json = Json::array();
+  for (const auto& [session, r] : done)
+    json.push_back({{"session", session},
+                    {"codec", codec},
+                    {"frames", r.frames},
+                    {"rewritten", r.changed},
+                    {"bytes_before", r.bytes_before},
+                    {"bytes_after", r.bytes_after}});
+  return TextOf(json);
+}
+
+int RunTranscode(const CommonFlags& common, const TranscodeFlags& flags) {
+  TranscodeOptions options;
+  const auto codec = ParseStoreCodec(flags.codec);
+  if (!codec.ok()) return Report(codec.status().WithContext("--codec"));
+  options.codec = *codec;
+  const auto store = SessionStore::Open(common.store, AccessMode::kReadWrite);
+  if (!store.ok()) return Report(store.status());
+  const auto sessions = Selected(*store, flags);
+  if (!sessions.ok()) return Report(sessions.status());
+  int64_t steps = 0;
+  for (const SessionRow& session : *sessions) steps += 2 * session.frames;  // written, then compared
+  std::vector<Transcoded> done;
+  int exit_code = 0;
+  {
+    Logger logger;
+    Progress progress(logger, "transcode", steps);
+    for (const SessionRow& session : *sessions) {
+      const auto report = TranscodeSession(*store, session, options, progress);
+      if (report.ok()) {
+        done.push_back({session.info.id, *report});
+      } else if (const int code = Report(report.status()); exit_code == 0) {
+        exit_code = code;  // the others are transcoded all the same
+      }
+    }
+  }
+  const int printed = Print(common.json ? AsJson(done, flags.codec) : AsText(done));
+  return exit_code != 0 ? exit_code : printed;
+}
+
+}  // namespace
+
+void AddTranscodeCommand(Commands& commands) {
+  const auto flags = std::make_shared<TranscodeFlags>();
+  const CommonFlags& common = commands.flags();
+  CLI::App* transcode = commands.Add("transcode", "Code the frames of finished sessions anew; pixels stay as they are",
+                                     [&common, flags] { return RunTranscode(common, *flags); });
+  transcode->add_option("SESSION", flags->session, "id, unique prefix, or latest");
+  transcode->add_flag("--all", flags->all, "all sessions; those that cannot be transcoded are named and left alone");
+  transcode->add_option("--codec", flags->codec, "delta (less than half the bytes) or raw12 (packed)")->required();
+}
+
+}  // namespace stratalux::db
