@@ -208,7 +208,7 @@ std::string VerifiedAsText(const Verified& verified) {
   for (const auto& [id, report] : verified) {
     const std::string verdict = report.problems.empty() ? "ok" : std::to_string(report.problems.size()) + " problem(s)";
     text += id + ": " + verdict + ", " + std::to_string(report.frames) + " frames and maps, " + SizeText(report.bytes) +
-            " read\n";
+            "\n";
     for (const std::string& problem : report.problems) text += "  problem: " + problem + "\n";
     for (const std::string& note : report.notes) text += "  note: " + note + "\n";
   }

@@ -117,6 +117,7 @@ class Puller {
       const fs::path incoming = store_ / "incoming" / id;
       const Status fetched = Fetch(from_, id, incoming);
       if (fetched.code() == StatusCode::kIntegrity) {
+        fs::remove_all(incoming, error);  // else rsync would take the damaged copy, same size and time, for good
         report_.problems.push_back("session " + id + " was not taken: " + fetched.message());
         return Status::Ok();
       }

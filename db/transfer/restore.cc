@@ -83,13 +83,15 @@ Status CheckEmpty(const fs::path& store) {
 }
 
 // The backup's index without what tombstones of either side forbid.
-Status PlaceIndex(Restorer& restorer, const fs::path& store, const std::vector<std::string>& forgotten) {
+Status PlaceIndex(Restorer& restorer, const fs::path& store) {
   const fs::path work = store / "incoming" / "index";
   SLX_RETURN_IF_ERROR(restorer.Copy("index.sqlite", work / "index.sqlite"));
   {
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
     SLX_ASSIGN_OR_RETURN(auto remove, index.connection().Prepare("DELETE FROM sessions WHERE id = ?1"));
-    for (const std::string& id : forgotten) SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
+    SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
+    for (const SessionRow& row : sessions)
+      if (restorer.Forgotten(row.info.id)) SLX_RETURN_IF_ERROR(remove.Bind(1, row.info.id).Run());
     SLX_RETURN_IF_ERROR(index.connection().Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)"));
   }
   SLX_RETURN_IF_ERROR(SyncTree(work));
@@ -106,12 +108,10 @@ Status RestoreNew(Restorer& restorer, const FileList& list, const fs::path& stor
   SLX_RETURN_IF_ERROR(ReplaceFile(store / "restore.unfinished", "a restore is running, or was interrupted\n"));
   SLX_RETURN_IF_ERROR(restorer.CopyTombstones());
   const auto sessions = BySession(list);
-  std::vector<std::string> forgotten;
   Progress progress(logger, "restore", static_cast<int64_t>(sessions.size()));
   for (const auto& [id, paths] : sessions) {
     progress.Advance();
     if (restorer.Forgotten(id)) {
-      forgotten.push_back(id);
       ++report.forgotten;
       continue;
     }
@@ -124,7 +124,7 @@ Status RestoreNew(Restorer& restorer, const FileList& list, const fs::path& stor
     if (error) return Status::Failed("cannot move to " + target.string() + ": " + error.message());
   }
   SLX_RETURN_IF_ERROR(SyncFolder(store / "sessions"));
-  SLX_RETURN_IF_ERROR(PlaceIndex(restorer, store, forgotten));
+  SLX_RETURN_IF_ERROR(PlaceIndex(restorer, store));
   std::error_code error;
   fs::remove_all(store / "incoming", error);
   fs::remove(store / "restore.unfinished", error);

@@ -83,11 +83,11 @@ TEST_F(StrataluxDb, VerifyExitsWith6AndNamesTheOffset) {
   auto bytes = ReadBytes(Segment(id));
   bytes[64 + 320 + 36 + 320 + 5] ^= 4U;  // payload of the second frame
   WriteBytes(Segment(id), bytes);
-  const Outcome all = Db("verify");
+  const Outcome all = Db("verify --deep");
   EXPECT_EQ(all.code, 6);
   EXPECT_THAT(all.output, HasSubstr("offset 420"));
-  EXPECT_EQ(Db("verify " + other).code, 0);
-  EXPECT_EQ(Json("verify " + id)[0]["problems"].size(), 1U);
+  EXPECT_EQ(Db("verify --deep " + other).code, 0);
+  EXPECT_EQ(Json("verify --deep " + id)[0]["problems"].size(), 1U);
 }
 
 TEST_F(StrataluxDb, InitMakesAStore) {
