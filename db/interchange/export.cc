@@ -8,6 +8,7 @@
 #include "db/durable_file.h"
 #include "db/interchange/export_files.h"
 #include "db/manifest.h"
+#include "db/privacy/export_marker.h"
 #include "db/session_index.h"
 #include "shared/base/read_file.h"
 
@@ -49,8 +50,8 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
   std::vector<std::string> names = {"frames.json", "session.json", "import.toml"};
   for (const FrameRow& f : frames) names.push_back("frames/" + ExportedName(f, options.format));
   for (const fs::path& file : fit_files) names.push_back("fits/" + file.string());
-  SLX_RETURN_IF_ERROR(LogExport(store.folder(), id, options.out));
-  SLX_RETURN_IF_ERROR(BeginExportFolder(options.out, id, names));
+  SLX_RETURN_IF_ERROR(PrepareExportFolder(options.out, id));
+  SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", id, options.out, names));
   ExportReport report;
   report.sessions = 1;
   Progress progress(logger, "export", static_cast<int64_t>(frames.size()));

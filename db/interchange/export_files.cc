@@ -8,12 +8,10 @@
 #include <set>
 
 #include <nlohmann/json.hpp>
-#include <pwd.h>
-#include <unistd.h>
 
 #include "db/durable_file.h"
 #include "db/interchange/image_file.h"
-#include "db/session_index.h"
+#include "db/privacy/export_marker.h"
 #include "shared/base/read_file.h"
 #include "shared/image/png.h"
 
@@ -182,32 +180,13 @@ std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& fra
   return toml;
 }
 
-Status BeginExportFolder(const fs::path& folder, const std::string& id, const std::vector<std::string>& files) {
-  const fs::path marker = folder / (".stratalux-export-" + id + ".json");
+Status PrepareExportFolder(const fs::path& folder, const std::string& id) {
+  const fs::path marker = ExportMarker(folder, id);
   std::error_code error;
   if (!fs::exists(marker, error) && fs::exists(folder, error) && !fs::is_empty(folder, error))
     return Status::Usage(folder.string() + " is not empty and no interrupted export of session " + id +
                          "; choose another folder");
-  SLX_RETURN_IF_ERROR(MakeFolder(folder / "frames"));
-  const Json json = {{"schema", 1},
-                     {"session", id},
-                     {"about", "files of this session; `stratalux-db forget` deletes them"},
-                     {"files", files}};
-  return WriteTextOnce(marker, TextOf(json)).status();
-}
-
-Status LogExport(const fs::path& store, const std::string& id, const fs::path& folder) {
-  const passwd* user = getpwuid(geteuid());
-  std::array<char, 256> host{};
-  if (gethostname(host.data(), host.size() - 1) != 0) host = {"localhost"};
-  std::error_code error;
-  const fs::path whole = fs::weakly_canonical(folder, error);
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(auto insert,
-                       index.connection().Prepare("INSERT INTO access_log (at_wall_ns, who, action, session_id,"
-                                                  " detail) VALUES (?1, ?2, 'export', ?3, ?4)"));
-  insert.Bind(1, WallNow().ns).Bind(2, user == nullptr ? std::to_string(geteuid()) : std::string(user->pw_name));
-  return insert.Bind(3, id).Bind(4, std::string(host.data()) + ":" + whole.string()).Run();
+  return MakeFolder(folder / "frames");
 }
 
 }  // namespace stratalux::db

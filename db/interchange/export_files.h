@@ -24,10 +24,6 @@ enum class Written { kNow, kBefore };
 [[nodiscard]] std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& frames, ExportFormat format);
 
 // Makes the folder of an export of this session, or finds an interrupted one. kUsage for a folder with other files.
-Status BeginExportFolder(const std::filesystem::path& folder, const std::string& session_id,
-                         const std::vector<std::string>& files);
-// A row of the access log: who took which session where.
-Status LogExport(const std::filesystem::path& store, const std::string& session_id,
-                 const std::filesystem::path& folder);
+Status PrepareExportFolder(const std::filesystem::path& folder, const std::string& session_id);
 
 }  // namespace stratalux::db

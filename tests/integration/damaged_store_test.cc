@@ -28,7 +28,7 @@ class DamagedStore : public TinyStore {
   // The report of `verify` is data, on stdout; the sessions beside the damaged one stay sound.
   void ExpectFoundByVerify(const std::vector<std::string>& parts) const {
     const auto before = Contents(store_);
-    const Outcome outcome = Run("stratalux-db verify");
+    const Outcome outcome = Run("stratalux-db verify --deep");
     EXPECT_EQ(outcome.code, 6) << outcome.err;
     for (const std::string& part : parts) EXPECT_THAT(outcome.out, HasSubstr(part));
     EXPECT_THAT(outcome.out, HasSubstr(Session("s000002").filename().string() + ": ok"));
@@ -186,9 +186,9 @@ class DamagedIndex : public TinyStore {
 
 TEST_F(DamagedIndex, OfANewerSchema) {
   std::string bytes = ReadText(Index());
-  bytes[63] = 3;  // user_version, big-endian, at 60
+  bytes[63] = 9;  // user_version, big-endian, at 60
   WriteText(Index(), bytes);
-  ExpectRefusedByAll(7, {Index().string(), "schema 3 is newer than this program's 2", "use a newer stratalux"});
+  ExpectRefusedByAll(7, {Index().string(), "schema 9 is newer than this program's 3", "use a newer stratalux"});
   ExpectRefused("stratalux-db init", 7, {Index().string(), "use a newer stratalux"});
 }
 

@@ -17,6 +17,12 @@ namespace {
 
 constexpr size_t kFrames = 1000, kDistinctFrames = 16;
 
+SessionInfo Simulated() {
+  SessionInfo info;
+  info.simulated = true;
+  return info;
+}
+
 double PeakResidentMiB() {
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);

@@ -12,8 +12,7 @@ namespace stratalux::db::crash {
 namespace {
 
 // Some five frames a segment and three groups to two segments: ends of groups, segments and 4 KiB blocks differ.
-constexpr WriterOptions kOptions = {
-    .group_frames = 3, .group_window = std::chrono::hours(1), .max_segment_bytes = 20'000};
+const WriterOptions kOptions = {.group_frames = 3, .group_window = std::chrono::hours(1), .max_segment_bytes = 20'000};
 
 class Workload {
  public:

@@ -21,7 +21,7 @@ namespace {
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-constexpr WriterOptions kEncrypted{.encryption = Encryption::kPerSession};
+const WriterOptions kEncrypted{.encryption = Encryption::kPerSession};
 constexpr size_t kFirst = 64, kHeader = sizeof(FrameHeader), kPayload = 36 + kCipherTagBytes;
 
 FrameHeader HeaderAt(const std::vector<uint8_t>& bytes, size_t at) {

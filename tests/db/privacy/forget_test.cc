@@ -114,7 +114,7 @@ class ForgetTest : public StoreTest {
       EXPECT_EQ(*connection->QueryInteger("PRAGMA freelist_count"), 0);
       EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM sessions WHERE id = '" + traces.id + "'"), 0);
     }
-    const RawBytes raw = ReadRaw(folder_);
+    const RawFiles raw = ReadRaw(folder_);
     for (const std::string& hash : traces.hashes) EXPECT_THAT(FilesWith(raw, hash), IsEmpty()) << "payload hash";
     if (!traces.key.empty()) {
       EXPECT_THAT(FilesWith(raw, traces.key_id), IsEmpty()) << "key id";
@@ -151,7 +151,7 @@ TEST_F(ForgetTest, LeavesNoTraceInAnyByteOfTheStore) {
     const std::string id = Visit(kVisitor, 1, encryption), other = Visit(kOther, 2, encryption);
     const Traces traces = TracesOf(id);
     // The oracle must be able to find them.
-    const RawBytes before = ReadRaw(folder_);
+    const RawFiles before = ReadRaw(folder_);
     EXPECT_GE(FilesWith(before, traces.id).size(), 5U);
     EXPECT_GE(FilesWith(before, kVisitor).size(), 3U);
     for (const std::string& hash : traces.hashes) EXPECT_GE(FilesWith(before, hash).size(), 2U);
@@ -416,7 +416,7 @@ TEST_F(ForgetTest, EitherTombstoneIsEnough) {
 
 TEST_F(ForgetTest, APlanChangesNoByte) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
-  const RawBytes before = ReadRaw(folder_);
+  const RawFiles before = ReadRaw(folder_);
   ForgetRequest request;
   request.sessions = {id};
   const auto plan = PlanForget(folder_, request);
@@ -424,7 +424,7 @@ TEST_F(ForgetTest, APlanChangesNoByte) {
   EXPECT_EQ(plan->sessions[0].frames, 6);
   EXPECT_GT(plan->sessions[0].files, 3);
   EXPECT_EQ(plan->sessions[0].exports[0].state, ExportState::kDeleted);
-  RawBytes after = ReadRaw(folder_);
+  RawFiles after = ReadRaw(folder_);
   after.erase("index.sqlite-shm");  // SQLite's, of any opening
   EXPECT_EQ(after["index.sqlite-wal"], "");
   after.erase("index.sqlite-wal");

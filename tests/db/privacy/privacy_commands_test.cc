@@ -40,8 +40,8 @@ class PrivacyCommands : public StoreTest {
     return nlohmann::json::parse(Db(arguments + " --json", "2>/dev/null").output, nullptr, false);
   }
   // Without SQLite's -wal and -shm, which come and go at any opening.
-  [[nodiscard]] RawBytes Lasting() const {
-    RawBytes raw = ReadRaw(folder_);
+  [[nodiscard]] RawFiles Lasting() const {
+    RawFiles raw = ReadRaw(folder_);
     std::erase_if(raw, [](const auto& file) { return file.first.ends_with("-wal") || file.first.ends_with("-shm"); });
     return raw;
   }
@@ -66,7 +66,7 @@ TEST_F(PrivacyCommands, ConsentIsGivenShownAndWithdrawn) {
 
 TEST_F(PrivacyCommands, ForgetAsksFirst) {
   const std::string id = StoreSession(2, {.encryption = Encryption::kPerSession});
-  const RawBytes before = Lasting();
+  const RawFiles before = Lasting();
   EXPECT_EQ(Db("forget").code, 2);
   EXPECT_EQ(Db("forget " + id).code, 2);
   EXPECT_EQ(Db("forget " + id + " --visitor simulated --yes").code, 2);
@@ -76,7 +76,7 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(dry.code, 0);
   EXPECT_THAT(dry.output, HasSubstr("2 frames"));
   EXPECT_THAT(dry.output, HasSubstr("nothing was changed"));
-  const RawBytes after = Lasting();
+  const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   const auto done = Json("forget " + id + " --yes");
   EXPECT_EQ(done["sessions"][0]["session"], id);
@@ -102,11 +102,11 @@ TEST_F(PrivacyCommands, LeftoversAreDegradedUntilResumed) {
 TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   const std::string id = StoreSession(2);
   EXPECT_THAT(Db("purge").output, HasSubstr("no session is due"));
-  const RawBytes before = Lasting();
+  const RawFiles before = Lasting();
   const Outcome dry = Db("purge --dry-run --now 2099-01-01");
   EXPECT_EQ(dry.code, 0);
   EXPECT_THAT(dry.output, HasSubstr("kept for 365"));
-  const RawBytes after = Lasting();
+  const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   EXPECT_EQ(Db("purge --now yesterday").code, 2);
   EXPECT_EQ(Db("purge --standard-days -3").code, 2);

@@ -5,8 +5,8 @@
 
 namespace stratalux::db {
 
-RawBytes ReadRaw(const std::filesystem::path& folder) {
-  RawBytes raw;
+RawFiles ReadRaw(const std::filesystem::path& folder) {
+  RawFiles raw;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
     if (!entry.is_regular_file()) continue;
     const auto bytes = ReadBytes(entry.path());
@@ -15,7 +15,7 @@ RawBytes ReadRaw(const std::filesystem::path& folder) {
   return raw;
 }
 
-std::map<std::string, int> FilesWith(const RawBytes& raw, const std::string& text) {
+std::map<std::string, int> FilesWith(const RawFiles& raw, const std::string& text) {
   std::map<std::string, int> files;
   for (const auto& [file, bytes] : raw)
     for (size_t at = bytes.find(text); at != std::string::npos; at = bytes.find(text, at + 1)) ++files[file];

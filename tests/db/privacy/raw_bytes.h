@@ -12,9 +12,9 @@ namespace stratalux::db {
 
 // Path below `folder` -> bytes, of every file: also logs, journals and what deleted rows may have left in pages. No
 // connection to the store may be open: closing a file drops SQLite's locks.
-using RawBytes = std::map<std::string, std::string>;
-[[nodiscard]] RawBytes ReadRaw(const std::filesystem::path& folder);
+using RawFiles = std::map<std::string, std::string>;
+[[nodiscard]] RawFiles ReadRaw(const std::filesystem::path& folder);
 // path -> how often it holds `text`; only files that do.
-[[nodiscard]] std::map<std::string, int> FilesWith(const RawBytes& raw, const std::string& text);
+[[nodiscard]] std::map<std::string, int> FilesWith(const RawFiles& raw, const std::string& text);
 
 }  // namespace stratalux::db
