@@ -178,9 +178,9 @@ class DamagedIndex : public TinyStore {
 
 TEST_F(DamagedIndex, OfANewerSchema) {
   std::string bytes = ReadText(Index());
-  bytes[63] = 3;  // user_version, big-endian, at 60
+  bytes[63] = 4;  // user_version, big-endian, at 60
   WriteText(Index(), bytes);
-  ExpectRefusedByAll(7, {Index().string(), "schema 3 is newer than this program's 2", "use a newer stratalux"});
+  ExpectRefusedByAll(7, {Index().string(), "schema 4 is newer than this program's 3", "use a newer stratalux"});
   ExpectRefused("stratalux-db init", 7, {Index().string(), "use a newer stratalux"});
 }
 
