@@ -271,7 +271,7 @@ TEST_F(LightTransportValidation, TheTablesKernelIsShiftedAsMuch) {
     const double sine = std::sin(RadFromDeg(angle));
     FarTails photons{2.0, 1.0};
     Trace(AbsorbingSkin(0, skin),
-          {.photons = 60000, .seed = 28, .sin2_theta_low = sine * sine, .sin2_theta_high = sine * sine},
+          {.photons = 150000, .seed = 28, .sin2_theta_low = sine * sine, .sin2_theta_high = sine * sine},
           [&](const EscapedPhoton& e) { photons.Add(-e.x_mm, e.weight); });
     const auto expected = photons.Shift();
     const double shift = TableTails(*table, 0, skin, angle, 2.0).Shift().mean;
