@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Diffuse albedo of the table's skin on a fine grid of melanin and blood, for light at 30 degrees: the matt skin of the
-// "scattering off" ablation, and the weight sqrt(albedo) of a point where light enters.
+// Diffuse albedo of the table's skin for light at 30 degrees: the matt skin of the "scattering off" ablation, and the
+// weight sqrt(albedo) of a point where light enters. Known at the table's nodes; its logarithm is interpolated between
+// them as the table's is.
 #pragma once
 
 #include <array>
@@ -21,8 +22,7 @@ class SkinAlbedo {
   }
 
  private:
-  static constexpr int kSteps = 24;
-  std::array<std::array<float, (kSteps + 1) * (kSteps + 1)>, kSkinChannels> values_{};
+  std::array<std::array<float, SkinGrid::kNodes>, kSkinChannels> log_albedo_{};
 };
 
 }  // namespace stratalux::rig

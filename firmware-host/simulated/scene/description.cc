@@ -72,6 +72,7 @@ Status ReadSkin(TomlTable t, SkinDescription& skin) {
   skin.body = opaque ? SkinBody::kMatt : SkinBody::kTranslucent;
   GetOptional(t, "melanin", skin.melanin, 0.005, 0.3);
   GetOptional(t, "blood", skin.blood, 0.0005, 0.06);
+  t.Get("epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
   t.Get("patches", skin.patches, 0.0, 3.0);
   GetOptional(t, "freckles", skin.freckles, 0, 1000);
   t.Get("vessels", skin.vessels, 0, 20);

@@ -42,6 +42,7 @@ struct SkinDescription {
   SkinBody body = SkinBody::kTranslucent;
   std::optional<double> melanin;  // volume fraction in the epidermis; unset: by seed, 1.2 % to 10 %
   std::optional<double> blood;    // volume fraction in the dermis; unset: by seed
+  double epidermis_mm = 0.08;     // thickness
   double patches = 1.0;           // strength of the patches of a few centimetres; 0: even skin
   std::optional<int> freckles;    // unset: by seed, 30 to 90
   int vessels = 1;                // across forehead and temples

@@ -29,6 +29,7 @@ FaceSkin::FaceSkin(const SkinDescription& skin, uint64_t seed) {
   Random random(seed, 2);
   melanin_ = 0.012 * std::pow(8.0, random.Uniform());  // 1.2 % (light) to 10 % (dark)
   blood_ = random.Uniform(0.003, 0.008);
+  epidermis_mm_ = skin.epidermis_mm;
   melanin_ = skin.melanin.value_or(melanin_);
   blood_ = skin.blood.value_or(blood_);
   // Patches of a few centimetres.
@@ -70,7 +71,8 @@ SkinParameters FaceSkin::At(double x, double y) const {
     melanin *= 1.0 - 0.7 * pale;
     blood *= 1.0 - 0.6 * pale;
   }
-  return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06))};
+  return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06)),
+          static_cast<float>(epidermis_mm_)};
 }
 
 }  // namespace stratalux::rig

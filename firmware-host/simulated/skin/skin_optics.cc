@@ -28,19 +28,25 @@ std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& paramete
           0.1 * (b * BloodPerCm(channel) + (1.0 - b) * baseline), 0.1 * baseline};
 }
 
-Tissue ClearSkin(int channel) {
+Tissue ClearSkin(int channel, std::span<const double> borders_mm) {
   const double nm = kSkinWavelengthNm[channel];
   const double g = 0.62 + 0.29e-3 * nm;
   const double skin = 0.1 * 46.0 * std::pow(nm / 500.0, -1.421) / (1.0 - g);
   const double subcutis = 0.1 * 1.05e3 * std::pow(nm, -0.68) / (1.0 - g);
-  return {{{kSkinIndex, 0.0, skin, g, kEpidermisMm},
-           {kSkinIndex, 0.0, skin, g, kDermisMm},
-           {kSkinIndex, 0.0, subcutis, g, std::numeric_limits<double>::infinity()}},
-          1.0};
+  Tissue tissue;
+  double top = 0.0;
+  for (const double border : borders_mm) {
+    tissue.layers.push_back({kSkinIndex, 0.0, skin, g, border - top});
+    top = border;
+  }
+  tissue.layers.push_back({kSkinIndex, 0.0, skin, g, kSkinMm - top});
+  tissue.layers.push_back({kSkinIndex, 0.0, subcutis, g, std::numeric_limits<double>::infinity()});
+  return tissue;
 }
 
 Tissue AbsorbingSkin(int channel, const SkinParameters& parameters) {
-  Tissue tissue = ClearSkin(channel);
+  const std::array<double, 1> border = {parameters.epidermis_mm};
+  Tissue tissue = ClearSkin(channel, border);
   const auto absorption = SkinAbsorption(channel, parameters);
   for (size_t l = 0; l < tissue.layers.size(); ++l) tissue.layers[l].mu_a_per_mm = absorption[l];
   return tissue;

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <array>
+#include <span>
 
 #include "shared/transport/layered_monte_carlo.h"
 
@@ -16,19 +17,22 @@ namespace stratalux::rig {
 inline constexpr int kSkinChannels = 3;  // R, G, B
 inline constexpr std::array<double, kSkinChannels> kSkinWavelengthNm = {630.0, 532.0, 465.0};
 inline constexpr double kSkinIndex = 1.4;
-inline constexpr double kEpidermisMm = 0.08;
-inline constexpr double kDermisMm = 1.9;
+inline constexpr double kEpidermisMm = 0.08;  // where nothing else is said
+inline constexpr double kSkinMm = 1.98;       // epidermis and dermis: a thicker epidermis leaves less dermis
 
 struct SkinParameters {
   float melanin = 0.03F;  // volume fraction of melanosomes in the epidermis
   float blood = 0.004F;   // volume fraction of blood in the dermis
+  float epidermis_mm = static_cast<float>(kEpidermisMm);
 };
 
 // Absorption per mm of epidermis, dermis, subcutis.
 [[nodiscard]] std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& parameters);
-// The three layers without absorption, for path-length re-weighting.
-[[nodiscard]] Tissue ClearSkin(int channel);
-// The same with absorption.
+// Skin and subcutis without absorption, for path-length re-weighting. Epidermis and dermis scatter and refract alike
+// (one formula serves both), so the border between them is a border of absorption only: `borders_mm` (rising depths
+// within the skin) split the skin into layers whose paths can be given to either.
+[[nodiscard]] Tissue ClearSkin(int channel, std::span<const double> borders_mm);
+// Epidermis, dermis and subcutis with absorption. Precondition: 0 < epidermis_mm < kSkinMm.
 [[nodiscard]] Tissue AbsorbingSkin(int channel, const SkinParameters& parameters);
 
 }  // namespace stratalux::rig

@@ -2,28 +2,19 @@
 #include "firmware-host/simulated/skin/skin_table.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <numbers>
 #include <span>
 
-#include <xxhash.h>
-#include <zstd.h>
+#include "firmware-host/simulated/skin/skin_table_code.h"
 
 namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
 constexpr float kPi = std::numbers::pi_v<float>;
-constexpr char kMagic[8] = {'S', 'L', 'X', 'S', 'K', 'I', 'N', '1'};
-// 16-bit code of log2(S r^1.5): 1/1200 octave a step (0.06 %), from 2^-40 up; 0 means zero.
-constexpr float kCodeStep = 1200.0F;
-constexpr float kCodeFloor = -40.0F;
 
 double BinCentreMm(int bin) {
   if (bin == 0) return G::kFirstRadiusMm * 0.5;
@@ -153,11 +144,21 @@ class PsiMirror {
   std::array<int, G::kPolar> from_{};
 };
 
-std::array<double, 4> Logs(const std::array<double, 4>& values) {
-  std::array<double, 4> logs{};
-  for (int i = 0; i < 4; ++i) logs[i] = std::log(values[i]);
-  return logs;
-}
+// Position between nodes on the scale of v^power.
+template <size_t N>
+class PowerScale {
+ public:
+  PowerScale(const std::array<double, N>& nodes, double power) : power_(power) {
+    for (size_t i = 0; i < N; ++i) nodes_[i] = std::pow(nodes[i], power);
+  }
+  [[nodiscard]] std::pair<int, float> Around(float v) const {
+    return Between(nodes_, std::pow(std::max(static_cast<double>(v), 0.0), power_));
+  }
+
+ private:
+  double power_;
+  std::array<double, N> nodes_{};
+};
 
 }  // namespace
 
@@ -166,10 +167,18 @@ double SkinGrid::RadiusEdgeMm(int edge) {
   return kFirstRadiusMm * std::pow(kMaxRadiusMm / kFirstRadiusMm, (edge - 1.0) / (kRadii - 1.0));
 }
 
-size_t SkinGrid::KernelIndex(int channel, int in, int out, int azimuth, int melanin, int blood) {
-  return ((((size_t(channel) * kThetas + in) * kThetas + out) * kAzimuths + azimuth) * kMelanin.size() + melanin) *
-             kBlood.size() +
-         blood;
+int SkinGrid::NodeIndex(int melanin, int blood, int epidermis) {
+  return (melanin * static_cast<int>(kBlood.size()) + blood) * static_cast<int>(kEpidermisMm.size()) + epidermis;
+}
+
+size_t SkinGrid::KernelIndex(int channel, int in, int out, int azimuth, int node) {
+  return (((size_t(channel) * kThetas + in) * kThetas + out) * kAzimuths + azimuth) * kNodes + node;
+}
+
+SkinParameters SkinGrid::NodeParameters(int node) {
+  constexpr int kE = static_cast<int>(kEpidermisMm.size()), kB = static_cast<int>(kBlood.size());
+  return {static_cast<float>(kMelanin[node / kE / kB]), static_cast<float>(kBlood[node / kE % kB]),
+          static_cast<float>(kEpidermisMm[node % kE])};
 }
 
 double SkinGrid::MeanThetaRad(int bin) {
@@ -178,6 +187,22 @@ double SkinGrid::MeanThetaRad(int bin) {
                b = kThetaEdgesDeg[bin + 1] * std::numbers::pi / 180.0;
   auto primitive = [](double t) { return std::sin(2 * t) / 4 - t * std::cos(2 * t) / 2; };
   return (primitive(b) - primitive(a)) / (std::pow(std::sin(b), 2) - std::pow(std::sin(a), 2));
+}
+
+std::array<SkinNodeWeight, 8> SkinNodesAround(const SkinParameters& parameters) {
+  static const PowerScale kMelanin(G::kMelanin, 0.75);
+  static const PowerScale kEpidermis(G::kEpidermisMm, 0.6);
+  static const PowerScale kBlood(G::kBlood, 0.67);
+  const auto [m, fm] = kMelanin.Around(parameters.melanin);
+  const auto [b, fb] = kBlood.Around(parameters.blood);
+  const auto [e, fe] = kEpidermis.Around(parameters.epidermis_mm);
+  std::array<SkinNodeWeight, 8> nodes{};
+  for (int k = 0; k < 8; ++k) {
+    const int up_m = k & 1, up_b = k >> 1 & 1, up_e = k >> 2;
+    nodes[k].node = G::NodeIndex(m + up_m, b + up_b, e + up_e);
+    nodes[k].weight = (up_m != 0 ? fm : 1 - fm) * (up_b != 0 ? fb : 1 - fb) * (up_e != 0 ? fe : 1 - fe);
+  }
+  return nodes;
 }
 
 float SkinKernel::operator()(float x_mm, float y_mm) const {
@@ -241,36 +266,46 @@ double SkinKernel::Integral() const {
   return sum;
 }
 
+void SkinTable::Encode(const std::vector<float>& flat) {
+  codes_.resize(flat.size());
+  std::transform(flat.begin(), flat.end(), codes_.begin(), EncodeEntry);
+}
+
 double SkinTable::Cell(size_t kernel, int radius, int psi) const {
-  return flat_[kernel * G::kCells + radius * G::kPolar + psi] / std::pow(BinCentreMm(radius), 1.5);
+  const uint16_t code = codes_[kernel * G::kCells + radius * G::kPolar + psi];
+  return code == 0 ? 0.0 : DecodeEntry(code) / std::pow(BinCentreMm(radius), 1.5);
 }
 
 void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                             SkinKernel& out) const {
-  static const auto kLogMelanin = Logs(G::kMelanin);
-  static const auto kLogBlood = Logs(G::kBlood);
   const float azimuth = std::clamp(directions.azimuth_rad / kPi * 4.0F, 0.0F, 4.0F);
   const int az = std::min(static_cast<int>(azimuth), 3);
   const float f_az = azimuth - static_cast<float>(az);
-  const auto [me, f_me] = Between(kLogMelanin, std::log(std::max(parameters.melanin, 1e-6F)));
-  const auto [bl, f_bl] = Between(kLogBlood, std::log(std::max(parameters.blood, 1e-6F)));
+  const std::array<SkinNodeWeight, 8> nodes = SkinNodesAround(parameters);
 
-  std::array<float, G::kCells> sum{};
+  std::array<float, G::kCells> sum{}, cells;
   for (const ThetaNode& in : NodesAround(directions.theta_in_rad))
     for (const ThetaNode& ex : NodesAround(directions.theta_out_rad)) {
       const PsiMirror mirror(in.across, ex.across);
-      for (int corner = 0; corner < 8; ++corner) {
-        const int b0 = corner & 1, b1 = corner >> 1 & 1, b2 = corner >> 2;
-        const float weight = in.weight * ex.weight * (b0 != 0 ? f_az : 1 - f_az) * (b1 != 0 ? f_me : 1 - f_me) *
-                             (b2 != 0 ? f_bl : 1 - f_bl);
+      for (int k = 0; k < 2; ++k) {
+        const float weight = in.weight * ex.weight * (k != 0 ? f_az : 1 - f_az);
         if (weight == 0.0F) continue;
-        const int azimuth_bin = in.across == ex.across ? az + b0 : G::kAzimuths - 1 - az - b0;
-        const float* cells =
-            flat_.data() + G::KernelIndex(channel, in.bin, ex.bin, azimuth_bin, me + b1, bl + b2) * G::kCells;
-        mirror.Add(weight, cells, sum);
+        const int azimuth_bin = in.across == ex.across ? az + k : G::kAzimuths - 1 - az - k;
+        DecodeCells(G::KernelIndex(channel, in.bin, ex.bin, azimuth_bin, 0), nodes, cells.data());
+        mirror.Add(weight, cells.data(), sum);
       }
     }
   out.SetRingMeans(sum);
+}
+
+void SkinTable::DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight, 8>& nodes, float* cells) const {
+  std::fill_n(cells, G::kCells, 0.0F);
+  for (const SkinNodeWeight& n : nodes) {
+    if (n.weight == 0.0F) continue;
+    const uint16_t* codes = codes_.data() + (first_kernel + n.node) * G::kCells;
+    for (int k = 0; k < G::kCells; ++k) cells[k] += n.weight * static_cast<float>(static_cast<int32_t>(codes[k]));
+  }
+  for (int k = 0; k < G::kCells; ++k) cells[k] = DecodeEntry(cells[k]);
 }
 
 double SkinTable::Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const {
@@ -289,56 +324,6 @@ double SkinTable::Albedo(int channel, const SkinParameters& parameters, double t
       albedo += kernel.Integral() * projected;
     }
   return albedo;
-}
-
-Status SkinTable::Save(const std::string& path, const std::string& manifest_json) const {
-  std::vector<uint16_t> codes(flat_.size());
-  for (size_t i = 0; i < flat_.size(); ++i) {
-    const float code = flat_[i] > 0.0F ? (std::log2(flat_[i]) - kCodeFloor) * kCodeStep : 0.0F;
-    codes[i] = static_cast<uint16_t>(std::clamp(code + 0.5F, flat_[i] > 0.0F ? 1.0F : 0.0F, 65535.0F));
-  }
-  std::vector<char> packed(ZSTD_compressBound(codes.size() * 2));
-  const size_t size = ZSTD_compress(packed.data(), packed.size(), codes.data(), codes.size() * 2, 19);
-  if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
-  std::ofstream out(path, std::ios::binary | std::ios::trunc);
-  const uint64_t header[4] = {codes.size(), size, XXH3_64bits(packed.data(), size), manifest_json.size()};
-  out.write(kMagic, sizeof kMagic);
-  out.write(reinterpret_cast<const char*>(header), sizeof header);
-  out.write(manifest_json.data(), static_cast<std::streamsize>(manifest_json.size()));
-  out.write(packed.data(), static_cast<std::streamsize>(size));
-  out.flush();
-  if (!out) return Status::Failed("cannot write " + path + ": " + std::strerror(errno));
-  return Status::Ok();
-}
-
-Result<SkinTable> SkinTable::Load(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  if (!in)
-    return Status::NotFound("skin table " + path + ": " + std::strerror(errno) +
-                            " (make one with `stratalux-skin-table generate`)");
-  const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-  uint64_t header[4] = {};
-  constexpr size_t kHeader = sizeof kMagic + sizeof header;
-  if (bytes.size() < kHeader || std::memcmp(bytes.data(), kMagic, sizeof kMagic - 1) != 0)
-    return Status::Integrity("skin table " + path + ": not a skin table");
-  if (bytes[7] != kMagic[7])
-    return Status(StatusCode::kNewerSchema, "skin table " + path + ": version " + bytes[7] + ", this program reads 1");
-  std::memcpy(header, bytes.data() + sizeof kMagic, sizeof header);
-  const size_t expected = G::kKernels * G::kCells;
-  if (header[0] != expected || header[1] > bytes.size() || header[3] > bytes.size() ||
-      kHeader + header[3] + header[1] != bytes.size())
-    return Status::Integrity("skin table " + path + ": truncated, or of another grid");
-  const char* packed = bytes.data() + kHeader + header[3];
-  if (XXH3_64bits(packed, header[1]) != header[2]) return Status::Integrity("skin table " + path + ": hash mismatch");
-  std::vector<uint16_t> codes(expected);
-  if (ZSTD_decompress(codes.data(), codes.size() * 2, packed, header[1]) != codes.size() * 2)
-    return Status::Integrity("skin table " + path + ": cannot be decompressed");
-  SkinTable table;
-  table.manifest_.assign(bytes.data() + kHeader, header[3]);
-  table.flat_.resize(expected);
-  for (size_t i = 0; i < expected; ++i)
-    table.flat_[i] = codes[i] == 0 ? 0.0F : std::exp2(static_cast<float>(codes[i]) / kCodeStep + kCodeFloor);
-  return table;
 }
 
 std::string SkinTable::DefaultPath() {

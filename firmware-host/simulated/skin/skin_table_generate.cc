@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Filling the skin table: photons run through clear skin once per channel and incidence bin; every melanin and blood
-// node re-weights them by their path lengths.
+// Filling the skin table: photons run through clear skin once per channel and incidence bin; every node of melanin,
+// blood and epidermal thickness re-weights them by their path lengths in thin layers.
 #include <algorithm>
 #include <cmath>
 #include <mutex>
@@ -12,7 +12,7 @@ namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-constexpr int kNodes = static_cast<int>(G::kMelanin.size() * G::kBlood.size());
+constexpr int kNodes = G::kNodes;
 
 double Sin2Edge(int edge) { return std::pow(std::sin(G::kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
 
@@ -54,29 +54,39 @@ Bin BinOf(const EscapedPhoton& e) {
   return bin;
 }
 
-// Absorption of each node for one channel: weight of a photon = epidermis[m] * rest[b].
+// Weights of each node for one channel. The layers of the run are the skin between the thickness nodes, its rest, and
+// the subcutis: node e's epidermis is the layers 0 .. e.
 class Reweighting {
  public:
   explicit Reweighting(int channel) {
-    for (int m = 0; m < 4; ++m) epidermis_[m] = SkinAbsorption(channel, {static_cast<float>(G::kMelanin[m]), 0.0F})[0];
-    for (int b = 0; b < 4; ++b) {
+    for (size_t m = 0; m < kM; ++m)
+      epidermis_[m] = SkinAbsorption(channel, {static_cast<float>(G::kMelanin[m]), 0.0F})[0];
+    for (size_t b = 0; b < kB; ++b) {
       const auto a = SkinAbsorption(channel, {0.01F, static_cast<float>(G::kBlood[b])});
       dermis_[b] = a[1];
       subcutis_ = a[2];
     }
   }
   void Weights(const EscapedPhoton& e, std::array<double, kNodes>& weights) const {
-    const double rest = e.weight * std::exp(-subcutis_ * e.path_mm[2]);
-    std::array<double, 4> dermis{};
-    for (int b = 0; b < 4; ++b) dermis[b] = rest * std::exp(-dermis_[b] * e.path_mm[1]);
-    for (int m = 0; m < 4; ++m) {
-      const double epidermis = std::exp(-epidermis_[m] * e.path_mm[0]);
-      for (int b = 0; b < 4; ++b) weights[m * 4 + b] = epidermis * dermis[b];
+    const double rest = e.weight * std::exp(-subcutis_ * e.path_mm[kE + 1]);
+    double skin = 0.0;
+    for (size_t l = 0; l <= kE; ++l) skin += e.path_mm[l];
+    double above = 0.0;
+    for (size_t k = 0; k < kE; ++k) {
+      above += e.path_mm[k];
+      std::array<double, kB> dermis{};
+      for (size_t b = 0; b < kB; ++b) dermis[b] = rest * std::exp(-dermis_[b] * (skin - above));
+      for (size_t m = 0; m < kM; ++m) {
+        const double epidermis = std::exp(-epidermis_[m] * above);
+        for (size_t b = 0; b < kB; ++b) weights[(m * kB + b) * kE + k] = epidermis * dermis[b];
+      }
     }
   }
 
  private:
-  std::array<double, 4> epidermis_{}, dermis_{};
+  static constexpr size_t kM = G::kMelanin.size(), kB = G::kBlood.size(), kE = G::kEpidermisMm.size();
+  std::array<double, kM> epidermis_{};
+  std::array<double, kB> dermis_{};
   double subcutis_ = 0.0;
 };
 
@@ -92,26 +102,25 @@ MonteCarloOptions RunOptions(int channel, int in, int64_t photons, uint64_t seed
   return options;
 }
 
-// Adds the photons of one run to flux[out][azimuth][node][cell], in chunk order: sums do not depend on the threads.
+// Fills the kernels of one channel and incidence bin.
 void AccumulateRun(int channel, int in, int64_t photons, uint64_t seed, int threads, std::vector<float>& flat) {
   const Reweighting reweighting(channel);
   const MonteCarloOptions options = RunOptions(channel, in, photons, seed, threads);
   const size_t size = size_t{G::kThetas} * G::kAzimuths * kNodes * G::kCells;
   // Fixed-point integers make the sum independent of the order in which the threads deliver.
-  std::vector<int64_t> fixed(size, 0);
-  constexpr double kFixed = 1e9;
+  std::vector<int64_t> fixed(size, 0);  // [out][azimuth][cell][node]
+  constexpr double kFixed = 0x1p44;     // 2^19 photons in one cell overflow; 3 million in all put less than 10^5 there
   std::mutex mutex;
-  TraceLayeredTissue(ClearSkin(channel), options, [&](int64_t, std::span<const EscapedPhoton> list) {
+  TraceLayeredTissue(ClearSkin(channel, G::kEpidermisMm), options, [&](int64_t, std::span<const EscapedPhoton> list) {
     std::array<double, kNodes> weights{};
     const std::lock_guard lock(mutex);
     for (const EscapedPhoton& e : list) {
       const Bin bin = BinOf(e);
       if (bin.out < 0 || bin.radius < 0) continue;
       reweighting.Weights(e, weights);
-      const size_t base = (size_t(bin.out) * G::kAzimuths + bin.azimuth) * kNodes * G::kCells;
       const size_t cell = size_t(bin.radius) * G::kPolar + bin.psi;
-      for (int n = 0; n < kNodes; ++n)
-        fixed[base + size_t(n) * G::kCells + cell] += static_cast<int64_t>(weights[n] * kFixed);
+      int64_t* sums = fixed.data() + ((size_t(bin.out) * G::kAzimuths + bin.azimuth) * G::kCells + cell) * kNodes;
+      for (int n = 0; n < kNodes; ++n) sums[n] += static_cast<int64_t>(weights[n] * kFixed);
     }
   });
   for (int out = 0; out < G::kThetas; ++out)
@@ -122,15 +131,15 @@ void AccumulateRun(int channel, int in, int64_t photons, uint64_t seed, int thre
           const double scale = std::pow(centre, 1.5) /
                                (kFixed * static_cast<double>(photons) * CellAreaMm2(r) * ProjectedSolidAngle(out, az));
           for (int psi = 0; psi < G::kPolar; ++psi) {
-            const size_t from = ((size_t(out) * G::kAzimuths + az) * kNodes + n) * G::kCells + r * G::kPolar + psi;
-            const size_t to = G::KernelIndex(channel, in, out, az, n / 4, n % 4) * G::kCells + r * G::kPolar + psi;
-            flat[to] = static_cast<float>(static_cast<double>(fixed[from]) * scale);
+            const size_t cell = size_t(r) * G::kPolar + psi;
+            const size_t from = ((size_t(out) * G::kAzimuths + az) * G::kCells + cell) * kNodes + n;
+            flat[G::KernelIndex(channel, in, out, az, n) * G::kCells + cell] =
+                static_cast<float>(static_cast<double>(fixed[from]) * scale);
           }
         }
 }
 
-// Helmholtz reciprocity: S(i -> o; r, psi) = S(o -> i; r, azimuth - pi - psi). Averaging the two doubles the photons
-// and makes the table exactly reciprocal.
+// Averaging each path with the reverse one doubles the photons and makes the table exactly reciprocal.
 void Symmetrise(std::vector<float>& flat) {
   std::vector<float> mean(flat.size());
   for (int c = 0; c < kSkinChannels; ++c)
@@ -138,11 +147,11 @@ void Symmetrise(std::vector<float>& flat) {
       for (int out = 0; out < G::kThetas; ++out)
         for (int az = 0; az < G::kAzimuths; ++az)
           for (int n = 0; n < kNodes; ++n) {
-            const size_t a = G::KernelIndex(c, in, out, az, n / 4, n % 4) * G::kCells;
-            const size_t b = G::KernelIndex(c, out, in, az, n / 4, n % 4) * G::kCells;
+            const size_t a = G::KernelIndex(c, in, out, az, n) * G::kCells;
+            const size_t b = G::KernelIndex(c, out, in, az, n) * G::kCells;
             for (int r = 0; r < G::kRadii; ++r)
               for (int psi = 0; psi < G::kPolar; ++psi) {
-                const int other = ((2 * az - 8 - psi - 1) % G::kPolar + G::kPolar) % G::kPolar;
+                const int other = G::ReciprocalPsi(az, psi);
                 mean[a + r * G::kPolar + psi] =
                     0.5F * (flat[a + r * G::kPolar + psi] + flat[b + r * G::kPolar + other]);
               }
@@ -170,15 +179,16 @@ void SmoothFarRings(std::vector<float>& flat) {
 Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
   if (photons < 1000) return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
   SkinTable table;
-  table.flat_.assign(G::kKernels * G::kCells, 0.0F);
+  std::vector<float> flat(G::kKernels * G::kCells, 0.0F);
   Progress progress(logger, "skin table", kSkinChannels * G::kThetas);
   for (int c = 0; c < kSkinChannels; ++c)
     for (int in = 0; in < G::kThetas; ++in) {
-      AccumulateRun(c, in, photons, seed, threads, table.flat_);
+      AccumulateRun(c, in, photons, seed, threads, flat);
       progress.Advance();
     }
-  Symmetrise(table.flat_);
-  SmoothFarRings(table.flat_);
+  Symmetrise(flat);
+  SmoothFarRings(flat);
+  table.Encode(flat);
   return table;
 }
 
@@ -187,7 +197,7 @@ std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channe
   const Reweighting reweighting(channel);
   std::array<double, kNodes> sum{}, squares{};
   std::mutex mutex;
-  TraceLayeredTissue(ClearSkin(channel), RunOptions(channel, in, photons, seed, 0),
+  TraceLayeredTissue(ClearSkin(channel, G::kEpidermisMm), RunOptions(channel, in, photons, seed, 0),
                      [&](int64_t, std::span<const EscapedPhoton> list) {
                        std::array<double, kNodes> weights{};
                        const std::lock_guard lock(mutex);
@@ -204,7 +214,7 @@ std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channe
   std::vector<SkinCellCheck> checks(kNodes);
   const double scale = 1.0 / (static_cast<double>(photons) * ProjectedSolidAngle(out, azimuth));
   for (int n = 0; n < kNodes; ++n) {
-    const size_t kernel = G::KernelIndex(channel, in, out, azimuth, n / 4, n % 4);
+    const size_t kernel = G::KernelIndex(channel, in, out, azimuth, n);
     for (int r = 0; r < G::kRadii; ++r)
       for (int psi = 0; psi < G::kPolar; ++psi) checks[n].table += table.Cell(kernel, r, psi) * CellAreaMm2(r);
     checks[n].mean = sum[n] * scale;

@@ -13,6 +13,7 @@
 
 #include <gtest/gtest.h>
 
+#include "firmware-host/simulated/skin/skin_table_check.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::rig {
@@ -67,25 +68,25 @@ void Photons(int channel, const SkinParameters& skin, int in, int64_t photons, u
 }
 
 TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
-  // All 25 exit bins of one incidence bin, green, at a node of melanin and blood.
-  constexpr int kIn = 2, kMelanin = 1, kBlood = 2, kChannel = 1;
+  // All 25 exit bins of one incidence bin, green, at a node of the optics.
+  constexpr int kIn = 2, kChannel = 1;
+  const int node = G::NodeIndex(1, 2, 1);
   constexpr int64_t kPhotons = 200000;
   std::array<std::array<Estimate, G::kAzimuths>, G::kThetas> bins{};
-  Photons(kChannel, {static_cast<float>(G::kMelanin[kMelanin]), static_cast<float>(G::kBlood[kBlood])}, kIn, kPhotons,
-          77, [&](const EscapedPhoton& e) {
-            if (std::hypot(e.x_mm, e.y_mm) >= G::kMaxRadiusMm) return;
-            const double theta = DegFromRad(std::acos(std::min(1.0, std::abs(double(e.uz)))));
-            const double azimuth = DegFromRad(std::abs(std::atan2(e.uy, e.ux)));
-            for (int out = 0; out < G::kThetas; ++out)
-              if (theta >= G::kThetaEdgesDeg[out] && theta < G::kThetaEdgesDeg[out + 1])
-                bins[out][std::min(4, static_cast<int>((azimuth + 22.5) / 45.0))].Add(e.weight);
-          });
+  Photons(kChannel, G::NodeParameters(node), kIn, kPhotons, 77, [&](const EscapedPhoton& e) {
+    if (std::hypot(e.x_mm, e.y_mm) >= G::kMaxRadiusMm) return;
+    const double theta = DegFromRad(std::acos(std::min(1.0, std::abs(double(e.uz)))));
+    const double azimuth = DegFromRad(std::abs(std::atan2(e.uy, e.ux)));
+    for (int out = 0; out < G::kThetas; ++out)
+      if (theta >= G::kThetaEdgesDeg[out] && theta < G::kThetaEdgesDeg[out + 1])
+        bins[out][std::min(4, static_cast<int>((azimuth + 22.5) / 45.0))].Add(e.weight);
+  });
   double chi2 = 0.0;
   for (int out = 0; out < G::kThetas; ++out)
     for (int az = 0; az < G::kAzimuths; ++az) {
       const double scale = 1.0 / (kPhotons * Projected(out, az));
       const double mean = bins[out][az].sum * scale, error = std::sqrt(bins[out][az].squares) * scale;
-      const double table = CellSum(G::KernelIndex(kChannel, kIn, out, az, kMelanin, kBlood));
+      const double table = CellSum(G::KernelIndex(kChannel, kIn, out, az, node));
       // The table has 3 million photons of its own, both ways: a quarter of this error at most.
       const double sigmas = (table - mean) / (error * 1.03);
       chi2 += sigmas * sigmas;
@@ -95,22 +96,21 @@ TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
 }
 
 TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
-  constexpr int kIn = 1, kMelanin = 1, kBlood = 1, kChannel = 0, kGroup = 3;
+  constexpr int kIn = 1, kChannel = 0, kGroup = 3;
+  const int node = G::NodeIndex(1, 1, 2);
   constexpr int64_t kPhotons = 200000;
   std::array<Estimate, G::kRadii> rings{};
-  Photons(kChannel, {static_cast<float>(G::kMelanin[kMelanin]), static_cast<float>(G::kBlood[kBlood])}, kIn, kPhotons,
-          78, [&](const EscapedPhoton& e) {
-            if (1.0 - double(e.uz) * e.uz >= Sin2(85.0)) return;
-            const double r = std::hypot(e.x_mm, e.y_mm);
-            for (int k = 0; k < G::kRadii; ++k)
-              if (r >= G::RadiusEdgeMm(k) && r < G::RadiusEdgeMm(k + 1)) rings[k].Add(e.weight);
-          });
+  Photons(kChannel, G::NodeParameters(node), kIn, kPhotons, 78, [&](const EscapedPhoton& e) {
+    if (1.0 - double(e.uz) * e.uz >= Sin2(85.0)) return;
+    const double r = std::hypot(e.x_mm, e.y_mm);
+    for (int k = 0; k < G::kRadii; ++k)
+      if (r >= G::RadiusEdgeMm(k) && r < G::RadiusEdgeMm(k + 1)) rings[k].Add(e.weight);
+  });
   for (int first = 0; first + kGroup <= 24; first += kGroup) {
     double table = 0.0, sum = 0.0, squares = 0.0;
     for (int out = 0; out < G::kThetas; ++out)
       for (int az = 0; az < G::kAzimuths; ++az)
-        table += Projected(out, az) *
-                 CellSum(G::KernelIndex(kChannel, kIn, out, az, kMelanin, kBlood), first, first + kGroup - 1);
+        table += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, node), first, first + kGroup - 1);
     for (int k = first; k < first + kGroup; ++k) {
       sum += rings[k].sum / kPhotons;
       squares += rings[k].squares / (double(kPhotons) * kPhotons);
@@ -121,7 +121,7 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
 
 TEST(SkinTable, RegeneratesItsCellsWithinTheirStandardErrors) {
   const auto checks = RegenerateSkinCell(Shipped(), 2, 1, 3, 2, 150000, 5);
-  ASSERT_EQ(checks.size(), 16U);
+  ASSERT_EQ(checks.size(), size_t{G::kNodes});
   for (size_t n = 0; n < checks.size(); ++n) {
     EXPECT_GT(checks[n].mean, 0.0);
     EXPECT_LT(std::abs(checks[n].table - checks[n].mean), 4.0 * checks[n].standard_error) << "node " << n;
@@ -133,11 +133,12 @@ TEST(SkinTable, AlbedoIsTheSumOfItsKernelsAndOfMonteCarlo) {
   // At a node of melanin, blood and incidence. The table ends at 85 degrees of exit (0.8 % of Lambertian light) and at
   // 30 mm, and so do the photons counted here.
   constexpr int kIn = 3, kChannel = 0;
-  const SkinParameters skin{static_cast<float>(G::kMelanin[1]), static_cast<float>(G::kBlood[1])};
+  const int node = G::NodeIndex(1, 1, 1);
+  const SkinParameters skin = G::NodeParameters(node);
   double cells = 0.0;
   for (int out = 0; out < G::kThetas; ++out)
     for (int az = 0; az < G::kAzimuths; ++az)
-      cells += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, 1, 1));
+      cells += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, node));
   const double albedo = Shipped().Albedo(kChannel, skin, G::MeanThetaRad(kIn));
   EXPECT_NEAR(albedo / cells, 1.0, 0.002);
   constexpr int64_t kPhotons = 150000;
@@ -173,11 +174,12 @@ TEST(SkinKernel, InterpolationKeepsTheEnergyOfTheCells) {
     for (int in = 0; in < G::kThetas; ++in) {
       const int out = (in + 2) % G::kThetas, az = in;
       SkinKernel kernel;
-      Shipped().Interpolate(c, {static_cast<float>(G::kMelanin[1]), static_cast<float>(G::kBlood[2])},
+      const int node = G::NodeIndex(1, 2, in % 3);
+      Shipped().Interpolate(c, G::NodeParameters(node),
                             {static_cast<float>(G::MeanThetaRad(in)), static_cast<float>(G::MeanThetaRad(out)),
                              static_cast<float>(az * M_PI / 4)},
                             kernel);
-      const double cells = CellSum(G::KernelIndex(c, in, out, az, 1, 2));
+      const double cells = CellSum(G::KernelIndex(c, in, out, az, node));
       EXPECT_NEAR(PlaneIntegral(kernel) / cells, 1.0, 0.003) << c << ' ' << in << ' ' << out;
       EXPECT_NEAR(kernel.Integral() / cells, 1.0, 0.002) << c << ' ' << in << ' ' << out;
     }
@@ -233,7 +235,83 @@ TEST(SkinTable, MoreMelaninOrBloodReflectsLess) {
       EXPECT_LT(albedo, last);
       last = albedo;
     }
+    last = 1.0;
+    for (const float epidermis : {0.05F, 0.07F, 0.1F, 0.15F}) {
+      const double albedo = Shipped().Albedo(c, {0.03F, 0.004F, epidermis}, 0.5);
+      EXPECT_LT(albedo, last) << "melanin absorbs more than a little blood";
+      last = albedo;
+    }
   }
+}
+
+TEST(SkinTable, IsExactlyReciprocal) {
+  for (int in = 0; in < G::kThetas; ++in)
+    for (int out = 0; out < in; ++out)
+      for (int az = 0; az < G::kAzimuths; ++az) {
+        const int node = (in * 7 + out * 3 + az) % G::kNodes;
+        const size_t there = G::KernelIndex(2, in, out, az, node), back = G::KernelIndex(2, out, in, az, node);
+        for (int r = 0; r < G::kRadii; ++r)
+          for (int psi = 0; psi < G::kPolar; ++psi)
+            ASSERT_EQ(Shipped().Cell(there, r, psi), Shipped().Cell(back, r, G::ReciprocalPsi(az, psi)));
+      }
+}
+
+TEST(SkinNodesAround, WeighsTheNodesAndClampsOutsideThem) {
+  for (int node = 0; node < G::kNodes; ++node) {
+    float own = 0.0F, all = 0.0F;
+    for (const SkinNodeWeight& n : SkinNodesAround(G::NodeParameters(node))) {
+      all += n.weight;
+      if (n.node == node) own += n.weight;
+    }
+    EXPECT_NEAR(own, 1.0F, 1e-5F) << node;
+    EXPECT_NEAR(all, 1.0F, 1e-5F) << node;
+  }
+  for (const SkinParameters& outside : {SkinParameters{0.0F, 0.0F, 0.01F}, SkinParameters{1.0F, 1.0F, 1.0F}}) {
+    float weight = 0.0F;
+    for (const SkinNodeWeight& n : SkinNodesAround(outside)) {
+      ASSERT_GE(n.node, 0);
+      ASSERT_LT(n.node, G::kNodes);
+      if (n.node == (outside.melanin == 0.0F ? 0 : G::kNodes - 1)) weight += n.weight;
+    }
+    EXPECT_EQ(weight, 1.0F);
+  }
+}
+
+TEST(SkinTable, IsNearMonteCarloBetweenItsNodes) {
+  // Halfway between the nodes of melanin, blood and thickness, at incidence angles between those of the bins. The long
+  // run and its errors: docs/simulated-rig.md.
+  InterpolationCheckOptions options;
+  options.photons = 16000;
+  options.theta_in_deg = {35.0, 55.0};
+  const auto samples = CheckInterpolation(Shipped(), options);
+  ASSERT_EQ(samples.size(), size_t{3 * 2 * 5 * 3 * 2});
+  for (const InterpolationSample& s : samples) {
+    const double bound = s.skin.melanin < 0.16F ? 0.06 : 0.12;
+    EXPECT_NEAR(s.total.table, s.total.monte_carlo, 3.5 * s.total.standard_error + bound * s.total.monte_carlo)
+        << "channel " << s.channel << ", melanin " << s.skin.melanin << ", blood " << s.skin.blood << ", epidermis "
+        << s.skin.epidermis_mm << " mm, " << s.theta_in_deg << " degrees";
+  }
+  for (int c = 0; c < kSkinChannels; ++c) {
+    const InterpolationSummary all = Summarise(samples, c, -1, 0.16);
+    ASSERT_GT(all.samples, 20);
+    EXPECT_LT(all.rms, 0.02) << c;
+    for (int ring = 1; ring <= 3; ++ring) {  // where most of the light is
+      const InterpolationSummary s = Summarise(samples, c, ring, 0.16);
+      if (s.samples > 10) {
+        EXPECT_LT(s.rms, 0.06) << c << " ring " << ring;
+      }
+    }
+  }
+}
+
+TEST(InterpolationCheck, SeesATableThatIsWrong) {
+  // Samples whose table reads 10 % too much: the summary must say so, noise or not.
+  std::vector<InterpolationSample> samples(20);
+  for (size_t k = 0; k < samples.size(); ++k) samples[k].total = {1.1, k % 2 == 0 ? 1.01 : 0.99, 0.01};
+  const InterpolationSummary summary = Summarise(samples, 0, -1, 1.0);
+  EXPECT_EQ(summary.samples, 20);
+  EXPECT_NEAR(summary.rms, 0.1, 0.005);
+  EXPECT_NEAR(summary.largest, 0.111, 0.001);
 }
 
 // Loading what is no table.
@@ -280,10 +358,17 @@ TEST_F(SkinTableFile, WrongMagicIsNoTable) {
 }
 
 TEST_F(SkinTableFile, WrongVersionIsANewerSchema) {
-  bytes_[7] = '2';
+  bytes_[7] = '3';
   const Status status = LoadBytes();
   EXPECT_EQ(status.code(), StatusCode::kNewerSchema);
-  EXPECT_NE(status.message().find("version 2"), std::string::npos) << status.message();
+  EXPECT_NE(status.message().find("version 3"), std::string::npos) << status.message();
+}
+
+TEST_F(SkinTableFile, AnOlderVersionIsRefusedWithItsRemedy) {
+  bytes_[7] = '1';
+  const Status status = LoadBytes();
+  EXPECT_EQ(status.code(), StatusCode::kUsage);
+  EXPECT_NE(status.message().find("generate"), std::string::npos) << status.message();
 }
 
 TEST_F(SkinTableFile, AFlippedBitIsDamage) {

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+// The skin table's file: magic and version, header of four 64-bit numbers (entries, bytes packed, XXH3 of them, bytes
+// of the manifest), manifest (JSON), packed entries. Packed: of every two directions that reciprocity makes equal only
+// the one with incidence <= exit; each entry as its difference from the neighbouring node's (the nodes share their
+// photons, so these are small), low bytes, then high bytes, zstd.
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+
+#include <xxhash.h>
+#include <zstd.h>
+
+#include "firmware-host/simulated/skin/skin_table.h"
+
+namespace stratalux::rig {
+namespace {
+
+using G = SkinGrid;
+constexpr char kMagic[8] = {'S', 'L', 'X', 'S', 'K', 'I', 'N', '2'};
+constexpr size_t kHeaderBytes = sizeof kMagic + 4 * sizeof(uint64_t);
+
+// Calls visit(first cell, first cell of the node that predicts it or SIZE_MAX) in the order of the file.
+template <typename Visit>
+void ForEachStoredKernel(const Visit& visit) {
+  constexpr int kE = static_cast<int>(G::kEpidermisMm.size()), kB = static_cast<int>(G::kBlood.size());
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in)
+      for (int out = in; out < G::kThetas; ++out)
+        for (int az = 0; az < G::kAzimuths; ++az)
+          for (int node = 0; node < G::kNodes; ++node) {
+            const int e = node % kE, b = node / kE % kB, m = node / kE / kB;
+            const int from = e > 0   ? node - 1
+                             : b > 0 ? G::NodeIndex(m, b - 1, e)
+                             : m > 0 ? G::NodeIndex(m - 1, b, e)
+                                     : -1;
+            visit(G::KernelIndex(c, in, out, az, node) * G::kCells,
+                  from < 0 ? SIZE_MAX : G::KernelIndex(c, in, out, az, from) * G::kCells);
+          }
+}
+
+constexpr size_t kStored =
+    size_t{kSkinChannels} * (G::kThetas * (G::kThetas + 1) / 2) * G::kAzimuths * G::kNodes * G::kCells;
+
+uint16_t Predicted(const std::vector<uint16_t>& codes, size_t first, size_t from, int cell) {
+  if (from != SIZE_MAX) return codes[from + cell];
+  return cell > 0 ? codes[first + cell - 1] : uint16_t{0};
+}
+
+std::vector<uint8_t> ToPlanes(const std::vector<uint16_t>& codes) {
+  std::vector<uint8_t> planes(2 * kStored);
+  size_t at = 0;
+  ForEachStoredKernel([&](size_t first, size_t from) {
+    for (int k = 0; k < G::kCells; ++k, ++at) {
+      const auto d = static_cast<int16_t>(codes[first + k] - Predicted(codes, first, from, k));
+      const auto zigzag = static_cast<uint16_t>((d << 1) ^ (d >> 15));  // small of either sign: small
+      planes[at] = static_cast<uint8_t>(zigzag & 0xffU);
+      planes[kStored + at] = static_cast<uint8_t>(zigzag >> 8);
+    }
+  });
+  return planes;
+}
+
+std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes) {
+  std::vector<uint16_t> codes(G::kKernels * G::kCells);
+  size_t at = 0;
+  ForEachStoredKernel([&](size_t first, size_t from) {
+    for (int k = 0; k < G::kCells; ++k, ++at) {
+      const unsigned zigzag = planes[at] | unsigned{planes[kStored + at]} << 8;
+      const unsigned d = (zigzag >> 1) ^ (0U - (zigzag & 1U));
+      codes[first + k] = static_cast<uint16_t>(Predicted(codes, first, from, k) + d);
+    }
+  });
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in)
+      for (int out = 0; out < in; ++out)
+        for (int az = 0; az < G::kAzimuths; ++az)
+          for (int node = 0; node < G::kNodes; ++node) {
+            const uint16_t* from = codes.data() + G::KernelIndex(c, out, in, az, node) * G::kCells;
+            uint16_t* to = codes.data() + G::KernelIndex(c, in, out, az, node) * G::kCells;
+            for (int k = 0; k < G::kCells; ++k) to[k] = from[k - k % G::kPolar + G::ReciprocalPsi(az, k % G::kPolar)];
+          }
+  return codes;
+}
+
+}  // namespace
+
+Status SkinTable::Save(const std::string& path, const std::string& manifest_json) const {
+  const std::vector<uint8_t> planes = ToPlanes(codes_);
+  std::vector<char> packed(ZSTD_compressBound(planes.size()));
+  const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), 19);
+  if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
+  std::ofstream out(path, std::ios::binary | std::ios::trunc);
+  const uint64_t header[4] = {kStored, size, XXH3_64bits(packed.data(), size), manifest_json.size()};
+  out.write(kMagic, sizeof kMagic);
+  out.write(reinterpret_cast<const char*>(header), sizeof header);
+  out.write(manifest_json.data(), static_cast<std::streamsize>(manifest_json.size()));
+  out.write(packed.data(), static_cast<std::streamsize>(size));
+  out.flush();
+  if (!out) return Status::Failed("cannot write " + path + ": " + std::strerror(errno));
+  return Status::Ok();
+}
+
+Result<SkinTable> SkinTable::Load(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  if (!in)
+    return Status::NotFound("skin table " + path + ": " + std::strerror(errno) +
+                            " (make one with `stratalux-skin-table generate`)");
+  const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  uint64_t header[4] = {};
+  if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic - 1) != 0)
+    return Status::Integrity("skin table " + path + ": not a skin table");
+  if (bytes[7] > kMagic[7])
+    return Status(StatusCode::kNewerSchema, "skin table " + path + ": version " + bytes[7] + ", this program reads 2");
+  if (bytes[7] != kMagic[7])
+    return Status::Usage("skin table " + path + ": version " + bytes[7] +
+                         ", this program reads 2 (make it again with `stratalux-skin-table generate`)");
+  std::memcpy(header, bytes.data() + sizeof kMagic, sizeof header);
+  if (header[0] != kStored || header[1] > bytes.size() || header[3] > bytes.size() ||
+      kHeaderBytes + header[3] + header[1] != bytes.size())
+    return Status::Integrity("skin table " + path + ": truncated, or of another grid");
+  const char* packed = bytes.data() + kHeaderBytes + header[3];
+  if (XXH3_64bits(packed, header[1]) != header[2]) return Status::Integrity("skin table " + path + ": hash mismatch");
+  std::vector<uint8_t> planes(2 * kStored);
+  if (ZSTD_decompress(planes.data(), planes.size(), packed, header[1]) != planes.size())
+    return Status::Integrity("skin table " + path + ": cannot be decompressed");
+  SkinTable table;
+  table.manifest_.assign(bytes.data() + kHeaderBytes, header[3]);
+  table.codes_ = FromPlanes(planes);
+  return table;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tests/firmware-host/simulated/brute_force_frames.h"
+
+#include <array>
+#include <cmath>
+#include <cstdio>
+
+namespace stratalux::rig {
+namespace {
+
+constexpr std::array<const char*, 3> kColours = {"R", "G", "B"};
+
+// The frame of one light alone; nullptr: of no light.
+Result<Image<uint16_t>> Shoot(SimulatedRig& rig, const ProjectedLight* light, double exposure_ms) {
+  SLX_RETURN_IF_ERROR(rig.lines().AllOff());
+  SLX_RETURN_IF_ERROR(rig.camera().SetExposure(exposure_ms, 1.0));
+  if (light != nullptr) {
+    SLX_RETURN_IF_ERROR(rig.projectors()[light->projector]->Load({light->pattern}));
+    SLX_RETURN_IF_ERROR(rig.lines().SetEnable(light->projector, true));
+    SLX_ASSIGN_OR_RETURN(const auto projector, rig.lines().TriggerProjector(light->projector));
+    static_cast<void>(projector);
+  }
+  SLX_ASSIGN_OR_RETURN(const auto trigger, rig.lines().TriggerCamera());
+  static_cast<void>(trigger);
+  SLX_ASSIGN_OR_RETURN(auto frame, rig.camera().Wait(std::chrono::milliseconds(100)));
+  if (!frame) return Status::Failed("the simulated camera gave no frame");
+  return std::move(frame->pixels);
+}
+
+}  // namespace
+
+std::vector<NamedLight> CrossCheckLights(const SimulatedRigOptions& options) {
+  const int unit = std::max(1, options.projector_width / 256);
+  std::vector<NamedLight> lights;
+  for (const int p : {0, 3}) {
+    lights.push_back({"white", {p, {.kind = PatternKind::kWhite}}});
+    lights.push_back({"stripe", {p, {.kind = PatternKind::kComb, .period = 8 * unit, .width = unit, .shift = 0}}});
+    lights.push_back({"spot", {p, {.kind = PatternKind::kSpots, .period = 8 * unit, .width = 2 * unit}}});
+  }
+  return lights;
+}
+
+std::vector<Eigen::Vector2i> CrossCheckPixels(const SimulatedRigOptions& options, int places) {
+  // On the default head, mm at the working distance: forehead, cheek, cheek, side of the nose, upper lip, chin, temple.
+  constexpr std::array<std::array<double, 2>, 7> kPlaces = {
+      {{-12, -52}, {-38, 18}, {40, 10}, {16, 6}, {8, 43}, {-6, 74}, {52, -38}}};
+  constexpr int kParity[3][2] = {{0, 0}, {1, 0}, {1, 1}};  // of R, G, B in the RGGB mosaic
+  const double px_per_mm = options.camera_width / 300.0;
+  std::vector<Eigen::Vector2i> pixels;
+  for (int k = 0; k < std::min<int>(places, kPlaces.size()); ++k)
+    for (const auto& parity : kParity) {
+      const int x = static_cast<int>(options.camera_width / 2.0 + kPlaces[k][0] * px_per_mm) / 2 * 2;
+      const int y = static_cast<int>(options.camera_height / 2.0 + kPlaces[k][1] * px_per_mm) / 2 * 2;
+      pixels.emplace_back(x + parity[0], y + parity[1]);
+    }
+  return pixels;
+}
+
+Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options, const std::vector<NamedLight>& lights,
+                                                  const std::vector<Eigen::Vector2i>& pixels, Logger& logger) {
+  SimulatedRigOptions quiet = options.rig;
+  quiet.noise = false;
+  SLX_ASSIGN_OR_RETURN(const auto rig, SimulatedRig::Create(quiet, logger));
+  SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(quiet.scene, quiet.seed));
+  SLX_RETURN_IF_ERROR(rig->camera().Start());
+  SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, options.exposure_ms));
+  std::vector<Image<uint16_t>> frames;
+  for (const NamedLight& l : lights) {
+    SLX_ASSIGN_OR_RETURN(auto frame, Shoot(*rig, &l.light, options.exposure_ms));
+    frames.push_back(std::move(frame));
+  }
+  const RigCalibration& calibration = rig->calibration();
+  // A projector's black still shines as white does: behind the lights, the white of each projector.
+  std::vector<ProjectedLight> traced_lights;
+  for (const NamedLight& l : lights) traced_lights.push_back(l.light);
+  for (size_t p = 0; p < calibration.projectors.size(); ++p)
+    traced_lights.push_back({static_cast<int>(p), {.kind = PatternKind::kWhite}});
+  std::vector<ComparedPixel> compared;
+  Progress progress(logger, "photons", static_cast<int64_t>(pixels.size()));
+  for (const Eigen::Vector2i& at : pixels) {
+    const auto estimates = TracePixel(scene, calibration, at.x(), at.y(), traced_lights, options.tracing);
+    const auto point =
+        scene.Intersect({Eigen::Vector3d::Zero(), calibration.camera.model.Unproject(at.cast<double>())});
+    progress.Advance();
+    if (!point) continue;
+    for (size_t l = 0; l < lights.size(); ++l) {
+      const int p = lights[l].light.projector;
+      const double black = calibration.projectors[p].black_level, open = 1.0 - black;
+      const BruteForceEstimate &e = estimates[l], &white = estimates[lights.size() + p];
+      ComparedPixel c{lights[l].name, p, CfaColour(calibration.camera.cfa, at.x(), at.y()), at.x(), at.y()};
+      c.light_deg = IncidenceDeg(scene, *point, calibration.projectors[p].CentreInCamera());
+      c.view_deg = IncidenceDeg(scene, *point, Eigen::Vector3d::Zero());
+      c.rig = double(frames[l](at.x(), at.y())) - double(dark(at.x(), at.y()));
+      c.direct = options.exposure_ms * (open * e.direct + black * white.direct);
+      c.traced = options.exposure_ms * (open * e.subsurface + black * white.subsurface) + c.direct;
+      c.traced_error = options.exposure_ms * std::hypot(open * e.subsurface_error, open * e.direct_error);
+      compared.push_back(c);
+    }
+  }
+  return compared;
+}
+
+std::string ComparisonTable(const std::vector<ComparedPixel>& pixels) {
+  std::string table =
+      "| light | projector | colour | pixel | light, view | rig DN | photons DN | std error | of it at the surface | "
+      "deviation |\n|---|---|---|---|---|---|---|---|---|---|\n";
+  for (const ComparedPixel& c : pixels) {
+    char line[256];
+    std::snprintf(line, sizeof line,
+                  "| %s | %d | %s | %d, %d | %.0f, %.0f deg | %.0f | %.1f | %.1f | %.1f | %+.1f %% |\n",
+                  c.light.c_str(), c.projector, kColours[c.colour], c.x, c.y, c.light_deg, c.view_deg, c.rig, c.traced,
+                  c.traced_error, c.direct, 100.0 * c.Deviation());
+    table += line;
+  }
+  return table;
+}
+
+}  // namespace stratalux::rig
