@@ -167,6 +167,8 @@ namespace {
 Status InsertConsent(Connection& connection, const SessionInfo& info) {
   const Consent& c = info.consent;
   if (info.visitor.empty() || c.text_version.empty() || c.given_wall.ns == 0) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(auto person, connection.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
+  SLX_RETURN_IF_ERROR(person.Bind(1, info.visitor).Bind(2, c.given_wall.ns).Run());
   SLX_ASSIGN_OR_RETURN(
       auto insert,
       connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
@@ -192,8 +194,8 @@ Result<int64_t> InsertRebuilt(SessionIndex& index, const RebuiltSession& session
   Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   SessionInfo info = session.info;
-  SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info, wanted));
   SLX_RETURN_IF_ERROR(InsertConsent(connection, info));
+  SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info, wanted));
   SLX_RETURN_IF_ERROR(index.InsertFrames(number, session.frames));
   for (const FitRow& fit : session.fits) SLX_RETURN_IF_ERROR(index.UpsertFit(number, fit));
   SLX_RETURN_IF_ERROR(SetEnding(connection, number, session));

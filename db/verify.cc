@@ -141,11 +141,12 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
 }
 
 // Segments of a transcode under way or interrupted that the index does not name (or names no longer).
-void SetAsideTranscoded(const SessionStore& store, const SessionRow& session, const std::vector<FrameRow>& frames,
+// True where there is such a transcode.
+bool SetAsideTranscoded(const SessionStore& store, const SessionRow& session, const std::vector<FrameRow>& frames,
                         std::vector<std::filesystem::path>& segments, VerifyReport& report) {
   const auto journal = ReadTranscodeJournal(store.folder());
-  if (!journal.ok()) return report.problems.push_back(journal.status().message());
-  if (!*journal || (*journal)->session != session.info.id) return;
+  if (!journal.ok()) report.problems.push_back(journal.status().message());
+  if (!journal.ok() || !*journal || (*journal)->session != session.info.id) return false;
   std::set<std::string> indexed = {"truth.seg"};
   for (const FrameRow& f : frames) indexed.insert(f.segment);
   std::erase_if(segments, [&](const std::filesystem::path& file) {
@@ -155,6 +156,7 @@ void SetAsideTranscoded(const SessionStore& store, const SessionRow& session, co
                              " belongs to an unfinished transcode; the next command that writes the store settles it");
     return left;
   });
+  return true;
 }
 
 }  // namespace
@@ -172,7 +174,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   std::sort(segments.begin(), segments.end());
   int64_t stored_frames = 0;
   const auto frames = store.ListFrames(session.info.id);
-  if (frames.ok()) SetAsideTranscoded(store, session, *frames, segments, report);
+  const bool transcoding = frames.ok() && SetAsideTranscoded(store, session, *frames, segments, report);
   for (const auto& file : segments) CheckSegment(file, session, options, report, stored_frames);
   if (!frames.ok()) {
     report.problems.push_back(frames.status().message());
@@ -185,7 +187,9 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
       report.problems.push_back(folder.string() + ": segments hold " + std::to_string(stored_frames) +
                                 " frames, the index " + std::to_string(indexed));
   }
-  if (session.info.status == SessionStatus::kComplete || session.info.status == SessionStatus::kDegraded)
+  // While segments are being replaced, the manifest names the old ones.
+  if (!transcoding &&
+      (session.info.status == SessionStatus::kComplete || session.info.status == SessionStatus::kDegraded))
     CheckManifest(folder, session, report);
   return report;
 }

@@ -133,6 +133,8 @@ int RunList(const CommonFlags& common, const QueryFlags& flags) {
   if (const Status status = CheckFlags(common, flags); !status.ok()) return Report(status);
   const auto filter = FilterOf(flags);
   if (!filter.ok()) return Report(filter.status());
+  // For its warnings: what a program that died has left to mend.
+  if (const auto store = OpenStore(common, AccessMode::kReadOnly); !store.ok()) return Report(store.status());
   auto index = ReadOnlyIndex::Open(common.store);
   if (!index.ok()) return Report(index.status());
   const auto table = ListSessions(*index, *filter);

@@ -6,6 +6,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/privacy/consent.h"
 #include "db/session_index.h"
 #include "db/verify.h"
 #include "tests/db/store_fixture.h"
@@ -51,6 +52,7 @@ class ReindexTest : public StoreTest {
     info.program_version = "0.2";
     info.plan_json = PlanOptionsToJson({});
     info.calibration_json = R"({"schema":1,"id":"c1","source":"somebody"})";
+    EXPECT_TRUE(GiveConsent(folder_, visitor, info.consent).ok());
     auto writer = store.BeginSession(info, {.group_frames = 2, .max_segment_bytes = 900});
     EXPECT_TRUE(writer.ok()) << writer.status().message();
     for (int i = 0; i < 7; ++i) EXPECT_TRUE(AppendTo(*writer, i).ok());
@@ -76,15 +78,6 @@ TEST_F(ReindexTest, TellsWhatTheLostIndexTold) {
   const std::string second = StoreVisit("ben", 5'000);
   StoreVisit("anna", 1'000);
   ASSERT_TRUE(OpenStore().RegisterFit({"f1", second, R"({"eta":1.4})", "{\n \"rms\": 0.25\n}\n", {77}}).ok());
-  {  // GiveConsent's row, which the manifest repeats
-    auto index = SessionIndex::Open(folder_, AccessMode::kReadWrite);
-    ASSERT_TRUE(
-        index->connection()
-            .Execute("INSERT INTO consents (visitor, text_version, language, fit, research,"
-                     " publication, given_wall_ns) VALUES ('anna','v3','de',1,0,1,8995), ('ben','v3','de',1,0,1,4995),"
-                     " ('anna','v3','de',1,0,1,995)")
-            .ok());
-  }
   const auto before = Dump(folder_);
   ASSERT_GT(before.size(), 40U);
   LoseIndex();
@@ -116,7 +109,7 @@ TEST_F(ReindexTest, AWriterThatDiedLeavesAFailedSessionWithItsWholeFrames) {
   std::string id;
   {
     SessionStore store = OpenStore();
-    auto writer = store.BeginSession({}, {.group_frames = 1});
+    auto writer = store.BeginSession(SimulatedVisit(), {.group_frames = 1});
     for (int i = 0; i < 3; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
     id = writer->info().id;
     EXPECT_EQ(Reindex(folder_, logger_).status().code(), StatusCode::kBusy) << "a live writer";

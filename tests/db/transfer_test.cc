@@ -58,7 +58,7 @@ class TransferTest : public StoreTest {
 TEST_F(TransferTest, ABackupMadeWhileASessionIsWrittenRestoresEveryFinishedOne) {
   const std::string first = StoreSession(3), second = StoreSession(2);
   SessionStore store = OpenStore();
-  auto writer = store.BeginSession({});
+  auto writer = store.BeginSession(SimulatedVisit());
   ASSERT_TRUE(AppendTo(*writer, 0).ok());
   const auto made = Backup(folder_, {backup_, {}}, logger_);
   ASSERT_TRUE(made.ok()) << made.status().message();
@@ -142,7 +142,7 @@ TEST_F(TransferTest, PullTakesFinishedSessionsInTheirOrderAndOnce) {
   const std::string first = StoreSession(1), second = StoreSession(2);
   {
     SessionStore store = OpenStore();
-    ASSERT_TRUE(store.BeginSession({}).ok());  // dropped: unfinished
+    ASSERT_TRUE(store.BeginSession(SimulatedVisit()).ok());  // dropped: unfinished
   }
   ASSERT_TRUE(SessionStore::Create(other_).ok());
   EXPECT_THAT(Pull(other_, folder_.string(), PullMode::kDryRun, logger_)->sessions, SizeIs(2));

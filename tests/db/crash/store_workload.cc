@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <fstream>
 
+#include "db/privacy/consent.h"
 #include "db/sqlite.h"
 #include "tests/db/crash/disk_recorder.h"
 #include "tests/db/store_fixture.h"
@@ -59,6 +60,7 @@ class Workload {
     info.rig = "bench";
     info.simulated = true;
     info.visitor = "v-" + std::to_string(first_step);
+    if (!Note(GiveConsent(folder_, info.visitor, {"2026-01", "de", true, false, false, {1}}))) return;
     auto writer = store.BeginSession(info, kOptions);
     if (!Note(writer.status())) return;
     now_.sessions.push_back({writer->info().id, 0, {}, {}});
