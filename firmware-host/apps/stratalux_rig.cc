@@ -190,7 +190,7 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       ->add_option(
           "--simulate", flags.scene,
           "use the simulated rig; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-          "sphere, slab, white, ramp, chart, checkerboard, charuco, bowl")
+          "sphere, white, ramp, chart, checkerboard, charuco, bowl")
       ->expected(0, 1)
       ->default_str("head");
   capture->add_option("--store", flags.store,

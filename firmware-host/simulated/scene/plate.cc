@@ -107,7 +107,6 @@ std::array<float, 3> Plate::Albedo(double x, double y) const {
 }
 
 Material Plate::MaterialAt(const Eigen::Vector3d& point, EyeLids /*lids*/) const {
-  if (kind_ == ShapeKind::kSlab) return Material::Opaque(MaterialKind::kWax, {}, 1.0F, 0.25F);
   return Material::Matt(Albedo(point.x(), point.y()));
 }
 
