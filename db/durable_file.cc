@@ -11,6 +11,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "db/descriptor.h"
+
 namespace stratalux::db {
 namespace {
 
@@ -19,20 +21,6 @@ namespace fs = std::filesystem;
 Status Failure(const std::string& what, const fs::path& file, int error) {
   return Status::Failed("cannot " + what + " " + file.string() + ": " + std::strerror(error));
 }
-
-class Descriptor {
- public:
-  Descriptor(const fs::path& file, int flags) : fd_(open(file.c_str(), flags | O_CLOEXEC, 0640)) {}
-  ~Descriptor() {
-    if (fd_ >= 0) close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  [[nodiscard]] int get() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 Status SyncOpened(const fs::path& file, int flags) {
   const Descriptor opened(file, flags | O_NOFOLLOW);

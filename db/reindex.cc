@@ -9,8 +9,8 @@
 
 #include "db/durable_file.h"
 #include "db/index_swap.h"
+#include "db/privacy/tombstone.h"
 #include "db/session_rebuild.h"
-#include "db/tombstones.h"
 #include "db/write_lock.h"
 #include "shared/base/read_file.h"
 

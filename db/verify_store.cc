@@ -2,8 +2,8 @@
 #include <set>
 #include <system_error>
 
+#include "db/privacy/tombstone.h"
 #include "db/session_index.h"
-#include "db/tombstones.h"
 #include "db/verify.h"
 
 namespace stratalux::db {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/privacy/tombstone.h"
 
+#include <algorithm>
 #include <map>
 
 #include "db/session_index.h"
@@ -14,11 +15,27 @@ fs::path CertificateFile(const fs::path& store, const std::string& session_id) {
   return store / "deletions" / (session_id + ".json");
 }
 
-Result<bool> IsForgotten(const fs::path& store, const std::string& session_id) {
+bool HasTombstone(const fs::path& store, const std::string& session_id) {
   if (session_id.empty() || session_id.find('/') != std::string::npos) return false;  // no id of ours
   std::error_code error;
-  for (const char* suffix : {".json", ".forgetting"})
-    if (fs::exists(store / "deletions" / (session_id + suffix), error)) return true;
+  return fs::exists(CertificateFile(store, session_id), error) ||
+         fs::exists(store / "deletions" / (session_id + ".forgetting"), error);
+}
+
+std::vector<fs::path> ListTombstones(const fs::path& store) {
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (auto entry = fs::directory_iterator(store / "deletions", error); !error && entry != fs::directory_iterator();
+       entry.increment(error))
+    if (entry->path().extension() == ".json") files.push_back(entry->path());
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+Result<bool> IsForgotten(const fs::path& store, const std::string& session_id) {
+  if (session_id.empty() || session_id.find('/') != std::string::npos) return false;
+  if (HasTombstone(store, session_id)) return true;
+  std::error_code error;
   if (!fs::exists(store / "index.sqlite", error)) return false;
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT 1 FROM deletions WHERE session_id = ?1"));
@@ -42,10 +59,8 @@ Result<std::vector<Deletion>> ListDeletions(const fs::path& store) {
     if (!more) break;
     found[select.Text(0)] = select.Text(1);
   }
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "deletions", error)) {
-    if (entry.path().extension() != ".json") continue;
-    SLX_ASSIGN_OR_RETURN(found[entry.path().stem().string()], ReadFile(entry.path()));
+  for (const fs::path& file : ListTombstones(store)) {
+    SLX_ASSIGN_OR_RETURN(found[file.stem().string()], ReadFile(file));
   }
   std::vector<Deletion> deletions;
   for (auto& [session, certificate] : found) deletions.push_back({session, certificate});

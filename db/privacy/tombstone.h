@@ -19,6 +19,11 @@ struct Deletion {
 
 [[nodiscard]] std::filesystem::path CertificateFile(const std::filesystem::path& store, const std::string& session_id);
 
+// What the files alone tell, for programs that have no index to ask: true once a `forget` of the session has begun.
+[[nodiscard]] bool HasTombstone(const std::filesystem::path& store, const std::string& session_id);
+// The certificate files, sorted by session id.
+[[nodiscard]] std::vector<std::filesystem::path> ListTombstones(const std::filesystem::path& store);
+
 // True from the moment a `forget` of the session has begun. The files decide; the index is asked where it is there, so
 // that one of the two may be lost.
 [[nodiscard]] Result<bool> IsForgotten(const std::filesystem::path& store, const std::string& session_id);

@@ -11,8 +11,8 @@
 
 #include "db/durable_file.h"
 #include "db/manifest.h"
+#include "db/privacy/tombstone.h"
 #include "db/session_rebuild.h"
-#include "db/tombstones.h"
 #include "db/write_lock.h"
 
 namespace stratalux::db {

@@ -7,8 +7,8 @@
 #include <sys/stat.h>
 
 #include "db/durable_file.h"
+#include "db/privacy/tombstone.h"
 #include "db/session_index.h"
-#include "db/tombstones.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/file_copy.h"
 #include "db/transfer/file_list.h"

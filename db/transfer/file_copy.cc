@@ -13,6 +13,7 @@
 #include <unistd.h>
 #include <xxhash.h>
 
+#include "db/descriptor.h"
 #include "db/durable_file.h"
 #include "db/segment.h"
 
@@ -22,26 +23,12 @@ namespace {
 namespace fs = std::filesystem;
 constexpr size_t kBlock = size_t{1} << 20;
 
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  [[nodiscard]] int get() const { return fd_; }
-
- private:
-  int fd_;
-};
-
 Status Trouble(const char* what, const fs::path& file) {
   return Status::Failed(std::string("cannot ") + what + " " + file.string() + ": " + std::strerror(errno));
 }
 
 Result<std::string> HashAndHand(const fs::path& file, const std::function<Status(std::span<const uint8_t>)>& hand) {
-  const Descriptor in(open(file.c_str(), O_RDONLY | O_CLOEXEC));
+  const Descriptor in(file, O_RDONLY);
   if (in.get() < 0) return Trouble("open", file);
   const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(), &XXH3_freeState);
   XXH3_128bits_reset(state.get());
@@ -79,7 +66,7 @@ Result<std::string> CopyFileHashed(const fs::path& from, const fs::path& to, con
   std::error_code error;
   Result<std::string> hash = Status::Ok();
   {
-    const Descriptor out(open(part.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0640));
+    const Descriptor out(part, O_WRONLY | O_CREAT | O_TRUNC);
     if (out.get() < 0) return Trouble("create", part);
     hash = HashAndHand(from, [&](std::span<const uint8_t> bytes) {
       return WriteAll(out.get(), bytes.data(), bytes.size(), part.string());

@@ -5,9 +5,9 @@
 
 #include "db/durable_file.h"
 #include "db/manifest.h"
+#include "db/privacy/tombstone.h"
 #include "db/session_index.h"
 #include "db/session_rebuild.h"
-#include "db/tombstones.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/program.h"
 

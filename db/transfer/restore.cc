@@ -3,8 +3,8 @@
 #include <vector>
 
 #include "db/durable_file.h"
+#include "db/privacy/tombstone.h"
 #include "db/session_index.h"
-#include "db/tombstones.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/backup.h"
 #include "db/transfer/file_copy.h"

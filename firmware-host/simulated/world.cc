@@ -3,17 +3,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "firmware-host/simulated/rig_description.h"
 #include "shared/base/parallel.h"
 #include "shared/base/random.h"
-#include "shared/geometry/quad.h"
 
 namespace stratalux::rig {
 namespace {
 
-constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 
 double Ms(std::chrono::nanoseconds t) { return 1e-6 * static_cast<double>(t.count()); }

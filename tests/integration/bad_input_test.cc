@@ -184,9 +184,9 @@ TEST_F(WrongPicture, ThatIsNoneIsRefused) {
   WriteText(picture, png.substr(0, png.size() / 2));
   ExpectImportRefused(manifest, {line, picture, "truncated"});
   WriteText(picture, "P5 96 72 255\n");
-  ExpectImportRefused(manifest, {line, picture});
+  ExpectImportRefused(manifest, {line, picture, "offset 13: truncated: 96x72 pixels need more"});
   WriteText(picture, "");
-  ExpectImportRefused(manifest, {line, picture});
+  ExpectImportRefused(manifest, {line, picture, "empty, 0 bytes"});
   fs::remove(picture);
   ExpectImportRefused(manifest, {line, picture, "No such file"});
   fs::create_directory(picture);
