@@ -22,5 +22,4 @@ if(STRATALUX_BUILD_TESTS)
 endif()
 if(STRATALUX_BUILD_BENCH)
   find_package(benchmark REQUIRED)
-  find_package(TIFF REQUIRED)  # a peer that the codecs are measured against
 endif()

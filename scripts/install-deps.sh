@@ -11,11 +11,11 @@ packages() {
 build-essential      rig  compiler and make
 cmake                rig  build system
 ninja-build          rig  build tool of the presets
-pkg-config           rig  finds libxxhash and libzstd
+pkg-config           rig  finds libxxhash, libsodium and libzstd
 libeigen3-dev        rig  small vectors, rotations
 libpng-dev           rig  PNG files
 libsqlite3-dev       rig  the store's index
-libtiff-dev          rig  stratalux-db: import and export of TIFF files (the controller does not link it)
+libtiff-dev          rig  stratalux-db: import and export of TIFF files (the controller does not link it); peer in benchmarks
 rsync                rig  stratalux-db pull
 openssh-client       rig  stratalux-db pull from another machine
 libtomlplusplus-dev  rig  configuration files
@@ -28,7 +28,6 @@ libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
-libtiff-dev          test benchmarks: TIFF as the peer of the frame codecs
 clang-format         test the format check
 git                  test the style checks list the tracked files
 LIST
