@@ -23,6 +23,11 @@ struct TriggerReceipt {
   MonotonicNs time;
 };
 
+// What takes the light away. A bank of real lines drops every ENABLE itself, at once, whoever waits for what; the
+// sequencer asks here for the reason.
+enum class Interlock : uint8_t { kClosed, kEmergencyStop, kDoorOpen, kLinesGone };
+[[nodiscard]] const char* ToString(Interlock interlock);
+
 class LineBank {
  public:
   virtual ~LineBank() = default;
@@ -35,6 +40,15 @@ class LineBank {
   virtual Result<TriggerReceipt> TriggerCamera() = 0;
   // Next SYNC edge; nullopt at the deadline.
   virtual Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) = 0;
+  // Latched: stays at the first cause until ResetInterlock. Never blocks. While it is not kClosed, SetEnable(p, true)
+  // fails.
+  [[nodiscard]] virtual Interlock CheckInterlock() = 0;
+  // kFailed while the input is still active (button pressed, door open) or the lines are gone.
+  virtual Status ResetInterlock() = 0;
+  // The START button: time of a press since the last call; nullopt at the deadline, and at once on rigs without one.
+  virtual Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) = 0;
+  // Exposure as the camera's STROBE output shows it: start of the last one; nullopt where it is not wired.
+  [[nodiscard]] virtual std::optional<MonotonicNs> LastStrobe() = 0;
 };
 
 }  // namespace stratalux::rig

@@ -74,6 +74,12 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
+  [[nodiscard]] Interlock CheckInterlock() override { return Interlock::kClosed; }
+  Status ResetInterlock() override { return Status::Ok(); }
+  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
+    return std::optional<MonotonicNs>();
+  }
+  [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
   // FrameSource.
   Status Start() override {

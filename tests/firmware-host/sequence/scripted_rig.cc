@@ -52,6 +52,12 @@ class ScriptedLines : public LineBank {
     rig_.now_ = std::max(rig_.now_, edge.time);
     return std::optional<SyncEdge>(edge);
   }
+  [[nodiscard]] Interlock CheckInterlock() override { return Interlock::kClosed; }
+  Status ResetInterlock() override { return Status::Ok(); }
+  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
+    return std::optional<MonotonicNs>();
+  }
+  [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
  private:
   ScriptedRig& rig_;
