@@ -7,11 +7,14 @@
 #include <numbers>
 #include <vector>
 
+#include "shared/base/check.h"
+
 namespace stratalux::rig {
 namespace {
 
 constexpr int kFootprintSamples = 4;  // a polar node
 constexpr int kSmoothSamples = 8;     // of the rest, a projector pixel
+constexpr size_t kMostNodes = 512;
 
 // Points of Roberts' additive recurrence in [-1/2, 1/2]^D, whose every beginning covers the box evenly; `root` solves
 // x^(D+1) = x + 1.
@@ -35,11 +38,12 @@ struct PolarNode {
 std::vector<PolarNode> PolarNodes() {
   constexpr double kPlastic = 1.3247179572447460;  // root of x^3 = x + 1
   constexpr double kGoldenTurn = 0.6180339887498949;
-  constexpr double kFirst = SkinGrid::kFirstRadiusMm;
-  constexpr int kRings = 26;
+  constexpr double kFirst = 0.5 * SkinGrid::kFirstRadiusMm;
+  constexpr int kRings = 30;
   std::vector<PolarNode> nodes;
   auto ring = [&](double inner, double outer, int count, int index) {
-    // Below the first radius the kernel is flat; above, S r^1.5 varies slowly, so the middle of the logarithm serves.
+    // Within half the table's first radius the kernel is flat; further out S r^1.5 varies slowly, so the middle of the
+    // logarithm serves.
     const double r = inner > 0.0 ? std::sqrt(inner * outer) : outer / std::numbers::sqrt2;
     const double area = std::numbers::pi * (outer * outer - inner * inner) / count;
     for (int k = 0; k < count; ++k) {
@@ -55,12 +59,13 @@ std::vector<PolarNode> PolarNodes() {
       nodes.push_back(node);
     }
   };
-  ring(0.0, kFirst, 8, 0);
+  ring(0.0, kFirst, 4, 0);
   const double ratio = std::pow(kSpikeOuterMm / kFirst, 1.0 / kRings);
   for (int i = 0; i < kRings; ++i) {
     const double inner = kFirst * std::pow(ratio, i);
     ring(inner, inner * ratio, inner < 0.12 ? 8 : 16, i + 1);
   }
+  SLX_CHECK(nodes.size() <= kMostNodes);
   return nodes;
 }
 
@@ -94,8 +99,17 @@ void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const E
   const Eigen::Vector2f origin = column_row -
                                  Eigen::Vector2f(static_cast<float>(first_column), static_cast<float>(first_row)) +
                                  Eigen::Vector2f(0.5F, 0.5F);
-  for (const PolarNode& node : nodes) {
-    const float mass = node.mass * kernel(node.x, node.y) / kFootprintSamples;
+  // A few nodes a ring sample the kernel's angular structure too coarsely for its sum, which is known exactly.
+  static const SkinKernel::RadialWeights kSpike =
+      SkinKernel::WeightsOf([](double r) { return SpikeShare(static_cast<float>(r)); });
+  std::array<float, kMostNodes> masses;
+  float total = 0.0F;
+  for (size_t i = 0; i < nodes.size(); ++i) total += masses[i] = nodes[i].mass * kernel(nodes[i].x, nodes[i].y);
+  if (!(total > 0.0F)) return;
+  const float scale = static_cast<float>(kernel.Integral(kSpike)) / (total * kFootprintSamples);
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    const PolarNode& node = nodes[i];
+    const float mass = scale * masses[i];
     const Eigen::Vector2f entry = origin - px_per_mm * Eigen::Vector2f(node.x, node.y);
     for (const auto& p : node.footprint) {
       const float c = entry.x() + footprint(0, 0) * p[0] + footprint(0, 1) * p[1],

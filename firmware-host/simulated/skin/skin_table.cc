@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <numbers>
+#include <numeric>
 #include <span>
 
 #include "firmware-host/simulated/skin/skin_table_code.h"
@@ -92,16 +93,37 @@ std::pair<int, float> Between(std::span<const double> nodes, double v) {
   return {i, static_cast<float>((v - nodes[i]) / (nodes[i + 1] - nodes[i]))};
 }
 
-const std::array<double, G::kThetas>& ThetaNodes() {
-  static const auto nodes = [] {
-    std::array<double, G::kThetas> n{};
-    for (int i = 0; i < G::kThetas; ++i) n[i] = G::MeanThetaRad(i);
-    return n;
-  }();
-  return nodes;
+// Fresnel transmittance into skin at sin(theta) outside.
+double TransmittanceAt(double sine) {
+  return 1.0 - FresnelReflectance(1.0, kSkinIndex, std::sqrt(std::max(0.0, 1.0 - sine * sine)));
 }
 
-// A node of theta and its weight. `across`: on the other side of the normal, at -theta.
+// What light meets at the surface is known: S holds the Fresnel transmittance of each of its two directions, which
+// falls steeply towards grazing, and inside the tissue it goes on at sin(theta) / n, on which the rest depends
+// smoothly. So each bin is a node at its mean sin(theta), transmittance taken out.
+struct ThetaBins {
+  std::array<double, G::kThetas> sine{}, transmittance{};
+  ThetaBins() {
+    constexpr int kSteps = 1000;
+    for (int i = 0; i < G::kThetas; ++i) {
+      const double low = Sin2(i), high = Sin2(i + 1);
+      for (int k = 0; k < kSteps; ++k) {  // evenly in sin^2: the Lambertian measure
+        const double s = std::sqrt(low + (high - low) * (k + 0.5) / kSteps), t = TransmittanceAt(s);
+        sine[i] += s * t;
+        transmittance[i] += t / kSteps;
+      }
+      sine[i] /= kSteps * transmittance[i];
+    }
+  }
+  static double Sin2(int edge) { return std::pow(std::sin(G::kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
+};
+const ThetaBins& Thetas() {
+  static const ThetaBins bins;
+  return bins;
+}
+
+// A node of theta and its weight, the transmittance at theta included. `across`: on the other side of the normal, at
+// -theta.
 struct ThetaNode {
   int bin;
   float weight;
@@ -111,13 +133,18 @@ struct ThetaNode {
 // Below the first node theta lies between that node and its image across the normal, so that the kernel passes through
 // the normal without a jump and light along the normal is displaced to no side.
 std::array<ThetaNode, 2> NodesAround(float theta) {
-  const float first = static_cast<float>(ThetaNodes()[0]);
-  if (theta < first) {
-    const float weight = 0.5F + 0.5F * std::max(theta, 0.0F) / first;
-    return {{{0, weight, false}, {0, 1.0F - weight, true}}};
+  const ThetaBins& bins = Thetas();
+  const double sine = std::sin(std::clamp(theta, 0.0F, 0.5F * kPi));
+  const double transmittance = TransmittanceAt(sine);
+  auto weight = [&](int bin, double share) {
+    return static_cast<float>(share * transmittance / bins.transmittance[bin]);
+  };
+  if (sine < bins.sine[0]) {
+    const double same = 0.5 + 0.5 * sine / bins.sine[0];
+    return {{{0, weight(0, same), false}, {0, weight(0, 1.0 - same), true}}};
   }
-  const auto [bin, f] = Between(ThetaNodes(), theta);
-  return {{{bin, 1.0F - f, false}, {bin + 1, f, false}}};
+  const auto [bin, f] = Between(bins.sine, sine);
+  return {{{bin, weight(bin, 1.0 - f), false}, {bin + 1, weight(bin + 1, f), false}}};
 }
 
 // Sums kernels whose lamp (x) or view (y) stands across the normal: the mirror images of the table's.
@@ -181,13 +208,7 @@ SkinParameters SkinGrid::NodeParameters(int node) {
           static_cast<float>(kEpidermisMm[node % kE])};
 }
 
-double SkinGrid::MeanThetaRad(int bin) {
-  // Mean theta under the Lambertian measure sin(2 theta) d theta.
-  const double a = kThetaEdgesDeg[bin] * std::numbers::pi / 180.0,
-               b = kThetaEdgesDeg[bin + 1] * std::numbers::pi / 180.0;
-  auto primitive = [](double t) { return std::sin(2 * t) / 4 - t * std::cos(2 * t) / 2; };
-  return (primitive(b) - primitive(a)) / (std::pow(std::sin(b), 2) - std::pow(std::sin(a), 2));
-}
+double SkinGrid::NodeThetaRad(int bin) { return std::asin(Thetas().sine[bin]); }
 
 std::array<SkinNodeWeight, 8> SkinNodesAround(const SkinParameters& parameters) {
   static const PowerScale kMelanin(G::kMelanin, 0.75);
@@ -249,21 +270,37 @@ void SkinKernel::SetRingMeans(const std::array<float, G::kCells>& means) {
   }
 }
 
-double SkinKernel::Integral() const {
-  static const std::array<double, G::kRadii> kWeights = [] {
-    const RingMatrix means = MeansOfInterpolant();
-    std::array<double, G::kRadii> weights{};
-    for (int i = 0; i < G::kRadii; ++i) {
-      const double area =
-          std::numbers::pi * (std::pow(G::RadiusEdgeMm(i + 1), 2) - std::pow(G::RadiusEdgeMm(i), 2)) / G::kPolar;
-      for (int j = 0; j < G::kRadii; ++j) weights[j] += means[i][j] * area / std::pow(BinCentreMm(i), 1.5);
+SkinKernel::RadialWeights SkinKernel::WeightsOf(const std::function<double(double)>& share) {
+  constexpr int kSteps = 64;  // a ring
+  RadialWeights weights{};
+  for (int i = 0; i < G::kRadii; ++i) {
+    const double a2 = std::pow(G::RadiusEdgeMm(i), 2), b2 = std::pow(G::RadiusEdgeMm(i + 1), 2);
+    for (int k = 0; k < kSteps; ++k) {
+      const double r2 = a2 + (b2 - a2) * (k + 0.5) / kSteps, clamped2 = std::max(r2, double(kInnerMm) * kInnerMm);
+      const float position = RadialPosition(static_cast<float>(clamped2));
+      const int j = std::min(static_cast<int>(position), G::kRadii - 2);
+      const double f = position - static_cast<float>(j);
+      const double area = std::numbers::pi * (b2 - a2) / kSteps;
+      const double scale = area * share(std::sqrt(r2)) * std::pow(clamped2, -0.75) / G::kPolar;
+      weights[j] += (1.0 - f) * scale;
+      weights[j + 1] += f * scale;
     }
-    return weights;
-  }();
+  }
+  return weights;
+}
+
+double SkinKernel::Integral(const RadialWeights& weights) const {
   double sum = 0.0;
-  for (int i = 0; i < G::kRadii; ++i)
-    for (int j = 0; j < G::kPolar; ++j) sum += kWeights[i] * flat_[i * (G::kPolar + 1) + j];
+  for (int i = 0; i < G::kRadii; ++i) {
+    const float* ring = flat_.data() + i * (G::kPolar + 1);
+    sum += weights[i] * std::accumulate(ring, ring + G::kPolar, 0.0F);
+  }
   return sum;
+}
+
+double SkinKernel::Integral() const {
+  static const RadialWeights kAll = WeightsOf([](double) { return 1.0; });
+  return Integral(kAll);
 }
 
 void SkinTable::Encode(const std::vector<float>& flat) {
@@ -309,20 +346,19 @@ void SkinTable::DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight
 }
 
 double SkinTable::Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const {
+  constexpr int kSteps = 12;  // evenly in sin^2 of the exit angle
   double albedo = 0.0;
   SkinKernel kernel;
-  for (int out = 0; out < G::kThetas; ++out)
+  for (int step = 0; step < kSteps; ++step) {
+    const float theta_out = static_cast<float>(std::asin(std::sqrt((step + 0.5) / kSteps)));
     for (int az = 0; az < G::kAzimuths; ++az) {
-      const double a = G::kThetaEdgesDeg[out] * std::numbers::pi / 180,
-                   b = G::kThetaEdgesDeg[out + 1] * std::numbers::pi / 180;
-      const double azimuth_width = (az == 0 || az == 4 ? 0.25 : 0.5) * std::numbers::pi;  // both signs of the azimuth
-      const double projected = (std::pow(std::sin(b), 2) - std::pow(std::sin(a), 2)) / 2 * azimuth_width;
-      Interpolate(
-          channel, parameters,
-          {static_cast<float>(theta_in_rad), static_cast<float>(ThetaNodes()[out]), static_cast<float>(az) * kPi / 4},
-          kernel);
+      // Both signs of the azimuth; linear between the nodes, so their weights are the trapezoid's.
+      const double projected = (az == 0 || az == 4 ? 0.25 : 0.5) * std::numbers::pi * 0.5 / kSteps;
+      Interpolate(channel, parameters, {static_cast<float>(theta_in_rad), theta_out, static_cast<float>(az) * kPi / 4},
+                  kernel);
       albedo += kernel.Integral() * projected;
     }
+  }
   return albedo;
 }
 

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -36,9 +37,10 @@ struct SkinGrid {
   static size_t KernelIndex(int channel, int in, int out, int azimuth, int node);
   // Helmholtz: S(i -> o; r, psi) = S(o -> i; r, azimuth - pi - psi), as a bin.
   static int ReciprocalPsi(int azimuth, int psi) { return ((2 * azimuth - 8 - psi - 1) % kPolar + kPolar) % kPolar; }
+  // Where a theta bin counts as a node: its mean sin(theta), weighted with the Fresnel transmittance.
+  static double NodeThetaRad(int bin);
   // The skin of a node.
   static SkinParameters NodeParameters(int node);
-  static double MeanThetaRad(int bin);
 };
 
 // Nodes around a skin and their weights, which add up to 1; a weight may be 0. Clamped outside the grid. Light that
@@ -65,6 +67,10 @@ class SkinKernel {
   [[nodiscard]] float operator()(float x_mm, float y_mm) const;
   // Integral over the plane: radiance under unit irradiance, 1 / sr.
   [[nodiscard]] double Integral() const;
+  // Of share(r) S alone; the weights are made once.
+  using RadialWeights = std::array<double, SkinGrid::kRadii>;
+  [[nodiscard]] static RadialWeights WeightsOf(const std::function<double(double r_mm)>& share);
+  [[nodiscard]] double Integral(const RadialWeights& weights) const;
 
  private:
   friend class SkinTable;
@@ -84,8 +90,8 @@ class SkinTable {
   static std::string DefaultPath();
   Status Save(const std::string& path, const std::string& manifest_json) const;
 
-  // Linear in angles (through the normal: a theta below the first node lies between it and its mirror image);
-  // logarithm of S linear over SkinNodesAround.
+  // S over the Fresnel transmittances of its two directions is linear in sin(theta) (through the normal: a theta below
+  // the first node lies between it and its mirror image) and in azimuth; its logarithm over SkinNodesAround.
   void Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "firmware-host/simulated/simulation_file.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -19,6 +21,7 @@ Result<Image<uint16_t>> Shoot(SimulatedRig& rig, const ProjectedLight* light, do
     SLX_RETURN_IF_ERROR(rig.lines().SetEnable(light->projector, true));
     SLX_ASSIGN_OR_RETURN(const auto projector, rig.lines().TriggerProjector(light->projector));
     static_cast<void>(projector);
+    rig.Sleep(std::chrono::milliseconds(5));  // the picture is on a while after its trigger
   }
   SLX_ASSIGN_OR_RETURN(const auto trigger, rig.lines().TriggerCamera());
   static_cast<void>(trigger);
@@ -61,7 +64,8 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
   SimulatedRigOptions quiet = options.rig;
   quiet.noise = false;
   SLX_ASSIGN_OR_RETURN(const auto rig, SimulatedRig::Create(quiet, logger));
-  SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(quiet.scene, quiet.seed));
+  SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(quiet.scene));
+  SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed));
   SLX_RETURN_IF_ERROR(rig->camera().Start());
   SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, options.exposure_ms));
   std::vector<Image<uint16_t>> frames;

@@ -21,7 +21,7 @@ int Main(int argc, char** argv) {
   options.rig.camera_width = 696;
   options.tracing.photons = 100000;
   int places = 7;
-  app.add_option("--scene", options.rig.scene, "Scene");
+  app.add_option("--scene", options.rig.scene, "Scene: a name or a TOML file");
   app.add_option("--seed", options.rig.seed, "Seed of the scene");
   app.add_option("--camera-width", options.rig.camera_width, "Mosaic pixels across, even; 3/4 of it down");
   app.add_option("--projector-width", options.rig.projector_width, "Columns; 3/4 of it rows");
