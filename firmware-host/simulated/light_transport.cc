@@ -17,6 +17,8 @@ constexpr double kPi = std::numbers::pi;
 constexpr double kF0 = 0.028;
 // Projector pixels nearer than this are integrated over their extent and the camera pixel's footprint.
 constexpr float kNearPixels = 4.0F;
+// A projector pixel's light further than this from where the tangent plane puts it lies on another part of the face.
+constexpr float kLargestBendMm = 1.0F, kLargestBendRelative = 0.75F;
 // Zeros around a profile, so that windows that reach over the projector's edge read no light.
 constexpr int kPad = 64;
 // Values of a blur that differs over the subject.
@@ -245,8 +247,42 @@ bool LightTransport::StepsOnTangentPlane(const SubjectPixel& pixel, const PixelL
     return tangent(Eigen::Vector3d::Zero(), rig_.camera.model.Unproject({pixel.x + du, pixel.y + dv}));
   };
   steps = {projector_ray(1, 0), projector_ray(0, 1), camera_ray(1, 0), camera_ray(0, 1)};
-  return steps.column.norm() < 2.0F && steps.row.norm() < 2.0F && steps.u.norm() < 4.0F && steps.v.norm() < 4.0F &&
+  return steps.column.norm() < 8.0F && steps.row.norm() < 8.0F && steps.u.norm() < 8.0F && steps.v.norm() < 8.0F &&
          steps.ProjectorPixelArea() > 0.0F;
+}
+
+void LightTransport::DescribeNearSurface(const Eigen::Vector3f& point, const Eigen::Vector3f& tx,
+                                         const Eigen::Vector3f& ty, const Eigen::Vector2f& column_row, int first_column,
+                                         int first_row, const TangentSteps& steps, NearSurface& surface) const {
+  const Image<Block>& blocks = pyramid_[0];
+  const float plane_area = steps.ProjectorPixelArea();
+  auto at = [&](int c, int r) { return r * kNearWindow + c; };
+  for (int r = 0; r < kNearWindow; ++r)
+    for (int c = 0; c < kNearWindow; ++c) {
+      const int k = at(c, r), x = first_column + c, y = first_row + r;
+      surface.bend[k].setZero();
+      surface.area[k] = 0.0F;
+      if (!blocks.contains(x, y) || blocks(x, y).flux[1] == 0.0F) continue;
+      const Eigen::Vector3f d = blocks(x, y).position - point;
+      const Eigen::Vector2f on_plane = (static_cast<float>(x) - column_row.x()) * steps.column +
+                                       (static_cast<float>(y) - column_row.y()) * steps.row;
+      const Eigen::Vector2f bend = Eigen::Vector2f(d.dot(tx), d.dot(ty)) - on_plane;
+      if (bend.norm() > std::max(kLargestBendMm, kLargestBendRelative * on_plane.norm())) continue;
+      surface.bend[k] = bend;
+      surface.area[k] = plane_area;
+    }
+  // The area that a pixel lights, from its neighbours' places.
+  for (int r = 1; r + 1 < kNearWindow; ++r)
+    for (int c = 1; c + 1 < kNearWindow; ++c) {
+      const int left = at(c - 1, r), right = at(c + 1, r), up = at(c, r - 1), down = at(c, r + 1);
+      if (surface.area[at(c, r)] == 0.0F || surface.area[left] == 0.0F || surface.area[right] == 0.0F ||
+          surface.area[up] == 0.0F || surface.area[down] == 0.0F)
+        continue;
+      const Eigen::Vector2f column = steps.column + 0.5F * (surface.bend[right] - surface.bend[left]),
+                            row = steps.row + 0.5F * (surface.bend[down] - surface.bend[up]);
+      const float area = std::abs(column.x() * row.y() - column.y() * row.x());
+      surface.area[at(c, r)] = std::clamp(area, 0.25F * plane_area, 4.0F * plane_area);
+    }
 }
 
 template <typename Visit>
@@ -276,9 +312,12 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
   const auto start_c = WindowStart(light.column_row.x()), start_r = WindowStart(light.column_row.y());
   TangentSteps steps{};
   NearField near;
+  NearSurface surface;
   const bool fine = light.lit && StepsOnTangentPlane(pixel, light, tx, ty, steps);
-  if (fine) IntegrateSpike(kernel, steps, light.column_row, start_c[0], start_r[0], near);
-  const float per_area = fine ? 1.0F / steps.ProjectorPixelArea() : 0.0F;
+  if (fine) {
+    DescribeNearSurface(point, fx, fy, light.column_row, start_c[0], start_r[0], steps, surface);
+    IntegrateSpike(kernel, steps, surface, light.column_row, start_c[0], start_r[0], near);
+  }
   const std::array<Extent, 2> extents = {ExtentOf(steps, kBlock[0]), ExtentOf(steps, kBlock[1])};
   // Across a fold the tangent-plane offset can be short while the points are far apart: keep the distance in space.
   auto plain_offset = [&](const Block& b) {
@@ -297,14 +336,13 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
   };
   // A projector pixel of the finest level: its share of the spike, and the rest of the kernel.
   auto integrated = [&](const Block& b, int c, int r) {
+    const int k = (r - start_r[0]) * kNearWindow + c - start_c[0];
+    if (surface.area[k] == 0.0F) return plain(b);  // another part of the face
     const Eigen::Vector2f offset(static_cast<float>(c) - light.column_row.x(),
                                  static_cast<float>(r) - light.column_row.y());
-    const Eigen::Vector2f on_plane = offset.x() * steps.column + offset.y() * steps.row;
-    const Eigen::Vector3f d = b.position - point;
-    if ((Eigen::Vector2f(d.dot(fx), d.dot(fy)) - on_plane).norm() > 1.0F) return plain(b);  // another part of the face
-    const float rest =
-        offset.cwiseAbs().maxCoeff() < kNearPixels ? MeanBesideSpike(kernel, steps, offset) : plain_mean(b, extents[0]);
-    return rest + per_area * near[(r - start_r[0]) * kNearWindow + c - start_c[0]];
+    const float rest = offset.cwiseAbs().maxCoeff() < kNearPixels ? MeanBesideSpike(kernel, steps, -plain_offset(b))
+                                                                  : plain_mean(b, extents[0]);
+    return rest + near[k];
   };
 
   for (int level = 0; level < kLevels; ++level) {

@@ -75,6 +75,9 @@ class LightTransport {
   // False where light or view graze the surface: no tangent plane describes the pixel then.
   [[nodiscard]] bool StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,
                                          const Eigen::Vector3d& ty, TangentSteps& steps) const;
+  void DescribeNearSurface(const Eigen::Vector3f& point, const Eigen::Vector3f& tx, const Eigen::Vector3f& ty,
+                           const Eigen::Vector2f& column_row, int first_column, int first_row,
+                           const TangentSteps& steps, NearSurface& surface) const;
   // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
   template <typename Visit>
   void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;

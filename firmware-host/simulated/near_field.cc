@@ -69,6 +69,16 @@ std::vector<PolarNode> PolarNodes() {
   return nodes;
 }
 
+// Bend between the pixels' centres, which lie at half-integers of `at`; that of the border outside.
+Eigen::Vector2f BendAt(const NearSurface& surface, const Eigen::Vector2f& at) {
+  const float x = std::clamp(at.x() - 0.5F, 0.0F, kNearWindow - 1.001F),
+              y = std::clamp(at.y() - 0.5F, 0.0F, kNearWindow - 1.001F);
+  const int c = static_cast<int>(x), r = static_cast<int>(y);
+  const float fx = x - static_cast<float>(c), fy = y - static_cast<float>(r);
+  const Eigen::Vector2f* b = surface.bend.data() + r * kNearWindow + c;
+  return (1 - fy) * ((1 - fx) * b[0] + fx * b[1]) + fy * ((1 - fx) * b[kNearWindow] + fx * b[kNearWindow + 1]);
+}
+
 }  // namespace
 
 Extent ExtentOf(const TangentSteps& steps, int block) {
@@ -86,8 +96,8 @@ float SpikeShare(float r_mm) {
   return 1.0F - t * t * (3.0F - 2.0F * t);
 }
 
-void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const Eigen::Vector2f& column_row,
-                    int first_column, int first_row, NearField& near) {
+void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const NearSurface& surface,
+                    const Eigen::Vector2f& column_row, int first_column, int first_row, NearField& near) {
   static const std::vector<PolarNode> nodes = PolarNodes();
   near.fill(0.0F);
   Eigen::Matrix2f mm_per_px;
@@ -110,7 +120,8 @@ void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const E
   for (size_t i = 0; i < nodes.size(); ++i) {
     const PolarNode& node = nodes[i];
     const float mass = scale * masses[i];
-    const Eigen::Vector2f entry = origin - px_per_mm * Eigen::Vector2f(node.x, node.y);
+    const Eigen::Vector2f on_plane = origin - px_per_mm * Eigen::Vector2f(node.x, node.y);
+    const Eigen::Vector2f entry = on_plane - px_per_mm * BendAt(surface, on_plane);
     for (const auto& p : node.footprint) {
       const float c = entry.x() + footprint(0, 0) * p[0] + footprint(0, 1) * p[1],
                   r = entry.y() + footprint(1, 0) * p[0] + footprint(1, 1) * p[1];
@@ -118,9 +129,10 @@ void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const E
       near[static_cast<int>(r) * kNearWindow + static_cast<int>(c)] += mass;
     }
   }
+  for (size_t k = 0; k < near.size(); ++k) near[k] = surface.area[k] > 0.0F ? near[k] / surface.area[k] : 0.0F;
 }
 
-float MeanBesideSpike(const SkinKernel& kernel, const TangentSteps& steps, const Eigen::Vector2f& offset_px) {
+float MeanBesideSpike(const SkinKernel& kernel, const TangentSteps& steps, const Eigen::Vector2f& entry_mm) {
   static const auto pairs = [] {
     constexpr double kRoot = 1.1673039782614187;  // of x^5 = x + 1
     std::array<std::array<float, 4>, kSmoothSamples> points{};
@@ -129,8 +141,7 @@ float MeanBesideSpike(const SkinKernel& kernel, const TangentSteps& steps, const
   }();
   float sum = 0.0F;
   for (const auto& p : pairs) {
-    const Eigen::Vector2f offset =
-        p[2] * steps.u + p[3] * steps.v - (offset_px.x() + p[0]) * steps.column - (offset_px.y() + p[1]) * steps.row;
+    const Eigen::Vector2f offset = p[2] * steps.u + p[3] * steps.v - entry_mm - p[0] * steps.column - p[1] * steps.row;
     const float share = 1.0F - SpikeShare(offset.norm());
     if (share > 0.0F) sum += share * kernel(offset.x(), offset.y());
   }

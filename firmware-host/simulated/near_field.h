@@ -42,14 +42,21 @@ inline constexpr float kSpikeInnerMm = 0.45F, kSpikeOuterMm = 1.0F;
 inline constexpr int kNearWindow = 20;
 using NearField = std::array<float, kNearWindow * kNearWindow>;  // [row][column]
 
-// near[r][c] = integral over projector pixel (first_column + c, first_row + r) of the kernel's spike, averaged over the
-// camera pixel's footprint; 1 / sr. `column_row`: the camera pixel's centre in projector pixels.
-void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const Eigen::Vector2f& column_row,
-                    int first_column, int first_row, NearField& near);
+// Where the surface carries the window's projector pixels: on the tangent plane the light of one lies at
+// TangentSteps x offset + bend, because a curved surface meets the ray earlier or later than the plane does.
+struct NearSurface {
+  std::array<Eigen::Vector2f, kNearWindow * kNearWindow> bend;  // mm, [row][column]
+  std::array<float, kNearWindow * kNearWindow> area;            // lit by each projector pixel, mm^2; 0: elsewhere
+};
 
-// Mean over projector pixel and footprint of the kernel without its spike; `offset_px`: projector pixel minus
-// column_row. 1 / (mm^2 sr).
+// near[r][c] = mean of the kernel's spike over the light of projector pixel (first_column + c, first_row + r) and over
+// the camera pixel's footprint; 1 / (mm^2 sr). `column_row`: the camera pixel's centre in projector pixels.
+void IntegrateSpike(const SkinKernel& kernel, const TangentSteps& steps, const NearSurface& surface,
+                    const Eigen::Vector2f& column_row, int first_column, int first_row, NearField& near);
+
+// Mean over projector pixel and footprint of the kernel without its spike; `entry_mm`: where the projector pixel's
+// light falls, from the camera pixel's point. 1 / (mm^2 sr).
 [[nodiscard]] float MeanBesideSpike(const SkinKernel& kernel, const TangentSteps& steps,
-                                    const Eigen::Vector2f& offset_px);
+                                    const Eigen::Vector2f& entry_mm);
 
 }  // namespace stratalux::rig

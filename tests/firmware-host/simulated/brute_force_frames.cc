@@ -67,11 +67,16 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
   SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(quiet.scene));
   SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed));
   SLX_RETURN_IF_ERROR(rig->camera().Start());
-  SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, options.exposure_ms));
-  std::vector<Image<uint16_t>> frames;
+  // Lines and spots are dim: longer exposures keep the rounding small.
+  auto longer = [](const NamedLight& l) { return l.light.pattern.kind == PatternKind::kWhite ? 1.0 : 4.0; };
+  std::vector<Image<double>> frames;  // less the dark ones, at the nominal exposure
   for (const NamedLight& l : lights) {
-    SLX_ASSIGN_OR_RETURN(auto frame, Shoot(*rig, &l.light, options.exposure_ms));
-    frames.push_back(std::move(frame));
+    SLX_ASSIGN_OR_RETURN(const auto frame, Shoot(*rig, &l.light, longer(l) * options.exposure_ms));
+    SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, longer(l) * options.exposure_ms));
+    Image<double> difference(frame.width(), frame.height());
+    for (size_t i = 0; i < difference.size(); ++i)
+      difference.pixels()[i] = (double(frame.pixels()[i]) - double(dark.pixels()[i])) / longer(l);
+    frames.push_back(std::move(difference));
   }
   const RigCalibration& calibration = rig->calibration();
   // A projector's black still shines as white does: behind the lights, the white of each projector.
@@ -94,7 +99,7 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
       ComparedPixel c{lights[l].name, p, CfaColour(calibration.camera.cfa, at.x(), at.y()), at.x(), at.y()};
       c.light_deg = IncidenceDeg(scene, *point, calibration.projectors[p].CentreInCamera());
       c.view_deg = IncidenceDeg(scene, *point, Eigen::Vector3d::Zero());
-      c.rig = double(frames[l](at.x(), at.y())) - double(dark(at.x(), at.y()));
+      c.rig = frames[l](at.x(), at.y());
       c.direct = options.exposure_ms * (open * e.direct + black * white.direct);
       c.traced = options.exposure_ms * (open * e.subsurface + black * white.subsurface) + c.direct;
       c.traced_error = options.exposure_ms * std::hypot(open * e.subsurface_error, open * e.direct_error);
@@ -111,7 +116,7 @@ std::string ComparisonTable(const std::vector<ComparedPixel>& pixels) {
   for (const ComparedPixel& c : pixels) {
     char line[256];
     std::snprintf(line, sizeof line,
-                  "| %s | %d | %s | %d, %d | %.0f, %.0f deg | %.0f | %.1f | %.1f | %.1f | %+.1f %% |\n",
+                  "| %s | %d | %s | %d, %d | %.0f, %.0f deg | %.1f | %.1f | %.1f | %.1f | %+.1f %% |\n",
                   c.light.c_str(), c.projector, kColours[c.colour], c.x, c.y, c.light_deg, c.view_deg, c.rig, c.traced,
                   c.traced_error, c.direct, 100.0 * c.Deviation());
     table += line;
