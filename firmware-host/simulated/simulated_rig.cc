@@ -337,8 +337,12 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
     }
   }
   SLX_ASSIGN_OR_RETURN(auto scene, Scene::Create(simulation.scene, options.seed));
-  SLX_ASSIGN_OR_RETURN(auto table,
-                       SkinTable::Load(options.skin_table.empty() ? SkinTable::DefaultPath() : options.skin_table));
+  const bool wax = simulation.scene.shape == ShapeKind::kSlab;
+  const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
+  SLX_ASSIGN_OR_RETURN(auto table, SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table));
+  if ((table.nodes() == 1) != wax)
+    return Status::Usage("skin table " + options.skin_table + ": of " +
+                         (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
   return std::unique_ptr<SimulatedRig>(new Devices(options, std::move(scene), std::move(table), logger));
 }
 

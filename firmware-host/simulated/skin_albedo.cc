@@ -7,16 +7,16 @@
 
 namespace stratalux::rig {
 
-SkinAlbedo::SkinAlbedo(const SkinTable& table) {
+SkinAlbedo::SkinAlbedo(const SkinTable& table) : table_(table) {
   for (int c = 0; c < kSkinChannels; ++c)
-    for (int node = 0; node < SkinGrid::kNodes; ++node)
+    for (int node = 0; node < table.nodes(); ++node)
       log_albedo_[c][node] =
           static_cast<float>(std::log(table.Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
 }
 
 float SkinAlbedo::operator()(int channel, const SkinParameters& parameters) const {
   float sum = 0.0F;
-  for (const SkinNodeWeight& n : SkinNodesAround(parameters)) sum += n.weight * log_albedo_[channel][n.node];
+  for (const SkinNodeWeight& n : table_.NodesAround(parameters)) sum += n.weight * log_albedo_[channel][n.node];
   return std::exp(sum);
 }
 

@@ -14,6 +14,7 @@ namespace stratalux::rig {
 
 class SkinAlbedo {
  public:
+  // Keeps a reference.
   explicit SkinAlbedo(const SkinTable& table);
   [[nodiscard]] float operator()(int channel, const SkinParameters& parameters) const;
   // Diffuse albedo of any material.
@@ -22,6 +23,7 @@ class SkinAlbedo {
   }
 
  private:
+  const SkinTable& table_;
   std::array<std::array<float, SkinGrid::kNodes>, kSkinChannels> log_albedo_{};
 };
 

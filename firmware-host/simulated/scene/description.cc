@@ -9,8 +9,8 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr std::array<std::string_view, 9> kShapes = {"head",  "plane",        "sphere",  "white", "ramp",
-                                                     "chart", "checkerboard", "charuco", "bowl"};
+constexpr std::array<std::string_view, 10> kShapes = {"head",  "plane",        "sphere",  "white", "ramp",
+                                                      "chart", "checkerboard", "charuco", "bowl",  "slab"};
 constexpr std::array<std::string_view, 3> kEyes = {"none", "closed", "open"};
 
 std::string Names(const auto& names) {

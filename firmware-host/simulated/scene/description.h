@@ -17,7 +17,7 @@ class TomlTable;
 
 namespace stratalux::rig {
 
-enum class ShapeKind { kHead, kPlane, kSphere, kWhite, kRamp, kChart, kCheckerboard, kCharuco, kBowl };
+enum class ShapeKind { kHead, kPlane, kSphere, kWhite, kRamp, kChart, kCheckerboard, kCharuco, kBowl, kSlab };
 [[nodiscard]] const char* ToString(ShapeKind kind);
 [[nodiscard]] Result<ShapeKind> ParseShapeKind(const std::string& text);
 
@@ -50,7 +50,7 @@ struct SkinDescription {
   bool scar = false;              // across a cheek: pale, without melanin
 };
 
-// Plates: boards, ramp, chart, white target.
+// Plates: boards, ramp, chart, white target, wax slab.
 struct PlateDescription {
   double width_mm = 240.0, height_mm = 180.0;  // boards take their size from the squares
   int columns = 10, rows = 7;                  // squares of a board; steps of a ramp (columns)

@@ -107,6 +107,7 @@ std::array<float, 3> Plate::Albedo(double x, double y) const {
 }
 
 Material Plate::MaterialAt(const Eigen::Vector3d& point, EyeLids /*lids*/) const {
+  if (kind_ == ShapeKind::kSlab) return Material::Wax();
   return Material::Matt(Albedo(point.x(), point.y()));
 }
 

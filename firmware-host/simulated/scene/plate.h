@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Flat targets in the plane z = 700 mm: white, grey ramp, colour chart, chessboard, ChArUco board. +x of a board
-// runs along its columns, +y down its rows, its middle at the axis.
+// Flat targets in the plane z = 700 mm: white, grey ramp, colour chart, chessboard, ChArUco board, slab of wax. +x of a
+// board runs along its columns, +y down its rows, its middle at the axis.
 #pragma once
 
 #include "firmware-host/simulated/scene/description.h"

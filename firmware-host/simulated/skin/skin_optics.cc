@@ -52,4 +52,12 @@ Tissue AbsorbingSkin(int channel, const SkinParameters& parameters) {
   return tissue;
 }
 
+Tissue WaxSlab(int channel) {
+  constexpr std::array<double, kSkinChannels> kReducedScattering = {1.1, 1.3, 1.5}, kAbsorption = {0.002, 0.004, 0.007};
+  constexpr double kG = 0.7;
+  Tissue slab;
+  slab.layers = {{kSkinIndex, kAbsorption[channel], kReducedScattering[channel] / (1.0 - kG), kG, kWaxSlabMm}};
+  return slab;
+}
+
 }  // namespace stratalux::rig

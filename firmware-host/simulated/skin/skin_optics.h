@@ -26,6 +26,11 @@ struct SkinParameters {
   float epidermis_mm = static_cast<float>(kEpidermisMm);
 };
 
+// A slab of translucent wax, the test object without layers: reduced scattering 1.1 / 1.3 / 1.5 per mm, absorption
+// 0.002 / 0.004 / 0.007 per mm (chosen between candle wax and marble; no measured piece), g 0.7, the index of skin.
+inline constexpr double kWaxSlabMm = 20.0;
+[[nodiscard]] Tissue WaxSlab(int channel);
+
 // Absorption per mm of epidermis, dermis, subcutis.
 [[nodiscard]] std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& parameters);
 // Skin and subcutis without absorption, for path-length re-weighting. Epidermis and dermis scatter and refract alike

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <numbers>
 #include <numeric>
 #include <span>
@@ -132,7 +133,7 @@ struct ThetaNode {
 
 // Below the first node theta lies between that node and its image across the normal, so that the kernel passes through
 // the normal without a jump and light along the normal is displaced to no side.
-std::array<ThetaNode, 2> NodesAround(float theta) {
+std::array<ThetaNode, 2> ThetasAround(float theta) {
   const ThetaBins& bins = Thetas();
   const double sine = std::sin(std::clamp(theta, 0.0F, 0.5F * kPi));
   const double transmittance = TransmittanceAt(sine);
@@ -198,8 +199,8 @@ int SkinGrid::NodeIndex(int melanin, int blood, int epidermis) {
   return (melanin * static_cast<int>(kBlood.size()) + blood) * static_cast<int>(kEpidermisMm.size()) + epidermis;
 }
 
-size_t SkinGrid::KernelIndex(int channel, int in, int out, int azimuth, int node) {
-  return (((size_t(channel) * kThetas + in) * kThetas + out) * kAzimuths + azimuth) * kNodes + node;
+size_t SkinGrid::DirectionIndex(int channel, int in, int out, int azimuth) {
+  return ((size_t(channel) * kThetas + in) * kThetas + out) * kAzimuths + azimuth;
 }
 
 SkinParameters SkinGrid::NodeParameters(int node) {
@@ -303,6 +304,13 @@ double SkinKernel::Integral() const {
   return Integral(kAll);
 }
 
+std::array<SkinNodeWeight, 8> SkinTable::NodesAround(const SkinParameters& parameters) const {
+  if (nodes_ == SkinGrid::kNodes) return SkinNodesAround(parameters);
+  std::array<SkinNodeWeight, 8> only{};
+  only[0].weight = 1.0F;
+  return only;
+}
+
 void SkinTable::Encode(const std::vector<float>& flat) {
   codes_.resize(flat.size());
   std::transform(flat.begin(), flat.end(), codes_.begin(), EncodeEntry);
@@ -318,17 +326,17 @@ void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const
   const float azimuth = std::clamp(directions.azimuth_rad / kPi * 4.0F, 0.0F, 4.0F);
   const int az = std::min(static_cast<int>(azimuth), 3);
   const float f_az = azimuth - static_cast<float>(az);
-  const std::array<SkinNodeWeight, 8> nodes = SkinNodesAround(parameters);
+  const std::array<SkinNodeWeight, 8> nodes = NodesAround(parameters);
 
   std::array<float, G::kCells> sum{}, cells;
-  for (const ThetaNode& in : NodesAround(directions.theta_in_rad))
-    for (const ThetaNode& ex : NodesAround(directions.theta_out_rad)) {
+  for (const ThetaNode& in : ThetasAround(directions.theta_in_rad))
+    for (const ThetaNode& ex : ThetasAround(directions.theta_out_rad)) {
       const PsiMirror mirror(in.across, ex.across);
       for (int k = 0; k < 2; ++k) {
         const float weight = in.weight * ex.weight * (k != 0 ? f_az : 1 - f_az);
         if (weight == 0.0F) continue;
         const int azimuth_bin = in.across == ex.across ? az + k : G::kAzimuths - 1 - az - k;
-        DecodeCells(G::KernelIndex(channel, in.bin, ex.bin, azimuth_bin, 0), nodes, cells.data());
+        DecodeCells(G::DirectionIndex(channel, in.bin, ex.bin, azimuth_bin) * nodes_, nodes, cells.data());
         mirror.Add(weight, cells.data(), sum);
       }
     }
@@ -365,6 +373,10 @@ double SkinTable::Albedo(int channel, const SkinParameters& parameters, double t
 std::string SkinTable::DefaultPath() {
   if (const char* path = std::getenv("STRATALUX_SKIN_TABLE")) return path;
   return STRATALUX_SKIN_TABLE_PATH;
+}
+
+std::string SkinTable::DefaultWaxPath() {
+  return std::filesystem::path(DefaultPath()).replace_filename("wax_table.bin").string();
 }
 
 }  // namespace stratalux::rig

@@ -31,10 +31,14 @@ struct SkinGrid {
   static constexpr std::array<double, 3> kEpidermisMm = {0.05, 0.08, 0.15};
   static constexpr int kNodes = static_cast<int>(kMelanin.size() * kBlood.size() * kEpidermisMm.size());
   static constexpr int kCells = kRadii * kPolar;
-  static constexpr size_t kKernels = size_t{kSkinChannels} * kThetas * kThetas * kAzimuths * kNodes;
+  static constexpr size_t kDirections = size_t{kSkinChannels} * kThetas * kThetas * kAzimuths;
   static double RadiusEdgeMm(int edge);  // 0 .. kRadii
   static int NodeIndex(int melanin, int blood, int epidermis);
-  static size_t KernelIndex(int channel, int in, int out, int azimuth, int node);
+  static size_t DirectionIndex(int channel, int in, int out, int azimuth);
+  // Of a table of skin.
+  static size_t KernelIndex(int channel, int in, int out, int azimuth, int node) {
+    return DirectionIndex(channel, in, out, azimuth) * kNodes + node;
+  }
   // Helmholtz: S(i -> o; r, psi) = S(o -> i; r, azimuth - pi - psi), as a bin.
   static int ReciprocalPsi(int azimuth, int psi) { return ((2 * azimuth - 8 - psi - 1) % kPolar + kPolar) % kPolar; }
   // Where a theta bin counts as a node: its mean sin(theta), weighted with the Fresnel transmittance.
@@ -86,8 +90,9 @@ class SkinTable {
  public:
   // kNotFound, kIntegrity (not a table, damaged), kNewerSchema.
   static Result<SkinTable> Load(const std::string& path);
-  // STRATALUX_SKIN_TABLE, else the shipped table.
+  // Skin: STRATALUX_SKIN_TABLE, else the shipped table. Wax: wax_table.bin beside it.
   static std::string DefaultPath();
+  static std::string DefaultWaxPath();
   Status Save(const std::string& path, const std::string& manifest_json) const;
 
   // S over the Fresnel transmittances of its two directions is linear in sin(theta) (through the normal: a theta below
@@ -96,23 +101,30 @@ class SkinTable {
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.
   [[nodiscard]] double Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const;
+  // Kernels a direction: one each node of skin, or one where the tissue has no parameters (wax).
+  [[nodiscard]] int nodes() const { return nodes_; }
+  // SkinNodesAround, or the only node.
+  [[nodiscard]] std::array<SkinNodeWeight, 8> NodesAround(const SkinParameters& parameters) const;
   // S of one cell (bin averages), 1 / (mm^2 sr).
   [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
   [[nodiscard]] const std::string& manifest() const { return manifest_; }
 
  private:
   friend Result<SkinTable> GenerateSkinTable(int64_t, uint64_t, int, Logger&);
+  friend Result<SkinTable> GenerateWaxTable(int64_t, uint64_t, int, Logger&);
   // S r^1.5 of one direction: `first_kernel` is that of its node 0.
   void DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight, 8>& nodes, float* cells) const;
   // Codes of S r^1.5 from [kernel][radius][psi].
   void Encode(const std::vector<float>& flat);
 
-  std::vector<uint16_t> codes_;  // [kernel][radius][psi], of log2(S r^1.5): skin_table_code.h
+  int nodes_ = SkinGrid::kNodes;
+  std::vector<uint16_t> codes_;  // [direction][node][radius][psi], of log2(S r^1.5): skin_table_code.h
   std::string manifest_;
 };
 
 // Monte Carlo of every kernel with `photons` for each channel and incidence bin. Deterministic by seed.
 Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger);
+Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, Logger& logger);
 
 // One (channel, incidence, exit, azimuth) column of the table without reciprocity or smoothing, for checks: radiance
 // under unit irradiance and its standard error for each node of the optics.

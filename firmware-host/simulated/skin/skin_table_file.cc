@@ -23,51 +23,53 @@ constexpr size_t kHeaderBytes = sizeof kMagic + 4 * sizeof(uint64_t);
 
 // Calls visit(first cell, first cell of the node that predicts it or SIZE_MAX) in the order of the file.
 template <typename Visit>
-void ForEachStoredKernel(const Visit& visit) {
+void ForEachStoredKernel(int nodes, const Visit& visit) {
   constexpr int kE = static_cast<int>(G::kEpidermisMm.size()), kB = static_cast<int>(G::kBlood.size());
   for (int c = 0; c < kSkinChannels; ++c)
     for (int in = 0; in < G::kThetas; ++in)
       for (int out = in; out < G::kThetas; ++out)
         for (int az = 0; az < G::kAzimuths; ++az)
-          for (int node = 0; node < G::kNodes; ++node) {
+          for (int node = 0; node < nodes; ++node) {
+            const size_t first = G::DirectionIndex(c, in, out, az) * nodes;
             const int e = node % kE, b = node / kE % kB, m = node / kE / kB;
             const int from = e > 0   ? node - 1
                              : b > 0 ? G::NodeIndex(m, b - 1, e)
                              : m > 0 ? G::NodeIndex(m - 1, b, e)
                                      : -1;
-            visit(G::KernelIndex(c, in, out, az, node) * G::kCells,
-                  from < 0 ? SIZE_MAX : G::KernelIndex(c, in, out, az, from) * G::kCells);
+            visit((first + node) * G::kCells, from < 0 ? SIZE_MAX : (first + from) * G::kCells);
           }
 }
 
-constexpr size_t kStored =
-    size_t{kSkinChannels} * (G::kThetas * (G::kThetas + 1) / 2) * G::kAzimuths * G::kNodes * G::kCells;
+// Entries of a file, a node.
+constexpr size_t kStored = size_t{kSkinChannels} * (G::kThetas * (G::kThetas + 1) / 2) * G::kAzimuths * G::kCells;
 
 uint16_t Predicted(const std::vector<uint16_t>& codes, size_t first, size_t from, int cell) {
   if (from != SIZE_MAX) return codes[from + cell];
   return cell > 0 ? codes[first + cell - 1] : uint16_t{0};
 }
 
-std::vector<uint8_t> ToPlanes(const std::vector<uint16_t>& codes) {
-  std::vector<uint8_t> planes(2 * kStored);
+std::vector<uint8_t> ToPlanes(const std::vector<uint16_t>& codes, int nodes) {
+  const size_t stored = kStored * nodes;
+  std::vector<uint8_t> planes(2 * stored);
   size_t at = 0;
-  ForEachStoredKernel([&](size_t first, size_t from) {
+  ForEachStoredKernel(nodes, [&](size_t first, size_t from) {
     for (int k = 0; k < G::kCells; ++k, ++at) {
       const auto d = static_cast<int16_t>(codes[first + k] - Predicted(codes, first, from, k));
       const auto zigzag = static_cast<uint16_t>((d << 1) ^ (d >> 15));  // small of either sign: small
       planes[at] = static_cast<uint8_t>(zigzag & 0xffU);
-      planes[kStored + at] = static_cast<uint8_t>(zigzag >> 8);
+      planes[stored + at] = static_cast<uint8_t>(zigzag >> 8);
     }
   });
   return planes;
 }
 
-std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes) {
-  std::vector<uint16_t> codes(G::kKernels * G::kCells);
+std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes, int nodes) {
+  const size_t stored = kStored * nodes;
+  std::vector<uint16_t> codes(G::kDirections * nodes * G::kCells);
   size_t at = 0;
-  ForEachStoredKernel([&](size_t first, size_t from) {
+  ForEachStoredKernel(nodes, [&](size_t first, size_t from) {
     for (int k = 0; k < G::kCells; ++k, ++at) {
-      const unsigned zigzag = planes[at] | unsigned{planes[kStored + at]} << 8;
+      const unsigned zigzag = planes[at] | unsigned{planes[stored + at]} << 8;
       const unsigned d = (zigzag >> 1) ^ (0U - (zigzag & 1U));
       codes[first + k] = static_cast<uint16_t>(Predicted(codes, first, from, k) + d);
     }
@@ -76,9 +78,9 @@ std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes) {
     for (int in = 0; in < G::kThetas; ++in)
       for (int out = 0; out < in; ++out)
         for (int az = 0; az < G::kAzimuths; ++az)
-          for (int node = 0; node < G::kNodes; ++node) {
-            const uint16_t* from = codes.data() + G::KernelIndex(c, out, in, az, node) * G::kCells;
-            uint16_t* to = codes.data() + G::KernelIndex(c, in, out, az, node) * G::kCells;
+          for (int node = 0; node < nodes; ++node) {
+            const uint16_t* from = codes.data() + (G::DirectionIndex(c, out, in, az) * nodes + node) * G::kCells;
+            uint16_t* to = codes.data() + (G::DirectionIndex(c, in, out, az) * nodes + node) * G::kCells;
             for (int k = 0; k < G::kCells; ++k) to[k] = from[k - k % G::kPolar + G::ReciprocalPsi(az, k % G::kPolar)];
           }
   return codes;
@@ -87,12 +89,12 @@ std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes) {
 }  // namespace
 
 Status SkinTable::Save(const std::string& path, const std::string& manifest_json) const {
-  const std::vector<uint8_t> planes = ToPlanes(codes_);
+  const std::vector<uint8_t> planes = ToPlanes(codes_, nodes_);
   std::vector<char> packed(ZSTD_compressBound(planes.size()));
   const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), 19);
   if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
   std::ofstream out(path, std::ios::binary | std::ios::trunc);
-  const uint64_t header[4] = {kStored, size, XXH3_64bits(packed.data(), size), manifest_json.size()};
+  const uint64_t header[4] = {kStored * nodes_, size, XXH3_64bits(packed.data(), size), manifest_json.size()};
   out.write(kMagic, sizeof kMagic);
   out.write(reinterpret_cast<const char*>(header), sizeof header);
   out.write(manifest_json.data(), static_cast<std::streamsize>(manifest_json.size()));
@@ -117,17 +119,19 @@ Result<SkinTable> SkinTable::Load(const std::string& path) {
     return Status::Usage("skin table " + path + ": version " + bytes[7] +
                          ", this program reads 2 (make it again with `stratalux-skin-table generate`)");
   std::memcpy(header, bytes.data() + sizeof kMagic, sizeof header);
-  if (header[0] != kStored || header[1] > bytes.size() || header[3] > bytes.size() ||
+  const int nodes = header[0] == kStored ? 1 : G::kNodes;
+  if (header[0] != kStored * nodes || header[1] > bytes.size() || header[3] > bytes.size() ||
       kHeaderBytes + header[3] + header[1] != bytes.size())
     return Status::Integrity("skin table " + path + ": truncated, or of another grid");
   const char* packed = bytes.data() + kHeaderBytes + header[3];
   if (XXH3_64bits(packed, header[1]) != header[2]) return Status::Integrity("skin table " + path + ": hash mismatch");
-  std::vector<uint8_t> planes(2 * kStored);
+  std::vector<uint8_t> planes(2 * kStored * nodes);
   if (ZSTD_decompress(planes.data(), planes.size(), packed, header[1]) != planes.size())
     return Status::Integrity("skin table " + path + ": cannot be decompressed");
   SkinTable table;
   table.manifest_.assign(bytes.data() + kHeaderBytes, header[3]);
-  table.codes_ = FromPlanes(planes);
+  table.nodes_ = nodes;
+  table.codes_ = FromPlanes(planes, nodes);
   return table;
 }
 

@@ -102,53 +102,54 @@ MonteCarloOptions RunOptions(int channel, int in, int64_t photons, uint64_t seed
   return options;
 }
 
-// Fills the kernels of one channel and incidence bin.
-void AccumulateRun(int channel, int in, int64_t photons, uint64_t seed, int threads, std::vector<float>& flat) {
-  const Reweighting reweighting(channel);
-  const MonteCarloOptions options = RunOptions(channel, in, photons, seed, threads);
-  const size_t size = size_t{G::kThetas} * G::kAzimuths * kNodes * G::kCells;
+// Fills the kernels of one channel and incidence bin; weigh(photon, weights) gives the photon's weight in each node.
+template <typename Weigh>
+void AccumulateRun(const Tissue& tissue, int channel, int in, const MonteCarloOptions& options, int nodes,
+                   const Weigh& weigh, std::vector<float>& flat) {
+  const auto photons = static_cast<double>(options.photons);
+  const size_t size = size_t{G::kThetas} * G::kAzimuths * nodes * G::kCells;
   // Fixed-point integers make the sum independent of the order in which the threads deliver.
   std::vector<int64_t> fixed(size, 0);  // [out][azimuth][cell][node]
   constexpr double kFixed = 0x1p44;     // 2^19 photons in one cell overflow; 3 million in all put less than 10^5 there
   std::mutex mutex;
-  TraceLayeredTissue(ClearSkin(channel, G::kEpidermisMm), options, [&](int64_t, std::span<const EscapedPhoton> list) {
+  TraceLayeredTissue(tissue, options, [&](int64_t, std::span<const EscapedPhoton> list) {
     std::array<double, kNodes> weights{};
     const std::lock_guard lock(mutex);
     for (const EscapedPhoton& e : list) {
       const Bin bin = BinOf(e);
       if (bin.out < 0 || bin.radius < 0) continue;
-      reweighting.Weights(e, weights);
+      weigh(e, weights);
       const size_t cell = size_t(bin.radius) * G::kPolar + bin.psi;
-      int64_t* sums = fixed.data() + ((size_t(bin.out) * G::kAzimuths + bin.azimuth) * G::kCells + cell) * kNodes;
-      for (int n = 0; n < kNodes; ++n) sums[n] += static_cast<int64_t>(weights[n] * kFixed);
+      int64_t* sums = fixed.data() + ((size_t(bin.out) * G::kAzimuths + bin.azimuth) * G::kCells + cell) * nodes;
+      for (int n = 0; n < nodes; ++n) sums[n] += static_cast<int64_t>(weights[n] * kFixed);
     }
   });
   for (int out = 0; out < G::kThetas; ++out)
     for (int az = 0; az < G::kAzimuths; ++az)
-      for (int n = 0; n < kNodes; ++n)
+      for (int n = 0; n < nodes; ++n)
         for (int r = 0; r < G::kRadii; ++r) {
           const double centre = r == 0 ? G::kFirstRadiusMm / 2 : std::sqrt(G::RadiusEdgeMm(r) * G::RadiusEdgeMm(r + 1));
-          const double scale = std::pow(centre, 1.5) /
-                               (kFixed * static_cast<double>(photons) * CellAreaMm2(r) * ProjectedSolidAngle(out, az));
+          const double scale =
+              std::pow(centre, 1.5) / (kFixed * photons * CellAreaMm2(r) * ProjectedSolidAngle(out, az));
           for (int psi = 0; psi < G::kPolar; ++psi) {
             const size_t cell = size_t(r) * G::kPolar + psi;
-            const size_t from = ((size_t(out) * G::kAzimuths + az) * G::kCells + cell) * kNodes + n;
-            flat[G::KernelIndex(channel, in, out, az, n) * G::kCells + cell] =
+            const size_t from = ((size_t(out) * G::kAzimuths + az) * G::kCells + cell) * nodes + n;
+            flat[(G::DirectionIndex(channel, in, out, az) * nodes + n) * G::kCells + cell] =
                 static_cast<float>(static_cast<double>(fixed[from]) * scale);
           }
         }
 }
 
 // Averaging each path with the reverse one doubles the photons and makes the table exactly reciprocal.
-void Symmetrise(std::vector<float>& flat) {
+void Symmetrise(int nodes, std::vector<float>& flat) {
   std::vector<float> mean(flat.size());
   for (int c = 0; c < kSkinChannels; ++c)
     for (int in = 0; in < G::kThetas; ++in)
       for (int out = 0; out < G::kThetas; ++out)
         for (int az = 0; az < G::kAzimuths; ++az)
-          for (int n = 0; n < kNodes; ++n) {
-            const size_t a = G::KernelIndex(c, in, out, az, n) * G::kCells;
-            const size_t b = G::KernelIndex(c, out, in, az, n) * G::kCells;
+          for (int n = 0; n < nodes; ++n) {
+            const size_t a = (G::DirectionIndex(c, in, out, az) * nodes + n) * G::kCells;
+            const size_t b = (G::DirectionIndex(c, out, in, az) * nodes + n) * G::kCells;
             for (int r = 0; r < G::kRadii; ++r)
               for (int psi = 0; psi < G::kPolar; ++psi) {
                 const int other = G::ReciprocalPsi(az, psi);
@@ -163,7 +164,7 @@ void Symmetrise(std::vector<float>& flat) {
 // ring's sum and (times 0.96) its first moment.
 void SmoothFarRings(std::vector<float>& flat) {
   constexpr double kFromMm = 4.0;
-  for (size_t k = 0; k < G::kKernels; ++k)
+  for (size_t k = 0; k < flat.size() / G::kCells; ++k)
     for (int r = 0; r < G::kRadii; ++r) {
       if (G::RadiusEdgeMm(r) < kFromMm) continue;
       float* ring = flat.data() + k * G::kCells + r * G::kPolar;
@@ -174,20 +175,50 @@ void SmoothFarRings(std::vector<float>& flat) {
     }
 }
 
+Status CheckPhotons(int64_t photons) {
+  if (photons >= 1000) return Status::Ok();
+  return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
+}
+
 }  // namespace
 
 Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
-  if (photons < 1000) return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
-  SkinTable table;
-  std::vector<float> flat(G::kKernels * G::kCells, 0.0F);
+  SLX_RETURN_IF_ERROR(CheckPhotons(photons));
+  std::vector<float> flat(G::kDirections * kNodes * G::kCells, 0.0F);
   Progress progress(logger, "skin table", kSkinChannels * G::kThetas);
-  for (int c = 0; c < kSkinChannels; ++c)
+  for (int c = 0; c < kSkinChannels; ++c) {
+    const Reweighting reweighting(c);
     for (int in = 0; in < G::kThetas; ++in) {
-      AccumulateRun(c, in, photons, seed, threads, flat);
+      AccumulateRun(
+          ClearSkin(c, G::kEpidermisMm), c, in, RunOptions(c, in, photons, seed, threads), kNodes,
+          [&](const EscapedPhoton& e, std::array<double, kNodes>& weights) { reweighting.Weights(e, weights); }, flat);
       progress.Advance();
     }
-  Symmetrise(flat);
+  }
+  Symmetrise(kNodes, flat);
   SmoothFarRings(flat);
+  SkinTable table;
+  table.Encode(flat);
+  return table;
+}
+
+Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
+  SLX_RETURN_IF_ERROR(CheckPhotons(photons));
+  std::vector<float> flat(G::kDirections * G::kCells, 0.0F);
+  Progress progress(logger, "wax table", kSkinChannels * G::kThetas);
+  for (int c = 0; c < kSkinChannels; ++c)
+    for (int in = 0; in < G::kThetas; ++in) {
+      MonteCarloOptions options = RunOptions(c, in, photons, seed, threads);
+      options.max_path_mm = 1000.0;  // at the least absorption, 0.002 / mm, exp(-2); few come back from so far
+      AccumulateRun(
+          WaxSlab(c), c, in, options, 1,
+          [](const EscapedPhoton& e, std::array<double, kNodes>& weights) { weights[0] = e.weight; }, flat);
+      progress.Advance();
+    }
+  Symmetrise(1, flat);
+  SmoothFarRings(flat);
+  SkinTable table;
+  table.nodes_ = 1;
   table.Encode(flat);
   return table;
 }

@@ -21,15 +21,17 @@ int Report(Logger& logger, const Status& status) {
   return status.exit_code();
 }
 
-int Generate(const std::string& out, int64_t photons, uint64_t seed, int threads) {
+int Generate(const std::string& out, bool wax, int64_t photons, uint64_t seed, int threads) {
   Logger logger;
   const auto start = std::chrono::steady_clock::now();
-  auto table = GenerateSkinTable(photons, seed, threads, logger);
+  auto table =
+      wax ? GenerateWaxTable(photons, seed, threads, logger) : GenerateSkinTable(photons, seed, threads, logger);
   if (!table.ok()) return Report(logger, table.status());
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   const int64_t total = photons * kSkinChannels * SkinGrid::kThetas;
-  const std::string manifest = "{\"table\": \"stratalux skin\", \"version\": 2, \"program\": \"" +
-                               std::string(kVersion) + "\", \"photons_per_run\": " + std::to_string(photons) +
+  const std::string manifest = std::string("{\"table\": \"stratalux ") + (wax ? "wax" : "skin") +
+                               "\", \"version\": 2, \"program\": \"" + std::string(kVersion) +
+                               "\", \"photons_per_run\": " + std::to_string(photons) +
                                ", \"runs\": 15, \"seed\": " + std::to_string(seed) + "}";
   const Status saved = table->Save(out, manifest);
   if (saved.ok())
@@ -42,6 +44,7 @@ int Check(const std::string& file, int channel, int in, int out, int azimuth, in
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
+  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
   const auto checks = RegenerateSkinCell(*table, channel, in, out, azimuth, photons, seed);
   int outside = 0;
   std::printf("%8s %8s %8s %12s %12s %12s %8s\n", "melanin", "blood", "epidermis", "table", "monte carlo", "std error",
@@ -77,6 +80,7 @@ int CheckBetweenNodes(const std::string& file, int64_t photons, uint64_t seed, i
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
+  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
   InterpolationCheckOptions options;
   options.photons = photons;
   options.seed = seed;
@@ -127,6 +131,8 @@ int Main(int argc, char** argv) {
   LineSpreadOptions profiles;
 
   auto* generate = app.add_subcommand("generate", "Make the whole table");
+  bool wax = false;
+  generate->add_flag("--wax", wax, "The slab of wax instead of skin");
   generate->add_option("--photons", photons, "Photons for each channel and incidence bin")->check(CLI::PositiveNumber);
   generate->add_option("--seed", seed, "Seed");
   generate->add_option("--threads", threads, "Threads (0: all cores)");
@@ -163,7 +169,7 @@ int Main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  if (generate->parsed()) return Generate(out, photons, seed, threads);
+  if (generate->parsed()) return Generate(out, wax, photons, seed, threads);
   if (check->parsed() && interpolation) return CheckBetweenNodes(file, photons, seed, threads);
   if (check->parsed()) return Check(file, channel, in, exit_bin, azimuth, photons, seed);
   return Profiles(profiles, out);

@@ -2,10 +2,13 @@
 // The simulated rig through the interfaces of its devices.
 #include "firmware-host/simulated/simulated_rig.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 
 #include <gtest/gtest.h>
+
+#include "firmware-host/simulated/skin/skin_table.h"
 
 namespace stratalux::rig {
 namespace {
@@ -51,6 +54,7 @@ class SimulatedRigTest : public ::testing::Test {
 };
 
 constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
+constexpr Pattern kBlack = {.kind = PatternKind::kBlack};
 
 TEST_F(SimulatedRigTest, CombFramesOfOneCycleAddUpToTheWhiteFrameInDigitalNumbers) {
   const auto rig = Make(Small("plane"));
@@ -90,6 +94,38 @@ TEST_F(SimulatedRigTest, LightIsLinearInExposureAndSaturatesAtTheTop) {
     top += burnt.pixels()[i] == 4095 ? 1 : 0;
   }
   EXPECT_GT(top, 1000);
+}
+
+TEST_F(SimulatedRigTest, ASlabOfWaxGlowsBesideALine) {
+  // Light of a line is spread over centimetres; without scattering it stays in the line. White light is the same.
+  SimulatedRigOptions options = Small("slab");
+  const Pattern line = {.kind = PatternKind::kComb, .period = 64, .width = 2, .shift = 30};
+  double inside[2] = {}, beside[2] = {}, white[2] = {};
+  for (const bool scattering : {false, true}) {
+    options.scattering = scattering;
+    const auto rig = Make(options);
+    const Image<uint16_t> lit = Shoot(*rig, 1, line, 1.0, 30.0), black = Shoot(*rig, 1, kBlack, 1.0, 30.0),
+                          full = Shoot(*rig, 1, kWhite, 1.0, 8.0);
+    const int y = lit.height() / 2 / 2 * 2, middle = lit.width() / 4 * 2;
+    int peak = middle;
+    for (int x = middle - 30; x < middle + 30; x += 2)
+      if (lit(x, y) > lit(peak, y)) peak = x;
+    inside[scattering] = lit(peak, y) - black(peak, y);
+    beside[scattering] = 0.5 * (lit(peak - 4, y) + lit(peak + 4, y) - black(peak - 4, y) - black(peak + 4, y));  // 7 mm
+    white[scattering] = full(middle, y) - 64.0;
+    EXPECT_LT(lit(peak, y), 4000) << "not saturated";
+  }
+  EXPECT_LT(beside[0], 0.005 * inside[0]);
+  EXPECT_GT(beside[1], 0.02 * inside[1]);
+  EXPECT_NEAR(white[1] / white[0], 1.0, 0.15) << "one albedo, but for its angles";
+}
+
+TEST_F(SimulatedRigTest, ATableOfAnotherTissueIsRefused) {
+  SimulatedRigOptions options = Small("slab");
+  options.skin_table = SkinTable::DefaultPath();
+  const auto rig = SimulatedRig::Create(options, logger_);
+  ASSERT_FALSE(rig.ok());
+  EXPECT_EQ(rig.status().code(), StatusCode::kUsage);
 }
 
 TEST_F(SimulatedRigTest, NoiseKnowsTheAnalogueGain) {
