@@ -14,8 +14,8 @@ enum class GainControl : uint8_t { kNone, kGain, kAnalogueGain };
 
 struct CameraWiring {
   CameraBackend backend = CameraBackend::kNone;
-  // V4L2: a path that stays (/dev/v4l/by-id/...), or any of driver, card and bus as VIDIOC_QUERYCAP names them; together
-  // they must fit exactly one device. libcamera: `device` is the camera's id.
+  // V4L2: a path that stays (/dev/v4l/by-id/...), or any of driver, card and bus as VIDIOC_QUERYCAP names them;
+  // together they must fit exactly one device. libcamera: `device` is the camera's id.
   std::string device, driver, card, bus;
   std::string format;  // as the driver lists it, such as "Y12" or "BG12"; empty: the one that keeps most bits
   int width = 1392;    // px, of the mosaic
@@ -29,7 +29,7 @@ struct CameraWiring {
   double gain_unit = 1.0;
   // From the end of the exposure to the driver's time stamp, where that is taken at the end of a frame.
   double readout_ms = 0.0;
-  int reopen_tries = 5;  // in a row, after the device went or broke off
+  int reopen_tries = 10;  // in a row and half a second apart, after the device went or broke off
   // Figures of the sensor at gain 1, for the tolerance of single probes (pattern_witness.h).
   double gain_e_per_dn = 4.0;
   double read_noise_dn = 5.0;

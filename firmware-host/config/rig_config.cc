@@ -54,9 +54,9 @@ void GetMicroseconds(TomlTable& table, const std::string& key, std::chrono::micr
 Status ReadAddress(TomlTable& line, const std::string& chip, LineAddress& at) {
   line.Get("line", at.name);
   line.Get("chip", at.chip = chip);
+  line.Get("offset", at.offset, 0, 1023);
   if (at.name.empty() == !line.Has("offset"))
     return Status::Usage(line.Where() + ": a line is given by `line` (its name) or by `offset` on a chip, one of both");
-  line.Get("offset", at.offset, 0, 1023);
   if (at.name.empty() && at.chip.empty())
     return Status::Usage(line.Where("offset") +
                          ": an offset needs the label of its chip: `chip` here or in [gpio] (`gpiodetect` lists them)");
@@ -131,7 +131,7 @@ Status ReadCamera(TomlTable camera, CameraWiring& c) {
   GetWord(camera, "gain_control", c.gain_control, {"none", "gain", "analogue_gain"});
   camera.Get("gain_unit", c.gain_unit, 1e-3, 1e6);
   camera.Get("readout_ms", c.readout_ms, 0, 1000);
-  camera.Get("reopen_tries", c.reopen_tries, 0, 100);
+  camera.Get("reopen_tries", c.reopen_tries, 1, 100);
   camera.Get("gain_e_per_dn", c.gain_e_per_dn, 0.01, 1000);
   camera.Get("read_noise_dn", c.read_noise_dn, 0, 500);
   camera.Get("saturation_dn", c.saturation_dn, 16, 65535);
@@ -162,8 +162,7 @@ Status CheckLinesDiffer(const RigConfig& config, const std::string& where) {
     SLX_RETURN_IF_ERROR(claim(p.reset));
   }
   SLX_RETURN_IF_ERROR(claim(config.gpio.camera_trigger));
-  for (const auto* input :
-       {&config.gpio.strobe, &config.gpio.emergency_stop, &config.gpio.door, &config.gpio.start})
+  for (const auto* input : {&config.gpio.strobe, &config.gpio.emergency_stop, &config.gpio.door, &config.gpio.start})
     SLX_RETURN_IF_ERROR(claim(*input));
   return Status::Ok();
 }
@@ -173,12 +172,12 @@ Status ReadDevices(TomlTable& root, RigConfig& config) {
   SLX_RETURN_IF_ERROR(ReadGpio(root.Table("gpio"), chip, config.gpio));
   SLX_RETURN_IF_ERROR(ReadCamera(root.Table("camera"), config.camera));
   for (TomlTable& table : root.Tables("projector"))
-    SLX_RETURN_IF_ERROR(ReadProjector(table, chip, config.projectors.emplace_back(),
-                                      config.gpio.projectors.emplace_back()));
+    SLX_RETURN_IF_ERROR(
+        ReadProjector(table, chip, config.projectors.emplace_back(), config.gpio.projectors.emplace_back()));
   if (!config.projectors.empty() && static_cast<int>(config.projectors.size()) != config.plan.projectors)
-    return Status::Usage(root.Where("projector") + ": " + std::to_string(config.projectors.size()) +
-                         " [[projector]] tables, but the plan has projectors = " +
-                         std::to_string(config.plan.projectors));
+    return Status::Usage(
+        root.Where("projector") + ": " + std::to_string(config.projectors.size()) +
+        " [[projector]] tables, but the plan has projectors = " + std::to_string(config.plan.projectors));
   return CheckLinesDiffer(config, root.Where("projector"));
 }
 

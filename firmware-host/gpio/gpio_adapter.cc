@@ -196,7 +196,8 @@ class Inputs final : public InputRequest {
   [[nodiscard]] Status Gone(int error) const { return Status::Failed(chip_path_ + ": " + std::strerror(error)); }
   [[nodiscard]] LineEvent From(const gpio_v2_line_event& raw) const {
     const auto line = std::find(offsets_.begin(), offsets_.end(), raw.offset);
-    return {static_cast<size_t>(line - offsets_.begin()), raw.line_seqno, MonotonicNs{static_cast<int64_t>(raw.timestamp_ns)}};
+    return {static_cast<size_t>(line - offsets_.begin()), raw.line_seqno,
+            MonotonicNs{static_cast<int64_t>(raw.timestamp_ns)}};
   }
   UniqueFd fd_;
   std::string chip_path_;
@@ -262,8 +263,7 @@ Result<std::unique_ptr<InputRequest>> RequestInputs(const std::string& chip_path
   const UniqueFd chip(open(chip_path.c_str(), O_RDWR | O_CLOEXEC));
   if (!chip.ok() || ioctl(chip.get(), GPIO_V2_GET_LINE_IOCTL, &request) != 0) return RequestError(chip_path, errno);
   UniqueFd fd(request.fd);
-  if (fcntl(fd.get(), F_SETFL, fcntl(fd.get(), F_GETFL) | O_NONBLOCK) != 0 ||
-      fcntl(fd.get(), F_SETFD, FD_CLOEXEC) != 0)
+  if (fcntl(fd.get(), F_SETFL, fcntl(fd.get(), F_GETFL) | O_NONBLOCK) != 0 || fcntl(fd.get(), F_SETFD, FD_CLOEXEC) != 0)
     return RequestError(chip_path, errno);
   return std::unique_ptr<InputRequest>(std::make_unique<Inputs>(std::move(fd), chip_path, std::move(offsets)));
 }

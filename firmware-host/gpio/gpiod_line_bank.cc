@@ -96,8 +96,7 @@ Status AddInput(std::span<const GpioChip> chips, const std::optional<InputWiring
 Result<InputPlan> PlanInputs(std::span<const GpioChip> chips, const GpioWiring& wiring) {
   InputPlan plan;
   for (size_t p = 0; p < wiring.projectors.size(); ++p)
-    SLX_RETURN_IF_ERROR(
-        AddInput(chips, wiring.projectors[p].sync, {InputRole::kSync, static_cast<int>(p)}, plan));
+    SLX_RETURN_IF_ERROR(AddInput(chips, wiring.projectors[p].sync, {InputRole::kSync, static_cast<int>(p)}, plan));
   SLX_RETURN_IF_ERROR(AddInput(chips, wiring.strobe, {InputRole::kStrobe}, plan));
   SLX_RETURN_IF_ERROR(AddInput(chips, wiring.emergency_stop, {InputRole::kEmergencyStop}, plan));
   SLX_RETURN_IF_ERROR(AddInput(chips, wiring.door, {InputRole::kDoor}, plan));
@@ -180,7 +179,8 @@ std::atomic<Bank*> Bank::guarded = nullptr;
 
 Status Bank::Begin() {
   Bank* none = nullptr;
-  if (!guarded.compare_exchange_strong(none, this)) return Status::Busy("this process has the rig's lines open already");
+  if (!guarded.compare_exchange_strong(none, this))
+    return Status::Busy("this process has the rig's lines open already");
   guards_process_ = true;
   // In a failed check no lock may be waited for: outputs_ and plan_ never change, and Write takes none.
   SetCheckFailureHook([] {

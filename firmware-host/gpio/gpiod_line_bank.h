@@ -26,7 +26,8 @@ class GpiodLineBank : public LineBank, public PatternMemoryLines {
   static Result<std::unique_ptr<GpiodLineBank>> Open(const GpioWiring& wiring, Logger& logger);
 };
 
-// `stratalux-rig safe`: every ENABLE line inactive, nothing else touched. kBusy where a running program holds the lines.
+// `stratalux-rig safe`: every ENABLE line inactive, nothing else touched. kBusy where a running program holds the
+// lines.
 [[nodiscard]] Status DriveEnablesOff(const GpioWiring& wiring);
 
 }  // namespace stratalux::rig

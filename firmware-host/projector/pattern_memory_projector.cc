@@ -95,11 +95,10 @@ Status PatternMemoryProjector::Load(const std::vector<Pattern>& sequence) {
     SLX_ASSIGN_OR_RETURN(const bool there, StepTo(target));
     if (there) return Status::Ok();
   }
-  return Status::Failed("projector " + std::to_string(options_.projector) + " does not confirm its steps (no SYNC edge " +
-                        "within " +
-                        std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(options_.sync_deadline)
-                                           .count()) +
-                        " ms of TRIGGER); check its power, its TRIGGER and SYNC cables and their polarity in rig.toml");
+  return Status::Failed(
+      "projector " + std::to_string(options_.projector) + " does not confirm its steps (no SYNC edge " + "within " +
+      std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(options_.sync_deadline).count()) +
+      " ms of TRIGGER); check its power, its TRIGGER and SYNC cables and their polarity in rig.toml");
 }
 
 }  // namespace

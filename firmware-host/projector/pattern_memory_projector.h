@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // A projector module that holds its whole sequence and steps at TRIGGER pulses.
 //
-// The memory is filled beforehand (`stratalux-rig plan render`) with all the plan shows on this projector, in the plan's
-// order; after the last pattern it begins anew. Load does not send patterns: it finds where in the memory they stand and
-// steps there, pulse by pulse, each confirmed by SYNC. Where the memory stands is the number of its SYNC edges, since
-// each edge is a pattern that went on, whatever became of the pulses.
+// The memory is filled beforehand (`stratalux-rig plan render`) with all the plan shows on this projector, in the
+// plan's order; after the last pattern it begins anew. Load does not send patterns: it finds where in the memory they
+// stand and steps there, pulse by pulse, each confirmed by SYNC. Where the memory stands is the number of its SYNC
+// edges, since each edge is a pattern that went on, whatever became of the pulses.
 #pragma once
 
 #include <chrono>
