@@ -24,6 +24,7 @@ libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
+libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
