@@ -2,15 +2,11 @@
 #include "db/descriptor.h"
 
 #include <fcntl.h>
-#include <unistd.h>
 
 namespace stratalux::db {
 
-Descriptor::Descriptor(const std::filesystem::path& file, int flags)
-    : fd_(open(file.c_str(), flags | O_CLOEXEC, 0640)) {}
-
-Descriptor::~Descriptor() {
-  if (fd_ >= 0) close(fd_);
+UniqueFd OpenDescriptor(const std::filesystem::path& file, int flags) {
+  return UniqueFd(open(file.c_str(), flags | O_CLOEXEC, 0640));
 }
 
 }  // namespace stratalux::db

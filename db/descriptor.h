@@ -1,22 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// A file descriptor that is closed when it goes. Internal to db/.
+// Opening of the store's files. Internal to db/.
 #pragma once
 
 #include <filesystem>
 
+#include "shared/base/unique_fd.h"
+
 namespace stratalux::db {
 
-class Descriptor {
- public:
-  // `flags` of open(2). get() < 0, with errno, where the file cannot be opened.
-  Descriptor(const std::filesystem::path& file, int flags);
-  ~Descriptor();
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  [[nodiscard]] int get() const { return fd_; }
-
- private:
-  int fd_;
-};
+// `flags` of open(2); a new file is for owner and group. Not ok(), with errno, where the file cannot be opened.
+[[nodiscard]] UniqueFd OpenDescriptor(const std::filesystem::path& file, int flags);
 
 }  // namespace stratalux::db

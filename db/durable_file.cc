@@ -23,14 +23,14 @@ Status Failure(const std::string& what, const fs::path& file, int error) {
 }
 
 Status SyncOpened(const fs::path& file, int flags) {
-  const Descriptor opened(file, flags | O_NOFOLLOW);
+  const UniqueFd opened = OpenDescriptor(file, flags | O_NOFOLLOW);
   if (opened.get() < 0) return Failure("open", file, errno);
   if (fsync(opened.get()) != 0) return Failure("sync", file, errno);
   return Status::Ok();
 }
 
 Status WriteWhole(const fs::path& file, const std::string& bytes) {
-  const Descriptor opened(file, O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW);
+  const UniqueFd opened = OpenDescriptor(file, O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW);
   if (opened.get() < 0) return Failure("create", file, errno);
   return WriteAll(opened.get(), bytes.data(), bytes.size(), file.string());
 }
@@ -51,7 +51,7 @@ Status WriteAll(int fd, const void* data, size_t size, const std::string& file) 
 }
 
 Status SyncFolder(const fs::path& folder) {
-  const Descriptor opened(folder.empty() ? "." : folder, O_RDONLY | O_DIRECTORY);
+  const UniqueFd opened = OpenDescriptor(folder.empty() ? "." : folder, O_RDONLY | O_DIRECTORY);
   if (opened.get() < 0) return Failure("open folder", folder, errno);
   if (fsync(opened.get()) != 0) return Failure("sync folder", folder, errno);
   return Status::Ok();
@@ -89,7 +89,7 @@ Status KeepFile(const fs::path& beside, const fs::path& file) {
 
 Status WipeFile(const fs::path& file) {
   {
-    const Descriptor opened(file, O_WRONLY | O_NOFOLLOW);
+    const UniqueFd opened = OpenDescriptor(file, O_WRONLY | O_NOFOLLOW);
     if (opened.get() < 0) return errno == ENOENT ? Status::Ok() : Failure("wipe", file, errno);
     struct stat info {};
     if (fstat(opened.get(), &info) != 0) return Failure("wipe", file, errno);
@@ -106,7 +106,7 @@ Status WipeFile(const fs::path& file) {
 }
 
 Status CutFile(const fs::path& file, int64_t size) {
-  const Descriptor opened(file, O_WRONLY | O_NOFOLLOW);
+  const UniqueFd opened = OpenDescriptor(file, O_WRONLY | O_NOFOLLOW);
   if (opened.get() < 0) return Failure("cut", file, errno);
   if (ftruncate(opened.get(), size) != 0) return Failure("cut", file, errno);
   if (fsync(opened.get()) != 0) return Failure("sync", file, errno);

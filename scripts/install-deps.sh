@@ -26,6 +26,7 @@ libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
 libdrm-dev           rig  projectors that are displays (KMS)
 libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
+libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers

@@ -12,7 +12,7 @@
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
 #include "db/privacy/tombstone.h"
-#include "shared/config/rig_config.h"
+#include "shared/config/store_config.h"
 
 namespace stratalux::db {
 namespace {
@@ -135,7 +135,7 @@ Result<WallNs> ParseDate(const std::string& text) {
 Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
   RetentionDays days;
   if (!flags.config.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto config, LoadRigConfig(flags.config));
+    SLX_ASSIGN_OR_RETURN(const auto config, LoadStoreConfig(flags.config));
     days = config.retention;
   }
   days.short_days = flags.short_days.value_or(days.short_days);

@@ -28,7 +28,7 @@ Status Trouble(const char* what, const fs::path& file) {
 }
 
 Result<std::string> HashAndHand(const fs::path& file, const std::function<Status(std::span<const uint8_t>)>& hand) {
-  const Descriptor in(file, O_RDONLY);
+  const UniqueFd in = OpenDescriptor(file, O_RDONLY);
   if (in.get() < 0) return Trouble("open", file);
   const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(), &XXH3_freeState);
   XXH3_128bits_reset(state.get());
@@ -66,7 +66,7 @@ Result<std::string> CopyFileHashed(const fs::path& from, const fs::path& to, con
   std::error_code error;
   Result<std::string> hash = Status::Ok();
   {
-    const Descriptor out(part, O_WRONLY | O_CREAT | O_TRUNC);
+    const UniqueFd out = OpenDescriptor(part, O_WRONLY | O_CREAT | O_TRUNC);
     if (out.get() < 0) return Trouble("create", part);
     hash = HashAndHand(from, [&](std::span<const uint8_t> bytes) {
       return WriteAll(out.get(), bytes.data(), bytes.size(), part.string());

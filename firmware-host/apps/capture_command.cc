@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/privacy/consent.h"
+#include "firmware-host/apps/open_rig.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "shared/base/version.h"
@@ -17,18 +18,20 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const SimulatedRig& rig) {
+SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const OpenedRig& rig) {
   SessionInfo info;
   info.kind = plan.options.kind;
-  info.rig = options.config.name;
+  info.rig = options.config.store.rig;
   info.visitor = options.visitor;
   info.retention = options.retention;
-  info.simulated = true;
-  info.seed = options.simulated.seed;
   info.started_wall = WallNow();
   info.program_version = kVersion;
   info.plan_json = PlanOptionsToJson(plan.options);
-  info.calibration_json = rig.calibration().ToJson();
+  if (rig.simulation) {
+    info.simulated = true;
+    info.seed = options.simulated->seed;
+    info.calibration_json = rig.simulation->calibration().ToJson();
+  }
   return info;
 }
 
@@ -37,16 +40,22 @@ std::chrono::nanoseconds FromMilliseconds(double ms) {
 }
 
 // The tolerances of a single probe follow the camera at hand.
-SequencerOptions OptionsFor(const RigConfig& config, SimulatedRig& rig) {
-  const CameraCalibration& camera = rig.calibration().camera;
+SequencerOptions OptionsFor(const RigConfig& config, const OpenedRig& rig) {
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
   options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
-  options.witness.gain_e_per_dn = camera.gain_e_per_dn;
-  options.witness.saturation_dn = 0.975 * camera.saturation_dn;
-  options.shooter.wait = [&rig](std::chrono::nanoseconds time) { rig.Sleep(time); };
+  options.shooter.wait = rig.wait();
+  options.witness.read_noise_dn = config.camera.read_noise_dn;
+  double saturation_dn = config.camera.saturation_dn;
+  options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
+  if (rig.simulation) {
+    const CameraCalibration& camera = rig.simulation->calibration().camera;
+    options.witness.gain_e_per_dn = camera.gain_e_per_dn;
+    saturation_dn = camera.saturation_dn;
+  }
+  options.witness.saturation_dn = 0.975 * saturation_dn;
   return options;
 }
 
@@ -61,10 +70,10 @@ Status AskConsent(const CaptureOptions& options) {
   const bool shows_somebody = options.config.plan.kind == SessionKind::kVisitor;
   if (!shows_somebody || options.visitor.empty() || options.visitor == db::kSimulatedVisitor || options.consent)
     return Status::Ok();
-  return db::ValidConsent(options.config.store, options.visitor).status();
+  return db::ValidConsent(options.config.store.folder, options.visitor).status();
 }
 
-db::WriterOptions WriterOptionsFor(const RigConfig& config) {
+db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
   db::WriterOptions options;
   options.codec = config.codec;
   options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
@@ -89,20 +98,20 @@ Status CaptureOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger) {
+Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger) {
   const auto start = std::chrono::steady_clock::now();
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_RETURN_IF_ERROR(AskConsent(options));
-  SLX_ASSIGN_OR_RETURN(const std::unique_ptr<SimulatedRig> rig, SimulatedRig::Create(options.simulated, logger));
-  SLX_RETURN_IF_ERROR(CheckFits(plan, {rig->lines(), rig->camera(), rig->projectors()}));
-  SLX_RETURN_IF_ERROR(db::SessionStore::Create(options.config.store));
-  SLX_ASSIGN_OR_RETURN(db::SessionStore store,
-                       db::SessionStore::Open(options.config.store, db::AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(const OpenedRig rig, OpenRig(options.config, plan, options.simulated, logger));
+  SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
+  const std::string& folder = options.config.store.folder;
+  SLX_RETURN_IF_ERROR(db::SessionStore::Create(folder));
+  SLX_ASSIGN_OR_RETURN(db::SessionStore store, db::SessionStore::Open(folder, db::AccessMode::kReadWrite));
   for (const std::string& note : store.notes()) logger.Warning(note);
-  if (options.consent) SLX_RETURN_IF_ERROR(db::GiveConsent(options.config.store, options.visitor, *options.consent));
+  if (options.consent) SLX_RETURN_IF_ERROR(db::GiveConsent(folder, options.visitor, *options.consent));
   SLX_ASSIGN_OR_RETURN(db::SessionWriter writer,
-                       store.BeginSession(DescribeSession(options, plan, *rig), WriterOptionsFor(options.config)));
+                       store.BeginSession(DescribeSession(options, plan, rig), WriterOptionsFor(options.config.store)));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
@@ -111,16 +120,17 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   {
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
-    Sequencer sequencer({rig->lines(), rig->camera(), rig->projectors()}, OptionsFor(options.config, *rig), logger,
-                        stop, [&progress] { progress.Advance(); });
+    Sequencer sequencer(rig.devices(), OptionsFor(options.config, rig), logger, stop,
+                        [&progress] { progress.Advance(); });
     Result<CaptureReport> report = sequencer.Run(plan, recorder);
     if (report.ok()) outcome.report = std::move(report).value();
     Fail(outcome.report, report.status());
     Fail(outcome.report, recorder.Close());
   }
-  if (outcome.report.status != SessionStatus::kFailed) Fail(outcome.report, StoreTruth(archive.writer(), *rig, plan));
+  if (rig.simulation && outcome.report.status != SessionStatus::kFailed)
+    Fail(outcome.report, StoreTruth(archive.writer(), *rig.simulation, plan));
   Fail(outcome.report, archive.writer().Finish(outcome.report.status, outcome.report.reasons));
-  outcome.injected = rig->injected();
+  if (rig.simulation) outcome.injected = rig.simulation->injected();
   outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return outcome;
 }

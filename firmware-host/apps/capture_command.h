@@ -7,22 +7,22 @@
 #include <optional>
 #include <string>
 
+#include "firmware-host/config/rig_config.h"
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
 #include "shared/capture/session.h"
-#include "shared/config/rig_config.h"
 
 namespace stratalux::rig {
 
 struct CaptureOptions {
-  RigConfig config;     // store, plan, deadlines, queue; the sizes of camera and projectors stand in `simulated`
+  RigConfig config;     // store, plan, devices, deadlines, queue
   std::string visitor;  // pseudonym
   // Recorded for the visitor before the capture; without one, the store must hold a consent already.
   std::optional<Consent> consent;
   Retention retention = Retention::kStandard;
-  SimulatedRigOptions simulated;
+  std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
 
   // kUsage: a pseudonym that not every list and JSON file can show, a consent without a visitor.
   [[nodiscard]] Status Validate() const;
@@ -35,11 +35,11 @@ struct CaptureOutcome {
   double seconds = 0.0;
 };
 
-// Runs a whole capture on the simulated rig and stores it, with its truth maps. Fails where no session came to be (a
-// bad plan, no such store, a visitor without consent: kUsage with the command that records it); a session that went
-// wrong is an outcome whose report says why.
-[[nodiscard]] Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std::atomic<bool>& stop,
-                                                      Logger& logger);
+// Runs a whole capture and stores it; a simulated one with its truth maps. Fails where no session came to be (a bad
+// plan, no such device or store, a visitor without consent: kUsage with the command that records it); a session that
+// went wrong is an outcome whose report says why.
+[[nodiscard]] Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop,
+                                             Logger& logger);
 
 // One line for people; one JSON object for programs.
 [[nodiscard]] std::string OutcomeAsText(const CaptureOutcome& outcome);

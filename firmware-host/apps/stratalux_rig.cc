@@ -16,8 +16,9 @@
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/stop_signals.h"
+#include "firmware-host/config/rig_config.h"
+#include "firmware-host/gpio/gpiod_line_bank.h"
 #include "shared/base/version.h"
-#include "shared/config/rig_config.h"
 
 namespace stratalux::rig {
 namespace {
@@ -33,6 +34,8 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
+  stratalux-rig capture --config rig.toml --store store
+  stratalux-rig safe
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration
   stratalux-rig plan render --out patterns
@@ -104,9 +107,9 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
     message << "--settle " << config.settle_ms << " is out of range, allowed: 0 .. " << kLongestSettleMs << " ms";
     return Status::Usage(message.str());
   }
-  if (const char* store = std::getenv("STRATALUX_STORE")) config.store = store;
-  config.store = flags.store.value_or(config.store);
-  if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera_width, config.camera_height));
+  if (const char* store = std::getenv("STRATALUX_STORE")) config.store.folder = store;
+  config.store.folder = flags.store.value_or(config.store.folder);
+  if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera.width, config.camera.height));
   return config;
 }
 
@@ -125,14 +128,15 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
 Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   CaptureOptions options;
   SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
-  if (options.config.store.empty())
+  if (options.config.store.folder.empty())
     return Status::Usage(
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
   options.visitor = flags.visitor;
   SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
   SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
-  if (flags.encrypt) options.config.encrypt = true;
-  SimulatedRigOptions& simulated = options.simulated;
+  if (flags.encrypt) options.config.store.encrypt = true;
+  if (flags.scene.empty()) return options;
+  SimulatedRigOptions& simulated = options.simulated.emplace();
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
@@ -143,23 +147,18 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   simulated.faults.rate = flags.fault_rate;
   simulated.faults.seed = flags.fault_seed;
   simulated.noise = !flags.no_noise;
-  simulated.camera_width = options.config.camera_width;
-  simulated.camera_height = options.config.camera_height;
+  simulated.camera_width = options.config.camera.width;
+  simulated.camera_height = options.config.camera.height;
   simulated.projector_width = options.config.plan.projector_width;
   simulated.projector_height = options.config.plan.projector_height;
   return options;
 }
 
 int RunCapture(const Flags& flags) {
-  if (flags.scene.empty())
-    return Report(
-        Status::Usage("capture: this version drives the simulated rig only (--simulate[=SCENE]); the back-ends for "
-                      "real lines, cameras "
-                      "and projectors are not part of it"));
   const Result<CaptureOptions> options = CaptureFrom(flags);
   if (!options.ok()) return Report(options.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
-  const Result<CaptureOutcome> outcome = CaptureSimulated(*options, InstallStopSignals(), logger);
+  const Result<CaptureOutcome> outcome = Capture(*options, InstallStopSignals(), logger);
   if (!outcome.ok()) return Report(outcome.status());
   const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
   const int captured = ExitCode(*outcome);
@@ -176,6 +175,14 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
     return status.ok() ? 0 : Report(status);
   }
   return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms));
+}
+
+// Nothing but the configuration and the lines: it must work when all else is broken.
+int RunSafe(const Flags& flags) {
+  const Result<RigConfig> config = LoadRigConfig(flags.config.empty() ? kSystemConfig : flags.config);
+  if (!config.ok()) return Report(config.status());
+  const Status off = DriveEnablesOff(config->gpio);
+  return off.ok() ? 0 : Report(off);
 }
 
 void AddPlanFlags(CLI::App& command, Flags& flags) {
@@ -245,12 +252,15 @@ int Main(int argc, char** argv) {
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
   AddPlanFlags(*render, flags);
   render->add_option("--out", flags.out, "folder")->required();
+  CLI::App* safe = app.add_subcommand("safe", "Drive every ENABLE line off, as a unit's ExecStopPost does");
+  safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     // CLI11's own codes are not ours: any wrong flag is a usage error.
     return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
   }
+  if (safe->parsed()) return RunSafe(flags);
   if (capture->parsed()) return RunCapture(flags);
   return RunPlan(flags, *render);
 }

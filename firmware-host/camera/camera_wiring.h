@@ -29,7 +29,7 @@ struct CameraWiring {
   double gain_unit = 1.0;
   // From the end of the exposure to the driver's time stamp, where that is taken at the end of a frame.
   double readout_ms = 0.0;
-  int reopen_tries = 5;  // in a row, after the device went or broke off
+  int reopen_tries = 10;  // in a row and half a second apart, after the device went or broke off
   // Figures of the sensor at gain 1, for the tolerance of single probes (pattern_witness.h).
   double gain_e_per_dn = 4.0;
   double read_noise_dn = 5.0;

@@ -24,11 +24,16 @@ DisplayLineBank::~DisplayLineBank() { static_cast<void>(AllOff()); }
 
 Status DisplayLineBank::SetEnable(int projector, bool on) {
   SLX_CHECK(projector >= 0 && projector < static_cast<int>(channels_.size()));
-  Display* display = channels_[projector].wiring.display;
+  const DisplayOfProjector& wiring = channels_[projector].wiring;
+  const bool has_line = wiring.display == nullptr || wiring.enable == DisplayEnable::kLine;
+  if (has_line && lines_ == nullptr)
+    return Status::Failed("the rig has no ENABLE line of projector " + std::to_string(projector));
+  if (on && !has_line && CheckInterlock() != Interlock::kClosed)
+    return Status::Failed("projector " + std::to_string(projector) + " stays dark: " + ToString(CheckInterlock()));
   // Both, even if one fails: less light is the safe side.
-  const Status lines = lines_ != nullptr ? lines_->SetEnable(projector, on) : Status::Ok();
-  const Status screen = display != nullptr && !on ? display->Blank() : Status::Ok();
-  return lines.ok() ? screen : lines;
+  const Status line = has_line ? lines_->SetEnable(projector, on) : Status::Ok();
+  const Status screen = wiring.display != nullptr && !on ? wiring.display->Blank() : Status::Ok();
+  return line.ok() ? screen : line;
 }
 
 Status DisplayLineBank::AllOff() {

@@ -2,11 +2,12 @@
 // DisplayLineBank: lets displays be stepped like pattern memories, so that the sequencer knows but one kind.
 //
 // TRIGGER of a display is a flip to its next pattern; its SYNC edge is the flip's vertical blank plus the display's
-// latency (from there to the light, calibrated). Everything else goes to the bank of real lines, ENABLE or shutter of
-// the displays included; where a rig has no lines at all, a display's ENABLE is the picture itself: black or not.
+// latency (from there to the light, calibrated). Everything else goes to the bank of real lines, the ENABLE or shutter
+// line of a display included; without such a line, its ENABLE is the picture itself: black or not.
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <deque>
 #include <vector>
 
@@ -15,9 +16,13 @@
 
 namespace stratalux::rig {
 
+// What switches a display's light: its picture, black or not, or an ENABLE or shutter line besides.
+enum class DisplayEnable : uint8_t { kPicture, kLine };
+
 struct DisplayOfProjector {
   Display* display = nullptr;  // null: the projector has a TRIGGER line
   std::chrono::nanoseconds latency{0};
+  DisplayEnable enable = DisplayEnable::kPicture;
 };
 
 class DisplayLineBank : public LineBank {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/config/toml_reader.h"
 
+#include <algorithm>
 #include <sstream>
 
 #include <toml++/toml.h>
@@ -79,6 +80,8 @@ void TomlTable::Require(const std::string& key) {
   if (!Has(key)) Fail(key, "is missing");
 }
 
+void TomlTable::Skip(const std::string& key) { node_->asked.insert(key); }
+
 void TomlTable::Get(const std::string& key, std::string& value) {
   node_->asked.insert(key);
   if (!Has(key)) return;
@@ -156,6 +159,21 @@ void TomlTable::Get(const std::string& key, std::vector<std::string>& value) {
     read.push_back(*v);
   }
   value = read;
+}
+
+void TomlTable::GetWord(const std::string& key, size_t& index, const std::vector<std::string>& words) {
+  node_->asked.insert(key);
+  if (!Has(key)) return;
+  const toml::node& node = *node_->table->get(key);
+  const auto v = node.value_exact<std::string>();
+  const auto found = v ? std::find(words.begin(), words.end(), *v) : words.end();
+  if (found != words.end()) {
+    index = static_cast<size_t>(found - words.begin());
+    return;
+  }
+  std::string allowed;
+  for (const std::string& word : words) allowed += (allowed.empty() ? "" : ", ") + word;
+  Fail(key, "value " + Text(node) + " is unknown, allowed: " + allowed);
 }
 
 TomlTable TomlTable::Table(const std::string& key) {

@@ -3,6 +3,7 @@
 // is one.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -27,8 +28,12 @@ class TomlTable {
   void Get(const std::string& key, double& value, double low, double high);
   void Get(const std::string& key, std::vector<double>& value, double low, double high);
   void Get(const std::string& key, std::vector<std::string>& value);
+  // One of a few words: `index` becomes its place in `words`.
+  void GetWord(const std::string& key, size_t& index, const std::vector<std::string>& words);
   [[nodiscard]] bool Has(const std::string& key) const;
   void Require(const std::string& key);
+  // The key may be there, but is somebody else's to read.
+  void Skip(const std::string& key);
   // Sub-table (empty when absent) and the elements of an array of tables.
   TomlTable Table(const std::string& key);
   std::vector<TomlTable> Tables(const std::string& key);

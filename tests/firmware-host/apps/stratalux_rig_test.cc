@@ -74,6 +74,19 @@ TEST(StrataluxRig, AStoreMustBeNamed) {
   EXPECT_THAT(outcome.text, HasSubstr("STRATALUX_STORE"));
 }
 
+TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
+  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-safe.toml";
+  std::ofstream(file) << "[plan]\nprojectors = 1\n";
+  const Outcome unwired = Rig("safe --config " + file.string());
+  EXPECT_EQ(unwired.code, 2);
+  EXPECT_THAT(unwired.text, HasSubstr("no ENABLE line"));
+  std::ofstream(file) << "[plan]\nprojectors = 1\n[[projector]]\nenable = { line = \"no-such-line\" }\n"
+                         "trigger = { line = \"t\" }\nsync = { line = \"s\" }\n";
+  const Outcome missing = Rig("safe --config " + file.string());
+  EXPECT_EQ(missing.code, 4);
+  EXPECT_THAT(missing.text, HasSubstr("no-such-line"));
+}
+
 TEST(StrataluxRig, HelpShowsExamples) {
   const Outcome outcome = Rig("--help");
   EXPECT_EQ(outcome.code, 0);

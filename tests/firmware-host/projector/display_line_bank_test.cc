@@ -142,7 +142,7 @@ TEST(DisplayLineBank, MixesDisplaysWithProjectorsOnLines) {
 TEST(DisplayLineBank, PassesEverythingElseToTheLines) {
   FakeDisplay display;
   FakeLines lines;
-  DisplayLineBank bank(&lines, {{.display = &display}});
+  DisplayLineBank bank(&lines, {{.display = &display, .enable = DisplayEnable::kLine}});
   EXPECT_TRUE(bank.SetEnable(0, true).ok());
   EXPECT_THAT(lines.enables, ::testing::ElementsAre(::testing::Pair(0, true)));
   EXPECT_TRUE(bank.TriggerCamera().ok());
@@ -160,6 +160,16 @@ TEST(DisplayLineBank, ADarkProjectorShowsBlack) {
   ASSERT_TRUE(bank.TriggerProjector(0).ok());
   ASSERT_TRUE(bank.SetEnable(0, false).ok());
   EXPECT_FALSE(display.lit);
+}
+
+TEST(DisplayLineBank, WithoutAShutterLineTheInterlockStillKeepsAProjectorDark) {
+  FakeDisplay display;
+  FakeLines lines;
+  DisplayLineBank bank(&lines, {{.display = &display}});
+  EXPECT_THAT(bank.SetEnable(0, true).message(), ::testing::HasSubstr("emergency stop"));
+  ASSERT_TRUE(bank.ResetInterlock().ok());
+  EXPECT_TRUE(bank.SetEnable(0, true).ok());
+  EXPECT_TRUE(lines.enables.empty()) << "told a line that is not wired";
 }
 
 TEST(DisplayLineBank, AllOffReachesEveryDeviceThoughOneFails) {

@@ -3,32 +3,31 @@
 #pragma once
 
 #include <filesystem>
-#include <optional>
 #include <string>
+#include <vector>
 
+#include "firmware-host/camera/camera_wiring.h"
+#include "firmware-host/gpio/gpio_wiring.h"
+#include "firmware-host/projector/projector_wiring.h"
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
-#include "shared/capture/session.h"
-#include "shared/capture/store_codec.h"
+#include "shared/config/store_config.h"
 
-namespace stratalux {
+namespace stratalux::rig {
 
 inline constexpr double kLongestSettleMs = 10000.0;
 
 struct RigConfig {
-  std::string name = "rig";
-  std::string store;            // folder; empty: not set here
-  std::optional<bool> encrypt;  // frames; unset: a kiosk does, a capture by hand does not
-  int camera_width = 1392;
-  int camera_height = 1042;
+  StoreConfig store;
   double settle_ms = 2.0;       // from SYNC to exposure
   double deadline_ms = 2000.0;  // for a SYNC edge or a frame to arrive
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
-  RetentionDays retention;      // of `stratalux-db purge`
-  StoreCodec codec = StoreCodec::kDelta;
   PlanOptions plan;
+  CameraWiring camera;
+  GpioWiring gpio;
+  std::vector<ProjectorWiring> projectors;  // one a [[projector]]; empty: a rig without devices (simulation)
 };
 
 // kUsage with file:line for unreadable files, unknown keys, wrong types, values out of range and plans no projector can
@@ -36,4 +35,4 @@ struct RigConfig {
 [[nodiscard]] Result<RigConfig> LoadRigConfig(const std::filesystem::path& file);
 [[nodiscard]] Result<RigConfig> ParseRigConfig(const std::string& text, const std::string& name);
 
-}  // namespace stratalux
+}  // namespace stratalux::rig

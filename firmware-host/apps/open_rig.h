@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// The devices of one capture, opened: those that rig.toml wires, or the simulated rig in their place.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "firmware-host/config/rig_config.h"
+#include "firmware-host/sequence/sequencer.h"
+#include "firmware-host/simulated/simulated_rig.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+// Owns the devices. When it goes, all ENABLE lines are off and all displays black.
+struct OpenedRig {
+  std::unique_ptr<SimulatedRig> simulation;  // null: real devices, which are the next
+  std::unique_ptr<LineBank> wired_lines;     // null where the rig has none: displays and a camera that runs free
+  std::vector<std::unique_ptr<Projector>> projectors;  // they use `wired_lines`
+  std::unique_ptr<LineBank> display_lines;             // over both; null on a rig without displays
+  std::unique_ptr<FrameSource> camera;
+
+  [[nodiscard]] RigDevices devices() const;
+  // How settling passes: on the simulated rig's own clock, else in real time.
+  [[nodiscard]] std::function<void(std::chrono::nanoseconds)> wait() const;
+};
+
+// `simulated` set: that rig. Else the configuration's devices; `plan` says what the pattern memories hold. kUsage where
+// the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name the device.
+[[nodiscard]] Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
+                                        const std::optional<SimulatedRigOptions>& simulated, Logger& logger);
+
+}  // namespace stratalux::rig

@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/camera/frame_stream.h"
+
+namespace stratalux::rig {
+
+int64_t FrameStream::Number(uint32_t driver_number) {
+  if (!number_) {
+    number_ = driver_number;
+  } else if (!driver_number_) {
+    number_ = *number_ + 2;
+  } else {
+    number_ = *number_ + static_cast<int32_t>(driver_number - *driver_number_);
+  }
+  driver_number_ = driver_number;
+  return *number_;
+}
+
+bool FrameStream::StampFits(MonotonicNs stamp, MonotonicNs now) {
+  if (now < stamp || (stamp_ && stamp < *stamp_)) return false;
+  stamp_ = stamp;
+  return true;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/camera/raw_format.h"
+
+#include <map>
+
+namespace stratalux::rig {
+
+std::string FourccText(uint32_t fourcc) {
+  std::string text;
+  for (int i = 0; i < 4; ++i) text += static_cast<char>(fourcc >> (8 * i) & 0x7fU);
+  while (!text.empty() && text.back() == ' ') text.pop_back();
+  return (fourcc >> 31) != 0 ? text + "-BE" : text;
+}
+
+std::optional<RawFormat> RawFormatOf(const std::string& fourcc_text) {
+  using enum RawPacking;
+  using enum Cfa;
+  static const std::map<std::string, RawFormat> kFormats = {
+      {"GREY", {8, kBytes, kMono}},   {"Y10", {10, kWords, kMono}},       {"Y12", {12, kWords, kMono}},
+      {"Y16", {16, kWords, kMono}},   {"Y16-BE", {16, kWordsBig, kMono}}, {"Y10P", {10, kMipi10, kMono}},
+      {"Y12P", {12, kMipi12, kMono}}, {"BA81", {8, kBytes, kBggr}},       {"GBRG", {8, kBytes, kGbrg}},
+      {"GRBG", {8, kBytes, kGrbg}},   {"RGGB", {8, kBytes, kRggb}},       {"BG10", {10, kWords, kBggr}},
+      {"GB10", {10, kWords, kGbrg}},  {"BA10", {10, kWords, kGrbg}},      {"RG10", {10, kWords, kRggb}},
+      {"pBAA", {10, kMipi10, kBggr}}, {"pGAA", {10, kMipi10, kGbrg}},     {"pgAA", {10, kMipi10, kGrbg}},
+      {"pRAA", {10, kMipi10, kRggb}}, {"BG12", {12, kWords, kBggr}},      {"GB12", {12, kWords, kGbrg}},
+      {"BA12", {12, kWords, kGrbg}},  {"RG12", {12, kWords, kRggb}},      {"pBCC", {12, kMipi12, kBggr}},
+      {"pGCC", {12, kMipi12, kGbrg}}, {"pgCC", {12, kMipi12, kGrbg}},     {"pRCC", {12, kMipi12, kRggb}},
+      {"BYR2", {16, kWords, kBggr}},  {"GB16", {16, kWords, kGbrg}},      {"GR16", {16, kWords, kGrbg}},
+      {"RG16", {16, kWords, kRggb}},
+  };
+  const auto found = kFormats.find(fourcc_text);
+  return found == kFormats.end() ? std::nullopt : std::optional(found->second);
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,475 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/gpio/gpiod_line_bank.h"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include "firmware-host/gpio/gpio_adapter.h"
+#include "shared/base/check.h"
+#include "shared/base/unique_fd.h"
+
+namespace stratalux::rig {
+namespace {
+
+// How long an unplugged chip, or an E-STOP whose edge was lost, stays unnoticed at most.
+constexpr int kCheckPeriodMs = 50;
+constexpr size_t kMaxEdges = 4096;  // that nobody waited for
+
+enum class InputRole : uint8_t { kSync, kStrobe, kEmergencyStop, kDoor, kStart };
+
+struct Input {
+  InputRole role = InputRole::kSync;
+  int projector = -1;
+  int64_t count = 0;  // edges, by the kernel's numbers
+};
+
+// The outputs of one request: which bit is which signal.
+struct OutputPlan {
+  std::string chip_path;
+  std::vector<unsigned> offsets;
+  uint64_t active_low = 0;
+  std::vector<uint64_t> enable, trigger, reset;  // by projector; 0: not wired
+  uint64_t camera_trigger = 0;
+  uint64_t all_enables = 0;
+};
+
+struct InputPlan {
+  std::string chip_path;
+  std::vector<InputLine> lines;
+  std::vector<Input> inputs;
+};
+
+Status OneChip(const char* what, const LineAddress& at, const FoundLine& line, std::string& chip_path) {
+  if (chip_path.empty()) chip_path = line.chip_path;
+  if (chip_path == line.chip_path) return Status::Ok();
+  return Status::Usage(std::string(what) + " line " + at.ToString() + " is on " + line.chip_path + ", others on " +
+                       chip_path + "; lines that switch together must be on one chip");
+}
+
+Result<uint64_t> AddOutput(std::span<const GpioChip> chips, const std::optional<OutputWiring>& wiring,
+                           OutputPlan& plan) {
+  if (!wiring) return uint64_t{0};
+  SLX_ASSIGN_OR_RETURN(const FoundLine line, FindLine(chips, wiring->at));
+  SLX_RETURN_IF_ERROR(OneChip("output", wiring->at, line, plan.chip_path));
+  if (plan.offsets.size() == 64) return Status::Usage("more than 64 output lines");
+  const uint64_t bit = uint64_t{1} << plan.offsets.size();
+  plan.offsets.push_back(line.offset);
+  if (wiring->active == ActiveLevel::kLow) plan.active_low |= bit;
+  return bit;
+}
+
+Result<OutputPlan> PlanOutputs(std::span<const GpioChip> chips, const GpioWiring& wiring) {
+  OutputPlan plan;
+  for (const ProjectorLines& p : wiring.projectors) {
+    SLX_ASSIGN_OR_RETURN(plan.enable.emplace_back(), AddOutput(chips, p.enable, plan));
+    SLX_ASSIGN_OR_RETURN(plan.trigger.emplace_back(), AddOutput(chips, p.trigger, plan));
+    SLX_ASSIGN_OR_RETURN(plan.reset.emplace_back(), AddOutput(chips, p.reset, plan));
+    plan.all_enables |= plan.enable.back();
+  }
+  SLX_ASSIGN_OR_RETURN(plan.camera_trigger, AddOutput(chips, wiring.camera_trigger, plan));
+  return plan;
+}
+
+Status AddInput(std::span<const GpioChip> chips, const std::optional<InputWiring>& wiring, Input input,
+                InputPlan& plan) {
+  if (!wiring) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const FoundLine line, FindLine(chips, wiring->at));
+  SLX_RETURN_IF_ERROR(OneChip("input", wiring->at, line, plan.chip_path));
+  plan.lines.push_back({line.offset, wiring->active, wiring->bias, wiring->debounce});
+  plan.inputs.push_back(input);
+  return Status::Ok();
+}
+
+Result<InputPlan> PlanInputs(std::span<const GpioChip> chips, const GpioWiring& wiring) {
+  InputPlan plan;
+  for (size_t p = 0; p < wiring.projectors.size(); ++p)
+    SLX_RETURN_IF_ERROR(AddInput(chips, wiring.projectors[p].sync, {InputRole::kSync, static_cast<int>(p)}, plan));
+  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.strobe, {InputRole::kStrobe}, plan));
+  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.emergency_stop, {InputRole::kEmergencyStop}, plan));
+  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.door, {InputRole::kDoor}, plan));
+  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.start, {InputRole::kStart}, plan));
+  return plan;
+}
+
+class Bank final : public GpiodLineBank {
+ public:
+  // `outputs` and `inputs` may be null: nothing of the kind is wired.
+  Bank(OutputPlan plan, std::unique_ptr<OutputRequest> outputs, std::vector<Input> inputs,
+       std::unique_ptr<InputRequest> input_request, UniqueFd stop, Logger& logger)
+      : plan_(std::move(plan)),
+        outputs_(std::move(outputs)),
+        inputs_(std::move(inputs)),
+        input_request_(std::move(input_request)),
+        stop_(std::move(stop)),
+        logger_(logger) {}
+  ~Bank() override;
+  Bank(const Bank&) = delete;
+  Bank& operator=(const Bank&) = delete;
+
+  // After construction, before anything else; kBusy where this process has a bank already.
+  Status Begin();
+
+  Status SetEnable(int projector, bool on) override;
+  Status AllOff() override;
+  Result<TriggerReceipt> TriggerProjector(int projector) override;
+  Result<TriggerReceipt> TriggerCamera() override;
+  Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
+  [[nodiscard]] Interlock CheckInterlock() override;
+  Status ResetInterlock() override;
+  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override;
+  [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override;
+  Status ResetMemory(int projector) override;
+  [[nodiscard]] int64_t SyncCount(int projector) override;
+
+  std::chrono::microseconds projector_pulse_{0}, camera_pulse_{0}, reset_pulse_{0};
+
+ private:
+  Status CheckProjector(int projector, const std::vector<uint64_t>& bits, const char* signal) const;
+  Result<TriggerReceipt> Pulse(uint64_t bits, std::chrono::microseconds width);
+  // With mutex_ held.
+  Status Write(uint64_t active);
+  void Trip(Interlock cause);
+  [[nodiscard]] Status GoneStatus() const { return Status::Failed("GPIO lines are gone: " + gone_reason_); }
+
+  // What the active inputs say.
+  [[nodiscard]] Interlock CauseIn(uint64_t active) const;
+  void Watch();
+  // False when the lines are gone.
+  bool CheckLevels();
+  bool TakeEvents();
+  void Take(const LineEvent& event);
+  void LinesGone(const std::string& reason);
+
+  const OutputPlan plan_;
+  const std::unique_ptr<OutputRequest> outputs_;
+  std::vector<Input> inputs_;
+  const std::unique_ptr<InputRequest> input_request_;
+  const UniqueFd stop_;  // eventfd: the watcher shall end
+  Logger& logger_;
+  std::thread watcher_;
+  bool guards_process_ = false;
+
+  std::mutex pulse_mutex_;  // one pulse after the other
+  std::mutex mutex_;        // guards what follows, and the counts of inputs_
+  std::condition_variable changed_;
+  uint64_t active_ = 0;  // outputs
+  int64_t pulses_ = 0;
+  Interlock interlock_ = Interlock::kClosed;
+  std::string gone_reason_;  // not empty: the lines are gone
+  std::deque<SyncEdge> edges_;
+  std::optional<MonotonicNs> start_press_, strobe_;
+
+  static std::atomic<Bank*> guarded;
+};
+
+std::atomic<Bank*> Bank::guarded = nullptr;
+
+Status Bank::Begin() {
+  Bank* none = nullptr;
+  if (!guarded.compare_exchange_strong(none, this))
+    return Status::Busy("this process has the rig's lines open already");
+  guards_process_ = true;
+  // In a failed check no lock may be waited for: outputs_ and plan_ never change, and Write takes none.
+  SetCheckFailureHook([] {
+    Bank* bank = guarded.load();
+    if (bank != nullptr && bank->outputs_) bank->outputs_->Write(bank->plan_.active_low);
+  });
+  if (!CheckLevels()) return GoneStatus();
+  watcher_ = std::thread([this] { Watch(); });
+  return Status::Ok();
+}
+
+Bank::~Bank() {
+  if (watcher_.joinable()) {
+    const uint64_t one = 1;
+    if (write(stop_.get(), &one, sizeof one) != sizeof one) logger_.Error("GPIO: the watcher cannot be told to end");
+    watcher_.join();
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    static_cast<void>(Write(0));
+  }
+  if (!guards_process_) return;
+  SetCheckFailureHook(nullptr);
+  guarded = nullptr;
+}
+
+Status Bank::Write(uint64_t active) {
+  if (!gone_reason_.empty()) return GoneStatus();
+  active_ = active;
+  if (!outputs_) return Status::Ok();
+  const int error = outputs_->Write(active ^ plan_.active_low);
+  if (error == 0) return Status::Ok();
+  gone_reason_ = plan_.chip_path + ": " + std::strerror(error);
+  if (interlock_ == Interlock::kClosed) interlock_ = Interlock::kLinesGone;
+  return GoneStatus();
+}
+
+void Bank::Trip(Interlock cause) {
+  if (interlock_ != Interlock::kClosed) return;
+  static_cast<void>(Write(active_ & ~plan_.all_enables));
+  interlock_ = cause;
+}
+
+Status Bank::CheckProjector(int projector, const std::vector<uint64_t>& bits, const char* signal) const {
+  if (projector < 0 || projector >= static_cast<int>(bits.size()))
+    return Status::Usage("projector " + std::to_string(projector) + " does not exist");
+  if (bits[projector] == 0)
+    return Status::Usage("projector " + std::to_string(projector) + " has no " + signal + " line");
+  return Status::Ok();
+}
+
+Status Bank::SetEnable(int projector, bool on) {
+  SLX_RETURN_IF_ERROR(CheckProjector(projector, plan_.enable, "ENABLE"));
+  const std::lock_guard lock(mutex_);
+  if (!on) return Write(active_ & ~plan_.enable[projector]);
+  if (!gone_reason_.empty()) return GoneStatus();
+  if (interlock_ != Interlock::kClosed)
+    return Status::Failed("projector " + std::to_string(projector) + " stays dark: " + ToString(interlock_));
+  return Write(active_ | plan_.enable[projector]);
+}
+
+Status Bank::AllOff() {
+  const std::lock_guard lock(mutex_);
+  return Write(active_ & ~plan_.all_enables);
+}
+
+Result<TriggerReceipt> Bank::Pulse(uint64_t bits, std::chrono::microseconds width) {
+  const std::lock_guard one_at_a_time(pulse_mutex_);
+  TriggerReceipt receipt;
+  {
+    const std::lock_guard lock(mutex_);
+    receipt = {pulses_, MonotonicNow()};
+    SLX_RETURN_IF_ERROR(Write(active_ | bits));
+    ++pulses_;
+  }
+  std::this_thread::sleep_for(width);
+  const std::lock_guard lock(mutex_);
+  SLX_RETURN_IF_ERROR(Write(active_ & ~bits));
+  return receipt;
+}
+
+Result<TriggerReceipt> Bank::TriggerProjector(int projector) {
+  uint64_t bits = 0;
+  for (int p = 0; p < static_cast<int>(plan_.trigger.size()); ++p) {
+    if (projector >= 0 && p != projector) continue;
+    SLX_RETURN_IF_ERROR(CheckProjector(p, plan_.trigger, "TRIGGER"));
+    bits |= plan_.trigger[p];
+  }
+  if (bits == 0) return Status::Usage("projector " + std::to_string(projector) + " does not exist");
+  return Pulse(bits, projector_pulse_);
+}
+
+Result<TriggerReceipt> Bank::TriggerCamera() {
+  if (plan_.camera_trigger == 0) return Status::Usage("no camera TRIGGER line is wired ([gpio] camera_trigger)");
+  return Pulse(plan_.camera_trigger, camera_pulse_);
+}
+
+Status Bank::ResetMemory(int projector) {
+  SLX_RETURN_IF_ERROR(CheckProjector(projector, plan_.reset, "RESET"));
+  return Pulse(plan_.reset[projector], reset_pulse_).status();
+}
+
+Result<std::optional<SyncEdge>> Bank::WaitSync(std::chrono::nanoseconds timeout) {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, timeout, [this] { return !edges_.empty() || !gone_reason_.empty(); });
+  if (edges_.empty()) {
+    if (!gone_reason_.empty()) return GoneStatus();
+    return std::optional<SyncEdge>();
+  }
+  const SyncEdge edge = edges_.front();
+  edges_.pop_front();
+  return std::optional(edge);
+}
+
+Result<std::optional<MonotonicNs>> Bank::WaitStart(std::chrono::nanoseconds timeout) {
+  const bool wired =
+      std::any_of(inputs_.begin(), inputs_.end(), [](const Input& i) { return i.role == InputRole::kStart; });
+  if (!wired) return std::optional<MonotonicNs>();
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, timeout, [this] { return start_press_.has_value() || !gone_reason_.empty(); });
+  if (!start_press_ && !gone_reason_.empty()) return GoneStatus();
+  return std::exchange(start_press_, std::nullopt);
+}
+
+std::optional<MonotonicNs> Bank::LastStrobe() {
+  const std::lock_guard lock(mutex_);
+  return strobe_;
+}
+
+int64_t Bank::SyncCount(int projector) {
+  const std::lock_guard lock(mutex_);
+  for (const Input& input : inputs_)
+    if (input.role == InputRole::kSync && input.projector == projector) return input.count;
+  return 0;
+}
+
+Interlock Bank::CheckInterlock() {
+  const std::lock_guard lock(mutex_);
+  return interlock_;
+}
+
+Interlock Bank::CauseIn(uint64_t active) const {
+  for (size_t i = 0; i < inputs_.size(); ++i) {
+    if ((active >> i & 1U) == 0) continue;
+    if (inputs_[i].role == InputRole::kEmergencyStop) return Interlock::kEmergencyStop;
+    if (inputs_[i].role == InputRole::kDoor) return Interlock::kDoorOpen;
+  }
+  return Interlock::kClosed;
+}
+
+Status Bank::ResetInterlock() {
+  // Under one lock: an edge that comes meanwhile trips the interlock after it, not before.
+  const std::lock_guard lock(mutex_);
+  if (!gone_reason_.empty()) return GoneStatus();
+  if (input_request_) {
+    SLX_ASSIGN_OR_RETURN(const uint64_t active, input_request_->ReadActive());
+    const Interlock still = CauseIn(active);
+    if (still != Interlock::kClosed) return Status::Failed(std::string(ToString(still)) + " is still active");
+  }
+  interlock_ = Interlock::kClosed;
+  return Status::Ok();
+}
+
+void Bank::Watch() {
+  std::array<pollfd, 2> fds = {pollfd{stop_.get(), POLLIN, 0},
+                               pollfd{input_request_ ? input_request_->fd() : -1, POLLIN, 0}};
+  auto next_check = std::chrono::steady_clock::now();
+  while (true) {
+    poll(fds.data(), fds.size(), kCheckPeriodMs);
+    if (fds[0].revents != 0) return;
+    if ((fds[1].revents & POLLIN) != 0 && !TakeEvents()) return;
+    if ((fds[1].revents & (POLLERR | POLLHUP | POLLNVAL)) != 0) return LinesGone("the kernel hung up");
+    // Under steady edges poll never times out.
+    if (std::chrono::steady_clock::now() < next_check) continue;
+    next_check = std::chrono::steady_clock::now() + std::chrono::milliseconds(kCheckPeriodMs);
+    if (!CheckLevels()) return;
+  }
+}
+
+bool Bank::CheckLevels() {
+  if (outputs_) {
+    if (const int error = outputs_->Probe(); error != 0) {
+      LinesGone(plan_.chip_path + ": " + std::strerror(error));
+      return false;
+    }
+  }
+  if (!input_request_) return true;
+  const Result<uint64_t> active = input_request_->ReadActive();
+  if (!active.ok()) {
+    LinesGone(active.status().message());
+    return false;
+  }
+  const Interlock cause = CauseIn(*active);
+  if (cause == Interlock::kClosed) return true;
+  const std::lock_guard lock(mutex_);
+  Trip(cause);
+  return true;
+}
+
+bool Bank::TakeEvents() {
+  const Result<std::vector<LineEvent>> events = input_request_->Read();
+  if (!events.ok()) {
+    LinesGone(events.status().message());
+    return false;
+  }
+  // The light goes first, whatever else came.
+  {
+    const std::lock_guard lock(mutex_);
+    for (const LineEvent& event : *events)
+      if (const Interlock cause = CauseIn(uint64_t{1} << event.line); cause != Interlock::kClosed) Trip(cause);
+  }
+  for (const LineEvent& event : *events) Take(event);
+  changed_.notify_all();
+  return true;
+}
+
+void Bank::Take(const LineEvent& event) {
+  int64_t lost = 0;
+  Input& input = inputs_[event.line];
+  {
+    const std::lock_guard lock(mutex_);
+    const uint32_t step = event.line_number - static_cast<uint32_t>(input.count);  // over the kernel's wrap, too
+    lost = static_cast<int64_t>(step) - 1;
+    input.count += step;
+    if (input.role == InputRole::kSync) edges_.push_back({input.projector, input.count - 1, event.time});
+    if (edges_.size() > kMaxEdges) edges_.pop_front();  // its number is missing now
+    if (input.role == InputRole::kStrobe) strobe_ = event.time;
+    if (input.role == InputRole::kStart) start_press_ = event.time;
+  }
+  if (lost > 0 && input.role == InputRole::kSync)
+    logger_.Warning("SYNC of projector " + std::to_string(input.projector) + ": " + std::to_string(lost) +
+                    " edges lost before edge " + std::to_string(input.count - 1));
+  if (input.role == InputRole::kEmergencyStop) logger_.Error("emergency stop: every projector is off");
+  if (input.role == InputRole::kDoor) logger_.Error("door open: every projector is off");
+}
+
+void Bank::LinesGone(const std::string& reason) {
+  {
+    const std::lock_guard lock(mutex_);
+    Trip(Interlock::kLinesGone);
+    if (gone_reason_.empty()) gone_reason_ = reason;
+  }
+  changed_.notify_all();
+  logger_.Error("GPIO lines are gone: " + reason + "; their ENABLE lines hold what the hardware makes of them");
+}
+
+}  // namespace
+
+Result<std::unique_ptr<GpiodLineBank>> GpiodLineBank::Open(const GpioWiring& wiring, Logger& logger) {
+  const std::vector<GpioChip> chips = ListChips();
+  SLX_ASSIGN_OR_RETURN(OutputPlan outputs, PlanOutputs(chips, wiring));
+  SLX_ASSIGN_OR_RETURN(InputPlan inputs, PlanInputs(chips, wiring));
+  std::unique_ptr<OutputRequest> output_request;
+  if (!outputs.offsets.empty()) {
+    SLX_ASSIGN_OR_RETURN(output_request, RequestOutputs(outputs.chip_path, outputs.offsets, outputs.active_low));
+  }
+  std::unique_ptr<InputRequest> input_request;
+  if (!inputs.lines.empty()) {
+    SLX_ASSIGN_OR_RETURN(input_request, RequestInputs(inputs.chip_path, inputs.lines));
+  }
+  UniqueFd stop(eventfd(0, EFD_CLOEXEC));
+  if (!stop.ok()) return Status::Failed(std::string("eventfd: ") + std::strerror(errno));
+  auto bank = std::make_unique<Bank>(std::move(outputs), std::move(output_request), std::move(inputs.inputs),
+                                     std::move(input_request), std::move(stop), logger);
+  bank->projector_pulse_ = wiring.projector_pulse;
+  bank->camera_pulse_ = wiring.camera_pulse;
+  bank->reset_pulse_ = wiring.reset_pulse;
+  SLX_RETURN_IF_ERROR(bank->Begin());
+  return std::unique_ptr<GpiodLineBank>(std::move(bank));
+}
+
+Status DriveEnablesOff(const GpioWiring& wiring) {
+  const std::vector<GpioChip> chips = ListChips();
+  Status first_error;
+  int lines = 0;
+  // One by one: a line that cannot be had must not keep another one on.
+  for (const ProjectorLines& p : wiring.projectors) {
+    if (!p.enable) continue;
+    ++lines;
+    Status status;
+    if (const Result<FoundLine> line = FindLine(chips, p.enable->at); !line.ok()) {
+      status = line.status();
+    } else {
+      status = RequestOutputs(line->chip_path, {line->offset}, p.enable->active == ActiveLevel::kLow ? 1 : 0).status();
+    }
+    if (first_error.ok()) first_error = status.WithContext("ENABLE " + p.enable->at.ToString());
+  }
+  if (lines == 0) return Status::Usage("the configuration wires no ENABLE line ([[projector]] enable)");
+  return first_error;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds lines among the chips of this machine.
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "firmware-host/gpio/gpio_wiring.h"
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+struct GpioChip {
+  std::string path;  // /dev/gpiochipN
+  std::string label;
+  std::vector<std::string> line_names;  // by offset; empty where a line has none
+};
+
+struct FoundLine {
+  std::string chip_path;
+  unsigned offset = 0;
+
+  friend bool operator==(const FoundLine&, const FoundLine&) = default;
+};
+
+// kNotFound: no such chip or line; kUsage: more than one. Both name what there is and how to go on.
+[[nodiscard]] Result<FoundLine> FindLine(std::span<const GpioChip> chips, const LineAddress& address);
+
+}  // namespace stratalux::rig

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/projector/pattern_memory_projector.h"
+
+#include <algorithm>
+#include <optional>
+#include <string>
+#include <utility>
+
+namespace stratalux::rig {
+namespace {
+
+constexpr int kTries = 3;  // from RESET to the wanted pattern
+
+class PatternMemoryProjector final : public Projector {
+ public:
+  PatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines, PatternMemoryOptions options)
+      : lines_(lines),
+        memory_lines_(memory_lines),
+        options_(std::move(options)),
+        first_pattern_count_(memory_lines_.SyncCount(options_.projector)) {}
+
+  [[nodiscard]] int width() const override { return options_.width; }
+  [[nodiscard]] int height() const override { return options_.height; }
+  Status Load(const std::vector<Pattern>& sequence) override;
+
+ private:
+  [[nodiscard]] Result<int64_t> Find(const std::vector<Pattern>& sequence) const;
+  // The pattern that the next TRIGGER shows.
+  [[nodiscard]] int64_t Next() {
+    const int64_t shown = memory_lines_.SyncCount(options_.projector) - first_pattern_count_;
+    return shown % static_cast<int64_t>(options_.memory.size());
+  }
+  Status Rewind();
+  // True where SYNC confirmed the step.
+  Result<bool> Step();
+  Result<bool> StepTo(int64_t target);
+
+  LineBank& lines_;
+  PatternMemoryLines& memory_lines_;
+  PatternMemoryOptions options_;
+  int64_t first_pattern_count_;  // SYNC edges before the memory last stood at its first pattern
+  bool rewound_ = false;
+};
+
+Result<int64_t> PatternMemoryProjector::Find(const std::vector<Pattern>& sequence) const {
+  const std::vector<Pattern>& memory = options_.memory;
+  // What is reloaded mostly runs to the end of the memory, and there stands but once.
+  if (sequence.size() <= memory.size() &&
+      std::equal(sequence.begin(), sequence.end(), memory.end() - static_cast<std::ptrdiff_t>(sequence.size())))
+    return static_cast<int64_t>(memory.size() - sequence.size());
+  const auto found = std::search(memory.begin(), memory.end(), sequence.begin(), sequence.end());
+  if (found == memory.end())
+    return Status::Usage("the pattern memory of projector " + std::to_string(options_.projector) + " (" +
+                         std::to_string(memory.size()) + " patterns) does not hold this sequence of " +
+                         std::to_string(sequence.size()) + "; fill it anew with `stratalux-rig plan render`");
+  return found - memory.begin();
+}
+
+Status PatternMemoryProjector::Rewind() {
+  SLX_RETURN_IF_ERROR(memory_lines_.ResetMemory(options_.projector));
+  first_pattern_count_ = memory_lines_.SyncCount(options_.projector);
+  rewound_ = true;
+  return Status::Ok();
+}
+
+Result<bool> PatternMemoryProjector::Step() {
+  SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, lines_.TriggerProjector(options_.projector));
+  const MonotonicNs deadline = pulse.time + options_.sync_deadline;
+  while (true) {
+    const std::chrono::nanoseconds left = std::max(deadline - MonotonicNow(), std::chrono::nanoseconds(0));
+    SLX_ASSIGN_OR_RETURN(const std::optional<SyncEdge> edge, lines_.WaitSync(left));
+    if (!edge) return false;
+    if (edge->projector == options_.projector && edge->time >= pulse.time) return true;
+  }
+}
+
+Result<bool> PatternMemoryProjector::StepTo(int64_t target) {
+  // A memory that steps twice at a pulse may jump over the target: one more round, then it is broken.
+  const auto limit = static_cast<int64_t>(2 * options_.memory.size());
+  for (int64_t steps = 0; Next() != target; ++steps) {
+    if (steps == limit) return false;
+    SLX_ASSIGN_OR_RETURN(const bool confirmed, Step());
+    if (!confirmed) return false;
+  }
+  return true;
+}
+
+Status PatternMemoryProjector::Load(const std::vector<Pattern>& sequence) {
+  if (sequence.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const int64_t target, Find(sequence));
+  const bool has_reset = options_.rewind == MemoryRewind::kResetLine;
+  for (int attempt = 0; attempt < (has_reset ? kTries : 1); ++attempt) {
+    // RESET costs nothing but the way back; stepping on is right where SYNC could be counted since the last one.
+    if (has_reset && (!rewound_ || attempt > 0 || target < Next())) SLX_RETURN_IF_ERROR(Rewind());
+    SLX_ASSIGN_OR_RETURN(const bool there, StepTo(target));
+    if (there) return Status::Ok();
+  }
+  return Status::Failed(
+      "projector " + std::to_string(options_.projector) + " does not confirm its steps (no SYNC edge " + "within " +
+      std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(options_.sync_deadline).count()) +
+      " ms of TRIGGER); check its power, its TRIGGER and SYNC cables and their polarity in rig.toml");
+}
+
+}  // namespace
+
+std::vector<Pattern> MemoryOf(const CapturePlan& plan, int projector) {
+  std::vector<Pattern> memory;
+  for (const int owner : {-1, projector})
+    for (const PlanStep& step : plan.steps)
+      if (step.projector == owner) memory.push_back(step.pattern);
+  return memory;
+}
+
+std::unique_ptr<Projector> MakePatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines,
+                                                      PatternMemoryOptions options) {
+  return std::make_unique<PatternMemoryProjector>(lines, memory_lines, std::move(options));
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/config/rig_config.h"
+
+#include <gtest/gtest.h>
+
+namespace stratalux::rig {
+namespace {
+
+Status Parse(const std::string& text) { return ParseRigConfig(text, "rig.toml").status(); }
+
+TEST(RigConfig, ShippedExampleSpellsOutTheDefaults) {
+  const auto config = LoadRigConfig(STRATALUX_SOURCE_DIR "/docs/examples/rig.toml");
+  ASSERT_TRUE(config.ok()) << config.status().message();
+  EXPECT_EQ(PlanOptionsToJson(config->plan), PlanOptionsToJson({}));
+  EXPECT_EQ(config->settle_ms, RigConfig{}.settle_ms);
+  EXPECT_EQ(config->store.codec, StoreConfig{}.codec);
+  EXPECT_EQ(config->camera.width, CameraWiring{}.width);
+  EXPECT_TRUE(config->projectors.empty()) << "the example wires no devices until its reader does";
+}
+
+TEST(RigConfig, NamesFileLineKeyAndRange) {
+  const struct {
+    const char* text;
+    const char* says;
+  } cases[] = {
+      {"[plan]\ncomb_widht = 3\n", "rig.toml:2: unknown key 'plan.comb_widht'"},
+      {"[plan]\nexposure_ms = -4\n", "rig.toml:2: plan.exposure_ms: value -4"},
+      {"[plan]\nprojectors = \"four\"\n", "is not an integer"},
+      {"[plan]\ncomb_step = 3\ncomb_width = 3\n", "must divide"},
+      {"[plan]\ncomb_period = 4096\n", "exceeds the projector"},
+      {"[camera]\nwidth = 1392\nwidth = 3\n", "rig.toml:3"},
+      {"[plan]\nkind = \"visiter\"\n", "allowed: visitor"},
+      {"[plan]\nbrackets = []\n", "non-empty"},
+      {"nonsense", "rig.toml:1"},
+      {"[rig]\nname = \"a\"\n[store]\ncodec = \"zip\"\n", "rig.toml:4: unknown codec 'zip' (allowed: raw12, delta)"},
+      {"[cameras]\n", "unknown key 'cameras'"},
+      {"[camera]\nbackend = \"usb\"\n", "rig.toml:2: camera.backend: value 'usb' is unknown, allowed: none, v4l2"},
+      {"[camera]\nbackend = \"v4l2\"\n", "rig.toml:2: say which camera"},
+      {"[camera]\nbackend = \"v4l2\"\ndevice = \"/dev/v4l/x\"\nexposure_control = \"none\"\n",
+       "rig.toml:4: a camera without an exposure control needs `fixed_exposure_ms`"},
+      {"[camera]\nbuffers = 2\n", "allowed: 4 .. 32"},
+      {"[gpio]\ndoor = \"GPIO5\"\n", "rig.toml:2: gpio.door: must be a table"},
+      {"[gpio]\ndoor = { line = \"GPIO5\", offset = 5 }\n", "rig.toml:2: a line is given by `line`"},
+      {"[gpio]\ndoor = { active = \"low\" }\n", "rig.toml:2: a line is given by `line`"},
+      {"[gpio]\ndoor = { offset = 5 }\n", "rig.toml:2: an offset needs the label of its chip"},
+      {"[gpio]\ndoor = { line = \"GPIO5\", bias = \"up\" }\n", "allowed: as-is, disabled, pull-up, pull-down"},
+      {"[gpio]\ncamera_trigger = { line = \"GPIO5\", bias = \"pull-up\" }\n", "unknown key 'gpio.camera_trigger.bias'"},
+      {"[gpio]\nstrobe = { line = \"GPIO5\" }\ndoor = { line = \"GPIO5\" }\n", "GPIO5 carries two signals"},
+      {"[plan]\nprojectors = 1\n[[projector]]\nenable = { line = \"A\" }\nsync = { line = \"B\" }\n",
+       "projector[0].trigger: is missing"},
+      {"[plan]\nprojectors = 1\n[[projector]]\nkind = \"display\"\n", "projector[0].connector: is missing"},
+      {"[plan]\nprojectors = 1\n[[projector]]\nkind = \"display\"\nconnector = \"HDMI-A-1\"\nsync = { line = \"B\" }\n",
+       "unknown key 'projector[0].sync'"},
+      {"[[projector]]\nkind = \"display\"\nconnector = \"HDMI-A-1\"\n",
+       "1 [[projector]] tables, but the plan has projectors = 4"},
+  };
+  for (const auto& c : cases) {
+    const Status status = Parse(c.text);
+    EXPECT_EQ(status.code(), StatusCode::kUsage) << c.text;
+    EXPECT_NE(status.message().find(c.says), std::string::npos) << status.message();
+  }
+}
+
+TEST(RigConfig, ReadsTheWiring) {
+  const auto config = ParseRigConfig(R"(
+[gpio]
+chip = "pinctrl-rp1"
+projector_pulse_us = 50
+camera_trigger = { line = "GPIO24", active = "low" }
+emergency_stop = { offset = 5, bias = "pull-up", debounce_us = 500 }
+door = { line = "DOOR", chip = "expander" }
+[camera]
+backend = "v4l2"
+card = "Industrial"
+format = "Y12P"
+exposure_control = "exposure"
+exposure_unit_us = 12.5
+[plan]
+projectors = 2
+[[projector]]
+enable = { line = "GPIO17" }
+trigger = { line = "GPIO27" }
+sync = { line = "GPIO22", active = "low" }
+reset = { line = "GPIO23" }
+[[projector]]
+kind = "display"
+connector = "HDMI-A-1"
+refresh_hz = 60
+enable = { line = "GPIO16" }
+)",
+                                     "rig.toml");
+  ASSERT_TRUE(config.ok()) << config.status().message();
+  const GpioWiring& gpio = config->gpio;
+  EXPECT_EQ(gpio.projector_pulse, std::chrono::microseconds(50));
+  EXPECT_EQ(gpio.camera_trigger->at, (LineAddress{"GPIO24", "pinctrl-rp1", -1}));
+  EXPECT_EQ(gpio.camera_trigger->active, ActiveLevel::kLow);
+  EXPECT_EQ(gpio.emergency_stop->at, (LineAddress{"", "pinctrl-rp1", 5}));
+  EXPECT_EQ(gpio.emergency_stop->bias, LineBias::kPullUp);
+  EXPECT_EQ(gpio.emergency_stop->debounce, std::chrono::microseconds(500));
+  EXPECT_EQ(gpio.door->at.chip, "expander");
+  EXPECT_FALSE(gpio.start.has_value());
+  EXPECT_EQ(config->camera.backend, CameraBackend::kV4l2);
+  EXPECT_EQ(config->camera.exposure_control, ExposureControl::kExposure);
+  ASSERT_EQ(config->projectors.size(), 2U);
+  ASSERT_EQ(gpio.projectors.size(), 2U);
+  EXPECT_EQ(config->projectors[0].kind, ProjectorKind::kMemory);
+  EXPECT_TRUE(gpio.projectors[0].reset.has_value());
+  EXPECT_EQ(gpio.projectors[0].sync->active, ActiveLevel::kLow);
+  EXPECT_EQ(config->projectors[1].kind, ProjectorKind::kDisplay);
+  EXPECT_EQ(config->projectors[1].display.connector, "HDMI-A-1");
+  EXPECT_FALSE(gpio.projectors[1].trigger.has_value());
+}
+
+TEST(RigConfig, MissingFileIsAUsageErrorThatNamesIt) {
+  const auto config = LoadRigConfig("/nowhere/rig.toml");
+  EXPECT_EQ(config.status().code(), StatusCode::kUsage);
+  EXPECT_NE(config.status().message().find("/nowhere/rig.toml"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace stratalux::rig

@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: Apache-2.0
+// The real lines against gpio-sim. Needs root and the kernel module gpio-sim (tests/rig-vm has it), no environment
+// variables; skipped elsewhere.
+#include "firmware-host/gpio/gpiod_line_bank.h"
+
+#include <cstdio>
+#include <string>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "shared/base/check.h"
+#include "tests/firmware-host/gpio/gpio_sim.h"
+
+namespace stratalux::rig {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::HasSubstr;
+
+enum Line { kEnable0, kTrigger0, kSync0, kReset0, kEnable1, kTrigger1, kSync1, kCamera, kStrobe, kStop, kDoor, kStart };
+const std::vector<std::string> kNames = {"ENABLE0", "TRIGGER0", "SYNC0",  "RESET0",         "ENABLE1", "TRIGGER1",
+                                         "SYNC1",   "CAMERA",   "STROBE", "EMERGENCY_STOP", "DOOR",    "START"};
+constexpr const char* kLabel = "stratalux-test";
+
+class GpiodLineBankTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    sim_ = GpioSim::Create(kLabel, kNames);
+    if (!sim_) GTEST_SKIP() << "no gpio-sim on this machine (needs root and `modprobe gpio-sim`)";
+    log_ = std::tmpfile();
+    logger_ = std::make_unique<Logger>(LogLevel::kInfo, log_);
+    for (int p = 0; p < 2; ++p) {
+      ProjectorLines& lines = wiring_.projectors.emplace_back();
+      lines.enable = Output("ENABLE" + std::to_string(p));
+      lines.trigger = Output("TRIGGER" + std::to_string(p));
+      lines.sync = Input("SYNC" + std::to_string(p));
+    }
+    // The second projector's light is on while its line is low.
+    wiring_.projectors[1].enable->active = ActiveLevel::kLow;
+    wiring_.projectors[0].reset = Output("RESET0");
+    wiring_.camera_trigger = Output("CAMERA");
+    wiring_.strobe = Input("STROBE");
+    wiring_.emergency_stop = Input("EMERGENCY_STOP");
+    wiring_.door = Input("DOOR");
+    wiring_.door->active = ActiveLevel::kLow;
+    wiring_.start = Input("START");
+    sim_->Pull(kDoor, true);
+  }
+  void TearDown() override {
+    bank_.reset();
+    if (log_ != nullptr) std::fclose(log_);
+  }
+
+  static LineAddress At(const std::string& name) { return {name, kLabel, -1}; }
+  static OutputWiring Output(const std::string& name) { return {At(name)}; }
+  static InputWiring Input(const std::string& name) { return {At(name)}; }
+
+  void Open() {
+    Result<std::unique_ptr<GpiodLineBank>> bank = GpiodLineBank::Open(wiring_, *logger_);
+    ASSERT_TRUE(bank.ok()) << bank.status().message();
+    bank_ = std::move(bank).value();
+  }
+  void PulseInput(Line line) {
+    sim_->Pull(line, true);
+    sim_->Pull(line, false);
+  }
+  [[nodiscard]] bool Lit(int projector) const {
+    return projector == 0 ? sim_->Level(kEnable0) : !sim_->Level(kEnable1);
+  }
+  Interlock AwaitInterlock() {
+    const auto deadline = std::chrono::steady_clock::now() + 10s;
+    while (bank_->CheckInterlock() == Interlock::kClosed && std::chrono::steady_clock::now() < deadline)
+      std::this_thread::sleep_for(1ms);
+    return bank_->CheckInterlock();
+  }
+  std::string LogText() {
+    std::string text;
+    std::rewind(log_);
+    char buffer[512];
+    for (size_t n = 0; (n = std::fread(buffer, 1, sizeof buffer, log_)) > 0;) text.append(buffer, n);
+    return text;
+  }
+
+  std::unique_ptr<GpioSim> sim_;
+  std::FILE* log_ = nullptr;
+  std::unique_ptr<Logger> logger_;
+  GpioWiring wiring_;
+  std::unique_ptr<GpiodLineBank> bank_;
+};
+
+TEST_F(GpiodLineBankTest, OpensDarkAndSwitchesEachLightByItsPolarity) {
+  Open();
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
+  EXPECT_FALSE(Lit(0));
+  EXPECT_TRUE(Lit(1));
+  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  ASSERT_TRUE(bank_->SetEnable(1, false).ok());
+  EXPECT_TRUE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+  EXPECT_EQ(bank_->SetEnable(2, true).code(), StatusCode::kUsage);
+}
+
+TEST_F(GpiodLineBankTest, LeavesTheLightsOff) {
+  Open();
+  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
+  bank_.reset();
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+}
+
+TEST_F(GpiodLineBankTest, PulsesEndLowAndAreCounted) {
+  Open();
+  const auto first = bank_->TriggerProjector(-1);
+  const auto second = bank_->TriggerCamera();
+  ASSERT_TRUE(first.ok() && second.ok());
+  EXPECT_EQ(first->number, 0);
+  EXPECT_EQ(second->number, 1);
+  EXPECT_LT(first->time, second->time);
+  for (const Line line : {kTrigger0, kTrigger1, kCamera}) EXPECT_FALSE(sim_->Level(line));
+  EXPECT_EQ(bank_->TriggerProjector(5).status().code(), StatusCode::kUsage);
+  EXPECT_TRUE(bank_->ResetMemory(0).ok());
+  EXPECT_EQ(bank_->ResetMemory(1).code(), StatusCode::kUsage) << "projector 1 has no RESET line";
+}
+
+TEST_F(GpiodLineBankTest, APulseIsSeenOutside) {
+  wiring_.camera_pulse = 300ms;
+  Open();
+  bool high = false;
+  std::thread watcher([&] {
+    const auto deadline = std::chrono::steady_clock::now() + 10s;
+    while (!high && std::chrono::steady_clock::now() < deadline) high = sim_->Level(kCamera);
+  });
+  EXPECT_TRUE(bank_->TriggerCamera().ok());
+  watcher.join();
+  EXPECT_TRUE(high);
+}
+
+TEST_F(GpiodLineBankTest, EdgesCarryTheirProjectorNumberAndKernelTime) {
+  Open();
+  const MonotonicNs before = MonotonicNow();
+  PulseInput(kSync1);
+  PulseInput(kSync0);
+  PulseInput(kSync1);
+  const struct {
+    int projector;
+    int64_t sequence;
+  } expected[] = {{1, 0}, {0, 0}, {1, 1}};
+  MonotonicNs last = before;
+  for (const auto& e : expected) {
+    const auto edge = bank_->WaitSync(10s);
+    ASSERT_TRUE(edge.ok() && edge->has_value());
+    EXPECT_EQ((*edge)->projector, e.projector);
+    EXPECT_EQ((*edge)->sequence, e.sequence);
+    EXPECT_LE(last, (*edge)->time);
+    last = (*edge)->time;
+  }
+  EXPECT_LE(last, MonotonicNow());
+  EXPECT_EQ(bank_->SyncCount(1), 2);
+  const auto none = bank_->WaitSync(0ns);
+  ASSERT_TRUE(none.ok());
+  EXPECT_FALSE(none->has_value());
+}
+
+// More edges than the kernel keeps, while the reader cannot run: numbers go on, the gap is said.
+TEST_F(GpiodLineBankTest, ALostEdgeLeavesAGap) {
+  Open();
+  constexpr int kEdges = 20000;
+  std::thread world([this] {
+    for (int i = 0; i < kEdges; ++i) PulseInput(kSync0);
+  });
+  world.join();
+  // The bank keeps some thousand edges that nobody waits for and drops the oldest: the numbers show it.
+  int64_t last = -1, seen = 0, missing = 0;
+  while (true) {
+    const auto edge = bank_->WaitSync(seen == 0 ? 10s : 500ms);
+    ASSERT_TRUE(edge.ok());
+    if (!*edge) break;
+    EXPECT_GT((*edge)->sequence, last);
+    missing += (*edge)->sequence - last - 1;
+    last = (*edge)->sequence;
+    ++seen;
+  }
+  EXPECT_EQ(last, kEdges - 1);
+  EXPECT_LT(seen, kEdges);
+  EXPECT_EQ(seen + missing, kEdges);
+  EXPECT_EQ(bank_->SyncCount(0), kEdges);
+}
+
+TEST_F(GpiodLineBankTest, EmergencyStopTakesTheLightAndHoldsIt) {
+  Open();
+  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
+  PulseInput(kStop);  // pressed for a moment
+  EXPECT_EQ(AwaitInterlock(), Interlock::kEmergencyStop);
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
+  EXPECT_FALSE(Lit(0));
+  EXPECT_TRUE(bank_->ResetInterlock().ok());
+  EXPECT_TRUE(bank_->SetEnable(0, true).ok());
+  EXPECT_TRUE(Lit(0));
+  EXPECT_THAT(LogText(), HasSubstr("emergency stop"));
+}
+
+TEST_F(GpiodLineBankTest, AnOpenDoorCannotBeReset) {
+  Open();
+  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  sim_->Pull(kDoor, false);
+  EXPECT_EQ(AwaitInterlock(), Interlock::kDoorOpen);
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(bank_->ResetInterlock().ok());
+  sim_->Pull(kDoor, true);
+  EXPECT_TRUE(bank_->ResetInterlock().ok());
+}
+
+TEST_F(GpiodLineBankTest, APressedEmergencyStopIsSeenAtOpening) {
+  sim_->Pull(kStop, true);
+  Open();
+  EXPECT_EQ(bank_->CheckInterlock(), Interlock::kEmergencyStop);
+  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
+}
+
+TEST_F(GpiodLineBankTest, AnUnpluggedChipIsAnErrorNotAHang) {
+  Open();
+  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  std::thread world([this] {
+    std::this_thread::sleep_for(100ms);
+    sim_->Unplug();
+  });
+  const auto started = std::chrono::steady_clock::now();
+  const auto edge = bank_->WaitSync(60s);
+  world.join();
+  EXPECT_FALSE(edge.ok());
+  EXPECT_LT(std::chrono::steady_clock::now() - started, 30s);
+  EXPECT_EQ(bank_->CheckInterlock(), Interlock::kLinesGone);
+  EXPECT_FALSE(bank_->TriggerProjector(0).ok());
+  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
+  EXPECT_FALSE(bank_->AllOff().ok());
+  EXPECT_FALSE(bank_->ResetInterlock().ok());
+  EXPECT_THAT(LogText(), HasSubstr("GPIO lines are gone"));
+}
+
+TEST_F(GpiodLineBankTest, StartAndStrobeAreTimed) {
+  Open();
+  EXPECT_FALSE(bank_->LastStrobe().has_value());
+  const MonotonicNs before = MonotonicNow();
+  PulseInput(kStrobe);
+  PulseInput(kStart);
+  const auto press = bank_->WaitStart(10s);
+  ASSERT_TRUE(press.ok() && press->has_value());
+  EXPECT_LE(before, **press);
+  ASSERT_TRUE(bank_->LastStrobe().has_value());
+  EXPECT_LE(before, *bank_->LastStrobe());
+  const auto again = bank_->WaitStart(0ns);
+  ASSERT_TRUE(again.ok());
+  EXPECT_FALSE(again->has_value()) << "one press is told once";
+}
+
+TEST_F(GpiodLineBankTest, LinesInUseAreBusyAndCannotBeMadeSafeByAnother) {
+  Open();
+  EXPECT_EQ(GpiodLineBank::Open(wiring_, *logger_).status().code(), StatusCode::kBusy);
+  const Status safe = DriveEnablesOff(wiring_);
+  EXPECT_EQ(safe.code(), StatusCode::kBusy);
+  EXPECT_THAT(safe.message(), HasSubstr("ENABLE0"));
+}
+
+TEST_F(GpiodLineBankTest, SafeDrivesEveryEnableOff) {
+  // What a killed program leaves behind: gpio-sim keeps the last level.
+  sim_->Pull(kEnable0, true);
+  sim_->Pull(kEnable1, false);
+  ASSERT_TRUE(DriveEnablesOff(wiring_).ok());
+  Open();
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+}
+
+TEST_F(GpiodLineBankTest, AFailedCheckTakesTheLight) {
+  EXPECT_DEATH(
+      {
+        Open();
+        static_cast<void>(bank_->SetEnable(0, true));
+        static_cast<void>(bank_->SetEnable(1, true));
+        SLX_CHECK(1 + 1 == 3);
+      },
+      "check failed");
+  EXPECT_FALSE(Lit(0));
+  EXPECT_FALSE(Lit(1));
+}
+
+TEST_F(GpiodLineBankTest, AWrongNameNamesTheChips) {
+  wiring_.projectors[0].enable = Output("NO_SUCH_LINE");
+  const auto bank = GpiodLineBank::Open(wiring_, *logger_);
+  EXPECT_EQ(bank.status().code(), StatusCode::kNotFound);
+  EXPECT_THAT(bank.status().message(), HasSubstr(kLabel));
+}
+
+}  // namespace
+}  // namespace stratalux::rig
