@@ -19,6 +19,7 @@ done
 guest_packages() {  # what the guest's programs need at run time, a purpose each
   cat <<'LIST'
 busybox-static    shell and tools of the guest
+kmod              loads and unloads modules with what they need
 udev              libcamera finds its devices through it
 v4l-utils         v4l2-ctl sets the controls of vivid that inject faults
 libstdc++6        every program
@@ -106,7 +107,7 @@ find "$modules" -name '*.ko' -exec cp -t "$work/rootfs/lib/modules/$kernel/extra
 strip -g "$work/rootfs/lib/modules/$kernel"/extra/*.ko
 depmod -b "$work/rootfs" "$kernel"
 for applet in $(busybox --list); do
-  [ -e "$work/rootfs/bin/$applet" ] || [ -e "$work/rootfs/usr/bin/$applet" ] || ln -s busybox "$work/rootfs/bin/$applet"
+  compgen -G "$work/rootfs/{,usr/}{,s}bin/$applet" >/dev/null || ln -s busybox "$work/rootfs/bin/$applet"
 done
 
 # The first file system holds just what reaches the root over 9p.

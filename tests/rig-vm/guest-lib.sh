@@ -3,18 +3,6 @@
 failures=0
 cases=/share/cases
 
-# check NAME COMMAND...: one case, one line; what the command says is kept when it fails.
-check() {
-  local name="$1"
-  shift
-  if "$@" >/tmp/case.log 2>&1; then
-    printf 'ok      %s\n' "$name" >>$cases
-  else
-    printf 'FAILED  %s (exit %s)\n' "$name" "$?" >>$cases
-    sed 's/^/        /' /tmp/case.log | tail -n 40 >>$cases
-    failures=$((failures + 1))
-  fi
-}
 # run_tests PROGRAM FILTER: GoogleTest cases of /build/bin/PROGRAM, a line each. One that skips itself failed: here its
 # device is present.
 run_tests() {
@@ -38,21 +26,4 @@ start_udev() {
   udevadm trigger --type=subsystems
   udevadm trigger
   udevadm settle -t 20
-}
-
-# make_lines CHIP NAME...: a gpio-sim chip with these lines. Sets `lines` to its sysfs folder: sim_gpioN/{pull,value}.
-make_lines() {
-  local chip=/sys/kernel/config/gpio-sim/$1
-  mkdir -p "$chip/bank0"
-  echo "$1" >"$chip/bank0/label"
-  shift
-  echo $# >"$chip/bank0/num_lines"
-  local line=0 name
-  for name in "$@"; do
-    mkdir "$chip/bank0/line$line"
-    echo "$name" >"$chip/bank0/line$line/name"
-    line=$((line + 1))
-  done
-  echo 1 >"$chip/live"
-  lines=/sys/devices/platform/$(cat "$chip/dev_name")/$(cat "$chip/bank0/chip_name")
 }
