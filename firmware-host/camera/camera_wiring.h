@@ -20,7 +20,8 @@ struct CameraWiring {
   std::string format;  // as the driver lists it, such as "Y12" or "BG12"; empty: the one that keeps most bits
   int width = 1392;    // px, of the mosaic
   int height = 1042;
-  int buffers = 8;  // of the driver; a capture thread that is late by so many frames loses one
+  double frame_rate_hz = 0.0;  // of a camera that runs freely; 0: the driver's
+  int buffers = 8;             // of the driver; a capture thread that is late by so many frames loses one
   // V4L2 alone: control value = exposure / exposure_unit_us, and gain * gain_unit.
   ExposureControl exposure_control = ExposureControl::kExposureAbsolute;
   double exposure_unit_us = 100.0;  // of V4L2_CID_EXPOSURE_ABSOLUTE; for V4L2_CID_EXPOSURE mostly the line time

@@ -2,6 +2,12 @@
 #include "firmware-host/camera/frame_stream.h"
 
 namespace stratalux::rig {
+namespace {
+
+// Some drivers stamp the end of a frame ahead of it (vivid by most of a frame); a wrapped clock is off by much more.
+constexpr auto kAhead = std::chrono::seconds(1);
+
+}  // namespace
 
 int64_t FrameStream::Number(uint32_t driver_number) {
   if (!number_) {
@@ -16,7 +22,7 @@ int64_t FrameStream::Number(uint32_t driver_number) {
 }
 
 bool FrameStream::StampFits(MonotonicNs stamp, MonotonicNs now) {
-  if (now < stamp || (stamp_ && stamp < *stamp_)) return false;
+  if (now + kAhead < stamp || (stamp_ && stamp < *stamp_)) return false;
   stamp_ = stamp;
   return true;
 }

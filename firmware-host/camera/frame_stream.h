@@ -18,8 +18,8 @@ class FrameStream {
   // The driver will count anew. At least one frame is lost: the next number leaves a gap.
   void Reopened() { driver_number_.reset(); }
 
-  // False for a stamp that lies before the frame's predecessor or in the future: a wrapped or broken clock. `now` is
-  // CLOCK_MONOTONIC when the frame was read.
+  // False for a stamp that lies before the frame's predecessor or far in the future: a wrapped or broken clock. `now`
+  // is CLOCK_MONOTONIC when the frame was read.
   [[nodiscard]] bool StampFits(MonotonicNs stamp, MonotonicNs now);
 
  private:

@@ -129,6 +129,7 @@ class Camera final : public FrameSource {
   }
   Status SetFormat();
   Result<uint32_t> ChooseFormat();
+  Status SetFrameRate();
   Status StreamOn();
   void Close();
   // Closes a device that broke off; `status` says how.
@@ -180,6 +181,7 @@ Status Camera::OpenDevice() {
   fd_ = OpenNode(path_);
   if (!fd_.ok()) return Error("cannot be opened");
   SLX_RETURN_IF_ERROR(SetFormat());
+  SLX_RETURN_IF_ERROR(SetFrameRate());
   SLX_RETURN_IF_ERROR(CheckControls());
   current_ = before_ = ReadBack();
   return Status::Ok();
@@ -224,6 +226,19 @@ Status Camera::SetFormat() {
   format_ = *RawFormatOf(FourccText(fourcc));
   stride_ = std::max<size_t>(got.bytesperline, RowBytes(format_, wiring_.width));
   return Status::Ok();
+}
+
+Status Camera::SetFrameRate() {
+  if (wiring_.frame_rate_hz <= 0.0) return Status::Ok();
+  v4l2_streamparm parameters{};
+  parameters.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  v4l2_fract& period = parameters.parm.capture.timeperframe;
+  period = {1000, static_cast<uint32_t>(std::lround(1000.0 * wiring_.frame_rate_hz))};
+  if (Call(fd_.get(), VIDIOC_S_PARM, &parameters) != 0) return Error("[camera] frame_rate_hz cannot be set");
+  const double got_hz = period.numerator > 0 ? static_cast<double>(period.denominator) / period.numerator : 0.0;
+  if (std::abs(got_hz - wiring_.frame_rate_hz) <= 0.01 * wiring_.frame_rate_hz) return Status::Ok();
+  return Status::Usage(path_ + ": [camera] asks for frame_rate_hz = " + std::to_string(wiring_.frame_rate_hz) +
+                       ", the nearest the camera has is " + std::to_string(got_hz));
 }
 
 // Our controls must be there, and nobody else's hand on them.

@@ -418,13 +418,13 @@ void Bank::Take(const LineEvent& event) {
 }
 
 void Bank::LinesGone(const std::string& reason) {
+  logger_.Error("GPIO lines are gone: " + reason + "; their ENABLE lines hold what the hardware makes of them");
   {
     const std::lock_guard lock(mutex_);
     Trip(Interlock::kLinesGone);
     if (gone_reason_.empty()) gone_reason_ = reason;
   }
   changed_.notify_all();
-  logger_.Error("GPIO lines are gone: " + reason + "; their ENABLE lines hold what the hardware makes of them");
 }
 
 }  // namespace

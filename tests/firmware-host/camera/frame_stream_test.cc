@@ -42,7 +42,8 @@ TEST(FrameStream, StampsOfTheFutureOrThePastDoNotFit) {
   EXPECT_FALSE(stream.StampFits({9'223'372'020'000'000'000}, {2500})) << "shortly before a 64-bit wrap";
   EXPECT_FALSE(stream.StampFits({-5}, {2600})) << "after it";
   EXPECT_FALSE(stream.StampFits({1999}, {2700}));
-  EXPECT_TRUE(stream.StampFits({2800}, {2800})) << "a stamp that did not fit is forgotten";
+  EXPECT_TRUE(stream.StampFits({2700 + 200'000'000}, {2700})) << "the end of a frame that still lies ahead";
+  EXPECT_TRUE(stream.StampFits({2800 + 200'000'000}, {2800})) << "a stamp that did not fit is forgotten";
 }
 
 }  // namespace

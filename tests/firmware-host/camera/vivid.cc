@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/firmware-host/camera/vivid.h"
 
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 
@@ -35,10 +34,6 @@ bool Vivid::Set(const std::string& control, int value) {
     return ioctl(fd_.get(), VIDIOC_S_CTRL, &set) == 0;
   }
   return false;
-}
-
-bool Vivid::Reload() {
-  return std::system("modprobe -r vivid && modprobe vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x0") == 0;
 }
 
 }  // namespace stratalux::rig

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The kernel's virtual camera, loaded as
 //   modprobe vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x0
-// and its faults. Reload needs root.
+// and its faults. After `Disconnect` it is gone until its last user closes it.
 #pragma once
 
 #include <memory>
@@ -18,8 +18,6 @@ class Vivid {
 
   // A control by its name as `v4l2-ctl -L` of the kernel spells it ("Percentage of Dropped Buffers"); false: refused.
   bool Set(const std::string& control, int value);
-  // Takes the module away and loads it anew: the camera comes back after `Disconnect`.
-  static bool Reload();
 
  private:
   UniqueFd fd_;

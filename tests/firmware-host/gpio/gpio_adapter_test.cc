@@ -2,6 +2,9 @@
 // The kernel's lines against gpio-sim: what gpiod_line_bank_test cannot provoke from outside. Needs the same.
 #include "firmware-host/gpio/gpio_adapter.h"
 
+#include <chrono>
+#include <thread>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -29,17 +32,16 @@ class GpioAdapterTest : public ::testing::Test {
 TEST_F(GpioAdapterTest, EdgesTheKernelDroppedAreMissingInTheNumbers) {
   const auto inputs = RequestInputs(path_, {{.offset = 1}});
   ASSERT_TRUE(inputs.ok()) << inputs.status().message();
-  constexpr uint32_t kEdges = 3000;
-  for (uint32_t i = 0; i < kEdges; ++i) {
+  for (int i = 0; i < 1500; ++i) {
     sim_->Pull(1, true);
+    std::this_thread::sleep_for(std::chrono::microseconds(500));  // gpio-sim merges edges that follow too soon
     sim_->Pull(1, false);
   }
   const auto events = (*inputs)->Read();
   ASSERT_TRUE(events.ok());
-  ASSERT_FALSE(events->empty());
-  EXPECT_LT(events->size(), kEdges);
-  EXPECT_EQ(events->back().line_number, kEdges);
-  EXPECT_EQ(events->front().line_number, kEdges - events->size() + 1);
+  EXPECT_EQ(events->size(), 1024U);
+  EXPECT_GT(events->front().line_number, 1U);
+  for (size_t i = 1; i < events->size(); ++i) EXPECT_EQ((*events)[i].line_number, (*events)[i - 1].line_number + 1);
   const auto none = (*inputs)->Read();
   ASSERT_TRUE(none.ok());
   EXPECT_TRUE(none->empty());
