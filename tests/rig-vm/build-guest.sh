@@ -107,7 +107,8 @@ find "$modules" -name '*.ko' -exec cp -t "$work/rootfs/lib/modules/$kernel/extra
 strip -g "$work/rootfs/lib/modules/$kernel"/extra/*.ko
 depmod -b "$work/rootfs" "$kernel"
 for applet in $(busybox --list); do
-  compgen -G "$work/rootfs/{,usr/}{,s}bin/$applet" >/dev/null || ln -s busybox "$work/rootfs/bin/$applet"
+  for folder in bin sbin usr/bin usr/sbin; do [ ! -e "$work/rootfs/$folder/$applet" ] || continue 2; done
+  ln -s busybox "$work/rootfs/bin/$applet"
 done
 
 # The first file system holds just what reaches the root over 9p.
