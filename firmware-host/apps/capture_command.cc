@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/apps/capture_command.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <utility>
@@ -37,7 +38,8 @@ std::chrono::nanoseconds FromMilliseconds(double ms) {
 }
 
 // The tolerances of a single probe follow the camera at hand.
-SequencerOptions OptionsFor(const RigConfig& config, SimulatedRig& rig) {
+SequencerOptions OptionsFor(const CaptureOptions& capture, SimulatedRig& rig) {
+  const RigConfig& config = capture.config;
   const CameraCalibration& camera = rig.calibration().camera;
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
@@ -45,6 +47,9 @@ SequencerOptions OptionsFor(const RigConfig& config, SimulatedRig& rig) {
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
   options.witness.gain_e_per_dn = camera.gain_e_per_dn;
+  options.witness.read_noise_dn = std::max(options.witness.read_noise_dn, camera.read_noise_dn);
+  // Without noise, frames of one picture are equal bit by bit.
+  if (!capture.simulated.noise) options.shooter.max_repeated_rows = 1.0;
   options.witness.saturation_dn = 0.975 * camera.saturation_dn;
   options.shooter.wait = [&rig](std::chrono::nanoseconds time) { rig.Sleep(time); };
   return options;
@@ -111,8 +116,8 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   {
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
-    Sequencer sequencer({rig->lines(), rig->camera(), rig->projectors()}, OptionsFor(options.config, *rig), logger,
-                        stop, [&progress] { progress.Advance(); });
+    Sequencer sequencer({rig->lines(), rig->camera(), rig->projectors()}, OptionsFor(options, *rig), logger, stop,
+                        [&progress] { progress.Advance(); });
     Result<CaptureReport> report = sequencer.Run(plan, recorder);
     if (report.ok()) outcome.report = std::move(report).value();
     Fail(outcome.report, report.status());
