@@ -298,6 +298,7 @@ class Camera final : public FrameSource {
     session_ = std::make_shared<Session>();
     return Within("opening", [wiring = wiring_](Session& s) { return s.Open(wiring); });
   }
+  [[nodiscard]] bool follows_trigger() const override { return wiring_.pace == CameraPace::kTriggered; }
   Status Start() override {
     if (started_) return Status::Ok();
     SLX_RETURN_IF_ERROR(Within("starting", [controls = Controls()](Session& s) { return s.Start(controls); }));
