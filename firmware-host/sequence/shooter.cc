@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <thread>
 #include <utility>
 
@@ -53,6 +54,7 @@ Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
   }
+  if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
   SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerProjector(step.projector));
   SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, pulse));
   Shot shot;
@@ -97,6 +99,18 @@ Result<Shot> Shooter::TakeTriggered(const PlanStep& step) {
   shot.record.trigger_number = trigger.number;
   shot.record.trigger_time = trigger.time;
   return shot;
+}
+
+Status Shooter::PassOverStream() {
+  constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
+    if (!frame) return Status::Ok();
+    // Each is counted and remembered; none is anybody's.
+    static_cast<void>(pairing_.MatchStream(kNever, {}, *frame));
+    static_cast<void>(rows_.ShareRepeated(frame->pixels));
+    ++transition_frames_;
+  }
 }
 
 Result<Shot> Shooter::TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync) {

@@ -77,6 +77,8 @@ class Shooter {
   Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
   Result<Shot> TakeTriggered(const PlanStep& step);
+  // Reads away the frames of a stream that wait already: they are older than the shot.
+  Status PassOverStream();
   Result<Shot> TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync);
   Status CheckFrame(const CapturedFrame& frame);
   // As the camera reports it.

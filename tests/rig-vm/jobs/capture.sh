@@ -5,8 +5,8 @@ modprobe gpio-sim
 modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
 v4l2-ctl --list-devices > /share/log 2>&1
 for d in /dev/video0 /dev/video1; do v4l2-ctl -d $d --all | head -12 >> /share/log 2>&1; done
-v4l2-ctl -d /dev/video0 --set-dv-bt-timings cvt,width=640,height=480,fps=60 >>/share/log 2>&1 
-v4l2-ctl -d /dev/video1 --set-dv-bt-timings cvt,width=640,height=480,fps=60 >>/share/log 2>&1 
+v4l2-ctl -d /dev/video0 --set-dv-bt-timings cvt,width=800,height=600,fps=30 >>/share/log 2>&1 
+v4l2-ctl -d /dev/video1 --set-dv-bt-timings cvt,width=800,height=600,fps=30 >>/share/log 2>&1 
 v4l2-ctl -d /dev/video0 -c loop_video=1,osd_text_mode=2,timestamp_source=1 >>/share/log 2>&1
 /build/bin/rig-vm-responder /source/tests/rig-vm/plans/loop.toml /dev/video1 >/share/responder 2>&1 &
 r=$!
