@@ -26,6 +26,7 @@ libstdc++6        every program
 libpng16-16       stratalux-rig
 libsqlite3-0      stratalux-rig
 libtomlplusplus3  stratalux-rig
+libtiff6          stratalux-db
 libsodium23       stratalux-rig
 libxxhash0        stratalux-rig
 libzstd1          stratalux-rig

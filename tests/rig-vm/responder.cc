@@ -20,7 +20,9 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <functional>
 #include <iostream>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -36,18 +38,14 @@
 #include <unistd.h>
 
 #include "firmware-host/config/rig_config.h"
-#include "firmware-host/projector/display_picture.h"
 #include "firmware-host/projector/pattern_memory_projector.h"
 #include "tests/firmware-host/camera/vivid.h"
 #include "tests/firmware-host/gpio/gpio_sim.h"
+#include "tests/rig-vm/loop_scene.h"
 
 namespace stratalux::rig {
 namespace {
 
-constexpr int kWidth = 320;  // of the camera's picture, px
-constexpr int kHeight = 240;
-constexpr double kBlack_dn = 64.0;
-constexpr double kNoise_dn = 4.0;
 constexpr auto kSyncDelay = std::chrono::milliseconds(1);  // from TRIGGER to SYNC, as a module has
 constexpr auto kSyncPulse = std::chrono::milliseconds(1);
 
@@ -142,12 +140,13 @@ class Screen {
     fd_ = open(path, O_RDWR | O_CLOEXEC);
     v4l2_format format{};
     format.type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
-    format.fmt.pix.width = kWidth;
-    format.fmt.pix.height = kHeight;
+    format.fmt.pix.width = kLoopWidth;
+    format.fmt.pix.height = kLoopHeight;
     format.fmt.pix.pixelformat = V4L2_PIX_FMT_Y12;
     format.fmt.pix.field = V4L2_FIELD_NONE;
     Call(VIDIOC_S_FMT, &format);
-    if (format.fmt.pix.width != kWidth || format.fmt.pix.height != kHeight || format.fmt.pix.bytesperline != 2 * kWidth)
+    if (format.fmt.pix.width != kLoopWidth || format.fmt.pix.height != kLoopHeight ||
+        format.fmt.pix.bytesperline != 2 * kLoopWidth)
       Die("vivid's output does not take the picture's size");
     v4l2_requestbuffers request{};
     request.count = 2;  // the least vivid gives
@@ -160,7 +159,7 @@ class Screen {
     Call(VIDIOC_QUERYBUF, &buffer);
     void* memory = mmap(nullptr, buffer.length, PROT_READ | PROT_WRITE, MAP_SHARED, fd_, buffer.m.offset);
     if (memory == MAP_FAILED) Die("mapping vivid's output");
-    pixels_ = {static_cast<uint16_t*>(memory), kWidth, kHeight};
+    pixels_ = {static_cast<uint16_t*>(memory), kLoopWidth, kLoopHeight};
     buffer.bytesused = buffer.length;
     buffer.field = V4L2_FIELD_NONE;
     Call(VIDIOC_QBUF, &buffer);
@@ -186,53 +185,54 @@ struct Module {
   bool stuck = false;  // its SYNC
 };
 
-// What the camera sees: each lit projector's picture on a plane, brighter in the middle, and noise that never repeats.
+// What the camera sees: the light of every lit projector, and noise that never repeats.
 class Scene {
  public:
   Scene(Screen& screen, int projector_width, int projector_height)
-      : screen_(screen), width_(projector_width), height_(projector_height), light_(kWidth * kHeight, kBlack_dn) {
+      : screen_(screen), width_(projector_width), height_(projector_height), light_dn_(kPixels) {
     std::mt19937 random(1);
-    std::normal_distribution<double> normal(0.0, kNoise_dn);
-    for (int16_t& n : noise_) n = static_cast<int16_t>(std::clamp(std::lround(normal(random)), -40L, 40L));
+    std::normal_distribution<double> normal(0.0, kLoopNoise_dn);
+    for (int16_t& n : noise_dn_) n = static_cast<int16_t>(std::clamp(std::lround(normal(random)), -40L, 40L));
   }
   void Show(const std::vector<Module>& modules) {
-    std::vector<double> light(light_.size(), kBlack_dn);
-    for (size_t p = 0; p < modules.size(); ++p)
-      if (modules[p].lit && modules[p].shown >= 0) AddLight(modules[p].memory[modules[p].shown], p, light);
+    std::vector<float> light(kPixels, kLoopBlack_dn);
+    for (size_t p = 0; p < modules.size(); ++p) {
+      if (!modules[p].lit || modules[p].shown < 0) continue;
+      const std::vector<float>& added = LightOf(static_cast<int>(p), modules[p].memory[modules[p].shown]);
+      std::transform(light.begin(), light.end(), added.begin(), light.begin(), std::plus<>());
+    }
     {
       const std::lock_guard lock(mutex_);
-      std::transform(light.begin(), light.end(), light_.begin(), [](double v) { return static_cast<int16_t>(v); });
+      std::transform(light.begin(), light.end(), light_dn_.begin(),
+                     [](float v) { return static_cast<int16_t>(std::lround(v)); });
     }
     Repaint();
   }
   void Repaint() {
     const std::lock_guard lock(mutex_);
-    for (int y = 0; y < kHeight; ++y) {
-      const int16_t* noise = &noise_[random_() % (noise_.size() - kWidth)];
-      const int16_t* light = &light_[static_cast<size_t>(y) * kWidth];
+    for (int y = 0; y < kLoopHeight; ++y) {
+      const int16_t* noise = &noise_dn_[random_() % (noise_dn_.size() - kLoopWidth)];
+      const int16_t* light = &light_dn_[static_cast<size_t>(y) * kLoopWidth];
       uint16_t* row = screen_.pixels().row(y);
-      for (int x = 0; x < kWidth; ++x) row[x] = static_cast<uint16_t>(light[x] + noise[x]);
+      for (int x = 0; x < kLoopWidth; ++x) row[x] = static_cast<uint16_t>(light[x] + noise[x]);
     }
   }
 
  private:
-  void AddLight(const Pattern& pattern, size_t projector, std::vector<double>& light) const {
-    Image<uint32_t> picture(width_, height_);
-    DrawPattern(pattern, 1.0, width_, picture);
-    const double white_dn = 2400.0 - 300.0 * static_cast<double>(projector);
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = 0; x < kWidth; ++x) {
-        const double u = 2.0 * x / kWidth - 1.0, v = 2.0 * y / kHeight - 1.0;
-        const double level = (picture(x * width_ / kWidth, y * height_ / kHeight) & 0xff) / 255.0;
-        light[static_cast<size_t>(y) * kWidth + x] += white_dn * (1.0 - 0.2 * (u * u + v * v)) * (0.02 + 0.98 * level);
-      }
+  static constexpr size_t kPixels = static_cast<size_t>(kLoopWidth) * kLoopHeight;
+  // Kept once computed: a memory is stepped through again and again.
+  const std::vector<float>& LightOf(int projector, const Pattern& pattern) {
+    std::vector<float>& light = lights_[{projector, pattern.ToString()}];
+    if (light.empty()) light = LoopLight(pattern, projector, width_, height_);
+    return light;
   }
 
   Screen& screen_;
   int width_, height_;
-  std::mutex mutex_;
-  std::vector<int16_t> light_;  // DN, without noise
-  std::array<int16_t, 16384> noise_{};
+  std::map<std::pair<int, std::string>, std::vector<float>> lights_;
+  std::mutex mutex_;               // guards what follows
+  std::vector<int16_t> light_dn_;  // without noise
+  std::array<int16_t, 16384> noise_dn_{};
   std::mt19937 random_{2};
 };
 
