@@ -72,10 +72,14 @@ Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePla
 
 // Before the rig moves and before a store is made. BeginSession asks again.
 Status AskConsent(const CaptureOptions& options) {
-  const bool shows_somebody = options.config.plan.kind == SessionKind::kVisitor;
-  if (!shows_somebody || options.visitor.empty() || options.visitor == db::kSimulatedVisitor || options.consent)
-    return Status::Ok();
-  return db::ValidConsent(options.config.store.folder, options.visitor).status();
+  if (options.config.plan.kind != SessionKind::kVisitor) return Status::Ok();
+  const bool nobody = options.visitor.empty() || options.visitor == db::kSimulatedVisitor;
+  if (nobody && options.simulated) return Status::Ok();
+  if (nobody)
+    return Status::Usage(
+        "a visitor's session needs a pseudonym whose consent is recorded (--visitor; `stratalux-db consent give` "
+        "records it); --kind calibration, flat or dark show nobody");
+  return options.consent ? Status::Ok() : db::ValidConsent(options.config.store.folder, options.visitor).status();
 }
 
 db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
@@ -97,6 +101,9 @@ void Fail(CaptureReport& report, const Status& status) {
 }  // namespace
 
 Status CaptureOptions::Validate() const {
+  // Told before the visitor is asked for anything.
+  if (!simulated && config.projectors.empty())
+    return Status::Usage("capture: the configuration wires no [[projector]]; --simulate runs the simulated rig");
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
   if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");

@@ -24,7 +24,8 @@ struct CaptureOptions {
   Retention retention = Retention::kStandard;
   std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
 
-  // kUsage: a pseudonym that not every list and JSON file can show, a consent without a visitor.
+  // kUsage: no devices and no simulation, a pseudonym that not every list and JSON file can show, a consent without a
+  // visitor.
   [[nodiscard]] Status Validate() const;
 };
 

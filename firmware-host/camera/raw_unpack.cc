@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/camera/raw_unpack.h"
 
+#include <algorithm>
 #include <string>
 
 #include "shared/image/raw12.h"
@@ -9,11 +10,9 @@ namespace stratalux::rig {
 namespace {
 
 void UnpackMipi10Row(const uint8_t* bytes, int width, uint16_t* samples) {
-  for (int x = 0; x < width; ++x) {
-    const uint8_t* group = bytes + static_cast<size_t>(x / 4) * 5;
-    const int in_group = x % 4;
-    samples[x] = static_cast<uint16_t>(group[in_group] << 2 | (group[4] >> (2 * in_group) & 3));
-  }
+  for (int first = 0; first < width; first += 4, bytes += 5)
+    for (int i = 0; i < std::min(4, width - first); ++i)
+      samples[first + i] = static_cast<uint16_t>(bytes[i] << 2 | (bytes[4] >> (2 * i) & 3));
 }
 
 void UnpackRow(const RawFormat& format, const uint8_t* bytes, int width, uint16_t* samples) {

@@ -320,6 +320,11 @@ Status Camera::StreamOn() {
   request.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   request.memory = V4L2_MEMORY_MMAP;
   if (Call(fd_.get(), VIDIOC_REQBUFS, &request) != 0) return Error("no buffers");
+  if (request.count < 2)
+    return Status::Failed(path_ + ": the driver grants " + std::to_string(request.count) + " buffers");
+  if (static_cast<int>(request.count) < wiring_.buffers)
+    logger_.Warning(path_ + ": the driver grants " + std::to_string(request.count) + " buffers of " +
+                    std::to_string(wiring_.buffers));
   for (uint32_t i = 0; i < request.count; ++i) {
     v4l2_buffer buffer{};
     buffer.type = request.type;
@@ -374,7 +379,10 @@ Result<bool> Camera::Recover(Clock::time_point deadline) {
 Status Camera::Start() {
   if (started_) return Status::Ok();
   failed_tries_ = 0;
-  if (!fd_.ok()) SLX_RETURN_IF_ERROR(OpenDevice());
+  if (!fd_.ok()) {
+    SLX_RETURN_IF_ERROR(OpenDevice());
+    SLX_RETURN_IF_ERROR(ApplySettings());
+  }
   if (const Status status = StreamOn(); !status.ok()) {
     Break(status);
     // Ends by success or with the last try.

@@ -361,11 +361,14 @@ void Bank::Watch() {
 }
 
 bool Bank::CheckLevels() {
+  int error = 0;
   if (outputs_) {
-    if (const int error = outputs_->Probe(); error != 0) {
-      LinesGone(plan_.chip_path + ": " + std::strerror(error));
-      return false;
-    }
+    const std::lock_guard lock(mutex_);  // libgpiod: one thread at a time in a request
+    error = outputs_->Probe();
+  }
+  if (error != 0) {
+    LinesGone(plan_.chip_path + ": " + std::strerror(error));
+    return false;
   }
   if (!input_request_) return true;
   const Result<uint64_t> active = input_request_->ReadActive();
@@ -466,7 +469,8 @@ Status DriveEnablesOff(const GpioWiring& wiring) {
     } else {
       status = RequestOutputs(line->chip_path, {line->offset}, p.enable->active == ActiveLevel::kLow ? 1 : 0).status();
     }
-    if (first_error.ok()) first_error = status.WithContext("ENABLE " + p.enable->at.ToString());
+    if (first_error.ok())
+      first_error = status.WithContext("ENABLE of projector " + std::to_string(&p - wiring.projectors.data()));
   }
   if (lines == 0) return Status::Usage("the configuration wires no ENABLE line ([[projector]] enable)");
   return first_error;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// LineBank: the rig's digital lines behind one interface (libgpiod and simulated back-ends; RIG adds gpiod).
+// LineBank: the rig's digital lines behind one interface (libgpiod and simulated back-ends).
 #pragma once
 
 #include <chrono>

@@ -79,6 +79,8 @@ Result<bool> PatternMemoryProjector::StepTo(int64_t target) {
   const auto limit = static_cast<int64_t>(2 * options_.memory.size());
   for (int64_t steps = 0; Next() != target; ++steps) {
     if (steps == limit) return false;
+    if (const Interlock interlock = lines_.CheckInterlock(); interlock != Interlock::kClosed)
+      return Status::Failed(ToString(interlock));
     SLX_ASSIGN_OR_RETURN(const bool confirmed, Step());
     if (!confirmed) return false;
   }

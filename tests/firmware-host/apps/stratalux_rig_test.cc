@@ -74,6 +74,25 @@ TEST(StrataluxRig, AStoreMustBeNamed) {
   EXPECT_THAT(outcome.text, HasSubstr("STRATALUX_STORE"));
 }
 
+// Before any device is looked for: the lines and the camera of this file do not exist.
+TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
+  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-wired.toml";
+  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-no-consent";
+  std::ofstream(file) << "[camera]\nbackend = \"v4l2\"\ndevice = \"/dev/no-such-camera\"\n[plan]\nprojectors = 1\n"
+                         "[[projector]]\nenable = { line = \"no-such-line\" }\n"
+                         "trigger = { line = \"t\" }\nsync = { line = \"s\" }\n";
+  const std::string capture = "capture --config " + file.string() + " --store " + store.string();
+  for (const char* visitor : {"", " --visitor simulated"}) {
+    const Outcome outcome = Rig(capture + visitor);
+    EXPECT_EQ(outcome.code, 2) << outcome.text;
+    EXPECT_THAT(outcome.text, HasSubstr("needs a pseudonym"));
+  }
+  const Outcome flat = Rig(capture + " --kind flat");
+  EXPECT_EQ(flat.code, 4) << flat.text;
+  EXPECT_THAT(flat.text, HasSubstr("no-such-line"));
+  EXPECT_FALSE(std::filesystem::exists(store));
+}
+
 TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-safe.toml";
   std::ofstream(file) << "[plan]\nprojectors = 1\n";

@@ -249,6 +249,12 @@ TEST_F(V4l2FrameSourceTest, GainIsSetAndReadBackForTheFramesThatHaveIt) {
       EXPECT_EQ(frame.gain, 1.5);
     }
   }
+  ASSERT_TRUE(camera_->Stop().ok());
+  ASSERT_TRUE(vivid_->Set("Gain", 40));
+  ASSERT_TRUE(camera_->Start().ok());
+  const std::vector<CapturedFrame> again = Take(2);
+  ASSERT_EQ(again.size(), 2U);
+  EXPECT_EQ(again.back().gain, 1.5) << "a new start sets what was asked for";
   EXPECT_EQ(camera_->SetExposure(5.0, 3.0).code(), StatusCode::kUsage) << "beyond the control's range";
   EXPECT_EQ(camera_->SetExposure(6.0, 1.0).code(), StatusCode::kUsage) << "the exposure is fixed";
 }

@@ -61,6 +61,15 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
   }
 }
 
+TEST(RigConfig, ShippedWiringIsWhole) {
+  const auto config = LoadRigConfig(STRATALUX_SOURCE_DIR "/docs/examples/rig-raspberry-pi-5.toml");
+  ASSERT_TRUE(config.ok()) << config.status().message();
+  EXPECT_EQ(config->projectors.size(), 4U);
+  for (const ProjectorLines& lines : config->gpio.projectors)
+    EXPECT_TRUE(lines.enable && lines.trigger && lines.sync && lines.reset);
+  EXPECT_TRUE(config->gpio.camera_trigger && config->gpio.emergency_stop && config->gpio.door);
+}
+
 TEST(RigConfig, ReadsTheWiring) {
   const auto config = ParseRigConfig(R"(
 [gpio]

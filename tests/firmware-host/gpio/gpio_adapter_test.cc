@@ -7,6 +7,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
 
 #include "tests/firmware-host/gpio/gpio_sim.h"
 
@@ -56,6 +57,8 @@ TEST_F(GpioAdapterTest, LowActiveLinesAndHighOnesShareARequest) {
   sim_->Pull(0, false);  // no activation of line 0
   sim_->Pull(1, false);  // one of line 1
   EXPECT_EQ((*inputs)->ReadActive().value(), 0b10U);
+  pollfd waiting{(*inputs)->fd(), POLLIN, 0};
+  ASSERT_EQ(poll(&waiting, 1, 10'000), 1);
   const auto events = (*inputs)->Read();
   ASSERT_TRUE(events.ok());
   ASSERT_EQ(events->size(), 1U);

@@ -271,7 +271,7 @@ TEST_F(GpiodLineBankTest, LinesInUseAreBusyAndCannotBeMadeSafeByAnother) {
   EXPECT_EQ(GpiodLineBank::Open(wiring_, *logger_).status().code(), StatusCode::kBusy);
   const Status safe = DriveEnablesOff(wiring_);
   EXPECT_EQ(safe.code(), StatusCode::kBusy);
-  EXPECT_THAT(safe.message(), HasSubstr("ENABLE0"));
+  EXPECT_THAT(safe.message(), HasSubstr("ENABLE of projector 0"));
 }
 
 // A released line of gpio-sim goes back to its pull, so that darkness can only be seen while it is held.

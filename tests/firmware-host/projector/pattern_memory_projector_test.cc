@@ -42,7 +42,7 @@ class Module final : public LineBank, public PatternMemoryLines {
   Status SetEnable(int, bool) override { return Status::Ok(); }
   Status AllOff() override { return Status::Ok(); }
   Result<TriggerReceipt> TriggerCamera() override { return TriggerReceipt{}; }
-  Interlock CheckInterlock() override { return Interlock::kClosed; }
+  Interlock CheckInterlock() override { return interlock; }
   Status ResetInterlock() override { return Status::Ok(); }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
@@ -52,6 +52,7 @@ class Module final : public LineBank, public PatternMemoryLines {
   // What the next TRIGGER shows.
   [[nodiscard]] const Pattern& Next() const { return memory_[static_cast<size_t>(shown + 1) % memory_.size()]; }
 
+  Interlock interlock = Interlock::kClosed;
   int shown = -1, resets = 0;
   int64_t pulses = 0;
   std::set<int64_t> deaf, doubled;  // pulses
@@ -142,6 +143,15 @@ TEST_P(PatternMemoryTest, ASilentModuleIsAnErrorThatNamesTheCables) {
   const Status status = projector->Load(From(memory_, 5));
   EXPECT_EQ(status.code(), StatusCode::kFailed);
   EXPECT_THAT(status.message(), HasSubstr("TRIGGER and SYNC"));
+}
+
+TEST_P(PatternMemoryTest, AnOpenInterlockStopsTheStepping) {
+  const auto projector = Make();
+  module_.interlock = Interlock::kEmergencyStop;
+  const Status status = projector->Load(From(memory_, 5));
+  EXPECT_EQ(status.code(), StatusCode::kFailed);
+  EXPECT_THAT(status.message(), HasSubstr("emergency stop"));
+  EXPECT_EQ(module_.pulses, 0);
 }
 
 INSTANTIATE_TEST_SUITE_P(Rewind, PatternMemoryTest,
