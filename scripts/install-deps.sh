@@ -24,12 +24,19 @@ libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
+libdrm-dev           rig  projectors that are displays (KMS)
+libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
 libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 clang-format         test the format check
+qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
+busybox-static       vm   shell of the guest
+cpio                 vm   the guest's first file system
+kmod                 vm   depmod and modprobe for the guest's modules
+xz-utils             vm   the kernel's source is an xz archive
 git                  test the style checks list the tracked files
 LIST
 }

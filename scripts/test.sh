@@ -35,4 +35,11 @@ if [ $tidy -eq 1 ]; then
   exit 0
 fi
 cmake --build --preset "$preset" -j "$jobs"
-ctest --test-dir "build/$preset" --output-on-failure -j "$jobs" "${select[@]}"
+rm -f "build/$preset"/rig-vm/*/cases
+status=0
+ctest --test-dir "build/$preset" --output-on-failure -j "$jobs" "${select[@]}" || status=$?
+# What the virtual machine's boots saw, a line a case (docs/rig-vm.md).
+for cases in "build/$preset"/rig-vm/*/cases; do
+  [ ! -f "$cases" ] || { echo "$cases:"; cat "$cases"; } >&2
+done
+exit $status

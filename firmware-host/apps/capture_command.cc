@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/apps/capture_command.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <utility>
@@ -40,21 +41,25 @@ std::chrono::nanoseconds FromMilliseconds(double ms) {
 }
 
 // The tolerances of a single probe follow the camera at hand.
-SequencerOptions OptionsFor(const RigConfig& config, const OpenedRig& rig) {
+SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig) {
+  const RigConfig& config = capture.config;
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
   options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
   options.shooter.wait = rig.wait();
-  options.witness.read_noise_dn = config.camera.read_noise_dn;
-  double saturation_dn = config.camera.saturation_dn;
+  double saturation_dn = config.camera.saturation_dn, read_noise_dn = config.camera.read_noise_dn;
   options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
   if (rig.simulation) {
     const CameraCalibration& camera = rig.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
+    read_noise_dn = std::max(read_noise_dn, camera.read_noise_dn);
     saturation_dn = camera.saturation_dn;
+    // Without noise, frames of one picture are equal bit by bit.
+    if (!capture.simulated->noise) options.shooter.max_repeated_rows = 1.0;
   }
+  options.witness.read_noise_dn = read_noise_dn;
   options.witness.saturation_dn = 0.975 * saturation_dn;
   return options;
 }
@@ -127,8 +132,7 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<
   {
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
-    Sequencer sequencer(rig.devices(), OptionsFor(options.config, rig), logger, stop,
-                        [&progress] { progress.Advance(); });
+    Sequencer sequencer(rig.devices(), OptionsFor(options, rig), logger, stop, [&progress] { progress.Advance(); });
     Result<CaptureReport> report = sequencer.Run(plan, recorder);
     if (report.ok()) outcome.report = std::move(report).value();
     Fail(outcome.report, report.status());

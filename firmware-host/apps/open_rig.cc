@@ -5,8 +5,11 @@
 #include <thread>
 #include <utility>
 
+#include "firmware-host/camera/libcamera_frame_source.h"
 #include "firmware-host/camera/v4l2_frame_source.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
+#include "firmware-host/projector/display_line_bank.h"
+#include "firmware-host/projector/kms_display.h"
 #include "firmware-host/projector/pattern_memory_projector.h"
 
 namespace stratalux::rig {
@@ -17,26 +20,58 @@ Result<std::unique_ptr<FrameSource>> OpenCamera(const CameraWiring& wiring, Logg
     case CameraBackend::kV4l2:
       return V4l2FrameSource::Open(wiring, logger);
     case CameraBackend::kLibcamera:
-      return Status::Usage("[camera] backend = \"libcamera\": this program was built without libcamera");
+      return LibcameraFrameSource::Open(wiring, logger);
     case CameraBackend::kNone:
       break;
   }
   return Status::Usage("the configuration names no camera ([camera] backend); --simulate runs the simulated rig");
 }
 
-Result<std::unique_ptr<Projector>> OpenProjector(const RigConfig& config, const CapturePlan& plan, int index,
-                                                 GpiodLineBank& lines) {
-  if (config.projectors[index].kind == ProjectorKind::kDisplay)
-    return Status::Usage("[[projector]] " + std::to_string(index) +
-                         ": kind = \"display\": this program was built without displays");
+std::chrono::nanoseconds FromMilliseconds(double ms) {
+  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
+}
+
+std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan& plan, int index,
+                                      GpiodLineBank& lines) {
   PatternMemoryOptions options;
   options.projector = index;
   options.width = config.plan.projector_width;
   options.height = config.plan.projector_height;
   options.memory = MemoryOf(plan, index);
   options.rewind = config.gpio.projectors[index].reset ? MemoryRewind::kResetLine : MemoryRewind::kStepAround;
-  options.sync_deadline = std::chrono::nanoseconds(static_cast<int64_t>(config.deadline_ms * 1e6));
+  options.sync_deadline = FromMilliseconds(config.deadline_ms);
   return MakePatternMemoryProjector(lines, lines, std::move(options));
+}
+
+// The displays among the projectors, in order.
+Result<std::vector<std::unique_ptr<Display>>> OpenDisplays(const RigConfig& config) {
+  std::vector<DisplayWiring> wirings;
+  for (const ProjectorWiring& projector : config.projectors) {
+    if (projector.kind != ProjectorKind::kDisplay) continue;
+    DisplayWiring& wiring = wirings.emplace_back(projector.display);
+    if (wiring.width == 0) wiring.width = config.plan.projector_width;
+    if (wiring.height == 0) wiring.height = config.plan.projector_height;
+  }
+  return OpenKmsDisplays(wirings);
+}
+
+Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLineBank* lines, OpenedRig& rig) {
+  SLX_ASSIGN_OR_RETURN(std::vector<std::unique_ptr<Display>> displays, OpenDisplays(config));
+  std::vector<DisplayOfProjector> of_projector;
+  auto display = displays.begin();
+  for (int p = 0; p < static_cast<int>(config.projectors.size()); ++p) {
+    DisplayOfProjector& wired = of_projector.emplace_back();
+    if (config.projectors[p].kind == ProjectorKind::kMemory) {
+      rig.projectors.push_back(OpenMemory(config, plan, p, *lines));
+      continue;
+    }
+    wired.display = display->get();
+    wired.latency = FromMilliseconds(config.projectors[p].display.latency_ms);
+    wired.enable = config.gpio.projectors[p].enable ? DisplayEnable::kLine : DisplayEnable::kPicture;
+    rig.projectors.push_back(std::move(*display++));
+  }
+  if (!displays.empty()) rig.display_lines = std::make_unique<DisplayLineBank>(lines, std::move(of_projector));
+  return Status::Ok();
 }
 
 }  // namespace
@@ -45,7 +80,7 @@ RigDevices OpenedRig::devices() const {
   if (simulation) return {simulation->lines(), simulation->camera(), simulation->projectors()};
   std::vector<Projector*> list;
   for (const std::unique_ptr<Projector>& projector : projectors) list.push_back(projector.get());
-  return {*lines, *camera, list};
+  return {display_lines ? *display_lines : *wired_lines, *camera, list};
 }
 
 std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
@@ -64,13 +99,14 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
     return Status::Usage(
         "the configuration wires no devices ([gpio], [camera] backend, [[projector]]); --simulate runs the simulated "
         "rig");
-  SLX_ASSIGN_OR_RETURN(std::unique_ptr<GpiodLineBank> bank, GpiodLineBank::Open(config.gpio, logger));
-  GpiodLineBank& lines = *bank;
-  rig.lines = std::move(bank);
-  SLX_ASSIGN_OR_RETURN(rig.camera, OpenCamera(config.camera, logger));
-  for (int p = 0; p < static_cast<int>(config.projectors.size()); ++p) {
-    SLX_ASSIGN_OR_RETURN(rig.projectors.emplace_back(), OpenProjector(config, plan, p, lines));
+  GpiodLineBank* lines = nullptr;
+  if (!config.gpio.empty()) {
+    SLX_ASSIGN_OR_RETURN(std::unique_ptr<GpiodLineBank> bank, GpiodLineBank::Open(config.gpio, logger));
+    lines = bank.get();
+    rig.wired_lines = std::move(bank);
   }
+  SLX_RETURN_IF_ERROR(OpenProjectors(config, plan, lines, rig));
+  SLX_ASSIGN_OR_RETURN(rig.camera, OpenCamera(config.camera, logger));
   return rig;
 }
 

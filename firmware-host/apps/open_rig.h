@@ -15,12 +15,13 @@
 
 namespace stratalux::rig {
 
-// Owns the devices. When it goes, all ENABLE lines are off.
+// Owns the devices. When it goes, all ENABLE lines are off and all displays black.
 struct OpenedRig {
-  std::unique_ptr<SimulatedRig> simulation;  // null: real devices, which are the next three
-  std::unique_ptr<LineBank> lines;
+  std::unique_ptr<SimulatedRig> simulation;  // null: real devices, which are the next
+  std::unique_ptr<LineBank> wired_lines;     // null where the rig has none: displays and a camera that runs free
+  std::vector<std::unique_ptr<Projector>> projectors;  // they use `wired_lines`
+  std::unique_ptr<LineBank> display_lines;             // over both; null on a rig without displays
   std::unique_ptr<FrameSource> camera;
-  std::vector<std::unique_ptr<Projector>> projectors;  // they use `lines`
 
   [[nodiscard]] RigDevices devices() const;
   // How settling passes: on the simulated rig's own clock, else in real time.

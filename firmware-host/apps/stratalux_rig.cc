@@ -44,7 +44,7 @@ Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store dam
 
 struct Flags {
   std::string config;
-  std::optional<std::string> store, size, kind;  // unset: as the configuration says
+  std::optional<std::string> store, size, kind, sync_mode;  // unset: as the configuration says
   std::optional<double> exposure_ms, settle_ms;
   std::string scene;
   std::string visitor;
@@ -100,6 +100,9 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   if (flags.kind) {
     SLX_ASSIGN_OR_RETURN(config.plan.kind, ParseSessionKind(*flags.kind));
   }
+  if (flags.sync_mode) {
+    SLX_ASSIGN_OR_RETURN(config.plan.sync_mode, ParseSyncMode(*flags.sync_mode));
+  }
   config.plan.exposure_ms = flags.exposure_ms.value_or(config.plan.exposure_ms);
   config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
   if (!(config.settle_ms >= 0.0 && config.settle_ms <= kLongestSettleMs)) {
@@ -147,6 +150,7 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   simulated.faults.rate = flags.fault_rate;
   simulated.faults.seed = flags.fault_seed;
   simulated.noise = !flags.no_noise;
+  simulated.free_running = options.config.plan.sync_mode == SyncMode::kFreeRunning;
   simulated.camera_width = options.config.camera.width;
   simulated.camera_height = options.config.camera.height;
   simulated.projector_width = options.config.plan.projector_width;
@@ -188,6 +192,8 @@ int RunSafe(const Flags& flags) {
 void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
   command.add_option("--kind", flags.kind, "visitor (default), calibration, flat or dark");
+  command.add_option("--sync-mode", flags.sync_mode,
+                     "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
   command.add_option("--exposure", flags.exposure_ms, "exposure, ms (default: 16)");
 }
 

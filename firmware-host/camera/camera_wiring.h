@@ -12,6 +12,9 @@ enum class CameraBackend : uint8_t { kNone, kV4l2, kLibcamera };
 enum class ExposureControl : uint8_t { kNone, kExposure, kExposureAbsolute };
 enum class GainControl : uint8_t { kNone, kGain, kAnalogueGain };
 
+// What starts an exposure: the pulse of the line bank, or the camera's own clock (sync mode free_running).
+enum class CameraPace : uint8_t { kTriggered, kFreeRunning };
+
 struct CameraWiring {
   CameraBackend backend = CameraBackend::kNone;
   // V4L2: a path that stays (/dev/v4l/by-id/...), or any of driver, card and bus as VIDIOC_QUERYCAP names them;
@@ -20,6 +23,7 @@ struct CameraWiring {
   std::string format;  // as the driver lists it, such as "Y12" or "BG12"; empty: the one that keeps most bits
   int width = 1392;    // px, of the mosaic
   int height = 1042;
+  CameraPace pace = CameraPace::kTriggered;
   double frame_rate_hz = 0.0;  // of a camera that runs freely; 0: the driver's
   int buffers = 8;             // of the driver; a capture thread that is late by so many frames loses one
   // V4L2 alone: control value = exposure / exposure_unit_us, and gain * gain_unit.

@@ -28,6 +28,8 @@ struct CapturedFrame {
 class FrameSource {
  public:
   virtual ~FrameSource() = default;
+  // True: each TriggerCamera of the lines exposes one frame. False: the camera streams by itself (free_running).
+  [[nodiscard]] virtual bool follows_trigger() const { return true; }
   virtual Status Start() = 0;
   virtual Status Stop() = 0;
   // Takes effect for the next exposure.

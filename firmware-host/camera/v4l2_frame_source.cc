@@ -115,6 +115,7 @@ class Camera final : public FrameSource {
  public:
   Camera(CameraWiring wiring, Logger& logger) : wiring_(std::move(wiring)), logger_(logger) {}
 
+  [[nodiscard]] bool follows_trigger() const override { return wiring_.pace == CameraPace::kTriggered; }
   Status OpenDevice();
   Status Start() override;
   Status Stop() override;

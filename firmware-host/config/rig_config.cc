@@ -124,6 +124,7 @@ Status ReadCamera(TomlTable camera, CameraWiring& c) {
   camera.Get("format", c.format);
   camera.Get("width", c.width, 16, 16384);
   camera.Get("height", c.height, 16, 16384);
+  GetWord(camera, "pace", c.pace, {"triggered", "free_running"});
   camera.Get("frame_rate_hz", c.frame_rate_hz, 0.1, 10000);
   camera.Get("buffers", c.buffers, 4, 32);
   GetWord(camera, "exposure_control", c.exposure_control, {"none", "exposure", "exposure_absolute"});

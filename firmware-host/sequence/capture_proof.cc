@@ -28,6 +28,7 @@ void CaptureRun::CheckProof() {
   for (const PlanStep& step : plan_.steps)
     if (!proven_.contains(step.index)) report_.missing_steps.push_back(step.index);
   report_.captured = static_cast<int>(proven_.size());
+  for (std::string& reason : witness_.CheckSession()) report_.reasons.push_back(std::move(reason));
   std::vector<int> unproven;
   for (int step : report_.missing_steps)
     if (!wrong_level_.contains(step)) unproven.push_back(step);
@@ -44,6 +45,8 @@ void CaptureRun::CheckProof() {
 }
 
 CaptureReport CaptureRun::Conclude(const Status& ended) {
+  report_.transition_frames = static_cast<int>(shooter_.transition_frames());
+  report_.transition_lost = static_cast<int>(shooter_.transition_lost());
   if (!ended.ok()) {
     report_.captured = static_cast<int>(proven_.size());
     for (const PlanStep& step : plan_.steps)

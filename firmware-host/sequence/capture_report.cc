@@ -5,8 +5,9 @@ namespace stratalux::rig {
 
 const char* ToString(ShotFault fault) {
   static constexpr std::array<const char*, kShotFaultCount> kNames = {
-      "none",          "missing sync",       "extra sync", "lost frame",    "sequence gap",
-      "doubled frame", "frame out of order", "late frame", "corrupt frame", "wrong level"};
+      "none",          "missing sync",  "extra sync",         "lost frame",
+      "sequence gap",  "doubled frame", "frame out of order", "late frame",
+      "corrupt frame", "wrong level",   "repeated rows",      "wrong exposure"};
   return kNames[static_cast<size_t>(fault)];
 }
 

@@ -13,25 +13,29 @@ namespace stratalux::rig {
 // Why a shot does not count. Each is named in the report.
 enum class ShotFault {
   kNone,
-  kMissingSync,   // no SYNC edge by the deadline: the projector may not have stepped
-  kExtraSync,     // a SYNC edge nobody asked for: the projector may have stepped twice
-  kLostFrame,     // no frame by the deadline
-  kSequenceGap,   // the driver's number jumped: a frame was dropped
-  kDoubledFrame,  // two frames for one trigger
-  kOutOfOrder,    // a frame of an earlier trigger
-  kLateFrame,     // exposed outside the trigger's time window
-  kCorruptFrame,  // the driver's error flag
-  kWrongLevel,    // the frame does not show the planned pattern (pattern_witness.h)
+  kMissingSync,    // no SYNC edge by the deadline: the projector may not have stepped
+  kExtraSync,      // a SYNC edge nobody asked for: the projector may have stepped twice
+  kLostFrame,      // no frame by the deadline
+  kSequenceGap,    // the driver's number jumped: a frame was dropped
+  kDoubledFrame,   // two frames for one trigger
+  kOutOfOrder,     // a frame of an earlier trigger
+  kLateFrame,      // exposed outside the trigger's time window
+  kCorruptFrame,   // the driver's error flag
+  kWrongLevel,     // the frame does not show the planned pattern (pattern_witness.h)
+  kRepeatedRows,   // rows of an earlier frame, bit by bit: a frozen buffer or a torn transfer (row_memory.h)
+  kWrongExposure,  // the camera reports another exposure or gain than was set
 };
-inline constexpr int kShotFaultCount = 10;
+inline constexpr int kShotFaultCount = 12;
 
 [[nodiscard]] const char* ToString(ShotFault fault);
 
 struct CaptureReport {
-  int planned = 0;   // steps of the plan
-  int captured = 0;  // steps with a proven frame
-  int retried = 0;   // shots taken again
-  int frames = 0;    // frames handed to the sink, retries included
+  int planned = 0;            // steps of the plan
+  int captured = 0;           // steps with a proven frame
+  int retried = 0;            // shots taken again
+  int frames = 0;             // frames handed to the sink, retries included
+  int transition_frames = 0;  // free_running: frames between two steps, looked at by number and time, not kept
+  int transition_lost = 0;    // free_running: numbers missing among them
   std::array<int, kShotFaultCount> faults{};
   std::vector<int> missing_steps;  // steps left without a proven frame
   SessionStatus status = SessionStatus::kRecording;

@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "firmware-host/sequence/preroll.h"
-
 namespace stratalux::rig {
 
 CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
@@ -17,7 +15,8 @@ CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const Sequen
       stop_(stop),
       on_step_(on_step),
       sink_(sink),
-      shooter_(std::move(devices), options.shooter),
+      watchdog_(options.watchdog, [lines = &devices_.lines] { return lines->AllOff(); }),
+      shooter_(std::move(devices), options.shooter, plan.options.sync_mode, [this] { return CheckSafe(); }),
       witness_(plan, options.witness) {
   report_.planned = static_cast<int>(plan.steps.size());
 }
@@ -58,8 +57,19 @@ Status CaptureRun::SetLight(int projector, bool on) {
   return devices_.lines.SetEnable(projector, on).WithContext("light of projector " + std::to_string(projector));
 }
 
-Status CaptureRun::CheckLimits(int projector) {
+Status CaptureRun::CheckSafe() {
   if (stop_.load()) return Status::Failed("interrupted");
+  if (const Interlock interlock = devices_.lines.CheckInterlock(); interlock != Interlock::kClosed)
+    return Status::Failed(std::string("interlock: ") + ToString(interlock) + "; all lights are off");
+  if (watchdog_.barked())
+    return Status::Failed("watchdog: no progress for " +
+                          std::to_string(std::chrono::duration_cast<std::chrono::seconds>(options_.watchdog).count()) +
+                          " s; all lights were switched off");
+  return Status::Ok();
+}
+
+Status CaptureRun::CheckLimits(int projector) {
+  SLX_RETURN_IF_ERROR(CheckSafe());
   if (options_.max_on_time.count() == 0 || shooter_.camera_triggers() == 0 || !light_timed_) return Status::Ok();
   if (shooter_.last_trigger() - light_since_ <= options_.max_on_time) return Status::Ok();
   return Status::Failed(
@@ -72,11 +82,21 @@ Status CaptureRun::RunPreroll() {
   const std::vector<int> steps = StepsOf(-1);
   if (steps.empty()) return Status::Ok();
   for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, true));
+  // A covered lens sees no markers; only a dark session may be dark.
+  const bool readable = plan_.options.kind != SessionKind::kDark;
   std::vector<Shot> shots;
+  PrerollReading reading{!readable, ""};
   for (int retry = 0;; ++retry) {
     const int64_t triggers_before = shooter_.camera_triggers();
     SLX_ASSIGN_OR_RETURN(const bool whole, ShootPreroll(steps, retry, shots));
-    if (whole) break;
+    if (whole && readable) reading = ReadMarkers(shots);
+    if (whole && reading.decoded) break;
+    if (whole) {
+      report_.Note(ShotFault::kWrongLevel);
+      for (int step : steps) retake_cause_[step] = ShotFault::kWrongLevel;
+      logger_.Warning(reading.reason);
+    }
+    if (retry == options_.max_retries && whole) break;  // the frames go out, to show what was seen
     // The markers only mean something in a row, so the whole pre-roll is shot again.
     spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
     if (retry == options_.max_retries)
@@ -87,20 +107,31 @@ Status CaptureRun::RunPreroll() {
     SLX_RETURN_IF_ERROR(shooter_.Drain().status());
   }
   for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, false));
+  for (Shot& shot : shots) {
+    if (readable) shot.record.level_check = reading.decoded ? LevelCheck::kPassed : LevelCheck::kFailed;
+    if (readable && reading.decoded) witness_.AddPreroll(plan_.steps[shot.record.step], shot.pixels);
+    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+  }
+  return reading.decoded ? Status::Ok() : Status::Failed(reading.reason);
+}
+
+PrerollReading CaptureRun::ReadMarkers(const std::vector<Shot>& shots) const {
   std::vector<double> levels;
   std::vector<bool> code;
   for (const Shot& shot : shots) {
     levels.push_back(shot.record.mean_dn);
     code.push_back(shot.record.pattern.kind == PatternKind::kWhite);
   }
-  // A covered lens sees no markers; only a dark session may be dark.
-  const bool readable = plan_.options.kind != SessionKind::kDark;
-  const PrerollReading reading = ReadPreroll(levels, code, options_.min_preroll_contrast_dn);
-  for (Shot& shot : shots) {
-    if (readable) shot.record.level_check = reading.decoded ? LevelCheck::kPassed : LevelCheck::kFailed;
-    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
-  }
-  return !readable || reading.decoded ? Status::Ok() : Status::Failed(reading.reason);
+  PrerollReading reading = ReadPreroll(levels, code, options_.min_preroll_contrast_dn);
+  if (!reading.decoded) return reading;
+  std::vector<const Image<uint16_t>*> frames;
+  for (const Shot& shot : shots) frames.push_back(&shot.pixels);
+  const WitnessOptions& witness = options_.witness;
+  const OddMarker odd = FindOddMarker(frames, code, [&](double dn) { return witness.VarianceDn(dn); });
+  if (odd.share > witness.max_off_fraction)
+    return {false, "pre-roll: marker " + std::to_string(odd.marker) +
+                       " differs from the others of its kind; the visitor moved, a lamp changed or the frame is torn"};
+  return reading;
 }
 
 Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots) {
@@ -118,6 +149,7 @@ Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, 
       for (int spoilt : steps) retake_cause_[spoilt] = fault;
       return false;
     }
+    watchdog_.Feed();
     if (!light_timed_) light_since_ = shot.record.trigger_time;
     light_timed_ = true;
     if (const auto cause = retake_cause_.find(step); cause != retake_cause_.end())
@@ -132,17 +164,65 @@ Status CaptureRun::RunProjector(int projector) {
   if (block.empty()) return Status::Ok();
   witness_.StartProjector(projector);
   held_.clear();
+  memory_cut_ = false;
   SLX_RETURN_IF_ERROR(SetLight(projector, true));
-  size_t position = 0;
-  while (true) {
-    SLX_RETURN_IF_ERROR(DrainBefore(block, position));
-    if (position == block.size()) break;
-    SLX_RETURN_IF_ERROR(CheckLimits(projector));
-    SLX_RETURN_IF_ERROR(ShootNext(block, position));
-  }
+  // The sweep is judged by the codes, so these are settled first.
+  const auto sweep = std::find_if(block.begin(), block.end(), [&](int step) {
+    const CapturePhase phase = plan_.steps[step].phase;
+    return phase == CapturePhase::kSweep || phase == CapturePhase::kMotion;
+  });
+  SLX_RETURN_IF_ERROR(ShootBlock({block.begin(), sweep}));
+  if (memory_cut_ && sweep != block.end()) SLX_RETURN_IF_ERROR(Reload(block, sweep - block.begin()));
+  SLX_RETURN_IF_ERROR(ShootBlock({sweep, block.end()}));
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   for (std::string& reason : witness_.CheckProjector()) report_.reasons.push_back(std::move(reason));
   return Status::Ok();
+}
+
+Status CaptureRun::ShootBlock(std::vector<int> block) {
+  while (!block.empty()) {
+    SLX_RETURN_IF_ERROR(ShootSteps(block));
+    block = RetakeDoubtful(witness_.TakeDoubtful());
+    if (!block.empty()) SLX_RETURN_IF_ERROR(Reload(block, 0));
+  }
+  return Status::Ok();
+}
+
+std::vector<int> CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
+  std::vector<int> again;
+  for (int step : doubtful) {
+    const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
+    const int worst =
+        *std::max_element(group.begin(), group.end(), [&](int a, int b) { return retries_[a] < retries_[b]; });
+    if (!RetriesLeft(worst)) {
+      wrong_level_.insert(step);
+      proven_.erase(step);
+      continue;
+    }
+    again.push_back(step);
+  }
+  for (int step : again) {
+    ++retries_[step];
+    retake_cause_[step] = ShotFault::kWrongLevel;
+    proven_.erase(step);
+  }
+  if (again.empty()) return again;
+  report_.Note(ShotFault::kWrongLevel);
+  report_.retried += static_cast<int>(again.size());
+  logger_.Warning(Describe(again.front()) + " and " + std::to_string(again.size() - 1) +
+                  " more: the projector was out of step soon after; shot again");
+  return again;
+}
+
+Status CaptureRun::ShootSteps(const std::vector<int>& block) {
+  size_t position = 0;
+  while (true) {
+    SLX_RETURN_IF_ERROR(DrainBefore(block, position));
+    if (position == block.size()) return Status::Ok();
+    SLX_RETURN_IF_ERROR(CheckLimits(plan_.steps[block[position]].projector));
+    SLX_RETURN_IF_ERROR(ShootNext(block, position));
+    watchdog_.Feed();
+  }
 }
 
 Status CaptureRun::DrainBefore(const std::vector<int>& block, size_t& position) {
@@ -175,7 +255,7 @@ Status CaptureRun::ShootNext(const std::vector<int>& block, size_t& position) {
     return ShootAgain(block, position, shot.fault);
   }
   silent_steps_ = 0;
-  witness_.Add(step, shot.pixels);
+  witness_.Add(step, shot.pixels, shot.record.mean_dn);
   held_.push_back(std::move(shot));
   if (PatternWitness::GroupOf(plan_, step.index).back() == step.index) return JudgeGroup(block, position);
   ++position;
@@ -201,7 +281,12 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& block, size_t& position) {
   report_.Note(ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
   // Given up; but the memory may stand elsewhere than planned, so what follows starts afresh.
-  if (retries_[last.index] >= options_.max_retries) return Reload(block, position);
+  if (!RetriesLeft(last.index)) return Reload(block, position);
+  if (retries_[last.index] > 0 && last.phase != CapturePhase::kReference && witness_.ReferenceStandsAlone())
+    if (const std::optional<size_t> reference = ReferenceIn(block)) {
+      position = *reference;
+      return ShootReferenceAgain(block, position);
+    }
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
   for (int step : group) {
     ++retries_[step];
@@ -212,10 +297,27 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& block, size_t& position) {
   return Reload(block, position);
 }
 
+std::optional<size_t> CaptureRun::ReferenceIn(const std::vector<int>& block) const {
+  for (size_t i = 0; i < block.size(); ++i)
+    if (plan_.steps[block[i]].phase == CapturePhase::kReference && RetriesLeft(block[i])) return i;
+  return std::nullopt;
+}
+
+Status CaptureRun::ShootReferenceAgain(const std::vector<int>& block, size_t position) {
+  logger_.Warning(Describe(block[position]) + ": what follows contradicts the reference; it is shot again");
+  for (int step : PatternWitness::GroupOf(plan_, block[position])) {
+    ++retries_[step];
+    ++report_.retried;
+    retake_cause_[step] = ShotFault::kWrongLevel;
+    proven_.erase(step);
+  }
+  return Reload(block, position);
+}
+
 Status CaptureRun::ShootAgain(const std::vector<int>& block, size_t& position, ShotFault fault) {
   const int step = block[position];
   report_.Note(fault);
-  if (retries_[step] < options_.max_retries) {
+  if (RetriesLeft(step)) {
     ++retries_[step];
     retake_cause_[step] = fault;
     ++report_.retried;
@@ -238,7 +340,9 @@ Status CaptureRun::ShootAgain(const std::vector<int>& block, size_t& position, S
 }
 
 Status CaptureRun::Reload(const std::vector<int>& block, size_t position) {
+  memory_cut_ = true;
   if (position == block.size()) return Status::Ok();
+  witness_.MemoryLoaded();
   std::vector<Pattern> sequence;
   for (size_t i = position; i < block.size(); ++i) sequence.push_back(plan_.steps[block[i]].pattern);
   const int projector = plan_.steps[block[position]].projector;

@@ -4,11 +4,14 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/preroll.h"
 #include "firmware-host/sequence/sequencer.h"
+#include "firmware-host/sequence/watchdog.h"
 
 namespace stratalux::rig {
 
@@ -26,9 +29,24 @@ class CaptureRun {
   Status LoadMemories();
   Status RunPreroll();
   Result<bool> ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots);
+  [[nodiscard]] PrerollReading ReadMarkers(const std::vector<Shot>& shots) const;
   Status RunProjector(int projector);
+  // Shoots the steps (whole groups, ascending), then again those that the witness came to doubt.
+  Status ShootBlock(std::vector<int> block);
+  Status ShootSteps(const std::vector<int>& block);
+  // Of the doubtful steps, those that may be shot again; the others fail.
+  [[nodiscard]] std::vector<int> RetakeDoubtful(const std::vector<int>& doubtful);
+  // Of `stop`, the interlock and the watchdog: why to end here.
+  Status CheckSafe();
   // One step of the block: position moves on, or back where something has to be shot again.
   Status ShootNext(const std::vector<int>& block, size_t& position);
+  [[nodiscard]] bool RetriesLeft(int step) const {
+    const auto found = retries_.find(step);
+    return found == retries_.end() || found->second < options_.max_retries;
+  }
+  // Where the block's reference begins, if it may be shot again.
+  [[nodiscard]] std::optional<size_t> ReferenceIn(const std::vector<int>& block) const;
+  Status ShootReferenceAgain(const std::vector<int>& block, size_t position);
   Status JudgeGroup(const std::vector<int>& block, size_t& position);
   // After a spoilt shot of block[position]: reloads the memory from there, or from the next step once the step has had
   // its retries.
@@ -52,6 +70,7 @@ class CaptureRun {
   const std::function<void()>& on_step_;
   FrameSink& sink_;
 
+  Watchdog watchdog_;
   Shooter shooter_;
   PatternWitness witness_;
   CaptureReport report_;
@@ -60,6 +79,7 @@ class CaptureRun {
   std::map<int, ShotFault> retake_cause_;
   std::map<int, FrameRecord> proven_;  // by step: the last good frame
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
+  bool memory_cut_ = false;            // the projector's memory ends with the steps of the block
   int silent_steps_ = 0;
   int furthest_step_ = -1;
   int64_t spoilt_triggers_ = 0;  // camera triggers without a frame in the sink

@@ -22,6 +22,26 @@ ShotFault FramePairing::Match(const TriggerReceipt& trigger, double exposure_ms,
   return frame.corrupt ? ShotFault::kCorruptFrame : ShotFault::kNone;
 }
 
+ShotFault FramePairing::MatchStream(MonotonicNs settled, std::chrono::nanoseconds window, const CapturedFrame& frame) {
+  if (last_sequence_ && frame.sequence == *last_sequence_) return ShotFault::kDoubledFrame;
+  if (last_sequence_ && frame.sequence < *last_sequence_) return ShotFault::kOutOfOrder;
+  const int64_t missing = last_sequence_ ? frame.sequence - *last_sequence_ - 1 : 0;
+  const std::chrono::nanoseconds period = (frame.time - last_time_) / (missing + 1);
+  last_sequence_ = frame.sequence;
+  last_time_ = frame.time;
+  if (frame.time < settled) {
+    lost_in_transition_ += missing;
+    return ShotFault::kOutOfOrder;
+  }
+  if (missing > 0) {
+    // Buffers run over while nobody reads, as when a memory is stepped: that harms no exposure before `settled`.
+    if (frame.time - settled > period) return ShotFault::kSequenceGap;
+    lost_in_transition_ += missing;
+  }
+  if (frame.time > settled + window) return ShotFault::kLateFrame;
+  return frame.corrupt ? ShotFault::kCorruptFrame : ShotFault::kNone;
+}
+
 ShotFault FramePairing::Unexpected(const CapturedFrame& frame) {
   const bool after_loss = !offset_;
   const bool stale = last_sequence_ && frame.sequence < *last_sequence_;

@@ -26,6 +26,12 @@ class FramePairing {
   // The trigger stayed without a frame. Whether the driver counted it is unknown, so the next frame that fits in time
   // sets the difference anew.
   void TriggerLost() { offset_.reset(); }
+  // Free running: the camera numbers its frames whether or not anybody waits. kNone: the first whole exposure after
+  // `settled`; numbers that are missing before it belong, at the stream's even pace, to exposures before `settled`.
+  // kOutOfOrder: it began before, keep waiting (a transition frame).
+  [[nodiscard]] ShotFault MatchStream(MonotonicNs settled, std::chrono::nanoseconds window, const CapturedFrame& frame);
+  // Numbers that a stream skipped where it does no harm, so far.
+  [[nodiscard]] int64_t lost_in_transition() const { return lost_in_transition_; }
   // A frame that came while none was expected. kNone right after a lost trigger (it is that trigger's, too late).
   [[nodiscard]] ShotFault Unexpected(const CapturedFrame& frame);
 
@@ -33,6 +39,8 @@ class FramePairing {
   std::chrono::nanoseconds slack_;
   std::optional<int64_t> offset_;  // driver sequence - trigger number
   std::optional<int64_t> last_sequence_;
+  MonotonicNs last_time_;  // free running: of that frame
+  int64_t lost_in_transition_ = 0;
 };
 
 }  // namespace stratalux::rig

@@ -4,20 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
+#include <numeric>
 
 namespace stratalux::rig {
 namespace {
 
-// One pixel in each cell of a lattice of about 160 columns. The step is even, so that all probes see one colour of the
-// mosaic; (1, 0) is a green site of RGGB and BGGR.
-std::vector<float> SampleProbes(const Image<uint16_t>& pixels) {
-  const int step = std::max(2, 2 * (pixels.width() / 320));
-  std::vector<float> probes;
-  for (int y = 0; y < pixels.height(); y += step)
-    for (int x = std::min(1, pixels.width() - 1); x < pixels.width(); x += step) probes.push_back(pixels(x, y));
-  return probes;
-}
+constexpr int kFewestInBand = 40;  // lit probes; of fewer, no share is taken
 
 bool SameFamily(const PlanStep& a, const PlanStep& b) {
   if (a.projector != b.projector || a.phase != b.phase || a.bracket != b.bracket) return false;
@@ -35,23 +27,38 @@ bool SameFamily(const PlanStep& a, const PlanStep& b) {
   }
 }
 
-std::string Percent(double fraction) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.1f %%", 100.0 * fraction);
-  return text;
+// Share of the picture that the pattern lights.
+double MeanIntensity(const Pattern& pattern, int width, int height) {
+  if (pattern.IsOneDimensional()) {
+    const std::vector<float> profile = pattern.Profile(pattern.axis == PatternAxis::kColumns ? width : height);
+    return std::accumulate(profile.begin(), profile.end(), 0.0) / static_cast<double>(profile.size());
+  }
+  const Image<float> picture = pattern.Render(width, height);
+  return std::accumulate(picture.pixels().begin(), picture.pixels().end(), 0.0) / static_cast<double>(picture.size());
 }
 
 }  // namespace
 
 PatternWitness::PatternWitness(const CapturePlan& plan, WitnessOptions options) : plan_(plan), options_(options) {}
 
+void PatternWitness::AddPreroll(const PlanStep& step, const Image<uint16_t>& pixels) {
+  if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
+  const bool white = step.pattern.kind == PatternKind::kWhite;
+  std::vector<float>& mean = white ? preroll_white_ : preroll_black_;
+  int& count = white ? preroll_whites_ : preroll_blacks_;
+  const Probes probes = lattice_.Sample(pixels);
+  mean.resize(probes.size());
+  ++count;
+  for (size_t i = 0; i < probes.size(); ++i) mean[i] += (probes[i] - mean[i]) / static_cast<float>(count);
+}
+
 void PatternWitness::StartProjector(int projector) {
   projector_ = projector;
+  ++load_;
   frames_.clear();
+  doubtful_.clear();
   lit_.clear();
-  white_.clear();
-  black_.clear();
-  coordinates_.clear();
+  decoded_ = false;
 }
 
 std::vector<int> PatternWitness::GroupOf(const CapturePlan& plan, int step) {
@@ -63,91 +70,329 @@ std::vector<int> PatternWitness::GroupOf(const CapturePlan& plan, int step) {
   return group;
 }
 
-void PatternWitness::Add(const PlanStep& step, const Image<uint16_t>& pixels) {
-  frames_[step.index] = SampleProbes(pixels);
-  if (step.phase == CapturePhase::kCorrespondence) coordinates_.erase(step.pattern.axis);
+void PatternWitness::Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn) {
+  if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
+  frames_[step.index] = {lattice_.Sample(pixels), mean_dn, load_, shots_++, Testimony::kSilent};
+  if (step.phase == CapturePhase::kCorrespondence) decoded_ = false;
 }
 
-const PatternWitness::Probes* PatternWitness::Find(int step) const {
+const PatternWitness::Frame* PatternWitness::Find(int step) const {
   const auto found = frames_.find(step);
   return found == frames_.end() ? nullptr : &found->second;
 }
 
 LevelCheck PatternWitness::Check(const PlanStep& step) {
-  using Verdict = LevelCheck;
   const std::vector<int> group = GroupOf(plan_, step.index);
   for (int member : group)
-    if (Find(member) == nullptr) return Verdict::kNotChecked;
-  auto verdict = [](bool good) { return good ? Verdict::kPassed : Verdict::kFailed; };
-  if (step.phase == CapturePhase::kReference)
-    return group.size() < 2 ? Verdict::kNotChecked : verdict(UpdateReference());
-  if (lit_.empty()) return Verdict::kNotChecked;
-  switch (step.phase) {
-    case CapturePhase::kCorrespondence:
-      return group.size() == 2 ? verdict(AddsUp(group)) : Verdict::kNotChecked;
-    case CapturePhase::kSeparation: {
-      if (step.pattern.kind != PatternKind::kSinusoid) return Verdict::kNotChecked;
-      if (static_cast<int>(group.size()) == step.pattern.shifts && !AddsUp(group)) return Verdict::kFailed;
-      for (int member : group)
-        if (!AgreesBest(plan_.steps[member], step.pattern.shifts, 1).value_or(true)) return Verdict::kFailed;
-      return Verdict::kPassed;
-    }
-    case CapturePhase::kSweep: {
-      const int comb_step = plan_.options.comb_step;
-      const std::optional<bool> agrees = AgreesBest(step, step.pattern.period / comb_step, comb_step);
-      return agrees ? verdict(*agrees) : Verdict::kNotChecked;
-    }
-    case CapturePhase::kMotion:
-      return verdict(std::abs(MeanLevel(*Find(step.index)) - 1.0) <= options_.steady_tolerance);
-    case CapturePhase::kGuard:
-      return verdict(std::abs(MeanLevel(*Find(step.index))) <= options_.dark_tolerance);
-    default:
-      return Verdict::kNotChecked;
+    if (Find(member) == nullptr) return LevelCheck::kNotChecked;
+  const Testimony testimony = Judge(step, group);
+  for (int member : group) frames_.at(member).testimony = testimony;
+  if (testimony == Testimony::kRefutes) DoubtSilentBefore(group);
+  switch (testimony) {
+    case Testimony::kConfirms:
+      return LevelCheck::kPassed;
+    case Testimony::kRefutes:
+      return LevelCheck::kFailed;
+    case Testimony::kSilent:
+      break;
+  }
+  return LevelCheck::kNotChecked;
+}
+
+void PatternWitness::DoubtSilentBefore(std::span<const int> group) {
+  const int load = frames_.at(group.front()).load;
+  std::map<int64_t, int> before;  // shot -> step, of this load
+  for (const auto& [step, frame] : frames_)
+    if (frame.load == load && frame.shot < frames_.at(group.front()).shot) before[frame.shot] = step;
+  for (auto it = before.rbegin(); it != before.rend(); ++it) {
+    const Testimony testimony = frames_.at(it->second).testimony;
+    if (testimony == Testimony::kConfirms) return;
+    if (testimony == Testimony::kSilent) doubtful_.push_back(it->second);
   }
 }
 
-bool PatternWitness::UpdateReference() {
-  const Probes* white = nullptr;
-  const Probes* black = nullptr;
+bool PatternWitness::ReferenceStandsAlone() const {
+  return std::none_of(frames_.begin(), frames_.end(), [&](const auto& entry) {
+    return plan_.steps[entry.first].phase != CapturePhase::kReference && entry.second.testimony == Testimony::kConfirms;
+  });
+}
+
+std::vector<int> PatternWitness::TakeDoubtful() {
+  std::vector<int> steps;
+  for (int step : doubtful_)
+    for (int member : GroupOf(plan_, step)) steps.push_back(member);
+  doubtful_.clear();
+  std::sort(steps.begin(), steps.end());
+  steps.erase(std::unique(steps.begin(), steps.end()), steps.end());
+  return steps;
+}
+
+PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<const int> group) {
+  if (step.phase == CapturePhase::kReference) return group.size() < 2 ? Testimony::kSilent : JudgeReference();
+  if (lit_.empty()) return Testimony::kSilent;
+  for (int member : group)
+    if (!WithinReference(plan_.steps[member])) return Testimony::kRefutes;
+  switch (step.phase) {
+    case CapturePhase::kCorrespondence:
+      return group.size() == 2 ? JudgeGray(group) : Testimony::kSilent;
+    case CapturePhase::kSeparation:
+      return JudgeShifts(step, group);
+    case CapturePhase::kSweep:
+      return JudgeComb(step);
+    case CapturePhase::kMotion:
+      return JudgeWhite(step);
+    case CapturePhase::kSpot:
+    case CapturePhase::kGuard:
+      return JudgeLevel(step);
+    default:
+      return Testimony::kSilent;
+  }
+}
+
+PatternWitness::Testimony PatternWitness::JudgeReference() {
+  const Frame* white = nullptr;
+  const Frame* black = nullptr;
   for (int i : StepsOf(CapturePhase::kReference)) {
     const PatternKind kind = plan_.steps[i].pattern.kind;
     if (kind == PatternKind::kWhite) white = Find(i);
     if (kind == PatternKind::kBlack) black = Find(i);
   }
   lit_.clear();
-  coordinates_.clear();
-  if (white == nullptr || black == nullptr) return false;
+  decoded_ = false;
+  if (white == nullptr || black == nullptr) return Testimony::kRefutes;
   white_ = *white;
   black_ = *black;
-  for (size_t i = 0; i < white_.size(); ++i)
-    if (white_[i] - black_[i] >= options_.min_contrast_dn && white_[i] < options_.saturation_dn)
+  for (size_t i = 0; i < white_.probes.size(); ++i)
+    if (white_.probes[i] - black_.probes[i] >= options_.min_contrast_dn && white_.probes[i] < options_.saturation_dn)
       lit_.push_back(static_cast<int>(i));
-  if (static_cast<int>(lit_.size()) >= options_.min_lit_probes) return true;
+  bool good = static_cast<int>(lit_.size()) >= options_.min_lit_probes;
+  // All projectors' white is at least this one's, their black too.
+  if (good && !preroll_black_.empty()) {
+    double excess = 0.0, contrast = 0.0;
+    for (int i : lit_) {
+      excess += black_.probes[i] - preroll_black_[i];
+      contrast += white_.probes[i] - black_.probes[i];
+    }
+    good = excess <= options_.dark_tolerance * contrast;
+  }
+  if (good && !preroll_white_.empty()) {
+    std::array<int, ProbeLattice::kBands> off{}, all{};
+    for (size_t i = 0; i < white_.probes.size(); ++i) {
+      const double limit =
+          preroll_white_[i] * (1.0 + options_.sum_tolerance) + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
+      const int band = lattice_.BandOf(static_cast<int>(i));
+      ++all[band];
+      off[band] += preroll_white_[i] < options_.saturation_dn && white_.probes[i] > limit;
+    }
+    for (int b = 0; b < ProbeLattice::kBands; ++b) good = good && off[b] <= options_.max_off_fraction * all[b];
+  }
+  if (good) return Testimony::kConfirms;
   lit_.clear();
-  return false;
+  return Testimony::kRefutes;
+}
+
+bool PatternWitness::WithinReference(const PlanStep& step) const {
+  if (step.exposure_ms != plan_.options.exposure_ms) return true;
+  const Probes& frame = Find(step.index)->probes;
+  // Bands of few probes are no evidence; elsewhere light where white gives none is a picture out of place.
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (size_t i = 0; i < frame.size(); ++i) {
+    const double white = white_.probes[i], black = black_.probes[i], level = frame[i];
+    const int band = lattice_.BandOf(static_cast<int>(i));
+    ++all[band];
+    if (white >= options_.saturation_dn || (level <= white && level >= black)) continue;
+    const double beyond = std::max(level - white, black - level);
+    const double share = options_.steady_tolerance * std::max(0.0, white - black);
+    if (beyond > share + 4.0 * std::sqrt(2.0 * VarianceDn(std::max(level, white)))) ++off[band];
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (off[b] > 0.2 * options_.max_off_fraction * all[b] + 3.0) return false;
+  return true;
 }
 
 bool PatternWitness::AddsUp(std::span<const int> steps) const {
   // 2/N sum I - (W + B) vanishes; its variance is that of W and B (weight 1) plus (2/N)^2 of each frame.
   const double scale = 2.0 / static_cast<double>(steps.size());
-  const double read_variance = options_.read_noise_dn * options_.read_noise_dn;
-  int off = 0;
+  std::vector<const Probes*> frames;
+  for (int step : steps) frames.push_back(&frames_.at(step).probes);
+  std::array<int, ProbeLattice::kBands> off{}, all{};
   for (int i : lit_) {
     double sum = 0.0;
-    for (int step : steps) sum += frames_.at(step)[i];
-    const double residual = scale * sum - white_[i] - black_[i];
-    const double shot_variance = (white_[i] + black_[i]) / options_.gain_e_per_dn;
-    const double variance = (1.0 + scale) * shot_variance + (2.0 + 2.0 * scale) * read_variance;
-    if (std::abs(residual) > options_.sum_tolerance * (white_[i] - black_[i]) + 4.0 * std::sqrt(variance)) ++off;
+    for (const Probes* frame : frames) sum += (*frame)[i];
+    const double white = white_.probes[i], black = black_.probes[i];
+    const double variance = (1.0 + scale) * (VarianceDn(white) + VarianceDn(black));
+    const int band = lattice_.BandOf(i);
+    ++all[band];
+    if (std::abs(scale * sum - white - black) > options_.sum_tolerance * (white - black) + 4.0 * std::sqrt(variance))
+      ++off[band];
   }
-  return off <= options_.max_off_fraction * static_cast<double>(lit_.size());
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return false;
+  return std::accumulate(off.begin(), off.end(), 0) <= options_.max_off_fraction * static_cast<double>(lit_.size());
+}
+
+PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) const {
+  if (!AddsUp(pair)) return Testimony::kRefutes;
+  // What is left of the sum against the contrast of the two, both less their noise: a bit beside another bit's inverse
+  // leaves as much as it differs by.
+  const Probes& bit = frames_.at(pair[0]).probes;
+  const Probes& inverse = frames_.at(pair[1]).probes;
+  double rest = 0.0, contrast = 0.0, noise = 0.0;
+  for (int i : lit_) {
+    const double white = white_.probes[i], black = black_.probes[i];
+    const double sum = double(bit[i]) + inverse[i] - white - black, difference = double(bit[i]) - inverse[i];
+    const double two = VarianceDn(bit[i]) + VarianceDn(inverse[i]);
+    const double four = two + VarianceDn(white) + VarianceDn(black);
+    rest += sum * sum - four;
+    contrast += difference * difference - two;
+    noise += 2.0 * four * four;
+  }
+  noise = std::sqrt(noise);
+  if (rest > 0.4 * std::max(0.0, contrast) + 10.0 * noise) return Testimony::kRefutes;
+  return contrast > 10.0 * noise && rest < 0.2 * contrast ? Testimony::kConfirms : Testimony::kSilent;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeShifts(const PlanStep& step, std::span<const int> group) {
+  const bool whole =
+      step.pattern.kind == PatternKind::kSinusoid && static_cast<int>(group.size()) == step.pattern.shifts;
+  if (whole && !AddsUp(group)) return Testimony::kRefutes;
+  Testimony testimony = Testimony::kConfirms;
+  std::vector<float> level;
+  for (int member : group) {
+    const LevelsAt frame = LevelsOf(plan_.steps[member], level);
+    const double evidence = ShiftEvidence(plan_.steps[member].pattern, frame);
+    if (evidence < -options_.min_evidence) return Testimony::kRefutes;
+    if (evidence < options_.min_evidence) testimony = Testimony::kSilent;
+  }
+  return testimony;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
+  std::vector<float> level;
+  const LevelsAt frame = LevelsOf(step, level);
+  if (frame.level.empty()) return Testimony::kSilent;
+  // A comb spreads the light it has: more would be another pattern, none would be black.
+  const double share = static_cast<double>(step.pattern.width) / step.pattern.period;
+  const double mean = MeanLevel(Find(step.index)->probes) * plan_.options.exposure_ms / step.exposure_ms;
+  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance || mean < 0.25 * share) return Testimony::kRefutes;
+  if (!BrightAsTheExposure(step) || LinesElsewhere(step, frame)) return Testimony::kRefutes;
+  const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
+  if (std::abs(evidence) < options_.min_evidence) return Testimony::kSilent;
+  return evidence > 0.0 ? Testimony::kConfirms : Testimony::kRefutes;
+}
+
+bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const {
+  // In some band, probes far from the lines that are as bright as those on them.
+  const Pattern& comb = step.pattern;
+  const std::span<const int> at = comb.axis == PatternAxis::kColumns ? frame.column : frame.row;
+  auto beyond = [&](int position) {  // px from the nearest line
+    const int distance = ((position - comb.shift) % comb.period + comb.period) % comb.period;
+    return distance < comb.width ? 0 : std::min(distance - comb.width + 1, comb.period - distance);
+  };
+  double on = 0.0;
+  int lines = 0;
+  for (size_t i = 0; i < at.size(); ++i)
+    if (at[i] >= 0 && beyond(at[i]) == 0) {
+      on += frame.level[i];
+      ++lines;
+    }
+  if (lines == 0) return false;
+  const double bright = 0.6 * on / lines;
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (size_t i = 0; i < at.size(); ++i) {
+    const int band = lattice_.BandOf(lit_[i]);
+    ++all[band];
+    if (at[i] < 0 || beyond(at[i]) <= 2 * comb.width) continue;
+    const double contrast = white_.probes[lit_[i]] - black_.probes[lit_[i]];
+    off[band] += frame.level[i] > bright + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[lit_[i]])) / contrast;
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (off[b] > 0.2 * options_.max_off_fraction * all[b] + 2.0) return true;
+  return false;
+}
+
+bool PatternWitness::BrightAsTheExposure(const PlanStep& step) const {
+  // A change of exposure that came late shows the exposure before. The comb before of the same bracket, or the share of
+  // the picture that a comb lights, says how bright the frame should be.
+  const double before_ms = step.index > 0 ? plan_.steps[step.index - 1].exposure_ms : step.exposure_ms;
+  if (before_ms == step.exposure_ms) return true;
+  double expected =
+      static_cast<double>(step.pattern.width) / step.pattern.period * step.exposure_ms / plan_.options.exposure_ms;
+  for (const auto& [index, frame] : frames_) {
+    const PlanStep& other = plan_.steps[index];
+    if (index < step.index && other.phase == step.phase && other.bracket == step.bracket &&
+        frame.testimony == Testimony::kConfirms)
+      expected = MeanLevel(frame.probes);
+  }
+  const double level = MeanLevel(Find(step.index)->probes);
+  return level > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(before_ms / step.exposure_ms));
+}
+
+double PatternWitness::StillnessOf(const Probes& white) const {
+  const double mean = MeanLevel(white);
+  double rest = 0.0, contrast = 0.0;
+  for (int i : lit_) {
+    const double reference = mean * (white_.probes[i] - black_.probes[i]);
+    const double difference = white[i] - black_.probes[i] - reference;
+    rest += difference * difference - VarianceDn(white[i]) - mean * mean * VarianceDn(white_.probes[i]) -
+            (1.0 - mean) * (1.0 - mean) * VarianceDn(black_.probes[i]);
+    contrast += reference * reference;
+  }
+  return contrast > 0.0 ? std::sqrt(std::max(0.0, rest) / contrast) : 0.0;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const {
+  const Probes& white = Find(step.index)->probes;
+  const double mean = MeanLevel(white);
+  if (std::abs(mean - 1.0) > options_.steady_tolerance) return Testimony::kRefutes;
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (int i : lit_) {
+    const double reference = mean * (white_.probes[i] - black_.probes[i]);
+    const double limit = options_.sum_tolerance * reference + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
+    const int band = lattice_.BandOf(i);
+    ++all[band];
+    off[band] += std::abs(white[i] - black_.probes[i] - reference) > limit;
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return Testimony::kRefutes;
+  return StillnessOf(white) > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
+}
+
+double PatternWitness::WholeLevel(const Frame& frame) const {
+  return (frame.mean_dn - black_.mean_dn) / std::max(1e-9, white_.mean_dn - black_.mean_dn);
+}
+
+double PatternWitness::ExpectedLevel(const Pattern& pattern) {
+  const Coordinates& at = Where();
+  if (at.column.empty() || at.row.empty())
+    return MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height);
+  double sum = 0.0, white = 0.0;
+  for (size_t k = 0; k < lit_.size(); ++k) {
+    if (at.column[k] < 0 || at.row[k] < 0) continue;
+    const double contrast = white_.probes[lit_[k]] - black_.probes[lit_[k]];
+    sum += contrast * pattern.Intensity(at.column[k], at.row[k]);
+    white += contrast;
+  }
+  return sum / std::max(1e-9, white);
+}
+
+PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
+  // Spots light so little of the picture that only the mean of all pixels tells them from black.
+  double spots = 0.0;
+  for (int i : StepsOf(CapturePhase::kSpot)) spots = ExpectedLevel(plan_.steps[i].pattern);
+  const Frame& frame = *Find(step.index);
+  const double level = WholeLevel(frame);
+  if (step.phase == CapturePhase::kSpot)
+    return level > 0.3 * spots && level < 0.5 ? Testimony::kConfirms : Testimony::kRefutes;
+  if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;
+  return spots == 0.0 || level < 0.3 * spots ? Testimony::kConfirms : Testimony::kRefutes;
 }
 
 double PatternWitness::MeanLevel(const Probes& frame) const {
   double above = 0.0, white = 0.0;
   for (int i : lit_) {
-    above += frame[i] - black_[i];
-    white += white_[i] - black_[i];
+    above += frame[i] - black_.probes[i];
+    white += white_.probes[i] - black_.probes[i];
   }
   return above / white;
 }
@@ -159,98 +404,54 @@ std::vector<int> PatternWitness::StepsOf(CapturePhase phase) const {
   return steps;
 }
 
-const std::vector<int>& PatternWitness::Coordinates(PatternAxis axis) {
-  std::vector<int>& known = coordinates_[axis];
-  if (!known.empty()) return known;
+std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
   std::map<int, std::array<int, 2>> bits;  // bit -> steps of the bit and of its inverse
   int bit_count = 0;
   for (int i : StepsOf(CapturePhase::kCorrespondence)) {
     const Pattern& p = plan_.steps[i].pattern;
     if (p.kind != PatternKind::kGray || p.axis != axis || Find(i) == nullptr) continue;
+    // One wrong bit mirrors or moves every coordinate, so a code that did not pass judges nothing.
+    if (Find(i)->testimony == Testimony::kRefutes) return {};
     bits.try_emplace(p.bit, std::array{-1, -1}).first->second[p.inverse ? 1 : 0] = i;
     bit_count = p.bits;
   }
-  if (bit_count == 0 || static_cast<int>(bits.size()) != bit_count) return known;
-  // One wrong bit mirrors or moves every coordinate, so a code that did not pass judges nothing.
-  for (const auto& [bit, steps] : bits)
-    if (steps[0] < 0 || steps[1] < 0 || !AddsUp(steps)) return known;
-  known.reserve(lit_.size());
-  for (int i : lit_) {
-    unsigned gray = 0;
-    for (const auto& [bit, steps] : bits)
-      gray = gray << 1 | (frames_.at(steps[0])[i] > frames_.at(steps[1])[i] ? 1U : 0U);
-    known.push_back(static_cast<int>(BinaryFromGray(gray)));
+  if (bit_count == 0 || static_cast<int>(bits.size()) != bit_count) return {};
+  std::vector<unsigned> gray(lit_.size(), 0);
+  for (const auto& [bit, steps] : bits) {
+    if (steps[0] < 0 || steps[1] < 0) return {};
+    const Probes& shown = frames_.at(steps[0]).probes;
+    const Probes& inverse = frames_.at(steps[1]).probes;
+    for (size_t k = 0; k < lit_.size(); ++k) gray[k] = gray[k] << 1 | (shown[lit_[k]] > inverse[lit_[k]] ? 1U : 0U);
   }
-  return known;
+  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+  std::vector<int> at;
+  at.reserve(gray.size());
+  for (const unsigned code : gray) {
+    const int position = static_cast<int>(BinaryFromGray(code));
+    at.push_back(position < extent ? position : -1);
+  }
+  return at;
 }
 
-std::optional<bool> PatternWitness::AgreesBest(const PlanStep& step, int shift_count, int shift_step) {
-  const std::vector<int>& at = Coordinates(step.pattern.axis);
-  if (at.empty() || shift_count < 3) return std::nullopt;
-  const int extent =
-      step.pattern.axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
-  const Probes& frame = *Find(step.index);
-  std::vector<double> level(lit_.size());
-  for (size_t i = 0; i < lit_.size(); ++i)
-    level[i] = (frame[lit_[i]] - black_[lit_[i]]) / (white_[lit_[i]] - black_[lit_[i]]);
-  int best = -1;
-  double best_score = 0.0, own_weight = 0.0;
-  const int own = step.pattern.shift / shift_step;
-  for (int k = 0; k < shift_count; ++k) {
-    Pattern candidate = step.pattern;
-    candidate.shift = k * shift_step;
-    const std::vector<float> profile = candidate.Profile(extent);
-    double weight = 0.0, weighted = 0.0;
-    for (size_t i = 0; i < at.size(); ++i) {
-      if (at[i] < 0 || at[i] >= extent) continue;
-      weight += profile[at[i]];
-      weighted += profile[at[i]] * level[i];
-    }
-    if (k == own) own_weight = weight;
-    const double score = weight > 0.0 ? weighted / weight : 0.0;
-    if (best < 0 || score > best_score) {
-      best = k;
-      best_score = score;
-    }
-  }
-  // Too few probes on the pattern's own lines say nothing.
-  if (own_weight < 8.0) return std::nullopt;
-  const int distance = std::abs(best - own);
-  return std::min(distance, shift_count - distance) <= 1;
+const PatternWitness::Coordinates& PatternWitness::Where() {
+  if (!decoded_) where_ = {Decode(PatternAxis::kColumns), Decode(PatternAxis::kRows)};
+  decoded_ = true;
+  return where_;
 }
 
-std::vector<std::string> PatternWitness::CheckProjector() const {
-  std::vector<std::string> reasons;
-  if (lit_.empty()) return reasons;
-  const double white_exposure_ms = plan_.options.exposure_ms;
-  // The mean black over reference and guards: a whole cycle takes it off period / step times.
-  double black = 0.0;
-  int blacks = 0;
-  for (CapturePhase phase : {CapturePhase::kReference, CapturePhase::kGuard})
-    for (int i : StepsOf(phase))
-      if (plan_.steps[i].pattern.kind == PatternKind::kBlack && Find(i) != nullptr) {
-        black += MeanLevel(*Find(i));
-        ++blacks;
-      }
-  if (blacks > 0) black /= blacks;
-  for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
-    double sum = 0.0;
-    int count = 0;
-    for (int i : StepsOf(CapturePhase::kSweep)) {
-      const PlanStep& step = plan_.steps[i];
-      if (step.pattern.axis != axis || step.bracket != 0 || step.exposure_ms != white_exposure_ms) continue;
-      if (Find(i) == nullptr) continue;
-      sum += MeanLevel(*Find(i)) - black;
-      ++count;
-    }
-    const PlanOptions& o = plan_.options;
-    if (count == 0 || count != o.comb_period / o.comb_step) continue;
-    const double whites = sum * o.comb_step / o.comb_width / (1.0 - black);
-    if (std::abs(whites - 1.0) > options_.steady_tolerance)
-      reasons.push_back("projector " + std::to_string(projector_) + ": the comb cycle adds up to " + Percent(whites) +
-                        " of white; the visitor moved, the light drifted or frames are mixed up");
-  }
-  return reasons;
+LevelsAt PatternWitness::LevelsOf(const PlanStep& step, std::vector<float>& level) {
+  const Coordinates& at = Where();
+  const bool columns = !at.column.empty(), rows = !at.row.empty();
+  const bool known = step.pattern.kind == PatternKind::kCheckerboard ? columns && rows
+                     : step.pattern.axis == PatternAxis::kColumns    ? columns
+                                                                     : rows;
+  level.clear();
+  if (!known) return {};
+  const Probes& frame = Find(step.index)->probes;
+  for (int i : lit_)
+    level.push_back(static_cast<float>(frame[i] - black_.probes[i]) /
+                    static_cast<float>(white_.probes[i] - black_.probes[i]));
+  return {level, at.column, at.row, plan_.options.projector_width, plan_.options.projector_height};
 }
 
 }  // namespace stratalux::rig

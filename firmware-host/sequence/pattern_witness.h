@@ -3,23 +3,28 @@
 //
 // A lattice of single camera pixels (probes) is kept from each frame. With white W and black B of the same projector, a
 // probe is lit where W - B stands well above the noise, and n = (I - B) / (W - B) is its relative level. Checked are:
-//   reference    enough lit probes;
-//   Gray code    a bit and its inverse add up: n + n' = 1;
-//   sinusoid     N shifts add up: sum n = N / 2; and each frame agrees best with its own shift (or a neighbour);
-//   comb         the frame agrees best with its own shift (or a neighbour) among the shifts of the plan;
-//   motion       n = 1 (the visitor held still, the lamp is steady);
-//   guard        n = 0.
-// Agreement needs the projector coordinates of the probes, decoded from the Gray codes (bit = I > I'). The mean of n
-// over probes that the pattern lights, less the mean over all, is the score of a pattern: the right one scores highest,
-// whatever the scattering. At the end of a projector the comb cycle must add up: sum_k n_k = width / step.
+//   every frame  no probe brighter than W or darker than B, in any band of rows;
+//   reference    enough lit probes; black not brighter, white not beyond that of the pre-roll, where all shine;
+//   Gray code    a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ;
+//   sinusoid     N shifts add up, sum n = N / 2; each frame agrees best with its own shift;
+//   checkerboard each frame agrees best with its own shift;
+//   comb         the frame agrees best with its own shift among all of the cycle; its mean level is a comb's;
+//   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
+//   spot, guard  the mean level is that of the spots, and that of black.
+// Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
+//
+// Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
+// memory that is out of step stays so, hence a silent frame is trusted when the next frame that speaks is confirmed;
+// when that is refuted, the silent ones before it are doubtful as well.
 #pragma once
 
 #include <map>
-#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/pattern_score.h"
+#include "firmware-host/sequence/probe_lattice.h"
 #include "shared/capture/frame_record.h"
 #include "shared/capture/plan.h"
 #include "shared/image/image.h"
@@ -29,52 +34,102 @@ namespace stratalux::rig {
 struct WitnessOptions {
   double saturation_dn = 4000.0;  // brighter probes are left out
   double min_contrast_dn = 60.0;  // W - B of a lit probe
-  double gain_e_per_dn = 4.0;     // of the camera; gain and read noise only set the tolerance of a single probe
+  double gain_e_per_dn = 4.0;     // of the camera; gain and read noise set the tolerance of a single probe
   double read_noise_dn = 5.0;
   int min_lit_probes = 100;        // fewer: the light does not reach the scene
-  double max_off_fraction = 0.1;   // of lit probes that break an identity
+  double max_off_fraction = 0.06;  // of a band's probes that break an identity
   double sum_tolerance = 0.03;     // of W - B, for one probe, beyond its noise
   double steady_tolerance = 0.08;  // mean n of motion frames and of the comb cycle
+  double still_tolerance = 0.03;   // rms difference of a white from the reference, after its mean, over W - B
   double dark_tolerance = 0.01;    // mean n of guard frames
+  double min_evidence = 5.0;       // standard deviations by which the planned shift must beat all others, or be beaten
+
+  // Of one raw pixel's noise.
+  [[nodiscard]] double VarianceDn(double dn) const { return dn / gain_e_per_dn + read_noise_dn * read_noise_dn; }
 };
 
 class PatternWitness {
  public:
   PatternWitness(const CapturePlan& plan, WitnessOptions options);
 
+  // Marker frames of the pre-roll, which show all projectors at once.
+  void AddPreroll(const PlanStep& step, const Image<uint16_t>& pixels);
   // Forgets the projector before; call where a new projector's steps begin.
   void StartProjector(int projector);
-  // Keeps the probes of a step's frame; a later shot of the step replaces them.
-  void Add(const PlanStep& step, const Image<uint16_t>& pixels);
+  // The projector's memory was loaded anew: what follows is in step, whatever was before.
+  void MemoryLoaded() { ++load_; }
+  // Keeps the probes of a step's frame, and the mean of all its pixels; a later shot of the step replaces them.
+  void Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn);
   // Checks the group that ends with this step (GroupOf). kNotChecked where the plan or the scene offers no check.
   [[nodiscard]] LevelCheck Check(const PlanStep& step);
-  // Comb cycle and white of the projector: what does not add up, for people; empty when all is well.
-  [[nodiscard]] std::vector<std::string> CheckProjector() const;
+  // Nothing but the reference has been confirmed yet: when frames contradict it, it may be the reference that is wrong.
+  [[nodiscard]] bool ReferenceStandsAlone() const;
+  // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for. Empties the list.
+  [[nodiscard]] std::vector<int> TakeDoubtful();
+  // Comb cycle and whites of the projector: what does not add up, for people; empty when all is well.
+  [[nodiscard]] std::vector<std::string> CheckProjector();
+  // The projectors' whites against the pre-roll, which shows their sum: a visitor or a lamp that changed between two
+  // projectors. After the last CheckProjector().
+  [[nodiscard]] std::vector<std::string> CheckSession() const;
 
   // Steps that are judged together: {white, black}, a Gray bit and its inverse, the shifts of a sinusoid; else the step
   // alone. Plan indices, ascending and adjacent.
   [[nodiscard]] static std::vector<int> GroupOf(const CapturePlan& plan, int step);
 
  private:
-  using Probes = std::vector<float>;
+  enum class Testimony { kSilent, kConfirms, kRefutes };
+  struct Frame {
+    Probes probes;
+    double mean_dn = 0.0;  // of all pixels
+    int load = 0;          // of the memory
+    int64_t shot = 0;      // in the order of Add
+    Testimony testimony = Testimony::kSilent;
+  };
+  struct Coordinates {
+    std::vector<int> column, row;  // of each lit probe; empty: not known
+  };
 
-  [[nodiscard]] const Probes* Find(int step) const;
-  [[nodiscard]] bool UpdateReference();
+  [[nodiscard]] const Frame* Find(int step) const;
+  [[nodiscard]] Testimony Judge(const PlanStep& step, std::span<const int> group);
+  [[nodiscard]] Testimony JudgeReference();
+  [[nodiscard]] Testimony JudgeGray(std::span<const int> pair) const;
+  [[nodiscard]] Testimony JudgeShifts(const PlanStep& step, std::span<const int> group);
+  [[nodiscard]] Testimony JudgeComb(const PlanStep& step);
+  [[nodiscard]] Testimony JudgeWhite(const PlanStep& step) const;
+  [[nodiscard]] Testimony JudgeLevel(const PlanStep& step);
+  void DoubtSilentBefore(std::span<const int> group);
   [[nodiscard]] bool AddsUp(std::span<const int> steps) const;
+  // Between black and white of the reference, in every band.
+  [[nodiscard]] bool WithinReference(const PlanStep& step) const;
+  [[nodiscard]] bool LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const;
+  [[nodiscard]] bool BrightAsTheExposure(const PlanStep& step) const;
   [[nodiscard]] double MeanLevel(const Probes& frame) const;
-  // Projector coordinate of each lit probe along the axis, -1 where unknown; empty until all bits are there and passed.
-  const std::vector<int>& Coordinates(PatternAxis axis);
-  // True when `step` agrees best with its own pattern or a neighbouring shift; nullopt when it cannot be told.
-  [[nodiscard]] std::optional<bool> AgreesBest(const PlanStep& step, int shift_count, int shift_step);
+  // Mean level of the pattern on the lit probes, by their coordinates (without these: of the whole picture).
+  [[nodiscard]] double ExpectedLevel(const Pattern& pattern);
+  // Of all pixels: mean level above black over that of white.
+  [[nodiscard]] double WholeLevel(const Frame& frame) const;
+  [[nodiscard]] double StillnessOf(const Probes& white) const;
+  [[nodiscard]] double VarianceDn(double dn) const { return options_.VarianceDn(dn); }
+  [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
+  const Coordinates& Where();
+  [[nodiscard]] LevelsAt LevelsOf(const PlanStep& step, std::vector<float>& level);
   [[nodiscard]] std::vector<int> StepsOf(CapturePhase phase) const;
 
   const CapturePlan& plan_;
   WitnessOptions options_;
+  ProbeLattice lattice_;
   int projector_ = -1;
-  std::map<int, Probes> frames_;  // by step
-  std::vector<int> lit_;          // probe indices
-  Probes white_, black_;
-  std::map<PatternAxis, std::vector<int>> coordinates_;
+  int load_ = 0;
+  int64_t shots_ = 0;
+  std::map<int, Frame> frames_;  // by step
+  std::vector<int> doubtful_;
+  std::vector<int> lit_;  // probe indices
+  Frame white_, black_;
+  bool decoded_ = false;
+  Coordinates where_;
+  std::vector<float> preroll_white_, preroll_black_;  // means of the markers, by probe; empty: none
+  int preroll_whites_ = 0, preroll_blacks_ = 0;
+  std::map<int, std::vector<float>> contrast_;  // W - B of each projector, by probe; NaN where saturated
 };
 
 }  // namespace stratalux::rig

@@ -2,7 +2,11 @@
 #include "firmware-host/sequence/preroll.h"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdlib>
+
+#include "firmware-host/sequence/probe_lattice.h"
 
 namespace stratalux::rig {
 namespace {
@@ -43,6 +47,42 @@ PrerollReading ReadPreroll(std::span<const double> mean_dn, const std::vector<bo
         return {false, "pre-roll shifted by " + std::to_string(shift) + " frame(s): read " + Text(read) +
                            ", expected " + Text(code)};
   return {false, "pre-roll does not decode: read " + Text(read) + ", expected " + Text(code)};
+}
+
+OddMarker FindOddMarker(std::span<const Image<uint16_t>* const> frames, const std::vector<bool>& code,
+                        const std::function<double(double dn)>& variance) {
+  constexpr double kShare = 0.1, kDeviations = 5.0;
+  OddMarker odd;
+  if (frames.empty()) return odd;
+  const ProbeLattice lattice(frames[0]->width(), frames[0]->height());
+  for (const bool white : {true, false}) {
+    std::vector<int> markers;
+    std::vector<Probes> probes;
+    for (size_t i = 0; i < frames.size(); ++i) {
+      if (code[i] != white) continue;
+      markers.push_back(static_cast<int>(i));
+      probes.push_back(lattice.Sample(*frames[i]));
+    }
+    if (markers.size() < 3) continue;
+    std::vector<std::array<int, ProbeLattice::kBands>> off(markers.size());
+    std::array<int, ProbeLattice::kBands> all{};
+    std::vector<double> levels(markers.size());
+    for (size_t i = 0; i < lattice.size(); ++i) {
+      for (size_t m = 0; m < markers.size(); ++m) levels[m] = probes[m][i];
+      std::nth_element(levels.begin(), levels.begin() + levels.size() / 2, levels.end());
+      const double median = levels[levels.size() / 2];
+      const double limit = std::max(kShare * median, kDeviations * std::sqrt(variance(median)));
+      const int band = lattice.BandOf(static_cast<int>(i));
+      ++all[band];
+      for (size_t m = 0; m < markers.size(); ++m) off[m][band] += std::abs(probes[m][i] - median) > limit;
+    }
+    for (size_t m = 0; m < markers.size(); ++m)
+      for (int b = 0; b < ProbeLattice::kBands; ++b) {
+        const double share = static_cast<double>(off[m][b]) / std::max(1, all[b]);
+        if (share > odd.share) odd = {markers[m], share};
+      }
+  }
+  return odd;
 }
 
 }  // namespace stratalux::rig

@@ -2,9 +2,12 @@
 // Reads the marker code of the pre-roll back from the mean levels of its frames (docs/capture-plan.md).
 #pragma once
 
+#include <functional>
 #include <span>
 #include <string>
 #include <vector>
+
+#include "shared/image/image.h"
 
 namespace stratalux::rig {
 
@@ -17,5 +20,15 @@ struct PrerollReading {
 // told apart when they differ by at least `min_contrast_dn`.
 [[nodiscard]] PrerollReading ReadPreroll(std::span<const double> mean_dn, const std::vector<bool>& code,
                                          double min_contrast_dn);
+
+// The marker whose picture differs most from the others of its kind, and by how much: the share of its pixels, in the
+// worst band of rows, that lie more than 10 % and 5 noise deviations (sqrt of `variance(dn)`) from their median.
+// {-1, 0} where no kind has three markers.
+struct OddMarker {
+  int marker = -1;
+  double share = 0.0;
+};
+[[nodiscard]] OddMarker FindOddMarker(std::span<const Image<uint16_t>* const> frames, const std::vector<bool>& code,
+                                      const std::function<double(double dn)>& variance);
 
 }  // namespace stratalux::rig

@@ -9,10 +9,10 @@ namespace stratalux::rig {
 Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
   const PlanOptions& o = plan.options;
   if (plan.steps.empty()) return Status::Usage("plan: it has no steps");
-  if (o.sync_mode != SyncMode::kTriggered)
-    return Status::Usage(std::string("plan: sync mode '") + ToString(o.sync_mode) +
-                         "' needs a free-running projector back-end; this sequencer steps pattern memories, use "
-                         "'triggered'");
+  if (o.sync_mode == SyncMode::kFreeRunning && devices.camera.follows_trigger())
+    return Status::Usage("plan: sync mode 'free_running', but this camera exposes on our trigger; use 'triggered'");
+  if (o.sync_mode == SyncMode::kTriggered && !devices.camera.follows_trigger())
+    return Status::Usage("plan: sync mode 'triggered', but this camera runs freely; use 'free_running'");
   if (o.projectors != static_cast<int>(devices.projectors.size()))
     return Status::Usage("plan: " + std::to_string(o.projectors) + " projectors, the rig has " +
                          std::to_string(devices.projectors.size()));
@@ -31,7 +31,7 @@ Status SequencerOptions::Validate() const {
   if (max_silent_steps < 1)
     return Status::Usage("max_silent_steps = " + std::to_string(max_silent_steps) + ", allowed: 1 and more");
   if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
-      shooter.frame_slack.count() < 0 || max_on_time.count() < 0)
+      shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || watchdog.count() < 0)
     return Status::Usage("sequencer: settling, deadlines, slack and on-time must not be negative");
   return Status::Ok();
 }

@@ -33,6 +33,10 @@ struct SequencerOptions {
   // Longest time a projector's light may stay on, on the rig's clock; 0: no limit.
   std::chrono::nanoseconds max_on_time = std::chrono::minutes(5);
 
+  // No frame and no edge for so long (a device call that hangs, a disk that stands still): all lines are switched off
+  // from another thread, and the capture fails; 0: no watchdog.
+  std::chrono::nanoseconds watchdog = std::chrono::seconds(30);
+
   [[nodiscard]] Status Validate() const;
 };
 
@@ -41,8 +45,8 @@ struct SequencerOptions {
 
 class Sequencer {
  public:
-  // `stop` (signal handler, E-stop) is looked at before each shot; `on_step`, if set, is called after each planned
-  // step.
+  // `stop` (signal handler) and the interlock are looked at before each shot and every 20 ms of waiting; `on_step`, if
+  // set, is called after each planned step.
   Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, const std::atomic<bool>& stop,
             std::function<void()> on_step = {});
 

@@ -2,43 +2,72 @@
 #include "firmware-host/sequence/shooter.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <thread>
 #include <utility>
+
+#include "firmware-host/sequence/probe_lattice.h"
 
 namespace stratalux::rig {
 namespace {
 
-double MeanLevel(const Image<uint16_t>& pixels) {
-  uint64_t sum = 0;
-  for (uint16_t value : pixels.pixels()) sum += value;
-  return pixels.empty() ? 0.0 : static_cast<double>(sum) / static_cast<double>(pixels.size());
+using std::chrono::nanoseconds;
+constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
+
+nanoseconds FromMs(double ms) { return nanoseconds(static_cast<int64_t>(ms * 1e6)); }
+
+// Waits with `wait` in slices until it gives something, `safe` objects or `left` has passed; takes from `left` what the
+// waiting took. A device's clock may be its own, so a wait that gave nothing counts as long as it was told to be.
+template <typename T, typename Wait>
+Result<std::optional<T>> WaitSafely(nanoseconds& left, const std::function<Status()>& safe, const Wait& wait) {
+  while (true) {
+    SLX_RETURN_IF_ERROR(safe());
+    const nanoseconds slice = std::min(left, kSlice);
+    const auto start = std::chrono::steady_clock::now();
+    SLX_ASSIGN_OR_RETURN(std::optional<T> got, wait(slice));
+    if (got) {
+      left = std::max(nanoseconds(0), left - nanoseconds(std::chrono::steady_clock::now() - start));
+      return got;
+    }
+    left -= slice;
+    if (left.count() <= 0) return got;
+  }
 }
+
+bool Near(double reported, double set, double tolerance) { return std::abs(reported - set) <= tolerance * set; }
 
 }  // namespace
 
-Shooter::Shooter(RigDevices devices, ShooterOptions options)
-    : devices_(std::move(devices)), options_(std::move(options)), pairing_(options_.frame_slack) {
-  if (!options_.wait) options_.wait = [](std::chrono::nanoseconds time) { std::this_thread::sleep_for(time); };
+Shooter::Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std::function<Status()> safe)
+    : devices_(std::move(devices)),
+      options_(std::move(options)),
+      mode_(mode),
+      safe_(std::move(safe)),
+      pairing_(options_.frame_slack) {
+  if (!options_.wait) options_.wait = [](nanoseconds time) { std::this_thread::sleep_for(time); };
 }
 
 Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
+  SLX_RETURN_IF_ERROR(safe_());
   if (step.exposure_ms != exposure_ms_) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
   }
-  SLX_ASSIGN_OR_RETURN(const TriggerReceipt step_pulse, devices_.lines.TriggerProjector(step.projector));
-  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, step_pulse));
+  if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
+  SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerProjector(step.projector));
+  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, pulse));
   Shot shot;
   if (!sync) {
     shot.fault = ShotFault::kMissingSync;
     return shot;
   }
-  options_.wait(options_.settle);
-  SLX_ASSIGN_OR_RETURN(const TriggerReceipt trigger, devices_.lines.TriggerCamera());
-  last_trigger_ = trigger.time;
-  // The bank's number may count the projectors' pulses, too; frames advance with the camera's own.
-  const TriggerReceipt camera_pulse{camera_triggers_++, trigger.time};
-  SLX_ASSIGN_OR_RETURN(shot, AwaitFrame(step, camera_pulse));
+  if (mode_ == SyncMode::kTriggered) {
+    SLX_RETURN_IF_ERROR(Settle());
+    SLX_ASSIGN_OR_RETURN(shot, TakeTriggered(step));
+  } else {
+    SLX_ASSIGN_OR_RETURN(shot, TakeFromStream(step, pulse, *sync));
+  }
   FrameRecord& r = shot.record;
   r.step = step.index;
   r.projector = step.projector;
@@ -46,20 +75,73 @@ Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
   r.pattern = step.pattern;
   r.bracket = step.bracket;
   r.retry = retry;
-  r.trigger_number = trigger.number;
-  r.trigger_time = trigger.time;
   r.sync_time = *sync;
+  return shot;
+}
+
+Status Shooter::Settle() {
+  for (nanoseconds left = options_.settle; left.count() > 0; left -= kSlice) {
+    SLX_RETURN_IF_ERROR(safe_());
+    options_.wait(std::min(left, kSlice));
+  }
+  return safe_();
+}
+
+Result<Shot> Shooter::TakeTriggered(const PlanStep& step) {
+  SLX_ASSIGN_OR_RETURN(const TriggerReceipt trigger, devices_.lines.TriggerCamera());
+  last_trigger_ = trigger.time;
+  // The bank's number may count the projectors' pulses, too; frames advance with the camera's own.
+  const TriggerReceipt camera_pulse{camera_triggers_++, trigger.time};
+  SLX_ASSIGN_OR_RETURN(
+      Shot shot, AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, [&](const CapturedFrame& frame) {
+        return pairing_.Match(camera_pulse, step.exposure_ms, frame);
+      }));
+  shot.record.trigger_number = trigger.number;
+  shot.record.trigger_time = trigger.time;
+  return shot;
+}
+
+Status Shooter::PassOverStream() {
+  constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
+    if (!frame) return Status::Ok();
+    // Each is counted and remembered; none is anybody's.
+    static_cast<void>(pairing_.MatchStream(kNever, {}, *frame));
+    static_cast<void>(rows_.ShareRepeated(frame->pixels));
+    ++transition_frames_;
+  }
+}
+
+Result<Shot> Shooter::TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync) {
+  const MonotonicNs settled = sync + options_.settle;
+  last_trigger_ = pulse.time;
+  ++camera_triggers_;
+  // Settling takes no wait of its own: the stream's frames tell when it is over.
+  SLX_ASSIGN_OR_RETURN(Shot shot,
+                       AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline,
+                                  [&](const CapturedFrame& frame) {
+                                    ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
+                                    // A new exposure reaches the stream some frames later.
+                                    if (fault == ShotFault::kNone && !HasExposure(step, frame))
+                                      fault = ShotFault::kOutOfOrder;
+                                    transition_frames_ += fault == ShotFault::kOutOfOrder;
+                                    return fault;
+                                  }));
+  shot.record.trigger_number = pulse.number;
+  shot.record.trigger_time = pulse.time;
   return shot;
 }
 
 Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const TriggerReceipt& trigger) {
   std::vector<bool> seen(devices_.projectors.size(), projector >= 0);
   if (projector >= 0) seen[projector] = false;
-  const auto deadline = std::chrono::steady_clock::now() + options_.sync_deadline;
+  nanoseconds left = options_.sync_deadline;
   MonotonicNs latest{};
   while (std::find(seen.begin(), seen.end(), false) != seen.end()) {
-    const auto left = std::max<std::chrono::nanoseconds>(deadline - std::chrono::steady_clock::now(), {});
-    SLX_ASSIGN_OR_RETURN(const std::optional<SyncEdge> edge, devices_.lines.WaitSync(left));
+    SLX_ASSIGN_OR_RETURN(
+        const std::optional<SyncEdge> edge,
+        (WaitSafely<SyncEdge>(left, safe_, [&](nanoseconds t) { return devices_.lines.WaitSync(t); })));
     if (!edge) return std::optional<MonotonicNs>();
     const bool known = edge->projector >= 0 && edge->projector < static_cast<int>(seen.size());
     if (!known || edge->time < trigger.time) continue;  // an edge of the past is not this pulse's answer
@@ -69,13 +151,13 @@ Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const Trigg
   return std::optional<MonotonicNs>(latest);
 }
 
-Result<Shot> Shooter::AwaitFrame(const PlanStep& step, const TriggerReceipt& trigger) {
-  const auto exposure = std::chrono::nanoseconds(static_cast<int64_t>(step.exposure_ms * 1e6));
-  const auto deadline = std::chrono::steady_clock::now() + exposure + options_.frame_deadline;
+Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left,
+                                 const std::function<ShotFault(const CapturedFrame&)>& match) {
   Shot shot;
   while (true) {
-    const auto left = std::max<std::chrono::nanoseconds>(deadline - std::chrono::steady_clock::now(), {});
-    SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, devices_.camera.Wait(left));
+    SLX_ASSIGN_OR_RETURN(
+        std::optional<CapturedFrame> frame,
+        (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
     if (!frame) {
       pairing_.TriggerLost();
       // A frame of the past is no answer: what was seen first stays the named cause.
@@ -83,12 +165,18 @@ Result<Shot> Shooter::AwaitFrame(const PlanStep& step, const TriggerReceipt& tri
       return shot;
     }
     SLX_RETURN_IF_ERROR(CheckFrame(*frame));
-    const ShotFault fault = pairing_.Match(trigger, step.exposure_ms, *frame);
+    // Frames that are passed over may come back as old buffers, too: all are remembered.
+    const bool repeats =
+        options_.max_repeated_rows < 1.0 && rows_.ShareRepeated(frame->pixels) > options_.max_repeated_rows;
+    const ShotFault fault = match(*frame);
     if (fault == ShotFault::kOutOfOrder || fault == ShotFault::kDoubledFrame) {
-      shot.fault = fault;
+      // In a stream, frames from before are no fault: they are the transition.
+      if (mode_ == SyncMode::kTriggered || fault == ShotFault::kDoubledFrame) shot.fault = fault;
       continue;
     }
     if (shot.fault == ShotFault::kNone) shot.fault = fault;
+    if (shot.fault == ShotFault::kNone && repeats) shot.fault = ShotFault::kRepeatedRows;
+    if (shot.fault == ShotFault::kNone && !HasExposure(step, *frame)) shot.fault = ShotFault::kWrongExposure;
     FrameRecord& r = shot.record;
     r.driver_sequence = frame->sequence;
     r.frame_time = frame->time;
@@ -100,10 +188,15 @@ Result<Shot> Shooter::AwaitFrame(const PlanStep& step, const TriggerReceipt& tri
     r.width = frame->pixels.width();
     r.height = frame->pixels.height();
     r.channels = frame->pixels.channels();
-    r.mean_dn = MeanLevel(frame->pixels);
+    r.mean_dn = MeanDn(frame->pixels);
     shot.pixels = std::move(frame->pixels);
     return shot;
   }
+}
+
+bool Shooter::HasExposure(const PlanStep& step, const CapturedFrame& frame) const {
+  return Near(frame.exposure_ms, step.exposure_ms, options_.exposure_tolerance) &&
+         Near(frame.gain, options_.gain, options_.exposure_tolerance);
 }
 
 Status Shooter::CheckFrame(const CapturedFrame& frame) {
@@ -136,6 +229,8 @@ Result<ShotFault> Shooter::Drain() {
     if (!edge) break;
     worst = ShotFault::kExtraSync;
   }
+  // A stream brings frames unasked; the next shot looks at their numbers and times.
+  if (mode_ == SyncMode::kFreeRunning) return worst;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
     if (!frame) break;

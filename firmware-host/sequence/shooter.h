@@ -1,5 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shooter: one planned step = one projector pulse, one SYNC edge, one camera pulse, one frame, each by its deadline.
+// Shooter: one planned step = one projector pulse, one SYNC edge, one frame, each by its deadline.
+//
+//   triggered      TRIGGER -> SYNC -> settle -> camera TRIGGER -> its frame, by number and time
+//   free_running   TRIGGER -> SYNC -> settle -> the first whole exposure that the streaming camera takes after that;
+//                  frames before it are the transition: looked at, counted and dropped
 #pragma once
 
 #include <chrono>
@@ -12,6 +16,7 @@
 #include "firmware-host/projector/projector.h"
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/sequence/frame_pairing.h"
+#include "firmware-host/sequence/row_memory.h"
 #include "shared/capture/frame_record.h"
 #include "shared/capture/plan.h"
 
@@ -30,6 +35,11 @@ struct ShooterOptions {
   std::chrono::nanoseconds frame_deadline = std::chrono::milliseconds(500);  // on top of the exposure
   std::chrono::nanoseconds frame_slack = std::chrono::milliseconds(20);      // of the frame's time after its trigger
   double gain = 1.0;
+  // Reported exposure and gain may differ from those set by this share (cameras count in lines).
+  double exposure_tolerance = 0.02;
+  // Rows that repeat an earlier frame's bit by bit spoil a shot beyond this share. 1: never, for a camera without noise
+  // (the simulated one, where it is told so).
+  double max_repeated_rows = 0.01;
   // How `settle` passes. The simulated rig, whose clock is its own, passes an empty wait.
   std::function<void(std::chrono::nanoseconds)> wait;
 };
@@ -43,29 +53,47 @@ struct Shot {
 
 class Shooter {
  public:
-  Shooter(RigDevices devices, ShooterOptions options);
+  // `safe` is asked before each shot and every 20 ms of waiting; its error ends the shot.
+  Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std::function<Status()> safe);
 
-  // Fails only where going on is pointless (a device error, a frame of an unknown clock or of another size); what a
-  // second try may heal is a fault.
+  // Fails only where going on is pointless (a device error, not safe, a frame of an unknown clock or of another size);
+  // what a second try may heal is a fault.
   Result<Shot> Take(const PlanStep& step, int retry);
   // Reads away what came unasked since the last shot: kDoubledFrame, kExtraSync or kOutOfOrder spoil that last shot.
   Result<ShotFault> Drain();
-  // Time of the last camera trigger, on the rig's clock.
+  // Time of the last shot's trigger, on the rig's clock.
   [[nodiscard]] MonotonicNs last_trigger() const { return last_trigger_; }
+  // Camera triggers; free running: frames asked for.
   [[nodiscard]] int64_t camera_triggers() const { return camera_triggers_; }
+  [[nodiscard]] int64_t transition_frames() const { return transition_frames_; }
+  [[nodiscard]] int64_t transition_lost() const { return pairing_.lost_in_transition(); }
 
  private:
+  // Lets `settle` pass.
+  Status Settle();
   // Waits for the SYNC edges of `projector` (-1: one of each); nullopt at the deadline.
   Result<std::optional<MonotonicNs>> AwaitSync(int projector, const TriggerReceipt& trigger);
-  Result<Shot> AwaitFrame(const PlanStep& step, const TriggerReceipt& trigger);
+  // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting.
+  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit,
+                          const std::function<ShotFault(const CapturedFrame&)>& match);
+  Result<Shot> TakeTriggered(const PlanStep& step);
+  // Reads away the frames of a stream that wait already: they are older than the shot.
+  Status PassOverStream();
+  Result<Shot> TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync);
   Status CheckFrame(const CapturedFrame& frame);
+  // As the camera reports it.
+  [[nodiscard]] bool HasExposure(const PlanStep& step, const CapturedFrame& frame) const;
 
   RigDevices devices_;
   ShooterOptions options_;
+  SyncMode mode_;
+  std::function<Status()> safe_;
   FramePairing pairing_;
+  RowMemory rows_;
   double exposure_ms_ = -1.0;  // as last set
   MonotonicNs last_trigger_;
   int64_t camera_triggers_ = 0;
+  int64_t transition_frames_ = 0;
   std::optional<CapturedFrame> first_;  // without pixels: size, format and clock every later frame must share
   int first_width_ = 0;
   int first_height_ = 0;

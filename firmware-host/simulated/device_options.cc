@@ -85,6 +85,7 @@ Result<DeviceOptions> ReadDevices(TomlTable& root) {
   timing.Get("shutter_delay_ms", devices.timing.shutter_delay_ms, 0.0, 1000.0);
   timing.Get("readout_ms", devices.timing.readout_ms, 0.0, 1000.0);
   timing.Get("jitter_us", devices.timing.jitter_us, 0.0, 1e5);
+  timing.Get("frame_period_ms", devices.timing.frame_period_ms, 0.1, 1000.0);
   return devices;
 }
 

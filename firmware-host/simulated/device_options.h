@@ -63,6 +63,8 @@ struct RigTiming {
   double shutter_delay_ms = 0.02;  // TRIGGER to exposure
   double readout_ms = 8.0;
   double jitter_us = 0.0;  // standard deviation of each of the above
+  // Of a free-running camera; at least exposure and read-out, else these set the pace.
+  double frame_period_ms = 33.3;
 };
 
 struct DeviceOptions {

@@ -13,9 +13,10 @@ namespace stratalux::rig {
 namespace {
 
 constexpr std::array<std::string_view, kFaultKinds> kNames = {
-    "frame_lost",    "frame_doubled", "frame_extra",    "frame_late",    "frame_stale",    "frame_frozen",
-    "frame_corrupt", "frame_garbled", "exposure_latch", "subject_moved", "lamp_drift",     "camera_gone",
-    "edge_lost",     "edge_doubled",  "sync_stuck",     "projector_lag", "projector_skip", "lines_gone"};
+    "frame_lost",    "frame_doubled",  "frame_extra",  "frame_late",     "frame_stale",   "frame_frozen",
+    "frame_corrupt", "frame_garbled",  "frame_torn",   "exposure_latch", "subject_moved", "lamp_drift",
+    "camera_gone",   "edge_lost",      "edge_doubled", "sync_stuck",     "projector_lag", "projector_skip",
+    "lines_gone",    "emergency_stop", "door_open"};
 
 std::string Names() {
   std::string list;
@@ -25,9 +26,10 @@ std::string Names() {
 
 // Faults that a session survives.
 std::vector<FaultKind> Survivable() {
-  return {FaultKind::kFrameLost,  FaultKind::kFrameDoubled, FaultKind::kFrameExtra,   FaultKind::kFrameLate,
-          FaultKind::kFrameStale, FaultKind::kFrameFrozen,  FaultKind::kFrameCorrupt, FaultKind::kFrameGarbled,
-          FaultKind::kEdgeLost,   FaultKind::kEdgeDoubled,  FaultKind::kProjectorLag, FaultKind::kProjectorSkip};
+  return {FaultKind::kFrameLost,    FaultKind::kFrameDoubled, FaultKind::kFrameExtra,   FaultKind::kFrameLate,
+          FaultKind::kFrameStale,   FaultKind::kFrameFrozen,  FaultKind::kFrameCorrupt, FaultKind::kFrameGarbled,
+          FaultKind::kFrameTorn,    FaultKind::kEdgeLost,     FaultKind::kEdgeDoubled,  FaultKind::kProjectorLag,
+          FaultKind::kProjectorSkip};
 }
 
 template <typename T>

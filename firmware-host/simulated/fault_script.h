@@ -23,7 +23,8 @@ enum class FaultKind {
   kFrameStale,     // the buffer of the exposure before arrives instead, with its old number and time
   kFrameFrozen,    // old pixels under the new number and time: only the picture tells
   kFrameCorrupt,   // a torn picture, flagged by the driver
-  kFrameGarbled,   // a torn picture, not flagged
+  kFrameGarbled,   // rows moved sideways from one row on, not flagged
+  kFrameTorn,      // from one row on, the rows of the frame before; not flagged
   kExposureLatch,  // a change of exposure takes effect one frame late
   kSubjectMoved,   // by `value` mm to the side, from then on (default 2)
   kLampDrift,      // the projectors' light is `value` times what it was, from then on (default 0.9)
@@ -35,8 +36,10 @@ enum class FaultKind {
   kProjectorLag,   // the pattern stays, the SYNC edge comes: one step behind from then on
   kProjectorSkip,  // two patterns on at once
   kLinesGone,      // the chip reports an error for `count` pulses
+  kEmergencyStop,  // the button is pressed after the pulse: the lines drop every ENABLE, and the interlock opens
+  kDoorOpen,       // as the door
 };
-inline constexpr int kFaultKinds = 18;
+inline constexpr int kFaultKinds = 21;
 
 [[nodiscard]] const char* ToString(FaultKind kind);  // "frame_lost", ...
 [[nodiscard]] Result<FaultKind> ParseFaultKind(const std::string& text);

@@ -2,7 +2,9 @@
 // The simulated devices: lines, projectors and camera on a clock of their own, and the faults they are told to have.
 #include "firmware-host/simulated/simulated_rig.h"
 
+#include <algorithm>
 #include <deque>
+#include <map>
 #include <mutex>
 
 #include "firmware-host/simulated/sensor.h"
@@ -26,7 +28,9 @@ struct ProjectorState {
   std::vector<Shown> timeline = {{std::nullopt, kStart}};
 };
 
-enum class Picture { kSound, kTorn, kTornAndFlagged };
+constexpr double kWholeShare = 0.98;  // of an exposure that a picture must fill to be the one shown
+
+enum class Picture { kSound, kShifted, kTorn, kShiftedAndFlagged };
 
 // A frame on its way out of the camera.
 struct PendingFrame {
@@ -35,6 +39,7 @@ struct PendingFrame {
   MonotonicNs time;
   double exposure_ms = 0.0;  // as reported
   Picture picture = Picture::kSound;
+  std::optional<Exposure> remains;  // kTorn: what its lower rows still show
   bool device_error = false;
 };
 
@@ -68,23 +73,38 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
     return injected_;
   }
 
+  ShownFrame ShownOf(int64_t sequence) const override {
+    const std::lock_guard lock(mutex_);
+    const auto found = shown_.find(sequence);
+    return found == shown_.end() ? ShownFrame() : found->second;
+  }
+
   // LineBank.
   Status SetEnable(int projector, bool on) override;
   Status AllOff() override;
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  [[nodiscard]] Interlock CheckInterlock() override { return Interlock::kClosed; }
-  Status ResetInterlock() override { return Status::Ok(); }
+  [[nodiscard]] Interlock CheckInterlock() override {
+    const std::lock_guard lock(mutex_);
+    return interlock_;
+  }
+  Status ResetInterlock() override {
+    const std::lock_guard lock(mutex_);
+    interlock_ = Interlock::kClosed;
+    return Status::Ok();
+  }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
   }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
   // FrameSource.
+  [[nodiscard]] bool follows_trigger() const override { return !options_.free_running; }
   Status Start() override {
     const std::lock_guard lock(mutex_);
     started_ = true;
+    next_frame_ = clock_;
     return Status::Ok();
   }
   Status Stop() override {
@@ -129,6 +149,15 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   void Log(const Fault& fault, int64_t number);
   [[nodiscard]] PendingFrame Expose();
   void Deliver(PendingFrame frame);
+  void SwitchAllOff();
+  // One exposure with the faults that its number has.
+  void ExposeWithFaults();
+  // Free-running: exposes what the camera took since it was last asked, up to `until`.
+  void StreamUntil(MonotonicNs until);
+  [[nodiscard]] ShownFrame TruthOf(const PendingFrame& frame) const;
+  [[nodiscard]] Image<uint16_t> Develop(const Exposure& light);
+  // Pixels more than six standard deviations of their noise apart.
+  [[nodiscard]] double ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b) const;
 
   SimulatedRigOptions options_;
   FaultScript faults_;
@@ -143,6 +172,9 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   MonotonicNs clock_ = kStart;
   int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
   bool started_ = false;
+  MonotonicNs next_frame_ = kStart;  // free-running: start of the next exposure
+  Interlock interlock_ = Interlock::kClosed;
+  std::map<int64_t, ShownFrame> shown_;  // by driver number
   double exposure_ms_ = 16.0, last_exposure_ms_ = 16.0, gain_ = 1.0;
   Eigen::Vector3d push_mm_ = Eigen::Vector3d::Zero();
   double light_ = 1.0;
@@ -171,17 +203,23 @@ Status Devices::SetEnable(int projector, bool on) {
   const std::lock_guard lock(mutex_);
   if (projector < 0 || projector >= static_cast<int>(states_.size()))
     return Status::Usage("projector " + std::to_string(projector) + " does not exist");
+  if (on && interlock_ != Interlock::kClosed)
+    return Status::Failed(std::string("simulated lines: no light, ") + ToString(interlock_));
   states_[projector].enabled = on;
   Show(states_[projector], clock_);
   return Status::Ok();
 }
 
-Status Devices::AllOff() {
-  const std::lock_guard lock(mutex_);
+void Devices::SwitchAllOff() {
   for (ProjectorState& s : states_) {
     s.enabled = false;
     Show(s, clock_);
   }
+}
+
+Status Devices::AllOff() {
+  const std::lock_guard lock(mutex_);
+  SwitchAllOff();
   return Status::Ok();
 }
 
@@ -190,6 +228,7 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
   const TriggerReceipt receipt{triggers_++, clock_};
   const int64_t pulse = pulses_++;
   int edges = 1, advance = 1;
+  Interlock opened = Interlock::kClosed;
   for (const Fault& fault : faults_.AtPulse(pulse)) {
     Log(fault, pulse);
     if (fault.kind == FaultKind::kLinesGone) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
@@ -197,6 +236,8 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
     if (fault.kind == FaultKind::kEdgeDoubled) edges = 2;
     if (fault.kind == FaultKind::kProjectorLag) advance = 0;
     if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
+    if (fault.kind == FaultKind::kEmergencyStop) opened = Interlock::kEmergencyStop;
+    if (fault.kind == FaultKind::kDoorOpen) opened = Interlock::kDoorOpen;
   }
   for (size_t p = 0; p < states_.size(); ++p) {
     if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
@@ -206,6 +247,10 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
     Show(s, light);
     for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
     if (edges == 0) ++edge_number_;  // the kernel counted it
+  }
+  if (opened != Interlock::kClosed && interlock_ == Interlock::kClosed) {
+    interlock_ = opened;
+    SwitchAllOff();
   }
   return receipt;
 }
@@ -221,14 +266,42 @@ PendingFrame Devices::Expose() {
   return frame;
 }
 
+ShownFrame Devices::TruthOf(const PendingFrame& frame) const {
+  ShownFrame truth;
+  truth.exposure = frame.light.number;
+  truth.whole = true;
+  truth.exposure_ms = frame.light.exposure_ms;
+  truth.push_mm = frame.light.push_mm;
+  truth.light = frame.light.light;
+  for (size_t p = 0; p < frame.light.timeline.size(); ++p) {
+    const std::vector<Shown>& timeline = frame.light.timeline[p];
+    const std::vector<double> shares =
+        ShareOfPictures(timeline, frame.light.start, frame.light.exposure_ms, options_.devices.ForProjector(p).lag_ms);
+    const size_t most = std::max_element(shares.begin(), shares.end()) - shares.begin();
+    double share = 0.0;  // the same picture may have been switched on twice
+    for (size_t k = 0; k < shares.size(); ++k)
+      if (timeline[k].pattern == timeline[most].pattern) share += shares[k];
+    truth.whole = truth.whole && share >= kWholeShare;
+    truth.pictures.push_back(timeline[most].pattern);
+  }
+  return truth;
+}
+
 void Devices::Deliver(PendingFrame frame) {
   last_ = frame;
+  // A driver number that comes again (a stale buffer) brings the picture it brought before.
+  shown_.try_emplace(frame.number, TruthOf(frame));
   if (started_) pending_.push_back(std::move(frame));
 }
 
 Result<TriggerReceipt> Devices::TriggerCamera() {
   const std::lock_guard lock(mutex_);
   const TriggerReceipt receipt{triggers_++, clock_};
+  if (!options_.free_running) ExposeWithFaults();
+  return receipt;
+}
+
+void Devices::ExposeWithFaults() {
   const int64_t number = exposures_++;
   const std::vector<Fault> faults = faults_.AtExposure(number);
   for (const Fault& fault : faults) {  // what changes the scene comes first
@@ -249,15 +322,30 @@ Result<TriggerReceipt> Devices::TriggerCamera() {
       frame.time = frame.time + FromMs(fault.value != 0.0 ? fault.value : kDefaultLateMs);
     if (fault.kind == FaultKind::kFrameStale && before) frame = *before;
     if (fault.kind == FaultKind::kFrameFrozen && before) frame.light = before->light;
-    if (fault.kind == FaultKind::kFrameCorrupt) frame.picture = Picture::kTornAndFlagged;
-    if (fault.kind == FaultKind::kFrameGarbled) frame.picture = Picture::kTorn;
+    if (fault.kind == FaultKind::kFrameCorrupt) frame.picture = Picture::kShiftedAndFlagged;
+    if (fault.kind == FaultKind::kFrameGarbled) frame.picture = Picture::kShifted;
+    if (fault.kind == FaultKind::kFrameTorn && before) {
+      frame.picture = Picture::kTorn;
+      frame.remains = before->light;
+    }
     if (fault.kind == FaultKind::kExposureLatch) frame.light.exposure_ms = last_exposure_ms_;
     if (fault.kind == FaultKind::kCameraGone) frame.device_error = true;
   }
   for (int k = 0; k < copies; ++k) Deliver(frame);
   if (copies == 0) last_ = frame;
   if (extra) Deliver(Expose());
-  return receipt;
+}
+
+void Devices::StreamUntil(MonotonicNs until) {
+  const MonotonicNs now = clock_;
+  const double busy_ms = exposure_ms_ + options_.devices.timing.readout_ms;
+  const auto period = FromMs(std::max(options_.devices.timing.frame_period_ms, busy_ms));
+  while (next_frame_ + FromMs(busy_ms) <= until) {
+    clock_ = next_frame_;
+    next_frame_ = next_frame_ + period;
+    ExposeWithFaults();
+  }
+  clock_ = now;
 }
 
 Result<std::optional<SyncEdge>> Devices::WaitSync(std::chrono::nanoseconds timeout) {
@@ -272,21 +360,48 @@ Result<std::optional<SyncEdge>> Devices::WaitSync(std::chrono::nanoseconds timeo
   return std::optional(edge);
 }
 
-// From a row on, what the camera read belongs to another picture.
-void Tear(Image<uint16_t>& pixels, int64_t number) {
-  Random random(0x7ea2, static_cast<uint64_t>(number));
-  const int first = static_cast<int>(random.Uniform(0.2, 0.8) * pixels.height());
-  const int shift = 2 * static_cast<int>(random.Uniform(0.1, 0.4) * pixels.width());
-  for (int y = first; y < pixels.height(); ++y)
+// Row from which on a spoilt picture is wrong.
+int FirstSpoiltRow(int64_t number, int height) {
+  return static_cast<int>(Random(0x7ea2, static_cast<uint64_t>(number)).Uniform(0.2, 0.8) * height);
+}
+
+// Bytes of a line went missing: what follows stands elsewhere.
+void ShiftRows(Image<uint16_t>& pixels, int64_t number) {
+  const double share = Random(0x7ea2, static_cast<uint64_t>(number) ^ (uint64_t{1} << 40)).Uniform(0.1, 0.4);
+  const int shift = 2 * static_cast<int>(share * pixels.width());
+  for (int y = FirstSpoiltRow(number, pixels.height()); y < pixels.height(); ++y)
     std::rotate(pixels.row(y), pixels.row(y) + shift % pixels.width(), pixels.row(y) + pixels.width());
+}
+
+Image<uint16_t> Devices::Develop(const Exposure& light) {
+  return sensor_.Expose(world_.Light(light), {light.exposure_ms, light.gain, light.number});
+}
+
+double Devices::ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b) const {
+  const CameraElectronics& e = options_.devices.camera;
+  int64_t changed = 0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    const double x = a.data()[i], y = b.data()[i];
+    const double variance = (x + y) / e.gain_e_per_dn + 2.0 * e.read_noise_dn * e.read_noise_dn;
+    changed += (x - y) * (x - y) > 36.0 * variance;
+  }
+  return static_cast<double>(changed) / static_cast<double>(a.size());
 }
 
 Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds timeout) {
   PendingFrame pending;
   {
     const std::lock_guard lock(mutex_);
+    if (options_.free_running && started_ && pending_.empty()) {
+      // Time passes to the end of the next frame, or to the deadline.
+      const auto busy = FromMs(exposure_ms_ + options_.devices.timing.readout_ms);
+      const MonotonicNs ready = next_frame_ + busy, deadline = clock_ + timeout;
+      const MonotonicNs until = std::max(clock_, std::min(ready, deadline));
+      StreamUntil(until);
+      clock_ = until;
+    }
     if (pending_.empty()) {
-      clock_ = clock_ + timeout;
+      if (!options_.free_running || !started_) clock_ = clock_ + timeout;
       return std::optional<CapturedFrame>();
     }
     pending = std::move(pending_.front());
@@ -294,16 +409,26 @@ Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds time
   }
   if (pending.device_error) return Status::Failed("simulated camera: the device is gone (ENODEV)");
   CapturedFrame frame;
-  frame.pixels = sensor_.Expose(world_.Light(pending.light),
-                                {pending.light.exposure_ms, pending.light.gain, pending.light.number});
-  if (pending.picture != Picture::kSound) Tear(frame.pixels, pending.number);
+  frame.pixels = Develop(pending.light);
+  const Image<uint16_t> sound = pending.picture != Picture::kSound ? frame.pixels : Image<uint16_t>();
+  if (pending.picture == Picture::kTorn) {
+    const Image<uint16_t> old = Develop(*pending.remains);
+    const int first = FirstSpoiltRow(pending.number, old.height());
+    std::copy(old.row(first), old.row(0) + old.size(), frame.pixels.row(first));
+  } else if (pending.picture != Picture::kSound) {
+    ShiftRows(frame.pixels, pending.number);
+  }
+  if (!sound.empty()) {
+    const std::lock_guard lock(mutex_);
+    shown_[pending.number].spoilt = ShareChanged(sound, frame.pixels);
+  }
   frame.cfa = calibration().camera.cfa;
   frame.sequence = pending.number;
   frame.time = pending.time;
   frame.clock = ClockSource::kSimulated;
   frame.exposure_ms = pending.exposure_ms;
   frame.gain = pending.light.gain;
-  frame.corrupt = pending.picture == Picture::kTornAndFlagged;
+  frame.corrupt = pending.picture == Picture::kShiftedAndFlagged;
   return std::optional(std::move(frame));
 }
 

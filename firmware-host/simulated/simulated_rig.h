@@ -3,8 +3,10 @@
 // own (ClockSource::kSimulated), so a capture runs as fast as the frames can be computed.
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,6 +30,8 @@ struct SimulatedRigOptions {
   int projector_height = 768;
   bool scattering = true;  // false: an opaque matt skin of the same albedo (ablation)
   bool noise = true;
+  // The camera streams by itself, a frame every `devices.timing.frame_period_ms`, and answers no trigger.
+  bool free_running = false;
   std::string scene = "head";  // a shape's name or a scene file (simulation_file.h)
   DeviceOptions devices;       // replaced by those of a scene file
   FaultOptions faults;         // a scene file's come on top
@@ -39,6 +43,17 @@ struct SimulatedRigOptions {
 struct TruthMap {
   std::string name;  // names in docs/simulated-rig.md
   Image<float> map;
+};
+
+// The truth of one delivered frame, which only a simulation has: tests hold a capture's proof against it.
+struct ShownFrame {
+  int64_t exposure = -1;  // number of the frame whose light it shows: its own, unless the buffer is old
+  bool whole = false;     // each projector showing one picture throughout
+  double spoilt = 0.0;    // share of the pixels that read otherwise than that picture would, beyond all noise
+  std::vector<std::optional<Pattern>> pictures;       // of each projector; nullopt: dark
+  double exposure_ms = 0.0;                           // as it was, whatever the driver reports
+  Eigen::Vector3d push_mm = Eigen::Vector3d::Zero();  // of the subject, by faults
+  double light = 1.0;                                 // of the lamps, relative, by faults
 };
 
 // Owns the scene; the devices it hands out share it and must not outlive it. Thread-safe for one thread per device.
@@ -56,6 +71,8 @@ class SimulatedRig {
   virtual void Sleep(std::chrono::nanoseconds time) = 0;
   // The faults that happened so far.
   [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
+  // What the frame of this driver number shows; of frames that were delivered.
+  [[nodiscard]] virtual ShownFrame ShownOf(int64_t sequence) const = 0;
   // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
   virtual std::vector<TruthMap> Truth(const CapturePlan& plan) = 0;
 };

@@ -77,18 +77,18 @@ class PlanBuilder {
            .shifts = o.checkerboard_shifts});
   }
 
-  // One comb cycle along `axis`, with `whites` all-white frames spread through it.
+  // One comb cycle along `axis`, with `whites` all-white frames in it: the first before it, the last after it, the
+  // others evenly between. A single one stands after it.
   void AddSweep(int projector, PatternAxis axis, int whites) {
     const PlanOptions& o = plan_.options;
     const int frames = o.comb_period / o.comb_step;
-    int whites_shown = 0;
-    for (int k = 0; k < frames; ++k) {
-      // White i stands in the middle of the i-th of `whites` equal parts of the sweep.
-      if (whites > 0 && whites_shown < whites && k == (2 * whites_shown + 1) * frames / (2 * whites)) {
+    int shown = 0;
+    for (int k = 0; k <= frames; ++k) {
+      while (shown < whites && k == (whites == 1 ? frames : shown * frames / (whites - 1))) {
         Add(projector, CapturePhase::kMotion, {.kind = PatternKind::kWhite});
-        ++whites_shown;
+        ++shown;
       }
-      for (int bracket = 0; bracket < static_cast<int>(o.brackets.size()); ++bracket)
+      for (int bracket = 0; k < frames && bracket < static_cast<int>(o.brackets.size()); ++bracket)
         Add(projector, CapturePhase::kSweep,
             {.kind = PatternKind::kComb,
              .axis = axis,

@@ -48,7 +48,7 @@ struct PlanOptions {
   int comb_period = 128;        // S, px
   int comb_step = 2;            // q <= w; a cycle adds up to w/q whites
   bool row_sweep = false;
-  int motion_whites = 4;  // whites spread through the sweep
+  int motion_whites = 4;  // whites before, during and after the sweep
   int spot_radius = 4;    // px; 0 leaves the spot frame out
   int spot_pitch = 160;   // px
   int guards = 2;         // black guard frames after each projector

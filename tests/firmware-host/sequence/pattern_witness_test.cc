@@ -47,12 +47,13 @@ class WitnessTest : public ::testing::Test {
       }
     return frame;
   }
+  void Show(const PlanStep& step, const Image<uint16_t>& frame) { witness_.Add(step, frame, MeanDn(frame)); }
   // Shows every step up to `last` as planned.
   void ShowUpTo(int last) {
     for (const PlanStep& step : plan_.steps) {
       if (step.index > last) return;
       if (step.projector != 0) continue;
-      witness_.Add(step, See(step.pattern));
+      Show(step, See(step.pattern));
       if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
       ASSERT_NE(witness_.Check(step), LevelCheck::kFailed) << step.index << " " << step.pattern.ToString();
     }
@@ -79,7 +80,7 @@ TEST_F(WitnessTest, EachWrongCombShiftBeyondItsNeighboursFails) {
   for (int wrong = 2; wrong <= 30; wrong += 4) {
     Pattern shown = first.pattern;
     shown.shift = wrong * plan_.options.comb_step;
-    witness_.Add(first, See(shown));
+    Show(first, See(shown));
     EXPECT_EQ(witness_.Check(first), LevelCheck::kFailed) << wrong;
   }
 }
@@ -87,10 +88,10 @@ TEST_F(WitnessTest, EachWrongCombShiftBeyondItsNeighboursFails) {
 TEST_F(WitnessTest, ABlackOrWhiteFrameInPlaceOfAGuardOrWhiteFails) {
   ShowUpTo(First(CapturePhase::kSweep).index - 1);
   const PlanStep& white = First(CapturePhase::kMotion);
-  witness_.Add(white, See({.kind = PatternKind::kBlack}));
+  Show(white, See({.kind = PatternKind::kBlack}));
   EXPECT_EQ(witness_.Check(white), LevelCheck::kFailed);
   const PlanStep& guard = First(CapturePhase::kGuard);
-  witness_.Add(guard, See({.kind = PatternKind::kWhite}));
+  Show(guard, See({.kind = PatternKind::kWhite}));
   EXPECT_EQ(witness_.Check(guard), LevelCheck::kFailed);
 }
 
@@ -99,14 +100,14 @@ TEST_F(WitnessTest, SwappedBitsBreakTheSumWithTheInverse) {
   ShowUpTo(bit.index - 1);
   Pattern shown = bit.pattern;
   shown.bit += 1;
-  witness_.Add(bit, See(shown));
+  Show(bit, See(shown));
   const PlanStep& inverse = plan_.steps[bit.index + 1];
-  witness_.Add(inverse, See(inverse.pattern));
+  Show(inverse, See(inverse.pattern));
   EXPECT_EQ(witness_.Check(inverse), LevelCheck::kFailed);
 }
 
 TEST_F(WitnessTest, ADarkSceneHasNoReference) {
-  for (int skip : {0, 1}) witness_.Add(First(CapturePhase::kReference, skip), See({.kind = PatternKind::kBlack}));
+  for (int skip : {0, 1}) Show(First(CapturePhase::kReference, skip), See({.kind = PatternKind::kBlack}));
   EXPECT_EQ(witness_.Check(First(CapturePhase::kReference, 1)), LevelCheck::kFailed);
 }
 
@@ -114,7 +115,7 @@ TEST_F(WitnessTest, ADimmerSweepDoesNotAddUp) {
   const PlanStep& first = First(CapturePhase::kSweep);
   ShowUpTo(first.index - 1);
   for (const PlanStep& step : plan_.steps)
-    if (step.phase == CapturePhase::kSweep) witness_.Add(step, See(step.pattern, 0.8));
+    if (step.phase == CapturePhase::kSweep) Show(step, See(step.pattern, 0.8));
   ASSERT_EQ(witness_.CheckProjector().size(), 1U);
   EXPECT_NE(witness_.CheckProjector()[0].find("adds up to 8"), std::string::npos) << witness_.CheckProjector()[0];
 }

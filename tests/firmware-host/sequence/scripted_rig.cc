@@ -4,12 +4,15 @@
 #include <algorithm>
 #include <cmath>
 
+#include "shared/base/random.h"
+
 namespace stratalux::rig {
 namespace {
 constexpr int kCameraWidth = 160;
 constexpr int kCameraHeight = 120;
 constexpr double kBlackDn = 64.0;
 constexpr double kWhiteDn = 1500.0;  // per projector, at albedo 1
+constexpr double kNoiseDn = 1.0;
 }  // namespace
 
 class ScriptedLines : public LineBank {
@@ -52,7 +55,7 @@ class ScriptedLines : public LineBank {
     rig_.now_ = std::max(rig_.now_, edge.time);
     return std::optional<SyncEdge>(edge);
   }
-  [[nodiscard]] Interlock CheckInterlock() override { return Interlock::kClosed; }
+  [[nodiscard]] Interlock CheckInterlock() override { return rig_.interlock; }
   Status ResetInterlock() override { return Status::Ok(); }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
@@ -168,8 +171,10 @@ Image<uint16_t> ScriptedRig::Expose() const {
       }
   }
   Image<uint16_t> frame(kCameraWidth, kCameraHeight);
+  Random noise(7, static_cast<uint64_t>(camera_triggers));
   for (size_t i = 0; i < frame.size(); ++i)
-    frame.data()[i] = static_cast<uint16_t>(std::min(4095.0, std::round(kBlackDn + sum.data()[i])));
+    frame.data()[i] = static_cast<uint16_t>(
+        std::clamp(std::round(kBlackDn + sum.data()[i] + kNoiseDn * noise.Normal()), 0.0, 4095.0));
   return frame;
 }
 

@@ -3,6 +3,7 @@
 // Projectors step a real pattern memory, the camera sees a tilted scene with a blurred, partly global response.
 #pragma once
 
+#include <atomic>
 #include <deque>
 #include <map>
 #include <memory>
@@ -44,15 +45,18 @@ class ScriptedRig {
   double lamp_drift = 0.0;  // relative change of all light per camera trigger
   int64_t camera_dead_from = -1;
   ClockSource clock = ClockSource::kSimulated;
+  Interlock interlock = Interlock::kClosed;
   std::function<void(int64_t trigger)> on_camera_trigger;
 
   // What the lines did.
-  std::set<int> lit;       // projectors whose ENABLE is on
-  std::set<int> ever_lit;  // since the start
-  int all_off_calls = 0;
+  std::set<int> lit;                   // projectors whose ENABLE is on
+  std::set<int> ever_lit;              // since the start
+  std::atomic<int> all_off_calls = 0;  // by the watchdog's thread, too
   int loads = 0;
   int64_t camera_triggers = 0;
   bool camera_running = false;
+
+  [[nodiscard]] int64_t PulsesOf(int projector) const { return memories_[projector].pulses; }
 
  private:
   friend class ScriptedLines;

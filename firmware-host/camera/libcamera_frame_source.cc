@@ -1,0 +1,486 @@
+// SPDX-License-Identifier: Apache-2.0
+// Written against libcamera 0.0.3 (Debian 12); of later versions only what they kept is used.
+#include "firmware-host/camera/libcamera_frame_source.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <condition_variable>
+#include <cstring>
+#include <ctime>
+#include <deque>
+#include <functional>
+#include <future>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <span>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <libcamera/libcamera.h>
+#include <sys/mman.h>
+
+#include "firmware-host/camera/frame_stream.h"
+#include "firmware-host/camera/raw_unpack.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr auto kPatience = std::chrono::seconds(5);  // for a call into libcamera that waits for the device
+constexpr auto kSilence = std::chrono::seconds(5);   // of waiting in vain until a camera counts as failed
+
+// libcamera ends the process at a second manager; set while there is one, for ever once one was left behind.
+std::atomic<bool> manager_in_use = false;
+
+// A raw format by libcamera's name; `green_of_bgr`: no raw format at all.
+struct StreamFormat {
+  RawFormat raw;
+  bool green_of_bgr = false;
+};
+
+std::optional<StreamFormat> FormatOf(const std::string& name) {
+  using enum RawPacking;
+  static const std::map<std::string, Cfa> kMosaics = {
+      {"SBGGR", Cfa::kBggr}, {"SGBRG", Cfa::kGbrg}, {"SGRBG", Cfa::kGrbg}, {"SRGGB", Cfa::kRggb}, {"R", Cfa::kMono}};
+  static const std::map<std::string, std::pair<int, RawPacking>> kDepths = {
+      {"8", {8, kBytes}},   {"10", {10, kWords}},        {"12", {12, kWords}},
+      {"16", {16, kWords}}, {"10_CSI2P", {10, kMipi10}}, {"12_CSI2P", {12, kMipi12}}};
+  if (name == "BGR888") return StreamFormat{.raw = {8, kBytes, Cfa::kMono}, .green_of_bgr = true};
+  const size_t digits = name.find_first_of("0123456789");
+  if (digits == std::string::npos) return std::nullopt;
+  const auto mosaic = kMosaics.find(name.substr(0, digits));
+  const auto depth = kDepths.find(name.substr(digits));
+  if (mosaic == kMosaics.end() || depth == kDepths.end()) return std::nullopt;
+  return StreamFormat{.raw = {depth->second.first, depth->second.second, mosaic->second}};
+}
+
+// CLOCK_BOOTTIME, which sensor stamps are on, runs ahead of CLOCK_MONOTONIC by the time the machine was suspended.
+std::chrono::nanoseconds TimeSuspended() {
+  timespec boot{}, monotonic{};
+  clock_gettime(CLOCK_BOOTTIME, &boot);
+  clock_gettime(CLOCK_MONOTONIC, &monotonic);
+  const int64_t ns = (boot.tv_sec - monotonic.tv_sec) * 1'000'000'000LL + boot.tv_nsec - monotonic.tv_nsec;
+  return std::chrono::nanoseconds(ns > 1'000'000 ? ns : 0);  // less is the time between the two calls
+}
+
+// A buffer's first plane, mapped for reading.
+class Mapping {
+ public:
+  Mapping(const libcamera::FrameBuffer& buffer) {  // NOLINT(google-explicit-constructor): lives in a map of buffers
+    const libcamera::FrameBuffer::Plane& plane = buffer.planes()[0];
+    size_ = plane.offset + plane.length;
+    offset_ = plane.offset;
+    address_ = mmap(nullptr, size_, PROT_READ, MAP_SHARED, plane.fd.get(), 0);
+  }
+  ~Mapping() {
+    if (address_ != MAP_FAILED) munmap(address_, size_);
+  }
+  Mapping(const Mapping&) = delete;
+  Mapping& operator=(const Mapping&) = delete;
+  [[nodiscard]] bool ok() const { return address_ != MAP_FAILED; }
+  [[nodiscard]] std::span<const uint8_t> bytes() const {
+    return std::span(static_cast<const uint8_t*>(address_), size_).subspan(offset_);
+  }
+
+ private:
+  void* address_;
+  size_t size_, offset_;
+};
+
+// All that libcamera holds and calls; a call that hangs shares it, so that it outlives a source that went.
+class Session {
+ public:
+  Session() = default;
+  ~Session() { TearDown(); }
+  Session(const Session&) = delete;
+  Session& operator=(const Session&) = delete;
+
+  Status Open(const CameraWiring& wiring);
+  Status Start(const libcamera::ControlList& controls);
+  Status Stop();
+  void TearDown();
+
+  // The next request that completed; nullptr at the deadline.
+  libcamera::Request* Take(std::chrono::nanoseconds timeout) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, timeout, [this] { return !completed_.empty() || gone_; });
+    if (completed_.empty()) return nullptr;
+    libcamera::Request* request = completed_.front();
+    completed_.pop_front();
+    return request;
+  }
+  [[nodiscard]] bool gone() const {
+    const std::lock_guard lock(mutex_);
+    return gone_;
+  }
+  [[nodiscard]] const Mapping& MappingOf(const libcamera::FrameBuffer* buffer) const { return mappings_.at(buffer); }
+  [[nodiscard]] libcamera::FrameBuffer* BufferOf(libcamera::Request* request) const {
+    return request->findBuffer(stream_);
+  }
+  [[nodiscard]] Status Queue(libcamera::Request* request) const {
+    return camera_->queueRequest(request) == 0 ? Status::Ok() : Status::Failed(name_ + ": a request was refused");
+  }
+  [[nodiscard]] bool Has(const libcamera::ControlId& control) const {
+    return camera_->controls().find(control.id()) != camera_->controls().end();
+  }
+
+  [[nodiscard]] const std::string& name() const { return name_; }
+  [[nodiscard]] const StreamFormat& format() const { return format_; }
+  [[nodiscard]] size_t stride() const { return stride_; }
+
+ private:
+  Status Acquire(const std::string& id);
+  Status Configure(const CameraWiring& wiring);
+  Status MakeRequests();
+  // On a thread of libcamera's.
+  void OnCompleted(libcamera::Request* request) {
+    const std::lock_guard lock(mutex_);
+    completed_.push_back(request);
+    changed_.notify_all();
+  }
+  void OnGone() {
+    const std::lock_guard lock(mutex_);
+    gone_ = true;
+    changed_.notify_all();
+  }
+
+  std::unique_ptr<libcamera::CameraManager> manager_;
+  std::shared_ptr<libcamera::Camera> camera_;
+  std::string name_;
+  std::unique_ptr<libcamera::CameraConfiguration> configuration_;
+  libcamera::Stream* stream_ = nullptr;
+  StreamFormat format_;
+  size_t stride_ = 0;
+  std::unique_ptr<libcamera::FrameBufferAllocator> allocator_;
+  std::map<const libcamera::FrameBuffer*, Mapping> mappings_;
+  std::vector<std::unique_ptr<libcamera::Request>> requests_;
+  bool running_ = false;
+
+  mutable std::mutex mutex_;  // guards what follows
+  std::condition_variable changed_;
+  std::deque<libcamera::Request*> completed_;
+  bool gone_ = false;
+};
+
+Status Session::Open(const CameraWiring& wiring) {
+  manager_ = std::make_unique<libcamera::CameraManager>();
+  if (const int error = manager_->start(); error != 0)
+    return Status::Failed(std::string("libcamera does not start: ") + std::strerror(-error));
+  SLX_RETURN_IF_ERROR(Acquire(wiring.device));
+  SLX_RETURN_IF_ERROR(Configure(wiring));
+  return MakeRequests();
+}
+
+Status Session::Acquire(const std::string& id) {
+  std::string seen;
+  for (const std::shared_ptr<libcamera::Camera>& camera : manager_->cameras()) {
+    seen += (seen.empty() ? "'" : ", '") + camera->id() + "'";
+    if (id.empty() && camera_ != nullptr)
+      return Status::Usage("[camera]: libcamera has several cameras; name one as `device`: " + seen);
+    if (id.empty() || camera->id() == id) camera_ = camera;
+  }
+  if (!camera_)
+    return Status::NotFound("[camera]: libcamera has no camera '" + id +
+                            "'; there are: " + (seen.empty() ? "none" : seen));
+  name_ = camera_->id();
+  if (camera_->acquire() != 0) {
+    camera_.reset();
+    return Status::Busy(name_ + ": another program uses this camera");
+  }
+  camera_->requestCompleted.connect(this, &Session::OnCompleted);
+  camera_->disconnected.connect(this, &Session::OnGone);
+  return Status::Ok();
+}
+
+Status Session::Configure(const CameraWiring& wiring) {
+  configuration_ = camera_->generateConfiguration({libcamera::StreamRole::Raw});
+  if (!configuration_ || configuration_->empty()) return Status::Usage(name_ + ": this camera has no raw stream");
+  libcamera::StreamConfiguration& stream = configuration_->at(0);
+  std::string offered;
+  std::optional<libcamera::PixelFormat> best;
+  int best_bits = 0;
+  for (const libcamera::PixelFormat& format : stream.formats().pixelformats()) {
+    const std::string name = format.toString();
+    const std::optional<StreamFormat> known = FormatOf(name);
+    if (!known) continue;
+    offered += (offered.empty() ? "" : ", ") + name;
+    if (wiring.format.empty() ? known->green_of_bgr || known->raw.bits <= best_bits : name != wiring.format) continue;
+    best = format;
+    best_bits = known->raw.bits;
+  }
+  if (!best)
+    return Status::Usage(name_ + ": [camera] format '" + wiring.format + "' is not offered; formats of this camera: " +
+                         (offered.empty() ? "none that is raw" : offered));
+  stream.pixelFormat = *best;
+  stream.size = {static_cast<unsigned>(wiring.width), static_cast<unsigned>(wiring.height)};
+  stream.bufferCount = static_cast<unsigned>(wiring.buffers);
+  const libcamera::CameraConfiguration::Status valid = configuration_->validate();
+  const bool as_asked = stream.pixelFormat == *best && static_cast<int>(stream.size.width) == wiring.width &&
+                        static_cast<int>(stream.size.height) == wiring.height;
+  if (valid == libcamera::CameraConfiguration::Invalid || !as_asked)
+    return Status::Usage(name_ + ": [camera] asks for " + std::to_string(wiring.width) + "x" +
+                         std::to_string(wiring.height) + " " + best->toString() + ", the camera offers " +
+                         stream.toString() + "; set width, height and format to what it has");
+  if (camera_->configure(configuration_.get()) != 0) return Status::Failed(name_ + ": the format was refused");
+  stream_ = stream.stream();
+  format_ = *FormatOf(best->toString());
+  stride_ = stream.stride;
+  return Status::Ok();
+}
+
+Status Session::MakeRequests() {
+  allocator_ = std::make_unique<libcamera::FrameBufferAllocator>(camera_);
+  if (allocator_->allocate(stream_) < 0) return Status::Failed(name_ + ": no buffers");
+  for (const std::unique_ptr<libcamera::FrameBuffer>& buffer : allocator_->buffers(stream_)) {
+    const auto [mapping, added] = mappings_.emplace(buffer.get(), *buffer);
+    if (!mapping->second.ok()) return Status::Failed(name_ + ": a buffer cannot be mapped: " + std::strerror(errno));
+    std::unique_ptr<libcamera::Request> request = camera_->createRequest();
+    if (!request || request->addBuffer(stream_, buffer.get()) != 0) return Status::Failed(name_ + ": no requests");
+    requests_.push_back(std::move(request));
+  }
+  return Status::Ok();
+}
+
+Status Session::Start(const libcamera::ControlList& controls) {
+  if (camera_->start(&controls) != 0) return Status::Failed(name_ + ": streaming does not start");
+  running_ = true;
+  for (const std::unique_ptr<libcamera::Request>& request : requests_) {
+    request->reuse(libcamera::Request::ReuseBuffers);
+    request->controls().merge(controls);
+    SLX_RETURN_IF_ERROR(Queue(request.get()));
+  }
+  return Status::Ok();
+}
+
+Status Session::Stop() {
+  if (!running_) return Status::Ok();
+  running_ = false;
+  const int error = camera_->stop();  // completes what is queued as cancelled
+  const std::lock_guard lock(mutex_);
+  completed_.clear();
+  return error == 0 ? Status::Ok() : Status::Failed(name_ + ": streaming does not stop");
+}
+
+void Session::TearDown() {
+  if (!manager_) return;
+  if (camera_) {
+    static_cast<void>(Stop());
+    camera_->requestCompleted.disconnect(this);
+    camera_->disconnected.disconnect(this);
+    requests_.clear();
+    mappings_.clear();
+    allocator_.reset();
+    camera_->release();
+    camera_.reset();
+  }
+  manager_->stop();
+  manager_.reset();
+  manager_in_use = false;
+}
+
+class Camera final : public FrameSource {
+ public:
+  Camera(CameraWiring wiring, Logger& logger) : wiring_(std::move(wiring)), logger_(logger) {}
+  ~Camera() override {
+    if (session_)
+      static_cast<void>(Within("closing", [](Session& s) {
+        s.TearDown();
+        return Status::Ok();
+      }));
+  }
+  Camera(const Camera&) = delete;
+  Camera& operator=(const Camera&) = delete;
+
+  Status Open() {
+    session_ = std::make_shared<Session>();
+    return Within("opening", [wiring = wiring_](Session& s) { return s.Open(wiring); });
+  }
+  [[nodiscard]] bool follows_trigger() const override { return wiring_.pace == CameraPace::kTriggered; }
+  Status Start() override {
+    if (started_) return Status::Ok();
+    SLX_RETURN_IF_ERROR(Within("starting", [controls = Controls()](Session& s) { return s.Start(controls); }));
+    started_ = true;
+    failures_ = 0;
+    waited_ = {};
+    return Status::Ok();
+  }
+  Status Stop() override {
+    if (!started_) return Status::Ok();
+    started_ = false;
+    stream_.Reopened();
+    return Within("stopping", [](Session& s) { return s.Stop(); });
+  }
+  Status SetExposure(double exposure_ms, double gain) override;
+  Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds timeout) override;
+
+ private:
+  // Runs a call that may block on a thread of its own, for kPatience.
+  Status Within(const std::string& what, std::function<Status(Session&)> call);
+  // Leaves the session behind, threads and all; `why` is what every later call says.
+  Status GiveUp(const std::string& why);
+  [[nodiscard]] libcamera::ControlList Controls() const;
+  CapturedFrame FrameOf(libcamera::Request& request, const libcamera::FrameBuffer& buffer);
+  void SetTime(libcamera::Request& request, const libcamera::FrameBuffer& buffer, CapturedFrame& frame);
+  Image<uint16_t> PixelsOf(const libcamera::FrameBuffer& buffer, CapturedFrame& frame);
+
+  CameraWiring wiring_;
+  Logger& logger_;
+  std::shared_ptr<Session> session_;  // null: given up
+  std::string why_;
+  bool started_ = false;
+  double exposure_ms_ = 0.0, gain_ = 1.0;  // as asked for; 0: not yet
+  FrameStream stream_;
+  int failures_ = 0;                    // requests that brought no picture, in a row
+  std::chrono::nanoseconds waited_{0};  // in vain, since the last frame
+};
+
+Status Camera::Within(const std::string& what, std::function<Status(Session&)> call) {
+  if (!session_) return Status::Failed(why_);
+  auto task = std::make_shared<std::packaged_task<Status()>>(
+      [session = session_, call = std::move(call)] { return call(*session); });
+  std::future<Status> done = task->get_future();
+  std::thread([task]() mutable {
+    (*task)();
+    task.reset();
+  }).detach();
+  if (done.wait_for(kPatience) == std::future_status::ready) return done.get();
+  return GiveUp("camera: " + what + " hangs inside libcamera");
+}
+
+Status Camera::GiveUp(const std::string& why) {
+  // Never destroyed: libcamera 0.0.3 aborts where it has to stop a camera that is gone.
+  static std::shared_ptr<Session>& left_behind = *new std::shared_ptr<Session>;
+  left_behind = std::exchange(session_, nullptr);
+  why_ = why + "; check the camera and its cable, reload its driver if need be, and start the program anew";
+  return Status::Failed(why_);
+}
+
+libcamera::ControlList Camera::Controls() const {
+  libcamera::ControlList controls(libcamera::controls::controls);
+  if (!session_ || exposure_ms_ == 0.0) return controls;
+  if (session_->Has(libcamera::controls::AeEnable)) controls.set(libcamera::controls::AeEnable, false);
+  if (session_->Has(libcamera::controls::ExposureTime))
+    controls.set(libcamera::controls::ExposureTime, static_cast<int32_t>(std::lround(1e3 * exposure_ms_)));
+  if (session_->Has(libcamera::controls::AnalogueGain))
+    controls.set(libcamera::controls::AnalogueGain, static_cast<float>(gain_));
+  return controls;
+}
+
+Status Camera::SetExposure(double exposure_ms, double gain) {
+  if (!session_) return Status::Failed(why_);
+  if (!session_->Has(libcamera::controls::ExposureTime) && std::abs(exposure_ms - wiring_.fixed_exposure_ms) > 1e-6)
+    return Status::Usage(session_->name() + ": an exposure of " + std::to_string(exposure_ms) +
+                         " ms is asked for, but this camera's cannot be set, and [camera] fixed_exposure_ms is " +
+                         std::to_string(wiring_.fixed_exposure_ms));
+  if (!session_->Has(libcamera::controls::AnalogueGain) && gain != 1.0)
+    return Status::Usage(session_->name() + ": gain " + std::to_string(gain) +
+                         " is asked for, but this camera has none");
+  exposure_ms_ = exposure_ms;
+  gain_ = gain;
+  return Status::Ok();
+}
+
+Result<std::optional<CapturedFrame>> Camera::Wait(std::chrono::nanoseconds timeout) {
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  while (true) {
+    if (!session_) return Status::Failed(why_);
+    if (!started_) return Status::Failed(session_->name() + ": asked for a frame before Start");
+    const auto left = std::max<std::chrono::nanoseconds>(deadline - std::chrono::steady_clock::now(), {});
+    libcamera::Request* request = session_->Take(left);
+    if (request == nullptr) {
+      waited_ += left;
+      if (session_->gone()) return GiveUp(session_->name() + ": the camera was unplugged");
+      if (waited_ > kSilence) return GiveUp(session_->name() + ": no frame in 5 s of waiting");
+      return std::optional<CapturedFrame>();
+    }
+    waited_ = {};
+    const libcamera::FrameBuffer& buffer = *session_->BufferOf(request);
+    std::optional<CapturedFrame> frame;
+    if (buffer.metadata().status == libcamera::FrameMetadata::FrameCancelled) {
+      if (++failures_ > wiring_.buffers)
+        return GiveUp(session_->name() + ": " + std::to_string(failures_) + " requests in a row failed");
+    } else {
+      failures_ = 0;
+      frame = FrameOf(*request, buffer);
+    }
+    request->reuse(libcamera::Request::ReuseBuffers);
+    request->controls().merge(Controls());
+    SLX_RETURN_IF_ERROR(session_->Queue(request));
+    if (frame) return frame;
+  }
+}
+
+CapturedFrame Camera::FrameOf(libcamera::Request& request, const libcamera::FrameBuffer& buffer) {
+  CapturedFrame frame;
+  frame.format = session_->format().raw.pixel_format();
+  frame.cfa = session_->format().raw.cfa;
+  frame.sequence = stream_.Number(buffer.metadata().sequence);
+  frame.corrupt = buffer.metadata().status != libcamera::FrameMetadata::FrameSuccess;
+  const libcamera::ControlList &reported = request.metadata(), &asked = request.controls();
+  auto value = [&](const auto& control, double fixed) {
+    if (const auto v = reported.get(control)) return static_cast<double>(*v);
+    if (const auto v = asked.get(control)) return static_cast<double>(*v);
+    return fixed;
+  };
+  frame.exposure_ms = 1e-3 * value(libcamera::controls::ExposureTime, 1e3 * wiring_.fixed_exposure_ms);
+  frame.gain = value(libcamera::controls::AnalogueGain, 1.0);
+  SetTime(request, buffer, frame);
+  frame.pixels = PixelsOf(buffer, frame);
+  return frame;
+}
+
+void Camera::SetTime(libcamera::Request& request, const libcamera::FrameBuffer& buffer, CapturedFrame& frame) {
+  MonotonicNs stamp{static_cast<int64_t>(buffer.metadata().timestamp)};
+  const auto sensor = request.metadata().get(libcamera::controls::SensorTimestamp);
+  if (sensor) {
+    stamp = MonotonicNs{*sensor} + -TimeSuspended();
+    frame.time = stamp;
+  } else {
+    const double before_stamp_ms = wiring_.readout_ms + frame.exposure_ms;
+    frame.time = stamp + std::chrono::nanoseconds(-static_cast<int64_t>(1e6 * before_stamp_ms));
+  }
+  frame.clock = stamp.ns > 0 ? ClockSource::kMonotonic : ClockSource::kUnknown;
+  if (frame.clock == ClockSource::kMonotonic && !stream_.StampFits(stamp, MonotonicNow())) {
+    frame.corrupt = true;
+    logger_.Warning(session_->name() + ": frame " + std::to_string(frame.sequence) + " is stamped " +
+                    std::to_string(1e-9 * static_cast<double>(stamp.ns)) + " s, outside the stream");
+  }
+}
+
+Image<uint16_t> Camera::PixelsOf(const libcamera::FrameBuffer& buffer, CapturedFrame& frame) {
+  const std::span<const uint8_t> mapped = session_->MappingOf(&buffer).bytes();
+  const size_t used = std::min<size_t>(mapped.size(), buffer.metadata().planes()[0].bytesused);
+  if (session_->format().green_of_bgr) {
+    Image<uint16_t> green(wiring_.width, wiring_.height);
+    if (used >= session_->stride() * static_cast<size_t>(wiring_.height)) {
+      for (int y = 0; y < wiring_.height; ++y)
+        for (int x = 0; x < wiring_.width; ++x)
+          green(x, y) = static_cast<uint16_t>(mapped[y * session_->stride() + 3U * x + 1] << 4U);
+      return green;
+    }
+    frame.corrupt = true;
+    return green;
+  }
+  Result<Image<uint16_t>> pixels =
+      UnpackRaw(mapped.first(used), session_->format().raw, wiring_.width, wiring_.height, session_->stride());
+  if (pixels.ok()) return std::move(pixels).value();
+  if (!frame.corrupt)
+    logger_.Warning(session_->name() + ": frame " + std::to_string(frame.sequence) + ": " + pixels.status().message());
+  frame.corrupt = true;
+  return {wiring_.width, wiring_.height};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiring& wiring, Logger& logger) {
+  if (manager_in_use.exchange(true))
+    return Status::Busy("camera: this process has a camera of libcamera already, or one hung; start the program anew");
+  auto camera = std::make_unique<Camera>(wiring, logger);
+  SLX_RETURN_IF_ERROR(camera->Open());
+  return std::unique_ptr<FrameSource>(std::move(camera));
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// LibcameraFrameSource: a camera that Linux drives through libcamera, as most on a single-board computer's ribbon
+// cable.
+//
+//   number  the buffer's sequence, carried over its 32-bit wrap
+//   time    start of exposure on CLOCK_MONOTONIC: the sensor time stamp where the camera gives one, else the buffer's
+//           stamp - readout - exposure
+//   values  exposure and gain as the frame's metadata report them; a camera without these controls has
+//           [camera] fixed_exposure_ms and gain 1; one that takes them and reports nothing, what its request asked for
+//   pixels  raw stream, as UnpackRaw gives it. BGR888 only if [camera] format names it: the green channel, 8 bits moved
+//           to the upper ones of 12. Such pictures are processed (no linear light): for trying things out alone
+//
+// Where a device fails, libcamera can wait for ever, and 0.0.3 ends the process when it is asked to stop. So every call
+// into it that may block has a deadline, and 5 s of waiting in vain for frames count as a failure. A camera that failed
+// is left behind as it is: each further call says so, and this process can open no other.
+#pragma once
+
+#include <memory>
+
+#include "firmware-host/camera/camera_wiring.h"
+#include "firmware-host/camera/frame_source.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+class LibcameraFrameSource {
+ public:
+  // [camera] device is the camera's id as `cam -l` lists it; empty where there is but one. kNotFound: no such camera;
+  // kUsage: it lacks that format or size, or this program was built without libcamera; kBusy: another program has it,
+  // or this process already has one. Thread-bound.
+  static Result<std::unique_ptr<FrameSource>> Open(const CameraWiring& wiring, Logger& logger);
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// What must add up over all frames of a projector, and over all projectors.
+#include <Eigen/Dense>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+
+#include "firmware-host/sequence/pattern_witness.h"
+
+namespace stratalux::rig {
+namespace {
+
+std::string Percent(double fraction) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.1f %%", 100.0 * fraction);
+  return text;
+}
+
+}  // namespace
+
+std::vector<std::string> PatternWitness::CheckProjector() {
+  std::vector<std::string> reasons;
+  if (lit_.empty()) return reasons;
+  const std::string name = "projector " + std::to_string(projector_);
+  std::vector<float>& contrast = contrast_[projector_];
+  contrast.assign(white_.probes.size(), std::numeric_limits<float>::quiet_NaN());
+  for (size_t i = 0; i < contrast.size(); ++i)
+    if (white_.probes[i] < options_.saturation_dn)
+      contrast[i] = static_cast<float>(white_.probes[i]) - static_cast<float>(black_.probes[i]);
+  for (int i : StepsOf(CapturePhase::kMotion)) {
+    const Frame* white = Find(i);
+    if (white == nullptr || white->testimony != Testimony::kRefutes) continue;
+    const double mean = MeanLevel(white->probes);
+    if (std::abs(mean - 1.0) > options_.steady_tolerance)
+      reasons.push_back(name + ": white of step " + std::to_string(i) + " has " + Percent(mean) +
+                        " of the reference's light; the lamp changed, or something stands in its way");
+    else
+      reasons.push_back(name + ": white of step " + std::to_string(i) + " differs from the reference by " +
+                        Percent(StillnessOf(white->probes)) + "; the visitor moved");
+    break;
+  }
+  // The mean black over reference and guards: a whole cycle takes it off period / step times.
+  double black = 0.0;
+  int blacks = 0;
+  for (CapturePhase phase : {CapturePhase::kReference, CapturePhase::kGuard})
+    for (int i : StepsOf(phase))
+      if (plan_.steps[i].pattern.kind == PatternKind::kBlack && Find(i) != nullptr) {
+        black += MeanLevel(Find(i)->probes);
+        ++blacks;
+      }
+  if (blacks > 0) black /= blacks;
+  const PlanOptions& o = plan_.options;
+  for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+    double sum = 0.0;
+    int count = 0;
+    for (int i : StepsOf(CapturePhase::kSweep)) {
+      const PlanStep& step = plan_.steps[i];
+      if (step.pattern.axis != axis || step.bracket != 0 || step.exposure_ms != o.exposure_ms) continue;
+      if (Find(i) == nullptr) continue;
+      sum += MeanLevel(Find(i)->probes) - black;
+      ++count;
+    }
+    if (count == 0 || count != o.comb_period / o.comb_step) continue;
+    const double whites = sum * o.comb_step / o.comb_width / (1.0 - black);
+    if (std::abs(whites - 1.0) > options_.steady_tolerance)
+      reasons.push_back(name + ": the comb cycle adds up to " + Percent(whites) +
+                        " of white; the visitor moved, the light drifted or frames are mixed up");
+  }
+  return reasons;
+}
+
+std::vector<std::string> PatternWitness::CheckSession() const {
+  // P_W - P_B = sum_p g_p (W_p - B_p): the pre-roll shows all projectors at once. Least squares over the probes gives
+  // g_p, which is 1 where lamp p is as it was, and a rest that vanishes where the visitor is.
+  const auto projectors = static_cast<Eigen::Index>(contrast_.size());
+  if (projectors == 0 || projectors != plan_.options.projectors || preroll_white_.empty() || preroll_black_.empty())
+    return {};
+  Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(projectors, projectors);
+  Eigen::VectorXd right = Eigen::VectorXd::Zero(projectors), row(projectors);
+  double all = 0.0, noise = 0.0;
+  int probes = 0;
+  for (size_t i = 0; i < preroll_white_.size(); ++i) {
+    Eigen::Index p = 0;
+    for (const auto& [projector, contrast] : contrast_) row[p++] = contrast[i];
+    const double sum = preroll_white_[i] - preroll_black_[i];
+    if (preroll_white_[i] >= options_.saturation_dn || !row.allFinite() || sum < options_.min_contrast_dn) continue;
+    normal += row * row.transpose();
+    right += row * sum;
+    all += sum * sum;
+    noise += VarianceDn(preroll_white_[i]) * (1.0 + 1.0 / preroll_whites_) +
+             static_cast<double>(projectors + 1) * VarianceDn(preroll_black_[i]);
+    ++probes;
+  }
+  if (probes < options_.min_lit_probes) return {};
+  const Eigen::LDLT<Eigen::MatrixXd> solver(normal);
+  const Eigen::VectorXd gain = solver.solve(right);
+  const double rest = std::sqrt(std::max(0.0, all - right.dot(gain) - noise) / all);
+  if (rest > options_.still_tolerance)  // no gain means anything then
+    return {"the projectors' whites and the pre-roll, which shows them all, differ by " + Percent(rest) +
+            "; the visitor moved between projectors"};
+  std::vector<std::string> reasons;
+  // Of each gain's own uncertainty: alike pictures of two projectors are told apart badly.
+  const Eigen::MatrixXd covariance = solver.solve(Eigen::MatrixXd::Identity(projectors, projectors));
+  Eigen::Index p = 0;
+  for (const auto& [projector, contrast] : contrast_) {
+    const double deviation = std::sqrt(std::max(0.0, covariance(p, p)) * noise / probes);
+    if (std::abs(gain[p] - 1.0) > options_.steady_tolerance + 4.0 * deviation)
+      reasons.push_back("projector " + std::to_string(projector) + ": its white had " + Percent(gain[p]) +
+                        " of its later light during the pre-roll; the lamp is not steady");
+    ++p;
+  }
+  return reasons;
+}
+
+}  // namespace stratalux::rig

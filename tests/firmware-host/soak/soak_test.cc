@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// Each fault of the simulated devices, in each phase of a capture, in both sync modes: nothing that a complete or
+// degraded session holds for proven shows another picture. The truth comes from the simulation, never from the capture.
+#include "tests/firmware-host/soak/soak.h"
+
+#include <algorithm>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace stratalux::rig {
+namespace {
+
+using ::testing::HasSubstr;
+
+SoakOptions With(SyncMode mode, const FaultOptions& faults = {}) {
+  SoakOptions options;
+  options.plan = SmallPlan();
+  options.plan.sync_mode = mode;
+  options.faults = faults;
+  return options;
+}
+
+std::string Reasons(const SoakCapture& capture) {
+  std::string text;
+  for (const std::string& reason : capture.report.reasons) text += reason + "\n";
+  return text;
+}
+
+class Soak : public ::testing::TestWithParam<SyncMode> {};
+
+TEST_P(Soak, ACleanCaptureIsCompleteAndRepeatable) {
+  const SoakCapture once = CaptureOnce(With(GetParam())), again = CaptureOnce(With(GetParam()));
+  EXPECT_EQ(once.report.status, SessionStatus::kComplete) << Reasons(once);
+  EXPECT_EQ(once.report.FaultSummary(), "");
+  EXPECT_TRUE(once.injected.empty());
+  EXPECT_EQ(once.shots, again.shots);
+  EXPECT_TRUE(once.mis_associated.empty());
+}
+
+// A marker, among the codes, the sinusoids, the sweep.
+constexpr int64_t kPlaces[] = {3, 15, 37, 46};
+
+TEST_P(Soak, NoFaultPassesOffAFrameForAnother) {
+  SoakTable table;
+  for (int k = 0; k < kFaultKinds; ++k)
+    for (const int64_t place : kPlaces) {
+      const auto kind = static_cast<FaultKind>(k);
+      const int64_t count = kind == FaultKind::kSyncStuck ? 2 : 1;
+      const SoakCapture capture = CaptureOnce(With(GetParam(), {{{kind, place, count, 0.0}}, 1, 0.0, {}}));
+      table.Add(capture);
+      EXPECT_TRUE(capture.mis_associated.empty()) << ToString(kind) << " at " << place;
+      EXPECT_TRUE(capture.changed_unsaid.empty()) << ToString(kind) << " at " << place;
+      ASSERT_FALSE(capture.injected.empty()) << ToString(kind) << " at " << place;
+      EXPECT_EQ(capture.injected[0].kind, kind);
+      EXPECT_EQ(capture.injected[0].number, place);
+      const bool ends = kind == FaultKind::kCameraGone || kind >= FaultKind::kLinesGone;
+      const bool lasts = kind == FaultKind::kSubjectMoved || kind == FaultKind::kLampDrift;
+      if (ends) {
+        EXPECT_EQ(capture.report.status, SessionStatus::kFailed) << ToString(kind);
+      } else if (lasts) {
+        // During the pre-roll, one that is shot again after the change is sound.
+        if (place > 8) {
+          EXPECT_EQ(capture.report.status, SessionStatus::kDegraded) << ToString(kind) << " at " << place;
+        }
+      } else {
+        EXPECT_EQ(capture.report.status, SessionStatus::kComplete)
+            << ToString(kind) << " at " << place << ": " << Reasons(capture);
+      }
+    }
+  table.Print();
+}
+
+TEST_P(Soak, TheInterlockIsTheReason) {
+  const SoakCapture stopped = CaptureOnce(With(GetParam(), {{{FaultKind::kEmergencyStop, 50}}, 1, 0.0, {}}));
+  EXPECT_THAT(Reasons(stopped), HasSubstr("emergency stop"));
+  const SoakCapture opened = CaptureOnce(With(GetParam(), {{{FaultKind::kDoorOpen, 50}}, 1, 0.0, {}}));
+  EXPECT_THAT(Reasons(opened), HasSubstr("door open"));
+}
+
+TEST_P(Soak, SomeThousandFramesOfRandomFaults) {
+  SoakTable table;
+  for (uint64_t n = 0; table.frames() < 2000; ++n) {
+    SoakOptions options = With(GetParam(), {{}, 77 + n, 0.02, {}});
+    options.seed = n;
+    const SoakCapture capture = CaptureOnce(options);
+    table.Add(capture);
+    EXPECT_TRUE(capture.mis_associated.empty())
+        << "fault seed " << 77 + n << ", first step " << capture.mis_associated.front();
+  }
+  EXPECT_GE(table.complete(), table.captures() * 3 / 4);
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(SyncMode::kTriggered, SyncMode::kFreeRunning),
+                         [](const auto& mode) {
+                           return mode.param == SyncMode::kTriggered ? "Triggered" : "FreeRunning";
+                         });
+
+TEST(SoakBrackets, TheyCarryTheirExposure) {
+  SoakOptions options = With(SyncMode::kTriggered);
+  options.plan.brackets = {1.0, 0.4};
+  // Among the combs, where the exposure changes from frame to frame: the frame is as bright as the one before.
+  for (const int64_t place : {44, 45, 50, 51}) {
+    options.faults.script = {{FaultKind::kExposureLatch, place, 1, 0.0}};
+    const SoakCapture capture = CaptureOnce(options);
+    EXPECT_TRUE(capture.mis_associated.empty()) << place;
+    EXPECT_EQ(capture.report.status, SessionStatus::kComplete) << place << ": " << Reasons(capture);
+    EXPECT_GE(capture.report.Count(ShotFault::kWrongLevel), 1) << place;
+  }
+}
+
+}  // namespace
+}  // namespace stratalux::rig

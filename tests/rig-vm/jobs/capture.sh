@@ -1,0 +1,92 @@
+#!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
+# `stratalux-rig capture` on the kernel's interfaces, in front of a scene that shows what the projectors are told
+# (responder.cc): a plan of 200 frames, then every fault. A row each:
+#   fault | injected | detected as | session | frames proven | mis-associated
+. /source/tests/rig-vm/guest-lib.sh
+
+plan=/source/tests/rig-vm/plans/loop.toml
+short_plan=/tmp/short.toml  # references, codes and guards: what a fault needs to be seen
+sed 's/^kind = "visitor"/kind = "calibration"/' "$plan" >$short_plan
+
+load_camera() {
+  modprobe -r vivid 2>/dev/null
+  modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
+  camera=$(v4l2_node vid-cap) screen=$(v4l2_node vid-out)
+  # 20 frames a second: what the emulator can take.
+  for node in "$camera" "$screen"; do v4l2-ctl -d "$node" --set-dv-bt-timings cvt,width=1024,height=768,fps=20; done >/dev/null 2>&1
+  v4l2-ctl -d "$camera" -c loop_video=1,osd_text_mode=2,timestamp_source=1
+}
+v4l2_node() { echo /dev/"$(basename "$(dirname "$(grep -l "$1" /sys/class/video4linux/*/name)")")"; }
+
+# capture NAME PLAN WANTED FAULT...: WANTED lists the session's allowed ends; a fault must leave a sign. `control`, if
+# set, is given to vivid just before the capture.
+capture() {
+  local name="$1" config="$2" wanted="$3" out=/share/"$1" responder visitor="" ended judged detected
+  shift 3
+  mkdir "$out"
+  /build/bin/rig-vm-responder "$config" "$screen" "$@" >"$out/responder.log" 2>&1 &
+  responder=$!
+  until grep -q ready "$out/responder.log"; do
+    kill -0 $responder 2>/dev/null || break
+    sleep 0.2
+  done
+  [ -z "$control" ] || v4l2-ctl -d "$camera" -c "$control"
+  [ "$config" = $short_plan ] || visitor="--visitor loop-1 --consent-scope fit --consent-text test --consent-language en"
+  rm -rf /tmp/store
+  # shellcheck disable=SC2086
+  timeout 120 /build/bin/stratalux-rig capture --config "$config" --store /tmp/store $visitor --json \
+    >"$out/outcome.json" 2>"$out/rig.log"
+  ended=$?
+  kill $responder 2>/dev/null
+  wait $responder
+  judged=$(/build/bin/rig-vm-judge /tmp/store 2>>"$out/rig.log") || judged="${judged:-0 ?}"
+  session=$(sed -nE 's/.*"status": "([a-z]+)".*/\1/p' "$out/outcome.json")
+  detected=$(awk '/"faults": \{$/ {on=1; next} on && /\}/ {exit} on {gsub(/[",]/, ""); $1=$1; printf "%s%s", sep, $0; sep=", "}' "$out/outcome.json")
+  reason=$(awk '/"reasons": \[$/ {getline; gsub(/^ *"|",?$/, ""); print; exit}' "$out/outcome.json" | cut -c1-80)
+  detected=${detected:-$(sed -nE 's/^warning: //p' "$out/rig.log" | head -n 1 | cut -c1-80)}
+  verdict="ok     "
+  case " $wanted " in *" ${session:-none} "*) ;; *) verdict="FAILED " ;; esac
+  [ "${judged#* }" = 0 ] || verdict="FAILED "
+  [ $# -eq 0 ] && [ -z "$control" ] || [ -n "$detected$reason" ] || verdict="FAILED "
+  [ "$verdict" = "ok     " ] || failures=$((failures + 1))
+  printf '%s %-22s | %-42s | %s%s | %s (exit %s) | %s | %s\n' "$verdict" "$name" "${*:-${control:-none}}" "${detected:-nothing}" \
+    "${reason:+; $reason}" "${session:-none}" "$ended" "${judged% *}" "${judged#* }" >>$cases
+}
+
+modprobe gpio-sim
+load_camera
+echo "        fault | injected | detected as | session | frames proven | mis-associated" >$cases
+capture "none, 200 frames" "$plan" "complete"
+/build/bin/stratalux-db verify --deep --store /tmp/store latest >/share/verify.log 2>&1 || {
+  echo "FAILED  stratalux-db verify --deep" >>$cases
+  failures=$((failures + 1))
+}
+capture "swapped codes" "$plan" "degraded failed" swap@20
+capture "swapped lines" "$plan" "degraded failed" swap@60
+capture "no step" $short_plan "complete degraded" no-step@30
+capture "lost edge" $short_plan "complete degraded" lost-edge@30
+capture "doubled edge" $short_plan "complete degraded" doubled-edge@30
+capture "stuck SYNC" $short_plan "degraded failed" stuck-sync@30
+capture "dropped buffers" $short_plan "complete degraded" "control:Percentage of Dropped Buffers=30@20"
+v4l2-ctl -d "$camera" -c percentage_of_dropped_buffers=0
+capture "buffer error flag" $short_plan "complete degraded" "control:Inject V4L2_BUF_FLAG_ERROR=1@30"
+capture "QBUF error" $short_plan "complete degraded" "control:Inject VIDIOC_QBUF Error=1@30"
+capture "fatal streaming error" $short_plan "complete degraded" "control:Inject Fatal Streaming Error=1@30"
+load_camera
+control=inject_vidioc_streamon_error=1
+capture "STREAMON error" $short_plan "complete degraded"
+control=
+# A wrap is no fault: the numbers go on.
+v4l2-ctl -d "$camera" -c wrap_sequence_number=1
+capture "sequence wraps" $short_plan "complete"
+v4l2-ctl -d "$camera" -c wrap_sequence_number=0
+control=wrap_timestamp=1
+capture "time stamps wrap" $short_plan "degraded failed"
+control=
+load_camera
+capture "emergency stop" $short_plan "failed" emergency-stop@30
+capture "door" $short_plan "failed" door@30
+capture "lines unplugged" $short_plan "failed" unplug@30
+capture "camera unplugged" $short_plan "degraded failed" "control:Disconnect=1@30"
+finish
