@@ -47,9 +47,8 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, SimulatedRig& rig) {
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
   options.witness.gain_e_per_dn = camera.gain_e_per_dn;
-  options.witness.read_noise_dn = std::max(options.witness.read_noise_dn, camera.read_noise_dn);
-  // Without noise, frames of one picture are equal bit by bit.
-  if (!capture.simulated.noise) options.shooter.max_repeated_rows = 1.0;
+  options.witness.read_noise_dn =
+      capture.simulated.noise ? std::max(options.witness.read_noise_dn, camera.read_noise_dn) : 0.0;
   options.witness.saturation_dn = 0.975 * camera.saturation_dn;
   options.shooter.wait = [&rig](std::chrono::nanoseconds time) { rig.Sleep(time); };
   return options;
