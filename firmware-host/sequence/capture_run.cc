@@ -15,6 +15,11 @@ ShooterOptions ShooterOptionsOf(const SequencerOptions& options) {
   return shooter;
 }
 
+// A rig with a clock of its own may take any real time to make a frame.
+std::chrono::nanoseconds PatienceOf(const SequencerOptions& options) {
+  return options.shooter.wait ? std::chrono::nanoseconds(0) : options.watchdog;
+}
+
 }  // namespace
 
 CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
@@ -26,7 +31,7 @@ CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const Sequen
       stop_(stop),
       on_step_(on_step),
       sink_(sink),
-      watchdog_(options.watchdog, [lines = &devices_.lines] { return lines->AllOff(); }),
+      watchdog_(PatienceOf(options), [lines = &devices_.lines] { return lines->AllOff(); }),
       shooter_(std::move(devices), ShooterOptionsOf(options), plan.options.sync_mode, [this] { return CheckSafe(); }),
       witness_(plan, options.witness) {
   report_.planned = static_cast<int>(plan.steps.size());

@@ -7,7 +7,7 @@
 namespace stratalux::rig {
 
 namespace {
-constexpr int kProbesPerRow = 240;
+constexpr int kProbesPerRow = 160;
 }
 
 double MeanDn(const Image<uint16_t>& pixels) {
@@ -18,13 +18,19 @@ double MeanDn(const Image<uint16_t>& pixels) {
 ProbeLattice::ProbeLattice(int width, int height)
     : pitch_(std::max(1, width / kProbesPerRow)),
       columns_((width + pitch_ - 1) / pitch_),
-      rows_((height + pitch_ - 1) / pitch_) {}
+      rows_((height + pitch_ - 1) / pitch_) {
+  for (int j = 0; j < rows_; ++j) band_.insert(band_.end(), columns_, static_cast<uint8_t>(j * kBands / rows_));
+}
 
 Probes ProbeLattice::Sample(const Image<uint16_t>& pixels) const {
   Probes probes;
   probes.reserve(size());
-  for (int y = 0; y < pixels.height(); y += pitch_)
-    for (int x = 0; x < pixels.width(); x += pitch_) probes.push_back(pixels(x, y));
+  // Each row of probes stands one pixel further, each column one lower: along either axis all pixels are met, so that
+  // no line of a comb falls between all probes.
+  for (int j = 0; j < rows_; ++j)
+    for (int i = 0; i < columns_; ++i)
+      probes.push_back(pixels(std::min(i * pitch_ + j % pitch_, pixels.width() - 1),
+                              std::min(j * pitch_ + i % pitch_, pixels.height() - 1)));
   return probes;
 }
 
