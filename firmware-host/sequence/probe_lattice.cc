@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <span>
 
 namespace stratalux::rig {
 
@@ -11,7 +12,14 @@ constexpr int kProbesPerRow = 160;
 }
 
 double MeanDn(const Image<uint16_t>& pixels) {
-  const uint64_t sum = std::accumulate(pixels.pixels().begin(), pixels.pixels().end(), uint64_t{0});
+  // Chunks that 32 bits hold: half the time of 64-bit sums.
+  constexpr size_t kChunk = 65536;
+  uint64_t sum = 0;
+  const std::span<const uint16_t> all = pixels.pixels();
+  for (size_t i = 0; i < all.size(); i += kChunk) {
+    const auto chunk = all.subspan(i, std::min(kChunk, all.size() - i));
+    sum += std::accumulate(chunk.begin(), chunk.end(), uint32_t{0});
+  }
   return pixels.empty() ? 0.0 : static_cast<double>(sum) / static_cast<double>(pixels.size());
 }
 
