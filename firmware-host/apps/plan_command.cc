@@ -10,6 +10,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "firmware-host/apps/pattern_memory_file.h"
 #include "shared/image/png.h"
 
 namespace stratalux::rig {
@@ -42,6 +43,9 @@ std::string FileName(size_t number, const Pattern& pattern) {
   return name + ".png";
 }
 
+constexpr const char* kBitFile = "patterns-1bit.bin";
+constexpr const char* kGreyFile = "patterns-8bit.bin";
+
 Image<uint8_t> Render8(const Pattern& pattern, int width, int height) {
   const Image<float> linear = pattern.Render(width, height);
   Image<uint8_t> image(width, height);
@@ -73,15 +77,37 @@ Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesyst
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   nlohmann::ordered_json json = PlanJson(plan, settle_ms);
-  std::map<std::string, std::string> files;  // pattern text -> file
+  const int width = plan.options.projector_width, height = plan.options.projector_height;
+  struct Files {
+    std::string png, memory;
+    size_t index = 0;  // in `memory`
+  };
+  std::map<std::string, Files> files;  // by the pattern's text
+  std::vector<Pattern> bits, grey;
   for (const PlanStep& step : plan.steps) {
     const auto [entry, fresh] = files.try_emplace(step.pattern.ToString());
+    Files& of = entry->second;
     if (fresh) {
-      entry->second = FileName(files.size() - 1, step.pattern);
-      const Image<uint8_t> image = Render8(step.pattern, plan.options.projector_width, plan.options.projector_height);
-      SLX_RETURN_IF_ERROR(WritePng8(folder / entry->second, image.view()));
+      const bool binary = PlanesOf(step.pattern) == 1;
+      std::vector<Pattern>& memory = binary ? bits : grey;
+      of = {FileName(files.size() - 1, step.pattern), binary ? kBitFile : kGreyFile, memory.size()};
+      memory.push_back(step.pattern);
+      const Image<uint8_t> image = Render8(step.pattern, width, height);
+      SLX_RETURN_IF_ERROR(WritePng8(folder / of.png, image.view()));
     }
-    json["steps"][step.index]["file"] = entry->second;
+    auto& entry_json = json["steps"][step.index];
+    entry_json["file"] = of.png;
+    entry_json["memory"] = {{"file", of.memory}, {"index", of.index}};
+  }
+  SLX_RETURN_IF_ERROR(WritePatternMemory(folder / kBitFile, bits, 1, width, height));
+  if (!grey.empty()) SLX_RETURN_IF_ERROR(WritePatternMemory(folder / kGreyFile, grey, 8, width, height));
+  // What each TRIGGER pulse shows, projector by projector.
+  json["sequences"] = nlohmann::ordered_json::array();
+  for (int p = 0; p < plan.options.projectors; ++p) {
+    nlohmann::ordered_json sequence = nlohmann::ordered_json::array();
+    for (const PlanStep& step : plan.steps)
+      if (step.projector < 0 || step.projector == p) sequence.push_back(step.index);
+    json["sequences"].push_back({{"projector", p}, {"steps", sequence}});
   }
   std::ofstream out(folder / "plan.json");
   out << json.dump(2) << "\n";

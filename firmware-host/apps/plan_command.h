@@ -15,8 +15,10 @@ namespace stratalux::rig {
 // {"options": {...}, "frames": n, "seconds": s, "steps": [{"step", "projector", "phase", "pattern", "exposure_ms",
 // "bracket"}]}.
 [[nodiscard]] std::string PlanAsJson(const CapturePlan& plan, double settle_ms);
-// Each distinct pattern once as an 8-bit PNG of the projector's size (255 = white, linear light), "000-white.png", and
-// plan.json, whose steps name their file. Creates `folder`; fails where a file cannot be written.
+// Each distinct pattern once as an 8-bit PNG of the projector's size (255 = white, linear light), "000-white.png"; once
+// more as bit planes for pattern memories, patterns-1bit.bin and, of grey ones, patterns-8bit.bin
+// (pattern_memory_file.h); and plan.json, whose steps name their files and whose sequences say what each TRIGGER pulse
+// of a projector shows. Creates `folder`; fails where a file cannot be written.
 Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder);
 
 }  // namespace stratalux::rig

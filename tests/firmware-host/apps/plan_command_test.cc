@@ -2,6 +2,7 @@
 #include "firmware-host/apps/plan_command.h"
 
 #include <fstream>
+#include <iterator>
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -54,6 +55,19 @@ TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
       for (int x = 0; x < 64; x += 3)
         ASSERT_NEAR((*image)(x, y), 255.0 * step.pattern.Intensity(x, y), 0.51) << step.pattern.ToString();
   }
+  // The bit planes: 32 bytes of header, then patterns of 48 rows of 8 bytes; each step's memory entry is its pattern.
+  std::ifstream memory(folder / "patterns-1bit.bin", std::ios::binary);
+  const std::string bytes((std::istreambuf_iterator<char>(memory)), {});
+  EXPECT_EQ(bytes.substr(0, 6), "SLXPAT");
+  for (const PlanStep& step : plan.steps) {
+    const auto& entry = json["steps"][step.index]["memory"];
+    if (entry["file"] != "patterns-1bit.bin") continue;
+    const size_t row = 32 + entry["index"].get<size_t>() * 48 * 8 + 5 * 8;
+    for (int x = 0; x < 64; ++x)
+      ASSERT_EQ((static_cast<uint8_t>(bytes.at(row + x / 8)) >> (7 - x % 8)) & 1, step.pattern.Intensity(x, 5) > 0.5F)
+          << step.pattern.ToString();
+  }
+  EXPECT_EQ(json["sequences"].size(), static_cast<size_t>(plan.options.projectors));
   std::filesystem::remove_all(folder);
 }
 
