@@ -54,7 +54,7 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
   if (rig.simulation) {
     const CameraCalibration& camera = rig.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
-    read_noise_dn = std::max(read_noise_dn, camera.read_noise_dn);
+    read_noise_dn = capture.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;
     saturation_dn = camera.saturation_dn;
     // Without noise, frames of one picture are equal bit by bit.
     if (!capture.simulated->noise) options.shooter.max_repeated_rows = 1.0;

@@ -15,6 +15,7 @@
 #include "db/privacy/consent.h"
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/plan_command.h"
+#include "firmware-host/apps/selftest_command.h"
 #include "firmware-host/apps/stop_signals.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
@@ -36,6 +37,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig capture --config rig.toml --store store
   stratalux-rig safe
+  stratalux-rig selftest --simulate --store store
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration
   stratalux-rig plan render --out patterns
@@ -128,18 +130,9 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
   return db::SetScope(flags.consent_scope, *consent).WithContext("--consent-scope");
 }
 
-Result<CaptureOptions> CaptureFrom(const Flags& flags) {
-  CaptureOptions options;
-  SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
-  if (options.config.store.folder.empty())
-    return Status::Usage(
-        "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
-  options.visitor = flags.visitor;
-  SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
-  SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
-  if (flags.encrypt) options.config.store.encrypt = true;
-  if (flags.scene.empty()) return options;
-  SimulatedRigOptions& simulated = options.simulated.emplace();
+// The rig that --simulate asks for.
+Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& config) {
+  SimulatedRigOptions simulated;
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
@@ -150,11 +143,27 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   simulated.faults.rate = flags.fault_rate;
   simulated.faults.seed = flags.fault_seed;
   simulated.noise = !flags.no_noise;
-  simulated.free_running = options.config.plan.sync_mode == SyncMode::kFreeRunning;
-  simulated.camera_width = options.config.camera.width;
-  simulated.camera_height = options.config.camera.height;
-  simulated.projector_width = options.config.plan.projector_width;
-  simulated.projector_height = options.config.plan.projector_height;
+  simulated.free_running = config.plan.sync_mode == SyncMode::kFreeRunning;
+  simulated.camera_width = config.camera.width;
+  simulated.camera_height = config.camera.height;
+  simulated.projector_width = config.plan.projector_width;
+  simulated.projector_height = config.plan.projector_height;
+  return simulated;
+}
+
+Result<CaptureOptions> CaptureFrom(const Flags& flags) {
+  CaptureOptions options;
+  SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
+  if (options.config.store.folder.empty())
+    return Status::Usage(
+        "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
+  options.visitor = flags.visitor;
+  SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
+  SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
+  if (flags.encrypt) options.config.store.encrypt = true;
+  if (!flags.scene.empty()) {
+    SLX_ASSIGN_OR_RETURN(options.simulated, SimulationFrom(flags, options.config));
+  }
   return options;
 }
 
@@ -167,6 +176,30 @@ int RunCapture(const Flags& flags) {
   const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
   const int captured = ExitCode(*outcome);
   return captured != 0 ? captured : printed;
+}
+
+int RunSelftestCommand(const Flags& flags) {
+  if (flags.scene.empty())
+    return Report(Status::Usage("selftest: this version drives the simulated rig only (--simulate[=SCENE])"));
+  const Result<RigConfig> config = ConfigFrom(flags);
+  if (!config.ok()) return Report(config.status());
+  const Result<SimulatedRigOptions> simulated = SimulationFrom(flags, *config);
+  if (!simulated.ok()) return Report(simulated.status());
+  Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
+  const auto rig = SimulatedRig::Create(*simulated, logger);
+  if (!rig.ok()) return Report(rig.status());
+  SelftestOptions options;
+  options.store = config->store.folder;
+  options.codec = config->store.codec;
+  options.rig.exposure_ms = config->plan.exposure_ms;
+  options.rig.settle = std::chrono::nanoseconds(static_cast<int64_t>(1e6 * config->settle_ms));
+  options.rig.deadline = std::chrono::nanoseconds(static_cast<int64_t>(1e6 * config->deadline_ms));
+  options.rig.wait = [&rig](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
+  const Result<SelftestReport> report =
+      RunSelftest({(*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, InstallStopSignals());
+  if (!report.ok()) return Report(report.status());
+  const int printed = Print((flags.json ? SelftestAsJson : SelftestAsText)(*report));
+  return report->passed() ? printed : static_cast<int>(StatusCode::kFailed);
 }
 
 int RunPlan(const Flags& flags, const CLI::App& render) {
@@ -197,32 +230,38 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--exposure", flags.exposure_ms, "exposure, ms (default: 16)");
 }
 
-CLI::App* AddCapture(CLI::App& app, Flags& flags) {
-  CLI::App* capture = app.add_subcommand("capture", "Run a capture plan and store a session");
-  capture
-      ->add_option(
+void AddSimulationFlags(CLI::App& command, Flags& flags) {
+  command
+      .add_option(
           "--simulate", flags.scene,
           "use the simulated rig; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
           "sphere, white, ramp, chart, checkerboard, charuco, bowl")
       ->expected(0, 1)
       ->default_str("head");
-  capture->add_option("--store", flags.store,
-                      "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
-  capture->add_option("--fault", flags.faults,
-                      "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
-  capture
-      ->add_option("--fault-rate", flags.fault_rate, "simulation: chance of a random fault at each exposure and pulse")
+  command.add_option("--fault", flags.faults,
+                     "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
+  command
+      .add_option("--fault-rate", flags.fault_rate, "simulation: chance of a random fault at each exposure and pulse")
       ->check(CLI::Range(0.0, 1.0));
-  capture->add_option("--fault-seed", flags.fault_seed, "simulation: another seed, other random faults")
+  command.add_option("--fault-seed", flags.fault_seed, "simulation: another seed, other random faults")
       ->capture_default_str();
   // CLI11 would wrap a negative seed and cut a long one.
-  capture->add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
+  command.add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
       ->check([](const std::string& text) {
         uint64_t seed = 0;
         return ParseWhole(text, seed) ? "" : "'" + text + "' is no whole number of 0 .. 2^64-1";
       })
       ->capture_default_str();
-  capture->add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
+  command.add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
+  command.add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
+  command.add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
+}
+
+CLI::App* AddCapture(CLI::App& app, Flags& flags) {
+  CLI::App* capture = app.add_subcommand("capture", "Run a capture plan and store a session");
+  capture->add_option("--store", flags.store,
+                      "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
+  AddSimulationFlags(*capture, flags);
   capture->add_option(
       "--visitor", flags.visitor,
       "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the next three)");
@@ -234,8 +273,6 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       ->capture_default_str();
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
-  capture->add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
-  capture->add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
   capture->add_flag("--json", flags.json, "print one JSON object");
   capture->add_flag("--verbose", flags.verbose, "more on stderr");
   return capture;
@@ -249,6 +286,12 @@ int Main(int argc, char** argv) {
   app.require_subcommand(1);
   CLI::App* capture = AddCapture(app, flags);
   capture->footer(kExamples);
+  CLI::App* selftest = app.add_subcommand("selftest", "Check devices, wiring, light, timing, disk and codec");
+  AddPlanFlags(*selftest, flags);
+  AddSimulationFlags(*selftest, flags);
+  selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
+  selftest->add_flag("--json", flags.json, "print one JSON object");
+  selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
   plan->require_subcommand(1);
   CLI::App* show = plan->add_subcommand("show", "List the steps");
@@ -268,6 +311,7 @@ int Main(int argc, char** argv) {
   }
   if (safe->parsed()) return RunSafe(flags);
   if (capture->parsed()) return RunCapture(flags);
+  if (selftest->parsed()) return RunSelftestCommand(flags);
   return RunPlan(flags, *render);
 }
 

@@ -6,6 +6,22 @@
 
 namespace stratalux::rig {
 
+namespace {
+
+// A camera said to have no noise (a test pattern, a simulation without it) repeats its rows rightly.
+ShooterOptions ShooterOptionsOf(const SequencerOptions& options) {
+  ShooterOptions shooter = options.shooter;
+  if (options.witness.read_noise_dn <= 0.0) shooter.max_repeated_rows = 1.0;
+  return shooter;
+}
+
+// A rig with a clock of its own may take any real time to make a frame.
+std::chrono::nanoseconds PatienceOf(const SequencerOptions& options) {
+  return options.shooter.wait ? std::chrono::nanoseconds(0) : options.watchdog;
+}
+
+}  // namespace
+
 CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
                        const std::atomic<bool>& stop, const std::function<void()>& on_step, FrameSink& sink)
     : plan_(plan),
@@ -15,8 +31,8 @@ CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const Sequen
       stop_(stop),
       on_step_(on_step),
       sink_(sink),
-      watchdog_(options.watchdog, [lines = &devices_.lines] { return lines->AllOff(); }),
-      shooter_(std::move(devices), options.shooter, plan.options.sync_mode, [this] { return CheckSafe(); }),
+      watchdog_(PatienceOf(options), [lines = &devices_.lines] { return lines->AllOff(); }),
+      shooter_(std::move(devices), ShooterOptionsOf(options), plan.options.sync_mode, [this] { return CheckSafe(); }),
       witness_(plan, options.witness) {
   report_.planned = static_cast<int>(plan.steps.size());
 }

@@ -20,10 +20,12 @@ Profile ProfileOf(const Pattern& comb, int step, const LevelsAt& frame) {
   const std::span<const int> at = comb.axis == PatternAxis::kColumns ? frame.column : frame.row;
   const int bins = comb.period / step;
   Profile p{std::vector<double>(bins), std::vector<double>(bins), std::vector<size_t>(bins)};
+  std::vector<int> bin_of;  // by position
+  for (int position = 0; position < (comb.axis == PatternAxis::kColumns ? frame.width : frame.height); ++position)
+    bin_of.push_back(((position - comb.shift) % comb.period + comb.period) % comb.period / step);
   for (size_t i = 0; i < at.size(); ++i) {
     if (at[i] < 0) continue;
-    const int distance = ((at[i] - comb.shift) % comb.period + comb.period) % comb.period;
-    const int bin = distance / step;
+    const int bin = bin_of[at[i]];
     ++p.count[bin];
     p.mean[bin] += frame.level[i];
     p.variance[bin] += double(frame.level[i]) * frame.level[i];
@@ -65,16 +67,22 @@ double CombEvidence(const Pattern& comb, int step, const LevelsAt& frame) {
   mean /= known;
   for (int b = 0; b < bins; ++b)
     if (p.count[b] >= kFewestProbes) scatter += (p.mean[b] - mean) * (p.mean[b] - mean) / known;
+  std::vector<double> value(bins), variance(bins), moved_weight = weight;
+  for (int b = 0; b < bins; ++b) {
+    const bool counts = p.count[b] >= kFewestProbes;
+    value[b] = counts ? p.mean[b] - mean : 0.0;
+    variance[b] = counts ? p.variance[b] : scatter;
+  }
   double weakest = std::numeric_limits<double>::infinity();
   for (int moved = 1; moved < bins; ++moved) {
-    double difference = 0.0, variance = 0.0;
+    std::rotate(moved_weight.begin(), moved_weight.end() - 1, moved_weight.end());
+    double difference = 0.0, total_variance = 0.0;
     for (int b = 0; b < bins; ++b) {
-      const double w = weight[b] - weight[(b - moved + bins) % bins];
-      const bool counts = p.count[b] >= kFewestProbes;
-      difference += w * (counts ? p.mean[b] - mean : 0.0);
-      variance += w * w * (counts ? p.variance[b] : scatter);
+      const double w = weight[b] - moved_weight[b];
+      difference += w * value[b];
+      total_variance += w * w * variance[b];
     }
-    weakest = std::min(weakest, difference / std::sqrt(variance + 1e-12));
+    weakest = std::min(weakest, difference / std::sqrt(total_variance + 1e-12));
   }
   return weakest;
 }
@@ -103,6 +111,7 @@ double ShiftEvidence(const Pattern& pattern, const LevelsAt& frame) {
       for (size_t c = 0; c < contrast.size(); ++c) contrast[c] -= theirs[c];
     }
     double sum = 0.0, squares = 0.0;
+    bool differs = false;  // moved by half a period along either axis, a checkerboard is the same
     for (const size_t i : known) {
       const double w =
           plane ? pattern.Intensity(frame.column[i], frame.row[i]) - other.Intensity(frame.column[i], frame.row[i])
@@ -110,7 +119,9 @@ double ShiftEvidence(const Pattern& pattern, const LevelsAt& frame) {
       const double x = w * (frame.level[i] - mean);
       sum += x;
       squares += x * x;
+      differs = differs || w != 0.0;
     }
+    if (!differs) continue;
     weakest = std::min(weakest, sum / std::sqrt(squares + 1e-12));
   }
   return std::isfinite(weakest) ? weakest : 0.0;

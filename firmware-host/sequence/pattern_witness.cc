@@ -285,14 +285,15 @@ bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame)
   // In some band, probes far from the lines that are as bright as those on them.
   const Pattern& comb = step.pattern;
   const std::span<const int> at = comb.axis == PatternAxis::kColumns ? frame.column : frame.row;
-  auto beyond = [&](int position) {  // px from the nearest line
+  std::vector<int> beyond;  // px from the nearest line, by position
+  for (int position = 0; position < (comb.axis == PatternAxis::kColumns ? frame.width : frame.height); ++position) {
     const int distance = ((position - comb.shift) % comb.period + comb.period) % comb.period;
-    return distance < comb.width ? 0 : std::min(distance - comb.width + 1, comb.period - distance);
-  };
+    beyond.push_back(distance < comb.width ? 0 : std::min(distance - comb.width + 1, comb.period - distance));
+  }
   double on = 0.0;
   int lines = 0;
   for (size_t i = 0; i < at.size(); ++i)
-    if (at[i] >= 0 && beyond(at[i]) == 0) {
+    if (at[i] >= 0 && beyond[at[i]] == 0) {
       on += frame.level[i];
       ++lines;
     }
@@ -302,7 +303,7 @@ bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame)
   for (size_t i = 0; i < at.size(); ++i) {
     const int band = lattice_.BandOf(lit_[i]);
     ++all[band];
-    if (at[i] < 0 || beyond(at[i]) <= 2 * comb.width) continue;
+    if (at[i] < 0 || frame.level[i] <= bright || beyond[at[i]] <= 2 * comb.width) continue;
     const double contrast = white_.probes[lit_[i]] - black_.probes[lit_[i]];
     off[band] += frame.level[i] > bright + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[lit_[i]])) / contrast;
   }

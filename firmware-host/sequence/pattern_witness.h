@@ -32,10 +32,10 @@
 namespace stratalux::rig {
 
 struct WitnessOptions {
-  double saturation_dn = 4000.0;  // brighter probes are left out
-  double min_contrast_dn = 60.0;  // W - B of a lit probe
-  double gain_e_per_dn = 4.0;     // of the camera; gain and read noise set the tolerance of a single probe
-  double read_noise_dn = 5.0;
+  double saturation_dn = 4000.0;   // brighter probes are left out
+  double min_contrast_dn = 60.0;   // W - B of a lit probe
+  double gain_e_per_dn = 4.0;      // of the camera; gain and read noise set the tolerance of a single probe
+  double read_noise_dn = 5.0;      // 0: a camera without any noise
   int min_lit_probes = 100;        // fewer: the light does not reach the scene
   double max_off_fraction = 0.06;  // of a band's probes that break an identity
   double sum_tolerance = 0.03;     // of W - B, for one probe, beyond its noise

@@ -21,16 +21,17 @@ class ProbeLattice {
   static constexpr int kBands = 8;
 
   ProbeLattice() = default;
-  // About 240 probes a row; all pixels of smaller frames.
+  // About 160 probes a row; all pixels of smaller frames.
   ProbeLattice(int width, int height);
 
   [[nodiscard]] Probes Sample(const Image<uint16_t>& pixels) const;
   [[nodiscard]] size_t size() const { return static_cast<size_t>(columns_) * rows_; }
-  [[nodiscard]] int BandOf(int probe) const { return probe / columns_ * kBands / rows_; }
+  [[nodiscard]] int BandOf(int probe) const { return band_[probe]; }
 
  private:
   int pitch_ = 1;  // camera pixels from probe to probe
   int columns_ = 0, rows_ = 0;
+  std::vector<uint8_t> band_;  // of each probe
 };
 
 }  // namespace stratalux::rig

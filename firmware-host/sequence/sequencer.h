@@ -34,7 +34,7 @@ struct SequencerOptions {
   std::chrono::nanoseconds max_on_time = std::chrono::minutes(5);
 
   // No frame and no edge for so long (a device call that hangs, a disk that stands still): all lines are switched off
-  // from another thread, and the capture fails; 0: no watchdog.
+  // from another thread, and the capture fails; 0, or a rig with a clock of its own (shooter.wait): no watchdog.
   std::chrono::nanoseconds watchdog = std::chrono::seconds(30);
 
   [[nodiscard]] Status Validate() const;

@@ -37,10 +37,10 @@ struct ShooterOptions {
   double gain = 1.0;
   // Reported exposure and gain may differ from those set by this share (cameras count in lines).
   double exposure_tolerance = 0.02;
-  // Rows that repeat an earlier frame's bit by bit spoil a shot beyond this share. 1: never, for a camera without noise
-  // (the simulated one, where it is told so).
+  // Rows that repeat an earlier frame's bit by bit spoil a shot beyond this share. 1: never; the sequencer takes that
+  // for a camera of WitnessOptions::read_noise_dn 0.
   double max_repeated_rows = 0.01;
-  // How `settle` passes. The simulated rig, whose clock is its own, passes an empty wait.
+  // How `settle` passes; empty: in real time. Set only for rigs with a clock of their own, such as the simulated one.
   std::function<void(std::chrono::nanoseconds)> wait;
 };
 

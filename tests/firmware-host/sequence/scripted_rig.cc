@@ -18,7 +18,10 @@ constexpr double kNoiseDn = 1.0;
 class ScriptedLines : public LineBank {
  public:
   explicit ScriptedLines(ScriptedRig& rig) : rig_(rig) {}
-  Status SetEnable(int projector, bool on) override {
+  Status SetEnable(int line, bool on) override {
+    const auto wired = rig_.enable_wired.find(line);
+    const int projector = wired == rig_.enable_wired.end() ? line : wired->second;
+    if (projector < 0) return Status::Ok();
     if (on) {
       rig_.lit.insert(projector);
       rig_.ever_lit.insert(projector);
@@ -139,7 +142,8 @@ void ScriptedRig::Pulse(int projector) {
   if (is(ProjectorTrouble::kDoubleStep)) ++memory.shown;
   const MonotonicNs edge = now_ + std::chrono::microseconds(500);
   if (is(ProjectorTrouble::kNoEdge)) return;
-  edges_.push_back({projector, edge_sequence_++, edge});
+  const auto wired = sync_wired.find(projector);
+  edges_.push_back({wired == sync_wired.end() ? projector : wired->second, edge_sequence_++, edge});
   if (is(ProjectorTrouble::kDoubleStep))
     edges_.push_back({projector, edge_sequence_++, edge + std::chrono::milliseconds(1)});
 }
@@ -154,7 +158,9 @@ Image<uint16_t> ScriptedRig::Expose() const {
     if (!lit.contains(static_cast<int>(p)) || memory.shown < 0 ||
         memory.shown >= static_cast<int64_t>(memory.sequence.size()))
       continue;
-    const Image<float> picture = memory.sequence[memory.shown].Render(width_, height_);
+    Image<float> picture = memory.sequence[memory.shown].Render(width_, height_);
+    if (inverted)
+      for (float& value : picture.pixels()) value = 1.0F - value;
     double mean = 0.0;
     for (float value : picture.pixels()) mean += value;
     mean /= static_cast<double>(picture.size());

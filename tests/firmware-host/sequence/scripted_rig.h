@@ -45,6 +45,9 @@ class ScriptedRig {
   double lamp_drift = 0.0;  // relative change of all light per camera trigger
   int64_t camera_dead_from = -1;
   ClockSource clock = ClockSource::kSimulated;
+  std::map<int, int> enable_wired;  // line -> projector whose light it switches; not there: its own, -1: none
+  std::map<int, int> sync_wired;    // projector -> SYNC line its edges come on; not there: its own
+  bool inverted = false;            // pictures come out inverted
   Interlock interlock = Interlock::kClosed;
   std::function<void(int64_t trigger)> on_camera_trigger;
 

@@ -335,7 +335,8 @@ TEST_F(SequencerTest, AStuckCombIsShotAgainAloneOrWithThoseThatCouldNotTell) {
 }
 
 TEST_F(SequencerTest, AWatchdogSwitchesTheLightsOffWhenNothingMoves) {
-  options_.watchdog = std::chrono::milliseconds(50);
+  options_.watchdog = std::chrono::milliseconds(200);
+  options_.shooter.wait = nullptr;  // real time
   bool dark = false;
   rig_.on_camera_trigger = [&](int64_t trigger) {
     if (trigger != 20) return;

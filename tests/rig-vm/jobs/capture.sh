@@ -27,7 +27,7 @@ capture() {
   mkdir "$out"
   /build/bin/rig-vm-responder "$config" "$screen" "$@" >"$out/responder.log" 2>&1 &
   responder=$!
-  until grep -q ready "$out/responder.log"; do
+  until grep -qs ready "$out/responder.log"; do
     kill -0 $responder 2>/dev/null || break
     sleep 0.2
   done

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/sequence/rig_check.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/firmware-host/sequence/scripted_rig.h"
+
+namespace stratalux::rig {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+class RigCheckTest : public ::testing::Test {
+ protected:
+  RigCheckTest() : rig_(3, 64, 48) {
+    options_.wait = [](std::chrono::nanoseconds) {};
+    options_.frames = 10;
+  }
+  RigCheckReport Run() {
+    const Result<RigCheckReport> report = CheckRig(rig_.devices(), options_, stop_);
+    EXPECT_TRUE(report.ok()) << report.status().message();
+    EXPECT_THAT(rig_.lit, IsEmpty()) << "a lamp stayed on";
+    EXPECT_FALSE(rig_.camera_running);
+    return report.ok() ? *report : RigCheckReport();
+  }
+  static const CheckItem& Item(const RigCheckReport& report, const std::string& name) {
+    static const CheckItem none{"", CheckState::kSkipped, "no such item", ""};
+    for (const CheckItem& item : report.items)
+      if (item.name == name) return item;
+    return none;
+  }
+  static std::vector<std::string> FailedOf(const RigCheckReport& report) {
+    std::vector<std::string> names;
+    for (const CheckItem& item : report.items)
+      if (item.state == CheckState::kFailed) names.push_back(item.name);
+    return names;
+  }
+
+  ScriptedRig rig_;
+  RigCheckOptions options_;
+  std::atomic<bool> stop_ = false;
+};
+
+TEST_F(RigCheckTest, AHealthyRigPassesAndIsMeasured) {
+  const RigCheckReport report = Run();
+  EXPECT_THAT(FailedOf(report), IsEmpty());
+  EXPECT_EQ(report.sync_latency_ms.size(), 3U * options_.pulses);
+  for (double latency : report.sync_latency_ms) EXPECT_NEAR(latency, 0.5, 1e-6);
+  EXPECT_EQ(report.frame_latency_ms.size(), static_cast<size_t>(options_.frames));
+  for (double latency : report.frame_latency_ms) EXPECT_NEAR(latency, 0.05, 1e-6);
+  EXPECT_FALSE(report.samples.empty());
+}
+
+TEST_F(RigCheckTest, SwappedSyncCablesAreNamed) {
+  rig_.sync_wired = {{0, 2}, {2, 0}};
+  const RigCheckReport report = Run();
+  const CheckItem& item = Item(report, "projector 0: TRIGGER to SYNC");
+  EXPECT_EQ(item.state, CheckState::kFailed);
+  EXPECT_THAT(item.remedy, HasSubstr("projectors 0 and 2"));
+  EXPECT_EQ(Item(report, "projector 1: TRIGGER to SYNC").state, CheckState::kPassed);
+}
+
+TEST_F(RigCheckTest, SwappedLightsAreFoundByLight) {
+  rig_.enable_wired = {{1, 2}, {2, 1}};
+  const RigCheckReport report = Run();
+  EXPECT_EQ(Item(report, "projector 0: light").state, CheckState::kPassed);
+  const CheckItem& item = Item(report, "projector 1: light");
+  EXPECT_EQ(item.state, CheckState::kFailed);
+  EXPECT_THAT(item.remedy, HasSubstr("projectors 1 and 2"));
+}
+
+TEST_F(RigCheckTest, NoLightInvertedLightAndAMissingEdgeAreToldApart) {
+  rig_.enable_wired = {{0, -1}};
+  EXPECT_THAT(Item(Run(), "projector 0: light").remedy, HasSubstr("lamp"));
+  rig_.enable_wired.clear();
+  rig_.inverted = true;
+  EXPECT_THAT(Item(Run(), "projector 0: light").remedy, HasSubstr("inverted"));
+  rig_.inverted = false;
+  rig_.projector_trouble[{1, rig_.PulsesOf(1) + 2}] = ProjectorTrouble::kNoEdge;
+  EXPECT_THAT(Item(Run(), "projector 1: TRIGGER to SYNC").remedy, HasSubstr("polarity"));
+}
+
+TEST_F(RigCheckTest, LostAndDoubledFramesAreCounted) {
+  // The camera check and three light checks take ten frames; then come those of the last check.
+  rig_.camera_trouble[12] = CameraTrouble::kLose;
+  rig_.camera_trouble[14] = CameraTrouble::kExtra;
+  const RigCheckReport report = Run();
+  EXPECT_EQ(report.frames_lost, 1);
+  EXPECT_EQ(report.frames_doubled, 1);
+  EXPECT_EQ(Item(report, "frames").state, CheckState::kFailed);
+}
+
+TEST_F(RigCheckTest, ADeadCameraAndAnOpenInterlockAreItems) {
+  rig_.camera_dead_from = 0;
+  EXPECT_EQ(Item(Run(), "camera").state, CheckState::kFailed);
+  rig_.interlock = Interlock::kDoorOpen;
+  const RigCheckReport report = Run();
+  ASSERT_EQ(report.items.size(), 1U) << "nothing is lit behind an open door";
+  EXPECT_EQ(report.items[0].state, CheckState::kFailed);
+}
+
+TEST_F(RigCheckTest, StopEndsIt) {
+  stop_ = true;
+  EXPECT_EQ(CheckRig(rig_.devices(), options_, stop_).status().message(), "interrupted");
+  EXPECT_THAT(rig_.ever_lit, IsEmpty());
+}
+
+}  // namespace
+}  // namespace stratalux::rig
