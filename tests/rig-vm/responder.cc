@@ -29,6 +29,7 @@
 #include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <fcntl.h>
@@ -99,7 +100,7 @@ class Lines {
   int first_ = -1;
 };
 
-// Each change of an output line, in order.
+// Each change of an output line, in order. The kernel tells every write, also of the value a line has.
 class PulseTrace {
  public:
   struct Change {
@@ -107,6 +108,7 @@ class PulseTrace {
     bool high = false;
   };
   PulseTrace() {
+    std::ofstream("/sys/kernel/tracing/trace_clock") << "mono" << std::flush;  // one order for all processors
     std::ofstream("/sys/kernel/tracing/events/gpio/gpio_value/enable") << "1" << std::flush;
     pipe_ = std::fopen("/sys/kernel/tracing/trace_pipe", "re");
     if (pipe_ == nullptr) Die("cannot open the kernel's trace");
@@ -124,6 +126,7 @@ class PulseTrace {
       int high = 0;
       if (event == nullptr || std::sscanf(event, "gpio_value: %d set %d", &change.line, &high) != 2) continue;
       change.high = high != 0;
+      if (std::exchange(high_[change.line], change.high) == change.high) continue;
       return change;
     }
     return std::nullopt;
@@ -131,6 +134,7 @@ class PulseTrace {
 
  private:
   std::FILE* pipe_;
+  std::map<int, bool> high_;  // by line
 };
 
 // vivid's output: one buffer, queued for ever. Vivid copies it to every captured frame, so what is painted is seen.

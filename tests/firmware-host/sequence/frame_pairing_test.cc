@@ -57,5 +57,26 @@ TEST(FramePairing, ARepeatedNumberIsDoubled) {
   EXPECT_EQ(pairing.Unexpected(frame), ShotFault::kDoubledFrame);
 }
 
+TEST(FramePairing, AStreamMayLoseWhatBeganBeforeItSettled) {
+  // 50 frames a second; frame k begins at 20 k ms.
+  const auto frame = [](int64_t k) {
+    CapturedFrame f;
+    f.sequence = k;
+    f.time = {20'000'000 * k};
+    return f;
+  };
+  const auto settled = [](int64_t ms) { return MonotonicNs{1'000'000 * ms}; };
+  constexpr auto kWindow = std::chrono::seconds(1);
+  FramePairing pairing(std::chrono::milliseconds(5));
+  EXPECT_EQ(pairing.MatchStream(settled(15), kWindow, frame(0)), ShotFault::kOutOfOrder);
+  EXPECT_EQ(pairing.MatchStream(settled(15), kWindow, frame(1)), ShotFault::kNone);
+  // Buffers ran over: 2 .. 9 are lost, and the light settled at 195 ms, while frame 9 was exposed.
+  EXPECT_EQ(pairing.MatchStream(settled(195), kWindow, frame(10)), ShotFault::kNone);
+  EXPECT_EQ(pairing.lost_in_transition(), 8);
+  // Frame 11 began at 220 ms, after 215: it was the one wanted, and it is lost.
+  EXPECT_EQ(pairing.MatchStream(settled(215), kWindow, frame(12)), ShotFault::kSequenceGap);
+  EXPECT_EQ(pairing.lost_in_transition(), 8);
+}
+
 }  // namespace
 }  // namespace stratalux::rig
