@@ -15,6 +15,8 @@ using ::testing::IsEmpty;
 class RigCheckTest : public ::testing::Test {
  protected:
   RigCheckTest() : rig_(3, 64, 48) {
+    const Pattern black, white = {.kind = PatternKind::kWhite};
+    options_.markers = {white, black, black, white};
     options_.wait = [](std::chrono::nanoseconds) {};
     options_.frames = 10;
   }
@@ -39,10 +41,7 @@ class RigCheckTest : public ::testing::Test {
   }
 
   ScriptedRig rig_;
-  RigCheckOptions options_{.markers = {{.kind = PatternKind::kWhite},
-                                       {.kind = PatternKind::kBlack},
-                                       {.kind = PatternKind::kBlack},
-                                       {.kind = PatternKind::kWhite}}};
+  RigCheckOptions options_;
   std::atomic<bool> stop_ = false;
 };
 
