@@ -102,6 +102,7 @@ Status ReadDisplay(TomlTable& table, DisplayWiring& display) {
   table.Get("height", display.height, 16, 8192);
   table.Get("refresh_hz", display.refresh_hz, 1, 1000);
   table.Get("latency_ms", display.latency_ms, 0, 1000);
+  table.Get("gamma", display.gamma, 0.2, 5);
   return Status::Ok();
 }
 

@@ -202,7 +202,7 @@ class KmsDisplay final : public Display {
     if (pending_) return Status::Failed(Name() + ": asked to flip while the flip before it has not come");
     if (sequence_.empty()) return Status::Failed(Name() + ": asked to flip before any pattern was loaded");
     Buffer& back = *pictures_[back_];
-    DrawPattern(sequence_[next_], 1.0, width(), back.pixels());
+    DrawPattern(sequence_[next_], wiring_.gamma, width(), back.pixels());
     const std::lock_guard lock(card_->mutex());
     uint64_t vblank = 0, ns = 0;
     asked_at_vblank_ = drmCrtcGetSequence(card_->fd(), crtc_, &vblank, &ns) == 0 ? static_cast<int64_t>(vblank) : -1;

@@ -18,6 +18,7 @@ struct DisplayWiring {
   int height = 0;
   double refresh_hz = 0.0;  // 0: the mode's highest
   double latency_ms = 0.0;  // from the flip to the light, calibrated
+  double gamma = 1.0;       // light of level v of 255: (v / 255)^gamma
 };
 
 struct ProjectorWiring {
