@@ -25,6 +25,9 @@ libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
 libopenexr-dev       fit  float maps as EXR
+libceres-dev         fit  bundle adjustment of the calibration
+libopencv-dev        fit  chessboards and first guesses of the calibration
+libopencv-contrib-dev fit ChArUco boards
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
