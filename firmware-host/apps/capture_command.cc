@@ -85,6 +85,8 @@ void Fail(CaptureReport& report, const Status& status) {
 Status CaptureOptions::Validate() const {
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
+  if (board_pose >= 0 && config.plan.kind != SessionKind::kCalibration)
+    return Status::Usage("--pose numbers the board's poses of --kind calibration");
   if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");
   return Status::Ok();
 }
@@ -107,7 +109,7 @@ Result<CaptureOutcome> CaptureSimulated(const CaptureOptions& options, const std
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
 
-  SessionArchive archive(std::move(writer));
+  SessionArchive archive(std::move(writer), options.board_pose);
   {
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));

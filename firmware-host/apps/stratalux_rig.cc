@@ -31,6 +31,7 @@ constexpr const char* kExamples = R"(Examples:
       --consent-text 2026-03 --consent-language de
   stratalux-rig capture --simulate --config rig.toml --kind flat
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
+  stratalux-rig capture --kind calibration --pose 3 --simulate=docs/examples/scenes/charuco_poses.toml --store store
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig plan show
@@ -48,6 +49,7 @@ struct Flags {
   std::string consent_scope, consent_text, consent_language;
   std::string retention = "standard";
   std::string out;
+  int board_pose = -1;
   uint64_t seed = 1;
   std::vector<std::string> faults;
   double fault_rate = 0.0;
@@ -132,7 +134,9 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
   SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) options.config.encrypt = true;
+  options.board_pose = flags.board_pose;
   SimulatedRigOptions& simulated = options.simulated;
+  simulated.board_pose = flags.board_pose;
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
@@ -221,6 +225,11 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       ->capture_default_str();
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
+  capture
+      ->add_option("--pose", flags.board_pose,
+                   "calibration: number of the board's pose, kept with the session; simulation: which [[pose]] of the "
+                   "scene")
+      ->check(CLI::Range(0, 999));
   capture->add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
   capture->add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
   capture->add_flag("--json", flags.json, "print one JSON object");

@@ -100,7 +100,10 @@ class BundleProblem {
     solver.function_tolerance = 1e-10;
     solver.parameter_tolerance = 1e-10;
     solver.logging_type = ceres::SILENT;
-    solver.num_threads = 2;
+    solver.num_threads = 1;  // more would add up in another order each time
+    double start_cost = 0.0;
+    if (!problem_->Evaluate({}, &start_cost, nullptr, nullptr, nullptr))
+      return Status::Failed("bundle adjustment: part of a board lies behind a device");
     ceres::Solver::Summary summary;
     ceres::Solve(solver, problem_.get(), &summary);
     iterations += static_cast<int>(summary.iterations.size());

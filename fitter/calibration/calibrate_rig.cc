@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "fitter/calibration/initial_rig.h"
+#include "shared/base/parallel.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
@@ -72,28 +74,51 @@ Result<BundleReport> AdjustWithRejection(CalibrationObservations& used, const Bu
   return report;
 }
 
+HeldOutPose Failed(const CalibrationObservations& observations, size_t k) {
+  HeldOutPose pose{observations.poses[k].name, DeviceErrors(1 + observations.projectors.size()), kInfinity};
+  pose.errors.squares[0] = kInfinity;
+  pose.errors.counts[0] = 1;
+  return pose;
+}
+
 std::vector<HeldOutPose> HoldOut(const CalibrationObservations& observations, const BundleReport& all,
                                  const BundleOptions& options) {
-  std::vector<HeldOutPose> held_out;
-  BundleOptions fixed_weights = options;
-  fixed_weights.sigma_px = all.sigma_px;
-  for (size_t k = 0; k < observations.poses.size(); ++k) {
-    CalibrationObservations others = observations;
-    Bundle start = all.bundle;
-    others.poses.erase(others.poses.begin() + static_cast<std::ptrdiff_t>(k));
-    start.camera_from_board.erase(start.camera_from_board.begin() + static_cast<std::ptrdiff_t>(k));
-    const auto without = AdjustBundle(others, start, fixed_weights);
-    std::optional<DeviceErrors> errors;
-    if (without.ok())
-      errors = ErrorsOfPose(without->bundle.rig, all.sigma_px, observations.board, observations.poses[k]);
-    if (!errors) {
-      errors = DeviceErrors(1 + observations.projectors.size());
-      errors->squares[0] = kInfinity;
-      errors->counts[0] = 1;
+  std::vector<HeldOutPose> held_out(observations.poses.size());
+  ParallelFor(static_cast<int64_t>(held_out.size()), 1, [&](int64_t begin, int64_t end) {
+    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k) {
+      CalibrationObservations others = observations;
+      Bundle start = all.bundle;
+      others.poses.erase(others.poses.begin() + static_cast<std::ptrdiff_t>(k));
+      start.camera_from_board.erase(start.camera_from_board.begin() + static_cast<std::ptrdiff_t>(k));
+      const auto without = AdjustBundle(others, start, options);
+      std::optional<HeldOutPose> pose;
+      if (without.ok())
+        pose = FitPose(without->bundle.rig, options.sigma_px, observations.board, observations.poses[k]);
+      held_out[k] = pose ? *pose : Failed(observations, k);
     }
-    held_out.push_back({observations.poses[k].name, *errors});
-  }
+  });
   return held_out;
+}
+
+// Whether the richer model predicts the poses better, beyond the chance of these poses: the gain in squared surprise,
+// pose by pose, against its standard error.
+bool PredictsBetter(const std::vector<HeldOutPose>& richer, const std::vector<HeldOutPose>& simpler, double errors) {
+  const auto count = static_cast<double>(richer.size());
+  double sum = 0.0, squares = 0.0;
+  for (size_t k = 0; k < richer.size(); ++k) {
+    const double gain = simpler[k].surprise * simpler[k].surprise - richer[k].surprise * richer[k].surprise;
+    sum += gain;
+    squares += gain * gain;
+  }
+  const double mean = sum / count;
+  const double standard_error = std::sqrt(std::max(squares / count - mean * mean, 0.0) / std::max(count - 1.0, 1.0));
+  return std::isfinite(mean) ? mean > errors * standard_error : mean > 0.0;
+}
+
+double SurpriseOf(const std::vector<HeldOutPose>& held_out) {
+  double sum = 0.0;
+  for (const HeldOutPose& pose : held_out) sum += pose.surprise * pose.surprise;
+  return std::sqrt(sum / static_cast<double>(held_out.size()));
 }
 
 DeviceErrors TotalOf(const std::vector<HeldOutPose>& held_out) {
@@ -147,8 +172,8 @@ Status CalibrateOptions::Validate() const {
   return Status::Ok();
 }
 
-std::optional<DeviceErrors> ErrorsOfPose(const RigGeometry& rig, const std::vector<double>& sigma_px,
-                                         const BoardDescription& board, const PoseObservation& pose) {
+std::optional<HeldOutPose> FitPose(const RigGeometry& rig, const std::vector<double>& sigma_px,
+                                   const BoardDescription& board, const PoseObservation& pose) {
   const auto start = BoardPoseFromCamera(rig.camera, board, pose);
   if (!start) return std::nullopt;
   CalibrationObservations one;
@@ -160,7 +185,10 @@ std::optional<DeviceErrors> ErrorsOfPose(const RigGeometry& rig, const std::vect
   options.sigma_px = sigma_px;
   const auto fitted = AdjustBundle(one, {rig, {*start}}, options);
   if (!fitted.ok()) return std::nullopt;
-  return ReprojectionErrors(rig, board, fitted->bundle.camera_from_board[0], pose);
+  HeldOutPose result{pose.name, ReprojectionErrors(rig, board, fitted->bundle.camera_from_board[0], pose), 0.0};
+  const int pairs = std::accumulate(result.errors.counts.begin(), result.errors.counts.end(), 0);
+  result.surprise = std::sqrt(fitted->cost / pairs);  // half the sum of squares, over half the number of residuals
+  return result;
 }
 
 Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations, const CalibrateOptions& options) {
@@ -173,20 +201,19 @@ Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
   SLX_ASSIGN_OR_RETURN(BundleReport adjusted,
                        AdjustWithRejection(report.used, start, BundleOptionsFor(options, richest),
                                            options.reject_sigmas, report.rejected));
-  double best = kInfinity;
   for (const DistortionModel model : {DistortionModel::kK1, DistortionModel::kK1K2, DistortionModel::kFull}) {
     if (options.distortion && *options.distortion != model) continue;
-    const BundleOptions bundle_options = BundleOptionsFor(options, model);
+    BundleOptions bundle_options = BundleOptionsFor(options, model);
     auto fitted = AdjustBundle(report.used, adjusted.bundle, bundle_options);
     if (!fitted.ok()) {
-      report.trials.push_back({model, kInfinity});
+      report.trials.push_back({model, kInfinity, kInfinity});
       continue;
     }
+    bundle_options.sigma_px = adjusted.sigma_px;  // one measure for all models
     std::vector<HeldOutPose> held_out = HoldOut(report.used, *fitted, bundle_options);
     const DeviceErrors total = TotalOf(held_out);
-    report.trials.push_back({model, total.JointRms()});
-    if (!report.held_out.empty() && !(total.JointRms() < (1.0 - options.simpler_unless) * best)) continue;
-    best = total.JointRms();
+    report.trials.push_back({model, SurpriseOf(held_out), total.JointRms()});
+    if (!report.held_out.empty() && !PredictsBetter(held_out, report.held_out, options.simpler_unless_errors)) continue;
     report.bundle = fitted->bundle;
     report.sigma_px = fitted->sigma_px;
     report.distortion = model;

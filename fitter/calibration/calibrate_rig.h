@@ -16,9 +16,10 @@
 namespace stratalux::fit {
 
 struct CalibrateOptions {
-  std::optional<Pinhole> known_camera;        // intrinsics that stay
-  std::optional<DistortionModel> distortion;  // unset: chosen by the held-out error
-  double simpler_unless = 0.03;               // a model with more terms must be better by this share
+  std::optional<Pinhole> known_camera{};        // intrinsics that stay
+  std::optional<DistortionModel> distortion{};  // unset: chosen by the held-out error
+  // A model with more terms must predict the held-out poses better by so many standard errors of the gain.
+  double simpler_unless_errors = 1.0;
   // A corner is left out whose residual in any device exceeds so many standard deviations.
   double reject_sigmas = 6.0;
   [[nodiscard]] Status Validate() const;
@@ -26,12 +27,16 @@ struct CalibrateOptions {
 
 struct HeldOutPose {
   std::string name;
-  DeviceErrors errors;  // of the pose under a calibration without it; only the board's place is fitted
+  DeviceErrors errors;    // of the pose under a calibration without it; only the board's place is fitted
+  double surprise = 0.0;  // its residuals in standard deviations, root mean square (Huber's above 3)
 };
 
 struct ModelTrial {
   DistortionModel model = DistortionModel::kK1K2;
-  double held_out_px = 0.0;  // joint RMS over all held-out poses; infinity where a fit failed
+  // Root mean square of `surprise` over the held-out poses, which decides; infinity where a fit failed. It weighs the
+  // transfer from camera to projector, which knows nothing of how well corners were found, as it deserves.
+  double held_out_sigmas = 0.0;
+  double held_out_px = 0.0;  // joint RMS
 };
 
 struct RejectedCorner {
@@ -65,8 +70,8 @@ inline constexpr int kCoverageColumns = 8, kCoverageRows = 6;
 [[nodiscard]] Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
                                                   const CalibrateOptions& options = {});
 
-// The error of each pose under a given rig, the board's place fitted; nullopt where no place fits.
-[[nodiscard]] std::optional<DeviceErrors> ErrorsOfPose(const RigGeometry& rig, const std::vector<double>& sigma_px,
-                                                       const BoardDescription& board, const PoseObservation& pose);
+// A pose under a given rig, only the board's place fitted; nullopt where no place fits.
+[[nodiscard]] std::optional<HeldOutPose> FitPose(const RigGeometry& rig, const std::vector<double>& sigma_px,
+                                                 const BoardDescription& board, const PoseObservation& pose);
 
 }  // namespace stratalux::fit

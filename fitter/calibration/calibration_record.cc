@@ -96,7 +96,9 @@ std::string ReportJson(const GeometryReport& report, const std::vector<Finding>&
   json["distortion"] = ToString(report.distortion);
   json["trials"] = Json::array();
   for (const ModelTrial& trial : report.trials)
-    json["trials"].push_back({{"model", ToString(trial.model)}, {"held_out_px", Number(trial.held_out_px)}});
+    json["trials"].push_back({{"model", ToString(trial.model)},
+                              {"held_out_sigmas", Number(trial.held_out_sigmas)},
+                              {"held_out_px", Number(trial.held_out_px)}});
   json["joint_rms_px"] = Number(report.training_total.JointRms());
   json["held_out_joint_px"] = Number(report.held_out_total.JointRms());
   json["corners"] = report.corners;

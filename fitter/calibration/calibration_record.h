@@ -17,10 +17,10 @@ namespace stratalux::fit {
                                       const std::string& source);
 
 // JSON, schema 1: {"schema", "verdict": "accepted"|"refused", "findings": [{"severity", "what", "remedy"}],
-// "left_out": [text], "distortion", "trials": [{"model", "held_out_px"}], "joint_rms_px", "held_out_joint_px",
-// "corners", "rejected": [{"pose", "corner", "sigmas"}], "devices": [{"name", "rms_px", "held_out_px", "sigma_px",
-// "epipolar_px" (projectors), "parameters": {name: [value, sd]}, "coverage", "coverage_map"}], "poses": [{"name",
-// "tilt_deg", "rms_px", "held_out_px"}]}.
+// "left_out": [text], "distortion", "trials": [{"model", "held_out_sigmas", "held_out_px"}], "joint_rms_px",
+// "held_out_joint_px", "corners", "rejected": [{"pose", "corner", "sigmas"}], "devices": [{"name", "rms_px",
+// "held_out_px", "sigma_px", "epipolar_px" (projectors), "parameters": {name: [value, sd]}, "coverage",
+// "coverage_map"}], "poses": [{"name", "tilt_deg", "rms_px", "held_out_px"}]}.
 [[nodiscard]] std::string ReportJson(const GeometryReport& report, const std::vector<Finding>& findings,
                                      const std::vector<std::string>& left_out);
 

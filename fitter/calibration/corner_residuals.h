@@ -29,15 +29,44 @@ bool ProjectPoint(const T* k, const Eigen::Matrix<T, 3, 1>& x_in_device, Eigen::
   return true;
 }
 
-// Normalised, undistorted coordinates of a pixel. Fixed-point iteration n <- n - (Distort(n) - target): the error
-// shrinks by the size of the distortion's slope each time, and the derivatives converge with it.
+[[nodiscard]] inline double ValueOf(double v) { return v; }
+template <typename S, int N>
+[[nodiscard]] double ValueOf(const ceres::Jet<S, N>& v) {
+  return v.a;
+}
+
+// Distort() at n, and its slope there.
+inline Eigen::Vector2d DistortWithSlope(const double* k, const Eigen::Vector2d& n, Eigen::Matrix2d& slope) {
+  using Jet = ceres::Jet<double, 2>;
+  Jet coefficients[9];
+  for (int i = 0; i < 9; ++i) coefficients[i] = Jet(k[i]);
+  const auto distorted = DistortNormalised<Jet>(coefficients, Eigen::Matrix<Jet, 2, 1>(Jet(n.x(), 0), Jet(n.y(), 1)));
+  slope.row(0) = distorted.x().v.transpose();
+  slope.row(1) = distorted.y().v.transpose();
+  return {distorted.x().a, distorted.y().a};
+}
+
+// Normalised, undistorted coordinates of a pixel. Newton's method in plain numbers finds n; one more step of it, with
+// derivatives, carries them exactly, for at the solution n' = -(dD/dn)^-1 (D' - target').
 template <typename T>
 Eigen::Matrix<T, 2, 1> UndistortPixel(const T* k, const Eigen::Vector2d& pixel) {
-  constexpr int kIterations = 20;
-  const Eigen::Matrix<T, 2, 1> target((T(pixel.x()) - k[2]) / k[0], (T(pixel.y()) - k[3]) / k[1]);
-  Eigen::Matrix<T, 2, 1> n = target;
-  for (int i = 0; i < kIterations; ++i) n -= DistortNormalised<T>(k, n) - target;
-  return n;
+  constexpr int kMostIterations = 20;
+  double values[9];
+  for (int i = 0; i < 9; ++i) values[i] = ValueOf(k[i]);
+  const Eigen::Vector2d target((pixel.x() - values[2]) / values[0], (pixel.y() - values[3]) / values[1]);
+  Eigen::Vector2d n = target;
+  Eigen::Matrix2d slope;
+  for (int i = 0; i < kMostIterations; ++i) {
+    const Eigen::Vector2d error = DistortWithSlope(values, n, slope) - target;
+    if (error.squaredNorm() < 1e-24) break;
+    n -= slope.inverse() * error;
+  }
+  const Eigen::Matrix<T, 2, 1> at(T(n.x()), T(n.y()));
+  const Eigen::Matrix<T, 2, 1> error =
+      DistortNormalised<T>(k, at) - Eigen::Matrix<T, 2, 1>((T(pixel.x()) - k[2]) / k[0], (T(pixel.y()) - k[3]) / k[1]);
+  const Eigen::Matrix2d inverse = slope.inverse();
+  return {at.x() - (T(inverse(0, 0)) * error.x() + T(inverse(0, 1)) * error.y()),
+          at.y() - (T(inverse(1, 0)) * error.x() + T(inverse(1, 1)) * error.y())};
 }
 
 // A corner of the board as the camera sees it: projected less seen, in standard deviations.

@@ -181,9 +181,9 @@ std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& 
   }
   DeviceErrors total(report.sigma_px.size());
   for (const PoseObservation& pose : report.used.poses) {
-    const auto errors = ErrorsOfPose(given, report.sigma_px, report.used.board, pose);
-    if (!errors) findings.Refuse(pose.name + ": no place of the board fits", "calibrate again");
-    if (errors) total.Add(*errors);
+    const auto fitted = FitPose(given, report.sigma_px, report.used.board, pose);
+    if (!fitted) findings.Refuse(pose.name + ": no place of the board fits", "calibrate again");
+    if (fitted) total.Add(fitted->errors);
   }
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
     const Pinhole &theirs = ModelOf(given, d), &ours = ModelOf(report.bundle.rig, d);
