@@ -70,15 +70,20 @@ std::vector<int> FixedIntrinsics(DistortionModel model) {
 class BundleProblem {
  public:
   BundleProblem(const CalibrationObservations& observations, const Bundle& start, const BundleOptions& options)
-      : observations_(observations), options_(options), start_(start), camera_(ToVector(start.rig.camera)) {
-    for (const ProjectorGeometry& p : start.rig.projectors) {
-      projectors_.push_back(ToVector(p.model));
-      places_.push_back(ToVector(p.camera_from_projector));
+      : observations_(observations),
+        options_(options),
+        start_(start),
+        values_(kIntrinsics + (kIntrinsics + kPoseParameters) * start.rig.projectors.size() +
+                kPoseParameters * start.camera_from_board.size()) {
+    Store(ToVector(start.rig.camera), Camera());
+    for (size_t p = 0; p < projectors(); ++p) {
+      Store(ToVector(start.rig.projectors[p].model), Projector(p));
+      Store(ToVector(start.rig.projectors[p].camera_from_projector), Place(p));
     }
-    for (const Rigid3& pose : start.camera_from_board) boards_.push_back(ToVector(pose));
+    for (size_t k = 0; k < start.camera_from_board.size(); ++k) Store(ToVector(start.camera_from_board[k]), Board(k));
     if (options.known != Known::kWholeRig)
-      for (Intrinsics& p : projectors_) ZeroFixed(p);
-    if (options.known == Known::kNothing) ZeroFixed(camera_);
+      for (size_t p = 0; p < projectors(); ++p) ZeroFixed(Projector(p));
+    if (options.known == Known::kNothing) ZeroFixed(Camera());
   }
 
   // Residuals in units of `sigma_px`.
@@ -86,11 +91,12 @@ class BundleProblem {
     problem_ = std::make_unique<ceres::Problem>();
     for (size_t k = 0; k < observations_.poses.size(); ++k)
       for (const CornerObservation& corner : observations_.poses[k].corners) AddCorner(corner, k, sigma_px);
-    Hold(camera_, options_.known != Known::kNothing);
-    for (Intrinsics& p : projectors_) Hold(p, options_.known == Known::kWholeRig);
-    if (options_.known == Known::kWholeRig)
-      for (PoseVector& place : places_)
-        if (problem_->HasParameterBlock(place.data())) problem_->SetParameterBlockConstant(place.data());
+    Hold(Camera(), options_.known != Known::kNothing);
+    for (size_t p = 0; p < projectors(); ++p) {
+      Hold(Projector(p), options_.known == Known::kWholeRig);
+      if (options_.known == Known::kWholeRig && problem_->HasParameterBlock(Place(p)))
+        problem_->SetParameterBlockConstant(Place(p));
+    }
   }
 
   Status Solve(int& iterations, double& cost) {
@@ -101,6 +107,12 @@ class BundleProblem {
     solver.parameter_tolerance = 1e-10;
     solver.logging_type = ceres::SILENT;
     solver.num_threads = 1;  // more would add up in another order each time
+    auto order = std::make_shared<ceres::ParameterBlockOrdering>();
+    std::vector<double*> blocks;
+    problem_->GetParameterBlocks(&blocks);
+    for (double* block : blocks)
+      order->AddElementToGroup(block, block >= Board(0) ? 0 : 1 + static_cast<int>(block - Camera()));
+    solver.linear_solver_ordering = order;
     double start_cost = 0.0;
     if (!problem_->Evaluate({}, &start_cost, nullptr, nullptr, nullptr))
       return Status::Failed("bundle adjustment: part of a board lies behind a device");
@@ -111,29 +123,30 @@ class BundleProblem {
     return summary.IsSolutionUsable() ? Status::Ok() : Status::Failed("bundle adjustment: " + summary.message);
   }
 
-  [[nodiscard]] Bundle Result() const {
+  [[nodiscard]] Bundle Result() {
     Bundle bundle = start_;
-    bundle.rig.camera = ToPinhole(camera_, start_.rig.camera);
-    for (size_t p = 0; p < projectors_.size(); ++p)
-      bundle.rig.projectors[p] = {ToPinhole(projectors_[p], start_.rig.projectors[p].model), ToRigid(places_[p])};
-    for (size_t k = 0; k < boards_.size(); ++k) bundle.camera_from_board[k] = ToRigid(boards_[k]);
+    bundle.rig.camera = ToPinhole(Load<kIntrinsics>(Camera()), start_.rig.camera);
+    for (size_t p = 0; p < projectors(); ++p)
+      bundle.rig.projectors[p] = {ToPinhole(Load<kIntrinsics>(Projector(p)), start_.rig.projectors[p].model),
+                                  ToRigid(Load<kPoseParameters>(Place(p)))};
+    for (size_t k = 0; k < bundle.camera_from_board.size(); ++k)
+      bundle.camera_from_board[k] = ToRigid(Load<kPoseParameters>(Board(k)));
     return bundle;
   }
 
   // Robust standard deviations of the residuals, by device.
-  [[nodiscard]] std::vector<double> Sigmas() const {
-    std::vector<std::vector<double>> absolute(1 + projectors_.size());
+  [[nodiscard]] std::vector<double> Sigmas() {
+    std::vector<std::vector<double>> absolute(1 + projectors());
     for (size_t k = 0; k < observations_.poses.size(); ++k)
       for (const CornerObservation& corner : observations_.poses[k].corners) {
         std::array<double, 2> r{};
         const CameraCornerResidual seen{observations_.board.CornerMm(corner.corner), corner.camera_px};
-        if (!seen(camera_.data(), boards_[k].data(), r.data())) continue;
+        if (!seen(Camera(), Board(k), r.data())) continue;
         for (double v : r) absolute[0].push_back(std::abs(v));
-        for (size_t p = 0; p < projectors_.size(); ++p) {
+        for (size_t p = 0; p < projectors(); ++p) {
           if (!corner.projector_px[p]) continue;
           const TransferResidual transfer{corner.camera_px, *corner.projector_px[p]};
-          if (!transfer(camera_.data(), projectors_[p].data(), places_[p].data(), boards_[k].data(), r.data()))
-            continue;
+          if (!transfer(Camera(), Projector(p), Place(p), Board(k), r.data())) continue;
           for (double v : r) absolute[1 + p].push_back(std::abs(v));
         }
       }
@@ -148,10 +161,10 @@ class BundleProblem {
     options.min_reciprocal_condition_number = 1e-22;
     ceres::Covariance covariance(options);
     std::vector<const double*> all;
-    if (options_.known == Known::kNothing) all.push_back(camera_.data());
-    for (size_t p = 0; p < projectors_.size(); ++p) {
-      all.push_back(projectors_[p].data());
-      all.push_back(places_[p].data());
+    if (options_.known == Known::kNothing) all.push_back(Camera());
+    for (size_t p = 0; p < projectors(); ++p) {
+      all.push_back(Projector(p));
+      all.push_back(Place(p));
     }
     if (!covariance.Compute(all, problem_.get()))
       return Status::Failed(
@@ -159,43 +172,59 @@ class BundleProblem {
     std::vector<Eigen::MatrixXd> result;
     Eigen::Matrix<double, kIntrinsics, kIntrinsics, Eigen::RowMajor> camera;
     camera.setZero();
-    if (options_.known == Known::kNothing) covariance.GetCovarianceMatrix({camera_.data()}, camera.data());
+    if (options_.known == Known::kNothing) covariance.GetCovarianceMatrix({Camera()}, camera.data());
     result.emplace_back(camera);
-    for (size_t p = 0; p < projectors_.size(); ++p) {
+    for (size_t p = 0; p < projectors(); ++p) {
       constexpr int kSize = kIntrinsics + kPoseParameters;
       Eigen::Matrix<double, kSize, kSize, Eigen::RowMajor> block;
-      covariance.GetCovarianceMatrix({projectors_[p].data(), places_[p].data()}, block.data());
+      covariance.GetCovarianceMatrix({Projector(p), Place(p)}, block.data());
       result.emplace_back(block);
     }
     return result;
   }
 
  private:
-  void ZeroFixed(Intrinsics& v) const {
+  [[nodiscard]] size_t projectors() const { return start_.rig.projectors.size(); }
+  double* Camera() { return values_.data(); }
+  double* Projector(size_t p) { return values_.data() + kIntrinsics + (kIntrinsics + kPoseParameters) * p; }
+  double* Place(size_t p) { return Projector(p) + kIntrinsics; }
+  double* Board(size_t k) { return Projector(projectors()) + kPoseParameters * k; }
+  template <size_t kSize>
+  static void Store(const std::array<double, kSize>& from, double* to) {
+    std::copy(from.begin(), from.end(), to);
+  }
+  template <size_t kSize>
+  static std::array<double, kSize> Load(const double* from) {
+    std::array<double, kSize> to;
+    std::copy_n(from, kSize, to.begin());
+    return to;
+  }
+
+  void ZeroFixed(double* v) const {
     for (int i : FixedIntrinsics(options_.distortion)) v[i] = 0.0;
   }
 
-  void Hold(Intrinsics& v, bool whole) {
-    if (!problem_->HasParameterBlock(v.data())) return;
+  void Hold(double* v, bool whole) {
+    if (!problem_->HasParameterBlock(v)) return;
     const std::vector<int> fixed = FixedIntrinsics(options_.distortion);
     if (whole)
-      problem_->SetParameterBlockConstant(v.data());
+      problem_->SetParameterBlockConstant(v);
     else if (!fixed.empty())
-      problem_->SetManifold(v.data(), new ceres::SubsetManifold(kIntrinsics, fixed));
+      problem_->SetManifold(v, new ceres::SubsetManifold(kIntrinsics, fixed));
   }
 
   void AddCorner(const CornerObservation& corner, size_t k, const std::vector<double>& sigma_px) {
     problem_->AddResidualBlock(
         new ceres::AutoDiffCostFunction<CameraCornerResidual, 2, kIntrinsics, kPoseParameters>(
             new CameraCornerResidual{observations_.board.CornerMm(corner.corner), corner.camera_px, sigma_px[0]}),
-        new ceres::HuberLoss(options_.outlier_sigmas), camera_.data(), boards_[k].data());
-    for (size_t p = 0; p < projectors_.size(); ++p) {
+        new ceres::HuberLoss(options_.outlier_sigmas), Camera(), Board(k));
+    for (size_t p = 0; p < projectors(); ++p) {
       if (!corner.projector_px[p]) continue;
       problem_->AddResidualBlock(new ceres::AutoDiffCostFunction<TransferResidual, 2, kIntrinsics, kIntrinsics,
                                                                  kPoseParameters, kPoseParameters>(
                                      new TransferResidual{corner.camera_px, *corner.projector_px[p], sigma_px[1 + p]}),
-                                 new ceres::HuberLoss(options_.outlier_sigmas), camera_.data(), projectors_[p].data(),
-                                 places_[p].data(), boards_[k].data());
+                                 new ceres::HuberLoss(options_.outlier_sigmas), Camera(), Projector(p), Place(p),
+                                 Board(k));
     }
   }
 
@@ -214,9 +243,8 @@ class BundleProblem {
   const CalibrationObservations& observations_;
   const BundleOptions& options_;
   const Bundle& start_;
-  Intrinsics camera_;
-  std::vector<Intrinsics> projectors_;
-  std::vector<PoseVector> places_, boards_;
+  // All parameters, in one piece: Ceres sorts blocks by address, and the same order gives the same bits.
+  std::vector<double> values_;
   std::unique_ptr<ceres::Problem> problem_;
 };
 

@@ -5,7 +5,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <Eigen/LU>
 
+#include <ceres/jet.h>
 #include <ceres/rotation.h>
 
 namespace stratalux::fit {

