@@ -100,21 +100,6 @@ std::vector<HeldOutPose> HoldOut(const CalibrationObservations& observations, co
   return held_out;
 }
 
-// Whether the richer model predicts the poses better, beyond the chance of these poses: the gain in squared surprise,
-// pose by pose, against its standard error.
-bool PredictsBetter(const std::vector<HeldOutPose>& richer, const std::vector<HeldOutPose>& simpler, double errors) {
-  const auto count = static_cast<double>(richer.size());
-  double sum = 0.0, squares = 0.0;
-  for (size_t k = 0; k < richer.size(); ++k) {
-    const double gain = simpler[k].surprise * simpler[k].surprise - richer[k].surprise * richer[k].surprise;
-    sum += gain;
-    squares += gain * gain;
-  }
-  const double mean = sum / count;
-  const double standard_error = std::sqrt(std::max(squares / count - mean * mean, 0.0) / std::max(count - 1.0, 1.0));
-  return std::isfinite(mean) ? mean > errors * standard_error : mean > 0.0;
-}
-
 double SurpriseOf(const std::vector<HeldOutPose>& held_out) {
   double sum = 0.0;
   for (const HeldOutPose& pose : held_out) sum += pose.surprise * pose.surprise;
@@ -201,6 +186,7 @@ Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
   SLX_ASSIGN_OR_RETURN(BundleReport adjusted,
                        AdjustWithRejection(report.used, start, BundleOptionsFor(options, richest),
                                            options.reject_sigmas, report.rejected));
+  double best = kInfinity;
   for (const DistortionModel model : {DistortionModel::kK1, DistortionModel::kK1K2, DistortionModel::kFull}) {
     if (options.distortion && *options.distortion != model) continue;
     BundleOptions bundle_options = BundleOptionsFor(options, model);
@@ -213,7 +199,9 @@ Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
     std::vector<HeldOutPose> held_out = HoldOut(report.used, *fitted, bundle_options);
     const DeviceErrors total = TotalOf(held_out);
     report.trials.push_back({model, SurpriseOf(held_out), total.JointRms()});
-    if (!report.held_out.empty() && !PredictsBetter(held_out, report.held_out, options.simpler_unless_errors)) continue;
+    // Of two that predict alike the simpler one, which comes first.
+    if (!(report.trials.back().held_out_sigmas < best)) continue;
+    best = report.trials.back().held_out_sigmas;
     report.bundle = fitted->bundle;
     report.sigma_px = fitted->sigma_px;
     report.distortion = model;

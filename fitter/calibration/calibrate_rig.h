@@ -18,8 +18,6 @@ namespace stratalux::fit {
 struct CalibrateOptions {
   std::optional<Pinhole> known_camera{};        // intrinsics that stay
   std::optional<DistortionModel> distortion{};  // unset: chosen by the held-out error
-  // A model with more terms must predict the held-out poses better by so many standard errors of the gain.
-  double simpler_unless_errors = 1.0;
   // A corner is left out whose residual in any device exceeds so many standard deviations.
   double reject_sigmas = 6.0;
   [[nodiscard]] Status Validate() const;
