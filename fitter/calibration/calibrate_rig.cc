@@ -112,6 +112,23 @@ DeviceErrors TotalOf(const std::vector<HeldOutPose>& held_out) {
   return total;
 }
 
+struct FittedModel {
+  ModelTrial trial;
+  BundleReport bundle;
+  std::vector<HeldOutPose> held_out;
+};
+
+// The richest that predicts held-out poses about as well as the best: a term too many widens the standard deviations,
+// which says so; a term too few moves the others away from the truth, and nothing says so.
+const FittedModel& Choose(const std::vector<FittedModel>& fitted, double richer_within) {
+  double least = kInfinity;
+  for (const FittedModel& f : fitted) least = std::min(least, f.trial.held_out_sigmas);
+  const FittedModel* chosen = &fitted.front();
+  for (const FittedModel& f : fitted)
+    if (f.trial.held_out_sigmas <= (1.0 + richer_within) * least) chosen = &f;
+  return *chosen;
+}
+
 void CountCell(std::vector<int>& cells, const DeviceSize& size, const Eigen::Vector2d& pixel) {
   const int column = static_cast<int>((pixel.x() + 0.5) / size.width * kCoverageColumns);
   const int row = static_cast<int>((pixel.y() + 0.5) / size.height * kCoverageRows);
@@ -186,29 +203,27 @@ Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
   SLX_ASSIGN_OR_RETURN(BundleReport adjusted,
                        AdjustWithRejection(report.used, start, BundleOptionsFor(options, richest),
                                            options.reject_sigmas, report.rejected));
-  double best = kInfinity;
+  std::vector<FittedModel> fitted;
   for (const DistortionModel model : {DistortionModel::kK1, DistortionModel::kK1K2, DistortionModel::kFull}) {
     if (options.distortion && *options.distortion != model) continue;
     BundleOptions bundle_options = BundleOptionsFor(options, model);
-    auto fitted = AdjustBundle(report.used, adjusted.bundle, bundle_options);
-    if (!fitted.ok()) {
+    auto bundle = AdjustBundle(report.used, adjusted.bundle, bundle_options);
+    if (!bundle.ok()) {
       report.trials.push_back({model, kInfinity, kInfinity});
       continue;
     }
     bundle_options.sigma_px = adjusted.sigma_px;  // one measure for all models
-    std::vector<HeldOutPose> held_out = HoldOut(report.used, *fitted, bundle_options);
-    const DeviceErrors total = TotalOf(held_out);
-    report.trials.push_back({model, SurpriseOf(held_out), total.JointRms()});
-    // Of two that predict alike the simpler one, which comes first.
-    if (!(report.trials.back().held_out_sigmas < best)) continue;
-    best = report.trials.back().held_out_sigmas;
-    report.bundle = fitted->bundle;
-    report.sigma_px = fitted->sigma_px;
-    report.distortion = model;
-    report.held_out = std::move(held_out);
-    report.held_out_total = total;
+    std::vector<HeldOutPose> held_out = HoldOut(report.used, *bundle, bundle_options);
+    report.trials.push_back({model, SurpriseOf(held_out), TotalOf(held_out).JointRms()});
+    fitted.push_back({report.trials.back(), std::move(bundle).value(), std::move(held_out)});
   }
-  if (report.held_out.empty()) return Status::Failed("no distortion model could be fitted to the corners");
+  if (fitted.empty()) return Status::Failed("no distortion model could be fitted to the corners");
+  const FittedModel& best = Choose(fitted, options.richer_within);
+  report.bundle = best.bundle.bundle;
+  report.sigma_px = best.bundle.sigma_px;
+  report.distortion = best.trial.model;
+  report.held_out = best.held_out;
+  report.held_out_total = TotalOf(best.held_out);
   BundleReport chosen{report.bundle, report.sigma_px, 0, 0.0};
   if (auto covariances = DeviceCovariances(report.used, chosen, BundleOptionsFor(options, report.distortion));
       covariances.ok())

@@ -18,6 +18,8 @@ namespace stratalux::fit {
 struct CalibrateOptions {
   std::optional<Pinhole> known_camera{};        // intrinsics that stay
   std::optional<DistortionModel> distortion{};  // unset: chosen by the held-out error
+  // Of the models whose held-out error exceeds the least by no more than this share, the richest.
+  double richer_within = 0.01;
   // A corner is left out whose residual in any device exceeds so many standard deviations.
   double reject_sigmas = 6.0;
   [[nodiscard]] Status Validate() const;
