@@ -27,16 +27,16 @@ std::vector<int> NumberedPoses(const SessionFrames& frames) {
   return poses;
 }
 
-// The last code pair that the projector shows: together, all of it is white once more.
-Result<Image<uint16_t>> SumOfLastCodes(const SessionFrames& frames, int projector, int pose, int rows) {
+// Mean of the last code pair that the projector shows: together, all of it is white once more, at half the light.
+Result<Image<uint16_t>> MeanOfLastCodes(const SessionFrames& frames, int projector, int pose, int rows) {
   const int bits = GrayBits(rows);
   Pattern code{.kind = PatternKind::kGray, .axis = PatternAxis::kRows, .bit = bits - 1, .bits = bits};
-  SLX_ASSIGN_OR_RETURN(auto sum, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
+  SLX_ASSIGN_OR_RETURN(auto mean, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
   code.inverse = true;
   SLX_ASSIGN_OR_RETURN(const auto inverse, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
-  for (size_t i = 0; i < sum.size(); ++i)
-    sum.pixels()[i] = static_cast<uint16_t>(sum.pixels()[i] + inverse.pixels()[i]);
-  return sum;
+  for (size_t i = 0; i < mean.size(); ++i)
+    mean.pixels()[i] = static_cast<uint16_t>((uint32_t{mean.pixels()[i]} + inverse.pixels()[i]) / 2);
+  return mean;
 }
 
 Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector, int pose, int rows,
@@ -44,16 +44,15 @@ Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector,
   const db::FrameRow* row = frames.Find(projector, CapturePhase::kReference, kWhite, pose);
   SLX_ASSIGN_OR_RETURN(const auto white, frames.Read(projector, CapturePhase::kReference, kWhite, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, frames.Read(projector, CapturePhase::kReference, kBlack, pose));
-  SLX_ASSIGN_OR_RETURN(const auto codes, SumOfLastCodes(frames, projector, pose, rows));
-  Image<float> dark(black.width(), black.height()), twice(black.width(), black.height());
+  SLX_ASSIGN_OR_RETURN(const auto codes, MeanOfLastCodes(frames, projector, pose, rows));
+  Image<float> dark(black.width(), black.height());
   ProjectorPictures pictures{projector, {}, {}, Image<uint8_t>(white.width(), white.height())};
   for (size_t i = 0; i < dark.size(); ++i) {
     dark.pixels()[i] = black.pixels()[i];
-    twice.pixels()[i] = 2.0F * dark.pixels()[i];
     pictures.saturated.pixels()[i] = white.pixels()[i] >= saturation_dn;
   }
   pictures.white_light = BoardLight(white, dark, row->record.cfa);
-  pictures.codes_light = BoardLight(codes, twice, row->record.cfa);
+  pictures.codes_light = BoardLight(codes, dark, row->record.cfa);
   return pictures;
 }
 
