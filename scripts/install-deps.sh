@@ -28,6 +28,9 @@ libdrm-dev           rig  projectors that are displays (KMS)
 libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
 libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR
+libceres-dev         fit  bundle adjustment of the calibration
+libopencv-dev        fit  chessboards and first guesses of the calibration
+libopencv-contrib-dev fit ChArUco boards
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)

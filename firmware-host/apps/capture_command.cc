@@ -104,6 +104,8 @@ Status CaptureOptions::Validate() const {
     return Status::Usage("capture: the configuration wires no [[projector]]; --simulate runs the simulated rig");
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
+  if (board_pose >= 0 && config.plan.kind != SessionKind::kCalibration)
+    return Status::Usage("--pose numbers the board's poses of --kind calibration");
   if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");
   return Status::Ok();
 }
@@ -126,7 +128,7 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
 
-  SessionArchive archive(std::move(writer));
+  SessionArchive archive(std::move(writer), options.board_pose);
   {
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));

@@ -22,6 +22,7 @@ struct CaptureOptions {
   // Recorded for the visitor before the capture; without one, the store must hold a consent already.
   std::optional<Consent> consent;
   Retention retention = Retention::kStandard;
+  int board_pose = -1;                           // calibration: number of the board's pose; -1: none
   std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
 
   // kUsage: no devices and no simulation, a pseudonym that not every list and JSON file can show, a consent without a

@@ -34,6 +34,7 @@ constexpr const char* kExamples = R"(Examples:
       --consent-text 2026-03 --consent-language de
   stratalux-rig capture --simulate --config rig.toml --kind flat
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
+  stratalux-rig capture --kind calibration --pose 3 --simulate=docs/examples/scenes/charuco_poses.toml --store store
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig capture --config rig.toml --store store
@@ -54,6 +55,7 @@ struct Flags {
   std::string consent_scope, consent_text, consent_language;
   std::string retention = "standard";
   std::string out;
+  int board_pose = -1;
   uint64_t seed = 1;
   std::vector<std::string> faults;
   double fault_rate = 0.0;
@@ -134,6 +136,7 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
 // The rig that --simulate asks for.
 Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& config) {
   SimulatedRigOptions simulated;
+  simulated.board_pose = flags.board_pose;
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
@@ -159,6 +162,7 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
     return Status::Usage(
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
   options.visitor = flags.visitor;
+  options.board_pose = flags.board_pose;
   SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
   SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) options.config.store.encrypt = true;
@@ -241,7 +245,7 @@ void AddSimulationFlags(CLI::App& command, Flags& flags) {
       .add_option(
           "--simulate", flags.scene,
           "use the simulated rig; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-          "sphere, white, ramp, chart, checkerboard, charuco, bowl")
+          "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab")
       ->expected(0, 1)
       ->default_str("head");
   command.add_option("--fault", flags.faults,
@@ -279,6 +283,11 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
       ->capture_default_str();
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
+  capture
+      ->add_option("--pose", flags.board_pose,
+                   "calibration: number of the board's pose, kept with the session; simulation: which [[pose]] of the "
+                   "scene")
+      ->check(CLI::Range(0, 999));
   capture->add_flag("--json", flags.json, "print one JSON object");
   capture->add_flag("--verbose", flags.verbose, "more on stderr");
   return capture;

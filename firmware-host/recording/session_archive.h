@@ -9,10 +9,14 @@ namespace stratalux::rig {
 
 class SessionArchive : public FrameArchive {
  public:
-  explicit SessionArchive(db::SessionWriter writer) : writer_(std::move(writer)) {}
+  // `board_pose`: of a calibration session, kept with each frame; -1: none.
+  explicit SessionArchive(db::SessionWriter writer, int board_pose = -1)
+      : writer_(std::move(writer)), board_pose_(board_pose) {}
 
   Status Append(const FrameRecord& record, const Image<uint16_t>& pixels) override {
-    return writer_.Append(record, pixels.view());
+    FrameRecord posed = record;
+    posed.pose = board_pose_;
+    return writer_.Append(posed, pixels.view());
   }
   Status Flush() override { return writer_.Flush(); }
   Status FlushIfDue() override { return writer_.FlushIfDue(); }
@@ -21,6 +25,7 @@ class SessionArchive : public FrameArchive {
 
  private:
   db::SessionWriter writer_;
+  int board_pose_;
 };
 
 }  // namespace stratalux::rig

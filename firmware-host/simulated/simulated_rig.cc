@@ -449,7 +449,8 @@ Status SimulatedRigOptions::Validate() const {
 
 Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOptions& given, Logger& logger) {
   SLX_RETURN_IF_ERROR(given.Validate());
-  SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(given.scene));
+  SLX_ASSIGN_OR_RETURN(Simulation simulation, LoadSimulation(given.scene));
+  SLX_RETURN_IF_ERROR(simulation.scene.TakePose(given.board_pose).WithContext(given.scene));
   SimulatedRigOptions options = given;
   if (given.scene.ends_with(".toml")) {
     options.devices = simulation.devices;

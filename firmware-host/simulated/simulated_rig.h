@@ -33,6 +33,7 @@ struct SimulatedRigOptions {
   // The camera streams by itself, a frame every `devices.timing.frame_period_ms`, and answers no trigger.
   bool free_running = false;
   std::string scene = "head";  // a shape's name or a scene file (simulation_file.h)
+  int board_pose = -1;         // which of the scene's poses; -1: the subject's own
   DeviceOptions devices;       // replaced by those of a scene file
   FaultOptions faults;         // a scene file's come on top
   std::string skin_table;      // path; empty: the shipped table

@@ -21,6 +21,29 @@ double StepIntegral(double t_ms, double tau_ms) {
   return tau_ms > 0.0 ? t_ms - tau_ms * (1.0 - std::exp(-t_ms / tau_ms)) : t_ms;
 }
 
+// Of a matt surface: the mean albedo over the camera pixel's box. A board's edge sampled at pixel centres alone would
+// come in stairs, and its corners up to half a pixel off.
+void AverageAlbedo(const Scene& scene, const Pinhole& camera, int x, int y, Material& material) {
+  constexpr int kSide = 6;  // samples a side
+  if (material.kind != MaterialKind::kMatt) return;
+  auto albedo_at = [&](double dx, double dy) {
+    const auto hit = scene.Intersect({Eigen::Vector3d::Zero(), camera.Unproject({x + dx, y + dy})});
+    const Material there = hit ? scene.MaterialAt(*hit) : material;
+    return there.kind == MaterialKind::kMatt ? there.albedo : material.albedo;
+  };
+  bool even = true;
+  for (const double dx : {-0.5, 0.5})
+    for (const double dy : {-0.5, 0.5}) even = even && albedo_at(dx, dy) == material.albedo;
+  if (even) return;
+  std::array<float, 3> sum{};
+  for (int j = 0; j < kSide; ++j)
+    for (int i = 0; i < kSide; ++i) {
+      const auto albedo = albedo_at((i + 0.5) / kSide - 0.5, (j + 0.5) / kSide - 0.5);
+      for (size_t c = 0; c < sum.size(); ++c) sum[c] += albedo[c];
+    }
+  for (size_t c = 0; c < sum.size(); ++c) material.albedo[c] = sum[c] / (kSide * kSide);
+}
+
 }  // namespace
 
 std::vector<double> ShareOfPictures(const std::vector<Shown>& timeline, MonotonicNs start, double exposure_ms,
@@ -63,7 +86,9 @@ std::unique_ptr<World::Stage> World::MakeStage(const SubjectState& state) const 
         if (!hit) continue;
         const Eigen::Vector3d normal = stage->scene.Normal(*hit);
         if (normal.dot(-hit->normalized()) < 0.02) continue;
-        rows[y].push_back({x, y, *hit, normal, stage->scene.MaterialAt(*hit)});
+        Material material = stage->scene.MaterialAt(*hit);
+        AverageAlbedo(stage->scene, camera, x, y, material);
+        rows[y].push_back({x, y, *hit, normal, material});
       }
   });
   for (const auto& row : rows) stage->pixels.insert(stage->pixels.end(), row.begin(), row.end());

@@ -28,25 +28,6 @@ struct Flags {
   bool json = false;
 };
 
-// A session's own calibration, or what an 8-bit import implies.
-SensorNoise NoiseOf(const SessionFrames& frames) {
-  if (frames.calibration()) return SensorNoise::From(frames.calibration()->camera);
-  const bool eight_bit = frames.rows()[0].record.format == PixelFormat::kMono8;
-  return {0.0, eight_bit ? 255.0 : 4095.0, eight_bit ? 20.0 : 4.0, eight_bit ? 1.0 : 3.0};
-}
-
-// Size of the code, from the bits of the stored frames.
-void CodeSize(const SessionFrames& frames, int& width, int& height) {
-  width = height = 0;
-  for (const db::FrameRow& row : frames.rows()) {
-    const Pattern& p = row.record.pattern;
-    if (p.kind == PatternKind::kGray) (p.axis == PatternAxis::kColumns ? width : height) = 1 << p.bits;
-  }
-  if (!frames.plan()) return;
-  width = frames.plan()->projector_width;
-  height = frames.plan()->projector_height;
-}
-
 // Median distance, projector px, between a reference file's corners (pose, board x y, camera u v, projector x y) and
 // our own sub-pixel look-up; -1 when no corner of this pose could be looked up.
 Result<double> CompareCorners(const std::string& file, int pose, const DecodedMap& map, int crop_x, int crop_y,
@@ -74,9 +55,9 @@ Result<double> CompareCorners(const std::string& file, int pose, const DecodedMa
 }
 
 Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohmann::ordered_json& results) {
-  int width = 0, height = 0;
-  CodeSize(frames, width, height);
-  SLX_ASSIGN_OR_RETURN(const auto report, DecodeProjector(frames, f.projector, pose, width, height, NoiseOf(frames)));
+  const CodeSize code = CodeSizeOf(frames);
+  SLX_ASSIGN_OR_RETURN(const auto report,
+                       DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames)));
   nlohmann::ordered_json result = {{"projector", f.projector}, {"pose", pose}};
   for (int r = 0; r < kDecodeReasons; ++r) result["pixels"][ToString(static_cast<DecodeReason>(r))] = report.counts[r];
   if (!f.reference.empty()) {

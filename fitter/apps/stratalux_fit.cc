@@ -10,6 +10,7 @@ int main(int argc, char** argv) {
       "stratalux-fit: reconstructs, fits scattering layers, renders, compares, reports.\n\nExamples:\n"
       "  stratalux-fit run latest --store store\n"
       "  stratalux-fit run s000003 --store store --full-evaluation --shift refracted_sine\n"
+      "  stratalux-fit calibrate --last 12 --store store\n"
       "  stratalux-fit decode latest --store store --out decoded\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
       "  stratalux-fit profiles fit --in arm.csv --out arm.json");
@@ -18,6 +19,7 @@ int main(int argc, char** argv) {
   int exit_code = 0;
   stratalux::fit::AddRunCommands(app, exit_code);
   stratalux::fit::AddDecodeCommand(app, exit_code);
+  stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
   try {

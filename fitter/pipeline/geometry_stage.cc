@@ -88,6 +88,22 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
 
 }  // namespace
 
+SensorNoise NoiseOf(const SessionFrames& frames) {
+  if (frames.calibration()) return SensorNoise::From(frames.calibration()->camera);
+  const bool eight_bit = frames.rows()[0].record.format == PixelFormat::kMono8;
+  return {0.0, eight_bit ? 255.0 : 4095.0, eight_bit ? 20.0 : 4.0, eight_bit ? 1.0 : 3.0};
+}
+
+CodeSize CodeSizeOf(const SessionFrames& frames) {
+  if (frames.plan()) return {frames.plan()->projector_width, frames.plan()->projector_height};
+  CodeSize size;
+  for (const db::FrameRow& row : frames.rows()) {
+    const Pattern& p = row.record.pattern;
+    if (p.kind == PatternKind::kGray) (p.axis == PatternAxis::kColumns ? size.columns : size.rows) = 1 << p.bits;
+  }
+  return size;
+}
+
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                      int code_height, const SensorNoise& noise) {
   SLX_ASSIGN_OR_RETURN(const auto white,

@@ -25,6 +25,14 @@ struct FaceGeometry {
   std::vector<Image<uint8_t>> lit;  // on quads: this projector reaches the point
 };
 
+// Noise of a session's frames: from its own calibration, or what an import's bit depth implies.
+[[nodiscard]] SensorNoise NoiseOf(const SessionFrames& frames);
+
+struct CodeSize {
+  int columns = 0, rows = 0;  // of the projectors: as the plan says, or the most that the stored code can number
+};
+[[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
+
 // Decodes projector p of a session whose frames have `width` x `height` code columns and rows; sinusoids where the plan
 // has them.
 [[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,

@@ -32,17 +32,36 @@ Pinhole PinholeFrom(const Json& j) {
   return m;
 }
 
+constexpr const char* kCovariance = "geometry_covariance";
+
+void AddCovariance(const std::vector<double>& covariance, Json& json) {
+  if (!covariance.empty()) json[kCovariance] = covariance;
+}
+
+void GetCovariance(const Json& json, std::vector<double>& covariance) {
+  if (json.contains(kCovariance)) json.at(kCovariance).get_to(covariance);
+}
+
+Status CheckCovariance(const std::vector<double>& covariance, size_t parameters) {
+  const size_t wanted = parameters * (parameters + 1) / 2;
+  if (covariance.empty() || covariance.size() == wanted) return Status::Ok();
+  return Status::Usage(std::string(kCovariance) + " has " + std::to_string(covariance.size()) + " numbers, not " +
+                       std::to_string(wanted));
+}
+
 Json ProjectorJson(const ProjectorCalibration& p) {
   const Eigen::Quaterniond& q = p.camera_from_projector.rotation;
   const Eigen::Vector3d& t = p.camera_from_projector.translation_mm;
-  return {{"name", p.name},
-          {"model", PinholeJson(p.model)},
-          {"camera_from_projector",
-           {{"quaternion_wxyz", {q.w(), q.x(), q.y(), q.z()}}, {"translation_mm", {t.x(), t.y(), t.z()}}}},
-          {"line_blur_px", p.line_blur_px},
-          {"black_level", p.black_level},
-          {"falloff", p.falloff},
-          {"white_dn_mm2_per_ms", p.white_dn_mm2_per_ms}};
+  Json json = {{"name", p.name},
+               {"model", PinholeJson(p.model)},
+               {"camera_from_projector",
+                {{"quaternion_wxyz", {q.w(), q.x(), q.y(), q.z()}}, {"translation_mm", {t.x(), t.y(), t.z()}}}},
+               {"line_blur_px", p.line_blur_px},
+               {"black_level", p.black_level},
+               {"falloff", p.falloff},
+               {"white_dn_mm2_per_ms", p.white_dn_mm2_per_ms}};
+  AddCovariance(p.geometry_covariance, json);
+  return json;
 }
 
 ProjectorCalibration ProjectorFrom(const Json& j) {
@@ -57,6 +76,7 @@ ProjectorCalibration ProjectorFrom(const Json& j) {
   j.at("black_level").get_to(p.black_level);
   j.at("falloff").get_to(p.falloff);
   j.at("white_dn_mm2_per_ms").get_to(p.white_dn_mm2_per_ms);
+  GetCovariance(j, p.geometry_covariance);
   return p;
 }
 
@@ -88,12 +108,14 @@ Status RigCalibration::Validate() const {
   if (!(camera.gain_e_per_dn > 0.0)) return Status::Usage("calibration: camera: gain_e_per_dn must be positive");
   if (!(camera.saturation_dn > camera.black_level_dn))
     return Status::Usage("calibration: camera: saturation must lie above the black level");
+  SLX_RETURN_IF_ERROR(CheckCovariance(camera.geometry_covariance, 9).WithContext("calibration: camera"));
   if (projectors.empty()) return Status::Usage("calibration: no projector");
   for (const ProjectorCalibration& p : projectors) {
     SLX_RETURN_IF_ERROR(p.model.Validate().WithContext("calibration: projector " + p.name));
     for (double v : p.white_dn_mm2_per_ms)
       if (!(v > 0.0) || !std::isfinite(v))
         return Status::Usage("calibration: projector " + p.name + ": white_dn_mm2_per_ms must be positive");
+    SLX_RETURN_IF_ERROR(CheckCovariance(p.geometry_covariance, 15).WithContext("calibration: projector " + p.name));
     if (!p.camera_from_projector.translation_mm.allFinite())
       return Status::Usage("calibration: projector " + p.name + ": pose is not finite");
   }
@@ -113,6 +135,7 @@ std::string RigCalibration::ToJson() const {
                  {"read_noise_dn", camera.read_noise_dn},
                  {"line_blur_px", camera.line_blur_px}}},
                {"projectors", Json::array()}};
+  AddCovariance(camera.geometry_covariance, json["camera"]);
   for (const ProjectorCalibration& p : projectors) json["projectors"].push_back(ProjectorJson(p));
   return json.dump();
 }
@@ -136,6 +159,7 @@ Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
     camera.at("gain_e_per_dn").get_to(c.camera.gain_e_per_dn);
     camera.at("read_noise_dn").get_to(c.camera.read_noise_dn);
     camera.at("line_blur_px").get_to(c.camera.line_blur_px);
+    GetCovariance(camera, c.camera.geometry_covariance);
     for (const Json& p : json.at("projectors")) c.projectors.push_back(ProjectorFrom(p));
     SLX_RETURN_IF_ERROR(c.Validate());
     return c;

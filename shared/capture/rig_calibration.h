@@ -21,6 +21,8 @@ struct CameraCalibration {
   double gain_e_per_dn = 1.0;  // photo-electrons per digital number
   double read_noise_dn = 0.0;  // standard deviation
   double line_blur_px = 0.0;   // standard deviation of the optics' blur, camera pixels (the pixel box comes on top)
+  // Of fx fy cx cy k1 k2 p1 p2 k3: upper triangle, row by row (45); empty: exact, or not known.
+  std::vector<double> geometry_covariance;
 };
 
 struct ProjectorCalibration {
@@ -36,6 +38,8 @@ struct ProjectorCalibration {
   // normal at angle theta to the light, reads  (white_dn_mm2 * falloff * cos(theta) / d^2) digital numbers above black
   // per ms of exposure.
   std::array<double, 3> white_dn_mm2_per_ms{};
+  // As the camera's, then of the angle-axis vector (rad) and translation (mm) of camera_from_projector (120).
+  std::vector<double> geometry_covariance;
 
   // Position of the projector's centre in the camera frame, mm.
   [[nodiscard]] Eigen::Vector3d CentreInCamera() const { return camera_from_projector.translation_mm; }

@@ -92,6 +92,11 @@ void ReadPlate(TomlTable t, PlateDescription& plate) {
   t.Get("light_albedo", plate.light_albedo, 0.0, 1.0);
 }
 
+Status ReadPose(TomlTable& t, PoseDescription& pose) {
+  SLX_RETURN_IF_ERROR(GetVector(t, "position_mm", pose.position_mm, 400.0));
+  return GetVector(t, "rotation_deg", pose.rotation_deg, 75.0);
+}
+
 Status ReadMotion(TomlTable t, MotionDescription& motion) {
   SLX_RETURN_IF_ERROR(GetVector(t, "drift_mm_per_s", motion.drift_mm_per_s, 100.0));
   t.Get("drift_start_s", motion.drift_start_s, 0.0, 3600.0);
@@ -117,6 +122,15 @@ Status SceneDescription::Validate() const {
   return Status::Ok();
 }
 
+Status SceneDescription::TakePose(int index) {
+  if (index < 0 || poses.empty()) return Status::Ok();
+  if (index >= static_cast<int>(poses.size()))
+    return Status::Usage("pose " + std::to_string(index) + " is not there; the scene has poses 0 .. " +
+                         std::to_string(poses.size() - 1));
+  pose = poses[static_cast<size_t>(index)];
+  return Status::Ok();
+}
+
 Result<SceneDescription> ReadScene(TomlTable& root) {
   SceneDescription scene;
   TomlTable subject = root.Table("subject");
@@ -129,8 +143,8 @@ Result<SceneDescription> ReadScene(TomlTable& root) {
     subject.Get("seed", seed, 0, 1 << 30);
     scene.seed = static_cast<uint64_t>(seed);
   }
-  SLX_RETURN_IF_ERROR(GetVector(subject, "position_mm", scene.pose.position_mm, 400.0));
-  SLX_RETURN_IF_ERROR(GetVector(subject, "rotation_deg", scene.pose.rotation_deg, 75.0));
+  SLX_RETURN_IF_ERROR(ReadPose(subject, scene.pose));
+  for (TomlTable& table : root.Tables("pose")) SLX_RETURN_IF_ERROR(ReadPose(table, scene.poses.emplace_back()));
   subject.Get("interreflection", scene.interreflection);
   SLX_RETURN_IF_ERROR(ReadHead(root.Table("head"), scene.head));
   SLX_RETURN_IF_ERROR(ReadSkin(root.Table("skin"), scene.skin));

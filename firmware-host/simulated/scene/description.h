@@ -80,11 +80,14 @@ struct SceneDescription {
   SkinDescription skin;
   PlateDescription plate;
   PoseDescription pose;
+  std::vector<PoseDescription> poses;  // of a board, one a capture; each takes the subject's place
   MotionDescription motion;
   double ambient_dn_per_ms = 0.1;  // of a white target; a black box is nearly dark
   bool interreflection = false;    // one bounce between parts of the subject
 
   [[nodiscard]] Status Validate() const;
+  // Poses the subject as `poses[index]` says; -1, and scenes without a list, leave it. kUsage names what there is.
+  [[nodiscard]] Status TakePose(int index);
 };
 
 // The plain scene of a shape's name; kUsage lists the names.

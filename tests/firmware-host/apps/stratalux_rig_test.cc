@@ -41,16 +41,20 @@ TEST_P(WrongUse, ExitsWith2AndSaysWhy) {
   EXPECT_FALSE(std::filesystem::exists(store));
 }
 
-INSTANTIATE_TEST_SUITE_P(Capture, WrongUse,
-                         ::testing::Values(std::pair("capture", "--simulate"),
-                                           std::pair("capture --simulate=moon", "head, plane, sphere"),
-                                           std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
-                                           std::pair("capture --simulate --size 695x520", "camera width = 695"),
-                                           std::pair("capture --simulate --kind party", "party"),
-                                           std::pair("capture --simulate --kind response", "grey levels"),
-                                           std::pair("capture --simulate --exposure 0", "exposure_ms"),
-                                           std::pair("capture --simulate --seed minus", "seed"),
-                                           std::pair("capture --simulate --frobnicate", "frobnicate")));
+INSTANTIATE_TEST_SUITE_P(
+    Capture, WrongUse,
+    ::testing::Values(std::pair("capture", "--simulate"), std::pair("capture --simulate=moon", "head, plane, sphere"),
+                      std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
+                      std::pair("capture --simulate --size 695x520", "camera width = 695"),
+                      std::pair("capture --simulate --kind party", "party"),
+                      std::pair("capture --simulate --kind response", "grey levels"),
+                      std::pair("capture --simulate --exposure 0", "exposure_ms"),
+                      std::pair("capture --simulate --pose 2", "--kind calibration"),
+                      std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR
+                                "/docs/examples/scenes/charuco_poses.toml",
+                                "poses 0 .. 11"),
+                      std::pair("capture --simulate --seed minus", "seed"),
+                      std::pair("capture --simulate --frobnicate", "frobnicate")));
 
 TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-test.toml";

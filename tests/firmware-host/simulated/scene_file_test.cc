@@ -83,6 +83,24 @@ TEST_F(SceneFile, SeedOfTheFileWinsOverTheSessions) {
   EXPECT_EQ(Scene::Create(fixed, 1)->Height(10, 10), Scene::Create("head", 9)->Height(10, 10));
 }
 
+TEST_F(SceneFile, ABoardTakesThePoseThatIsAskedFor) {
+  SceneDescription scene = *Load(
+      "[subject]\nshape = \"charuco\"\nposition_mm = [9, 9, 9]\n[[pose]]\nposition_mm = [1, 2, 3]\n[[pose]]\n"
+      "rotation_deg = [10, -20, 5]\n");
+  ASSERT_EQ(scene.poses.size(), 2U);
+  ASSERT_TRUE(scene.TakePose(-1).ok());
+  EXPECT_EQ(scene.pose.position_mm[0], 9.0);
+  ASSERT_TRUE(scene.TakePose(0).ok());
+  EXPECT_EQ(scene.pose.position_mm[2], 3.0);
+  ASSERT_TRUE(scene.TakePose(1).ok());
+  EXPECT_EQ(scene.pose.rotation_deg[1], -20.0);
+  EXPECT_EQ(scene.pose.position_mm[0], 0.0);  // the subject's own place does not count
+  const Status beyond = scene.TakePose(2);
+  EXPECT_EQ(beyond.code(), StatusCode::kUsage);
+  EXPECT_THAT(beyond.message(), HasSubstr("poses 0 .. 1"));
+  EXPECT_THAT(Load("[[pose]]\nposition = [1, 2, 3]\n").status().message(), HasSubstr(":2"));
+}
+
 TEST_F(SceneFile, APoseMovesSurfaceNormalAndMaterialTogether) {
   const std::string board = "[subject]\nshape = \"checkerboard\"\n[plate]\ncolumns = 9\nrows = 6\nsquare_mm = 25\n";
   const Scene resting = Make(board);

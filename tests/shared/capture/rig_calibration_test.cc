@@ -27,6 +27,19 @@ TEST(RigCalibration, RoundTripsThroughJson) {
   EXPECT_EQ(back->ToJson(), c.ToJson());
 }
 
+TEST(RigCalibration, CovarianceTravelsWithItOrIsAbsent) {
+  RigCalibration c = Example();
+  EXPECT_EQ(c.ToJson().find("geometry_covariance"), std::string::npos);
+  c.camera.geometry_covariance.assign(45, 0.25);
+  c.projectors[0].geometry_covariance.assign(120, 0.5);
+  const auto back = RigCalibration::FromJson(c.ToJson());
+  ASSERT_TRUE(back.ok()) << back.status().message();
+  EXPECT_EQ(back->camera.geometry_covariance, c.camera.geometry_covariance);
+  EXPECT_EQ(back->projectors[0].geometry_covariance, c.projectors[0].geometry_covariance);
+  c.projectors[0].geometry_covariance.pop_back();
+  EXPECT_EQ(RigCalibration::FromJson(c.ToJson()).status().code(), StatusCode::kUsage);
+}
+
 TEST(RigCalibration, WhiteTargetFollowsLambertAndInverseSquare) {
   ProjectorCalibration p = Example().projectors[0];
   p.falloff = {};

@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-fit calibrate`: board poses of one or several sessions -> a calibration record, judged.
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <sstream>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "fitter/apps/run_command.h"
+#include "fitter/calibration/calibration_record.h"
+#include "fitter/pipeline/board_stage.h"
+#include "fitter/pipeline/content_hash.h"
+#include "shared/base/read_file.h"
+#include "shared/base/version.h"
+
+namespace stratalux::fit {
+namespace {
+
+struct Flags {
+  std::string store, out, board = "charuco", squares = "10x7", distortion = "auto";
+  std::string camera_size, projector_size, known_camera, known_rig;
+  std::vector<std::string> sessions;
+  BoardStageOptions stage;
+  int last = 0;
+  bool json = false;
+};
+
+Status ParseSize(const std::string& flag, const std::string& text, int& width, int& height) {
+  std::istringstream in(text);
+  char x = 0;
+  if (in >> width >> x >> height && x == 'x' && width > 0 && height > 0 && in.peek() == EOF) return Status::Ok();
+  return Status::Usage(flag + " '" + text + "': expected WIDTHxHEIGHT");
+}
+
+Result<RigCalibration> ReadRecord(const std::string& flag, const std::string& file) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  return RigCalibration::FromJson(text).WithContext(flag + " " + file);
+}
+
+Result<CalibrateOptions> OptionsFrom(Flags& f) {
+  CalibrateOptions options;
+  SLX_ASSIGN_OR_RETURN(f.stage.board.kind, ParseBoardKind(f.board).WithContext("--board"));
+  SLX_RETURN_IF_ERROR(ParseSize("--squares", f.squares, f.stage.board.columns, f.stage.board.rows));
+  SLX_RETURN_IF_ERROR(f.stage.board.Validate());
+  if (!f.camera_size.empty()) {
+    f.stage.camera_size.emplace();
+    SLX_RETURN_IF_ERROR(
+        ParseSize("--camera-size", f.camera_size, f.stage.camera_size->width, f.stage.camera_size->height));
+  }
+  if (!f.projector_size.empty()) {
+    f.stage.projector_size.emplace();
+    SLX_RETURN_IF_ERROR(
+        ParseSize("--projector-size", f.projector_size, f.stage.projector_size->width, f.stage.projector_size->height));
+  }
+  if (f.distortion != "auto") {
+    SLX_ASSIGN_OR_RETURN(options.distortion, ParseDistortionModel(f.distortion).WithContext("--distortion"));
+  }
+  if (!f.known_camera.empty()) {
+    SLX_ASSIGN_OR_RETURN(const RigCalibration record, ReadRecord("--known-camera", f.known_camera));
+    options.known_camera = record.camera.model;
+  }
+  return options;
+}
+
+// The sessions named, or the newest `last` of kind calibration, oldest first.
+Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
+  if (f.last > 0 && !f.sessions.empty()) return Status::Usage("give sessions or --last, not both");
+  if (f.last == 0) return f.sessions.empty() ? std::vector<std::string>{"latest"} : f.sessions;
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
+  std::vector<std::string> chosen;
+  for (const db::SessionRow& row : rows)
+    if (row.info.kind == SessionKind::kCalibration && static_cast<int>(chosen.size()) < f.last)
+      chosen.push_back(row.info.id);
+  if (static_cast<int>(chosen.size()) < f.last)
+    return Status::NotFound("--last " + std::to_string(f.last) + ": the store has " + std::to_string(chosen.size()) +
+                            " sessions of kind calibration");
+  std::reverse(chosen.begin(), chosen.end());
+  return chosen;
+}
+
+Status WriteText(const std::filesystem::path& file, const std::string& text) {
+  std::ofstream out(file, std::ios::binary);
+  out << text << "\n";
+  out.close();
+  return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
+}
+
+// In the store: a fit of the newest session that the poses came from.
+Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards, const std::string& record,
+                                       const std::string& figures) {
+  const std::string session = boards.sessions.back();
+  SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadWrite));
+  nlohmann::ordered_json options = {
+      {"stage", "calibrate"}, {"sessions", boards.sessions},          {"board", f.board},
+      {"squares", f.squares}, {"square_mm", f.stage.board.square_mm}, {"distortion", f.distortion}};
+  const std::string fit = ContentHashOf(record + options.dump() + kVersion).substr(0, 16);
+  const std::filesystem::path folder = store.FitFolder(session, fit);
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration.json", record));
+  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.json", figures));
+  SLX_RETURN_IF_ERROR(store.RegisterFit({fit, session, options.dump(), figures, WallNow()}));
+  return folder / "calibration.json";
+}
+
+Result<std::vector<Finding>> Judge(const Flags& f, const BoardPoses& boards, const GeometryReport& report) {
+  std::vector<Finding> findings = JudgeCalibration(report);
+  std::optional<RigCalibration> known = boards.calibration;
+  if (!f.known_rig.empty()) {
+    SLX_ASSIGN_OR_RETURN(known, ReadRecord("--known-rig", f.known_rig));
+  }
+  if (known) {
+    const auto more = CompareWithKnownRig(RigGeometry::From(*known), report);
+    findings.insert(findings.end(), more.begin(), more.end());
+  } else {
+    findings.push_back({Severity::kWarning,
+                        "no earlier calibration of this rig: the size of the squares is taken on trust",
+                        "measure it twice, or name a record with --known-rig"});
+  }
+  for (const std::string& pose : boards.left_out)
+    findings.push_back({Severity::kWarning, pose, "the pose was left out"});
+  return findings;
+}
+
+Result<int> Calibrate(Flags& f, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const CalibrateOptions options, OptionsFrom(f));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, ChooseSessions(f));
+  SLX_ASSIGN_OR_RETURN(const BoardPoses boards, ObserveBoards(f.store, sessions, f.stage, logger));
+  auto calibrated = CalibrateRig(boards.observations, options);
+  if (!calibrated.ok()) {
+    std::string also;
+    for (const std::string& pose : boards.left_out) also += "; left out: " + pose;
+    return Status(calibrated.status().code(), calibrated.status().message() + also);
+  }
+  const GeometryReport& report = *calibrated;
+  SLX_ASSIGN_OR_RETURN(const auto findings, Judge(f, boards, report));
+  const std::string figures = ReportJson(report, findings, boards.left_out);
+  const RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  std::string text = ReportText(report, findings);
+  nlohmann::ordered_json json = nlohmann::ordered_json::parse(figures);
+  if (!IsRefused(findings)) {
+    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, boards, record.ToJson(), figures));
+    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record.ToJson()));
+    text += (f.out.empty() ? file.string() : f.out) + "\n";
+    json["record"] = f.out.empty() ? file.string() : f.out;
+  }
+  std::printf("%s\n", f.json ? json.dump(1).c_str() : text.c_str());
+  if (!IsRefused(findings)) return boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
+  logger.Error("calibration refused; nothing was stored");
+  return static_cast<int>(StatusCode::kFailed);
+}
+
+}  // namespace
+
+void AddCalibrateCommand(CLI::App& app, int& exit_code) {
+  auto flags = std::make_shared<Flags>();
+  auto* verb = app.add_subcommand("calibrate", "Board poses -> geometry of camera and projectors, judged");
+  verb->footer(
+      "The record of an accepted calibration is kept in the store, with its figures; a refused one is not.\n"
+      "Exit codes: 0 accepted, 1 refused or failed, 2 usage, 3 accepted without some poses. docs/calibration.md "
+      "explains "
+      "each figure.\n"
+      "Examples:\n"
+      "  stratalux-fit calibrate --last 12 --store store --out calibration.json\n"
+      "  stratalux-fit calibrate s000001 s000002 s000003 s000004 --store store --board charuco --squares 10x7 "
+      "--square-mm 20 --marker-mm 15\n"
+      "  stratalux-fit calibrate latest --store store --board chess --squares 10x8 --square-mm 75 --json");
+  verb->add_option("session", flags->sessions, "Sessions: ids, unique prefixes, or latest (default)");
+  verb->add_option("--store", flags->store, "Store folder")->envname("STRATALUX_STORE")->required();
+  verb->add_option("--last", flags->last, "The newest N sessions of kind calibration")->check(CLI::Range(1, 1000));
+  verb->add_option("--board", flags->board, "charuco or chess")->capture_default_str();
+  verb->add_option("--squares", flags->squares, "Squares, COLUMNSxROWS (one more each way than inner corners)")
+      ->capture_default_str();
+  verb->add_option("--square-mm", flags->stage.board.square_mm, "Side of a square, mm: measure it")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  verb->add_option("--marker-mm", flags->stage.board.marker_mm, "Side of a ChArUco marker, mm")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  verb->add_option("--distortion", flags->distortion, "auto (by held-out poses), k1, k1k2, full")
+      ->capture_default_str();
+  verb->add_option("--known-camera", flags->known_camera, "Record (JSON) whose camera intrinsics stay");
+  verb->add_option("--known-rig", flags->known_rig,
+                   "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
+  verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
+  verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
+  verb->add_option("--out", flags->out, "Write the record here, too");
+  verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
+  verb->callback([flags, &exit_code] {
+    Logger logger;
+    const auto code = Calibrate(*flags, logger);
+    if (!code.ok()) logger.Error(code.status().message());
+    exit_code = code.ok() ? *code : code.status().exit_code();
+  });
+}
+
+}  // namespace stratalux::fit
