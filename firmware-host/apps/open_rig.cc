@@ -2,7 +2,6 @@
 #include "firmware-host/apps/open_rig.h"
 
 #include <string>
-#include <thread>
 #include <utility>
 
 #include "firmware-host/camera/libcamera_frame_source.h"
@@ -85,7 +84,7 @@ RigDevices OpenedRig::devices() const {
 
 std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
   if (simulation) return [rig = simulation.get()](std::chrono::nanoseconds time) { rig->Sleep(time); };
-  return [](std::chrono::nanoseconds time) { std::this_thread::sleep_for(time); };
+  return {};
 }
 
 Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,

@@ -24,7 +24,7 @@ struct OpenedRig {
   std::unique_ptr<FrameSource> camera;
 
   [[nodiscard]] RigDevices devices() const;
-  // How settling passes: on the simulated rig's own clock, else in real time.
+  // How settling passes on the simulated rig's own clock. Empty for real devices: real time, under the watchdog.
   [[nodiscard]] std::function<void(std::chrono::nanoseconds)> wait() const;
 };
 

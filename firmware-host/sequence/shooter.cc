@@ -18,7 +18,8 @@ constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait t
 nanoseconds FromMs(double ms) { return nanoseconds(static_cast<int64_t>(ms * 1e6)); }
 
 // Waits with `wait` in slices until it gives something, `safe` objects or `left` has passed; takes from `left` what the
-// waiting took. A device's clock may be its own, so a wait that gave nothing counts as long as it was told to be.
+// waiting took. A device's clock may be its own: a wait counts for no longer than it was told to be, and as long as
+// that when it gave nothing.
 template <typename T, typename Wait>
 Result<std::optional<T>> WaitSafely(nanoseconds& left, const std::function<Status()>& safe, const Wait& wait) {
   while (true) {
@@ -27,7 +28,8 @@ Result<std::optional<T>> WaitSafely(nanoseconds& left, const std::function<Statu
     const auto start = std::chrono::steady_clock::now();
     SLX_ASSIGN_OR_RETURN(std::optional<T> got, wait(slice));
     if (got) {
-      left = std::max(nanoseconds(0), left - nanoseconds(std::chrono::steady_clock::now() - start));
+      const nanoseconds took = std::min(slice, nanoseconds(std::chrono::steady_clock::now() - start));
+      left = std::max(nanoseconds(0), left - took);
       return got;
     }
     left -= slice;
