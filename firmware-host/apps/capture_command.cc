@@ -11,6 +11,7 @@
 #include "db/privacy/consent.h"
 #include "firmware-host/apps/open_rig.h"
 #include "firmware-host/recording/session_archive.h"
+#include "firmware-host/sequence/realtime.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "shared/base/version.h"
 
@@ -133,6 +134,13 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<
     Recorder recorder(archive, options.config.queue_frames);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
     Sequencer sequencer(rig.devices(), OptionsFor(options, rig), logger, stop, [&progress] { progress.Advance(); });
+    std::unique_ptr<RealtimeThread> realtime;
+    if (const int priority = options.config.realtime_priority; priority > 0) {
+      Result<std::unique_ptr<RealtimeThread>> entered = RealtimeThread::Enter(priority);
+      // A capture at the mercy of other programs is slower at worst: late frames are shot again.
+      if (!entered.ok()) logger.Warning(entered.status().message());
+      if (entered.ok()) realtime = std::move(entered).value();
+    }
     Result<CaptureReport> report = sequencer.Run(plan, recorder);
     if (report.ok()) outcome.report = std::move(report).value();
     Fail(outcome.report, report.status());

@@ -85,9 +85,12 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
   const std::vector<int> group = GroupOf(plan_, step.index);
   for (int member : group)
     if (Find(member) == nullptr) return LevelCheck::kNotChecked;
-  const Testimony testimony = Judge(step, group);
+  Testimony testimony = Judge(step, group);
   for (int member : group) frames_.at(member).testimony = testimony;
   if (testimony == Testimony::kRefutes) DoubtSilentBefore(group);
+  if (step.phase == CapturePhase::kCorrespondence && testimony != Testimony::kRefutes &&
+      JudgeOrder(step.pattern.axis, group) == Testimony::kRefutes)
+    testimony = Testimony::kRefutes;
   switch (testimony) {
     case Testimony::kConfirms:
       return LevelCheck::kPassed;
@@ -109,6 +112,51 @@ void PatternWitness::DoubtSilentBefore(std::span<const int> group) {
     if (testimony == Testimony::kConfirms) return;
     if (testimony == Testimony::kSilent) doubtful_.push_back(it->second);
   }
+}
+
+PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span<const int> group) {
+  const std::vector<int> at = Decode(axis);
+  if (at.empty()) return Testimony::kSilent;
+  // Pairs of lit probes that stand side by side along the axis.
+  const int stride = axis == PatternAxis::kColumns ? 1 : lattice_.columns();
+  std::vector<std::pair<int, int>> pairs;
+  std::vector<int> index(lattice_.size(), -1);
+  for (size_t k = 0; k < lit_.size(); ++k) index[lit_[k]] = static_cast<int>(k);
+  for (size_t k = 0; k < lit_.size(); ++k) {
+    const size_t beside = static_cast<size_t>(lit_[k]) + stride;
+    if (beside >= index.size() || (stride == 1 && beside % lattice_.columns() == 0)) continue;
+    if (const int other = index[beside]; other >= 0 && at[k] >= 0 && at[other] >= 0)
+      pairs.emplace_back(at[k], at[other]);
+  }
+  if (static_cast<int>(pairs.size()) < options_.min_lit_probes) return Testimony::kSilent;
+  // Of the picture with the lowest bits of each position inverted, which is what one exchanged bit of the Gray code
+  // does.
+  auto roughness = [&](int mask) {
+    int64_t sum = 0;
+    for (const auto& [a, b] : pairs) sum += std::abs((a ^ mask) - (b ^ mask));
+    return sum;
+  };
+  const int64_t as_decoded = roughness(0);
+  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+  const int bits = GrayBits(extent);
+  for (int significance = 0; significance < bits - 1; ++significance) {
+    const int block = 2 << significance;
+    if (roughness(block - 1) * 10 > as_decoded * 6) continue;
+    Testimony judged = Testimony::kSilent;
+    for (int i : StepsOf(CapturePhase::kCorrespondence)) {
+      const Pattern& p = plan_.steps[i].pattern;
+      if (p.kind != PatternKind::kGray || p.axis != axis || p.bit != bits - 1 - significance) continue;
+      frames_.at(i).testimony = Testimony::kRefutes;
+      if (std::find(group.begin(), group.end(), i) != group.end()) {
+        judged = Testimony::kRefutes;
+      } else {
+        doubtful_.push_back(i);
+      }
+      decoded_ = false;
+    }
+    return judged;
+  }
+  return Testimony::kConfirms;
 }
 
 bool PatternWitness::ReferenceStandsAlone() const {

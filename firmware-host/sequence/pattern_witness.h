@@ -5,7 +5,8 @@
 // probe is lit where W - B stands well above the noise, and n = (I - B) / (W - B) is its relative level. Checked are:
 //   every frame  no probe brighter than W or darker than B, in any band of rows;
 //   reference    enough lit probes; black not brighter, white not beyond that of the pre-roll, where all shine;
-//   Gray code    a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ;
+//   Gray code    a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ; decoded,
+//                neighbours in the picture are neighbours of the projector (else a bit was exchanged with its inverse);
 //   sinusoid     N shifts add up, sum n = N / 2; each frame agrees best with its own shift;
 //   checkerboard each frame agrees best with its own shift;
 //   comb         the frame agrees best with its own shift among all of the cycle; its mean level is a comb's;
@@ -98,6 +99,10 @@ class PatternWitness {
   [[nodiscard]] Testimony JudgeWhite(const PlanStep& step) const;
   [[nodiscard]] Testimony JudgeLevel(const PlanStep& step);
   void DoubtSilentBefore(std::span<const int> group);
+  // A bit whose frame shows its inverse and the other way round still adds up; but with it, stretches of the picture
+  // run backwards. Not to be told: the top bit, which mirrors the whole picture, and bits finer than the lattice.
+  // Doubts the pair's frames, or refutes them where they are `group`.
+  [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
   [[nodiscard]] bool AddsUp(std::span<const int> steps) const;
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;

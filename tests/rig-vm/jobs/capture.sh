@@ -63,6 +63,7 @@ capture "none, 200 frames" "$plan" "complete"
   failures=$((failures + 1))
 }
 capture "swapped patterns" "$plan" "degraded" swap@60
+capture "bit for its inverse" $short_plan "degraded" swap@20
 capture "no step" $short_plan "complete degraded" no-step@30
 capture "lost edge" $short_plan "complete degraded" lost-edge@30
 capture "doubled edge" $short_plan "complete degraded" doubled-edge@30
