@@ -17,6 +17,10 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
   plan.Get("projector_height", o.projector_height, 16, 8192);
   plan.Get("exposure_ms", o.exposure_ms, 0.01, 10000);
   plan.Get("brackets", o.brackets, 0.001, 1000);
+  plan.Get("reference_brackets", o.reference_brackets, 0.001, 1000);
+  plan.Get("correspondence_brackets", o.correspondence_brackets, 0.001, 1000);
+  plan.Get("separation_brackets", o.separation_brackets, 0.001, 1000);
+  plan.Get("spot_brackets", o.spot_brackets, 0.001, 1000);
   plan.Get("preroll_markers", o.preroll_markers, 0, 64);
   plan.Get("separation_period", o.separation_period, 3, 8192);
   plan.Get("separation_shifts", o.separation_shifts, 3, 64);

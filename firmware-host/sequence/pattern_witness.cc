@@ -176,6 +176,8 @@ std::vector<int> PatternWitness::TakeDoubtful() {
 }
 
 PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<const int> group) {
+  // Brackets of other phases than the sweep have no white of their exposure to be held against.
+  if (step.bracket > 0 && step.phase != CapturePhase::kSweep) return Testimony::kSilent;
   if (step.phase == CapturePhase::kReference) return group.size() < 2 ? Testimony::kSilent : JudgeReference();
   if (lit_.empty()) return Testimony::kSilent;
   for (int member : group)
@@ -322,7 +324,10 @@ PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
   // A comb spreads the light it has: more would be another pattern, none would be black.
   const double share = static_cast<double>(step.pattern.width) / step.pattern.period;
   const double mean = MeanLevel(Find(step.index)->probes) * plan_.options.exposure_ms / step.exposure_ms;
-  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance || mean < 0.25 * share) return Testimony::kRefutes;
+  // The black that MeanLevel takes off is that of the nominal exposure.
+  const double black = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0);
+  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black || mean < 0.25 * share - black)
+    return Testimony::kRefutes;
   if (!BrightAsTheExposure(step) || LinesElsewhere(step, frame)) return Testimony::kRefutes;
   const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
   if (std::abs(evidence) < options_.min_evidence) return Testimony::kSilent;
@@ -365,16 +370,20 @@ bool PatternWitness::BrightAsTheExposure(const PlanStep& step) const {
   // the picture that a comb lights, says how bright the frame should be.
   const double before_ms = step.index > 0 ? plan_.steps[step.index - 1].exposure_ms : step.exposure_ms;
   if (before_ms == step.exposure_ms) return true;
-  double expected =
+  const double share =
       static_cast<double>(step.pattern.width) / step.pattern.period * step.exposure_ms / plan_.options.exposure_ms;
+  double expected = share;
   for (const auto& [index, frame] : frames_) {
     const PlanStep& other = plan_.steps[index];
     if (index < step.index && other.phase == step.phase && other.bracket == step.bracket &&
         frame.testimony == Testimony::kConfirms)
       expected = MeanLevel(frame.probes);
   }
-  const double level = MeanLevel(Find(step.index)->probes);
-  return level > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(before_ms / step.exposure_ms));
+  // Nearer to it than to the level of the exposure before: in differences, since a black of another exposure is taken
+  // off, or in ratios, since scenes spread the comb's light unlike each other.
+  const double level = MeanLevel(Find(step.index)->probes), ratio = before_ms / step.exposure_ms;
+  return std::abs(level - expected) < 0.5 * std::max(expected, share) * std::abs(ratio - 1.0) ||
+         (level > 0.0 && expected > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(ratio)));
 }
 
 double PatternWitness::StillnessOf(const Probes& white) const {
@@ -449,7 +458,8 @@ double PatternWitness::MeanLevel(const Probes& frame) const {
 std::vector<int> PatternWitness::StepsOf(CapturePhase phase) const {
   std::vector<int> steps;
   for (const PlanStep& step : plan_.steps)
-    if (step.projector == projector_ && step.phase == phase) steps.push_back(step.index);
+    if (step.projector == projector_ && step.phase == phase && (step.bracket == 0 || phase == CapturePhase::kSweep))
+      steps.push_back(step.index);
   return steps;
 }
 

@@ -118,6 +118,7 @@ class PatternWitness {
   [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
   const Coordinates& Where();
   [[nodiscard]] LevelsAt LevelsOf(const PlanStep& step, std::vector<float>& level);
+  // Of the present projector; of other phases than the sweep only those of the nominal exposure.
   [[nodiscard]] std::vector<int> StepsOf(CapturePhase phase) const;
 
   const CapturePlan& plan_;

@@ -37,9 +37,18 @@ class PlanBuilder {
 
   void Add(int projector, CapturePhase phase, const Pattern& pattern, int bracket = 0) {
     const PlanOptions& o = plan_.options;
-    const double factor = bracket < static_cast<int>(o.brackets.size()) ? o.brackets[bracket] : 1.0;
     plan_.steps.push_back({static_cast<int>(plan_.steps.size()), projector, phase, pattern,
-                           o.exposure_ms * (phase == CapturePhase::kSweep ? factor : 1.0), bracket});
+                           o.exposure_ms * o.BracketsOf(phase)[bracket], bracket});
+  }
+
+  [[nodiscard]] int Brackets(CapturePhase phase) const {
+    return static_cast<int>(plan_.options.BracketsOf(phase).size());
+  }
+
+  void AddReference(int projector) {
+    for (int bracket = 0; bracket < Brackets(CapturePhase::kReference); ++bracket)
+      for (const PatternKind kind : {PatternKind::kWhite, PatternKind::kBlack})
+        Add(projector, CapturePhase::kReference, {.kind = kind}, bracket);
   }
 
   void AddPreroll() {
@@ -48,17 +57,25 @@ class PlanBuilder {
   }
 
   void AddCorrespondence(int projector) {
+    for (int bracket = 0; bracket < Brackets(CapturePhase::kCorrespondence); ++bracket) AddCodes(projector, bracket);
+  }
+
+  void AddCodes(int projector, int bracket) {
     for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
       const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
       const int bits = GrayBits(extent);
       for (int bit = 0; bit < bits; ++bit)
         for (bool inverse : {false, true})
           Add(projector, CapturePhase::kCorrespondence,
-              {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse});
+              {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse}, bracket);
     }
   }
 
   void AddSeparation(int projector) {
+    for (int bracket = 0; bracket < Brackets(CapturePhase::kSeparation); ++bracket) AddShifts(projector, bracket);
+  }
+
+  void AddShifts(int projector, int bracket) {
     const PlanOptions& o = plan_.options;
     for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
       for (int shift = 0; shift < o.separation_shifts; ++shift)
@@ -67,14 +84,16 @@ class PlanBuilder {
              .axis = axis,
              .period = o.separation_period,
              .shift = shift,
-             .shifts = o.separation_shifts});
+             .shifts = o.separation_shifts},
+            bracket);
     if (!o.checkerboard) return;
     for (int shift = 0; shift < o.checkerboard_shifts * o.checkerboard_shifts; ++shift)
       Add(projector, CapturePhase::kSeparation,
           {.kind = PatternKind::kCheckerboard,
            .period = o.checkerboard_period,
            .shift = shift,
-           .shifts = o.checkerboard_shifts});
+           .shifts = o.checkerboard_shifts},
+          bracket);
   }
 
   // One comb cycle along `axis`, with `whites` all-white frames in it: the first before it, the last after it, the
@@ -101,21 +120,19 @@ class PlanBuilder {
 
   void AddVisitor(int projector) {
     const PlanOptions& o = plan_.options;
-    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite});
-    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+    AddReference(projector);
     AddCorrespondence(projector);
     AddSeparation(projector);
     AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
     if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
-    if (o.spot_radius > 0)
-      Add(projector, CapturePhase::kSpot,
-          {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius});
+    for (int bracket = 0; o.spot_radius > 0 && bracket < Brackets(CapturePhase::kSpot); ++bracket)
+      Add(projector, CapturePhase::kSpot, {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius},
+          bracket);
     AddGuards(projector);
   }
 
   void AddReferenceAndCodes(int projector) {
-    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite});
-    Add(projector, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+    AddReference(projector);
     AddCorrespondence(projector);
     AddGuards(projector);
   }
@@ -141,6 +158,24 @@ Result<CapturePhase> ParseCapturePhase(const std::string& text) {
 Result<SessionKind> ParseSessionKind(const std::string& text) { return ParseName<SessionKind>(kKinds, text, "kind"); }
 Result<SyncMode> ParseSyncMode(const std::string& text) { return ParseName<SyncMode>(kSyncModes, text, "sync mode"); }
 
+const std::vector<double>& PlanOptions::BracketsOf(CapturePhase phase) const {
+  static const std::vector<double> kNominal = {1.0};
+  switch (phase) {
+    case CapturePhase::kReference:
+      return reference_brackets;
+    case CapturePhase::kCorrespondence:
+      return correspondence_brackets;
+    case CapturePhase::kSeparation:
+      return separation_brackets;
+    case CapturePhase::kSweep:
+      return brackets;
+    case CapturePhase::kSpot:
+      return spot_brackets;
+    default:
+      return kNominal;
+  }
+}
+
 Status PlanOptions::Validate() const {
   SLX_RETURN_IF_ERROR(RequireRange("projectors", projectors, 1, 16));
   SLX_RETURN_IF_ERROR(RequireRange("projector_width", projector_width, 16, 8192));
@@ -148,6 +183,16 @@ Status PlanOptions::Validate() const {
   SLX_RETURN_IF_ERROR(RequireRange("exposure_ms", exposure_ms, 0.01, 10000));
   SLX_RETURN_IF_ERROR(RequireRange("number of brackets", static_cast<double>(brackets.size()), 1, 8));
   for (double factor : brackets) SLX_RETURN_IF_ERROR(RequireRange("bracket", factor, 0.001, 1000));
+  for (const CapturePhase phase :
+       {CapturePhase::kReference, CapturePhase::kCorrespondence, CapturePhase::kSeparation, CapturePhase::kSpot}) {
+    const std::vector<double>& factors = BracketsOf(phase);
+    const std::string name = std::string(ToString(phase)) + "_brackets";
+    SLX_RETURN_IF_ERROR(RequireRange(("number of " + name).c_str(), static_cast<double>(factors.size()), 1, 8));
+    for (double factor : factors) SLX_RETURN_IF_ERROR(RequireRange(name.c_str(), factor, 0.001, 1000));
+    if (factors[0] != 1.0)
+      return Status::Usage("plan: " + name + " begins with " + std::to_string(factors[0]) +
+                           ", not with 1, the exposure that all stages read");
+  }
   SLX_RETURN_IF_ERROR(RequireRange("preroll_markers", preroll_markers, 0, 64));
   SLX_RETURN_IF_ERROR(RequireRange("motion_whites", motion_whites, 0, 64));
   SLX_RETURN_IF_ERROR(RequireRange("guards", guards, 0, 16));

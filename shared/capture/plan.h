@@ -38,8 +38,13 @@ struct PlanOptions {
   int projector_height = 768;
   double exposure_ms = 16.0;
   std::vector<double> brackets = {1.0};  // exposure factors of every step of the sweep
-  int preroll_markers = 8;               // white/black code on all projectors (docs/capture-plan.md)
-  int separation_period = 8;             // px; sinusoid, both axes
+  // Of the other phases; each begins with 1, the exposure that all stages read.
+  std::vector<double> reference_brackets = {1.0};
+  std::vector<double> correspondence_brackets = {1.0};
+  std::vector<double> separation_brackets = {1.0};
+  std::vector<double> spot_brackets = {1.0};
+  int preroll_markers = 8;    // white/black code on all projectors (docs/capture-plan.md)
+  int separation_period = 8;  // px; sinusoid, both axes
   int separation_shifts = 4;
   bool checkerboard = false;  // shifted checkerboards on top of the sinusoids
   int checkerboard_period = 8;
@@ -53,6 +58,8 @@ struct PlanOptions {
   int spot_pitch = 160;   // px
   int guards = 2;         // black guard frames after each projector
 
+  // Exposure factors of a phase; {1} for those that have no brackets.
+  [[nodiscard]] const std::vector<double>& BracketsOf(CapturePhase phase) const;
   [[nodiscard]] Status Validate() const;
 };
 

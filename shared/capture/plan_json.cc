@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <utility>
+
 #include <nlohmann/json.hpp>
 
 #include "shared/capture/plan.h"
@@ -16,6 +18,10 @@ std::string PlanOptionsToJson(const PlanOptions& o) {
                      {"projector_height", o.projector_height},
                      {"exposure_ms", o.exposure_ms},
                      {"brackets", o.brackets},
+                     {"reference_brackets", o.reference_brackets},
+                     {"correspondence_brackets", o.correspondence_brackets},
+                     {"separation_brackets", o.separation_brackets},
+                     {"spot_brackets", o.spot_brackets},
                      {"preroll_markers", o.preroll_markers},
                      {"separation_period", o.separation_period},
                      {"separation_shifts", o.separation_shifts},
@@ -47,6 +53,12 @@ Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
     json.at("projector_height").get_to(o.projector_height);
     json.at("exposure_ms").get_to(o.exposure_ms);
     json.at("brackets").get_to(o.brackets);
+    // Plans from before these have none.
+    for (const auto& [key, value] : {std::pair{"reference_brackets", &o.reference_brackets},
+                                     {"correspondence_brackets", &o.correspondence_brackets},
+                                     {"separation_brackets", &o.separation_brackets},
+                                     {"spot_brackets", &o.spot_brackets}})
+      if (json.contains(key)) json.at(key).get_to(*value);
     json.at("preroll_markers").get_to(o.preroll_markers);
     json.at("separation_period").get_to(o.separation_period);
     json.at("separation_shifts").get_to(o.separation_shifts);

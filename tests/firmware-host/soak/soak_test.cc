@@ -110,5 +110,20 @@ TEST(SoakBrackets, TheyCarryTheirExposure) {
   }
 }
 
+TEST(SoakBrackets, OfEveryPhaseCompleteUndisturbed) {
+  // Black is darker in a short exposure and brighter in a long one; that is no fault.
+  SoakOptions options = With(SyncMode::kTriggered);
+  options.faults = {};
+  options.plan.brackets = {1.0, 2.0, 0.25};
+  options.plan.reference_brackets = {1.0, 2.0};
+  options.plan.correspondence_brackets = {1.0, 0.5};
+  options.plan.separation_brackets = {1.0, 0.5};
+  options.plan.spot_brackets = {1.0, 2.0};
+  const SoakCapture capture = CaptureOnce(options);
+  EXPECT_TRUE(capture.mis_associated.empty());
+  EXPECT_EQ(capture.report.status, SessionStatus::kComplete) << Reasons(capture);
+  EXPECT_EQ(capture.report.retried, 0) << capture.report.FaultSummary();
+}
+
 }  // namespace
 }  // namespace stratalux::rig

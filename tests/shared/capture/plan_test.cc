@@ -86,5 +86,29 @@ TEST(PlanJson, RoundTripsAndRefusesNewerSchemas) {
   EXPECT_EQ(PlanOptionsFromJson("{").status().code(), StatusCode::kIntegrity);
 }
 
+TEST(Plan, EachPhaseHasBracketsOfItsOwn) {
+  PlanOptions options;
+  const size_t plain = BuildPlan(options)->steps.size();
+  options.reference_brackets = {1.0, 4.0};
+  options.correspondence_brackets = {1.0, 0.5, 2.0};
+  options.separation_brackets = {1.0, 3.0};
+  options.spot_brackets = {1.0, 8.0};
+  const auto plan = BuildPlan(options);
+  ASSERT_TRUE(plan.ok());
+  const size_t codes = 2 * (10 + 10), shifts = 8;
+  EXPECT_EQ(plan->steps.size(), plain + 4 * (2 + 2 * codes + shifts + 1));
+  for (const PlanStep& step : plan->steps)
+    EXPECT_DOUBLE_EQ(step.exposure_ms, options.exposure_ms * options.BracketsOf(step.phase)[step.bracket]);
+  const auto read = PlanOptionsFromJson(PlanOptionsToJson(options));
+  ASSERT_TRUE(read.ok());
+  EXPECT_EQ(read->separation_brackets, options.separation_brackets);
+  EXPECT_EQ(read->spot_brackets, options.spot_brackets);
+
+  options.correspondence_brackets = {0.5, 1.0};
+  EXPECT_EQ(BuildPlan(options).status().code(), StatusCode::kUsage);
+  options.correspondence_brackets = {};
+  EXPECT_EQ(BuildPlan(options).status().code(), StatusCode::kUsage);
+}
+
 }  // namespace
 }  // namespace stratalux
