@@ -56,7 +56,8 @@ Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, c
   if (row == nullptr)
     return Status::NotFound("session " + info().id + " has no good frame of projector " + std::to_string(projector) +
                             ", " + ToString(phase) + ", '" + pattern.ToString() + "'" +
-                            (pose >= 0 ? ", pose " + std::to_string(pose) : ""));
+                            (pose >= 0 ? ", pose " + std::to_string(pose) : "") +
+                            " (its reasons: `stratalux-db show`); capture it again with nothing moving");
   return store_.ReadFrame(info().id, *row);
 }
 
