@@ -37,10 +37,6 @@ SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& pl
   return info;
 }
 
-std::chrono::nanoseconds FromMilliseconds(double ms) {
-  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
-}
-
 // The tolerances of a single probe follow the camera at hand.
 SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig) {
   const RigConfig& config = capture.config;

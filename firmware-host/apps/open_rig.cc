@@ -26,10 +26,6 @@ Result<std::unique_ptr<FrameSource>> OpenCamera(const CameraWiring& wiring, Logg
   return Status::Usage("the configuration names no camera ([camera] backend); --simulate runs the simulated rig");
 }
 
-std::chrono::nanoseconds FromMilliseconds(double ms) {
-  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
-}
-
 std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan& plan, int index,
                                       GpiodLineBank& lines) {
   PatternMemoryOptions options;

@@ -203,8 +203,8 @@ int RunSelftestCommand(const Flags& flags) {
   for (const PlanStep& step : plan->steps)
     if (step.phase == CapturePhase::kPreroll) options.rig.markers.push_back(step.pattern);
   options.rig.exposure_ms = config->plan.exposure_ms;
-  options.rig.settle = std::chrono::nanoseconds(static_cast<int64_t>(1e6 * config->settle_ms));
-  options.rig.deadline = std::chrono::nanoseconds(static_cast<int64_t>(1e6 * config->deadline_ms));
+  options.rig.settle = FromMilliseconds(config->settle_ms);
+  options.rig.deadline = FromMilliseconds(config->deadline_ms);
   options.rig.wait = rig->wait();
   const Result<SelftestReport> report = RunSelftest(rig->devices(), options, InstallStopSignals());
   if (!report.ok()) return Report(report.status());

@@ -2,6 +2,8 @@
 // The rig's configuration file (docs/examples/rig.toml): defaults < file < command-line flags.
 #pragma once
 
+#include <chrono>
+#include <cstdint>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -16,6 +18,11 @@
 namespace stratalux::rig {
 
 inline constexpr double kLongestSettleMs = 10000.0;
+
+// A duration of the file.
+[[nodiscard]] inline std::chrono::nanoseconds FromMilliseconds(double ms) {
+  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
+}
 
 struct RigConfig {
   StoreConfig store;

@@ -107,7 +107,7 @@ struct ThetaBins {
   ThetaBins() {
     constexpr int kSteps = 1000;
     for (int i = 0; i < G::kThetas; ++i) {
-      const double low = Sin2(i), high = Sin2(i + 1);
+      const double low = G::Sin2Edge(i), high = G::Sin2Edge(i + 1);
       for (int k = 0; k < kSteps; ++k) {  // evenly in sin^2: the Lambertian measure
         const double s = std::sqrt(low + (high - low) * (k + 0.5) / kSteps), t = TransmittanceAt(s);
         sine[i] += s * t;
@@ -116,7 +116,6 @@ struct ThetaBins {
       sine[i] /= kSteps * transmittance[i];
     }
   }
-  static double Sin2(int edge) { return std::pow(std::sin(G::kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
 };
 const ThetaBins& Thetas() {
   static const ThetaBins bins;
@@ -208,6 +207,8 @@ SkinParameters SkinGrid::NodeParameters(int node) {
   return {static_cast<float>(kMelanin[node / kE / kB]), static_cast<float>(kBlood[node / kE % kB]),
           static_cast<float>(kEpidermisMm[node % kE])};
 }
+
+double SkinGrid::Sin2Edge(int edge) { return std::pow(std::sin(kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
 
 double SkinGrid::NodeThetaRad(int bin) { return std::asin(Thetas().sine[bin]); }
 

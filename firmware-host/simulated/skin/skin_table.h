@@ -33,6 +33,7 @@ struct SkinGrid {
   static constexpr int kCells = kRadii * kPolar;
   static constexpr size_t kDirections = size_t{kSkinChannels} * kThetas * kThetas * kAzimuths;
   static double RadiusEdgeMm(int edge);  // 0 .. kRadii
+  static double Sin2Edge(int edge);      // sin^2(theta), 0 .. kThetas
   static int NodeIndex(int melanin, int blood, int epidermis);
   static size_t DirectionIndex(int channel, int in, int out, int azimuth);
   // Of a table of skin.

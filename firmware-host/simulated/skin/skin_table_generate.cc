@@ -14,12 +14,10 @@ namespace {
 using G = SkinGrid;
 constexpr int kNodes = G::kNodes;
 
-double Sin2Edge(int edge) { return std::pow(std::sin(G::kThetaEdgesDeg[edge] * std::numbers::pi / 180.0), 2); }
-
 // Integral of cos(theta) over an exit bin; the azimuth bin counts both signs.
 double ProjectedSolidAngle(int out, int azimuth) {
   const double width = (azimuth == 0 || azimuth == G::kAzimuths - 1 ? 0.25 : 0.5) * std::numbers::pi;
-  return 0.5 * (Sin2Edge(out + 1) - Sin2Edge(out)) * width;
+  return 0.5 * (G::Sin2Edge(out + 1) - G::Sin2Edge(out)) * width;
 }
 
 double CellAreaMm2(int radius) {
@@ -36,7 +34,7 @@ Bin BinOf(const EscapedPhoton& e) {
   Bin bin;
   const double sin2 = std::max(0.0, 1.0 - double(e.uz) * e.uz);
   for (int i = 0; i < G::kThetas; ++i)
-    if (sin2 >= Sin2Edge(i) && sin2 < Sin2Edge(i + 1)) bin.out = i;
+    if (sin2 >= G::Sin2Edge(i) && sin2 < G::Sin2Edge(i + 1)) bin.out = i;
   if (bin.out < 0) return bin;
   // Light comes from +x. Mirror so that omega_out lies on the side of +y.
   const double azimuth = std::atan2(e.uy, e.ux);
@@ -94,8 +92,8 @@ MonteCarloOptions RunOptions(int channel, int in, int64_t photons, uint64_t seed
   MonteCarloOptions options;
   options.photons = photons;
   options.seed = seed * 1000003 + channel * 101 + in;
-  options.sin2_theta_low = Sin2Edge(in);
-  options.sin2_theta_high = Sin2Edge(in + 1);
+  options.sin2_theta_low = G::Sin2Edge(in);
+  options.sin2_theta_high = G::Sin2Edge(in + 1);
   options.max_path_mm = 200.0;  // at the least absorption (630 nm, 0.03 / mm) exp(-6) of a photon
   options.max_radius_mm = 40.0;
   options.threads = threads;

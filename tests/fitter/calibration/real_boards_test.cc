@@ -76,6 +76,24 @@ PoseObservation ObservePose(int pose, const Eigen::Vector2d& crop, const BoardDe
 }
 
 // Shared by the tests: reading and decoding 210 pictures takes seconds.
+// One camera and one projector, as OpenCV's calibration gives them.
+RigGeometry FromOpenCv(const cv::Mat& camera, const cv::Mat& camera_distortion, const cv::Mat& projector,
+                       const cv::Mat& projector_distortion, const cv::Mat& turn, const cv::Mat& shift) {
+  auto pinhole = [](int width, int height, const cv::Mat& m, const cv::Mat& d) {
+    Pinhole p{width, height, m.at<double>(0, 0), m.at<double>(1, 1), m.at<double>(0, 2), m.at<double>(1, 2), {}};
+    for (int i = 0; i < 5; ++i) p.distortion[static_cast<size_t>(i)] = d.at<double>(i);
+    return p;
+  };
+  Rigid3 projector_from_camera;
+  Eigen::Matrix3d rotation;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) rotation(i, j) = turn.at<double>(i, j);
+  projector_from_camera.rotation = Eigen::Quaterniond(rotation);
+  projector_from_camera.translation_mm = {shift.at<double>(0), shift.at<double>(1), shift.at<double>(2)};
+  return {pinhole(1280, 1024, camera, camera_distortion),
+          {{pinhole(1024, 768, projector, projector_distortion), projector_from_camera.Inverse()}}};
+}
+
 class RealBoards : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
@@ -145,19 +163,7 @@ TEST_F(RealBoards, PublishedResultThatIsOffByAFactorOfTwoIsRefused) {
   file["proj_dist"] >> projector_distortion;
   file["roration"] >> turn;  // spelt so in the file
   file["translation"] >> shift;
-  auto pinhole = [](int width, int height, const cv::Mat& m, const cv::Mat& d) {
-    Pinhole p{width, height, m.at<double>(0, 0), m.at<double>(1, 1), m.at<double>(0, 2), m.at<double>(1, 2), {}};
-    for (int i = 0; i < 5; ++i) p.distortion[static_cast<size_t>(i)] = d.at<double>(i);
-    return p;
-  };
-  Rigid3 projector_from_camera;
-  Eigen::Matrix3d rotation;
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) rotation(i, j) = turn.at<double>(i, j);
-  projector_from_camera.rotation = Eigen::Quaterniond(rotation);
-  projector_from_camera.translation_mm = {shift.at<double>(0), shift.at<double>(1), shift.at<double>(2)};
-  const RigGeometry published{pinhole(1280, 1024, camera, camera_distortion),
-                              {{pinhole(1024, 768, projector, projector_distortion), projector_from_camera.Inverse()}}};
+  const RigGeometry published = FromOpenCv(camera, camera_distortion, projector, projector_distortion, turn, shift);
   const auto findings = JudgeGiven(published, *report);
   ASSERT_TRUE(IsRefused(findings));
   bool focal = false;
@@ -195,19 +201,7 @@ TEST_F(RealBoards, PredictsHeldOutPosesNoWorseThanStereoCalibrate) {
     cv::calibrateCamera(board, lit, {1024, 768}, projector, projector_k, turns, shifts);
     cv::stereoCalibrate(board, seen, lit, camera, camera_k, projector, projector_k, {1280, 1024}, turn, shift,
                         essential, fundamental, cv::CALIB_FIX_INTRINSIC);
-    auto pinhole = [](int width, int height, const cv::Mat& m, const cv::Mat& d) {
-      Pinhole p{width, height, m.at<double>(0, 0), m.at<double>(1, 1), m.at<double>(0, 2), m.at<double>(1, 2), {}};
-      for (int i = 0; i < 5; ++i) p.distortion[static_cast<size_t>(i)] = d.at<double>(i);
-      return p;
-    };
-    Rigid3 projector_from_camera;
-    Eigen::Matrix3d rotation;
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) rotation(i, j) = turn.at<double>(i, j);
-    projector_from_camera.rotation = Eigen::Quaterniond(rotation);
-    projector_from_camera.translation_mm = {shift.at<double>(0), shift.at<double>(1), shift.at<double>(2)};
-    const RigGeometry rig{pinhole(1280, 1024, camera, camera_k),
-                          {{pinhole(1024, 768, projector, projector_k), projector_from_camera.Inverse()}}};
+    const RigGeometry rig = FromOpenCv(camera, camera_k, projector, projector_k, turn, shift);
     // The board's place by all corners alike: the measure that favours neither.
     const auto pose = FitPose(rig, {1.0, 1.0}, observations_.board, observations_.poses[held]);
     ASSERT_TRUE(pose.has_value());
