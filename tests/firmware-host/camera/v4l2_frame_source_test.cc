@@ -15,6 +15,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/firmware-host/camera/vivid.h"
+#include "tests/support/text_of.h"
 
 namespace stratalux::rig {
 namespace {
@@ -77,13 +78,7 @@ class V4l2FrameSourceTest : public ::testing::Test {
     }
     return frames;
   }
-  std::string LogText() {
-    std::string text;
-    std::rewind(log_);
-    char buffer[512];
-    for (size_t n = 0; (n = std::fread(buffer, 1, sizeof buffer, log_)) > 0;) text.append(buffer, n);
-    return text;
-  }
+  std::string LogText() { return TextOf(log_); }
 
   std::unique_ptr<Vivid> vivid_;
   std::FILE* log_ = nullptr;

@@ -15,6 +15,7 @@
 
 #include "shared/base/check.h"
 #include "tests/firmware-host/gpio/gpio_sim.h"
+#include "tests/support/text_of.h"
 
 namespace stratalux::rig {
 namespace {
@@ -81,13 +82,7 @@ class GpiodLineBankTest : public ::testing::Test {
       std::this_thread::sleep_for(1ms);
     return bank_->CheckInterlock();
   }
-  std::string LogText() {
-    std::string text;
-    std::rewind(log_);
-    char buffer[512];
-    for (size_t n = 0; (n = std::fread(buffer, 1, sizeof buffer, log_)) > 0;) text.append(buffer, n);
-    return text;
-  }
+  std::string LogText() { return TextOf(log_); }
 
   std::unique_ptr<GpioSim> sim_;
   std::FILE* log_ = nullptr;
