@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "fitter/mixture/directional_weights.h"
 #include "fitter/mixture/mixture_map.h"
 
 namespace stratalux::fit {
@@ -11,9 +12,10 @@ struct EmOptions {
   ShiftLaw shift_law = ShiftLaw::kRefracted;
   double eta = 1.4;
   bool gain_model = true;
-  double tau = 0.0;              // of the angular gain
-  bool direction_blind = false;  // every depth stays 0: the baseline
-  bool surface_term = true;      // light reflected at the very surface
+  double tau = 0.0;                // of the angular gain
+  DirectionalWeights directional;  // of the layers; off unless set
+  bool direction_blind = false;    // every depth stays 0: the baseline
+  bool surface_term = true;        // light reflected at the very surface
   bool background_term = true;
   int max_iterations = 50;  // held-out light is predicted best at 50-100 (model section 7)
   // Sweeps of a pixel that starts from the session's mean layers (FitMixture's `start`): fewer sweeps keep it closer to

@@ -1,0 +1,531 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/reference_em.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+
+#include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/shift_law.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr double kTiny = 1e-12;
+constexpr double kReach = 8.0;        // of a Gaussian, in standard deviations: 1e-14 of its peak
+constexpr double kFreeReachMm = 8.0;  // of a mean in free mode
+
+using Vector = std::vector<double>;
+
+// A light with its fine grid z and the line response B on it.
+class Grid {
+ public:
+  explicit Grid(const ReferenceLight& light) : light_(&light) {
+    const int k = light.samples(), n = light.cells_per_sample;
+    pad_ = light.wrapped ? 0 : n * k / 4;
+    cells_ = n * k + 2 * pad_;
+    const int reach = std::min(static_cast<int>(std::ceil(light.line.Support() / CellMm())) + 1, cells_ / 2 - 1);
+    // A sample's own position lies (n - 1) / 2 cells after its first one.
+    before_ = reach;
+    for (int t = 0; t < 2 * reach + n; ++t) response_.push_back(light.line.At((t - reach - 0.5 * (n - 1)) * CellMm()));
+    coverage_ = std::accumulate(response_.begin(), response_.end(), 0.0) / n;
+    for (int j = 0; j < k; ++j) {
+      const double u = light.first_u_mm + j * light.step_mm;
+      surface_.push_back(light.line.At(light.wrapped ? std::remainder(u, k * light.step_mm) : u));
+    }
+    seen_ = BackProject(Vector(k, 1.0));
+  }
+
+  [[nodiscard]] const ReferenceLight& light() const { return *light_; }
+  [[nodiscard]] int cells() const { return cells_; }
+  [[nodiscard]] double CellMm() const { return light_->step_mm / light_->cells_per_sample; }
+  [[nodiscard]] double Coverage() const { return coverage_; }                // A of a layer inside the window
+  [[nodiscard]] double SurfaceResponse(int k) const { return surface_[k]; }  // K(u_k; 0)
+  [[nodiscard]] double Unseen(int cell) const { return coverage_ - seen_[cell]; }
+  [[nodiscard]] double PositionMm(int cell) const {
+    return light_->first_u_mm + (cell - pad_ - 0.5 * (light_->cells_per_sample - 1)) * CellMm();
+  }
+
+  // B m: what each sample sees of the light `mass` that leaves each cell.
+  [[nodiscard]] Vector Project(const Vector& mass) const {
+    Vector y(light_->samples(), 0.0);
+    ForEachPair([&](int k, int cell, double r) { y[k] += r * mass[cell]; });
+    return y;
+  }
+  // B^T r.
+  [[nodiscard]] Vector BackProject(const Vector& ratio) const {
+    Vector q(cells_, 0.0);
+    ForEachPair([&](int k, int cell, double r) { q[cell] += r * ratio[k]; });
+    return q;
+  }
+
+  // m_l(z) dz of a layer of unit weight; a wrapped layer reaches a cell by its nearest image and the two beside it.
+  void Layer(double mean_mm, double sigma_mm, Vector& phi) const {
+    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), period = CellMm() * cells_;
+    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
+    auto gauss = [&](double x) {
+      return std::abs(x) > kReach * sigma ? 0.0 : norm * std::exp(-0.5 * x * x / (sigma * sigma));
+    };
+    for (int c = 0; c < cells_; ++c) {
+      const double x = Offset(c, mean_mm);
+      phi[c] = gauss(x);
+      if (light_->wrapped) phi[c] += gauss(x - period) + gauss(x + period);
+    }
+  }
+  // Sums over z of q phi {1, x, x^2}, x = z - mean, every image with its own x.
+  [[nodiscard]] std::array<double, 3> Moments(double mean_mm, double sigma_mm, const Vector& q) const {
+    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), period = CellMm() * cells_;
+    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
+    std::array<double, 3> sum{};
+    for (int c = 0; c < cells_; ++c)
+      for (int image = light_->wrapped ? -1 : 0; image <= (light_->wrapped ? 1 : 0); ++image) {
+        const double x = Offset(c, mean_mm) + image * period;
+        if (std::abs(x) > kReach * sigma) continue;
+        const double m = q[c] * norm * std::exp(-0.5 * x * x / (sigma * sigma));
+        sum[0] += m;
+        sum[1] += m * x;
+        sum[2] += m * x * x;
+      }
+    return sum;
+  }
+
+ private:
+  [[nodiscard]] double Offset(int cell, double mean_mm) const {
+    const double x = PositionMm(cell) - mean_mm;
+    return light_->wrapped ? std::remainder(x, CellMm() * cells_) : x;
+  }
+  template <typename Visit>
+  void ForEachPair(const Visit& visit) const {
+    for (int k = 0; k < light_->samples(); ++k)
+      for (int t = 0; t < static_cast<int>(response_.size()); ++t) {
+        int cell = pad_ + k * light_->cells_per_sample - before_ + t;
+        if (light_->wrapped) cell = (cell % cells_ + cells_) % cells_;
+        if (cell >= 0 && cell < cells_) visit(k, cell, response_[t]);
+      }
+  }
+
+  const ReferenceLight* light_;
+  int pad_ = 0, cells_ = 0, before_ = 0;
+  Vector response_, surface_, seen_;
+  double coverage_ = 0.0;
+};
+
+double GainOf(const ReferenceLight& light, double tau) { return light.fresnel * std::exp(-tau * light.gain_path); }
+
+// g_p w_lp of a layer of weight 1.
+double FactorOf(const ReferenceLight& light, const ReferenceFit& fit, double depth, double sigma) {
+  return GainOf(light, fit.tau) * DirectionalFactor(fit.directional, light.directions, depth, sigma);
+}
+
+// Samples that `fit` predicts for a light.
+Vector ModelOf(const Grid& grid, const ReferenceFit& fit, size_t p) {
+  const ReferenceLight& light = grid.light();
+  Vector mass(grid.cells(), 0.0), phi(grid.cells());
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    if (!(fit.layers.weight[l] > 0.0)) continue;
+    const double d = fit.layers.depth_mm[l], sigma = fit.layers.sigma_mm[l];
+    const double weight = fit.layers.weight[l] * FactorOf(light, fit, d, sigma);
+    grid.Layer(d * light.s, sigma, phi);
+    for (int c = 0; c < grid.cells(); ++c) mass[c] += weight * phi[c];
+  }
+  Vector y = grid.Project(mass);
+  for (int k = 0; k < light.samples(); ++k) y[k] += fit.background[p] + fit.surface[p] * grid.SurfaceResponse(k);
+  return y;
+}
+
+// Shares of the Kullback-Leibler divergence and of the data's sum, in photons.
+std::array<double, 2> DivergenceOf(const ReferenceLight& light, const Vector& model) {
+  double divergence = 0.0, total = 0.0;
+  for (int k = 0; k < light.samples(); ++k) {
+    const double data = std::max(light.y[k] + light.read_shift, 0.0);
+    const double expected = std::max(model[k] + light.read_shift, kTiny);
+    divergence += light.counts * (expected - data + (data > 0.0 ? data * std::log(data / expected) : 0.0));
+    total += light.counts * data;
+  }
+  return {divergence, total};
+}
+
+// Expected photons c of each layer in each light, and their moments about the layer's mean.
+struct Expected {
+  std::vector<Vector> c, cx, cxx;  // [light][layer], in photons
+  explicit Expected(size_t lights, size_t layers) : c(lights, Vector(layers)), cx(c), cxx(c) {}
+};
+
+class Em {
+ public:
+  Em(std::span<const ReferenceLight> lights, const EmOptions& options, SharedParameters shared)
+      : options_(options), shared_(shared) {
+    for (const ReferenceLight& light : lights) grids_.emplace_back(light);
+    sigma_floor_ = options.min_sigma_mm;
+    for (const Grid& grid : grids_) sigma_floor_ = std::max(sigma_floor_, 0.9 * grid.CellMm());
+  }
+
+  [[nodiscard]] ReferenceFit Start(const LayerSet& layers) const;
+  // One sweep; fit.divergence becomes that of the layers it started from.
+  [[nodiscard]] ReferenceFit Sweep(const ReferenceFit& fit, double* divergence_before) const;
+  // From x0 and two sweeps from it, the SQUAREM extrapolation; false where there is nothing to extrapolate.
+  [[nodiscard]] bool Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const ReferenceFit& x2,
+                                 ReferenceFit& ahead) const;
+  [[nodiscard]] double Divergence(const ReferenceFit& fit) const;
+
+ private:
+  void UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const;
+  void ShareBackground(ReferenceFit& fit) const;
+  void UpdateLayers(ReferenceFit& fit, const Expected& expected) const;
+  void UpdateShared(ReferenceFit& fit, const Expected& expected) const;
+  void UpdateWeights(ReferenceFit& fit, const Expected& expected) const;
+  [[nodiscard]] double SharedGain(const ReferenceFit& fit, const Expected& expected) const;
+  [[nodiscard]] Vector Pack(const ReferenceFit& fit) const;
+  [[nodiscard]] ReferenceFit Unpack(const Vector& x, const ReferenceFit& like) const;
+
+  EmOptions options_;
+  SharedParameters shared_;
+  std::vector<Grid> grids_;
+  double sigma_floor_ = 0.0;
+};
+
+ReferenceFit Em::Start(const LayerSet& layers) const {
+  ReferenceFit fit;
+  fit.layers = layers;
+  fit.tau = options_.tau;
+  fit.directional = options_.directional;
+  // Shares of the light that returns: the surface keeps near its start (nothing identifies it), the floor is small.
+  const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
+  for (const Grid& grid : grids_) {
+    const double light_total = total * GainOf(grid.light(), fit.tau);
+    fit.surface.push_back(options_.surface_term ? 0.05 * light_total : 0.0);
+    fit.background.push_back(options_.background_term ? 0.02 * light_total * grid.Coverage() / grid.light().samples()
+                                                      : 0.0);
+  }
+  if (options_.shared_background) ShareBackground(fit);
+  for (double& sigma : fit.layers.sigma_mm) sigma = std::max(sigma, sigma_floor_);
+  if (options_.direction_blind) std::fill(fit.layers.depth_mm.begin(), fit.layers.depth_mm.end(), 0.0);
+  return fit;
+}
+
+double Em::Divergence(const ReferenceFit& fit) const {
+  double divergence = 0.0, total = 0.0;
+  for (size_t p = 0; p < grids_.size(); ++p) {
+    const auto [d, t] = DivergenceOf(grids_[p].light(), ModelOf(grids_[p], fit, p));
+    divergence += d;
+    total += t;
+  }
+  return total > 0.0 ? divergence / total : 0.0;
+}
+
+ReferenceFit Em::Sweep(const ReferenceFit& fit, double* divergence_before) const {
+  const size_t layers = fit.layers.weight.size();
+  ReferenceFit next = fit;
+  Expected expected(grids_.size(), layers);
+  double divergence = 0.0, total = 0.0;
+  for (size_t p = 0; p < grids_.size(); ++p) {
+    const Grid& grid = grids_[p];
+    const ReferenceLight& light = grid.light();
+    // E step: the ratio of data and model, back through the line response; cells that no sample sees are filled in by
+    // the model's own expectation (exact EM of a truncated observation).
+    const Vector model = ModelOf(grid, fit, p);
+    const auto [d, t] = DivergenceOf(light, model);
+    divergence += d;
+    total += t;
+    Vector ratio(light.samples());
+    for (int k = 0; k < light.samples(); ++k)
+      ratio[k] = std::max(light.y[k] + light.read_shift, 0.0) / std::max(model[k] + light.read_shift, kTiny);
+    Vector q = grid.BackProject(ratio);
+    if (!light.wrapped)
+      for (int c = 0; c < grid.cells(); ++c) q[c] += grid.Unseen(c);
+    for (size_t l = 0; l < layers; ++l) {
+      if (!(fit.layers.weight[l] > 0.0)) continue;
+      const double depth = fit.layers.depth_mm[l], sigma = fit.layers.sigma_mm[l];
+      const double photons = light.counts * fit.layers.weight[l] * FactorOf(light, fit, depth, sigma);
+      const auto moments = grid.Moments(depth * light.s, sigma, q);
+      expected.c[p][l] = photons * moments[0];
+      expected.cx[p][l] = photons * moments[1];
+      expected.cxx[p][l] = photons * moments[2];
+    }
+    UpdateFloor(next, p, ratio);
+  }
+  if (options_.shared_background) ShareBackground(next);
+  UpdateLayers(next, expected);
+  UpdateShared(next, expected);
+  UpdateWeights(next, expected);
+  ++next.iterations;
+  *divergence_before = total > 0.0 ? divergence / total : 0.0;
+  return next;
+}
+
+void Em::UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const {
+  double own_ratio = 0.0, own = 0.0, mean = 0.0;
+  for (size_t k = 0; k < ratio.size(); ++k) {
+    own_ratio += ratio[k] * grids_[p].SurfaceResponse(static_cast<int>(k));
+    own += grids_[p].SurfaceResponse(static_cast<int>(k));
+    mean += ratio[k] / static_cast<double>(ratio.size());
+  }
+  fit.surface[p] *= own_ratio / std::max(own, kTiny);
+  fit.background[p] *= mean;
+}
+
+// One floor for all lights: the mean of theirs, weighted by the photons each would see of it.
+void Em::ShareBackground(ReferenceFit& fit) const {
+  double photons = 0.0, exposure = 0.0;
+  for (size_t p = 0; p < grids_.size(); ++p) {
+    const double seen = grids_[p].light().counts * grids_[p].light().samples();
+    photons += seen * fit.background[p];
+    exposure += seen;
+  }
+  std::fill(fit.background.begin(), fit.background.end(), photons / exposure);
+}
+
+// d_l = sum_p s_p sum_z c z / sum_p s_p^2 sum_z c and sigma_l^2 = sum c (z - d_l s_p)^2 / sum c, with z = d_old s + x.
+void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
+  const bool free = options_.mode == FitMode::kFree;
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    double photons = 0.0, moved = 0.0, leverage = 0.0, spread = 0.0;
+    for (size_t p = 0; p < grids_.size(); ++p) {
+      const double s = grids_[p].light().s;
+      photons += expected.c[p][l];
+      moved += s * expected.cx[p][l];
+      leverage += s * s * expected.c[p][l];
+      spread += expected.cxx[p][l];
+    }
+    if (!(photons > 0.0)) continue;
+    double step = 0.0;
+    if (!options_.direction_blind && leverage > 1e-6 * photons) {
+      double& depth = fit.layers.depth_mm[l];
+      const double wanted = depth + moved / leverage;
+      step = (free ? std::clamp(wanted, -kFreeReachMm, kFreeReachMm)
+                   : std::clamp(wanted, options_.min_depth_mm, options_.max_depth_mm)) -
+             depth;
+      depth += step;
+    }
+    const double variance = (spread - 2.0 * step * moved + step * step * leverage) / photons;
+    fit.layers.sigma_mm[l] =
+        std::clamp(std::sqrt(std::max(variance, 0.0)), sigma_floor_, std::max(options_.max_sigma_mm, sigma_floor_));
+  }
+}
+
+// w_l = sum_p c_lp / sum_p n_p g_p (w_lp / w_l) A_p.
+void Em::UpdateWeights(ReferenceFit& fit, const Expected& expected) const {
+  double most = 0.0;
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    double photons = 0.0, exposure = 0.0;
+    for (size_t p = 0; p < grids_.size(); ++p) {
+      const ReferenceLight& light = grids_[p].light();
+      photons += expected.c[p][l];
+      exposure +=
+          light.counts * grids_[p].Coverage() * FactorOf(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
+    }
+    fit.layers.weight[l] = photons / exposure;
+    most = std::max(most, fit.layers.weight[l]);
+  }
+  for (double& w : fit.layers.weight)
+    if (w < 1e-12 * most) w = 0.0;
+}
+
+// The part of EM's lower bound that tau and the directional weights enter, the layers' weights at their best:
+//   sum_lp c_lp log(g_p f_lp) - sum_l c_l log(sum_p n_p A_p g_p f_lp).
+double Em::SharedGain(const ReferenceFit& fit, const Expected& expected) const {
+  double gain = 0.0;
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    double photons = 0.0, exposure = 0.0;
+    for (size_t p = 0; p < grids_.size(); ++p) {
+      const ReferenceLight& light = grids_[p].light();
+      const double factor = FactorOf(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
+      photons += expected.c[p][l];
+      exposure += light.counts * grids_[p].Coverage() * factor;
+      gain += expected.c[p][l] * std::log(factor);
+    }
+    gain -= photons * std::log(exposure);
+  }
+  return gain;
+}
+
+// One step of each shared parameter to the vertex of the parabola through three values of the bound; a step that does
+// not raise it is not taken, so the likelihood keeps rising.
+void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
+  if (shared_ == SharedParameters::kFixed) return;
+  struct Parameter {
+    double* value;
+    double step, low, high;
+  };
+  std::vector<Parameter> parameters;
+  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, 0.0, 3.0});
+  if (shared_ == SharedParameters::kTauAndDirectional) {
+    parameters.push_back({&fit.directional.kappa_per_mm, 0.02, -1.0, 3.0});
+    parameters.push_back({&fit.directional.asymmetry, 0.01, -0.5, 0.95});
+    parameters.push_back({&fit.directional.sigma_0_mm, 0.02 * fit.directional.sigma_0_mm, 0.02, 5.0});
+  }
+  double best = SharedGain(fit, expected);
+  for (const Parameter& p : parameters) {
+    const double here = *p.value;
+    auto at = [&](double value) {
+      *p.value = std::clamp(value, p.low, p.high);
+      return SharedGain(fit, expected);
+    };
+    const double below = at(here - p.step), above = at(here + p.step), bend = above - 2.0 * best + below;
+    const double slope = 0.5 * (above - below);
+    double move = bend < 0.0 ? -slope / bend : (slope > 0.0 ? 4.0 : -4.0);
+    move = std::clamp(move, -8.0, 8.0);
+    const double reached = at(here + move * p.step);
+    if (reached > best) {
+      best = reached;
+    } else {
+      *p.value = here;
+    }
+  }
+}
+
+// SQUAREM works in coordinates without bounds: logarithms of what is positive.
+Vector Em::Pack(const ReferenceFit& fit) const {
+  Vector x;
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    x.push_back(std::log(std::max(fit.layers.weight[l], 1e-15)));
+    x.push_back(fit.layers.depth_mm[l]);
+    x.push_back(std::log(fit.layers.sigma_mm[l]));
+  }
+  for (const Vector* terms : {&fit.surface, &fit.background})
+    for (double v : *terms) x.push_back(std::log(std::max(v, 1e-15)));
+  x.push_back(fit.tau);
+  x.push_back(fit.directional.kappa_per_mm);
+  x.push_back(fit.directional.asymmetry);
+  x.push_back(std::log(fit.directional.sigma_0_mm));
+  return x;
+}
+
+ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
+  ReferenceFit fit = like;
+  size_t at = 0;
+  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
+    const double w = std::exp(x[at]);
+    fit.layers.weight[l] = like.layers.weight[l] > 0.0 ? w : 0.0;
+    fit.layers.depth_mm[l] = options_.mode == FitMode::kFree
+                                 ? std::clamp(x[at + 1], -kFreeReachMm, kFreeReachMm)
+                                 : std::clamp(x[at + 1], options_.min_depth_mm, options_.max_depth_mm);
+    fit.layers.sigma_mm[l] =
+        std::clamp(std::exp(x[at + 2]), sigma_floor_, std::max(options_.max_sigma_mm, sigma_floor_));
+    at += 3;
+  }
+  for (Vector* terms : {&fit.surface, &fit.background})
+    for (double& v : *terms) v = v > 0.0 ? std::exp(x[at++]) : (++at, 0.0);
+  fit.tau = std::clamp(x[at], 0.0, 3.0);
+  fit.directional.kappa_per_mm = std::clamp(x[at + 1], -1.0, 3.0);
+  fit.directional.asymmetry = std::clamp(x[at + 2], -0.5, 0.95);
+  fit.directional.sigma_0_mm = std::clamp(std::exp(x[at + 3]), 0.02, 5.0);
+  return fit;
+}
+
+// Varadhan & Roland 2008, scheme S3: x' = x0 - 2 a r + a^2 v, r = x1 - x0, v = x2 - 2 x1 + x0, a = -|r| / |v|.
+bool Em::Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const ReferenceFit& x2,
+                     ReferenceFit& ahead) const {
+  const Vector a = Pack(x0), b = Pack(x1), c = Pack(x2);
+  double rr = 0.0, vv = 0.0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    rr += (b[i] - a[i]) * (b[i] - a[i]);
+    vv += (c[i] - 2.0 * b[i] + a[i]) * (c[i] - 2.0 * b[i] + a[i]);
+  }
+  if (!(vv > 0.0)) return false;
+  const double alpha = std::max(-std::sqrt(rr / vv), -64.0);
+  if (alpha > -1.0) return false;
+  Vector x(a.size());
+  for (size_t i = 0; i < a.size(); ++i) {
+    const double r = b[i] - a[i], v = c[i] - 2.0 * b[i] + a[i];
+    x[i] = a[i] - 2.0 * alpha * r + alpha * alpha * v;
+  }
+  ahead = Unpack(x, x2);
+  return true;
+}
+
+}  // namespace
+
+ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
+  ReferenceLight light;
+  const auto* y = batch.y.data() + profile * batch.samples;
+  light.y.assign(y, y + batch.samples);
+  light.first_u_mm = batch.first_u_mm[profile];
+  light.step_mm = batch.step_mm[profile];
+  light.wrapped = batch.wrapped;
+  light.cells_per_sample =
+      batch.wrapped
+          ? std::max(options.cells_per_sample, static_cast<int>(std::ceil(light.step_mm / options.max_cell_mm)))
+          : std::max(1, static_cast<int>(std::ceil(light.step_mm / (options.max_cell_mm / 2))));
+  light.line = {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * light.step_mm,
+                light.step_mm / light.cells_per_sample, batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  const PhotonNoise noise = PhotonNoiseOf(batch, profile);
+  light.counts = noise.counts;
+  light.read_shift = noise.read_shift;
+  light.s = options.mode == FitMode::kFree ? 1.0
+                                           : TangentialShift(options.shift_law, batch.slope_in[profile],
+                                                             batch.slope_in_across[profile], options.eta) -
+                                                 TangentialShift(options.shift_law, batch.slope_out[profile],
+                                                                 batch.slope_out_across[profile], options.eta);
+  light.directions = DirectionsOf(batch, profile, options.eta);
+  if (options.gain_model) {
+    light.fresnel = AngularGain(batch.cos_in[profile], options.eta, 0.0);
+    light.gain_path = -std::log(AngularGain(batch.cos_in[profile], options.eta, 1.0) / light.fresnel);
+  }
+  return light;
+}
+
+LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& options) {
+  double photons = 0.0, exposure = 0.0, longest = 0.0, narrowest = options.min_sigma_mm;
+  for (const ReferenceLight& light : lights) {
+    const Grid grid(light);
+    photons += light.counts * std::max(std::accumulate(light.y.begin(), light.y.end(), 0.0), 1e-6);
+    exposure += light.counts * GainOf(light, options.tau) * grid.Coverage();
+    longest = std::max(longest, grid.CellMm() * grid.cells());
+    narrowest = std::max(narrowest, 0.9 * grid.CellMm());
+  }
+  const double widest = std::min(options.max_sigma_mm, longest / 4.0);
+  LayerSet set;
+  double share = 0.0;
+  for (int l = 0; l < options.layers; ++l) {
+    const double f = options.layers > 1 ? static_cast<double>(l) / (options.layers - 1) : 0.5;
+    const double sigma = narrowest * 1.1 * std::pow(std::max(widest * 0.7, narrowest * 2.0) / (narrowest * 1.1), f);
+    set.sigma_mm.push_back(sigma);
+    set.depth_mm.push_back(options.direction_blind ? 0.0 : std::min(0.3 * sigma, 1.0));
+    set.weight.push_back(photons / exposure / sigma);
+    share += 1.0 / sigma;
+  }
+  for (double& w : set.weight) w /= share;
+  return set;
+}
+
+ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet& start, const EmOptions& options,
+                          SharedParameters shared, Acceleration acceleration) {
+  const Em em(lights, options, shared);
+  ReferenceFit fit = em.Start(start);
+  double before = 0.0, ignored = 0.0;
+  while (fit.iterations < options.max_iterations) {
+    const ReferenceFit first = em.Sweep(fit, &before);
+    if (acceleration == Acceleration::kNone) {
+      const double now = em.Divergence(first);
+      fit = first;
+      fit.divergence = now;
+      if (before - now <= options.tolerance * std::abs(before)) break;
+      continue;
+    }
+    ReferenceFit second = em.Sweep(first, &ignored), ahead;
+    double now = em.Divergence(second);
+    const int sweeps = second.iterations;
+    if (em.Extrapolate(fit, first, second, ahead)) {
+      // A sweep from the extrapolated point steadies it; it is kept only if it beats the plain sweeps.
+      ahead = em.Sweep(ahead, &ignored);
+      if (const double there = em.Divergence(ahead); there < now) {
+        second = std::move(ahead);
+        now = there;
+      }
+    }
+    fit = std::move(second);
+    fit.iterations = sweeps + 1;
+    fit.divergence = now;
+    if (before - now <= 3.0 * options.tolerance * std::abs(before)) break;
+  }
+  return fit;
+}
+
+std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights, size_t light) {
+  return ModelOf(Grid(lights[light]), fit, light);
+}
+
+}  // namespace stratalux::fit
