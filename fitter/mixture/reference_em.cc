@@ -14,7 +14,13 @@ namespace stratalux::fit {
 namespace {
 
 constexpr double kTiny = 1e-12;
-constexpr double kReach = 8.0;        // of a Gaussian, in standard deviations: 1e-14 of its peak
+constexpr double kReach = 8.0;  // of a Gaussian, in standard deviations: 1e-14 of its peak
+// Where the shared parameters may go. tau < 0: what narrow layers gain at oblique light can fall to it.
+struct Range {
+  double low, high;
+  [[nodiscard]] double Clamp(double x) const { return std::clamp(x, low, high); }
+};
+constexpr Range kTau = {-2.0, 3.0}, kKappa = {-5.0, 20.0}, kSlope = {-2.0, 4.0}, kSigma0 = {0.02, 2.0};
 constexpr double kFreeReachMm = 8.0;  // of a mean in free mode
 
 using Vector = std::vector<double>;
@@ -191,6 +197,8 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
   fit.layers = layers;
   fit.tau = options_.tau;
   fit.directional = options_.directional;
+  if (shared_ == SharedParameters::kTauAndDirectional && fit.directional.Off())
+    fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
   // Shares of the light that returns: the surface keeps near its start (nothing identifies it), the floor is small.
   const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
   for (const Grid& grid : grids_) {
@@ -350,11 +358,11 @@ void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
     double step, low, high;
   };
   std::vector<Parameter> parameters;
-  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, 0.0, 3.0});
+  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
   if (shared_ == SharedParameters::kTauAndDirectional) {
-    parameters.push_back({&fit.directional.kappa_per_mm, 0.02, -1.0, 3.0});
-    parameters.push_back({&fit.directional.asymmetry, 0.01, -0.5, 0.95});
-    parameters.push_back({&fit.directional.sigma_0_mm, 0.02 * fit.directional.sigma_0_mm, 0.02, 5.0});
+    parameters.push_back({&fit.directional.kappa_per_mm, 0.02, kKappa.low, kKappa.high});
+    parameters.push_back({&fit.directional.phase_slope, 0.04, kSlope.low, kSlope.high});
+    parameters.push_back({&fit.directional.sigma_0_mm, 0.02 * fit.directional.sigma_0_mm, kSigma0.low, kSigma0.high});
   }
   double best = SharedGain(fit, expected);
   for (const Parameter& p : parameters) {
@@ -388,8 +396,8 @@ Vector Em::Pack(const ReferenceFit& fit) const {
     for (double v : *terms) x.push_back(std::log(std::max(v, 1e-15)));
   x.push_back(fit.tau);
   x.push_back(fit.directional.kappa_per_mm);
-  x.push_back(fit.directional.asymmetry);
-  x.push_back(std::log(fit.directional.sigma_0_mm));
+  x.push_back(fit.directional.phase_slope);
+  x.push_back(std::log(std::max(fit.directional.sigma_0_mm, kSigma0.low)));
   return x;
 }
 
@@ -408,10 +416,12 @@ ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
   }
   for (Vector* terms : {&fit.surface, &fit.background})
     for (double& v : *terms) v = v > 0.0 ? std::exp(x[at++]) : (++at, 0.0);
-  fit.tau = std::clamp(x[at], 0.0, 3.0);
-  fit.directional.kappa_per_mm = std::clamp(x[at + 1], -1.0, 3.0);
-  fit.directional.asymmetry = std::clamp(x[at + 2], -0.5, 0.95);
-  fit.directional.sigma_0_mm = std::clamp(std::exp(x[at + 3]), 0.02, 5.0);
+  if (shared_ == SharedParameters::kFixed) return fit;
+  fit.tau = kTau.Clamp(x[at]);
+  if (shared_ != SharedParameters::kTauAndDirectional) return fit;
+  fit.directional.kappa_per_mm = kKappa.Clamp(x[at + 1]);
+  fit.directional.phase_slope = kSlope.Clamp(x[at + 2]);
+  fit.directional.sigma_0_mm = kSigma0.Clamp(std::exp(x[at + 3]));
   return fit;
 }
 
