@@ -19,7 +19,7 @@ namespace stratalux::fit {
 namespace {
 
 struct Flags {
-  std::string in = "-", out = "-", model, shift = "refracted", mode = "tied", gain = "model";
+  std::string in = "-", out = "-", model, shift = "refracted_sine", mode = "tied", gain = "model", directional = "on";
   EmOptions em = ProfileOptions();
 };
 
@@ -39,9 +39,10 @@ Status Fit(Flags& f, Logger& logger) {
   f.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.em.gain_model = f.gain == "model";
   SLX_ASSIGN_OR_RETURN(const auto file, ReadProfiles(f.in, true));
-  SLX_ASSIGN_OR_RETURN(const auto model, FitProfiles(file.profiles, f.em));
-  if (!model.depth_estimable)
-    logger.Warning("no source shifts the layers (incidence and exit cancel or are 0): their depths mean nothing");
+  SLX_ASSIGN_OR_RETURN(const auto model, FitProfiles(file.profiles, f.em,
+                                                     f.directional == "on" ? SharedParameters::kTauAndDirectional
+                                                                           : SharedParameters::kTau));
+  for (const std::string& warning : model.warnings) logger.Warning(warning);
   for (const SourceFit& s : model.sources) {
     std::ostringstream line;
     line << "source " << s.source << ": incidence " << s.incidence_deg << ", exit " << s.exit_deg << " deg, slit "
@@ -106,6 +107,9 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
   fit->add_option("--eta", flags->em.eta, "Refractive index")->check(CLI::Range(1.0, 3.0))->capture_default_str();
   fit->add_option("--gain", flags->gain, "Angular gain of the incidence")
       ->check(CLI::IsMember({"model", "none"}))
+      ->capture_default_str();
+  fit->add_option("--directional", flags->directional, "Weights of the layers that follow the directions")
+      ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   fit->add_option("--iterations", flags->em.max_iterations, "EM sweeps at most")
       ->check(CLI::Range(1, 100000))

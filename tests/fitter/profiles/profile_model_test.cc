@@ -191,13 +191,13 @@ TEST(ProfileModel, JsonKeepsWhatPredictionNeeds) {
     EXPECT_LT(Nrmse(*PredictProfile(*model, profile), *PredictProfile(*read, profile)), 1e-9);
   }
   for (const char* text :
-       {"", "{", "{}", R"({"schema":1,"mode":"tied"})", R"({"schema":1,"mode":"x","gain":"none"})"}) {
+       {"", "{", "{}", R"({"schema":2,"mode":"tied"})", R"({"schema":2,"mode":"x","gain":"none"})"}) {
     const auto read = ProfileModel::FromJson(text, "m.json");
     ASSERT_FALSE(read.ok()) << text;
     EXPECT_EQ(read.status().code(), StatusCode::kUsage);
     EXPECT_THAT(read.status().message(), HasSubstr("m.json"));
   }
-  EXPECT_EQ(ProfileModel::FromJson(R"({"schema":2})", "m.json").status().code(), StatusCode::kNewerSchema);
+  EXPECT_EQ(ProfileModel::FromJson(R"({"schema":3})", "m.json").status().code(), StatusCode::kNewerSchema);
 }
 
 TEST(ProfileModel, RefusesSourcesWithoutLightAndSaysWhenDepthMeansNothing) {
