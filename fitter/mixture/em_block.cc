@@ -36,6 +36,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
       batches_(lights),
       usable_(usable),
       start_(start),
+      accelerated_(options.accelerated && start.empty()),
       lights_(lights.size()),
       rows_{options.layers, static_cast<int>(lights.size())} {
   const bool free = options.mode == FitMode::kFree;
@@ -306,9 +307,9 @@ void EmBlock::Judge() {
     if (lane.profile < 0 || lane.last_pass) continue;
     ++lane.sweeps;
     const double now = lane.total > 0.0 ? divergence_[i] / lane.total : 0.0;
-    if (!options_.accelerated || now <= lane.best * (1.0 + kNoise)) {
+    if (!accelerated_ || now <= lane.best * (1.0 + kNoise)) {
       const double next = 0.5 * (1.0 + std::sqrt(1.0 + 4.0 * lane.momentum * lane.momentum));
-      if (options_.accelerated) momentum_[i] = static_cast<float>((lane.momentum - 1.0) / next);
+      if (accelerated_) momentum_[i] = static_cast<float>((lane.momentum - 1.0) / next);
       lane.momentum = next;
       step_[i] = kAdvance;
     } else {
@@ -318,8 +319,8 @@ void EmBlock::Judge() {
     lane.best = std::min(lane.best, now);
     bool settled = false;
     if (lane.sweeps % kCheckEvery == 0) {
-      settled = std::isfinite(lane.checked) &&
-                lane.checked - lane.best <= options_.tolerance * kCheckEvery * lane.checked;
+      settled =
+          std::isfinite(lane.checked) && lane.checked - lane.best <= options_.tolerance * kCheckEvery * lane.checked;
       lane.checked = lane.best;
     }
     lane.last_pass = settled || lane.sweeps >= most_sweeps_;

@@ -79,6 +79,7 @@ class EmBlock {
   std::span<const SrdBatch* const> batches_;
   std::span<const std::vector<uint8_t>> usable_;
   std::span<const LayerSet> start_;
+  bool accelerated_ = false;
   std::vector<EmLight> lights_;
   ParameterRows rows_;
   LayerBounds bounds_;

@@ -73,7 +73,7 @@ void FindItems(const EmGrid& grid, const LayersOnGrid& layers, int lane, const T
     hn::Store(curvature, d, values + kCurvature * n);
     // Held as ratio - 1: near 1 the ratio itself would round to a visibly different width.
     hn::Store(hn::Expm1(d, hn::Neg(curvature)), d, values + kRatioM1 * n);
-    hn::Store(reach, d, values + kReachCells * n);
+    hn::Store(hn::IfThenElse(in, reach, hn::Neg(far)), d, values + kReachCells * n);  // the others meet no tile
     for (int sum = kSum0; sum <= kSum2; ++sum) hn::Store(hn::Zero(d), d, values + sum * n);
   }
 }
