@@ -31,4 +31,7 @@ if(STRATALUX_BUILD_TESTS)
 endif()
 if(STRATALUX_BUILD_BENCH)
   find_package(benchmark REQUIRED)
+  if(STRATALUX_BUILD_FITTER)
+    find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc calib3d aruco ml)  # ml: a peer
+  endif()
 endif()

@@ -38,8 +38,8 @@ int TilesOf(const EmGrid& grid, int tile) { return (grid.cells + tile - 1) / til
 // Index of the tile of coordinate z; wrapped grids repeat theirs on either side. Outside: held to the nearest.
 int TileAt(const EmGrid& grid, int tile, float z) {
   const int tiles = TilesOf(grid, tile);
-  const float held = std::clamp(z, -1.0F * static_cast<float>(grid.cells), 2.0F * static_cast<float>(grid.cells));
-  const int cell = static_cast<int>(std::floor(held));
+  const float cells = static_cast<float>(grid.cells);
+  const int cell = static_cast<int>(std::clamp(z, -cells, 2.0F * cells) + cells) - grid.cells;  // rounded down
   int image = 0;
   if (cell < 0) image = -1;
   if (cell >= grid.cells) image = cell >= 2 * grid.cells ? 2 : 1;
@@ -78,13 +78,25 @@ void FindItems(const EmGrid& grid, const LayersOnGrid& layers, int lane, const T
   }
 }
 
-// The tiles of one size and, of the items from `first` on, those that meet each: in the order image, item.
+// The tiles of one size and, of the items from `first` on, those that meet each. The order (tile in memory, image,
+// item) is the same whatever else the block holds: sums must not depend on that.
 void FindEntries(const EmGrid& grid, int tile, int first, LayerTiles::Part& part) {
   const int tiles = TilesOf(grid, tile), images = grid.wrapped ? 1 : 0;
   part.met.assign(size_t(3) * tiles, 0);
-  for (size_t i = first; i < part.items.size(); ++i)
+  int low = part.items[first].first, high = part.items[first].last;
+  for (size_t i = first; i < part.items.size(); ++i) {
+    low = std::min(low, part.items[i].first);
+    high = std::max(high, part.items[i].last);
     for (int at = part.items[i].first; at <= part.items[i].last; ++at) part.met[at + tiles] |= 1U << (i - first);
-  for (int t = 0; t < tiles; ++t) {
+  }
+  // In memory the tiles from low to high are one run, or two.
+  const bool all = high - low + 1 >= tiles;
+  const int begin = all ? 0 : (low + tiles) % tiles, end = all ? tiles - 1 : (high + tiles) % tiles;
+  for (int t = begin <= end ? begin : 0; t < tiles; ++t) {
+    if (t == end + 1) {
+      if (begin <= end) break;
+      t = std::max(t, begin);
+    }
     const int cell = t * tile, before = static_cast<int>(part.entries.size());
     for (int image = -images; image <= images; ++image)
       for (uint32_t met = part.met[(image + 1) * tiles + t]; met != 0; met &= met - 1)

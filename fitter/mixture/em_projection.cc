@@ -88,28 +88,37 @@ void Compare(EmLight& light, float* HWY_RESTRICT divergence) {
   }
 }
 
-void ProjectBack(EmLight& light) {
+// The j-th cells of samples k .. k + kSamples share each load of the response: such a cell is number j + i cps from the
+// first one of sample k - i.
+template <int kSamples>
+HWY_INLINE void ProjectBackTo(const EmLight& light, const float* HWY_RESTRICT ratio, int lane, int j, int k,
+                              float* HWY_RESTRICT q) {
   const D d;
-  const int n = static_cast<int>(hn::Lanes(d));
+  const int cps = light.cells_per_sample;
+  const int first = -((light.reach + j) / cps), last = (cps + light.reach - 1 - j) / cps;
+  const size_t cell = static_cast<size_t>(light.pad_cells + k * cps + j) * kEmLanes + lane;
+  const size_t stride = static_cast<size_t>(cps) * kEmLanes;
+  V sum[kSamples];
+  for (int n = 0; n < kSamples; ++n) sum[n] = hn::Load(d, light.unseen.data() + cell + n * stride);
+  const float* from = ratio + (k - first) * kEmLanes + lane;
+  const float* response = light.Response() + (j + first * cps) * kEmLanes + lane;
+  for (int i = first; i <= last; ++i, from -= kEmLanes, response += stride) {
+    const V r = hn::Load(d, response);
+    for (int n = 0; n < kSamples; ++n) sum[n] = hn::MulAdd(hn::Load(d, from + n * kEmLanes), r, sum[n]);
+  }
+  for (int n = 0; n < kSamples; ++n) hn::Store(sum[n], d, q + cell + n * stride);
+}
+
+void ProjectBack(EmLight& light) {
   const int cps = light.cells_per_sample;
   if (light.grid.wrapped) CopyRound(light.Ratio(), light.samples, std::min(light.reach / cps + 1, light.samples));
-  for (int lane = 0; lane < kEmLanes; lane += n) {
-    // Cell c is the j-th of sample k, and cell j + i cps from the first one of sample k - i.
-    int k = -((light.pad_cells + cps - 1) / cps);
-    int j = -light.pad_cells - k * cps;
-    for (int c = 0; c < light.grid.cells; ++c) {
-      const int first = -((light.reach + j) / cps), last = (cps + light.reach - 1 - j) / cps;
-      V sum = hn::Load(d, light.unseen.data() + size_t(c) * kEmLanes + lane);
-      const float* ratio = light.Ratio() + (k - first) * kEmLanes + lane;
-      const float* response = light.Response() + (j + first * cps) * kEmLanes + lane;
-      for (int i = first; i <= last; ++i, ratio -= kEmLanes, response += cps * kEmLanes)
-        sum = hn::MulAdd(hn::Load(d, ratio), hn::Load(d, response), sum);
-      hn::Store(sum, d, light.q.data() + size_t(c) * kEmLanes + lane);
-      if (++j < cps) continue;
-      j = 0;
-      ++k;
+  for (int lane = 0; lane < kEmLanes; lane += static_cast<int>(hn::Lanes(D())))
+    for (int j = 0; j < cps; ++j) {
+      int k = -((light.pad_cells + j) / cps);
+      const int behind = (light.grid.cells - 1 - light.pad_cells - j) / cps + 1;
+      for (; k + 4 <= behind; k += 4) ProjectBackTo<4>(light, light.Ratio(), lane, j, k, light.q.data());
+      for (; k < behind; ++k) ProjectBackTo<1>(light, light.Ratio(), lane, j, k, light.q.data());
     }
-  }
 }
 
 }  // namespace HWY_NAMESPACE

@@ -9,17 +9,21 @@
 namespace stratalux::fit {
 namespace {
 
-double Between(Random& random, double low, double high) { return low + (high - low) * random.Uniform(); }
-
 LayerSet RandomSkin(Random& random) {
   LayerSet skin;
   const int layers = 3 + static_cast<int>(random.Uniform() * 4.999);
   for (int l = 0; l < layers; ++l) {
     const double sigma = 0.15 * std::pow(4.0 / 0.15, random.Uniform());
     skin.sigma_mm.push_back(sigma);
-    skin.depth_mm.push_back(Between(random, 0.02, std::min(2.0, 0.6 * sigma + 0.1)));
-    skin.weight.push_back(Between(random, 0.02, 0.15));
+    skin.depth_mm.push_back(random.Uniform(0.02, std::min(2.0, 0.6 * sigma + 0.1)));
+    skin.weight.push_back(random.Uniform(0.02, 0.15));
   }
+  return skin;
+}
+
+LayerSet Varied(LayerSet skin, Random& random) {
+  for (auto* values : {&skin.weight, &skin.depth_mm, &skin.sigma_mm})
+    for (double& v : *values) v *= random.Uniform(0.8, 1.2);
   return skin;
 }
 
@@ -34,12 +38,12 @@ SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
   b.valid.assign(n, 1);
   for (auto* v : {&b.slope_in_across, &b.slope_out_across}) v->assign(n, 0.0F);
   for (size_t i = 0; i < n; ++i) {
-    const double step = Between(random, 0.45, 0.59), in = slope + Between(random, -0.1, 0.1),
-                 out = Between(random, -0.3, 0.3);
+    const double step = random.Uniform(0.45, 0.59), in = slope + random.Uniform(-0.1, 0.1),
+                 out = random.Uniform(-0.3, 0.3);
     b.step_mm.push_back(static_cast<float>(step));
     b.line_width_mm.push_back(static_cast<float>(step));
-    b.blur_mm.push_back(static_cast<float>(Between(random, 0.1, 0.25)));
-    b.first_u_mm.push_back(static_cast<float>(-0.5 * step * (b.samples - 1) + Between(random, -0.5, 0.5)));
+    b.blur_mm.push_back(static_cast<float>(random.Uniform(0.1, 0.25)));
+    b.first_u_mm.push_back(static_cast<float>(-0.5 * step * (b.samples - 1) + random.Uniform(-0.5, 0.5)));
     b.slope_in.push_back(static_cast<float>(in));
     b.slope_out.push_back(static_cast<float>(out));
     b.cos_in.push_back(static_cast<float>(1.0 / std::hypot(1.0, in)));
@@ -59,7 +63,11 @@ std::vector<const SrdBatch*> EmCases::lights() const {
 EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed) {
   Random random(seed);
   EmCases made;
-  for (int i = 0; i < cases.profiles; ++i) made.skins.push_back(RandomSkin(random));
+  LayerSet skin;
+  for (int i = 0; i < cases.profiles; ++i) {
+    if (i % cases.alike == 0) skin = RandomSkin(random);
+    made.skins.push_back(cases.alike > 1 ? Varied(skin, random) : skin);
+  }
   for (double slope : cases.slopes) {
     SrdBatch b = GeometryOf(cases, slope, random);
     for (int i = 0; i < cases.profiles; ++i) {

@@ -21,6 +21,8 @@ struct EmCaseOptions {
   int profiles = 16, samples = 64;
   bool wrapped = true;
   double peak_counts = 4000.0;
+  // Profiles that share a skin, up to a fifth in every weight, depth and width, as neighbouring pixels do; 1: none.
+  int alike = 1;
   std::vector<double> slopes = {-1.0, 0.0, 0.58};  // tangents of incidence, one a light
 };
 
