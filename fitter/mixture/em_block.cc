@@ -77,8 +77,10 @@ void EmBlock::Clear(int lane) {
     for (LaneRow* row : {&light.shift, &light.surface_total, &light.s, &light.counts, &light.extra_path,
                          &light.phase_m1, &light.coverage, &light.white, &light.white_variance})
       (*row)[lane] = 0.0F;
-    for (LaneRows* rows : {&light.data, &light.response, &light.surface_response, &light.unseen})
+    for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen})
       for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;
+    for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t)
+      light.response[Row(light.reach_limit + t) + lane] = 0.0F;
   }
 }
 
@@ -148,11 +150,11 @@ void EmBlock::LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmL
   light.reach = std::max(light.reach, reach);
   // Around a sample's own position, which lies between or on cells: (cells_per_sample - 1) / 2 after its first cell.
   const double centre = 0.5 * (light.cells_per_sample - 1);
+  const std::vector<double> taps = line.OnCells((-reach - centre) * cell, light.cells_per_sample + 2 * reach);
   double total = 0.0;
   for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
-    const double r = line.At((t - centre) * cell);
-    light.response[Row(light.reach_limit + t) + lane] = static_cast<float>(r);
-    total += r;
+    light.response[Row(light.reach_limit + t) + lane] = static_cast<float>(taps[t + reach]);
+    total += taps[t + reach];
   }
   light.coverage[lane] = static_cast<float>(total / light.cells_per_sample);
   const double period = cell * light.grid.cells;

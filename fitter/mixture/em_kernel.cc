@@ -24,7 +24,7 @@ using V = hn::Vec<D>;
 // A Gaussian runs through a tile of cells by recurrence from exact values at its first cell. The first value must not
 // underflow where the peak lies further on: the narrower the layer, the smaller the tile.
 struct TileSize {
-  int cells;
+  int cells;                      // a power of two
   float least_sigma, most_sigma;  // cells
 };
 constexpr float kUnbounded = std::numeric_limits<float>::max();
@@ -43,7 +43,7 @@ int TileAt(const EmGrid& grid, int tile, float z) {
   int image = 0;
   if (cell < 0) image = -1;
   if (cell >= grid.cells) image = cell >= 2 * grid.cells ? 2 : 1;
-  const int at = image * tiles + (cell - image * grid.cells) / tile;
+  const int at = image * tiles + ((cell - image * grid.cells) >> std::countr_zero(static_cast<unsigned>(tile)));
   return grid.wrapped ? std::clamp(at, -tiles, 2 * tiles - 1) : std::clamp(at, 0, tiles - 1);
 }
 

@@ -47,6 +47,31 @@ double LineResponse::At(double t_mm) const {
   return 0.5 * (OfOneSite(t_mm - pair_mm) + OfOneSite(t_mm + pair_mm));
 }
 
+std::vector<double> LineResponse::OnCells(double first_mm, int count) const {
+  std::vector<double> response(count, 0.0);
+  if (sample_box_mm > 0.0) {
+    for (int i = 0; i < count; ++i) response[i] = At(first_mm + i * cell_mm);
+    return response;
+  }
+  const double s = std::max(blur_mm, 1e-3 * cell_mm), w = 0.5 * line_width_mm;
+  const auto add_site = [&](double site_mm, double share) {
+    double before = 0.0;
+    for (int i = 0; i <= count; ++i) {
+      const double edge = first_mm + site_mm + (i - 0.5) * cell_mm;
+      const double here = s * (Ramp((edge + w) / s) - Ramp((edge - w) / s));
+      if (i > 0) response[i - 1] += share * (here - before) / cell_mm;
+      before = here;
+    }
+  };
+  if (pair_mm <= 0.0) {
+    add_site(0.0, 1.0);
+  } else {
+    add_site(-pair_mm, 0.5);
+    add_site(pair_mm, 0.5);
+  }
+  return response;
+}
+
 double LineResponse::OfOneSite(double t_mm) const {
   // Boxes convolved with a Gaussian are differences of its repeated antiderivatives at the boxes' corners.
   const double s = std::max(blur_mm, 1e-3 * cell_mm);
