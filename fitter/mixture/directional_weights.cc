@@ -30,10 +30,10 @@ RefractedDirections DirectionsOf(const SrdBatch& batch, int64_t profile, double 
 double DirectionalFactor(const DirectionalWeights& weights, const RefractedDirections& directions, double depth_mm,
                          double sigma_mm) {
   if (weights.Off()) return 1.0;
-  const double g = weights.asymmetry;
-  const double ph = std::pow((1.0 + g) * (1.0 + g) / (1.0 + g * g - 2.0 * g * directions.cos_scatter), 1.5);
-  const double narrow = std::exp(-sigma_mm / weights.sigma_0_mm);
-  return std::exp(-weights.kappa_per_mm * depth_mm * directions.ExtraPath()) * (1.0 + narrow * (ph - 1.0));
+  const double narrow = weights.sigma_0_mm > 0.0 ? std::exp(-sigma_mm / weights.sigma_0_mm) : 0.0;
+  const double few_events =
+      directions.sec_in * directions.sec_out * std::exp(weights.phase_slope * (1.0 + directions.cos_scatter));
+  return std::exp(-weights.kappa_per_mm * depth_mm * directions.ExtraPath()) * (1.0 + narrow * (few_events - 1.0));
 }
 
 }  // namespace stratalux::fit

@@ -2,10 +2,13 @@
 // Directional weights (beyond [M]; model section 7): how the light of a layer depends on the directions of lamp and
 // eye.
 //
-//   w_lp = w_l exp(-kappa d_l (sec_i + sec_o - 2)) [(1 - m_l) + m_l ph(Theta_p)],   m_l = exp(-sigma_l / sigma_0)
+//   w_lp = w_l exp(-kappa d_l (sec_i + sec_o - 2)) [(1 - m_l) + m_l sec_i sec_o exp(b (1 + cos Theta))],
+//   m_l = exp(-sigma_l / sigma_0)
 //
-// Narrow layers carry light that scattered once or a few times: it follows a Henyey-Greenstein phase function ph (1 at
-// backscatter) of the angle Theta between the refracted rays in and out. Deep layers lose light along the oblique path.
+// Narrow layers (m near 1) carry light that scattered once or a few times. Per irradiance of the skin, a thin sheet at
+// depth z returns sec_i sec_o exp(-mu z (sec_i + sec_o)) times its phase function of the angle Theta between the
+// refracted rays in and out; exp(b (1 + cos Theta)), 1 at backscatter, stands for the phase function of few events.
+// Wide layers have forgotten the directions but for the attenuation along the oblique path.
 #pragma once
 
 #include "fitter/mixture/srd_samples.h"
@@ -14,11 +17,11 @@ namespace stratalux::fit {
 
 struct DirectionalWeights {
   double kappa_per_mm = 0.0;
-  double asymmetry = 0.0;  // of ph, -1 < g < 1
-  double sigma_0_mm = 0.3;
+  double phase_slope = 0.0;  // b
+  double sigma_0_mm = 0.0;   // 0: no layer is narrow
 
   // Without effect: every factor is 1.
-  [[nodiscard]] bool Off() const { return kappa_per_mm == 0.0 && asymmetry == 0.0; }
+  [[nodiscard]] bool Off() const { return kappa_per_mm == 0.0 && sigma_0_mm == 0.0; }
 };
 
 // The two directions of a light as a layer meets them: refracted into the skin.

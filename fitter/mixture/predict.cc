@@ -27,6 +27,11 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
              TangentialShift(options.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options.eta);
   if (options.mode == FitMode::kFree) s = 1.0;
   const double gain = options.gain_model ? AngularGain(batch.cos_in[profile], options.eta, options.tau) : 1.0;
+  const RefractedDirections directions = DirectionsOf(batch, profile, options.eta);
+  std::vector<double> weight;
+  for (size_t l = 0; l < layers.weight.size(); ++l)
+    weight.push_back(gain * layers.weight[l] *
+                     DirectionalFactor(options.directional, directions, layers.depth_mm[l], layers.sigma_mm[l]));
   std::vector<double> y(batch.samples, 0.0);
   for (int k = 0; k < batch.samples; ++k)
     for (size_t l = 0; l < layers.weight.size(); ++l) {
@@ -39,7 +44,7 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
       } else {
         sum = LayerResponse(u, layers.sigma_mm[l], line);
       }
-      y[k] += gain * layers.weight[l] * sum;
+      y[k] += weight[l] * sum;
     }
   return y;
 }

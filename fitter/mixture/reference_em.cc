@@ -14,7 +14,23 @@ namespace stratalux::fit {
 namespace {
 
 constexpr double kTiny = 1e-12;
-constexpr double kReach = 8.0;        // of a Gaussian, in standard deviations: 1e-14 of its peak
+constexpr double kReach = 8.0;  // of a Gaussian, in standard deviations: 1e-14 of its peak
+// Where the shared parameters may go. tau < 0: what narrow layers gain at oblique light can fall to it.
+struct Range {
+  double low, high;
+  [[nodiscard]] double Clamp(double x) const { return std::clamp(x, low, high); }
+};
+constexpr Range kTau = {-2.0, 3.0}, kKappa = {-5.0, 20.0}, kSlope = {-2.0, 4.0}, kSigma0 = {0.02, 2.0};
+// What the shared parameters are held to where the lights do not tell them apart (exits all alike, few incidences):
+// about what Monte Carlo skins of three tones ask for when their lights do (docs/math/em.md). One standard deviation of
+// each costs kPrior of the light; a wrong form of the weights costs ten times as much.
+constexpr double kPrior = 3e-5;
+struct Prior {
+  double mean, deviation;
+  [[nodiscard]] double Cost(double x) const { return 0.5 * kPrior * (x - mean) * (x - mean) / (deviation * deviation); }
+};
+constexpr Prior kTauPrior = {0.25, 0.25}, kKappaPrior = {0.5, 3.0}, kSlopePrior = {1.15, 0.2},
+                kLogSigma0Prior = {-2.4, 0.35};
 constexpr double kFreeReachMm = 8.0;  // of a mean in free mode
 
 using Vector = std::vector<double>;
@@ -63,38 +79,40 @@ class Grid {
 
   // m_l(z) dz of a layer of unit weight; a wrapped layer reaches a cell by its nearest image and the two beside it.
   void Layer(double mean_mm, double sigma_mm, Vector& phi) const {
-    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), period = CellMm() * cells_;
-    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
-    auto gauss = [&](double x) {
-      return std::abs(x) > kReach * sigma ? 0.0 : norm * std::exp(-0.5 * x * x / (sigma * sigma));
-    };
-    for (int c = 0; c < cells_; ++c) {
-      const double x = Offset(c, mean_mm);
-      phi[c] = gauss(x);
-      if (light_->wrapped) phi[c] += gauss(x - period) + gauss(x + period);
-    }
+    std::fill(phi.begin(), phi.end(), 0.0);
+    ForEachCell(mean_mm, sigma_mm, [&](int c, double /*x*/, double m) { phi[c] += m; });
   }
   // Sums over z of q phi {1, x, x^2}, x = z - mean, every image with its own x.
   [[nodiscard]] std::array<double, 3> Moments(double mean_mm, double sigma_mm, const Vector& q) const {
-    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), period = CellMm() * cells_;
-    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
     std::array<double, 3> sum{};
-    for (int c = 0; c < cells_; ++c)
-      for (int image = light_->wrapped ? -1 : 0; image <= (light_->wrapped ? 1 : 0); ++image) {
-        const double x = Offset(c, mean_mm) + image * period;
-        if (std::abs(x) > kReach * sigma) continue;
-        const double m = q[c] * norm * std::exp(-0.5 * x * x / (sigma * sigma));
-        sum[0] += m;
-        sum[1] += m * x;
-        sum[2] += m * x * x;
-      }
+    ForEachCell(mean_mm, sigma_mm, [&](int c, double x, double m) {
+      sum[0] += q[c] * m;
+      sum[1] += q[c] * m * x;
+      sum[2] += q[c] * m * x * x;
+    });
     return sum;
   }
 
  private:
-  [[nodiscard]] double Offset(int cell, double mean_mm) const {
-    const double x = PositionMm(cell) - mean_mm;
-    return light_->wrapped ? std::remainder(x, CellMm() * cells_) : x;
+  // Visits the cells a Gaussian reaches, with x = z - mean and its light there; each image of a comb by itself.
+  template <typename Visit>
+  void ForEachCell(double mean_mm, double sigma_mm, const Visit& visit) const {
+    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), reach = kReach * sigma, period = CellMm() * cells_;
+    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
+    auto at = [&](int c, double x) {
+      if (std::abs(x) <= reach) visit(c, x, norm * std::exp(-0.5 * x * x / (sigma * sigma)));
+    };
+    if (light_->wrapped) {
+      for (int c = 0; c < cells_; ++c) {
+        const double nearest = std::remainder(PositionMm(c) - mean_mm, period);
+        for (int image : {-1, 0, 1}) at(c, nearest + image * period);
+      }
+      return;
+    }
+    const double first = (mean_mm - reach - PositionMm(0)) / CellMm(),
+                 last = (mean_mm + reach - PositionMm(0)) / CellMm();
+    const int end = static_cast<int>(std::min<double>(cells_, std::ceil(last) + 1.0));
+    for (int c = static_cast<int>(std::max(0.0, std::floor(first))); c < end; ++c) at(c, PositionMm(c) - mean_mm);
   }
   template <typename Visit>
   void ForEachPair(const Visit& visit) const {
@@ -158,17 +176,21 @@ class Em {
   Em(std::span<const ReferenceLight> lights, const EmOptions& options, SharedParameters shared)
       : options_(options), shared_(shared) {
     for (const ReferenceLight& light : lights) grids_.emplace_back(light);
+    for (const ReferenceLight& light : lights)
+      for (double y : light.y) total_photons_ += light.counts * std::max(y + light.read_shift, 0.0);
     sigma_floor_ = options.min_sigma_mm;
     for (const Grid& grid : grids_) sigma_floor_ = std::max(sigma_floor_, 0.9 * grid.CellMm());
   }
 
   [[nodiscard]] ReferenceFit Start(const LayerSet& layers) const;
-  // One sweep; fit.divergence becomes that of the layers it started from.
-  [[nodiscard]] ReferenceFit Sweep(const ReferenceFit& fit, double* divergence_before) const;
+  // One sweep; `objective_before` receives that of `fit`.
+  [[nodiscard]] ReferenceFit Sweep(const ReferenceFit& fit, double* objective_before) const;
   // From x0 and two sweeps from it, the SQUAREM extrapolation; false where there is nothing to extrapolate.
   [[nodiscard]] bool Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const ReferenceFit& x2,
                                  ReferenceFit& ahead) const;
   [[nodiscard]] double Divergence(const ReferenceFit& fit) const;
+  // What EM lowers: the divergence and what the shared parameters cost.
+  [[nodiscard]] double Objective(const ReferenceFit& fit) const;
 
  private:
   void UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const;
@@ -176,6 +198,7 @@ class Em {
   void UpdateLayers(ReferenceFit& fit, const Expected& expected) const;
   void UpdateShared(ReferenceFit& fit, const Expected& expected) const;
   void UpdateWeights(ReferenceFit& fit, const Expected& expected) const;
+  [[nodiscard]] double PriorCost(const ReferenceFit& fit) const;
   [[nodiscard]] double SharedGain(const ReferenceFit& fit, const Expected& expected) const;
   [[nodiscard]] Vector Pack(const ReferenceFit& fit) const;
   [[nodiscard]] ReferenceFit Unpack(const Vector& x, const ReferenceFit& like) const;
@@ -184,6 +207,7 @@ class Em {
   SharedParameters shared_;
   std::vector<Grid> grids_;
   double sigma_floor_ = 0.0;
+  double total_photons_ = 0.0;
 };
 
 ReferenceFit Em::Start(const LayerSet& layers) const {
@@ -191,6 +215,8 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
   fit.layers = layers;
   fit.tau = options_.tau;
   fit.directional = options_.directional;
+  if (shared_ == SharedParameters::kTauAndDirectional && fit.directional.Off())
+    fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
   // Shares of the light that returns: the surface keeps near its start (nothing identifies it), the floor is small.
   const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
   for (const Grid& grid : grids_) {
@@ -205,6 +231,17 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
   return fit;
 }
 
+double Em::PriorCost(const ReferenceFit& fit) const {
+  double cost = 0.0;
+  if (shared_ == SharedParameters::kTauAndDirectional)
+    cost = kKappaPrior.Cost(fit.directional.kappa_per_mm) + kSlopePrior.Cost(fit.directional.phase_slope) +
+           kLogSigma0Prior.Cost(std::log(fit.directional.sigma_0_mm)) +
+           (options_.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
+  return cost;
+}
+
+double Em::Objective(const ReferenceFit& fit) const { return Divergence(fit) + PriorCost(fit); }
+
 double Em::Divergence(const ReferenceFit& fit) const {
   double divergence = 0.0, total = 0.0;
   for (size_t p = 0; p < grids_.size(); ++p) {
@@ -215,7 +252,7 @@ double Em::Divergence(const ReferenceFit& fit) const {
   return total > 0.0 ? divergence / total : 0.0;
 }
 
-ReferenceFit Em::Sweep(const ReferenceFit& fit, double* divergence_before) const {
+ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const {
   const size_t layers = fit.layers.weight.size();
   ReferenceFit next = fit;
   Expected expected(grids_.size(), layers);
@@ -250,8 +287,7 @@ ReferenceFit Em::Sweep(const ReferenceFit& fit, double* divergence_before) const
   UpdateLayers(next, expected);
   UpdateShared(next, expected);
   UpdateWeights(next, expected);
-  ++next.iterations;
-  *divergence_before = total > 0.0 ? divergence / total : 0.0;
+  *objective_before = (total > 0.0 ? divergence / total : 0.0) + PriorCost(fit);
   return next;
 }
 
@@ -338,7 +374,7 @@ double Em::SharedGain(const ReferenceFit& fit, const Expected& expected) const {
     }
     gain -= photons * std::log(exposure);
   }
-  return gain;
+  return gain - total_photons_ * PriorCost(fit);
 }
 
 // One step of each shared parameter to the vertex of the parabola through three values of the bound; a step that does
@@ -350,11 +386,11 @@ void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
     double step, low, high;
   };
   std::vector<Parameter> parameters;
-  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, 0.0, 3.0});
+  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
   if (shared_ == SharedParameters::kTauAndDirectional) {
-    parameters.push_back({&fit.directional.kappa_per_mm, 0.02, -1.0, 3.0});
-    parameters.push_back({&fit.directional.asymmetry, 0.01, -0.5, 0.95});
-    parameters.push_back({&fit.directional.sigma_0_mm, 0.02 * fit.directional.sigma_0_mm, 0.02, 5.0});
+    parameters.push_back({&fit.directional.kappa_per_mm, 0.02, kKappa.low, kKappa.high});
+    parameters.push_back({&fit.directional.phase_slope, 0.04, kSlope.low, kSlope.high});
+    parameters.push_back({&fit.directional.sigma_0_mm, 0.02 * fit.directional.sigma_0_mm, kSigma0.low, kSigma0.high});
   }
   double best = SharedGain(fit, expected);
   for (const Parameter& p : parameters) {
@@ -388,8 +424,8 @@ Vector Em::Pack(const ReferenceFit& fit) const {
     for (double v : *terms) x.push_back(std::log(std::max(v, 1e-15)));
   x.push_back(fit.tau);
   x.push_back(fit.directional.kappa_per_mm);
-  x.push_back(fit.directional.asymmetry);
-  x.push_back(std::log(fit.directional.sigma_0_mm));
+  x.push_back(fit.directional.phase_slope);
+  x.push_back(std::log(std::max(fit.directional.sigma_0_mm, kSigma0.low)));
   return x;
 }
 
@@ -408,10 +444,12 @@ ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
   }
   for (Vector* terms : {&fit.surface, &fit.background})
     for (double& v : *terms) v = v > 0.0 ? std::exp(x[at++]) : (++at, 0.0);
-  fit.tau = std::clamp(x[at], 0.0, 3.0);
-  fit.directional.kappa_per_mm = std::clamp(x[at + 1], -1.0, 3.0);
-  fit.directional.asymmetry = std::clamp(x[at + 2], -0.5, 0.95);
-  fit.directional.sigma_0_mm = std::clamp(std::exp(x[at + 3]), 0.02, 5.0);
+  if (shared_ == SharedParameters::kFixed) return fit;
+  fit.tau = kTau.Clamp(x[at]);
+  if (shared_ != SharedParameters::kTauAndDirectional) return fit;
+  fit.directional.kappa_per_mm = kKappa.Clamp(x[at + 1]);
+  fit.directional.phase_slope = kSlope.Clamp(x[at + 2]);
+  fit.directional.sigma_0_mm = kSigma0.Clamp(std::exp(x[at + 3]));
   return fit;
 }
 
@@ -497,30 +535,29 @@ ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet
   ReferenceFit fit = em.Start(start);
   double before = 0.0, ignored = 0.0;
   while (fit.iterations < options.max_iterations) {
-    const ReferenceFit first = em.Sweep(fit, &before);
+    ReferenceFit next = em.Sweep(fit, &before);
+    double now = 0.0, sweeps = 1.0;
     if (acceleration == Acceleration::kNone) {
-      const double now = em.Divergence(first);
-      fit = first;
-      fit.divergence = now;
-      if (before - now <= options.tolerance * std::abs(before)) break;
-      continue;
-    }
-    ReferenceFit second = em.Sweep(first, &ignored), ahead;
-    double now = em.Divergence(second);
-    const int sweeps = second.iterations;
-    if (em.Extrapolate(fit, first, second, ahead)) {
-      // A sweep from the extrapolated point steadies it; it is kept only if it beats the plain sweeps.
-      ahead = em.Sweep(ahead, &ignored);
-      if (const double there = em.Divergence(ahead); there < now) {
-        second = std::move(ahead);
-        now = there;
+      now = em.Objective(next);
+    } else {
+      const ReferenceFit first = std::move(next);
+      next = em.Sweep(first, &ignored);
+      now = em.Objective(next);
+      sweeps = 3.0;
+      if (ReferenceFit ahead; em.Extrapolate(fit, first, next, ahead)) {
+        // A sweep from the extrapolated point steadies it; it is kept only where it beats the plain sweeps.
+        ahead = em.Sweep(ahead, &ignored);
+        if (const double there = em.Objective(ahead); there < now) {
+          next = std::move(ahead);
+          now = there;
+        }
       }
     }
-    fit = std::move(second);
-    fit.iterations = sweeps + 1;
-    fit.divergence = now;
-    if (before - now <= 3.0 * options.tolerance * std::abs(before)) break;
+    next.iterations = fit.iterations + static_cast<int>(sweeps);
+    fit = std::move(next);
+    if (before - now <= sweeps * options.tolerance * std::abs(before)) break;
   }
+  fit.divergence = em.Divergence(fit);
   return fit;
 }
 
