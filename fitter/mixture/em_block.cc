@@ -131,8 +131,10 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
   if (!options_.directional.Off()) {
     const RefractedDirections directions = DirectionsOf(batch, profile, options_.eta);
     light.extra_path[lane] = static_cast<float>(directions.ExtraPath());
-    // A layer without depth or width shows the phase function alone.
-    light.phase_m1[lane] = static_cast<float>(DirectionalFactor(options_.directional, directions, 0.0, 0.0) - 1.0);
+    // What a layer of no depth and no width shows: the light of few scattering events alone.
+    DirectionalWeights narrow = options_.directional;
+    narrow.sigma_0_mm = 1.0;
+    light.phase_m1[lane] = static_cast<float>(DirectionalFactor(narrow, directions, 0.0, 0.0) - 1.0);
   }
   if (!batch.white.empty()) {
     light.white[lane] = batch.white[profile];

@@ -18,13 +18,14 @@ struct EmLight {
   LaneRow shift;        // sigma_read^2 in counts over counts per unit (shifted Poisson)
   // Response of a sample to its own cells and `reach_limit` on either side: [tap], 0 beyond the lane's own reach.
   LaneRows response;
-  LaneRows surface_response;     // [sample]: response to a delta at u = 0
-  LaneRow surface_total;         // its sum
-  LaneRows unseen;               // [cell]: full coverage minus B^T 1
-  LaneRow s, gain, counts;       // shift coefficient, angular gain, photon counts per unit (relative); counts 0: absent
-  LaneRow cell_mm, origin;       // cell size; cell coordinate of u = 0
-  LaneRow extra_path, phase_m1;  // of the directional weights: sec_i + sec_o - 2 and ph - 1
-  LaneRow coverage;              // sum over samples of the response, inside
+  LaneRows surface_response;  // [sample]: response to a delta at u = 0
+  LaneRow surface_total;      // its sum
+  LaneRows unseen;            // [cell]: full coverage minus B^T 1
+  LaneRow s, gain, counts;    // shift coefficient, angular gain, photon counts per unit (relative); counts 0: absent
+  LaneRow cell_mm, origin;    // cell size; cell coordinate of u = 0
+  // Of the directional weights: sec_i + sec_o - 2, and what a layer without depth or width shows, less 1.
+  LaneRow extra_path, phase_m1;
+  LaneRow coverage;               // sum over samples of the response, inside
   LaneRow white, white_variance;  // variance 0: none
 
   // Work space. `mass` has reach_limit, `ratio` halo_samples more rows on either side.

@@ -20,7 +20,7 @@ using V = hn::Vec<D>;
 void DirectionalFactors(const ParameterRows& rows, const DirectionalWeights& weights, const float* HWY_RESTRICT at,
                         const EmLight& light, float* HWY_RESTRICT factor) {
   const D d;
-  const V per_sigma = hn::Set(d, static_cast<float>(-1.0 / weights.sigma_0_mm));
+  const V per_sigma = hn::Set(d, weights.sigma_0_mm > 0.0 ? static_cast<float>(-1.0 / weights.sigma_0_mm) : -1e6F);
   for (int lane = 0; lane < kEmLanes; lane += static_cast<int>(hn::Lanes(d))) {
     const V loss =
         hn::Mul(hn::Load(d, light.extra_path.data() + lane), hn::Set(d, static_cast<float>(-weights.kappa_per_mm)));

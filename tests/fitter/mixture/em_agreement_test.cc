@@ -81,11 +81,13 @@ TEST(EmAgreement, FreeModeOfASingleLight) {
 
 TEST(EmAgreement, DirectionalWeightsWithoutSurfaceAndWithOneFloor) {
   EmOptions options = Plain(30);
-  options.directional = {.kappa_per_mm = 0.4, .asymmetry = 0.5, .sigma_0_mm = 0.4};
+  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
   options.surface_term = false;
   options.shared_background = true;
   options.layers = 7;
   ExpectAgreement({.profiles = 2}, options, 14);
+  options.directional.sigma_0_mm = 0.0;  // no layer is narrow
+  ExpectAgreement({.profiles = 1}, options, 14);
 }
 
 TEST(EmAgreement, ProfilesThatOneLightMisses) {
