@@ -14,6 +14,19 @@
 namespace stratalux::fit {
 namespace {
 
+// Beyond, single precision would overflow somewhere in a sweep; no reflectance, no millimetre is that large.
+bool Usable(float value) { return std::abs(value) < 1e9F; }
+
+bool GeometryUsable(const SrdBatch& batch, int64_t i) {
+  for (float v : {batch.first_u_mm[i], batch.line_width_mm[i], batch.blur_mm[i], batch.slope_in[i], batch.slope_out[i],
+                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i],
+                  batch.pair_mm.empty() ? 0.0F : batch.pair_mm[i]})
+    if (!Usable(v)) return false;
+  if (!batch.white.empty() && !(Usable(batch.white[i]) && Usable(batch.white_variance[i]))) return false;
+  const float step = batch.step_mm[i];
+  return step > 1e-6F && step < 1e6F && batch.line_width_mm[i] >= 0.0F && batch.blur_mm[i] >= 0.0F;
+}
+
 // A profile is usable when its samples are finite, not constant, and add up to light.
 FitReason Judge(const SrdBatch& batch, int64_t profile) {
   if (batch.valid[profile] == 0) return FitReason::kNoProjector;
@@ -22,16 +35,14 @@ FitReason Judge(const SrdBatch& batch, int64_t profile) {
   double sum = 0.0;
   float low = y[0], high = y[0];
   for (int k = 0; k < batch.samples; ++k) {
-    if (!std::isfinite(y[k]) || !std::isfinite(v[k]) || !(v[k] >= 0.0F)) return FitReason::kNotFinite;
+    if (!Usable(y[k]) || !Usable(v[k]) || !(v[k] >= 0.0F)) return FitReason::kNotFinite;
     sum += y[k];
     low = std::min(low, y[k]);
     high = std::max(high, y[k]);
   }
-  const bool finite = std::isfinite(batch.first_u_mm[profile]) && std::isfinite(batch.step_mm[profile]) &&
-                      batch.step_mm[profile] > 0.0F && std::isfinite(batch.blur_mm[profile]) &&
-                      std::isfinite(batch.slope_in[profile]) && std::isfinite(batch.slope_out[profile]);
-  if (!finite) return FitReason::kNotFinite;
-  return sum > 0.0 && high > low ? FitReason::kFitted : FitReason::kTooDark;
+  if (!GeometryUsable(batch, profile)) return FitReason::kNotFinite;
+  if (!(batch.cos_in[profile] > 1e-3F)) return FitReason::kNoProjector;  // from behind the horizon
+  return sum > 0.0 && high > low && high > 1e-9F ? FitReason::kFitted : FitReason::kTooDark;
 }
 
 Status CheckBatches(std::span<const SrdBatch* const> lights, int64_t profiles) {
