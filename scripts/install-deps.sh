@@ -29,6 +29,7 @@ libcamera-dev        rig  cameras behind libcamera; without it that back-end is 
 libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR
 libceres-dev         fit  bundle adjustment of the calibration
+libhwy-dev           fit  EM kernels for the machine's instruction set (Highway)
 libopencv-dev        fit  chessboards and first guesses of the calibration
 libopencv-contrib-dev fit ChArUco boards
 libgtest-dev         test GoogleTest

@@ -1,79 +1,96 @@
 // SPDX-License-Identifier: Apache-2.0
-// EM over one block of sixteen profiles and their training lights. Internal to fitter/mixture.
+// EM over profiles and their training lights, sixteen at a time: a lane that is done takes the next profile, so that
+// profiles that settle early cost nothing. Internal to fitter/mixture.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <functional>
+#include <limits>
 #include <span>
 #include <vector>
 
-#include "fitter/mixture/em_kernel.h"
+#include "fitter/mixture/em_light.h"
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/em_update.h"
 #include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
 
-// One light's part of a block. Arrays are [index][lane].
-struct EmLight {
-  EmGrid grid;
-  int samples = 0;
-  int cells_per_sample = 0;
-  int pad_cells = 0;                    // unobserved cells on either side of an open window
-  int taps = 0;                         // of the line response, odd
-  std::vector<float> y, shift;          // data and sigma_read^2 in counts over counts per unit (shifted Poisson)
-  std::vector<float> response;          // [tap][lane]
-  std::vector<float> surface_response;  // [sample][lane]: response to a delta at u = 0
-  std::vector<float> unseen;            // [cell][lane]: full coverage minus B^T 1
-  std::vector<float> mass, model, q;    // work
-  std::array<float, kLanes> s{}, gain{},
-      counts{};  // shift coefficient, angular gain, photon counts per unit (relative); 0 = absent
-  std::array<float, kLanes> cell_mm{}, origin{};  // cell size; cell coordinate of u = 0
-  std::array<float, kLanes> coverage{};           // sum over samples of the response, inside
-  std::array<float, kLanes> surface{}, background{};
-  std::array<float, kLanes> white{}, white_variance{};  // variance 0: none
-};
+// Cells of the fine grid per sample that a profile of `batch` needs; profiles of one block share it.
+[[nodiscard]] int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options);
 
 class EmBlock {
  public:
-  // `members`: at most kLanes profile indices; usable[light][profile] says which lights count for a profile.
+  // usable[light][profile] says which lights count for a profile; cells_per_sample[light].
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-          std::span<const int64_t> members, const EmOptions& options, std::span<const LayerSet> start = {});
+          std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start);
 
-  // Sweeps until the divergence settles; returns the sweeps done.
-  int Run();
+  // Sweeps each of `profiles` until its divergence settles; done(lane, profile) finds the results in that lane. A
+  // profile's results depend on nothing but its own data.
+  void Fit(std::span<const int64_t> profiles, const std::function<void(int lane, int64_t profile)>& done);
 
-  [[nodiscard]] float Weight(int layer, int lane) const { return weight_[layer * kLanes + lane]; }
-  [[nodiscard]] float DepthMm(int layer, int lane) const { return depth_[layer * kLanes + lane]; }
-  [[nodiscard]] float SigmaMm(int layer, int lane) const { return sigma_[layer * kLanes + lane]; }
-  [[nodiscard]] const EmLight& Light(int light) const { return lights_[light]; }
-  // Kullback-Leibler divergence of data and model over the data's sum, per lane.
-  [[nodiscard]] std::array<double, kLanes> Divergence() const;
+  [[nodiscard]] float Weight(int layer, int lane) const { return At(rows_.weight(layer), lane); }
+  [[nodiscard]] float DepthMm(int layer, int lane) const { return At(rows_.depth(layer), lane); }
+  [[nodiscard]] float SigmaMm(int layer, int lane) const { return At(rows_.sigma(layer), lane); }
+  [[nodiscard]] float Surface(int light, int lane) const { return At(rows_.surface(light), lane); }
+  [[nodiscard]] float Background(int light, int lane) const { return At(rows_.background(light), lane); }
+  // Kullback-Leibler divergence of data and model over the data's sum.
+  [[nodiscard]] double Divergence(int lane) const { return lanes_[lane].divergence; }
+  [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].sweeps; }
   // Mean over the lights of a lane of the floor over a whole cycle, in units of reflectance.
   [[nodiscard]] float MeanBackground(int lane) const;
   // Largest |s| over the lights of a lane.
   [[nodiscard]] float LargestShift(int lane) const;
+  // Profiles x cells x layers x sweeps so far: the whole grid, and what was evaluated of it.
+  [[nodiscard]] int64_t GridComponents() const { return grid_components_; }
+  [[nodiscard]] int64_t EvaluatedComponents() const;
 
  private:
-  void LoadLight(const SrdBatch& batch, std::span<const uint8_t> usable, EmLight& light) const;
-  void BuildResponse(const SrdBatch& batch, EmLight& light) const;
-  void Initialise(std::span<const LayerSet> start);
+  struct Lane {
+    int64_t profile = -1;  // -1: idle
+    double total = 0.0;    // photons of data
+    int sweeps = 0;
+    bool last_pass = false;  // the layers are final: only their divergence is missing
+    double best = std::numeric_limits<double>::infinity(), checked = best, divergence = 0.0;
+    double momentum = 1.0;  // Nesterov's t
+  };
+
+  void Load(int lane, int64_t profile);
+  void Clear(int lane);
+  void LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
+  void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
+  void Start(int lane);
   void SpreadLayers(int lane, double total, double widest_mm);
   void StartFrom(const LayerSet& layers, int lane, double total);
-  void Predict(EmLight& light);
-  void BackProject(EmLight& light);
-  void Sweep();
-  void UpdateFloor(EmLight& light);
-  void ShareBackground();
-  void ScaleToWhite();
+  void Sweep(bool update);
+  void UpdateFloor(int light);
+  void ShareBackground(float* parameters) const;
+  void UpdateParameters();
+  void Judge();
+  void Finish(int lane);
+  [[nodiscard]] double ScaleToWhite(int lane) const;
+  [[nodiscard]] float& At(int row, int lane) { return at_[size_t(row) * kEmLanes + lane]; }
+  [[nodiscard]] float At(int row, int lane) const { return at_[size_t(row) * kEmLanes + lane]; }
 
   EmOptions options_;
-  int sweeps_ = 0;  // at most
-  std::span<const int64_t> members_;
+  int most_sweeps_ = 0;
+  std::span<const SrdBatch* const> batches_;
+  std::span<const std::vector<uint8_t>> usable_;
+  std::span<const LayerSet> start_;
+  bool accelerated_ = false;
   std::vector<EmLight> lights_;
-  std::vector<float> weight_, depth_, sigma_;                          // [layer][lane], mm
-  std::vector<float> cell_weight_, cell_mean_, cell_sigma_, moments_;  // of the light at hand, in cells
-  std::array<float, kLanes> sigma_floor_{};
+  ParameterRows rows_;
+  LayerBounds bounds_;
+  LaneRows at_, image_, last_;  // parameters: of this sweep, what it makes of them, what the last one made
+  std::array<Lane, kEmLanes> lanes_{};
+  LaneRow divergence_;
+  alignas(64) std::array<int, kEmLanes> step_{};
+  LaneRow momentum_;
+  LaneRows cell_weight_, cell_mean_, cell_sigma_, moments_, factor_;  // of the light at hand
+  MomentSums sums_;
+  int64_t grid_components_ = 0;
 };
 
 }  // namespace stratalux::fit

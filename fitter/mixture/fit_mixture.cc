@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <string>
 
 #include "fitter/mixture/em_block.h"
@@ -13,6 +14,19 @@
 namespace stratalux::fit {
 namespace {
 
+// Beyond, single precision would overflow somewhere in a sweep; no reflectance, no millimetre is that large.
+bool Usable(float value) { return std::abs(value) < 1e9F; }
+
+bool GeometryUsable(const SrdBatch& batch, int64_t i) {
+  for (float v : {batch.first_u_mm[i], batch.line_width_mm[i], batch.blur_mm[i], batch.slope_in[i], batch.slope_out[i],
+                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i],
+                  batch.pair_mm.empty() ? 0.0F : batch.pair_mm[i]})
+    if (!Usable(v)) return false;
+  if (!batch.white.empty() && !(Usable(batch.white[i]) && Usable(batch.white_variance[i]))) return false;
+  const float step = batch.step_mm[i];
+  return step > 1e-6F && step < 1e6F && batch.line_width_mm[i] >= 0.0F && batch.blur_mm[i] >= 0.0F;
+}
+
 // A profile is usable when its samples are finite, not constant, and add up to light.
 FitReason Judge(const SrdBatch& batch, int64_t profile) {
   if (batch.valid[profile] == 0) return FitReason::kNoProjector;
@@ -21,16 +35,14 @@ FitReason Judge(const SrdBatch& batch, int64_t profile) {
   double sum = 0.0;
   float low = y[0], high = y[0];
   for (int k = 0; k < batch.samples; ++k) {
-    if (!std::isfinite(y[k]) || !std::isfinite(v[k]) || !(v[k] >= 0.0F)) return FitReason::kNotFinite;
+    if (!Usable(y[k]) || !Usable(v[k]) || !(v[k] >= 0.0F)) return FitReason::kNotFinite;
     sum += y[k];
     low = std::min(low, y[k]);
     high = std::max(high, y[k]);
   }
-  const bool finite = std::isfinite(batch.first_u_mm[profile]) && std::isfinite(batch.step_mm[profile]) &&
-                      batch.step_mm[profile] > 0.0F && std::isfinite(batch.blur_mm[profile]) &&
-                      std::isfinite(batch.slope_in[profile]) && std::isfinite(batch.slope_out[profile]);
-  if (!finite) return FitReason::kNotFinite;
-  return sum > 0.0 && high > low ? FitReason::kFitted : FitReason::kTooDark;
+  if (!GeometryUsable(batch, profile)) return FitReason::kNotFinite;
+  if (!(batch.cos_in[profile] > 1e-3F)) return FitReason::kNoProjector;  // from behind the horizon
+  return sum > 0.0 && high > low && high > 1e-9F ? FitReason::kFitted : FitReason::kTooDark;
 }
 
 Status CheckBatches(std::span<const SrdBatch* const> lights, int64_t profiles) {
@@ -93,21 +105,53 @@ Judgement JudgeAll(std::span<const SrdBatch* const> lights) {
   return judged;
 }
 
-// Runs EM on blocks of sixteen usable profiles, gathered by channel so that no lane runs empty; `done(block, members,
-// sweeps)` is called from several threads.
+// Profiles of one task of ParallelFor: enough that lanes seldom run empty at its end.
+constexpr size_t kTask = 256;
+
+// Profiles that share the grids of their lights, and may share a block.
+struct Task {
+  std::vector<int> cells_per_sample;  // [light]
+  std::span<const int64_t> profiles;
+};
+
+// `work` sorted by grids, then by channel (like layers meet in a block), and cut into tasks.
+std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
+                          const EmOptions& options, std::vector<int64_t>& work) {
+  std::map<std::vector<int>, size_t> known;
+  std::vector<std::vector<int>> grids;  // distinct ones
+  std::vector<std::pair<size_t, int64_t>> keys;
+  std::vector<int> grid(lights.size());
+  for (int64_t i : judged.work) {
+    for (size_t p = 0; p < lights.size(); ++p)
+      grid[p] = judged.usable[p][i] != 0 ? CellsPerSample(*lights[p], i, options) : 1;
+    const auto [at, is_new] = known.emplace(grid, grids.size());
+    if (is_new) grids.push_back(grid);
+    keys.emplace_back(at->second * channels + static_cast<size_t>(i % channels), i);
+  }
+  std::sort(keys.begin(), keys.end());
+  work.clear();
+  for (const auto& [key, i] : keys) work.push_back(i);
+  std::vector<Task> tasks;
+  for (size_t begin = 0; begin < keys.size();) {
+    const size_t of_grid = keys[begin].first / channels;
+    size_t end = begin;
+    while (end < keys.size() && end - begin < kTask && keys[end].first / channels == of_grid) ++end;
+    tasks.push_back({grids[of_grid], std::span(work).subspan(begin, end - begin)});
+    begin = end;
+  }
+  return tasks;
+}
+
+// Runs EM on all usable profiles; `done(block, lane, profile)` is called from several threads.
 template <typename Done>
-void ForEachBlock(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                  const EmOptions& options, std::span<const LayerSet> start, const Done& done) {
-  std::vector<int64_t> work = judged.work;
-  std::stable_sort(work.begin(), work.end(), [&](int64_t a, int64_t b) { return a % channels < b % channels; });
-  const int64_t blocks = (static_cast<int64_t>(work.size()) + kLanes - 1) / kLanes;
-  ParallelFor(blocks, 8, [&](int64_t begin, int64_t end) {
-    for (int64_t block = begin; block < end; ++block) {
-      const int64_t count = std::min<int64_t>(kLanes, static_cast<int64_t>(work.size()) - block * kLanes);
-      const std::span<const int64_t> members(work.data() + block * kLanes, static_cast<size_t>(count));
-      EmBlock em(lights, judged.usable, members, options, start);
-      const int sweeps = em.Run();
-      done(em, members, sweeps);
+void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
+                    const EmOptions& options, std::span<const LayerSet> start, const Done& done) {
+  std::vector<int64_t> work;
+  const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, work);
+  ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t t = begin; t < end; ++t) {
+      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
+      em.Fit(tasks[t].profiles, [&](int lane, int64_t profile) { done(em, lane, profile); });
     }
   });
 }
@@ -136,27 +180,22 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   MixtureMap map = EmptyMap(width, height, channels, options, projectors);
   Judgement judged = JudgeAll(lights);
   map.reason = std::move(judged.reason);
-  ForEachBlock(lights, judged, channels, options, start,
-               [&](const EmBlock& em, std::span<const int64_t> members, int sweeps) {
-                 const auto divergence = em.Divergence();
-                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane) {
-                   const int64_t i = members[lane];
-                   for (int l = 0; l < options.layers; ++l) {
-                     map.weight[i * options.layers + l] = em.Weight(l, lane);
-                     map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
-                     map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
-                   }
-                   for (size_t p = 0; p < lights.size(); ++p) {
-                     map.surface[i * lights.size() + p] = em.Light(static_cast<int>(p)).surface[lane];
-                     map.background[i * lights.size() + p] = em.Light(static_cast<int>(p)).background[lane];
-                   }
-                   map.divergence[i] = static_cast<float>(divergence[lane]);
-                   map.iterations[i] = static_cast<uint16_t>(std::min(sweeps, 65535));
-                   if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
-                     map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
-                 }
-                 if (progress) progress(static_cast<int64_t>(members.size()));
-               });
+  ForEachProfile(lights, judged, channels, options, start, [&](const EmBlock& em, int lane, int64_t i) {
+    for (int l = 0; l < options.layers; ++l) {
+      map.weight[i * options.layers + l] = em.Weight(l, lane);
+      map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
+      map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
+    }
+    for (size_t p = 0; p < lights.size(); ++p) {
+      map.surface[i * lights.size() + p] = em.Surface(static_cast<int>(p), lane);
+      map.background[i * lights.size() + p] = em.Background(static_cast<int>(p), lane);
+    }
+    map.divergence[i] = static_cast<float>(em.Divergence(lane));
+    map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
+    if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
+      map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
+    if (progress) progress(1);
+  });
   return map;
 }
 
@@ -175,19 +214,15 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
   std::vector<float> fitted(judged.work.size() * stride);
   std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
   for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
-  ForEachBlock(lights, judged, channels, options, {},
-               [&](const EmBlock& em, std::span<const int64_t> members, int /*sweeps*/) {
-                 for (int lane = 0; lane < static_cast<int>(members.size()); ++lane) {
-                   float* profile = fitted.data() + place[members[lane]] * stride;
-                   for (size_t l = 0; l < layers; ++l) {
-                     float* at = profile + 3 * l;
-                     at[0] = em.Weight(static_cast<int>(l), lane);
-                     at[1] = em.DepthMm(static_cast<int>(l), lane);
-                     at[2] = em.SigmaMm(static_cast<int>(l), lane);
-                   }
-                   profile[3 * layers] = em.MeanBackground(lane);
-                 }
-               });
+  ForEachProfile(lights, judged, channels, options, {}, [&](const EmBlock& em, int lane, int64_t i) {
+    float* profile = fitted.data() + place[i] * stride;
+    for (size_t l = 0; l < layers; ++l) {
+      profile[3 * l] = em.Weight(static_cast<int>(l), lane);
+      profile[3 * l + 1] = em.DepthMm(static_cast<int>(l), lane);
+      profile[3 * l + 2] = em.SigmaMm(static_cast<int>(l), lane);
+    }
+    profile[3 * layers] = em.MeanBackground(lane);
+  });
   std::vector<LayerSet> mean(channels);
   std::vector<int64_t> count(channels, 0);
   for (size_t k = 0; k < judged.work.size(); ++k) {

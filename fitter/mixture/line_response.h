@@ -4,6 +4,8 @@
 // grid.
 #pragma once
 
+#include <vector>
+
 namespace stratalux::fit {
 
 struct LineResponse {
@@ -16,6 +18,8 @@ struct LineResponse {
 
   // Mean over the cell centred at t, and over the sample's box, of Phi((t + w/2) / blur) - Phi((t - w/2) / blur).
   [[nodiscard]] double At(double t_mm) const;
+  // At(first_mm + i cell_mm) of `count` neighbouring cells, which share their edges.
+  [[nodiscard]] std::vector<double> OnCells(double first_mm, int count) const;
   // Beyond this offset the response is below 1e-6.
   [[nodiscard]] double Support() const;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sixteen floats at a time, for the inner loops of fitter/mixture and fitter/render.
+// Sixteen floats at a time, for the inner loops of fitter/render.
 #pragma once
 
 #include <cstdint>

@@ -263,6 +263,57 @@ TEST(FitMixture, CountsBadProfilesAndNeverReturnsNaN) {
   EXPECT_EQ(map->weight[0], 0.0F);
 }
 
+// Numbers of every kind in every field: whatever comes, the map is finite and each profile has its reason.
+TEST(FitMixture, SurvivesAnyNumbers) {
+  constexpr float kInf = std::numeric_limits<float>::infinity();
+  constexpr float kOdd[] = {
+      0.0F,  -0.0F,  1e-30F, -1e-3F, 1.0F,   50.0F, 1e6F,  -1e6F,
+      1e30F, -1e30F, 1e-7F,  3e38F,  1e-44F, kInf,  -kInf, std::numeric_limits<float>::quiet_NaN()};
+  Random random(31);
+  for (bool wrapped : {true, false}) {
+    EmOptions options;
+    options.max_iterations = 10;
+    Lights lights = MakeLights({-0.6, 0.4}, 300, 2000, options);
+    for (SrdBatch& b : lights.batches) {
+      b.wrapped = wrapped;
+      b.white.assign(300, 0.5F);
+      b.white_variance.assign(300, 1e-4F);
+      auto* const fields = &b;
+      for (auto* values : {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
+                           &fields->line_width_mm, &fields->blur_mm, &fields->slope_in, &fields->slope_out,
+                           &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
+        for (int n = 0; n < 40; ++n)
+          (*values)[static_cast<size_t>(random.Uniform() * static_cast<double>(values->size()))] =
+              kOdd[static_cast<size_t>(random.Uniform() * std::size(kOdd))];
+      for (float step : {kInf, -0.5F, 0.0F, 1e5F, 1e-5F}) b.step_mm[static_cast<size_t>(random.Uniform() * 300)] = step;
+    }
+    const auto map = Fit(lights, options);
+    ASSERT_TRUE(map.ok());
+    for (const auto* v :
+         {&map->weight, &map->depth_mm, &map->sigma_mm, &map->surface, &map->background, &map->divergence})
+      for (size_t i = 0; i < v->size(); ++i) ASSERT_TRUE(std::isfinite((*v)[i])) << i * 300 / v->size();
+    int fitted = 0;
+    for (uint8_t reason : map->reason) {
+      ASSERT_LT(reason, kFitReasons);
+      fitted += static_cast<FitReason>(reason) == FitReason::kFitted ? 1 : 0;
+    }
+    EXPECT_GT(fitted, 50);
+  }
+}
+
+TEST(FitMixture, HoldsWidthsToTheGridAndFitsWhatSaturatedAsItIs) {
+  EmOptions options;
+  options.min_sigma_mm = 1e-4;
+  Lights lights = MakeLights({-0.6, 0.4}, 2, 0, options);
+  for (SrdBatch& b : lights.batches)  // the second profile saturated at half its peak
+    for (int k = 0; k < 64; ++k) b.y[64 + k] = std::min(b.y[64 + k], 0.5F * *std::max_element(b.y.begin(), b.y.end()));
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok());
+  for (float sigma : map->sigma_mm) EXPECT_GE(sigma, 0.9F * 0.58F / 4 * 0.999F);
+  EXPECT_TRUE(map->Fitted(1));
+  EXPECT_GT(map->divergence[1], map->divergence[0]);
+}
+
 TEST(FitMixture, RefusesOptionsOutOfRange) {
   EmOptions options;
   const Lights lights = MakeLights({0.0}, 16, 0, options);

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// One light's part of a block of profiles: data, geometry, line response and work space of the EM kernels.
+#pragma once
+
+#include "fitter/mixture/em_kernel.h"
+#include "fitter/mixture/em_lanes.h"
+
+namespace stratalux::fit {
+
+struct EmLight {
+  EmGrid grid;
+  int samples = 0;
+  int cells_per_sample = 0;
+  int pad_cells = 0;    // unobserved cells on either side of an open window
+  int reach = 0;        // cells before and behind a sample's own that some lane's line response reaches
+  int reach_limit = 0;  // the most that `reach` may be
+  LaneRows data;        // [sample] max(y + shift, 0)
+  LaneRow shift;        // sigma_read^2 in counts over counts per unit (shifted Poisson)
+  // Response of a sample to its own cells and `reach_limit` on either side: [tap], 0 beyond the lane's own reach.
+  LaneRows response;
+  LaneRows surface_response;  // [sample]: response to a delta at u = 0
+  LaneRow surface_total;      // its sum
+  LaneRows unseen;            // [cell]: full coverage minus B^T 1
+  LaneRow s, gain, counts;    // shift coefficient, angular gain, photon counts per unit (relative); counts 0: absent
+  LaneRow cell_mm, origin;    // cell size; cell coordinate of u = 0
+  // Of the directional weights: sec_i + sec_o - 2, and what a layer without depth or width shows, less 1.
+  LaneRow extra_path, phase_m1;
+  LaneRow coverage;               // sum over samples of the response, inside
+  LaneRow white, white_variance;  // variance 0: none
+
+  // Work space. `mass` has reach_limit, `ratio` halo_samples more rows on either side.
+  int halo_samples = 0;
+  LaneRows mass, q, model, ratio;
+  LaneRow ratio_sum, surface_ratio;  // sums of the ratios, plain and weighted with the surface response
+  LayerTiles tiles;
+
+  [[nodiscard]] int taps() const { return 2 * reach_limit + cells_per_sample; }
+  [[nodiscard]] float* Mass() { return mass.data() + size_t(reach_limit) * kEmLanes; }
+  [[nodiscard]] float* Ratio() { return ratio.data() + size_t(halo_samples) * kEmLanes; }
+  // Of the first of a sample's own cells.
+  [[nodiscard]] const float* Response() const { return response.data() + size_t(reach_limit) * kEmLanes; }
+};
+
+}  // namespace stratalux::fit

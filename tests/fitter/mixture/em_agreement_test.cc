@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+// The production EM against the reference, against itself in other company, and against plain EM.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <gtest/gtest.h>
+
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/reference_em.h"
+#include "tests/fitter/mixture/em_cases.h"
+#include "tests/fitter/mixture/simd_targets.h"
+
+namespace stratalux::fit {
+namespace {
+
+MixtureMap Fit(const std::vector<const SrdBatch*>& lights, const EmOptions& options,
+               const std::vector<LayerSet>& start = {}) {
+  std::vector<int> projectors(lights.size());
+  std::iota(projectors.begin(), projectors.end(), 0);
+  auto map = FitMixture(lights, projectors, static_cast<int>(lights[0]->profiles()), 1, 1, options, start);
+  EXPECT_TRUE(map.ok()) << map.status().message();
+  return *std::move(map);
+}
+
+ReferenceFit Reference(const std::vector<const SrdBatch*>& lights, int64_t profile, const EmOptions& options) {
+  std::vector<ReferenceLight> all;
+  for (const SrdBatch* b : lights)
+    if (b->valid[profile] != 0) all.push_back(ReferenceLightOf(*b, profile, options));
+  return FitReference(all, SpreadLayers(all, options), options);
+}
+
+// Divergence to six decimals, every parameter of a layer that has light to 1e-3.
+void ExpectAsReference(const MixtureMap& map, int64_t profile, const ReferenceFit& reference) {
+  EXPECT_NEAR(map.divergence[profile], reference.divergence, 1e-6);
+  EXPECT_NEAR(map.divergence[profile] / reference.divergence, 1.0, 2e-4);
+  const LayerSet fitted = LayersOf(map, profile);
+  const double total = std::accumulate(reference.layers.weight.begin(), reference.layers.weight.end(), 0.0);
+  for (size_t l = 0; l < fitted.weight.size(); ++l) {
+    EXPECT_NEAR(fitted.weight[l], reference.layers.weight[l], 1e-5 * total) << l;
+    if (reference.layers.weight[l] < 1e-3 * total) continue;
+    EXPECT_NEAR(fitted.depth_mm[l], reference.layers.depth_mm[l], 1e-3) << l;
+    EXPECT_NEAR(fitted.sigma_mm[l] / reference.layers.sigma_mm[l], 1.0, 1e-3) << l;
+  }
+}
+
+EmOptions Plain(int sweeps) {
+  EmOptions options;
+  options.accelerated = false;
+  options.tolerance = 0.0;
+  options.max_iterations = sweeps;
+  return options;
+}
+
+void ExpectAgreement(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed) {
+  const EmCases made = MakeEmCases(cases, options, seed);
+  const auto lights = made.lights();
+  const MixtureMap map = Fit(lights, options);
+  for (int64_t i = 0; i < cases.profiles; ++i) {
+    SCOPED_TRACE(i);
+    ExpectAsReference(map, i, Reference(lights, i, options));
+  }
+}
+
+TEST(EmAgreement, CombsOnEveryInstructionSet) {
+  ForEachSimdTarget([](const char* name) {
+    SCOPED_TRACE(name);
+    ExpectAgreement({.profiles = 2, .peak_counts = 2000}, Plain(50), 11);
+  });
+}
+
+TEST(EmAgreement, OpenWindows) {
+  ExpectAgreement({.profiles = 2, .samples = 41, .wrapped = false, .peak_counts = 20000}, Plain(30), 12);
+}
+
+TEST(EmAgreement, FreeModeOfASingleLight) {
+  EmOptions options = Plain(30);
+  options.mode = FitMode::kFree;
+  ExpectAgreement({.profiles = 2, .slopes = {0.7}}, options, 13);
+}
+
+TEST(EmAgreement, DirectionalWeightsWithoutSurfaceAndWithOneFloor) {
+  EmOptions options = Plain(30);
+  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
+  options.surface_term = false;
+  options.shared_background = true;
+  options.layers = 7;
+  ExpectAgreement({.profiles = 2}, options, 14);
+  options.directional.sigma_0_mm = 0.0;  // no layer is narrow
+  ExpectAgreement({.profiles = 1}, options, 14);
+}
+
+TEST(EmAgreement, ProfilesThatOneLightMisses) {
+  const EmOptions options = Plain(20);
+  EmCases made = MakeEmCases({.profiles = 3}, options, 15);
+  made.batches[1].valid[0] = made.batches[0].valid[2] = made.batches[2].valid[2] = 0;
+  const MixtureMap map = Fit(made.lights(), options);
+  for (int64_t i = 0; i < 3; ++i) ExpectAsReference(map, i, Reference(made.lights(), i, options));
+}
+
+// Profile `from` of each batch, alone or repeated.
+EmCases Pick(const EmCases& all, const std::vector<int>& from) {
+  EmCases picked;
+  for (const SrdBatch& b : all.batches) {
+    SrdBatch out;
+    out.samples = b.samples;
+    out.wrapped = b.wrapped;
+    out.sample_box = b.sample_box;
+    for (int i : from) {
+      out.y.insert(out.y.end(), b.y.begin() + i * b.samples, b.y.begin() + (i + 1) * b.samples);
+      out.variance.insert(out.variance.end(), b.variance.begin() + i * b.samples,
+                          b.variance.begin() + (i + 1) * b.samples);
+      out.valid.push_back(b.valid[i]);
+      for (auto member : {&SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm,
+                          &SrdBatch::slope_in, &SrdBatch::slope_out, &SrdBatch::cos_in, &SrdBatch::cos_out,
+                          &SrdBatch::slope_in_across, &SrdBatch::slope_out_across})
+        (out.*member).push_back((b.*member)[i]);
+    }
+    picked.batches.push_back(std::move(out));
+  }
+  return picked;
+}
+
+TEST(EmBlock, AProfilesResultDoesNotDependOnItsCompany) {
+  EmOptions options;
+  options.tolerance = 3e-4;  // some lanes settle early and make room
+  options.max_iterations = 40;
+  const EmCases all = MakeEmCases({.profiles = 40, .peak_counts = 500}, options, 16);
+  const MixtureMap together = Fit(all.lights(), options);
+  const auto [least, most] = std::minmax_element(together.iterations.begin(), together.iterations.end());
+  ASSERT_LT(*least, *most) << "the test wants profiles that settle at different sweeps";
+  for (int i : {0, 17, 39}) {
+    const MixtureMap alone = Fit(Pick(all, {i}).lights(), options);
+    EXPECT_EQ(alone.iterations[0], together.iterations[i]);
+    EXPECT_EQ(alone.divergence[0], together.divergence[i]);
+    for (int l = 0; l < options.layers; ++l) {
+      EXPECT_EQ(alone.weight[l], together.weight[i * options.layers + l]);
+      EXPECT_EQ(alone.depth_mm[l], together.depth_mm[i * options.layers + l]);
+      EXPECT_EQ(alone.sigma_mm[l], together.sigma_mm[i * options.layers + l]);
+    }
+  }
+}
+
+TEST(Acceleration, NeverEndsBelowPlainEmAfterAsManySweeps) {
+  for (double counts : {200.0, 4000.0, 40000.0}) {
+    const EmCases made = MakeEmCases({.profiles = 64, .peak_counts = counts}, Plain(1), 17);
+    for (int sweeps : {20, 50}) {
+      EmOptions options = Plain(sweeps);
+      const MixtureMap plain = Fit(made.lights(), options);
+      options.accelerated = true;
+      const MixtureMap fast = Fit(made.lights(), options);
+      for (int64_t i = 0; i < 64; ++i)
+        EXPECT_LE(fast.divergence[i], plain.divergence[i] * (1.0 + 1e-5)) << i << " " << sweeps << " " << counts;
+    }
+  }
+}
+
+TEST(Acceleration, ReachesFiftyPlainSweepsInTwentyOnTheWhole) {
+  for (double counts : {200.0, 4000.0, 40000.0}) {
+    const EmCases made = MakeEmCases({.profiles = 64, .peak_counts = counts}, Plain(1), 18);
+    const MixtureMap plain = Fit(made.lights(), Plain(50));
+    EmOptions options = Plain(20);
+    options.accelerated = true;
+    const MixtureMap fast = Fit(made.lights(), options);
+    const auto sum = [](const MixtureMap& m) { return std::accumulate(m.divergence.begin(), m.divergence.end(), 0.0); };
+    EXPECT_LT(sum(fast), sum(plain)) << counts;
+  }
+}
+
+TEST(Start, LayersGivenAreRefinedByPlainSweepsAndNoneKeepsThem) {
+  EmOptions options;
+  options.refinement_iterations = 0;
+  const EmCases made = MakeEmCases({.profiles = 4}, options, 19);
+  LayerSet start;
+  for (int l = 0; l < options.layers; ++l) {
+    start.weight.push_back(0.02);
+    start.depth_mm.push_back(0.05 * l);
+    start.sigma_mm.push_back(0.2 + 0.15 * l);
+  }
+  const MixtureMap kept = Fit(made.lights(), options, {start});
+  options.refinement_iterations = 6;
+  const MixtureMap refined = Fit(made.lights(), options, {start});
+  for (int64_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(kept.iterations[i], 0);
+    EXPECT_EQ(refined.iterations[i], 6);
+    EXPECT_LT(refined.divergence[i], kept.divergence[i]);
+    for (int l = 0; l < options.layers; ++l)
+      EXPECT_FLOAT_EQ(kept.depth_mm[i * options.layers + l], static_cast<float>(start.depth_mm[l]));
+  }
+}
+
+}  // namespace
+}  // namespace stratalux::fit

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tests/fitter/mixture/em_cases.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fitter/mixture/fit_mixture.h"
+
+namespace stratalux::fit {
+namespace {
+
+LayerSet RandomSkin(Random& random) {
+  LayerSet skin;
+  const int layers = 3 + static_cast<int>(random.Uniform() * 4.999);
+  for (int l = 0; l < layers; ++l) {
+    const double sigma = 0.15 * std::pow(4.0 / 0.15, random.Uniform());
+    skin.sigma_mm.push_back(sigma);
+    skin.depth_mm.push_back(random.Uniform(0.02, std::min(2.0, 0.6 * sigma + 0.1)));
+    skin.weight.push_back(random.Uniform(0.02, 0.15));
+  }
+  return skin;
+}
+
+LayerSet Varied(LayerSet skin, Random& random) {
+  for (auto* values : {&skin.weight, &skin.depth_mm, &skin.sigma_mm})
+    for (double& v : *values) v *= random.Uniform(0.8, 1.2);
+  return skin;
+}
+
+// Every profile's own step, blur and offset; the lights of a profile share nothing but the skin.
+SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
+  SrdBatch b;
+  b.samples = cases.samples;
+  b.wrapped = cases.wrapped;
+  const auto n = static_cast<size_t>(cases.profiles);
+  b.y.assign(n * b.samples, 0.0F);
+  b.variance.assign(n * b.samples, 1e-6F);
+  b.valid.assign(n, 1);
+  for (auto* v : {&b.slope_in_across, &b.slope_out_across}) v->assign(n, 0.0F);
+  for (size_t i = 0; i < n; ++i) {
+    const double step = random.Uniform(0.45, 0.59), in = slope + random.Uniform(-0.1, 0.1),
+                 out = random.Uniform(-0.3, 0.3);
+    b.step_mm.push_back(static_cast<float>(step));
+    b.line_width_mm.push_back(static_cast<float>(step));
+    b.blur_mm.push_back(static_cast<float>(random.Uniform(0.1, 0.25)));
+    b.first_u_mm.push_back(static_cast<float>(-0.5 * step * (b.samples - 1) + random.Uniform(-0.5, 0.5)));
+    b.slope_in.push_back(static_cast<float>(in));
+    b.slope_out.push_back(static_cast<float>(out));
+    b.cos_in.push_back(static_cast<float>(1.0 / std::hypot(1.0, in)));
+    b.cos_out.push_back(static_cast<float>(1.0 / std::hypot(1.0, out)));
+  }
+  return b;
+}
+
+}  // namespace
+
+std::vector<const SrdBatch*> EmCases::lights() const {
+  std::vector<const SrdBatch*> list;
+  for (const SrdBatch& b : batches) list.push_back(&b);
+  return list;
+}
+
+EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed) {
+  Random random(seed);
+  EmCases made;
+  LayerSet skin;
+  for (int i = 0; i < cases.profiles; ++i) {
+    if (i % cases.alike == 0) skin = RandomSkin(random);
+    made.skins.push_back(cases.alike > 1 ? Varied(skin, random) : skin);
+  }
+  for (double slope : cases.slopes) {
+    SrdBatch b = GeometryOf(cases, slope, random);
+    for (int i = 0; i < cases.profiles; ++i) {
+      const auto y = PredictSamples(made.skins[i], b, i, options);
+      const double counts = cases.peak_counts / *std::max_element(y.begin(), y.end());
+      for (int k = 0; k < b.samples; ++k) {
+        const double variance = (y[k] + 2e-5) / counts;
+        b.y[i * b.samples + k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
+        b.variance[i * b.samples + k] = static_cast<float>(variance);
+      }
+    }
+    made.batches.push_back(std::move(b));
+  }
+  return made;
+}
+
+}  // namespace stratalux::fit

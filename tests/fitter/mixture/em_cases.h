@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// Random layered skins and their profiles, for the tests of fitter/mixture.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "fitter/mixture/em_options.h"
+#include "fitter/mixture/srd_samples.h"
+#include "shared/base/random.h"
+
+namespace stratalux::fit {
+
+struct EmCases {
+  std::vector<SrdBatch> batches;  // one a light
+  std::vector<LayerSet> skins;    // [profile]
+  [[nodiscard]] std::vector<const SrdBatch*> lights() const;
+};
+
+struct EmCaseOptions {
+  int profiles = 16, samples = 64;
+  bool wrapped = true;
+  double peak_counts = 4000.0;
+  // Profiles that share a skin, up to a fifth in every weight, depth and width, as neighbouring pixels do; 1: none.
+  int alike = 1;
+  std::vector<double> slopes = {-1.0, 0.0, 0.58};  // tangents of incidence, one a light
+};
+
+// Three to seven layers a skin, widths 0.15 to 4 mm, depths 0.02 to 2 mm; steps, blurs and offsets of their own.
+[[nodiscard]] EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed);
+
+}  // namespace stratalux::fit
