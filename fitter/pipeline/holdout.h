@@ -9,18 +9,10 @@
 #include "fitter/evaluation/truth.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/pipeline/geometry_stage.h"
+#include "fitter/pipeline/srd_stage.h"
 #include "fitter/render/mlsss.h"
 
 namespace stratalux::fit {
-
-// SRDs of every projector on profiles of `pool` x `pool` quads.
-struct SrdSet {
-  int pool = 1;
-  int width = 0, height = 0, channels = 0;
-  std::vector<SrdBatch> batches;
-};
-[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                                         const std::vector<Image<uint8_t>>& lit, int pool, Logger& logger);
 
 // The batches of all projectors but one.
 [[nodiscard]] std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout,
