@@ -14,11 +14,12 @@
 
 namespace stratalux::fit {
 
-// The batches of all projectors but one.
-[[nodiscard]] std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout,
-                                                          std::vector<int>* projectors);
+// The batches of all projectors but one, their row sweeps after their column sweeps; kUsage when none is left.
+// `projectors`: of each batch.
+[[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
+                                                                  std::vector<int>* projectors);
 
-// EM on the training lights, with tau of their white reflectances.
+// EM on the training lights, with tau of their white reflectances; options.mode says whether tied or free.
 [[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
                                            const std::string& label);
 
@@ -53,9 +54,5 @@ struct ModelToCompare {
                                                                   const std::vector<ModelToCompare>& models,
                                                                   const std::vector<std::string>& lights,
                                                                   std::vector<HeldOutFigure>& figures);
-
-// Ablations: the training lights' directions given to the wrong lights; each comb cycle's frames in a shuffled order.
-[[nodiscard]] SrdSet PermuteProjectors(const SrdSet& srds, int heldout);
-[[nodiscard]] SrdSet ShuffleCombFrames(const SrdSet& srds, uint64_t seed);
 
 }  // namespace stratalux::fit
