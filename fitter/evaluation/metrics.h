@@ -67,6 +67,7 @@ struct Metrics {
   double tau = 0.0;
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
   int64_t pixels = 0;
+  int64_t weak_pixels = 0;  // fitted, of few photons: their layers lean on the session's mean
   std::map<std::string, int64_t> masked_by_reason;
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;

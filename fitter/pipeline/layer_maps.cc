@@ -15,36 +15,29 @@ bool DepthKnown(const MixtureMap& map, int64_t profile) {
   return static_cast<FitReason>(map.reason[profile]) == FitReason::kFitted;
 }
 
-// Depth below which the share `fraction` of a colour's light comes back, from a histogram of weights.
-double DepthOfShare(const std::vector<double>& weights, double low_mm, double cell_mm, double fraction) {
+// Width up to which the share `fraction` of the light comes back, from a histogram of weights.
+double WidthOfShare(const std::vector<double>& weights, double cell_mm, double fraction) {
   double all = 0.0, below = 0.0;
   for (double w : weights) all += w;
   for (size_t i = 0; i < weights.size(); ++i) {
-    if (below + weights[i] >= fraction * all)
-      return low_mm +
-             cell_mm * (static_cast<double>(i) + (weights[i] > 0.0 ? (fraction * all - below) / weights[i] : 0.0));
+    if (below + weights[i] >= fraction * all && weights[i] > 0.0)
+      return cell_mm * (static_cast<double>(i) + (fraction * all - below) / weights[i]);
     below += weights[i];
   }
-  return low_mm + cell_mm * static_cast<double>(weights.size());
+  return cell_mm * static_cast<double>(weights.size());
 }
 
 DepthBands FindBands(const MixtureMap& map) {
-  constexpr double kLowMm = -1.0, kCellMm = 0.005;
-  constexpr size_t kCells = 2000;
-  DepthBands bands;
-  for (int c = 0; c < map.channels; ++c) {
-    std::vector<double> weights(kCells, 0.0);
-    for (int64_t i = c; i < map.profiles(); i += map.channels) {
-      if (!DepthKnown(map, i)) continue;
-      for (int64_t at = i * map.layers; at < (i + 1) * map.layers; ++at) {
-        const double cell = std::clamp((map.depth_mm[at] - kLowMm) / kCellMm, 0.0, kCells - 1.0);
-        weights[static_cast<size_t>(cell)] += map.weight[at];
-      }
+  constexpr double kCellMm = 0.01;
+  std::vector<double> weights(2000, 0.0);
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    if (!map.Fitted(i)) continue;
+    for (int64_t at = i * map.layers; at < (i + 1) * map.layers; ++at) {
+      const double cell = std::min(map.sigma_mm[at] / kCellMm, static_cast<double>(weights.size() - 1));
+      weights[static_cast<size_t>(cell)] += map.weight[at];
     }
-    bands.shallow_mm[c] = DepthOfShare(weights, kLowMm, kCellMm, 1.0 / 3.0);
-    bands.deep_mm[c] = DepthOfShare(weights, kLowMm, kCellMm, 2.0 / 3.0);
   }
-  return bands;
+  return {WidthOfShare(weights, kCellMm, 1.0 / 3.0), WidthOfShare(weights, kCellMm, 2.0 / 3.0)};
 }
 
 std::vector<std::string> Names(const std::string& prefix, int channels) {
@@ -62,22 +55,20 @@ LayerMaps SummariseLayers(const MixtureMap& map) {
   ParallelFor(map.profiles(), 4096, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!map.Fitted(i)) continue;
-      const size_t c = static_cast<size_t>(i % map.channels);
       double total = 0.0, depth = 0.0, width2 = 0.0;
       std::array<double, 3> band{};
       for (int64_t at = i * map.layers; at < (i + 1) * map.layers; ++at) {
-        const double w = map.weight[at], d = map.depth_mm[at];
+        const double w = map.weight[at], sigma = map.sigma_mm[at];
         total += w;
-        depth += w * d;
-        width2 += w * map.sigma_mm[at] * map.sigma_mm[at];
-        band[d < maps.bands.shallow_mm[c] ? 0 : d < maps.bands.deep_mm[c] ? 1 : 2] += w;
+        depth += w * map.depth_mm[at];
+        width2 += w * sigma * sigma;
+        band[sigma < maps.bands.shallow_mm ? 0 : sigma < maps.bands.deep_mm ? 1 : 2] += w;
       }
       maps.total_weight.pixels()[i] = static_cast<float>(total);
       maps.absorption.pixels()[i] = static_cast<float>(1.0 - total);
       if (!(total > 0.0)) continue;
       maps.effective_width_mm.pixels()[i] = static_cast<float>(std::sqrt(width2 / total));
-      if (!DepthKnown(map, i)) continue;
-      maps.mean_depth_mm.pixels()[i] = static_cast<float>(depth / total);
+      if (DepthKnown(map, i)) maps.mean_depth_mm.pixels()[i] = static_cast<float>(depth / total);
       maps.shallow.pixels()[i] = static_cast<float>(band[0]);
       maps.middle.pixels()[i] = static_cast<float>(band[1]);
       maps.deep.pixels()[i] = static_cast<float>(band[2]);

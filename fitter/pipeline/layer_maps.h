@@ -12,10 +12,11 @@
 
 namespace stratalux::fit {
 
-// Depths that part the light into three bands of equal strength over the whole session, by colour: below `shallow`,
-// between, above `deep`. Bands of fixed depths would be empty for one colour and hold all of another.
+// Widths of layers that part the light into three bands of equal strength, over the whole session and all colours.
+// Bands are of width, not of the fitted depth: light that comes from deeper has spread wider, and widths are well
+// measured, while the depths of all layers of a pixel share the error of the geometry, which is as large as they are.
 struct DepthBands {
-  std::array<double, 3> shallow_mm{}, deep_mm{};
+  double shallow_mm = 0.0, deep_mm = 0.0;  // sigma below the first: shallow; from the second on: deep
 };
 
 // All W x H x C as the MixtureMap; NaN where nothing was fitted. Depths also where they cannot be estimated.
@@ -30,9 +31,9 @@ struct LayerMaps {
 [[nodiscard]] LayerMaps SummariseLayers(const MixtureMap& map);
 
 // Signal-to-noise ratio of each profile's samples, all training lights together: sum y / sqrt(sum variance); 0 where no
-// light is usable. Below `kWeakSignalToNoise` the layers of a pixel rest on the session's mean more than on its own
-// photons.
+// light is usable.
 [[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds);
+// Below this a profile is called weak: its layers rest on the session's mean more than on its own photons.
 inline constexpr double kWeakSignalToNoise = 50.0;
 
 // total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).

@@ -273,6 +273,8 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   ShowLayers(w.map, w.srds, w.pictures);
   w.pictures.layer_maps = SummariseLayers(w.map);
   w.pictures.signal_to_noise = SignalToNoise(w.map, w.srds);
+  for (int64_t i = 0; i < w.map.profiles(); ++i)
+    if (w.map.Fitted(i) && w.pictures.signal_to_noise.pixels()[i] < kWeakSignalToNoise) ++w.metrics.weak_pixels;
   SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.pictures.signal_to_noise, w.options.srd.pool));
   SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, w.pictures.layer_maps));
   if (w.options.until < Stage::kRender) return Status::Ok();

@@ -12,7 +12,7 @@
 namespace stratalux::fit {
 namespace {
 
-// 6 x 4 pixels, 3 colours, two layers; depths rise with x.
+// 6 x 4 pixels, 3 colours, two layers; depths and widths rise with x.
 MixtureMap SmallMap() {
   MixtureMap map;
   map.width = 6;
@@ -24,7 +24,7 @@ MixtureMap SmallMap() {
     const auto x = static_cast<float>(i / 3 % 6);
     map.weight.insert(map.weight.end(), {0.3F, 0.1F});
     map.depth_mm.insert(map.depth_mm.end(), {0.1F * x, 0.1F * x + 1.0F});
-    map.sigma_mm.insert(map.sigma_mm.end(), {1.0F, 3.0F});
+    map.sigma_mm.insert(map.sigma_mm.end(), {1.0F + 0.1F * x, 3.0F});
   }
   const size_t profiles = static_cast<size_t>(map.profiles());
   map.surface.assign(2 * profiles, 0.0F);
@@ -44,7 +44,7 @@ TEST(LayerMaps, SumUpEachPixelsLayers) {
   EXPECT_NEAR(maps.total_weight(3, 2, 1), 0.4, 1e-6);
   EXPECT_NEAR(maps.absorption(3, 2, 1), 0.6, 1e-6);
   EXPECT_NEAR(maps.mean_depth_mm(3, 2, 1), 0.3 + 0.25, 1e-6);
-  EXPECT_NEAR(maps.effective_width_mm(3, 2, 1), std::sqrt((0.3 * 1.0 + 0.1 * 9.0) / 0.4), 1e-6);
+  EXPECT_NEAR(maps.effective_width_mm(3, 2, 1), std::sqrt((0.3 * 1.69 + 0.1 * 9.0) / 0.4), 1e-6);
   // Light along the view tells nothing of depth, but of weight and width.
   EXPECT_TRUE(std::isnan(maps.mean_depth_mm(1, 0, 1)));
   EXPECT_NEAR(maps.total_weight(1, 0, 1), 0.4, 1e-6);
@@ -63,8 +63,8 @@ TEST(LayerMaps, BandsHoldAThirdOfTheLightEachAndAddUpToTheTotal) {
     band[2] += maps.deep.pixels()[i];
     total += maps.total_weight.pixels()[i];
   }
-  for (double b : band) EXPECT_NEAR(b / total, 1.0 / 3.0, 0.13);  // six columns of equal depth cannot be cut finer
-  EXPECT_LT(maps.bands.shallow_mm[0], maps.bands.deep_mm[0]);
+  for (double b : band) EXPECT_NEAR(b / total, 1.0 / 3.0, 0.13);  // layers of equal width cannot be parted
+  EXPECT_LT(maps.bands.shallow_mm, maps.bands.deep_mm);
 }
 
 TEST(LayerMaps, AreWrittenAsExrAndShownWithColourBars) {
