@@ -337,6 +337,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
     return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
                          std::to_string(frames.calibration()->projectors.size() - 1));
+  if (frames.calibration()->projectors.size() < 2 && options.until >= Stage::kFit)
+    return Status::Usage("session " + frames.info().id +
+                         " has one projector only: the layers are fitted on all projectors but the held-out one, so "
+                         "two are needed at least (`stratalux-fit srd` works with one)");
   RunOutcome outcome;
   outcome.session = frames.info().id;
   outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);

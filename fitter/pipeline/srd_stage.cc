@@ -87,6 +87,22 @@ std::string Describe(const SweepFigure& figure) {
   return text;
 }
 
+// The scatter reading samples the picture beside the line: too coarse a picture cannot show the profile. Quads per comb
+// step on the skin, median.
+double QuadsPerStep(const SrdBatch& batch, const SurfaceMap& surface, const RigCalibration& rig, int pool) {
+  std::vector<double> ratios;
+  const int step = QuadStep(rig.camera.cfa) * pool, width = surface.width() / pool;
+  const int channels = QuadChannels(rig.camera.cfa);
+  for (int64_t i = 0; i < batch.profiles(); i += channels) {
+    const int x = static_cast<int>(i / channels % width) * pool, y = static_cast<int>(i / channels / width) * pool;
+    if (batch.valid[i] != 0 && surface.mask(x, y) != 0)
+      ratios.push_back(batch.step_mm[i] * rig.camera.model.fx / (step * surface.Point(x, y).z()));
+  }
+  if (ratios.empty()) return 1.0;
+  std::nth_element(ratios.begin(), ratios.begin() + static_cast<int64_t>(ratios.size() / 2), ratios.end());
+  return ratios[ratios.size() / 2];
+}
+
 Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, const Image<uint8_t>& lit,
                               const SrdOptions& options, Logger& logger, SrdSet& set, SweepFigure& figure) {
   const PlanOptions& plan = *sweep.frames.plan();
@@ -129,6 +145,18 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
   figure.energy_median = extractor.energy().median_ratio;
   figure.energy_p95_error = extractor.energy().p95_error;
   logger.Info(Describe(figure));
+  if (options.reading == SrdReading::kScatter) {
+    const double quads = QuadsPerStep(batch, surface, *sweep.frames.calibration(), options.pool);
+    if (quads < 1.0) {
+      char text[192];
+      std::snprintf(
+          text, sizeof text,
+          "projector %d: the camera has %.2f quads a step of the comb; the scatter reading needs one at least "
+          "(a finer camera, --pool 1, or the gather reading)",
+          p, quads);
+      logger.Warning(text);
+    }
+  }
   return batch;
 }
 
