@@ -93,7 +93,7 @@ struct CombFrame {
   std::vector<CombShot> shots;
 };
 
-// Does the cycle add up to the white frames? Over profiles that have both.
+// Does the cycle add up to the white frames? Over profiles that have both, with less than 5 % of noise.
 struct EnergyCheck {
   int64_t profiles = 0;
   double median_ratio = 1.0;  // cycle sum over w / q whites

@@ -12,6 +12,7 @@ namespace {
 
 constexpr size_t kMaxShots = 8;  // as many brackets as a plan may have
 constexpr double kLeastVariance = 1e-6;
+constexpr float kQuietShare = 0.05F;  // of the white: noise of a cycle sum that may speak for the capture
 
 // Colours of the sites of a 2x2 block, by 2 (y & 1) + (x & 1).
 std::array<int, 4> BlockColours(Cfa cfa) {
@@ -171,6 +172,7 @@ void SrdExtractor::CheckEnergy() {
     for (int64_t i = c; i < profiles; i += channels_) {
       if (!checked(i)) continue;
       differences_dn.push_back(std::abs(sums[i] - batch_.white[i]) * white_dn_[i]);
+      if (std::sqrt(variances[i] + batch_.white_variance[i]) > kQuietShare * batch_.white[i]) continue;
       all_ratios.push_back(sums[i] / batch_.white[i]);
       all_errors.push_back(std::abs(all_ratios.back() - 1.0F));
     }
