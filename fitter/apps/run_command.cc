@@ -16,7 +16,8 @@ namespace {
 
 struct Flags {
   RunOptions run;
-  std::string shift = "refracted", geometry = "reconstructed", gain = "model";
+  std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
+              distance = "tangent";
   bool json = false, path_only = false;
 };
 
@@ -29,6 +30,10 @@ void AddStore(CLI::App& verb, Flags& f) {
 void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_option("--layers", f.run.em.layers, "Scattering layers a pixel")
       ->check(CLI::Range(1, 32))
+      ->capture_default_str();
+  verb.add_option("--mode", f.mode,
+                  "tied: one set of layers a pixel for all lights; free: each SRD on its own, as the paper has it")
+      ->check(CLI::IsMember({"tied", "free"}))
       ->capture_default_str();
   verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
   verb.add_option("--eta", f.run.em.eta, "Refractive index of skin")
@@ -47,8 +52,15 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
       ->check(CLI::Range(0, 15))
       ->capture_default_str();
-  verb.add_option("--pool", f.run.pool, "Quads per side of a fitted profile")
+  verb.add_option("--pool", f.run.srd.pool, "Quads per side of a fitted profile")
       ->check(CLI::Range(1, 16))
+      ->capture_default_str();
+  verb.add_option("--reading", f.reading,
+                  "gather: a pixel's response over the sweep; scatter: the profile across the line that lies on it")
+      ->check(CLI::IsMember({"gather", "scatter"}))
+      ->capture_default_str();
+  verb.add_option("--distance", f.distance, "Distances across the line: on the tangent plane, or along the surface")
+      ->check(CLI::IsMember({"tangent", "surface"}))
       ->capture_default_str();
   verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
       ->check(CLI::IsMember({"reconstructed", "truth"}))
@@ -67,6 +79,13 @@ int Execute(Flags& f) {
   const auto law = ParseShiftLaw(f.shift);
   if (!law.ok()) return finish(law.status());
   f.run.em.shift_law = *law;
+  const auto reading = ParseSrdReading(f.reading);
+  if (!reading.ok()) return finish(reading.status());
+  f.run.srd.reading = *reading;
+  const auto distance = ParseSrdDistance(f.distance);
+  if (!distance.ok()) return finish(distance.status());
+  f.run.srd.distance = *distance;
+  f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.run.em.gain_model = f.gain == "model";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
@@ -127,7 +146,9 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     auto flags = std::make_shared<Flags>();
     flags->run.until = v.until;
     auto* verb = app.add_subcommand(v.name, v.help);
-    verb->footer(std::string("Example:\n  stratalux-fit ") + v.name + " latest --store store");
+    const std::string command = std::string("  stratalux-fit ") + v.name + " latest --store store";
+    verb->footer("Examples:\n" + command + "\n" + command + " --heldout 0 --shift refracted_sine\n" + command +
+                 " --mode free --shift paper   # the paper as printed");
     AddStore(*verb, *flags);
     AddFitOptions(*verb, *flags);
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });

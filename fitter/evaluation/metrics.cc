@@ -44,10 +44,23 @@ std::string Metrics::ToJson() const {
                  {"tau", tau},
                  {"wide_weight_fraction", wide_weight_fraction},
                  {"pixels", pixels},
+                 {"weak_pixels", weak_pixels},
                  {"masked_by_reason", masked_by_reason}};
+  json["sweeps"] = Json::array();
+  for (const SweepFigure& s : sweeps)
+    json["sweeps"].push_back(
+        {{"projector", s.projector},
+         {"axis", s.axis},
+         {"profiles_by_reason", s.profiles_by_reason},
+         {"missing_frames", s.missing_frames},
+         {"energy",
+          {{"profiles", s.energy_profiles}, {"median_ratio", s.energy_median}, {"p95_error", s.energy_p95_error}}}});
   json["stages"] = Json::array();
   for (const StageFigure& s : stages)
-    json["stages"].push_back({{"name", s.name}, {"seconds", s.seconds}, {"peak_rss_bytes", s.peak_rss_bytes}});
+    json["stages"].push_back({{"name", s.name},
+                              {"seconds", s.seconds},
+                              {"cpu_seconds", s.cpu_seconds},
+                              {"peak_rss_bytes", s.peak_rss_bytes}});
   if (truth)
     json["truth"] = {{"depth_rms_mm", truth->depth_rms_mm},
                      {"depth_bias_mm", truth->depth_bias_mm},

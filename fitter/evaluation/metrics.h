@@ -15,7 +15,7 @@ namespace stratalux::fit {
 struct HeldOutFigure {
   int projector = 0;
   std::string light;     // stripe | white | spot
-  std::string model;     // tied | homogeneous | homogeneous_local_albedo | direction_blind | dipole
+  std::string model;     // tied | free | homogeneous | homogeneous_local_albedo | direction_blind | dipole
   std::string part;      // total | subsurface
   std::string direct;    // measured | rendered | none
   std::string geometry;  // reconstructed | truth
@@ -38,9 +38,22 @@ struct CentroidFigure {
   CentroidError error;
 };
 
+// What became of one projector's sweep along one axis.
+struct SweepFigure {
+  int projector = 0;
+  std::string axis;  // columns | rows
+  std::map<std::string, int64_t> profiles_by_reason;
+  int missing_frames = 0;
+  // Cycle sum over w / q whites, where both are known: median, and the 95th percentile of its distance from 1.
+  int64_t energy_profiles = 0;
+  double energy_median = 1.0;
+  double energy_p95_error = 0.0;
+};
+
 struct StageFigure {
   std::string name;
   double seconds = 0.0;
+  double cpu_seconds = 0.0;  // of all threads
   int64_t peak_rss_bytes = 0;
 };
 
@@ -48,13 +61,15 @@ struct Metrics {
   std::string session, fit, program_version, options_json;
   std::vector<HeldOutFigure> heldout;
   std::vector<AblationFigure> ablations;
-  std::vector<CentroidFigure> centroids;  // of the tied model's held-out SRDs
+  std::vector<CentroidFigure> centroids;  // of the fitted model's held-out SRDs
   double divergence = 0.0;                // median
   int iterations_median = 0;
   double tau = 0.0;
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
   int64_t pixels = 0;
+  int64_t weak_pixels = 0;  // fitted, of few photons: their layers lean on the session's mean
   std::map<std::string, int64_t> masked_by_reason;
+  std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;
   std::optional<SurfaceError> truth;  // only in simulation
 

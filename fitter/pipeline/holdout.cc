@@ -4,11 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <numeric>
 
 #include "fitter/mixture/shift_law.h"
+#include "fitter/pipeline/free_fit.h"
 #include "fitter/srd/srd_extractor.h"
-#include "shared/base/random.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -88,57 +87,24 @@ Image<uint8_t> SkinMask(const HoldOutInput& in, const MixtureMap& map) {
 
 }  // namespace
 
-Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                           const std::vector<Image<uint8_t>>& lit, int pool, Logger& logger) {
-  const RigCalibration& rig = *frames.calibration();
-  const PlanOptions& plan = *frames.plan();
-  const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step, plan.exposure_ms};
-  SLX_RETURN_IF_ERROR(cycle.Validate());
-  SrdOptions options;
-  options.pool = pool;
-  SrdSet set;
-  set.pool = pool;
-  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
-    SrdExtractor extractor(surface, lit[p], rig, p, cycle, options);
-    SLX_ASSIGN_OR_RETURN(const auto dark, frames.MeanBlack(p));
-    for (int k = 0; k < cycle.frames(); ++k) {
-      SLX_ASSIGN_OR_RETURN(
-          const auto raw,
-          frames.Read(
-              p, CapturePhase::kSweep,
-              {.kind = PatternKind::kComb, .period = cycle.period, .width = cycle.width, .shift = k * cycle.step}));
-      extractor.AddFrame(k, raw, dark);
-    }
-    int whites = 0;
-    SLX_ASSIGN_OR_RETURN(const auto white, frames.MeanWhite(p, whites));
-    extractor.SetWhite(white, whites, dark);
-    set.batches.push_back(extractor.Take());
-    std::string text = "SRDs of projector " + std::to_string(p) + ":";
-    for (int r = 0; r < kSrdReasons; ++r)
-      text += std::string(r == 0 ? " " : ", ") + ToString(static_cast<SrdReason>(r)) + " " +
-              std::to_string(extractor.counts()[r]);
-    logger.Info(text);
-    set.width = extractor.width();
-    set.height = extractor.height();
-    set.channels = QuadChannels(rig.camera.cfa);
-  }
-  return set;
-}
-
-std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
+Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
   std::vector<const SrdBatch*> lights;
-  for (int p = 0; p < static_cast<int>(srds.batches.size()); ++p) {
-    if (p == heldout) continue;
-    lights.push_back(&srds.batches[p]);
-    projectors->push_back(p);
-  }
+  for (const auto* batches : {&srds.batches, &srds.row_batches})
+    for (int p = 0; p < static_cast<int>(batches->size()); ++p) {
+      if (p == heldout) continue;
+      lights.push_back(&(*batches)[p]);
+      projectors->push_back(p);
+    }
+  if (lights.empty())
+    return Status::Usage("with projector " + std::to_string(heldout) +
+                         " held out no light is left to fit: the layers need sweeps of two projectors at least");
   return lights;
 }
 
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
                              const std::string& label) {
   std::vector<int> projectors;
-  const auto lights = TrainingLights(srds, heldout, &projectors);
+  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
   if (options.gain_model) options.tau = EstimateTau(lights, options.eta);
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
@@ -147,12 +113,16 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
     usable += any ? 1 : 0;
   }
   std::vector<LayerSet> start;
+  const bool free = options.mode == FitMode::kFree;
   if (options.refinement_iterations > 0) {
-    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, options));
+    EmOptions tied = options;  // the session's mean layers, which all pixels start from, are those of all lights
+    tied.mode = FitMode::kTied;
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
   }
-  Progress progress(logger, label, usable);
-  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options, start,
-                    [&](int64_t done) { progress.Advance(done); });
+  Progress progress(logger, label, free ? usable * static_cast<int64_t>(lights.size()) : usable);
+  const auto advance = [&](int64_t done) { progress.Advance(done); };
+  if (free) return FitFree(lights, projectors, srds.width, srds.height, srds.channels, options, start, advance);
+  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options, start, advance);
 }
 
 Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, const std::vector<ModelToCompare>& models,
@@ -194,38 +164,6 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
     comparisons.push_back(std::move(comparison));
   }
   return comparisons;
-}
-
-SrdSet PermuteProjectors(const SrdSet& srds, int heldout) {
-  SrdSet out = srds;
-  std::vector<int> training;
-  for (int p = 0; p < static_cast<int>(srds.batches.size()); ++p)
-    if (p != heldout) training.push_back(p);
-  for (size_t k = 0; k < training.size(); ++k) {
-    const SrdBatch& from = srds.batches[training[(k + 1) % training.size()]];
-    SrdBatch& to = out.batches[training[k]];
-    to.slope_in = from.slope_in;
-    to.slope_in_across = from.slope_in_across;
-    to.cos_in = from.cos_in;
-  }
-  return out;
-}
-
-SrdSet ShuffleCombFrames(const SrdSet& srds, uint64_t seed) {
-  SrdSet out = srds;
-  Random random(seed);
-  for (size_t p = 0; p < out.batches.size(); ++p) {
-    SrdBatch& b = out.batches[p];
-    std::vector<int> order(b.samples);
-    std::iota(order.begin(), order.end(), 0);
-    for (int k = b.samples - 1; k > 0; --k) std::swap(order[k], order[random.Bits() % static_cast<uint64_t>(k + 1)]);
-    for (int64_t i = 0; i < b.profiles(); ++i)
-      for (int k = 0; k < b.samples; ++k) {
-        b.y[i * b.samples + k] = srds.batches[p].y[i * b.samples + order[k]];
-        b.variance[i * b.samples + k] = srds.batches[p].variance[i * b.samples + order[k]];
-      }
-  }
-  return out;
 }
 
 }  // namespace stratalux::fit

@@ -9,24 +9,17 @@
 #include "fitter/evaluation/truth.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/pipeline/geometry_stage.h"
+#include "fitter/pipeline/srd_stage.h"
 #include "fitter/render/mlsss.h"
 
 namespace stratalux::fit {
 
-// SRDs of every projector on profiles of `pool` x `pool` quads.
-struct SrdSet {
-  int pool = 1;
-  int width = 0, height = 0, channels = 0;
-  std::vector<SrdBatch> batches;
-};
-[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                                         const std::vector<Image<uint8_t>>& lit, int pool, Logger& logger);
+// The batches of all projectors but one, their row sweeps after their column sweeps; kUsage when none is left.
+// `projectors`: of each batch.
+[[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
+                                                                  std::vector<int>* projectors);
 
-// The batches of all projectors but one.
-[[nodiscard]] std::vector<const SrdBatch*> TrainingLights(const SrdSet& srds, int heldout,
-                                                          std::vector<int>* projectors);
-
-// EM on the training lights, with tau of their white reflectances.
+// EM on the training lights, with tau of their white reflectances; options.mode says whether tied or free.
 [[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
                                            const std::string& label);
 
@@ -61,9 +54,5 @@ struct ModelToCompare {
                                                                   const std::vector<ModelToCompare>& models,
                                                                   const std::vector<std::string>& lights,
                                                                   std::vector<HeldOutFigure>& figures);
-
-// Ablations: the training lights' directions given to the wrong lights; each comb cycle's frames in a shuffled order.
-[[nodiscard]] SrdSet PermuteProjectors(const SrdSet& srds, int heldout);
-[[nodiscard]] SrdSet ShuffleCombFrames(const SrdSet& srds, uint64_t seed);
 
 }  // namespace stratalux::fit

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <fstream>
 
+#include "fitter/pipeline/layer_pictures.h"
 #include "fitter/pipeline/run.h"
 #include "fitter/report/html_report.h"
 #include "fitter/srd/srd_extractor.h"
@@ -93,6 +94,32 @@ ReportSection DirectAndGlobal(const RunPictures& in, double white) {
   return section;
 }
 
+// One profile of a batch, as a batch.
+SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
+  SrdBatch one;
+  one.samples = batch.samples;
+  one.wrapped = batch.wrapped;
+  one.sample_box = batch.sample_box;
+  const auto first = batch.y.begin() + profile * batch.samples;
+  one.y.assign(first, first + batch.samples);
+  auto copy = [&](const auto& from, auto& to) {
+    if (!from.empty()) to.assign(1, from[profile]);
+  };
+  copy(batch.first_u_mm, one.first_u_mm);
+  copy(batch.step_mm, one.step_mm);
+  copy(batch.line_width_mm, one.line_width_mm);
+  copy(batch.blur_mm, one.blur_mm);
+  copy(batch.pair_mm, one.pair_mm);
+  copy(batch.slope_in, one.slope_in);
+  copy(batch.slope_out, one.slope_out);
+  copy(batch.slope_in_across, one.slope_in_across);
+  copy(batch.slope_out_across, one.slope_out_across);
+  copy(batch.cos_in, one.cos_in);
+  copy(batch.cos_out, one.cos_out);
+  copy(batch.valid, one.valid);
+  return one;
+}
+
 // The fitted pixel nearest to the cheek beside the image's centre.
 int64_t ChosenProfile(const MixtureMap& map) {
   int64_t best = -1;
@@ -118,7 +145,7 @@ ReportSection SrdOfPixel(const RunPictures& in) {
                         {},
                         {}};
   const MixtureMap& map = *in.map;
-  const int64_t profile = ChosenProfile(map);
+  const int64_t profile = in.chosen_profile;
   if (profile < 0) return section;
   EmOptions options;
   options.shift_law = map.shift_law;
@@ -126,19 +153,19 @@ ReportSection SrdOfPixel(const RunPictures& in) {
   options.tau = map.tau;
   options.gain_model = map.gain_model;
   const LayerSet layers = LayersOf(map, profile);
-  for (int p = 0; p < static_cast<int>(in.srds->batches.size()); ++p) {
-    const SrdBatch& b = in.srds->batches[p];
-    if (b.valid[profile] == 0) continue;
-    const auto predicted = PredictSamples(layers, b, profile, options);
+  for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
+    const SrdBatch& b = in.chosen_srds[p];
+    if (b.valid[0] == 0) continue;
+    const auto predicted = PredictSamples(layers, b, 0, options);
     const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
     std::vector<std::array<double, 3>> points;
-    const double period = double(b.step_mm[profile]) * b.samples;
+    const double period = double(b.step_mm[0]) * b.samples;
     const size_t light = static_cast<size_t>(trained - map.training_projectors.begin());
     const bool is_trained = trained != map.training_projectors.end();
     const double floor = is_trained ? map.background[profile * map.training_projectors.size() + light] : 0.0;
     for (int k = 0; k < b.samples; ++k)
-      points.push_back({std::remainder(b.first_u_mm[profile] + k * double(b.step_mm[profile]), period),
-                        b.y[profile * b.samples + k], predicted[k] + floor});
+      points.push_back(
+          {std::remainder(b.first_u_mm[0] + k * double(b.step_mm[0]), period), b.y[k], predicted[k] + floor});
     std::sort(points.begin(), points.end());
     ReportSeries measured{"measured", {}, {}, true},
         fitted{trained == map.training_projectors.end() ? "predicted" : "fitted", {}, {}, false};
@@ -186,40 +213,6 @@ ReportPlot RowProfile(const RunPictures& in, const LightComparison& c) {
   }
   plot.series = {real, total, subsurface};
   return plot;
-}
-
-ReportSection LayerMaps(const RunPictures& in) {
-  const MixtureMap& map = *in.map;
-  ReportSection section{"Layer maps",
-                        "Per pixel: total weight (albedo), weight-averaged depth and width of the layers, red channel.",
-                        {},
-                        {},
-                        {}};
-  Image<float> total(map.width, map.height, 1, std::nanf("")), depth = total, width = total;
-  for (int y = 0; y < map.height; ++y)
-    for (int x = 0; x < map.width; ++x) {
-      const int64_t i = map.ProfileIndex(x, y, 0);
-      if (!map.Fitted(i)) continue;
-      double w = 0, d = 0, s = 0;
-      for (int l = 0; l < map.layers; ++l) {
-        const double weight = map.weight[i * map.layers + l];
-        w += weight;
-        d += weight * map.depth_mm[i * map.layers + l];
-        s += weight * map.sigma_mm[i * map.layers + l];
-      }
-      if (!(w > 0)) continue;
-      total(x, y) = static_cast<float>(w);
-      depth(x, y) = static_cast<float>(d / w);
-      width(x, y) = static_cast<float>(s / w);
-    }
-  for (const auto& [name, image, unit] :
-       {std::tuple("total weight", &total, ""), std::tuple("mean depth", &depth, " mm"),
-        std::tuple("mean sigma", &width, " mm")}) {
-    const double low = Percentile(*image, 0.02), high = Percentile(*image, 0.98);
-    section.images.push_back(
-        {std::string(name) + ", " + Fixed(low, 2) + " to " + Fixed(high, 2) + unit, ToColourScale(*image, low, high)});
-  }
-  return section;
 }
 
 // One table for each way of judging: a row a model, a column a light and part.
@@ -281,6 +274,22 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
   return tables;
 }
 
+ReportTable SweepTable(const Metrics& m) {
+  ReportTable table{
+      "Sweeps: profiles by what became of them, and whether the frames of a cycle add up to the white ones",
+      {"projector", "axis", "profiles", "cycle over white", "95 % within", "frames missing"},
+      {}};
+  for (const SweepFigure& s : m.sweeps) {
+    std::string profiles;
+    for (const auto& [reason, count] : s.profiles_by_reason)
+      profiles += (profiles.empty() ? "" : ", ") + reason + " " + std::to_string(count);
+    table.rows.push_back(
+        {std::to_string(s.projector), s.axis, profiles, s.energy_profiles > 0 ? Fixed(s.energy_median, 4) : "",
+         s.energy_profiles > 0 ? Fixed(100.0 * s.energy_p95_error, 1) + " %" : "", std::to_string(s.missing_frames)});
+  }
+  return table;
+}
+
 ReportSection Figures(const Metrics& m) {
   ReportSection section{
       "Figures",
@@ -310,16 +319,24 @@ ReportSection Figures(const Metrics& m) {
                               {{Fixed(m.truth->depth_rms_mm), Fixed(m.truth->depth_bias_mm),
                                 Fixed(m.truth->normal_median_deg, 2), std::to_string(m.truth->pixels)}}});
   ReportTable fit{
-      "Fit", {"profiles", "median divergence", "median sweeps", "tau", "weight in layers wider than a line"}, {}};
-  fit.rows.push_back({std::to_string(m.pixels), Fixed(m.divergence, 6), std::to_string(m.iterations_median),
-                      Fixed(m.tau), Fixed(m.wide_weight_fraction)});
+      "Fit",
+      {"profiles", "of them weak", "median divergence", "median sweeps", "tau", "weight in layers wider than a line"},
+      {}};
+  fit.rows.push_back({std::to_string(m.pixels), std::to_string(m.weak_pixels), Fixed(m.divergence, 6),
+                      std::to_string(m.iterations_median), Fixed(m.tau), Fixed(m.wide_weight_fraction)});
   section.tables.push_back(fit);
   ReportTable masked{"Profiles without (or with doubtful) layers", {"reason", "profiles"}, {}};
   for (const auto& [reason, count] : m.masked_by_reason) masked.rows.push_back({reason, std::to_string(count)});
   section.tables.push_back(masked);
-  ReportTable stages{"Stages", {"stage", "seconds", "peak memory GiB"}, {}};
+  section.tables.push_back(SweepTable(m));
+  ReportTable stages{"Where the time goes: processor seconds are those of all threads, memory is the peak so far",
+                     {"stage", "seconds", "share", "processor seconds", "peak memory GiB"},
+                     {}};
+  double all = 0.0;
+  for (const StageFigure& s : m.stages) all += s.seconds;
   for (const StageFigure& s : m.stages)
-    stages.rows.push_back({s.name, Fixed(s.seconds, 1), Fixed(static_cast<double>(s.peak_rss_bytes) / (1 << 30), 2)});
+    stages.rows.push_back({s.name, Fixed(s.seconds, 1), Fixed(100.0 * s.seconds / std::max(all, 1e-9), 0) + " %",
+                           Fixed(s.cpu_seconds, 1), Fixed(static_cast<double>(s.peak_rss_bytes) / (1 << 30), 2)});
   section.tables.push_back(stages);
   return section;
 }
@@ -336,6 +353,13 @@ Status SavePictures(const std::filesystem::path& folder, const Report& report) {
 }
 
 }  // namespace
+
+void ShowLayers(const MixtureMap& map, const SrdSet& srds, RunPictures& pictures) {
+  pictures.map = &map;
+  pictures.chosen_profile = ChosenProfile(map);
+  if (pictures.chosen_profile < 0) return;
+  for (const SrdBatch& batch : srds.batches) pictures.chosen_srds.push_back(Slice(batch, pictures.chosen_profile));
+}
 
 Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, const Metrics& metrics) {
   SLX_ASSIGN_OR_RETURN(const auto lit,
@@ -370,7 +394,7 @@ Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, c
               {"(e) homogeneous: the mean layers everywhere, sum", ToSrgb(mean.total, white)});
     }
   }
-  report.sections.push_back(LayerMaps(in));
+  report.sections.push_back(LayerPictures(*in.map, in.layer_maps, in.signal_to_noise));
   report.sections.push_back(Figures(metrics));
   SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report));
   std::ofstream out(folder / "report" / "index.html", std::ios::trunc);

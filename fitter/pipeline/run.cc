@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/privacy/access_log.h"
+#include "fitter/pipeline/ablations.h"
 #include "fitter/pipeline/content_hash.h"
 #include "fitter/pipeline/saved_fit.h"
 #include "fitter/scattering/baselines.h"
@@ -102,23 +103,26 @@ HoldOutInput InputFor(const Work& w, const SurfaceMap& surface, int projector, i
   return {w.frames, w.face, surface, w.truth, projector, pool, geometry};
 }
 
-// A tied fit with the baselines derived from it, and a direction-blind fit of the same data.
+std::string NameOf(FitMode mode) { return mode == FitMode::kTied ? "tied" : "free"; }
+
+// A fit with the baselines derived from it, and a direction-blind fit of the same data.
 struct Models {
-  MixtureMap tied, homogeneous, homogeneous_local_albedo, direction_blind;
-  [[nodiscard]] std::vector<ModelToCompare> List() const {
-    return {{"tied", &tied},
+  MixtureMap fit, homogeneous, homogeneous_local_albedo, direction_blind;
+  [[nodiscard]] std::vector<ModelToCompare> List(const std::string& name) const {
+    return {{name, &fit},
             {"homogeneous", &homogeneous},
             {"homogeneous_local_albedo", &homogeneous_local_albedo},
             {"direction_blind", &direction_blind}};
   }
 };
 
-Result<Models> FitBaselines(Work& w, const SrdSet& srds, int projector, MixtureMap tied, const std::string& label) {
+Result<Models> FitBaselines(Work& w, const SrdSet& srds, int projector, MixtureMap fit, const std::string& label) {
   Models m;
-  m.tied = std::move(tied);
-  m.homogeneous = Homogeneous(m.tied);
-  m.homogeneous_local_albedo = HomogeneousLocalAlbedo(m.tied);
+  m.fit = std::move(fit);
+  m.homogeneous = Homogeneous(m.fit);
+  m.homogeneous_local_albedo = HomogeneousLocalAlbedo(m.fit);
   EmOptions blind = w.options.em;
+  blind.mode = FitMode::kTied;
   blind.direction_blind = true;
   SLX_ASSIGN_OR_RETURN(m.direction_blind, FitLayers(srds, projector, blind, w.logger, label + ", direction-blind"));
   return m;
@@ -126,11 +130,11 @@ Result<Models> FitBaselines(Work& w, const SrdSet& srds, int projector, MixtureM
 
 Status HoldOut(Work& w, int projector, const std::string& geometry) {
   const std::string label = "projector " + std::to_string(projector) + " held out";
-  SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(w.srds, projector, w.options.em, w.logger, label));
-  w.metrics.centroids.push_back({projector, geometry, CompareCentroids(tied, w.srds.batches[projector])});
-  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(tied), label));
-  return CompareHeldOut(InputFor(w, w.surface, projector, w.options.pool, geometry), models.List(), {"stripe", "white"},
-                        w.metrics.heldout)
+  SLX_ASSIGN_OR_RETURN(auto fit, FitLayers(w.srds, projector, w.options.em, w.logger, label));
+  w.metrics.centroids.push_back({projector, geometry, CompareCentroids(fit, w.srds.batches[projector])});
+  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(fit), label));
+  return CompareHeldOut(InputFor(w, w.surface, projector, w.options.srd.pool, geometry),
+                        models.List(NameOf(w.options.em.mode)), {"stripe", "white"}, w.metrics.heldout)
       .status();
 }
 
@@ -139,36 +143,43 @@ Status Ablate(Work& w, const std::string& geometry) {
   const int projector = w.options.heldout;
   auto baseline_of = [&](const HeldOutFigure& f) {
     for (const HeldOutFigure& b : w.metrics.heldout)
-      if (b.projector == projector && b.model == "tied" && b.light == f.light && b.part == f.part &&
+      if (b.projector == projector && b.model == NameOf(w.options.em.mode) && b.light == f.light && b.part == f.part &&
           b.direct == f.direct && b.geometry == f.geometry)
         return b.error.nrmse;
     return std::nan("");
   };
-  auto ablate = [&](const std::string& name, const SrdSet& srds) -> Status {
-    SLX_ASSIGN_OR_RETURN(const auto map, FitLayers(srds, projector, w.options.em, w.logger, "ablation " + name));
+  auto ablate = [&](const std::string& name) -> Status {
+    SLX_ASSIGN_OR_RETURN(const auto map, FitLayers(w.srds, projector, w.options.em, w.logger, "ablation " + name));
     std::vector<HeldOutFigure> figures;
     SLX_RETURN_IF_ERROR(
-        CompareHeldOut(InputFor(w, w.surface, projector, srds.pool, geometry), {{name, &map}}, {"stripe"}, figures)
+        CompareHeldOut(InputFor(w, w.surface, projector, w.srds.pool, geometry), {{name, &map}}, {"stripe"}, figures)
             .status());
     for (const HeldOutFigure& f : figures)
       if (f.direct != "rendered")
         w.metrics.ablations.push_back({name, projector, f.light, f.part, f.error.nrmse, baseline_of(f)});
     return Status::Ok();
   };
-  SLX_RETURN_IF_ERROR(ablate("projectors_permuted", PermuteProjectors(w.srds, projector)));
-  return ablate("comb_frames_shuffled", ShuffleCombFrames(w.srds, 1));
+  {
+    const PermutedProjectors spoilt(w.srds, projector);
+    SLX_RETURN_IF_ERROR(ablate("projectors_permuted"));
+  }
+  const ShuffledCombFrames spoilt(w.srds, 1);
+  return ablate("comb_frames_shuffled");
 }
 
-// The same fit on the true surface: what of the error is the model's, not the reconstruction's.
+// The same fit on the true surface: what of the error is the model's, not the reconstruction's. Last of all: its SRDs
+// take the place of the others, so that memory holds one set.
 Status EvaluateOnTruth(Work& w) {
   const int projector = w.options.heldout;
   SLX_ASSIGN_OR_RETURN(const auto surface, w.truth->Surface(*w.frames.calibration()));
-  SLX_ASSIGN_OR_RETURN(const auto srds, ExtractSrds(w.frames, surface, w.face.lit, w.options.pool, w.logger));
-  SLX_ASSIGN_OR_RETURN(auto tied, FitLayers(srds, projector, w.options.em, w.logger, "true geometry"));
-  w.metrics.centroids.push_back({projector, "truth", CompareCentroids(tied, srds.batches[projector])});
-  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, srds, projector, std::move(tied), "true geometry"));
-  return CompareHeldOut(InputFor(w, surface, projector, srds.pool, "truth"), models.List(), {"stripe"},
-                        w.metrics.heldout)
+  w.srds = {};
+  std::vector<SweepFigure> figures;
+  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, surface, w.face.lit, w.options.srd, w.logger, figures));
+  SLX_ASSIGN_OR_RETURN(auto fit, FitLayers(w.srds, projector, w.options.em, w.logger, "true geometry"));
+  w.metrics.centroids.push_back({projector, "truth", CompareCentroids(fit, w.srds.batches[projector])});
+  SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(fit), "true geometry"));
+  return CompareHeldOut(InputFor(w, surface, projector, w.srds.pool, "truth"), models.List(NameOf(w.options.em.mode)),
+                        {"stripe"}, w.metrics.heldout)
       .status();
 }
 
@@ -177,25 +188,24 @@ Status EvaluateFully(Work& w) {
   const std::string geometry = w.options.geometry == GeometrySource::kTruth ? "truth" : "reconstructed";
   w.clock.Start("evaluate: ablations");
   SLX_RETURN_IF_ERROR(Ablate(w, geometry));
-  if (w.truth && w.options.geometry == GeometrySource::kReconstructed) {
-    w.clock.Start("evaluate: true geometry");
-    SLX_RETURN_IF_ERROR(EvaluateOnTruth(w));
-  }
   for (int p = 0; p < projectors; ++p) {
     if (p == w.options.heldout) continue;
     w.clock.Start("evaluate: hold out projector " + std::to_string(p));
     SLX_RETURN_IF_ERROR(HoldOut(w, p, geometry));
   }
-  return Status::Ok();
+  if (!w.truth || w.options.geometry != GeometrySource::kReconstructed) return Status::Ok();
+  w.clock.Start("evaluate: true geometry");
+  return EvaluateOnTruth(w);
 }
 
 Status CompareFullSize(Work& w) {
   w.clock.Start("render");
   const std::string geometry = w.options.geometry == GeometrySource::kTruth ? "truth" : "reconstructed";
+  const std::string model = NameOf(w.options.em.mode);
   const int projector = w.options.heldout;
-  const HoldOutInput input = InputFor(w, w.surface, projector, w.options.pool, geometry);
+  const HoldOutInput input = InputFor(w, w.surface, projector, w.options.srd.pool, geometry);
   SLX_ASSIGN_OR_RETURN(w.pictures.comparisons,
-                       CompareHeldOut(input, {{"tied", &w.map}}, {"stripe", "white"}, w.metrics.heldout));
+                       CompareHeldOut(input, {{model, &w.map}}, {"stripe", "white"}, w.metrics.heldout));
   w.metrics.centroids.push_back({projector, geometry, CompareCentroids(w.map, w.srds.batches[projector])});
   const MixtureMap mean = Homogeneous(w.map);
   SLX_ASSIGN_OR_RETURN(w.pictures.homogeneous,
@@ -210,7 +220,7 @@ Status CompareFullSize(Work& w) {
   w.clock.Start("evaluate: baselines");
   SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, w.map, "fit"));
   std::vector<int> training;
-  const auto batches = TrainingLights(w.srds, projector, &training);
+  SLX_ASSIGN_OR_RETURN(const auto batches, TrainingLights(w.srds, projector, &training));
   std::vector<Dipole> dipoles;
   for (int c = 0; c < w.srds.channels; ++c) dipoles.push_back(FitDipole(batches, c, w.srds.channels, w.options.em.eta));
   SLX_ASSIGN_OR_RETURN(const auto dipole, DipoleMap(w.map, dipoles));
@@ -221,7 +231,7 @@ Status CompareFullSize(Work& w) {
                                      {"stripe", "white"}, w.metrics.heldout)
                           .status());
   if (w.frames.plan()->spot_radius == 0) return Status::Ok();
-  return CompareHeldOut(input, {{"tied", &w.map}, {"direction_blind", &models.direction_blind}}, {"spot"},
+  return CompareHeldOut(input, {{model, &w.map}, {"direction_blind", &models.direction_blind}}, {"spot"},
                         w.metrics.heldout)
       .status();
 }
@@ -248,7 +258,7 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   SLX_RETURN_IF_ERROR(WriteMaps(folder, w.face, w.surface));
   if (w.options.until < Stage::kSrd) return Status::Ok();
   w.clock.Start("srd");
-  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.pool, w.logger));
+  SLX_ASSIGN_OR_RETURN(w.srds, ExtractSrds(w.frames, w.surface, w.face.lit, w.options.srd, w.logger, w.metrics.sweeps));
   if (w.options.until < Stage::kFit) return Status::Ok();
   w.clock.Start("fit");
   SLX_ASSIGN_OR_RETURN(w.map, FitLayers(w.srds, w.options.heldout, w.options.em, w.logger, "fit"));
@@ -260,7 +270,13 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
     return Status::Failed("no pixel could be fitted (" + reasons +
                           "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
   }
-  SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.options.pool));
+  ShowLayers(w.map, w.srds, w.pictures);
+  w.pictures.layer_maps = SummariseLayers(w.map);
+  w.pictures.signal_to_noise = SignalToNoise(w.map, w.srds);
+  for (int64_t i = 0; i < w.map.profiles(); ++i)
+    if (w.map.Fitted(i) && w.pictures.signal_to_noise.pixels()[i] < kWeakSignalToNoise) ++w.metrics.weak_pixels;
+  SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.pictures.signal_to_noise, w.options.srd.pool));
+  SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, w.pictures.layer_maps));
   if (w.options.until < Stage::kRender) return Status::Ok();
   SLX_RETURN_IF_ERROR(CompareFullSize(w));
   if (w.options.full_evaluation && w.options.until >= Stage::kEvaluate) SLX_RETURN_IF_ERROR(EvaluateFully(w));
@@ -282,8 +298,7 @@ Status RunOptions::Validate() const {
   SLX_RETURN_IF_ERROR(em.Validate());
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
-  if (pool < 1 || pool > 16) return Status::Usage("pool = " + std::to_string(pool) + ", allowed: 1 .. 16");
-  return Status::Ok();
+  return srd.Validate();
 }
 
 std::string RunOptions::ToJson() const {
@@ -296,7 +311,9 @@ std::string RunOptions::ToJson() const {
                                        {"refinement", em.refinement_iterations},
                                        {"tolerance", em.tolerance},
                                        {"heldout", heldout},
-                                       {"pool", pool},
+                                       {"pool", srd.pool},
+                                       {"reading", fit::ToString(srd.reading)},
+                                       {"distance", fit::ToString(srd.distance)},
                                        {"full_evaluation", full_evaluation},
                                        {"geometry", geometry == GeometrySource::kTruth ? "truth" : "reconstructed"}};
   return json.dump();
@@ -320,6 +337,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
     return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
                          std::to_string(frames.calibration()->projectors.size() - 1));
+  if (frames.calibration()->projectors.size() < 2 && options.until >= Stage::kFit)
+    return Status::Usage("session " + frames.info().id +
+                         " has one projector only: the layers are fitted on all projectors but the held-out one, so "
+                         "two are needed at least (`stratalux-fit srd` works with one)");
   RunOutcome outcome;
   outcome.session = frames.info().id;
   outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);
@@ -361,11 +382,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
     w.pictures.frames = &w.frames;
     w.pictures.face = &w.face;
     w.pictures.surface = &w.surface;
-    w.pictures.srds = &w.srds;
-    w.pictures.map = &w.map;
     w.pictures.heldout = options.heldout;
     w.clock.Stop();
-    for (const StageTime& s : w.clock.stages()) w.metrics.stages.push_back({s.name, s.seconds, s.peak_rss_bytes});
+    for (const StageTime& s : w.clock.stages())
+      w.metrics.stages.push_back({s.name, s.seconds, s.cpu_seconds, s.peak_rss_bytes});
     SLX_RETURN_IF_ERROR(WriteReport(folder, w.pictures, w.metrics));
     SLX_RETURN_IF_ERROR(WriteText(folder / "metrics.json", w.metrics.ToJson()));
     std::filesystem::remove_all(outcome.folder, error);

@@ -7,6 +7,7 @@
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/pipeline/holdout.h"
+#include "fitter/pipeline/layer_maps.h"
 #include "shared/base/log.h"
 
 namespace stratalux::fit {
@@ -22,7 +23,7 @@ struct RunOptions {
   std::string session = "latest";
   EmOptions em;
   int heldout = 3;               // the projector left out of the full-size fit
-  int pool = 1;                  // quads per side of that fit's profiles
+  SrdOptions srd;                // pool: quads per side of that fit's profiles
   bool full_evaluation = false;  // every projector held out in turn; baselines, ablations, true geometry
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
@@ -43,7 +44,10 @@ struct RunPictures {
   const SessionFrames* frames = nullptr;
   const FaceGeometry* face = nullptr;
   const SurfaceMap* surface = nullptr;
-  const SrdSet* srds = nullptr;
+  int64_t chosen_profile = -1;        // whose SRDs are shown; -1: none
+  std::vector<SrdBatch> chosen_srds;  // of that profile alone, by projector
+  LayerMaps layer_maps;
+  Image<float> signal_to_noise;
   const MixtureMap* map = nullptr;
   std::vector<LightComparison> comparisons;
   std::vector<LightComparison> homogeneous;  // figure 9 d
@@ -54,6 +58,9 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger);
 
 // Folder of the session's newest complete fit; kNotFound when there is none.
 [[nodiscard]] Result<std::filesystem::path> NewestFit(const std::string& store, const std::string& session);
+
+// Chooses the pixel whose SRDs the report shows and copies them: the set itself need not live so long.
+void ShowLayers(const MixtureMap& map, const SrdSet& srds, RunPictures& pictures);
 
 // Writes report/index.html into `folder`.
 Status WriteReport(const std::filesystem::path& folder, const RunPictures& pictures, const Metrics& metrics);

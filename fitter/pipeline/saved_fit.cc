@@ -33,12 +33,18 @@ std::vector<std::string> LayerChannels(int channels, int layers) {
   return names;
 }
 
+// A projector that is named again is there for its row sweep.
 std::vector<std::string> FloorChannels(int channels, const std::vector<int>& projectors) {
   std::vector<std::string> names;
   for (const std::string& colour : Colours(channels))
-    for (int p : projectors)
-      for (const char* what : {"surface", "background"})
-        names.push_back(std::string(what) + std::to_string(p) + "." + colour);
+    for (auto p = projectors.begin(); p != projectors.end(); ++p) {
+      const std::string axis = std::find(projectors.begin(), p, *p) == p ? "" : "rows";
+      for (const char* what : {"surface", "background"}) {
+        std::string name = what;
+        name += std::to_string(*p);
+        names.push_back(name + axis + "." + colour);
+      }
+    }
   return names;
 }
 
@@ -46,6 +52,13 @@ std::vector<std::string> QualityChannels(int channels) {
   std::vector<std::string> names;
   for (const std::string& colour : Colours(channels))
     for (const char* what : {"divergence.", "iterations.", "reason."}) names.push_back(what + colour);
+  return names;
+}
+
+// What a later program may do without is written after what it needs.
+std::vector<std::string> QualityChannelsWithNoise(int channels) {
+  std::vector<std::string> names = QualityChannels(channels);
+  for (const std::string& colour : Colours(channels)) names.push_back("signal_to_noise." + colour);
   return names;
 }
 
@@ -68,7 +81,8 @@ Status WriteMaps(const std::filesystem::path& folder, const FaceGeometry& face, 
   return WritePly(folder / "mesh.ply", MeshFromSurface(surface));
 }
 
-Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, int pool) {
+Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, const Image<float>& signal_to_noise,
+                   int pool) {
   for (const auto& [name, values] :
        {std::pair("weight", &map.weight), {"depth_mm", &map.depth_mm}, {"sigma_mm", &map.sigma_mm}}) {
     Image<float> image(map.width, map.height, map.channels * map.layers);
@@ -83,13 +97,17 @@ Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, i
       floor.data()[2 * (i * lights + p) + 1] = map.background[i * lights + p];
     }
   SLX_RETURN_IF_ERROR(WriteExr(folder / "floor.exr", floor, FloorChannels(map.channels, map.training_projectors)));
-  Image<float> quality(map.width, map.height, 3 * map.channels);
+  const int colours = map.channels;
+  Image<float> quality(map.width, map.height, 4 * colours);
   for (int64_t i = 0; i < map.profiles(); ++i) {
-    quality.data()[3 * i] = map.divergence[i];
-    quality.data()[3 * i + 1] = map.iterations[i];
-    quality.data()[3 * i + 2] = map.reason[i];
+    const int64_t colour = i % colours, pixel = i / colours;
+    float* values = quality.data() + pixel * 4 * colours;
+    values[3 * colour] = map.divergence[i];
+    values[3 * colour + 1] = map.iterations[i];
+    values[3 * colour + 2] = map.reason[i];
+    values[3 * colours + colour] = signal_to_noise.pixels()[i];
   }
-  SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, QualityChannels(map.channels)));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, QualityChannelsWithNoise(colours)));
   const Json json = {{"schema", 1},
                      {"layers", map.layers},
                      {"channels", map.channels},

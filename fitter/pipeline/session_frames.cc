@@ -12,8 +12,9 @@ namespace stratalux::fit {
 SessionFrames::SessionFrames(db::SessionStore store, db::SessionRow session)
     : store_(std::move(store)), session_(std::move(session)) {}
 
-std::string SessionFrames::Key(int projector, CapturePhase phase, const Pattern& pattern, int pose) {
-  return std::to_string(projector) + "|" + ToString(phase) + "|" + pattern.ToString() + "|" + std::to_string(pose);
+std::string SessionFrames::Key(int projector, CapturePhase phase, const Pattern& pattern, int pose, int bracket) {
+  return std::to_string(projector) + "|" + ToString(phase) + "|" + pattern.ToString() + "|" + std::to_string(pose) +
+         "|" + std::to_string(bracket);
 }
 
 Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const std::string& selector) {
@@ -31,9 +32,8 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
   SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
   for (size_t i = 0; i < frames.rows_.size(); ++i) {
     const FrameRecord& r = frames.rows_[i].record;
-    // Brackets other than the nominal exposure are merged by a later stage; the simple stages read bracket 0.
-    if (r.level_check == LevelCheck::kFailed || r.bracket != 0) continue;
-    frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose)] = i;
+    if (r.level_check == LevelCheck::kFailed) continue;
+    frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose, r.bracket)] = i;
   }
   return frames;
 }
@@ -46,29 +46,34 @@ std::vector<int> SessionFrames::poses() const {
   return {poses.begin(), poses.end()};
 }
 
-const db::FrameRow* SessionFrames::Find(int projector, CapturePhase phase, const Pattern& pattern, int pose) const {
-  const auto found = by_key_.find(Key(projector, phase, pattern, pose));
+const db::FrameRow* SessionFrames::Find(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                        int bracket) const {
+  const auto found = by_key_.find(Key(projector, phase, pattern, pose, bracket));
   return found == by_key_.end() ? nullptr : &rows_[found->second];
 }
 
-Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose) const {
-  const db::FrameRow* row = Find(projector, phase, pattern, pose);
+Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                            int bracket) const {
+  const db::FrameRow* row = Find(projector, phase, pattern, pose, bracket);
   if (row == nullptr)
     return Status::NotFound("session " + info().id + " has no good frame of projector " + std::to_string(projector) +
                             ", " + ToString(phase) + ", '" + pattern.ToString() + "'" +
                             (pose >= 0 ? ", pose " + std::to_string(pose) : "") +
+                            (bracket > 0 ? ", bracket " + std::to_string(bracket) : "") +
                             " (its reasons: `stratalux-db show`); capture it again with nothing moving");
   return store_.ReadFrame(info().id, *row);
 }
 
-Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int& count) const {
+Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int bracket, int& count) const {
   const float saturation = calibration_ ? static_cast<float>(calibration_->camera.saturation_dn) : 1e9F;
   const std::string name = kind == PatternKind::kWhite ? "white" : "black";
   Image<float> mean;
   count = 0;
   for (const db::FrameRow& row : rows_) {
     const FrameRecord& r = row.record;
-    if (r.projector != projector || r.pattern.kind != kind || r.level_check == LevelCheck::kFailed) continue;
+    if (r.projector != projector || r.pattern.kind != kind || r.bracket != bracket ||
+        r.level_check == LevelCheck::kFailed)
+      continue;
     SLX_ASSIGN_OR_RETURN(const auto image, store_.ReadFrame(info().id, row));
     if (mean.empty()) mean = Image<float>(image.width(), image.height());
     if (mean.width() != image.width() || mean.height() != image.height())
@@ -89,12 +94,28 @@ Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int&
 
 Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
   int count = 0;
-  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, count));
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, 0, count));
   return calibration_ ? QuietDarkFrame(mean, count, calibration_->camera) : std::move(mean);
 }
 
+Result<Image<float>> SessionFrames::MeanBlack(int projector, double factor) const {
+  const std::vector<double> captured = plan_ ? plan_->reference_brackets : std::vector<double>{1.0};
+  for (size_t b = 1; b < captured.size(); ++b) {
+    int count = 0;
+    if (std::abs(captured[b] / factor - 1.0) > 0.01) continue;
+    auto mean = MeanOf(projector, PatternKind::kBlack, static_cast<int>(b), count);
+    if (mean.status().code() == StatusCode::kNotFound) break;
+    if (!mean.ok() || !calibration_) return mean;
+    return QuietDarkFrame(*mean, count, calibration_->camera);
+  }
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanBlack(projector));
+  const auto level = static_cast<float>(calibration_ ? calibration_->camera.black_level_dn : 0.0);
+  for (float& v : mean.pixels()) v = level + (v - level) * static_cast<float>(factor);
+  return mean;
+}
+
 Result<Image<float>> SessionFrames::MeanWhite(int projector, int& count) const {
-  return MeanOf(projector, PatternKind::kWhite, count);
+  return MeanOf(projector, PatternKind::kWhite, 0, count);
 }
 
 std::string SessionFrames::ContentHash() const {

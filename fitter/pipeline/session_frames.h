@@ -27,15 +27,19 @@ class SessionFrames {
   [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
   [[nodiscard]] std::vector<int> poses() const;
 
-  // The last good shot (a failed level check does not count) of a pattern; nullptr when there is none.
-  [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern,
-                                         int pose = -1) const;
+  // The last good shot (a failed level check does not count) of a pattern in exposure bracket `bracket` (0: nominal);
+  // nullptr when there is none.
+  [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
+                                         int bracket = 0) const;
   // As Find, then decoded pixels; kNotFound names projector, phase and pattern.
-  [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern,
-                                             int pose = -1) const;
+  [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
+                                             int bracket = 0) const;
   // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
   // black.
   [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
+  // The same for frames of another exposure, `factor` times the nominal one: of black frames that were captured so
+  // (reference brackets), else the nominal ones with their light scaled.
+  [[nodiscard]] Result<Image<float>> MeanBlack(int projector, double factor) const;
   // Mean of the projector's white frames (reference and motion checks), raw; NaN where a site was saturated. `count`
   // receives their number.
   [[nodiscard]] Result<Image<float>> MeanWhite(int projector, int& count) const;
@@ -43,9 +47,9 @@ class SessionFrames {
   [[nodiscard]] std::string ContentHash() const;
 
  private:
-  [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int& count) const;
+  [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int bracket, int& count) const;
   SessionFrames(db::SessionStore store, db::SessionRow session);
-  static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose);
+  static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose, int bracket);
 
   db::SessionStore store_;
   db::SessionRow session_;

@@ -14,6 +14,7 @@ namespace stratalux::fit {
 struct StageTime {
   std::string name;
   double seconds = 0.0;
+  double cpu_seconds = 0.0;    // of all threads
   int64_t peak_rss_bytes = 0;  // of the whole process, up to the end of the stage
 };
 
@@ -29,6 +30,7 @@ class StageClock {
   Logger& logger_;
   std::string name_;
   std::chrono::steady_clock::time_point start_;
+  double cpu_start_ = 0.0;
   std::vector<StageTime> stages_;
 };
 

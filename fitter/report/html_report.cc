@@ -22,12 +22,19 @@ p{margin:.2rem 0 .8rem;color:var(--soft);max-width:75ch}
 .row{display:flex;flex-wrap:wrap;gap:.8rem}figure{margin:0;background:var(--card);border:1px solid var(--line);border-radius:6px;padding:.4rem}
 figure img{display:block;width:270px;image-rendering:auto;border-radius:3px}figcaption{font-size:.82rem;color:var(--soft);padding:.3rem .2rem 0;max-width:270px}
 figure.plot figcaption{max-width:540px}svg text{fill:var(--soft);font:11px system-ui,sans-serif}
+.bar{display:flex;gap:.4rem;align-items:center;font-size:.78rem;color:var(--soft);padding:.3rem .2rem 0;width:266px}.bar i{flex:1;height:8px;border-radius:2px;background:linear-gradient(%SCALE%)}
 table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.88rem}
 th,td{padding:.22rem .7rem;text-align:right;border-bottom:1px solid var(--line)}th:first-child,td:first-child{text-align:left}
 th{color:var(--soft);font-weight:600}caption{text-align:left;color:var(--soft);padding:.3rem 0}
 )";
 constexpr std::array<const char*, 8> kColours = {"#3b6fd4", "#d1602c", "#2b9a66", "#8a55c9",
                                                  "#c23b6b", "#7a7f2a", "#1f9db3", "#8c8c8c"};
+
+std::string Style() {
+  const std::string mark = "%SCALE%";
+  std::string style = kStyle;
+  return style.replace(style.find(mark), mark.size(), ColourScaleCss());
+}
 
 std::string Escape(const std::string& text) {
   std::string out;
@@ -171,6 +178,12 @@ std::string PlotSvg(const ReportPlot& plot) {
          "</text><text x='60' y='10'>" + Escape(plot.y_label) + "</text></svg>";
 }
 
+std::string ColourBar(const ReportImage& image) {
+  if (image.bar_low.empty()) return "";
+  return "<div class='bar'><span>" + Escape(image.bar_low) + "</span><i></i><span>" + Escape(image.bar_high) +
+         "</span></div>";
+}
+
 std::string TableHtml(const ReportTable& table) {
   std::string html = "<table><caption>" + Escape(table.caption) + "</caption><thead><tr>";
   for (const std::string& cell : table.header) html += "<th>" + Escape(cell) + "</th>";
@@ -189,7 +202,7 @@ Result<std::string> RenderHtml(const Report& report) {
   std::string html =
       "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><meta name='viewport' content='width=device-width'>"
       "<title>" +
-      Escape(report.title) + "</title><style>" + kStyle + "</style></head><body><main>\n<h1>" + Escape(report.title) +
+      Escape(report.title) + "</title><style>" + Style() + "</style></head><body><main>\n<h1>" + Escape(report.title) +
       "</h1><p>" + Escape(report.subtitle) + "</p>\n";
   for (const ReportSection& section : report.sections) {
     html += "<h2>" + Escape(section.title) + "</h2>\n";
@@ -197,8 +210,8 @@ Result<std::string> RenderHtml(const Report& report) {
     html += "<div class='row'>";
     for (const ReportImage& image : section.images) {
       SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(image.pixels));
-      html += "<figure><img alt=\"" + Escape(image.caption) + "\" src='data:image/png;base64," + Base64(png) +
-              "'><figcaption>" + Escape(image.caption) + "</figcaption></figure>\n";
+      html += "<figure><img alt=\"" + Escape(image.caption) + "\" src='data:image/png;base64," + Base64(png) + "'>" +
+              ColourBar(image) + "<figcaption>" + Escape(image.caption) + "</figcaption></figure>\n";
     }
     for (const ReportPlot& plot : section.plots)
       html +=

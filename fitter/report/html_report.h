@@ -13,6 +13,8 @@ namespace stratalux::fit {
 struct ReportImage {
   std::string caption;
   Image<uint8_t> pixels;  // 1 or 3 channels
+  // Values at the ends of a bar of ToColourScale's colours; empty: no bar.
+  std::string bar_low = {}, bar_high = {};
 };
 
 struct ReportSeries {
@@ -50,6 +52,8 @@ struct Report {
 [[nodiscard]] Image<uint8_t> ToSrgb(ImageView<const float> linear, double white);
 // Scalar map through a perceptual colour scale between low and high; NaN is dark grey.
 [[nodiscard]] Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high);
+// The scale's colours from low to high, as arguments of a CSS linear-gradient.
+[[nodiscard]] std::string ColourScaleCss();
 // Unit normals (camera frame) as colours: x right red, y up green, towards the viewer blue.
 [[nodiscard]] Image<uint8_t> NormalColours(ImageView<const float> normals);
 // The value below which the share `fraction` of the finite values lies; 0 when there are none.

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
 
 #include "fitter/report/html_report.h"
 
@@ -42,6 +43,16 @@ Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high
         out(x, y, c) = static_cast<uint8_t>(std::lround((1 - f) * kScale[i][c] + f * kScale[i + 1][c]));
     }
   return out;
+}
+
+std::string ColourScaleCss() {
+  std::string css = "to right";
+  for (const auto& rgb : kScale) {
+    char text[48];
+    std::snprintf(text, sizeof text, ",rgb(%d,%d,%d)", int(rgb[0]), int(rgb[1]), int(rgb[2]));
+    css += text;
+  }
+  return css;
 }
 
 Image<uint8_t> NormalColours(ImageView<const float> normals) {

@@ -1,16 +1,50 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/srd/srd_extractor.h"
 
+#include <algorithm>
 #include <cmath>
+#include <string_view>
 
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
+namespace {
+
+constexpr std::array<const char*, 2> kReadings = {"gather", "scatter"};
+constexpr std::array<const char*, 2> kDistances = {"tangent", "surface"};
+
+template <typename Name>
+Result<Name> ParseName(const std::array<const char*, 2>& names, const std::string& text, const std::string& what) {
+  for (size_t i = 0; i < names.size(); ++i)
+    if (text == names[i]) return static_cast<Name>(i);
+  return Status::Usage(what + " '" + text + "' is unknown; allowed: " + names[0] + ", " + names[1]);
+}
+
+// Quads of `lit`, pool x pool at a time: lit where all are.
+Image<uint8_t> PoolLit(ImageView<const uint8_t> lit, int pool) {
+  Image<uint8_t> pooled(lit.width() / pool, lit.height() / pool, 1, 1);
+  for (int y = 0; y < pooled.height() * pool; ++y)
+    for (int x = 0; x < pooled.width() * pool; ++x)
+      if (lit(x, y) == 0) pooled(x / pool, y / pool) = 0;
+  return pooled;
+}
+
+}  // namespace
 
 const char* ToString(SrdReason reason) {
-  constexpr const char* kNames[] = {"valid", "no surface", "unlit", "grazing", "saturated", "too dark"};
+  constexpr const char* kNames[] = {"valid",     "no surface", "unlit", "grazing",
+                                    "saturated", "too dark",   "moved", "cut off"};
   return kNames[static_cast<int>(reason)];
+}
+
+const char* ToString(SrdReading reading) { return kReadings[static_cast<size_t>(reading)]; }
+const char* ToString(SrdDistance distance) { return kDistances[static_cast<size_t>(distance)]; }
+Result<SrdReading> ParseSrdReading(const std::string& text) {
+  return ParseName<SrdReading>(kReadings, text, "reading");
+}
+Result<SrdDistance> ParseSrdDistance(const std::string& text) {
+  return ParseName<SrdDistance>(kDistances, text, "distance");
 }
 
 Status CombCycle::Validate() const {
@@ -24,6 +58,9 @@ Status CombCycle::Validate() const {
 Status SrdOptions::Validate() const {
   if (pool < 1 || pool > 16) return Status::Usage("srd: pool = " + std::to_string(pool) + ", allowed: 1 .. 16");
   if (!(min_cos > 0.0 && min_cos < 1.0)) return Status::Usage("srd: min_cos must lie between 0 and 1");
+  if (!(energy_tolerance > 0.0)) return Status::Usage("srd: energy_tolerance must be positive");
+  if (reading == SrdReading::kScatter && distance == SrdDistance::kSurface)
+    return Status::Usage("srd: the scatter reading measures distances on the tangent plane only");
   return Status::Ok();
 }
 
@@ -35,14 +72,25 @@ SrdExtractor::SrdExtractor(const SurfaceMap& surface, ImageView<const uint8_t> l
       options_(options),
       width_(surface.width() / options.pool),
       height_(surface.height() / options.pool),
-      channels_(QuadChannels(rig.camera.cfa)) {
-  Prepare(surface, lit);
+      channels_(QuadChannels(rig.camera.cfa)),
+      surface_(PoolSurface(surface, options.pool)),
+      lit_(PoolLit(lit, options.pool)),
+      seen_(static_cast<size_t>(cycle.frames()), 0) {
+  Prepare();
+  if (options_.distance == SrdDistance::kSurface) MeasureAlongSurface();
 }
 
-void SrdExtractor::Prepare(const SurfaceMap& surface, ImageView<const uint8_t> lit) {
+Eigen::Vector2d SrdExtractor::PixelCentre(int x, int y) const {
+  const int step = QuadStep(rig_.camera.cfa) * options_.pool;
+  return {step * x + (step - 1) * 0.5, step * y + (step - 1) * 0.5};
+}
+
+void SrdExtractor::Prepare() {
   const int64_t profiles = int64_t{width_} * height_ * channels_;
-  batch_.samples = cycle_.frames();
-  batch_.wrapped = true;
+  const bool scatter = options_.reading == SrdReading::kScatter;
+  // Scatter: half a period, so that the neighbouring lines, a whole period off, light none of it.
+  batch_.samples = scatter ? cycle_.frames() / 4 * 2 + 1 : cycle_.frames();
+  batch_.wrapped = !scatter;
   batch_.y.assign(profiles * batch_.samples, 0.0F);
   batch_.variance.assign(profiles * batch_.samples, 1.0F);
   for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
@@ -50,41 +98,32 @@ void SrdExtractor::Prepare(const SurfaceMap& surface, ImageView<const uint8_t> l
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);
+  if (scatter) along_.assign(profiles, Eigen::Vector3f::Zero());
+  if (scatter || options_.distance == SrdDistance::kSurface) column_.assign(profiles, 0.0F);
   batch_.valid.assign(profiles, 0);
   reason_.assign(profiles, static_cast<uint8_t>(SrdReason::kNoSurface));
 
-  const SurfaceMap pooled = PoolSurface(surface, options_.pool);
   ParallelFor(height_, 4, [&](int64_t begin, int64_t end) {
     for (int y = static_cast<int>(begin); y < end; ++y)
       for (int x = 0; x < width_; ++x) {
-        if (pooled.mask(x, y) == 0) continue;
-        bool all_lit = true;
-        for (int j = y * options_.pool; j < (y + 1) * options_.pool; ++j)
-          for (int i = x * options_.pool; i < (x + 1) * options_.pool; ++i) all_lit = all_lit && lit(i, j) != 0;
+        if (surface_.mask(x, y) == 0) continue;
         const int64_t first = (int64_t{y} * width_ + x) * channels_;
-        const int step = QuadStep(rig_.camera.cfa) * options_.pool;
-        const Eigen::Vector2d pixel(step * x + (step - 1) * 0.5, step * y + (step - 1) * 0.5);
         for (int c = 0; c < channels_; ++c) {
-          if (!all_lit) {
-            reason_[first + c] = static_cast<uint8_t>(SrdReason::kUnlit);
+          if (lit_(x, y) == 0) {
+            Reject(first + c, SrdReason::kUnlit);
             continue;
           }
-          PrepareProfile(first + c, ComputeSrdGeometry(rig_, projector_, pooled.Point(x, y), pooled.Normal(x, y), pixel,
-                                                       options_.pool, c, cycle_.exposure_ms));
+          PrepareProfile(first + c,
+                         ComputeSrdGeometry(rig_, projector_, surface_.Point(x, y), surface_.Normal(x, y),
+                                            PixelCentre(x, y), options_.pool, c, cycle_.exposure_ms, cycle_.axis));
         }
       }
   });
 }
 
 void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
-  if (g.cos_in < options_.min_cos || g.cos_out < options_.min_cos) {
-    reason_[profile] = static_cast<uint8_t>(SrdReason::kGrazing);
-    return;
-  }
-  if (!(g.white_dn > 0.0) || !(g.mm_per_column > 0.0)) {
-    reason_[profile] = static_cast<uint8_t>(SrdReason::kUnlit);
-    return;
-  }
+  if (g.cos_in < options_.min_cos || g.cos_out < options_.min_cos) return Reject(profile, SrdReason::kGrazing);
+  if (!(g.white_dn > 0.0) || !(g.mm_per_column > 0.0)) return Reject(profile, SrdReason::kUnlit);
   // Line k has its centre at column (width - 1) / 2 + k step, modulo the period; u_0 is the nearest of its copies.
   const double offset = std::remainder((cycle_.width - 1) * 0.5 - g.column, cycle_.period);
   batch_.first_u_mm[profile] = static_cast<float>(offset * g.mm_per_column);
@@ -99,94 +138,74 @@ void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
   batch_.cos_in[profile] = static_cast<float>(g.cos_in);
   batch_.cos_out[profile] = static_cast<float>(g.cos_out);
   white_dn_[profile] = static_cast<float>(g.white_dn);
-  reason_[profile] = static_cast<uint8_t>(SrdReason::kValid);
+  if (!column_.empty()) column_[profile] = static_cast<float>(g.column);
+  if (!along_.empty()) {
+    along_[profile] = g.across_line.cast<float>();
+    // The line nearest to the pixel; samples on both sides of it.
+    const double nearest = std::remainder((cycle_.width - 1) * 0.5 - g.column, cycle_.step);
+    batch_.first_u_mm[profile] = static_cast<float>((nearest - batch_.samples / 2 * cycle_.step) * g.mm_per_column);
+  }
+  Reject(profile, SrdReason::kValid);
 }
 
-void SrdExtractor::AddFrame(int k, ImageView<const uint16_t> raw, ImageView<const float> dark_dn) {
-  SLX_CHECK(k >= 0 && k < batch_.samples);
-  const CameraCalibration& camera = rig_.camera;
-  const int block = QuadStep(camera.cfa) * options_.pool;
-  const double read2 = camera.read_noise_dn * camera.read_noise_dn;
-  ParallelFor(height_, 16, [&](int64_t begin, int64_t end) {
-    for (int y = static_cast<int>(begin); y < end; ++y)
-      for (int x = 0; x < width_; ++x) {
-        const int64_t first = (int64_t{y} * width_ + x) * channels_;
-        double sum[3] = {}, level[3] = {};
-        int count[3] = {};
-        bool saturated = false;
-        for (int j = y * block; j < (y + 1) * block; ++j)
-          for (int i = x * block; i < (x + 1) * block; ++i) {
-            const int c = CfaColour(camera.cfa, i, j);
-            sum[c] += raw(i, j) - dark_dn(i, j);
-            level[c] += raw(i, j) - camera.black_level_dn;
-            ++count[c];
-            saturated = saturated || raw(i, j) >= camera.saturation_dn;
-          }
-        for (int c = 0; c < channels_; ++c) {
-          const int64_t profile = first + c;
-          if (reason_[profile] != static_cast<uint8_t>(SrdReason::kValid)) continue;
-          if (saturated) {
-            reason_[profile] = static_cast<uint8_t>(SrdReason::kSaturated);
-            continue;
-          }
-          const double scale = 1.0 / (static_cast<double>(count[c]) * white_dn_[profile]);
-          batch_.y[profile * batch_.samples + k] = static_cast<float>(sum[c] * scale);
-          // Shot noise of the light that arrived and read noise, both of the mean over `count` sites.
-          const double variance = std::max(level[c], 0.0) / camera.gain_e_per_dn + count[c] * read2;
-          batch_.variance[profile * batch_.samples + k] = static_cast<float>(std::max(variance, 1e-6) * scale * scale);
-        }
-      }
-  });
-}
-
-void SrdExtractor::SetWhite(ImageView<const float> mean_dn, int count, ImageView<const float> dark_dn) {
-  const CameraCalibration& camera = rig_.camera;
-  const int block = QuadStep(camera.cfa) * options_.pool;
-  const double read2 = camera.read_noise_dn * camera.read_noise_dn;
-  // Every column is lit width / step times in a cycle.
-  const double cycle = static_cast<double>(cycle_.width) / cycle_.step;
-  batch_.white.assign(batch_.valid.size(), 0.0F);
-  batch_.white_variance.assign(batch_.valid.size(), 0.0F);
-  ParallelFor(height_, 16, [&](int64_t begin, int64_t end) {
-    for (int y = static_cast<int>(begin); y < end; ++y)
-      for (int x = 0; x < width_; ++x) {
-        const int64_t first = (int64_t{y} * width_ + x) * channels_;
-        double sum[3] = {}, level[3] = {};
-        int sites[3] = {};
-        for (int j = y * block; j < (y + 1) * block; ++j)
-          for (int i = x * block; i < (x + 1) * block; ++i) {
-            const int c = CfaColour(camera.cfa, i, j);
-            sum[c] += mean_dn(i, j) - dark_dn(i, j);
-            level[c] += mean_dn(i, j) - camera.black_level_dn;
-            ++sites[c];
-          }
-        for (int c = 0; c < channels_; ++c) {
-          const int64_t profile = first + c;
-          if (reason_[profile] != static_cast<uint8_t>(SrdReason::kValid) || !std::isfinite(sum[c])) continue;
-          const double scale = cycle / (static_cast<double>(sites[c]) * white_dn_[profile]);
-          batch_.white[profile] = static_cast<float>(sum[c] * scale);
-          const double variance = (std::max(level[c], 0.0) / camera.gain_e_per_dn + sites[c] * read2) / count;
-          batch_.white_variance[profile] = static_cast<float>(std::max(variance, 1e-6) * scale * scale);
-        }
-      }
-  });
+void SrdExtractor::AddFrames(std::span<const CombFrame> frames) {
+  for (const CombFrame& frame : frames) {
+    SLX_CHECK(frame.k >= 0 && frame.k < cycle_.frames() && !frame.shots.empty());
+    seen_[frame.k] = 1;
+  }
+  if (options_.reading == SrdReading::kGather) return Gather(frames);
+  for (const CombFrame& frame : frames) Scatter(frame);
 }
 
 SrdBatch SrdExtractor::Take() {
+  if (options_.reading == SrdReading::kGather) {
+    FillMissingFrame();
+    CheckEnergy();
+    if (options_.distance == SrdDistance::kSurface) ResampleAlongSurface();
+  }
+  RejectTooDark();
   for (int64_t i = 0; i < batch_.profiles(); ++i) {
-    if (reason_[i] == static_cast<uint8_t>(SrdReason::kValid)) {
+    batch_.valid[i] = Valid(i) ? 1 : 0;
+    ++counts_[reason_[i]];
+  }
+  return std::move(batch_);
+}
+
+void SrdExtractor::FillMissingFrame() {
+  const auto missing = std::find(seen_.begin(), seen_.end(), 0);
+  if (missing == seen_.end()) return;
+  SLX_CHECK(std::count(seen_.begin(), seen_.end(), 0) == 1 && !batch_.white.empty());
+  const int samples = batch_.samples, k = static_cast<int>(missing - seen_.begin());
+  ParallelFor(batch_.profiles(), 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (!Valid(i)) continue;
+      if (!(batch_.white_variance[i] > 0.0F)) {
+        Reject(i, SrdReason::kSaturated);
+        continue;
+      }
+      float* y = batch_.y.data() + i * samples;
+      float* variance = batch_.variance.data() + i * samples;
+      double others = 0.0;
+      for (int j = 0; j < samples; ++j) others += j == k ? 0.0 : y[j];
+      y[k] = static_cast<float>(batch_.white[i] - others);
+      // As if measured: EM knows one noise model a profile, and this sample must not decide it.
+      variance[k] = 0.5F * (variance[(k + 1) % samples] + variance[(k + samples - 1) % samples]);
+    }
+  });
+}
+
+void SrdExtractor::RejectTooDark() {
+  ParallelFor(batch_.profiles(), 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (!Valid(i)) continue;
       double sum = 0.0, variance = 0.0;
       for (int k = 0; k < batch_.samples; ++k) {
         sum += batch_.y[i * batch_.samples + k];
         variance += batch_.variance[i * batch_.samples + k];
       }
-      if (!(sum > options_.min_signal_to_noise * std::sqrt(variance)))
-        reason_[i] = static_cast<uint8_t>(SrdReason::kTooDark);
+      if (!(sum > options_.min_signal_to_noise * std::sqrt(variance))) Reject(i, SrdReason::kTooDark);
     }
-    batch_.valid[i] = reason_[i] == static_cast<uint8_t>(SrdReason::kValid) ? 1 : 0;
-    ++counts_[reason_[i]];
-  }
-  return std::move(batch_);
+  });
 }
 
 }  // namespace stratalux::fit

@@ -17,9 +17,9 @@ Eigen::Vector3d OnPlane(const Pinhole& camera, const Eigen::Vector2d& pixel, con
   return ray * (normal.dot(point) / along);
 }
 
-// Gradient of the projector's column in the tangent plane, columns per mm, as a 3-vector.
+// Gradient of the projector's column (axis 0) or row (1) in the tangent plane, per mm, as a 3-vector.
 Eigen::Vector3d ColumnGradient(const ProjectorCalibration& projector, const Eigen::Vector3d& point,
-                               const Eigen::Vector3d& normal) {
+                               const Eigen::Vector3d& normal, int axis_of_comb) {
   constexpr double kStepMm = 0.05;
   const Eigen::Vector3d a = normal.unitOrthogonal();
   const Eigen::Vector3d b = normal.cross(a);
@@ -28,7 +28,7 @@ Eigen::Vector3d ColumnGradient(const ProjectorCalibration& projector, const Eige
     const auto plus = projector.ProjectFromCamera(point + kStepMm * axis);
     const auto minus = projector.ProjectFromCamera(point - kStepMm * axis);
     if (!plus || !minus) return Eigen::Vector3d::Zero();
-    gradient += (plus->x() - minus->x()) / (2.0 * kStepMm) * axis;
+    gradient += ((*plus)[axis_of_comb] - (*minus)[axis_of_comb]) / (2.0 * kStepMm) * axis;
   }
   return gradient;
 }
@@ -37,9 +37,10 @@ Eigen::Vector3d ColumnGradient(const ProjectorCalibration& projector, const Eige
 
 SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const Eigen::Vector3d& point,
                                const Eigen::Vector3d& normal, const Eigen::Vector2d& pixel, int pool, int channel,
-                               double exposure_ms) {
+                               double exposure_ms, PatternAxis axis) {
   const ProjectorCalibration& light = rig.projectors[projector];
   const Cfa cfa = rig.camera.cfa;
+  const int k = axis == PatternAxis::kColumns ? 0 : 1;
   SrdGeometry g;
   const Eigen::Vector3d omega_in = (light.CentreInCamera() - point).normalized();
   const Eigen::Vector3d omega_out = -point.normalized();
@@ -53,11 +54,12 @@ SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const E
   const auto c = light.ProjectFromCamera(at_site);
   const auto c_x = light.ProjectFromCamera(OnPlane(rig.camera.model, site + Eigen::Vector2d(1, 0), point, normal));
   const auto c_y = light.ProjectFromCamera(OnPlane(rig.camera.model, site + Eigen::Vector2d(0, 1), point, normal));
-  const Eigen::Vector3d gradient = ColumnGradient(light, at_site, normal);
+  const Eigen::Vector3d gradient = ColumnGradient(light, at_site, normal, k);
   if (!c || !c_x || !c_y || !(gradient.norm() > 1e-6)) return g;
-  g.column = c->x();
+  g.column = (*c)[k];
   g.mm_per_column = 1.0 / gradient.norm();
   const Eigen::Vector3d e = gradient * g.mm_per_column;
+  g.across_line = e;
   const Eigen::Vector3d across = normal.cross(e);
 
   // t(omega) = omega / (n . omega) - n is tangential, so t . e = omega . e / (n . omega).
@@ -68,8 +70,8 @@ SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const E
 
   // Blur in columns^2: the projector's, and through dC/dx, dC/dy the camera's, its pixel box (1/12) and the centres of
   // the pooled quads.
-  const double dx = c_x->x() - c->x();
-  const double dy = c_y->x() - c->x();
+  const double dx = (*c_x)[k] - (*c)[k];
+  const double dy = (*c_y)[k] - (*c)[k];
   const int step = QuadStep(cfa);
   const double per_axis =
       rig.camera.line_blur_px * rig.camera.line_blur_px + 1.0 / 12.0 + step * step * (pool * pool - 1) / 12.0;

@@ -7,43 +7,10 @@
 
 #include "shared/base/random.h"
 #include "shared/geometry/quad.h"
+#include "tests/fitter/srd/plane_scene.h"
 
 namespace stratalux::fit {
 namespace {
-
-constexpr int kWidth = 96, kHeight = 64;
-
-RigCalibration SmallRig() {
-  RigCalibration rig;
-  rig.camera.model = {kWidth, kHeight, 1600, 1600, (kWidth - 1) / 2.0, (kHeight - 1) / 2.0, {}};
-  rig.camera.black_level_dn = 64;
-  rig.camera.gain_e_per_dn = 4;
-  rig.camera.read_noise_dn = 3;
-  ProjectorCalibration p;
-  p.name = "left";
-  p.model = {1024, 768, 2690, 2690, 511, 384, {}};
-  p.camera_from_projector = LookAt({-350, -40, 0}, {0, 0, 700});
-  p.white_dn_mm2_per_ms = {1.1e8, 1.2e8, 1.0e8};
-  rig.projectors.push_back(p);
-  return rig;
-}
-
-// A plane z = 700 + slope x, seen by every quad.
-SurfaceMap Plane(const RigCalibration& rig, double slope) {
-  const int w = kWidth / 2, h = kHeight / 2;
-  SurfaceMap s{Image<float>(w, h, 3), Image<float>(w, h, 3), Image<float>(w, h, 1, 0.1F), Image<uint8_t>(w, h, 1, 1)};
-  const Eigen::Vector3d n = Eigen::Vector3d(slope, 0, -1).normalized();
-  for (int j = 0; j < h; ++j)
-    for (int i = 0; i < w; ++i) {
-      const Eigen::Vector3d ray = rig.camera.model.Unproject(QuadCentre(Cfa::kRggb, i, j));
-      const Eigen::Vector3d x = ray * (n.dot(Eigen::Vector3d(0, 0, 700)) / n.dot(ray));
-      for (int k = 0; k < 3; ++k) {
-        s.point_mm(i, j, k) = static_cast<float>(x[k]);
-        s.normal(i, j, k) = static_cast<float>(n[k]);
-      }
-    }
-  return s;
-}
 
 // Frames of a Lambertian plane of reflectance `albedo` per channel whose response is a box `blur_columns` wide on top
 // of the comb's own lines, at each mosaic site's own column. `sample` -> the light fraction that the site sees.
@@ -77,7 +44,7 @@ SrdBatch Extract(const RigCalibration& rig, const SurfaceMap& s, const CombCycle
   for (int k = 0; k < cycle.frames(); ++k) {
     Image<uint16_t> frame = OpaqueFrame(rig, s, cycle, k, 6.0, {0.6, 0.4, 0.3});
     if (flash != 0 && k == 5) frame(10, 10) = flash;
-    extractor.AddFrame(k, frame, dark);
+    extractor.AddFrames(std::vector<CombFrame>{{k, {{frame, dark, cycle.exposure_ms}}}});
   }
   SrdBatch batch = extractor.Take();
   if (counts != nullptr) *counts = extractor.counts();

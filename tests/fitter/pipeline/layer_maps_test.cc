@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/layer_maps.h"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "fitter/pipeline/exr_file.h"
+#include "fitter/pipeline/layer_pictures.h"
+#include "fitter/report/html_report.h"
+
+namespace stratalux::fit {
+namespace {
+
+// 6 x 4 pixels, 3 colours, two layers; depths and widths rise with x.
+MixtureMap SmallMap() {
+  MixtureMap map;
+  map.width = 6;
+  map.height = 4;
+  map.channels = 3;
+  map.layers = 2;
+  map.training_projectors = {0, 1};
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    const auto x = static_cast<float>(i / 3 % 6);
+    map.weight.insert(map.weight.end(), {0.3F, 0.1F});
+    map.depth_mm.insert(map.depth_mm.end(), {0.1F * x, 0.1F * x + 1.0F});
+    map.sigma_mm.insert(map.sigma_mm.end(), {1.0F + 0.1F * x, 3.0F});
+  }
+  const size_t profiles = static_cast<size_t>(map.profiles());
+  map.surface.assign(2 * profiles, 0.0F);
+  map.background.assign(2 * profiles, 0.0F);
+  map.divergence.assign(profiles, 0.01F);
+  map.iterations.assign(profiles, 4);
+  map.reason.assign(profiles, static_cast<uint8_t>(FitReason::kFitted));
+  map.reason[0] = static_cast<uint8_t>(FitReason::kTooDark);
+  map.reason[4] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
+  return map;
+}
+
+TEST(LayerMaps, SumUpEachPixelsLayers) {
+  const MixtureMap map = SmallMap();
+  const LayerMaps maps = SummariseLayers(map);
+  EXPECT_TRUE(std::isnan(maps.total_weight(0, 0, 0)));  // too dark
+  EXPECT_NEAR(maps.total_weight(3, 2, 1), 0.4, 1e-6);
+  EXPECT_NEAR(maps.absorption(3, 2, 1), 0.6, 1e-6);
+  EXPECT_NEAR(maps.mean_depth_mm(3, 2, 1), 0.3 + 0.25, 1e-6);
+  EXPECT_NEAR(maps.effective_width_mm(3, 2, 1), std::sqrt((0.3 * 1.69 + 0.1 * 9.0) / 0.4), 1e-6);
+  // Light along the view tells nothing of depth, but of weight and width.
+  EXPECT_TRUE(std::isnan(maps.mean_depth_mm(1, 0, 1)));
+  EXPECT_NEAR(maps.total_weight(1, 0, 1), 0.4, 1e-6);
+}
+
+TEST(LayerMaps, BandsHoldAThirdOfTheLightEachAndAddUpToTheTotal) {
+  const MixtureMap map = SmallMap();
+  const LayerMaps maps = SummariseLayers(map);
+  double band[3] = {}, total = 0.0;
+  for (size_t i = 0; i < maps.shallow.size(); ++i) {
+    if (std::isnan(maps.shallow.pixels()[i])) continue;
+    EXPECT_NEAR(maps.shallow.pixels()[i] + maps.middle.pixels()[i] + maps.deep.pixels()[i],
+                maps.total_weight.pixels()[i], 1e-6);
+    band[0] += maps.shallow.pixels()[i];
+    band[1] += maps.middle.pixels()[i];
+    band[2] += maps.deep.pixels()[i];
+    total += maps.total_weight.pixels()[i];
+  }
+  for (double b : band) EXPECT_NEAR(b / total, 1.0 / 3.0, 0.13);  // layers of equal width cannot be parted
+  EXPECT_LT(maps.bands.shallow_mm, maps.bands.deep_mm);
+}
+
+TEST(LayerMaps, AreWrittenAsExrAndShownWithColourBars) {
+  const MixtureMap map = SmallMap();
+  const LayerMaps maps = SummariseLayers(map);
+  const auto folder = std::filesystem::temp_directory_path() / "stratalux_layer_maps_test";
+  std::filesystem::create_directories(folder);
+  ASSERT_TRUE(WriteLayerMaps(folder, maps).ok());
+  const auto depth = ReadExr(folder / "mean_depth_mm.exr", {"R", "G", "B"});
+  ASSERT_TRUE(depth.ok());
+  EXPECT_EQ((*depth)(3, 2, 1), maps.mean_depth_mm(3, 2, 1));
+  const auto bands = ReadExr(folder / "depth_bands.exr", {"shallow.B", "middle.B", "deep.B"});
+  ASSERT_TRUE(bands.ok());
+  EXPECT_EQ((*bands)(5, 1, 2), maps.deep(5, 1, 2));
+  std::filesystem::remove_all(folder);
+  const ReportSection section = LayerPictures(map, maps, Image<float>(6, 4, 3, 80.0F));
+  EXPECT_GE(section.images.size(), 9U);
+  const auto html = RenderHtml({"t", "s", {section}});
+  ASSERT_TRUE(html.ok());
+  EXPECT_NE(html->find("class='bar'"), std::string::npos);
+  EXPECT_EQ(html->find("%SCALE%"), std::string::npos);
+  EXPECT_EQ(html->find("nan"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
