@@ -27,6 +27,7 @@ struct Flags {
   std::vector<std::string> sessions;
   BoardStageOptions stage;
   int last = 0;
+  double valid_days = kCalibrationValidDays;
   bool json = false;
 };
 
@@ -75,13 +76,26 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
   SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
   std::vector<std::string> chosen;
   for (const db::SessionRow& row : rows)
-    if (row.info.kind == SessionKind::kCalibration && static_cast<int>(chosen.size()) < f.last)
+    if (row.info.kind == SessionKind::kCalibration && row.info.status != SessionStatus::kFailed &&
+        static_cast<int>(chosen.size()) < f.last)
       chosen.push_back(row.info.id);
   if (static_cast<int>(chosen.size()) < f.last)
     return Status::NotFound("--last " + std::to_string(f.last) + ": the store has " + std::to_string(chosen.size()) +
                             " sessions of kind calibration");
   std::reverse(chosen.begin(), chosen.end());
   return chosen;
+}
+
+// Made when the newest of its sessions was captured: calibrating the same captures again makes nothing newer.
+Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, RigCalibration& record) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
+  for (const std::string& id : sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(id));
+    const WallNs ended = row.info.finished_wall.ns != 0 ? row.info.finished_wall : row.info.started_wall;
+    record.made_wall = std::max(record.made_wall, ended);
+  }
+  record.valid_until_wall.ns = record.made_wall.ns + static_cast<int64_t>(f.valid_days * 86400e9);
+  return Status::Ok();
 }
 
 Status WriteText(const std::filesystem::path& file, const std::string& text) {
@@ -142,7 +156,9 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(const auto findings, Judge(f, boards, report));
   const std::string figures = ReportJson(report, findings, boards.left_out);
-  const RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  record.made_wall = {};
+  SLX_RETURN_IF_ERROR(StampValidity(f, boards.sessions, record));
   std::string text = ReportText(report, findings);
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(figures);
   if (!IsRefused(findings)) {
@@ -191,6 +207,9 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
                    "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
   verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
   verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
+  verb->add_option("--valid-days", flags->valid_days, "Days after its captures from which on sessions warn of its age")
+      ->check(CLI::Range(0.01, 36500.0))
+      ->capture_default_str();
   verb->add_option("--out", flags->out, "Write the record here, too");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
