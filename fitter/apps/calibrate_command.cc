@@ -176,6 +176,7 @@ Result<int> Conclude(const Flags& f, const std::vector<std::string>& sessions, R
 struct SessionsByUse {
   std::vector<std::string> boards, light;
   std::optional<RigCalibration> record;  // of the newest light session
+  Cfa cfa = Cfa::kRggb;                  // of the frames
 };
 
 Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& sessions) {
@@ -183,6 +184,7 @@ Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& 
   for (const std::string& selector : sessions) {
     SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, selector));
     const SessionKind kind = frames.info().kind;
+    if (!frames.rows().empty()) sorted.cfa = frames.rows().front().record.cfa;
     const bool light = kind == SessionKind::kDark || kind == SessionKind::kFlat || kind == SessionKind::kResponse;
     (light ? sorted.light : sorted.boards).push_back(frames.info().id);
     if (light && frames.record()) sorted.record = frames.record();
@@ -236,6 +238,7 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(auto findings, Judge(f, boards, report));
   RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  if (!boards.calibration) record.camera.cfa = by_use.cfa;
   record.made_wall = record.valid_until_wall = {};  // not those of the record before
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, findings, boards.left_out));
   std::string text = ReportText(report);
