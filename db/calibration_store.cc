@@ -29,14 +29,19 @@ Result<std::vector<CalibrationVersion>> Select(Connection& connection, const Rig
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return versions;
-    versions.push_back({select.Text(0), rig, static_cast<int>(select.Integer(1)), select.Text(2), select.Text(3),
-                        {select.Integer(4)}, {select.Integer(5)}, select.Text(6), select.Text(7)});
+    versions.push_back({select.Text(0),
+                        rig,
+                        static_cast<int>(select.Integer(1)),
+                        select.Text(2),
+                        select.Text(3),
+                        {select.Integer(4)},
+                        {select.Integer(5)},
+                        select.Text(6),
+                        select.Text(7)});
   }
 }
 
-std::string NameOf(const RigIdentity& rig) {
-  return (rig.simulated ? "simulated rig '" : "rig '") + rig.rig + "'";
-}
+std::string NameOf(const RigIdentity& rig) { return (rig.simulated ? "simulated rig '" : "rig '") + rig.rig + "'"; }
 
 }  // namespace
 
@@ -97,10 +102,10 @@ Status EnterCalibration(Connection& connection, int64_t session, const FitRow& f
                                   : made + static_cast<int64_t>(kCalibrationValidDays * 86400e9);
   select.Reset();
   const std::string id = CalibrationId(fit.calibration_json);
-  SLX_ASSIGN_OR_RETURN(
-      auto insert, connection.Prepare("INSERT INTO calibrations (id, record_json, rig, made_wall_ns)"
-                                      " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (id) DO UPDATE"
-                                      " SET rig = excluded.rig, made_wall_ns = excluded.made_wall_ns"));
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       connection.Prepare("INSERT INTO calibrations (id, record_json, rig, made_wall_ns)"
+                                          " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (id) DO UPDATE"
+                                          " SET rig = excluded.rig, made_wall_ns = excluded.made_wall_ns"));
   SLX_RETURN_IF_ERROR(insert.Bind(1, id).Bind(2, fit.calibration_json).Bind(3, rig).Bind(4, made).Run());
   SLX_ASSIGN_OR_RETURN(auto accept,
                        connection.Prepare("INSERT INTO accepted_calibrations VALUES (?1, ?2, ?3, ?4, ?5)"));
@@ -109,9 +114,9 @@ Status EnterCalibration(Connection& connection, int64_t session, const FitRow& f
 
 Result<std::vector<std::string>> CheckCalibrations(const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare(
-                                        "SELECT s.id, a.fit, a.calibration_id FROM accepted_calibrations a"
-                                        " JOIN sessions s ON s.number = a.session ORDER BY a.session, a.fit"));
+  SLX_ASSIGN_OR_RETURN(
+      auto select, index.connection().Prepare("SELECT s.id, a.fit, a.calibration_id FROM accepted_calibrations a"
+                                              " JOIN sessions s ON s.number = a.session ORDER BY a.session, a.fit"));
   std::vector<std::string> problems;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

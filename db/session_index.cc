@@ -165,8 +165,10 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
     SLX_ASSIGN_OR_RETURN(auto calibration,
                          connection_.Prepare("INSERT OR IGNORE INTO calibrations (id, record_json, rig)"
                                              " VALUES (?1, ?2, ?3)"));
-    SLX_RETURN_IF_ERROR(
-        calibration.Bind(1, CalibrationId(info.calibration_json)).Bind(2, info.calibration_json).Bind(3, info.rig).Run());
+    SLX_RETURN_IF_ERROR(calibration.Bind(1, CalibrationId(info.calibration_json))
+                            .Bind(2, info.calibration_json)
+                            .Bind(3, info.rig)
+                            .Run());
   }
   if (!info.visitor.empty()) {
     SLX_ASSIGN_OR_RETURN(auto visitor, connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));

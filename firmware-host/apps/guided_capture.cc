@@ -105,8 +105,7 @@ Result<bool> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptio
     for (const std::string& note : pose.notes) logger.Warning(name + ": " + note);
     if (pose.usable) {
       outcome.camera.Add(attempt.sighting.camera);
-      for (size_t p = 0; p < outcome.projectors.size(); ++p)
-        outcome.projectors[p].Add(attempt.sighting.projectors[p]);
+      for (size_t p = 0; p < outcome.projectors.size(); ++p) outcome.projectors[p].Add(attempt.sighting.projectors[p]);
       return true;
     }
     logger.Warning(name + " went wrong: " + Reasons(pose.capture));
@@ -176,8 +175,8 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
     } else {
       logger.Info(text);
     }
-    SLX_ASSIGN_OR_RETURN(const bool go_on, CaptureUntilUsable(options, series, ask, stop, logger,
-                                                              SlotOf(outcome, pose), outcome));
+    SLX_ASSIGN_OR_RETURN(const bool go_on,
+                         CaptureUntilUsable(options, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
     logger.Info(CoverageLine(outcome));
     if (!go_on) return outcome;
     ++pose;

@@ -70,8 +70,8 @@ Result<std::string> ChooseCalibration(const std::string& asked, const RigConfig&
     return Status::Usage("calibration 'exact': only a simulation knows itself exactly; use latest, an id or a file");
   if (simulation != nullptr && (asked.empty() || asked == "exact")) return simulation->ToJson();
   if (!asked.empty()) {
-    auto chosen = IsFile(asked) ? FromFile(asked, config, logger)
-                                : FromStore(asked, config, simulation != nullptr, logger);
+    auto chosen =
+        IsFile(asked) ? FromFile(asked, config, logger) : FromStore(asked, config, simulation != nullptr, logger);
     return chosen.ok() ? std::move(chosen) : chosen.status().WithContext("--calibration " + asked);
   }
   auto newest = FromStore("latest", config, false, logger);

@@ -338,9 +338,10 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
                    "scene")
       ->check(CLI::Range(0, 999));
   capture
-      ->add_option("--poses", flags.poses,
-                   "calibration: so many poses one after the other, from --pose on (default: 12; simulation: as many as "
-                   "the scene lists)")
+      ->add_option(
+          "--poses", flags.poses,
+          "calibration: so many poses one after the other, from --pose on (default: 12; simulation: as many as "
+          "the scene lists)")
       ->check(CLI::Range(1, 999));
   capture->add_flag("--yes", flags.yes, "calibration, dark, flat, response: do not wait for Enter before a capture");
   capture->add_option("--calibration", flags.calibration,

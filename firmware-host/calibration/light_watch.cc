@@ -99,10 +99,9 @@ void LightWatch::JudgeWhite(int projector, std::vector<CaptureFault>& faults) co
     faults.push_back({name + " lights nothing", "is the target there, the lens cap off, the projector on?", false});
     return;
   }
-  faults.push_back({"the white of " + name + " reaches only " + Text("%.0f", 100.0 * signal / range) +
-                        " % of the camera's range",
-                    "--exposure " + Text("%.3g", options_.exposure_ms * options_.wanted_white * range / signal) + now,
-                    false});
+  faults.push_back(
+      {"the white of " + name + " reaches only " + Text("%.0f", 100.0 * signal / range) + " % of the camera's range",
+       "--exposure " + Text("%.3g", options_.exposure_ms * options_.wanted_white * range / signal) + now, false});
 }
 
 std::vector<CaptureFault> LightWatch::Faults() const {

@@ -15,10 +15,10 @@ struct LightWatchOptions {
   int projectors = 4;
   double saturation_dn = 4095.0;
   double exposure_ms = 16.0;
-  double max_dark = 0.15;       // of the range: brighter than any black level
-  double max_structure = 0.01;  // of the range, between the darkest and the brightest parts of a dark picture
+  double max_dark = 0.15;        // of the range: brighter than any black level
+  double max_structure = 0.01;   // of the range, between the darkest and the brightest parts of a dark picture
   double max_saturated = 0.001;  // of a flat picture
-  double least_white = 0.25;    // of the range, of the bright half of a flat picture
+  double least_white = 0.25;     // of the range, of the bright half of a flat picture
   double wanted_white = 0.75;
 };
 

@@ -147,8 +147,9 @@ std::string WarningOf(const std::vector<ProjectorDrift>& projectors) {
     if (!drift.moved) continue;
     ++moved;
     who += (who.empty() ? "" : "; ") + std::string("the light of projector ") + std::to_string(drift.projector) +
-           " falls " + Number("%.1f", drift.shift_px) + " px from where the calibration says, as if it were turned by " +
-           Number("%.2f", drift.turned_deg) + " degrees";
+           " falls " + Number("%.1f", drift.shift_px) +
+           " px from where the calibration says, as if it were turned by " + Number("%.2f", drift.turned_deg) +
+           " degrees";
   }
   if (moved == 0) return "";
   if (moved > 1 && moved == judged) who += "; all of them together: more likely the camera moved";
@@ -177,8 +178,7 @@ Result<DriftReport> CheckDrift(std::span<const DecodedMap> decoded, const Surfac
   DriftReport report;
   double worst = 0.0;
   for (size_t p = 0; p < decoded.size(); ++p) {
-    report.projectors.push_back(
-        DriftOf(static_cast<int>(p), PointsOf(decoded[p], surface, rig, p, options), options));
+    report.projectors.push_back(DriftOf(static_cast<int>(p), PointsOf(decoded[p], surface, rig, p, options), options));
     worst = std::max(worst, report.projectors.back().shift_px);
   }
   for (ProjectorDrift& drift : report.projectors)

@@ -27,13 +27,13 @@ struct DriftOptions {
 
 struct ProjectorDrift {
   int projector = 0;
-  int64_t points = 0;         // of the surface that its light reaches; below min_points the rest stays 0
-  double shift_columns = 0;   // median of decoded less predicted, projector px
+  int64_t points = 0;        // of the surface that its light reaches; below min_points the rest stays 0
+  double shift_columns = 0;  // median of decoded less predicted, projector px
   double shift_rows = 0;
-  double shift_px = 0;        // root mean square displacement by the turn below: what is systematic
-  double turned_deg = 0;      // the turn about its own centre that explains the displacement best
-  double spread_px = 0;       // standard deviation (robust) of a point about that turn
-  double expected_px = 0;     // of a point, from the codes' own noise
+  double shift_px = 0;     // root mean square displacement by the turn below: what is systematic
+  double turned_deg = 0;   // the turn about its own centre that explains the displacement best
+  double spread_px = 0;    // standard deviation (robust) of a point about that turn
+  double expected_px = 0;  // of a point, from the codes' own noise
   bool moved = false;
 };
 

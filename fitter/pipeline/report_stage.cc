@@ -326,14 +326,14 @@ ReportSection Figures(const Metrics& m) {
 
 // Whether the rig still stands as it was calibrated.
 ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& drift) {
-  ReportSection section{"Calibration",
-                        (drift.warning.empty() ? "The projectors' light falls where the calibration says"
-                                               : "Warning: " + drift.warning) +
-                            ". Used: " + (rig.source.empty() ? "no source named" : rig.source) +
-                            (rig.made_wall.ns != 0 ? ", made " + ToIso8601(rig.made_wall) : "") + ".",
-                        {},
-                        {},
-                        {}};
+  ReportSection section{
+      "Calibration",
+      (drift.warning.empty() ? "The projectors' light falls where the calibration says" : "Warning: " + drift.warning) +
+          ". Used: " + (rig.source.empty() ? "no source named" : rig.source) +
+          (rig.made_wall.ns != 0 ? ", made " + ToIso8601(rig.made_wall) : "") + ".",
+      {},
+      {},
+      {}};
   ReportTable table{"Displacement of each projector's light on the face against the calibration: below 0.5 px is well",
                     {"projector", "columns px", "rows px", "together px", "as if turned by deg", "spread px",
                      "spread expected of the codes px", "points"},

@@ -186,10 +186,10 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
   ASSERT_EQ(accepted.code, 0) << accepted.out;
   const Outcome ages = Execute("stratalux-db query calibration-age --json --store " + store.string(), Show::kStdout);
   EXPECT_THAT(ages.out, AllOf(HasSubstr("\"version\""), HasSubstr("valid")));
-  const Outcome visit = Execute(
-      "stratalux-rig capture --simulate=plane --size 522x390 --kind flat --calibration latest --json --store " +
-          store.string(),
-      Show::kStdout);
+  const Outcome visit =
+      Execute("stratalux-rig capture --simulate=plane --size 522x390 --kind flat --calibration latest --json --store " +
+                  store.string(),
+              Show::kStdout);
   ASSERT_EQ(visit.code, 0) << visit.out;
   const fs::path session = store / "sessions" / Json::parse(visit.out)["session"].get<std::string>();
   const Json named = Json::parse(Text(session / "manifest.json"))["calibration"];
@@ -201,14 +201,15 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
 // A projector is turned by 0.15 degrees after the calibration.
 TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
   Write(folder_ / "exact.json", exact_.dump());
-  Write(folder_ / "turned.toml", "[subject]\nshape = \"sphere\"\n[[projector]]\n[[projector]]\n[[projector]]\n"
-                                 "turned_deg = [0.1, -0.11, 0]\n[[projector]]\n");
+  Write(folder_ / "turned.toml",
+        "[subject]\nshape = \"sphere\"\n[[projector]]\n[[projector]]\n[[projector]]\n"
+        "turned_deg = [0.1, -0.11, 0]\n[[projector]]\n");
   Write(folder_ / "straight.toml", "[subject]\nshape = \"sphere\"\n");
   for (const std::string scene : {"straight", "turned"}) {
     const std::string store = Store("visit_" + scene);
     ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 522x390 --simulate=" +
-                      (folder_ / (scene + ".toml")).string() + " --calibration " +
-                      (folder_ / "exact.json").string() + " --store " + store)
+                      (folder_ / (scene + ".toml")).string() + " --calibration " + (folder_ / "exact.json").string() +
+                      " --store " + store)
                   .code,
               0);
     const Outcome fit = Execute("stratalux-fit reconstruct latest --store " + store);

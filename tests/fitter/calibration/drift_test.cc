@@ -95,9 +95,7 @@ TEST(Drift, ARigThatStandsAsCalibratedIsNotNamed) {
   }
 }
 
-TEST(Drift, WhatScatteringDisplacesIsNoDrift) {
-  EXPECT_EQ(Check(Rig(), Rig(), 0.3).warning, "");
-}
+TEST(Drift, WhatScatteringDisplacesIsNoDrift) { EXPECT_EQ(Check(Rig(), Rig(), 0.3).warning, ""); }
 
 class TurnedProjector : public ::testing::TestWithParam<std::tuple<int, int, double>> {};
 
