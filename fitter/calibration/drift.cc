@@ -58,22 +58,71 @@ std::optional<Point> PointAt(const ProjectorCalibration& projector, const Eigen:
   return point;
 }
 
+// Where the camera ray and the projector's ray through the decoded pixel come closest, in the camera's frame: linear
+// least squares for the range, as triangulation begins. nullopt behind one of them.
+std::optional<Eigen::Vector3d> AgreedPoint(const ProjectorCalibration& projector, const Eigen::Vector3d& ray,
+                                           const Eigen::Vector2d& decoded) {
+  const Rigid3 projector_from_camera = projector.camera_from_projector.Inverse();
+  const Eigen::Vector3d direction = projector_from_camera.rotation * ray,
+                        &origin = projector_from_camera.translation_mm;
+  const Eigen::Vector3d light = projector.model.Unproject(decoded);
+  const Eigen::Vector2d n = light.head<2>() / light.z();
+  const Eigen::Vector2d a = direction.head<2>() - n * direction.z();
+  const Eigen::Vector2d b = n * origin.z() - origin.head<2>();
+  const double range = a.dot(b) / a.squaredNorm();
+  return range > 0.0 ? std::optional<Eigen::Vector3d>(ray * range) : std::nullopt;
+}
+
+// Without a surface: only what lies across the epipolar line counts, the rest is depth.
+void KeepAcross(const ProjectorCalibration& projector, const Eigen::Vector3d& x_in_camera, Point& point) {
+  const Rigid3 projector_from_camera = projector.camera_from_projector.Inverse();
+  const auto here = projector.model.Project(projector_from_camera * x_in_camera);
+  const auto behind = projector.model.Project(projector_from_camera * (1.001 * x_in_camera));
+  if (!here || !behind) return;
+  const Eigen::Vector2d along = (*behind - *here).normalized();
+  const Eigen::Matrix2d across = Eigen::Matrix2d::Identity() - along * along.transpose();
+  point.residual = across * point.residual;
+  point.by_turning = across * point.by_turning;
+}
+
+enum class Against { kSurface, kOwnDepth };
+
+// Quads of the projector's light; `decoded` counts those that could be read, on the surface or not.
 std::vector<Point> PointsOf(const DecodedMap& map, const SurfaceMap& surface, const RigCalibration& rig, size_t p,
-                            const DriftOptions& options) {
+                            Against against, int stride, int64_t& decoded) {
   const int step = QuadStep(rig.camera.cfa);
-  const auto covered = static_cast<double>(
-      std::count_if(surface.mask.pixels().begin(), surface.mask.pixels().end(), [](uint8_t m) { return m != 0; }));
-  const int stride = std::max(1, static_cast<int>(std::sqrt(covered / options.max_points)));
   std::vector<Point> points;
+  decoded = 0;
   for (int j = 0; j < surface.height(); j += stride)
     for (int i = 0; i < surface.width(); i += stride) {
-      Eigen::Vector2d decoded;
+      Eigen::Vector2d read;
       double sigma = 0.0;
-      if (surface.mask(i, j) == 0 || !DecodedQuad(map, step, i, j, decoded, sigma)) continue;
-      const auto point = PointAt(rig.projectors[p], surface.Point(i, j), decoded, sigma);
-      if (point) points.push_back(*point);
+      if (!DecodedQuad(map, step, i, j, read, sigma)) continue;
+      ++decoded;
+      std::optional<Eigen::Vector3d> at;
+      if (against == Against::kOwnDepth)
+        at = AgreedPoint(rig.projectors[p], rig.camera.model.Unproject(QuadCentre(rig.camera.cfa, i, j)), read);
+      else if (surface.mask(i, j) != 0)
+        at = surface.Point(i, j);
+      if (!at) continue;
+      auto point = PointAt(rig.projectors[p], *at, read, sigma);
+      if (!point) continue;
+      if (against == Against::kOwnDepth) KeepAcross(rig.projectors[p], *at, *point);
+      points.push_back(*point);
     }
   return points;
+}
+
+// Against the surface; where that holds but a small part of what the projector's codes reach (a rig so far off that
+// nothing fits together), against the epipolar lines alone.
+std::vector<Point> PointsOf(const DecodedMap& map, const SurfaceMap& surface, const RigCalibration& rig, size_t p,
+                            const DriftOptions& options) {
+  const double quads = double(surface.width()) * surface.height();
+  const int stride = std::max(1, static_cast<int>(std::sqrt(quads / options.max_points)));
+  int64_t decoded = 0;
+  std::vector<Point> points = PointsOf(map, surface, rig, p, Against::kSurface, stride, decoded);
+  if (static_cast<double>(points.size()) >= options.least_on_surface * static_cast<double>(decoded)) return points;
+  return PointsOf(map, surface, rig, p, Against::kOwnDepth, stride, decoded);
 }
 
 // Distances left when the projector is turned by `turn`.
@@ -92,7 +141,9 @@ Eigen::Vector3d FitTurn(const std::vector<Point>& points) {
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     const std::vector<double> distances = Distances(points, turn);
     const double scale = 2.0 * std::max(1e-6, Median(distances));
-    Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+    // A turn that moves the light along the epipolar lines does not show without a surface: it is left at none.
+    constexpr double kLeastInformation = 1.0;
+    Eigen::Matrix3d normal = kLeastInformation * Eigen::Matrix3d::Identity();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     for (size_t k = 0; k < points.size(); ++k) {
       const double damping = 1.0 / (1.0 + std::pow(distances[k] / scale, 2));

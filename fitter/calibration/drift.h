@@ -20,6 +20,7 @@ struct DriftOptions {
   double max_shift_px = 0.5;
   // A projector that is displaced so much less than the worst one may owe it to that one's pull on the surface.
   double least_of_worst = 0.4;
+  double least_on_surface = 0.3;  // of a projector's decoded points; fewer: judged against the epipolar lines alone
   int min_points = 200;
   int max_points = 20000;  // of a projector, spread over the face
   [[nodiscard]] Status Validate() const;
@@ -45,7 +46,8 @@ struct DriftReport {
 
 // `decoded[p]`: maps of projector p at the size of the camera's frames; `surface`: triangulated from them. Along its
 // epipolar lines a projector's displacement moves the surface as well: where few projectors share a point, a part of
-// the displacement stays hidden there, none of it across. kUsage where the sizes do not belong together.
+// the displacement stays hidden there, none of it across. Where hardly any surface could be triangulated, only what
+// lies across the lines is judged. kUsage where the sizes do not belong together.
 [[nodiscard]] Result<DriftReport> CheckDrift(std::span<const DecodedMap> decoded, const SurfaceMap& surface,
                                              const RigCalibration& rig, const DriftOptions& options = {});
 

@@ -144,12 +144,13 @@ TEST(Drift, OneProjectorAloneShowsWhatLiesAcrossItsEpipolarLines) {
 }
 
 TEST(Drift, TooFewPointsAreNotJudged) {
-  const auto decoded = Decode(Rig(), 0.0, 4);
+  auto decoded = Decode(Rig(), 0.0, 4);
   auto shape = Triangulate(decoded, Rig());
   ASSERT_TRUE(shape.ok());
-  for (int j = 0; j < shape->surface.height(); ++j)
-    for (int i = 0; i < shape->surface.width(); ++i)
-      if (j != 60 || i > 100) shape->surface.mask(i, j) = 0;
+  for (DecodedMap& map : decoded)
+    for (int j = 0; j < map.reason.height(); ++j)
+      for (int i = 0; i < map.reason.width(); ++i)
+        if (j != 60) map.reason(i, j) = static_cast<uint8_t>(DecodeReason::kUnlit);
   const auto report = CheckDrift(decoded, shape->surface, Rig());
   ASSERT_TRUE(report.ok());
   EXPECT_EQ(report->warning, "");
