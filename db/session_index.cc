@@ -4,27 +4,19 @@
 #include <cstdio>
 #include <random>
 
-#include <xxhash.h>
-
+#include "db/calibration_store.h"
 #include "db/durable_file.h"
 #include "db/fit_metrics.h"
 #include "db/manifest.h"
 #include "db/migration_0001.h"
 #include "db/migration_0002.h"
 #include "db/migration_0003.h"
+#include "db/migration_0004.h"
 
 namespace stratalux::db {
 namespace {
 
 constexpr int64_t kApplicationId = 0x534c5831;  // "SLX1"
-
-std::string ContentId(const std::string& text) {
-  uint8_t digest[16];
-  XXH128_canonical_t canonical;
-  XXH128_canonicalFromHash(&canonical, XXH3_128bits(text.data(), text.size()));
-  std::copy(std::begin(canonical.digest), std::end(canonical.digest), digest);
-  return HashText(digest);
-}
 
 // An index whose creation was cut short: no table yet, and nobody else's mark.
 bool IsUnborn(const std::filesystem::path& file) {
@@ -124,6 +116,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(connection.Execute(kMigration0003));
     SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
   }
+  if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -172,8 +165,10 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
     SLX_ASSIGN_OR_RETURN(auto calibration,
                          connection_.Prepare("INSERT OR IGNORE INTO calibrations (id, record_json, rig)"
                                              " VALUES (?1, ?2, ?3)"));
-    SLX_RETURN_IF_ERROR(
-        calibration.Bind(1, ContentId(info.calibration_json)).Bind(2, info.calibration_json).Bind(3, info.rig).Run());
+    SLX_RETURN_IF_ERROR(calibration.Bind(1, CalibrationId(info.calibration_json))
+                            .Bind(2, info.calibration_json)
+                            .Bind(3, info.rig)
+                            .Run());
   }
   if (!info.visitor.empty()) {
     SLX_ASSIGN_OR_RETURN(auto visitor, connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
@@ -200,7 +195,7 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
       .Bind(9, std::string(ToString(info.status)))
       .Bind(10, ReasonsToJson(info.reasons));
   insert.Bind(11, info.program_version).Bind(12, info.plan_json);
-  if (!info.calibration_json.empty()) insert.Bind(13, ContentId(info.calibration_json));
+  if (!info.calibration_json.empty()) insert.Bind(13, CalibrationId(info.calibration_json));
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   if (known_number) insert.Bind(16, *known_number);
   SLX_RETURN_IF_ERROR(insert.Run());
@@ -355,6 +350,7 @@ Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
   insert.Bind(1, fit.id).Bind(2, number).Bind(3, fit.options_json).Bind(4, fit.metrics_json);
   SLX_RETURN_IF_ERROR(insert.Bind(5, fit.created_wall.ns).Run());
   SLX_RETURN_IF_ERROR(WriteMetrics(connection_, number, fit.id, fit.metrics_json));
+  if (!fit.calibration_json.empty()) SLX_RETURN_IF_ERROR(EnterCalibration(connection_, number, fit));
   return transaction.Commit();
 }
 

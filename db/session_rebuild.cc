@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/calibration_store.h"
 #include "db/durable_file.h"
 #include "db/fit_record.h"
 #include "db/manifest.h"
@@ -100,6 +101,9 @@ void AddFits(const fs::path& folder, RebuiltSession& session) {
     if (fit.extension() == ".partial") continue;
     auto record = ReadFitRecord(fit, session.info.id);
     if (record.ok()) {
+      auto calibration = ReadFitCalibration(fit);
+      if (!calibration.ok()) session.notes.push_back(calibration.status().message());
+      if (calibration.ok()) record->calibration_json = calibration->value_or("");
       session.fits.push_back(std::move(record).value());
     } else if (record.status().code() != StatusCode::kNotFound) {
       session.notes.push_back(record.status().message());
@@ -197,8 +201,8 @@ Result<int64_t> InsertRebuilt(SessionIndex& index, const RebuiltSession& session
   SLX_RETURN_IF_ERROR(InsertConsent(connection, info));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info, wanted));
   SLX_RETURN_IF_ERROR(index.InsertFrames(number, session.frames));
-  for (const FitRow& fit : session.fits) SLX_RETURN_IF_ERROR(index.UpsertFit(number, fit));
   SLX_RETURN_IF_ERROR(SetEnding(connection, number, session));
+  for (const FitRow& fit : session.fits) SLX_RETURN_IF_ERROR(index.UpsertFit(number, fit));
   SLX_RETURN_IF_ERROR(transaction.Commit());
   return number;
 }

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <map>
 
+#include "db/calibration_store.h"
 #include "db/codec/frame_codec.h"
 #include "db/durable_file.h"
 #include "db/fit_record.h"
@@ -170,6 +171,12 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
 }
 
+Status SessionWriter::KeepTruthCalibration(const std::string& record_json) {
+  if (!impl_->failure.ok()) return impl_->failure;
+  const Status kept = ReplaceFile(impl_->folder / "truth_calibration.json", record_json + "\n");
+  return kept.ok() ? kept : impl_->Fail(kept);
+}
+
 Status SessionWriter::Flush() { return impl_->Flush(); }
 Status SessionWriter::FlushIfDue() { return impl_->FlushIfDue(); }
 
@@ -325,10 +332,12 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
 }
 
-Status SessionStore::RegisterFit(const FitRow& fit) {
+Status SessionStore::RegisterFit(FitRow fit) {
   SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
   // Its files first: a fit that is listed is whole.
   const auto folder = FitFolder(fit.session, fit.id);
+  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
+  fit.calibration_json = calibration.value_or("");
   SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
   SLX_RETURN_IF_ERROR(SyncTree(folder));
   SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));

@@ -24,7 +24,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 3;
+inline constexpr int kSchemaVersion = 4;
 
 struct SessionRow {
   SessionInfo info;
@@ -49,6 +49,7 @@ struct FitRow {
   std::string options_json;
   std::string metrics_json;  // what the index keeps of metrics.json, may be empty
   WallNs created_wall;
+  std::string calibration_json = {};  // record of its folder's calibration.json, if it has one (db/calibration_store.h)
 };
 
 enum class AccessMode { kReadOnly, kReadWrite };
@@ -87,6 +88,8 @@ class SessionWriter {
   Status Append(const FrameRecord& record, ImageView<const uint8_t> pixels);
   // Maps of truth.seg (simulation only); `name` such as "depth", "normal", "subsurface stripe 2". Not indexed.
   Status AppendTruth(const std::string& name, ImageView<const float> pixels);
+  // truth_calibration.json (simulation only): the exact record, where the session names another calibration.
+  Status KeepTruthCalibration(const std::string& record_json);
   Status Flush();
   // Flush() if the first unacknowledged frame has waited for group_window: for writers to whom no frame comes.
   Status FlushIfDue();
@@ -133,9 +136,10 @@ class SessionStore {
   Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
   [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;
 
-  // Folder for a fit's outputs, registered once complete (which syncs it); replaces an equal id.
+  // Folder for a fit's outputs, registered once complete (which syncs it); replaces an equal id. A folder with
+  // calibration.json becomes a calibration of the session's rig, too (db/calibration_store.h).
   [[nodiscard]] std::filesystem::path FitFolder(const std::string& session_id, const std::string& fit_id) const;
-  Status RegisterFit(const FitRow& fit);
+  Status RegisterFit(FitRow fit);
   Result<std::vector<FitRow>> ListFits(const std::string& session_id) const;
 
  private:

@@ -2,6 +2,7 @@
 #include <set>
 #include <system_error>
 
+#include "db/calibration_store.h"
 #include "db/privacy/tombstone.h"
 #include "db/session_index.h"
 #include "db/verify.h"
@@ -69,6 +70,8 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
   }
   CheckFolders(store, known, report);
+  SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));
+  report.problems.insert(report.problems.end(), calibrations.begin(), calibrations.end());
   return report;
 }
 

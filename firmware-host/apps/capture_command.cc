@@ -12,6 +12,7 @@
 
 #include "db/privacy/consent.h"
 #include "firmware-host/apps/open_rig.h"
+#include "firmware-host/apps/session_calibration.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/realtime.h"
 #include "firmware-host/sequence/sequencer.h"
@@ -22,7 +23,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const OpenedRig& rig) {
+SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& plan, const OpenedRig& rig,
+                            std::string calibration_json) {
   SessionInfo info;
   info.kind = plan.options.kind;
   info.rig = options.config.store.rig;
@@ -34,8 +36,8 @@ SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& pl
   if (rig.simulation) {
     info.simulated = true;
     info.seed = options.simulated->seed;
-    info.calibration_json = rig.simulation->calibration().ToJson();
   }
+  info.calibration_json = std::move(calibration_json);
   return info;
 }
 
@@ -73,6 +75,8 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
 }
 
 Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePlan& plan) {
+  const std::string exact = rig.calibration().ToJson();
+  if (writer.info().calibration_json != exact) SLX_RETURN_IF_ERROR(writer.KeepTruthCalibration(exact));
   for (const TruthMap& truth : rig.Truth(plan))
     SLX_RETURN_IF_ERROR(writer.AppendTruth(truth.name, truth.map.view()).WithContext("truth map " + truth.name));
   return Status::Ok();
@@ -95,6 +99,28 @@ db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
   options.codec = config.codec;
   options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
   return options;
+}
+
+// Between the sequencer and the recorder.
+class WatchedSink : public FrameSink {
+ public:
+  WatchedSink(FrameSink& sink, CaptureWatch* watch) : sink_(sink), watch_(watch) {}
+  Status Put(FrameRecord record, Image<uint16_t> pixels) override {
+    if (watch_ != nullptr) watch_->See(record, pixels);
+    return sink_.Put(std::move(record), std::move(pixels));
+  }
+
+ private:
+  FrameSink& sink_;
+  CaptureWatch* watch_;
+};
+
+void Object(CaptureReport& report, const CaptureWatch* watch) {
+  if (watch == nullptr || report.status == SessionStatus::kFailed) return;
+  for (const CaptureFault& fault : watch->Faults()) {
+    report.status = SessionStatus::kDegraded;
+    report.reasons.push_back(fault.what + ": " + fault.remedy);
+  }
 }
 
 void Fail(CaptureReport& report, const Status& status) {
@@ -120,20 +146,25 @@ Status CaptureOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger) {
+Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger,
+                               CaptureWatch* watch) {
   const auto start = std::chrono::steady_clock::now();
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_RETURN_IF_ERROR(AskConsent(options));
   SLX_ASSIGN_OR_RETURN(const OpenedRig rig, OpenRig(options.config, plan, options.simulated, logger));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
+  SLX_ASSIGN_OR_RETURN(std::string calibration,
+                       ChooseCalibration(options.config.calibration, options.config,
+                                         rig.simulation ? &rig.simulation->calibration() : nullptr, logger));
   const std::string& folder = options.config.store.folder;
   SLX_RETURN_IF_ERROR(db::SessionStore::Create(folder));
   SLX_ASSIGN_OR_RETURN(db::SessionStore store, db::SessionStore::Open(folder, db::AccessMode::kReadWrite));
   for (const std::string& note : store.notes()) logger.Warning(note);
   if (options.consent) SLX_RETURN_IF_ERROR(db::GiveConsent(folder, options.visitor, *options.consent));
   SLX_ASSIGN_OR_RETURN(db::SessionWriter writer,
-                       store.BeginSession(DescribeSession(options, plan, rig), WriterOptionsFor(options.config.store)));
+                       store.BeginSession(DescribeSession(options, plan, rig, std::move(calibration)),
+                                          WriterOptionsFor(options.config.store)));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;
   logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
@@ -150,11 +181,13 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<
       if (!entered.ok()) logger.Warning(entered.status().message());
       if (entered.ok()) realtime = std::move(entered).value();
     }
-    Result<CaptureReport> report = sequencer.Run(plan, recorder);
+    WatchedSink sink(recorder, watch);
+    Result<CaptureReport> report = sequencer.Run(plan, sink);
     if (report.ok()) outcome.report = std::move(report).value();
     Fail(outcome.report, report.status());
     Fail(outcome.report, recorder.Close());
   }
+  Object(outcome.report, watch);
   if (rig.simulation && outcome.report.status != SessionStatus::kFailed)
     Fail(outcome.report, StoreTruth(archive.writer(), *rig.simulation, plan));
   Fail(outcome.report, archive.writer().Finish(outcome.report.status, outcome.report.reasons));

@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include "firmware-host/calibration/capture_watch.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/simulated/simulated_rig.h"
@@ -40,8 +41,9 @@ struct CaptureOutcome {
 // Runs a whole capture and stores it; a simulated one with its truth maps. Fails where no session came to be (a bad
 // plan, no such device or store, a visitor without consent: kUsage with the command that records it); a session that
 // went wrong is an outcome whose report says why.
+// `watch` sees every frame; what it objects to makes a complete session a degraded one.
 [[nodiscard]] Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop,
-                                             Logger& logger);
+                                             Logger& logger, CaptureWatch* watch = nullptr);
 
 // One line for people; one JSON object for programs.
 [[nodiscard]] std::string OutcomeAsText(const CaptureOutcome& outcome);

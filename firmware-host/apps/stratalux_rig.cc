@@ -14,12 +14,15 @@
 
 #include "db/privacy/consent.h"
 #include "firmware-host/apps/capture_command.h"
+#include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/open_rig.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
 #include "firmware-host/apps/stop_signals.h"
+#include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
+#include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/version.h"
 
 namespace stratalux::rig {
@@ -34,7 +37,11 @@ constexpr const char* kExamples = R"(Examples:
       --consent-text 2026-03 --consent-language de
   stratalux-rig capture --simulate --config rig.toml --kind flat
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
-  stratalux-rig capture --kind calibration --pose 3 --simulate=docs/examples/scenes/charuco_poses.toml --store store
+  stratalux-rig capture --kind calibration --store store
+  stratalux-rig capture --kind calibration --pose 3 --store store
+  stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
+  stratalux-rig capture --kind dark --store store
+  stratalux-rig capture --store store --calibration latest
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig capture --config rig.toml --store store
@@ -48,14 +55,15 @@ Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store dam
 
 struct Flags {
   std::string config;
-  std::optional<std::string> store, size, kind, sync_mode;  // unset: as the configuration says
+  std::optional<std::string> store, size, kind, sync_mode, calibration;  // unset: as the configuration says
   std::optional<double> exposure_ms, settle_ms;
   std::string scene;
   std::string visitor;
   std::string consent_scope, consent_text, consent_language;
   std::string retention = "standard";
   std::string out;
-  int board_pose = -1;
+  int board_pose = -1, poses = 0;
+  bool yes = false;
   uint64_t seed = 1;
   std::vector<std::string> faults;
   double fault_rate = 0.0;
@@ -108,6 +116,7 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   if (flags.sync_mode) {
     SLX_ASSIGN_OR_RETURN(config.plan.sync_mode, ParseSyncMode(*flags.sync_mode));
   }
+  config.calibration = flags.calibration.value_or(config.calibration);
   config.plan.exposure_ms = flags.exposure_ms.value_or(config.plan.exposure_ms);
   config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
   if (!(config.settle_ms >= 0.0 && config.settle_ms <= kLongestSettleMs)) {
@@ -172,11 +181,51 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   return options;
 }
 
+// The poses of a series; nullopt: a single capture. A simulated board has the poses that its scene lists.
+Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const CaptureOptions& options) {
+  if (options.config.plan.kind != SessionKind::kCalibration) {
+    if (flags.poses > 0) return Status::Usage("--poses counts the board's poses of --kind calibration");
+    return std::optional<SeriesOptions>();
+  }
+  if (flags.poses == 0 && flags.board_pose >= 0) return std::optional<SeriesOptions>();
+  SeriesOptions series;
+  series.first = std::max(0, flags.board_pose);
+  series.poses = flags.poses > 0 ? flags.poses : kAdvisedPoses;
+  if (options.simulated) {
+    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(options.simulated->scene));
+    const int listed = static_cast<int>(simulation.scene.poses.size());
+    if (listed == 0 && flags.poses == 0) return std::optional<SeriesOptions>();
+    if (flags.poses > listed)
+      return Status::Usage("--poses " + std::to_string(flags.poses) + ": the scene lists " + std::to_string(listed) +
+                           " poses ([[pose]])");
+    if (flags.poses == 0) series.poses = listed;
+  }
+  if (series.first >= series.poses)
+    return Status::Usage("--pose " + std::to_string(series.first) + " lies behind the last of --poses " +
+                         std::to_string(series.poses) + ", which count from 0");
+  return std::optional(series);
+}
+
+int RunSeries(const Flags& flags, const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+              Logger& logger) {
+  const Result<SeriesOutcome> outcome = CaptureSeries(options, series, ask, InstallStopSignals(), logger);
+  if (!outcome.ok()) return Report(outcome.status());
+  const int printed = Print(flags.json ? SeriesAsJson(*outcome) : SeriesAsText(*outcome, options.config.store.folder));
+  const int captured = ExitCode(*outcome);
+  return captured != 0 ? captured : printed;
+}
+
 int RunCapture(const Flags& flags) {
   const Result<CaptureOptions> options = CaptureFrom(flags);
   if (!options.ok()) return Report(options.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
-  const Result<CaptureOutcome> outcome = Capture(*options, InstallStopSignals(), logger);
+  const Result<std::optional<SeriesOptions>> series = SeriesFrom(flags, *options);
+  if (!series.ok()) return Report(series.status());
+  // A simulated board needs nobody's hands.
+  AskOperator ask;
+  if (!flags.yes && !options->simulated) ask = AskOnTerminal(InstallStopSignals());
+  if (*series) return RunSeries(flags, *options, **series, ask, logger);
+  const Result<CaptureOutcome> outcome = CaptureOne(*options, ask, InstallStopSignals(), logger);
   if (!outcome.ok()) return Report(outcome.status());
   const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
   const int captured = ExitCode(*outcome);
@@ -234,7 +283,7 @@ int RunSafe(const Flags& flags) {
 
 void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
-  command.add_option("--kind", flags.kind, "visitor (default), calibration, flat or dark");
+  command.add_option("--kind", flags.kind, "visitor (default), calibration, dark, flat or response");
   command.add_option("--sync-mode", flags.sync_mode,
                      "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
   command.add_option("--exposure", flags.exposure_ms, "exposure, ms (default: 16)");
@@ -288,6 +337,16 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
                    "calibration: number of the board's pose, kept with the session; simulation: which [[pose]] of the "
                    "scene")
       ->check(CLI::Range(0, 999));
+  capture
+      ->add_option(
+          "--poses", flags.poses,
+          "calibration: so many poses one after the other, from --pose on (default: 12; simulation: as many as "
+          "the scene lists)")
+      ->check(CLI::Range(1, 999));
+  capture->add_flag("--yes", flags.yes, "calibration, dark, flat, response: do not wait for Enter before a capture");
+  capture->add_option("--calibration", flags.calibration,
+                      "that the session names: latest, an id or a FILE.json; none; exact (simulation). Default: the "
+                      "rig's newest; in a simulation, exact");
   capture->add_flag("--json", flags.json, "print one JSON object");
   capture->add_flag("--verbose", flags.verbose, "more on stderr");
   return capture;

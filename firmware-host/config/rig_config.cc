@@ -197,6 +197,7 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
   capture.Get("max_retries", config.max_retries, 0, 10);
   capture.Get("queue_frames", config.queue_frames, 1, 4096);
+  capture.Get("calibration", config.calibration);
   capture.Get("realtime_priority", config.realtime_priority, 0, 99);
   SLX_RETURN_IF_ERROR(ReadPlan(plan, config.plan));
   const Status devices = ReadDevices(root, config);

@@ -31,6 +31,7 @@ struct RigConfig {
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
+  std::string calibration;      // that sessions name: latest, an id or a file; empty: as `capture --help` says
   int realtime_priority = 0;    // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
   PlanOptions plan;
   CameraWiring camera;

@@ -67,6 +67,7 @@ Status ReadProjector(TomlTable t, ProjectorOptics& projector) {
   t.Get("flicker", projector.flicker, 0.0, 0.5);
   t.Get("lag_ms", projector.lag_ms, 0.0, 100.0);
   t.Get("drift_per_minute", projector.drift_per_minute, -0.5, 0.5);
+  SLX_RETURN_IF_ERROR(GetArray(t, "turned_deg", projector.turned_deg, 5.0));
   return Status::Ok();
 }
 

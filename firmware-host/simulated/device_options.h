@@ -51,6 +51,8 @@ struct ProjectorOptics {
   double flicker = 0.0;                           // standard deviation of each frame's light, relative
   double lag_ms = 0.0;            // time constant of the step from one pattern to the next (LCD, colour wheel)
   double drift_per_minute = 0.0;  // of the lamp, relative
+  // About its own axes (x right, y down, z forward), degrees: a projector that no longer stands as it was mounted.
+  std::array<double, 3> turned_deg = {0.0, 0.0, 0.0};
 
   // Standard deviation of the blur at a distance from the projector.
   [[nodiscard]] double BlurPx(double distance_mm) const {

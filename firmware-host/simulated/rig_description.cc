@@ -100,6 +100,10 @@ RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
     projector.camera_from_projector = LookAt(place.centre_mm, {0, 4, kWorkingDistanceMm});
     projector.camera_from_projector.rotation = projector.camera_from_projector.rotation *
                                                Eigen::AngleAxisd(RadFromDeg(place.roll_deg), Eigen::Vector3d::UnitZ());
+    for (int axis = 0; axis < 3; ++axis)
+      projector.camera_from_projector.rotation =
+          projector.camera_from_projector.rotation *
+          Eigen::AngleAxisd(RadFromDeg(optics.turned_deg[axis]), Eigen::Vector3d::Unit(axis));
     projector.line_blur_px = optics.BlurPx(LightDistance(projector));
     projector.black_level = optics.black_level;
     projector.falloff = optics.falloff;

@@ -30,6 +30,7 @@ struct Flags {
   BoardStageOptions stage;
   LightStageOptions light;
   int last = 0;
+  double valid_days = kCalibrationValidDays;
   bool json = false;
 };
 
@@ -91,6 +92,18 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
   return chosen;
 }
 
+// Made when the newest of its sessions was captured: calibrating the same captures again makes nothing newer.
+Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, RigCalibration& record) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
+  for (const std::string& id : sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(id));
+    const WallNs ended = row.info.finished_wall.ns != 0 ? row.info.finished_wall : row.info.started_wall;
+    record.made_wall = std::max(record.made_wall, ended);
+  }
+  record.valid_until_wall.ns = record.made_wall.ns + static_cast<int64_t>(f.valid_days * 86400e9);
+  return Status::Ok();
+}
+
 Status WriteText(const std::filesystem::path& file, const std::string& text) {
   std::ofstream out(file, std::ios::binary);
   out << text << "\n";
@@ -140,9 +153,10 @@ Result<std::vector<Finding>> Judge(const Flags& f, const BoardPoses& boards, con
 }
 
 // Verdict, record and figures where they belong; `accepted`: the exit code unless refused.
-Result<int> Conclude(const Flags& f, const std::vector<std::string>& sessions, const RigCalibration& record,
+Result<int> Conclude(const Flags& f, const std::vector<std::string>& sessions, RigCalibration record,
                      const std::vector<Finding>& findings, nlohmann::ordered_json& json, std::string& text,
                      int accepted, Logger& logger) {
+  if (record.made_wall.ns == 0) SLX_RETURN_IF_ERROR(StampValidity(f, sessions, record));
   json["verdict"] = VerdictOf(findings);
   json["findings"] = nlohmann::ordered_json::parse(FindingsJson(findings));
   text += FindingsText(findings);
@@ -162,6 +176,7 @@ Result<int> Conclude(const Flags& f, const std::vector<std::string>& sessions, c
 struct SessionsByUse {
   std::vector<std::string> boards, light;
   std::optional<RigCalibration> record;  // of the newest light session
+  Cfa cfa = Cfa::kRggb;                  // of the frames
 };
 
 Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& sessions) {
@@ -169,6 +184,7 @@ Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& 
   for (const std::string& selector : sessions) {
     SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, selector));
     const SessionKind kind = frames.info().kind;
+    if (!frames.rows().empty()) sorted.cfa = frames.rows().front().record.cfa;
     const bool light = kind == SessionKind::kDark || kind == SessionKind::kFlat || kind == SessionKind::kResponse;
     (light ? sorted.light : sorted.boards).push_back(frames.info().id);
     if (light && frames.record()) sorted.record = frames.record();
@@ -222,6 +238,8 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(auto findings, Judge(f, boards, report));
   RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  if (!boards.calibration) record.camera.cfa = by_use.cfa;
+  record.made_wall = record.valid_until_wall = {};  // not those of the record before
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, findings, boards.left_out));
   std::string text = ReportText(report);
   std::vector<std::string> used = boards.sessions;
@@ -279,6 +297,9 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
   verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
+  verb->add_option("--valid-days", flags->valid_days, "Days after its captures from which on sessions warn of its age")
+      ->check(CLI::Range(0.01, 36500.0))
+      ->capture_default_str();
   verb->add_option("--out", flags->out, "Write the record here, too");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {

@@ -61,6 +61,17 @@ std::string Metrics::ToJson() const {
                               {"seconds", s.seconds},
                               {"cpu_seconds", s.cpu_seconds},
                               {"peak_rss_bytes", s.peak_rss_bytes}});
+  json["drift"] = {{"warning", drift.warning}, {"projectors", Json::array()}};
+  for (const ProjectorDrift& d : drift.projectors)
+    json["drift"]["projectors"].push_back({{"projector", d.projector},
+                                           {"points", d.points},
+                                           {"shift_columns", d.shift_columns},
+                                           {"shift_rows", d.shift_rows},
+                                           {"shift_px", d.shift_px},
+                                           {"turned_deg", d.turned_deg},
+                                           {"spread_px", d.spread_px},
+                                           {"expected_px", d.expected_px},
+                                           {"moved", d.moved}});
   if (truth)
     json["truth"] = {{"depth_rms_mm", truth->depth_rms_mm},
                      {"depth_bias_mm", truth->depth_bias_mm},

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "fitter/calibration/drift.h"
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/srd_centroid.h"
 
@@ -71,6 +72,7 @@ struct Metrics {
   std::map<std::string, int64_t> masked_by_reason;
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;
+  DriftReport drift;                  // of the rig since its calibration
   std::optional<SurfaceError> truth;  // only in simulation
 
   [[nodiscard]] std::string ToJson() const;

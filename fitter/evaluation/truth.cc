@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "shared/base/read_file.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -11,14 +12,21 @@ Result<std::optional<SceneTruth>> SceneTruth::Open(const std::filesystem::path& 
   const std::filesystem::path file = session_folder / "truth.seg";
   if (!std::filesystem::exists(file)) return std::optional<SceneTruth>();
   SLX_ASSIGN_OR_RETURN(auto segment, db::TruthSegment::Open(file));
-  return std::optional(SceneTruth(std::move(segment)));
+  const std::filesystem::path record = session_folder / "truth_calibration.json";
+  std::optional<RigCalibration> exact;
+  if (std::filesystem::exists(record)) {
+    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(record));
+    SLX_ASSIGN_OR_RETURN(exact, RigCalibration::FromJson(text).WithContext(record.string()));
+  }
+  return std::optional(SceneTruth(std::move(segment), std::move(exact)));
 }
 
 Result<Image<float>> SceneTruth::Subsurface(const std::string& light, int projector) const {
   return segment_.Read("subsurface " + light + " " + std::to_string(projector));
 }
 
-Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& rig) const {
+Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& calibration) const {
+  const RigCalibration& rig = exact_ ? *exact_ : calibration;
   SLX_ASSIGN_OR_RETURN(const auto depth, Depth());
   SLX_ASSIGN_OR_RETURN(auto normal, Normal());
   SurfaceMap s{Image<float>(depth.width(), depth.height(), 3, std::nanf("")), std::move(normal),

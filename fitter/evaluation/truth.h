@@ -20,12 +20,15 @@ class SceneTruth {
   [[nodiscard]] Result<Image<float>> Normal() const { return segment_.Read("normal"); }
   // "stripe", "white" or "spot" light of a projector, digital numbers above black.
   [[nodiscard]] Result<Image<float>> Subsurface(const std::string& light, int projector) const;
-  // The true surface, for the runs that separate errors of the geometry from those of the model.
+  // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
+  // another calibration than the exact one, on the rays of the exact one, which lies beside the truth.
   [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;
 
  private:
-  explicit SceneTruth(db::TruthSegment segment) : segment_(std::move(segment)) {}
+  SceneTruth(db::TruthSegment segment, std::optional<RigCalibration> exact)
+      : segment_(std::move(segment)), exact_(std::move(exact)) {}
   db::TruthSegment segment_;
+  std::optional<RigCalibration> exact_;
 };
 
 }  // namespace stratalux::fit

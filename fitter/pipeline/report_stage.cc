@@ -341,6 +341,27 @@ ReportSection Figures(const Metrics& m) {
   return section;
 }
 
+// Whether the rig still stands as it was calibrated.
+ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& drift) {
+  ReportSection section{
+      "Calibration",
+      (drift.warning.empty() ? "The projectors' light falls where the calibration says" : "Warning: " + drift.warning) +
+          ". Used: " + (rig.source.empty() ? "no source named" : rig.source) +
+          (rig.made_wall.ns != 0 ? ", made " + ToIso8601(rig.made_wall) : "") + ".",
+      {},
+      {},
+      {}};
+  ReportTable table{"Displacement of each projector's light on the face against the calibration: below 0.5 px is well",
+                    {"projector", "columns px", "rows px", "together px", "as if turned by deg", "spread px",
+                     "spread expected of the codes px", "points"},
+                    {}};
+  for (const ProjectorDrift& d : drift.projectors)
+    table.rows.push_back({std::to_string(d.projector), Fixed(d.shift_columns), Fixed(d.shift_rows), Fixed(d.shift_px),
+                          Fixed(d.turned_deg), Fixed(d.spread_px), Fixed(d.expected_px), std::to_string(d.points)});
+  section.tables.push_back(table);
+  return section;
+}
+
 Status SavePictures(const std::filesystem::path& folder, const Report& report) {
   int number = 0;
   for (const ReportSection& section : report.sections)
@@ -380,6 +401,7 @@ Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, c
   SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));
   report.sections.push_back(std::move(samples));
   report.sections.push_back(Shape(in));
+  report.sections.push_back(CalibrationSection(*in.frames->calibration(), metrics.drift));
   report.sections.push_back(DirectAndGlobal(in, white));
   report.sections.push_back(SrdOfPixel(in));
   for (const LightComparison& c : in.comparisons) {

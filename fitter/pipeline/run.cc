@@ -247,6 +247,8 @@ Status WriteText(const std::filesystem::path& file, const std::string& text) {
 Status RunStages(Work& w, const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(w.face, ReconstructFace(w.frames, w.clock, w.logger));
   w.surface = w.face.surface;
+  SLX_ASSIGN_OR_RETURN(w.metrics.drift, CheckDrift(w.face.decoded, w.surface, *w.frames.calibration()));
+  if (!w.metrics.drift.warning.empty()) w.logger.Warning(w.metrics.drift.warning);
   std::string decoded = "decoded sites:";
   for (int r = 0; r < kDecodeReasons; ++r)
     decoded += std::string(r == 0 ? " " : ", ") + ToString(static_cast<DecodeReason>(r)) + " " +

@@ -164,6 +164,9 @@ double ProjectorCalibration::WhiteTargetDn(const Eigen::Vector3d& x_in_camera, c
 }
 
 Status RigCalibration::Validate() const {
+  if (made_wall.ns < 0 || (valid_until_wall.ns != 0 && valid_until_wall < made_wall))
+    return Status::Usage("calibration: valid until " + ToIso8601(valid_until_wall) + ", but made " +
+                         ToIso8601(made_wall));
   SLX_RETURN_IF_ERROR(camera.model.Validate().WithContext("calibration: camera"));
   if (!(camera.gain_e_per_dn > 0.0)) return Status::Usage("calibration: camera: gain_e_per_dn must be positive");
   if (!(camera.saturation_dn > camera.black_level_dn))
@@ -199,6 +202,8 @@ std::string RigCalibration::ToJson() const {
                  {"read_noise_dn", camera.read_noise_dn},
                  {"line_blur_px", camera.line_blur_px}}},
                {"projectors", Json::array()}};
+  if (made_wall.ns != 0) json["made_wall_ns"] = made_wall.ns;
+  if (valid_until_wall.ns != 0) json["valid_until_wall_ns"] = valid_until_wall.ns;
   if (!camera.response.empty()) json["camera"][kResponse] = camera.response;
   if (camera.vignetting != std::array<double, 2>{}) json["camera"][kVignetting] = camera.vignetting;
   AddCovariance(camera.geometry_covariance, json["camera"]);
@@ -215,6 +220,8 @@ Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
     RigCalibration c;
     json.at("id").get_to(c.id);
     json.at("source").get_to(c.source);
+    c.made_wall.ns = json.value("made_wall_ns", int64_t{0});
+    c.valid_until_wall.ns = json.value("valid_until_wall_ns", int64_t{0});
     const Json& camera = json.at("camera");
     c.camera.model = PinholeFrom(camera.at("model"));
     const int cfa = camera.at("cfa").get<int>();

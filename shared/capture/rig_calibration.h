@@ -10,8 +10,11 @@
 #include "shared/base/result.h"
 #include "shared/geometry/pinhole.h"
 #include "shared/image/pixel_format.h"
+#include "shared/units/time.h"
 
 namespace stratalux {
+
+inline constexpr double kCalibrationValidDays = 30.0;  // of a record that does not say it itself
 
 struct CameraCalibration {
   Pinhole model;  // full-resolution mosaic pixels; camera frame = rig frame
@@ -73,6 +76,9 @@ struct ProjectorCalibration {
 struct RigCalibration {
   std::string id;      // content hash or a name; filled by the store
   std::string source;  // "simulation (exact)", "calibration session <id>"
+  // When the newest of the sessions that it was made from was captured: from then on the rig may drift. 0: not known.
+  WallNs made_wall;
+  WallNs valid_until_wall;  // older: warned of; 0: not known
   CameraCalibration camera;
   std::vector<ProjectorCalibration> projectors;
 

@@ -23,8 +23,8 @@ std::vector<std::string> Dump(const std::filesystem::path& store) {
   std::vector<std::string> rows;
   auto index = SessionIndex::Open(store, AccessMode::kReadOnly);
   EXPECT_TRUE(index.ok()) << index.status().message();
-  for (const char* table :
-       {"sessions", "calibrations", "frames", "proofs", "fits", "metrics", "visitors", "consents", "deletions"}) {
+  for (const char* table : {"sessions", "calibrations", "frames", "proofs", "fits", "metrics", "accepted_calibrations",
+                            "visitors", "consents", "deletions"}) {
     auto columns = index->connection().Prepare(
         "SELECT group_concat('quote(' || name || ')', '||''|''||') FROM"
         " pragma_table_info('" +

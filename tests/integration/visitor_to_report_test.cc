@@ -78,6 +78,13 @@ TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
   EXPECT_GT(metrics_["truth"]["pixels"].get<int>(), 20000);
 }
 
+// Skin displaces the codes by a fraction of a column: that is no drift.
+TEST_F(Visitor, SaysThatTheRigStandsAsItWasCalibrated) {
+  EXPECT_EQ(metrics_["drift"]["warning"], "");
+  ASSERT_EQ(metrics_["drift"]["projectors"].size(), 4U);
+  for (const Json& p : metrics_["drift"]["projectors"]) EXPECT_LT(p["shift_px"].get<double>(), 0.35) << p;
+}
+
 TEST_F(Visitor, LayersPredictTheHeldOutLightBetterThanTheBaselines) {
   for (const char* geometry : {"reconstructed", "truth"}) {
     const double tied = Nrmse("stripe", "tied", "subsurface", "none", 3, geometry);

@@ -52,6 +52,15 @@ INSTANTIATE_TEST_SUITE_P(
                       std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR
                                 "/docs/examples/scenes/charuco_poses.toml",
                                 "poses 0 .. 11"),
+                      std::pair("capture --kind calibration --poses 13 --simulate=" STRATALUX_SOURCE_DIR
+                                "/docs/examples/scenes/charuco_poses.toml",
+                                "lists 12 poses"),
+                      std::pair("capture --kind calibration --pose 7 --poses 7 --simulate=" STRATALUX_SOURCE_DIR
+                                "/docs/examples/scenes/charuco_poses.toml",
+                                "behind the last"),
+                      std::pair("capture --simulate --poses 3", "--kind calibration"),
+                      std::pair("capture --simulate=white --size 64x48 --calibration /no/such/record.json",
+                                "/no/such/record.json"),
                       std::pair("capture --simulate --seed minus", "seed"),
                       std::pair("capture --simulate --frobnicate", "frobnicate")));
 
@@ -90,7 +99,7 @@ TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
     EXPECT_EQ(outcome.code, 2) << outcome.text;
     EXPECT_THAT(outcome.text, HasSubstr("needs a pseudonym"));
   }
-  const Outcome flat = Rig(capture + " --kind flat");
+  const Outcome flat = Rig(capture + " --kind flat --yes");
   EXPECT_EQ(flat.code, 4) << flat.text;
   EXPECT_THAT(flat.text, HasSubstr("no-such-line"));
   EXPECT_FALSE(std::filesystem::exists(store));

@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/apps/guided_capture.h"
+
+#include <algorithm>
+#include <cstdio>
+
+#include <nlohmann/json.hpp>
+#include <poll.h>
+#include <unistd.h>
+
+#include "firmware-host/calibration/board_watch.h"
+#include "firmware-host/calibration/instructions.h"
+#include "firmware-host/calibration/light_watch.h"
+
+namespace stratalux::rig {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// One line of stdin without its end; false at the end of stdin or when `stop` is set.
+bool ReadLine(const std::atomic<bool>& stop, std::string& line) {
+  constexpr int kLookMs = 100;
+  line.clear();
+  while (!stop.load()) {
+    pollfd input{STDIN_FILENO, POLLIN, 0};
+    if (poll(&input, 1, kLookMs) <= 0) continue;
+    char c = 0;
+    if (read(STDIN_FILENO, &c, 1) != 1) return false;
+    if (c == '\n') return true;
+    line += c;
+  }
+  return false;
+}
+
+BoardWatchOptions BoardOptions(const RigConfig& config) {
+  BoardWatchOptions options;
+  options.projectors = config.plan.projectors;
+  options.projector_width = config.plan.projector_width;
+  options.projector_height = config.plan.projector_height;
+  options.saturation_dn = config.camera.saturation_dn;
+  options.exposure_ms = config.plan.exposure_ms;
+  return options;
+}
+
+struct Attempt {
+  CaptureOutcome capture;
+  BoardSighting sighting;
+
+  [[nodiscard]] bool usable() const { return capture.report.status == SessionStatus::kComplete; }
+  // May go well with nothing changed.
+  [[nodiscard]] bool by_chance() const {
+    return std::all_of(sighting.faults.begin(), sighting.faults.end(), [](const auto& f) { return f.by_chance; });
+  }
+};
+
+Result<Attempt> CapturePose(CaptureOptions options, int pose, const std::atomic<bool>& stop, Logger& logger) {
+  options.board_pose = pose;
+  if (options.simulated) options.simulated->board_pose = pose;
+  BoardWatch watch(BoardOptions(options.config));
+  Attempt attempt;
+  SLX_ASSIGN_OR_RETURN(attempt.capture, Capture(options, stop, logger, &watch));
+  attempt.sighting = watch.Judge();
+  return attempt;
+}
+
+std::string Percent(double share) { return std::to_string(static_cast<int>(100.0 * share + 0.5)) + " %"; }
+
+std::string CoverageLine(const SeriesOutcome& outcome) {
+  std::string text = "covered so far: camera " + Percent(outcome.camera.Share());
+  for (size_t p = 0; p < outcome.projectors.size(); ++p)
+    text += ", projector " + std::to_string(p) + " " + Percent(outcome.projectors[p].Share());
+  return text;
+}
+
+// The devices' maps side by side.
+std::string CoverageMaps(const SeriesOutcome& outcome) {
+  std::string text = "  camera    ";
+  for (size_t p = 0; p < outcome.projectors.size(); ++p) text += "projector " + std::to_string(p) + " ";
+  text += "\n";
+  for (int row = 0; row < CoverageMap::kRows; ++row) {
+    text += "  " + outcome.camera.RowText(row);
+    for (const CoverageMap& map : outcome.projectors) text += "    " + map.RowText(row);
+    text += "\n";
+  }
+  return text;
+}
+
+std::string Reasons(const CaptureOutcome& capture) {
+  std::string text;
+  for (const std::string& reason : capture.report.reasons) text += (text.empty() ? "" : "; ") + reason;
+  return text;
+}
+
+// Captures one pose until it is usable. False: the operator or a signal ended the series.
+Result<bool> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+                                const std::atomic<bool>& stop, Logger& logger, PoseOutcome& pose,
+                                SeriesOutcome& outcome) {
+  const std::string name = "pose " + std::to_string(pose.pose);
+  while (pose.attempts < series.max_attempts) {
+    SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(options, pose.pose, stop, logger));
+    ++pose.attempts;
+    pose.capture = std::move(attempt.capture);
+    pose.notes = attempt.sighting.notes;
+    pose.usable = attempt.usable();
+    for (const std::string& note : pose.notes) logger.Warning(name + ": " + note);
+    if (pose.usable) {
+      outcome.camera.Add(attempt.sighting.camera);
+      for (size_t p = 0; p < outcome.projectors.size(); ++p) outcome.projectors[p].Add(attempt.sighting.projectors[p]);
+      return true;
+    }
+    logger.Warning(name + " went wrong: " + Reasons(pose.capture));
+    if (stop.load()) return false;
+    if (pose.attempts == series.max_attempts) break;
+    if (!ask && !attempt.by_chance()) break;
+    if (ask && ask(name + " again. Mend what is named above") != Answer::kGo) return false;
+  }
+  return true;
+}
+
+// The outcome of this pose: of an earlier attempt, gone back to, or a new one.
+PoseOutcome& SlotOf(SeriesOutcome& outcome, int pose) {
+  std::erase_if(outcome.poses, [pose](const PoseOutcome& p) { return p.pose == pose; });
+  PoseOutcome& slot = outcome.poses.emplace_back();
+  slot.pose = pose;
+  return slot;
+}
+
+Json CoverageJson(const CoverageMap& map) {
+  Json rows = Json::array();
+  for (int row = 0; row < CoverageMap::kRows; ++row) rows.push_back(map.RowText(row));
+  return {{"share", map.Share()}, {"rows", rows}};
+}
+
+std::vector<std::string> UsableSessions(const SeriesOutcome& outcome) {
+  std::vector<std::string> sessions;
+  for (const PoseOutcome& pose : outcome.poses)
+    if (pose.usable) sessions.push_back(pose.capture.session);
+  return sessions;
+}
+
+}  // namespace
+
+AskOperator AskOnTerminal(const std::atomic<bool>& stop) {
+  return [&stop](const std::string& text) {
+    std::string line;
+    while (true) {
+      std::fprintf(stderr, "%s\n[Enter: capture, b: the pose before, q: end] ", text.c_str());
+      if (!ReadLine(stop, line)) {
+        std::fprintf(stderr, "\nno answer on stdin (--yes captures without asking)\n");
+        return Answer::kQuit;
+      }
+      if (line.empty()) return Answer::kGo;
+      if (line == "b") return Answer::kBack;
+      if (line == "q") return Answer::kQuit;
+    }
+  };
+}
+
+Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+                                    const std::atomic<bool>& stop, Logger& logger) {
+  SeriesOutcome outcome;
+  outcome.projectors.resize(static_cast<size_t>(options.config.plan.projectors));
+  int pose = series.first;
+  while (pose < series.poses) {
+    const std::string text = "pose " + std::to_string(pose) + " (" + std::to_string(pose - series.first + 1) + " of " +
+                             std::to_string(series.poses - series.first) + ")";
+    if (ask) {
+      const Answer answer =
+          ask(CoverageMaps(outcome) + text + ": hold the board " + PoseInstruction(pose) + ". Fix it there");
+      if (answer == Answer::kQuit) return outcome;
+      if (answer == Answer::kBack) {
+        pose = std::max(series.first, pose - 1);
+        continue;
+      }
+    } else {
+      logger.Info(text);
+    }
+    SLX_ASSIGN_OR_RETURN(const bool go_on,
+                         CaptureUntilUsable(options, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
+    logger.Info(CoverageLine(outcome));
+    if (!go_on) return outcome;
+    ++pose;
+  }
+  outcome.finished = true;
+  return outcome;
+}
+
+Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, const std::atomic<bool>& stop,
+                                  Logger& logger) {
+  const RigConfig& config = options.config;
+  if (config.plan.kind == SessionKind::kVisitor) return Capture(options, stop, logger);
+  if (config.plan.kind == SessionKind::kCalibration) {
+    // Who captures a single pose knows which.
+    BoardWatch watch(BoardOptions(config));
+    return Capture(options, stop, logger, &watch);
+  }
+  if (ask && ask(LightInstruction(config.plan.kind)) != Answer::kGo)
+    return Status::Failed("ended before the capture; nothing was stored");
+  LightWatchOptions light;
+  light.kind = config.plan.kind;
+  light.projectors = config.plan.projectors;
+  light.saturation_dn = config.camera.saturation_dn;
+  light.exposure_ms = config.plan.exposure_ms;
+  LightWatch watch(light);
+  return Capture(options, stop, logger, &watch);
+}
+
+std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store) {
+  std::string text;
+  for (const PoseOutcome& pose : outcome.poses) {
+    text += "pose " + std::to_string(pose.pose) + ": " + (pose.usable ? "usable" : "NOT usable") + ", session " +
+            pose.capture.session + (pose.attempts > 1 ? ", attempt " + std::to_string(pose.attempts) : "") + "\n";
+    if (!pose.usable) text += "  " + Reasons(pose.capture) + "\n";
+  }
+  if (!outcome.finished) text += "the series was ended early; --pose N goes on with pose N\n";
+  text += CoverageMaps(outcome);
+  const auto sessions = UsableSessions(outcome);
+  if (sessions.empty()) return text;
+  text += "next: stratalux-fit calibrate --store " + store;
+  for (const std::string& session : sessions) text += " " + session;
+  return text + "\n";
+}
+
+std::string SeriesAsJson(const SeriesOutcome& outcome) {
+  Json poses = Json::array(), projectors = Json::array();
+  for (const PoseOutcome& pose : outcome.poses)
+    poses.push_back({{"pose", pose.pose},
+                     {"session", pose.capture.session},
+                     {"status", ToString(pose.capture.report.status)},
+                     {"usable", pose.usable},
+                     {"attempts", pose.attempts},
+                     {"reasons", pose.capture.report.reasons},
+                     {"notes", pose.notes}});
+  for (const CoverageMap& map : outcome.projectors) projectors.push_back(CoverageJson(map));
+  const Json json = {{"poses", poses},
+                     {"finished", outcome.finished},
+                     {"sessions", UsableSessions(outcome)},
+                     {"coverage", {{"camera", CoverageJson(outcome.camera)}, {"projectors", projectors}}}};
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+int ExitCode(const SeriesOutcome& outcome) {
+  const size_t usable = UsableSessions(outcome).size();
+  if (!outcome.finished || usable == 0) return static_cast<int>(StatusCode::kFailed);
+  return static_cast<int>(usable == outcome.poses.size() ? StatusCode::kOk : StatusCode::kDegraded);
+}
+
+}  // namespace stratalux::rig
