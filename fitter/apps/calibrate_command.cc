@@ -15,6 +15,7 @@
 #include "fitter/calibration/calibration_record.h"
 #include "fitter/pipeline/board_stage.h"
 #include "fitter/pipeline/content_hash.h"
+#include "fitter/report/calibration_page.h"
 #include "shared/base/read_file.h"
 #include "shared/base/version.h"
 
@@ -23,7 +24,7 @@ namespace {
 
 struct Flags {
   std::string store, out, board = "charuco", squares = "10x7", distortion = "auto";
-  std::string camera_size, projector_size, known_camera, known_rig;
+  std::string camera_size, projector_size, known_camera, known_rig, page;
   std::vector<std::string> sessions;
   BoardStageOptions stage;
   int last = 0;
@@ -91,9 +92,15 @@ Status WriteText(const std::filesystem::path& file, const std::string& text) {
   return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
 }
 
+// Beside --out and where --page says, whether accepted or refused.
+Status WritePage(const Flags& f, const std::string& html) {
+  if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(std::filesystem::path(f.out).replace_extension(".html"), html));
+  return f.page.empty() ? Status::Ok() : WriteText(f.page, html);
+}
+
 // In the store: a fit of the newest session that the poses came from.
 Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards, const std::string& record,
-                                       const std::string& figures) {
+                                       const std::string& figures, const std::string& html) {
   const std::string session = boards.sessions.back();
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadWrite));
   nlohmann::ordered_json options = {
@@ -106,6 +113,7 @@ Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards,
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   SLX_RETURN_IF_ERROR(WriteText(folder / "calibration.json", record));
   SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.json", figures));
+  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.html", html));
   SLX_RETURN_IF_ERROR(store.RegisterFit({fit, session, options.dump(), figures, WallNow()}));
   return folder / "calibration.json";
 }
@@ -143,10 +151,13 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto findings, Judge(f, boards, report));
   const std::string figures = ReportJson(report, findings, boards.left_out);
   const RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  SLX_ASSIGN_OR_RETURN(const std::string html,
+                       RenderHtml(CalibrationReport({boards.sessions, findings, &report, boards.calibration})));
+  SLX_RETURN_IF_ERROR(WritePage(f, html));
   std::string text = ReportText(report, findings);
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(figures);
   if (!IsRefused(findings)) {
-    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, boards, record.ToJson(), figures));
+    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, boards, record.ToJson(), figures, html));
     if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record.ToJson()));
     text += (f.out.empty() ? file.string() : f.out) + "\n";
     json["record"] = f.out.empty() ? file.string() : f.out;
@@ -155,6 +166,16 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   if (!IsRefused(findings)) return boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
   logger.Error("calibration refused; nothing was stored");
   return static_cast<int>(StatusCode::kFailed);
+}
+
+// The page says why there is no calibration; wrong flags need none.
+int Fail(const Flags& f, const Status& status, Logger& logger) {
+  logger.Error(status.message());
+  if (status.code() == StatusCode::kUsage) return status.exit_code();
+  const auto html = RenderHtml(CalibrationReport({f.sessions, {{Severity::kRefusal, status.message(), ""}}}));
+  const Status written = html.ok() ? WritePage(f, *html) : html.status();
+  if (!written.ok()) logger.Error(written.message());
+  return status.exit_code();
 }
 
 }  // namespace
@@ -191,13 +212,13 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
                    "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
   verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
   verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
-  verb->add_option("--out", flags->out, "Write the record here, too");
+  verb->add_option("--out", flags->out, "Write the record here, too, and the page beside it (.html)");
+  verb->add_option("--page", flags->page, "Write the page (HTML) here, whether accepted or refused");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;
     const auto code = Calibrate(*flags, logger);
-    if (!code.ok()) logger.Error(code.status().message());
-    exit_code = code.ok() ? *code : code.status().exit_code();
+    exit_code = code.ok() ? *code : Fail(*flags, code.status(), logger);
   });
 }
 
