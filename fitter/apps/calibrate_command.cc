@@ -118,12 +118,18 @@ Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards,
   return folder / "calibration.json";
 }
 
-Result<std::vector<Finding>> Judge(const Flags& f, const BoardPoses& boards, const GeometryReport& report) {
-  std::vector<Finding> findings = JudgeCalibration(report);
+// An earlier calibration of the same box.
+Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const BoardPoses& boards) {
   std::optional<RigCalibration> known = boards.calibration;
   if (!f.known_rig.empty()) {
     SLX_ASSIGN_OR_RETURN(known, ReadRecord("--known-rig", f.known_rig));
   }
+  return known;
+}
+
+std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCalibration>& known,
+                           const GeometryReport& report) {
+  std::vector<Finding> findings = JudgeCalibration(report);
   if (known) {
     const auto more = CompareWithKnownRig(RigGeometry::From(*known), report);
     findings.insert(findings.end(), more.begin(), more.end());
@@ -148,11 +154,12 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
     return Status(calibrated.status().code(), calibrated.status().message() + also);
   }
   const GeometryReport& report = *calibrated;
-  SLX_ASSIGN_OR_RETURN(const auto findings, Judge(f, boards, report));
+  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards));
+  const auto findings = Judge(boards, known, report);
   const std::string figures = ReportJson(report, findings, boards.left_out);
   const RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
   SLX_ASSIGN_OR_RETURN(const std::string html,
-                       RenderHtml(CalibrationReport({boards.sessions, findings, &report, boards.calibration})));
+                       RenderHtml(CalibrationReport({boards.sessions, findings, &report, known})));
   SLX_RETURN_IF_ERROR(WritePage(f, html));
   std::string text = ReportText(report, findings);
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(figures);

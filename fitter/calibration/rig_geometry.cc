@@ -70,8 +70,8 @@ DeviceErrors ReprojectionErrors(const RigGeometry& rig, const BoardDescription& 
   DeviceErrors errors(1 + rig.projectors.size());
   for (const CornerObservation& corner : pose.corners)
     for (size_t d = 0; d <= rig.projectors.size(); ++d) {
-      const auto seen = d == 0 ? std::optional(corner.camera_px) : corner.projector_px[d - 1];
-      if (!seen) continue;
+      const Eigen::Vector2d* seen = corner.SeenBy(d);
+      if (seen == nullptr) continue;
       errors.squares[d] += SquaredError(ProjectCorner(rig, d, board, camera_from_board, corner.corner), *seen);
       ++errors.counts[d];
     }

@@ -20,11 +20,6 @@ DeviceSize SizeOf(const GeometryReport& report, size_t device) {
   return device == 0 ? report.used.camera : report.used.projectors[device - 1];
 }
 
-const Pinhole& ModelOf(const GeometryReport& report, size_t device) {
-  const RigGeometry& rig = report.bundle.rig;
-  return device == 0 ? rig.camera : rig.projectors[device - 1].model;
-}
-
 // Pixel of the device -> the drawing.
 struct PictureScale {
   double drawing_per_px;
@@ -44,10 +39,11 @@ std::vector<Residual> ResidualsOf(const GeometryReport& report, size_t device) {
   const RigGeometry& rig = report.bundle.rig;
   for (size_t k = 0; k < report.used.poses.size(); ++k)
     for (const CornerObservation& corner : report.used.poses[k].corners) {
-      const auto seen = device == 0 ? std::optional(corner.camera_px) : corner.projector_px[device - 1];
+      const Eigen::Vector2d* seen = corner.SeenBy(device);
+      if (seen == nullptr) continue;
       const auto there =
           ProjectCorner(rig, device, report.used.board, report.bundle.camera_from_board[k], corner.corner);
-      if (seen && there) residuals.push_back({k, *seen, *there - *seen});
+      if (there) residuals.push_back({k, *seen, *there - *seen});
     }
   return residuals;
 }
