@@ -48,14 +48,14 @@ std::vector<Residual> ResidualsOf(const GeometryReport& report, size_t device) {
   return residuals;
 }
 
-// The arrow that the eye should meet: drawn a fifteenth of the picture long, it stands for a round number of pixels.
+// A round number of pixels for the arrow that is drawn a fifteenth of the picture long: most arrows are about as long,
+// and the longest stays in sight.
 double RoundArrowPx(const std::vector<Residual>& residuals) {
-  std::vector<double> lengths;
+  std::vector<double> lengths{0.0};
   for (const Residual& r : residuals) lengths.push_back(r.off_px.norm());
-  if (lengths.empty()) return 1.0;
-  const auto at = lengths.begin() + static_cast<std::ptrdiff_t>(0.9 * static_cast<double>(lengths.size() - 1));
-  std::nth_element(lengths.begin(), at, lengths.end());
-  return RoundStep(4.0 * std::max(*at, 1e-4));
+  std::sort(lengths.begin(), lengths.end());
+  const double most = lengths[9 * (lengths.size() - 1) / 10];
+  return RoundStep(4.0 * std::max({most, 0.1 * lengths.back(), 1e-4}));
 }
 
 void DrawRejected(const GeometryReport& report, const PictureScale& scale, SvgDrawing& svg) {
