@@ -98,7 +98,7 @@ FrameHeader MakeFrameHeader(const FrameRecord& r, int64_t frame, const std::stri
 }
 
 Result<FrameRecord> RecordOf(const FrameHeader& h) {
-  if (h.phase > static_cast<uint32_t>(CapturePhase::kGuard) || h.cfa > 4 || h.format < 1 || h.format > 4 ||
+  if (h.phase > static_cast<uint32_t>(CapturePhase::kRadiometry) || h.cfa > 4 || h.format < 1 || h.format > 4 ||
       h.level_check > 2)
     return Status::Integrity("frame " + std::to_string(h.frame) + ": header has values of no known version");
   FrameRecord r;

@@ -9,10 +9,17 @@
 namespace stratalux {
 namespace {
 
-constexpr std::array<std::string_view, 8> kPhases = {"preroll", "reference", "correspondence", "separation",
-                                                     "sweep",   "motion",    "spot",           "guard"};
+constexpr std::array<std::string_view, 9> kPhases = {"preroll", "reference", "correspondence", "separation", "sweep",
+                                                     "motion",  "spot",      "guard",          "radiometry"};
 constexpr std::array<std::string_view, 5> kKinds = {"visitor", "calibration", "dark", "flat", "response"};
 constexpr std::array<std::string_view, 2> kSyncModes = {"triggered", "free_running"};
+
+// What the sessions that measure light show beyond white, black and codes; docs/capture-plan.md gives the reasons.
+constexpr int kDarkRepeats = 16;        // frames of each exposure
+constexpr int kRampRepeats = 2;         // whites of each exposure: their difference is noise alone
+constexpr int kGreySteps = 32;          // of a projector's ramp
+constexpr int kWhiteEvery = 8;          // steps of the ramp between whites, which tell the lamp's drift
+constexpr int kLinePeriodInWidths = 8;  // lines far apart for a matt target, where nothing spreads
 
 template <typename E, size_t N>
 Result<E> ParseName(const std::array<std::string_view, N>& names, const std::string& text, const char* what) {
@@ -137,6 +144,47 @@ class PlanBuilder {
     AddGuards(projector);
   }
 
+  void AddDark(int projector) {
+    for (int bracket = 0; bracket < Brackets(CapturePhase::kRadiometry); ++bracket)
+      for (int i = 0; i < kDarkRepeats; ++i)
+        Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kBlack}, bracket);
+  }
+
+  void AddFlat(int projector) {
+    AddReference(projector);
+    AddCorrespondence(projector);
+    AddLines(projector);
+    // One lamp is enough for the camera's own curve and noise.
+    if (projector == 0) AddExposureRamp(projector);
+    AddGuards(projector);
+  }
+
+  void AddLines(int projector) {
+    const PlanOptions& o = plan_.options;
+    const int period = kLinePeriodInWidths * o.comb_width;
+    for (int shift = 0; shift < period; shift += o.comb_width)
+      Add(projector, CapturePhase::kRadiometry,
+          {.kind = PatternKind::kComb, .period = period, .width = o.comb_width, .shift = shift});
+  }
+
+  void AddExposureRamp(int projector) {
+    for (int bracket = 0; bracket < Brackets(CapturePhase::kRadiometry); ++bracket) {
+      for (int i = 0; i < kRampRepeats; ++i)
+        Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kWhite}, bracket);
+      Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kBlack}, bracket);
+    }
+  }
+
+  void AddResponse(int projector) {
+    AddReference(projector);
+    for (int level = 1; level < kGreySteps; ++level) {
+      Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kGrey, .shift = level, .shifts = kGreySteps});
+      if (level % kWhiteEvery == 0) Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kWhite});
+    }
+    Add(projector, CapturePhase::kRadiometry, {.kind = PatternKind::kWhite});
+    AddGuards(projector);
+  }
+
   void AddGuards(int projector) {
     for (int i = 0; i < plan_.options.guards; ++i) Add(projector, CapturePhase::kGuard, {.kind = PatternKind::kBlack});
   }
@@ -160,6 +208,9 @@ Result<SyncMode> ParseSyncMode(const std::string& text) { return ParseName<SyncM
 
 const std::vector<double>& PlanOptions::BracketsOf(CapturePhase phase) const {
   static const std::vector<double> kNominal = {1.0};
+  static const std::vector<double> kDark = {1.0, 0.25, 4.0};
+  static const std::vector<double> kRamp = {1.0,   0.015625, 0.03125, 0.0625, 0.125, 0.1875, 0.25,
+                                            0.375, 0.5,      0.625,   0.75,   0.875, 1.125};
   switch (phase) {
     case CapturePhase::kReference:
       return reference_brackets;
@@ -171,6 +222,8 @@ const std::vector<double>& PlanOptions::BracketsOf(CapturePhase phase) const {
       return brackets;
     case CapturePhase::kSpot:
       return spot_brackets;
+    case CapturePhase::kRadiometry:
+      return kind == SessionKind::kDark ? kDark : kind == SessionKind::kFlat ? kRamp : kNominal;
     default:
       return kNominal;
   }
@@ -231,15 +284,14 @@ Result<CapturePlan> BuildPlan(const PlanOptions& options) {
         builder.AddReferenceAndCodes(p);
         break;
       case SessionKind::kFlat:
-        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kWhite});
-        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+        builder.AddFlat(p);
         break;
       case SessionKind::kDark:
-        builder.Add(p, CapturePhase::kReference, {.kind = PatternKind::kBlack});
+        if (p == 0) builder.AddDark(p);
         break;
       case SessionKind::kResponse:
-        return Status::Usage(
-            "plan: kind 'response' needs projector grey levels, which no projector back-end offers yet");
+        builder.AddResponse(p);
+        break;
     }
   }
   CapturePlan plan = builder.Take();

@@ -11,7 +11,17 @@
 namespace stratalux {
 
 enum class SessionKind { kVisitor, kCalibration, kDark, kFlat, kResponse };
-enum class CapturePhase { kPreroll, kReference, kCorrespondence, kSeparation, kSweep, kMotion, kSpot, kGuard };
+enum class CapturePhase {
+  kPreroll,
+  kReference,
+  kCorrespondence,
+  kSeparation,
+  kSweep,
+  kMotion,
+  kSpot,
+  kGuard,
+  kRadiometry
+};
 enum class SyncMode { kTriggered, kFreeRunning };
 
 [[nodiscard]] const char* ToString(SessionKind);
@@ -58,7 +68,8 @@ struct PlanOptions {
   int spot_pitch = 160;   // px
   int guards = 2;         // black guard frames after each projector
 
-  // Exposure factors of a phase; {1} for those that have no brackets.
+  // Exposure factors of a phase; {1} for those that have no brackets. Those of `radiometry` follow from the kind: a
+  // ramp for the camera's linearity and photon transfer (flat), a few for dark current (dark).
   [[nodiscard]] const std::vector<double>& BracketsOf(CapturePhase phase) const;
   [[nodiscard]] Status Validate() const;
 };

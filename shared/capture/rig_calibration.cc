@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/capture/rig_calibration.h"
 
+#include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include <nlohmann/json.hpp>
 
@@ -32,7 +34,40 @@ Pinhole PinholeFrom(const Json& j) {
   return m;
 }
 
+// Of a curve given at equally spaced places in 0 .. 1; beyond 1 with its last slope.
+double Interpolate(const std::vector<double>& curve, double at) {
+  const double place = at * static_cast<double>(curve.size() - 1);
+  const auto k = static_cast<size_t>(std::clamp(place, 0.0, static_cast<double>(curve.size() - 2)));
+  return curve[k] + (place - static_cast<double>(k)) * (curve[k + 1] - curve[k]);
+}
+
+// Fall-off of either kind, about a device's principal point.
+double RadialFalloff(const Pinhole& model, const std::array<double, 2>& coefficients, const Eigen::Vector2d& at) {
+  const double half_diagonal2 = 0.25 * (double(model.width) * model.width + double(model.height) * model.height);
+  const double r2 = (at - Eigen::Vector2d(model.cx, model.cy)).squaredNorm() / half_diagonal2;
+  return 1.0 + r2 * (coefficients[0] + r2 * coefficients[1]);
+}
+
+// Half the diagonal is r = 1; the corners lie a little further out.
+bool IsPositive(const std::array<double, 2>& coefficients) {
+  for (int k = 0; k <= 12; ++k) {
+    const double r2 = 0.1 * k;
+    if (!(1.0 + r2 * (coefficients[0] + r2 * coefficients[1]) > 0.0)) return false;
+  }
+  return true;
+}
+
+Status CheckResponse(const std::vector<double>& response) {
+  if (response.empty()) return Status::Ok();
+  bool rising = response.size() >= 2 && response.front() == 0.0 && std::isfinite(response.back());
+  for (size_t k = 1; k < response.size(); ++k) rising = rising && response[k] >= response[k - 1];
+  return rising && response.back() > 0.0 ? Status::Ok()
+                                         : Status::Usage("response must rise from 0; calibrate the light again");
+}
+
 constexpr const char* kCovariance = "geometry_covariance";
+constexpr const char* kResponse = "response";
+constexpr const char* kVignetting = "vignetting";
 
 void AddCovariance(const std::vector<double>& covariance, Json& json) {
   if (!covariance.empty()) json[kCovariance] = covariance;
@@ -60,6 +95,7 @@ Json ProjectorJson(const ProjectorCalibration& p) {
                {"black_level", p.black_level},
                {"falloff", p.falloff},
                {"white_dn_mm2_per_ms", p.white_dn_mm2_per_ms}};
+  if (!p.response.empty()) json[kResponse] = p.response;
   AddCovariance(p.geometry_covariance, json);
   return json;
 }
@@ -76,6 +112,7 @@ ProjectorCalibration ProjectorFrom(const Json& j) {
   j.at("black_level").get_to(p.black_level);
   j.at("falloff").get_to(p.falloff);
   j.at("white_dn_mm2_per_ms").get_to(p.white_dn_mm2_per_ms);
+  if (j.contains(kResponse)) j.at(kResponse).get_to(p.response);
   GetCovariance(j, p.geometry_covariance);
   return p;
 }
@@ -87,10 +124,33 @@ std::optional<Eigen::Vector2d> ProjectorCalibration::ProjectFromCamera(const Eig
                        (x_in_camera - camera_from_projector.translation_mm));
 }
 
+double CameraCalibration::LinearDn(double above_black_dn) const {
+  const double range_dn = saturation_dn - black_level_dn;
+  return response.empty() || above_black_dn <= 0.0 ? above_black_dn
+                                                   : range_dn * Interpolate(response, above_black_dn / range_dn);
+}
+
+double CameraCalibration::Vignetting(double x_px, double y_px) const {
+  return RadialFalloff(model, vignetting, {x_px, y_px});
+}
+
 double ProjectorCalibration::Falloff(const Eigen::Vector2d& column_row) const {
-  const double half_diagonal2 = 0.25 * (double(model.width) * model.width + double(model.height) * model.height);
-  const double r2 = (column_row - Eigen::Vector2d(model.cx, model.cy)).squaredNorm() / half_diagonal2;
-  return 1.0 + r2 * (falloff[0] + r2 * falloff[1]);
+  return RadialFalloff(model, falloff, column_row);
+}
+
+double ProjectorCalibration::Response(double grey) const {
+  const double level = std::clamp(grey, 0.0, 1.0);
+  return response.empty() ? level : Interpolate(response, level);
+}
+
+double ProjectorCalibration::SinusoidAmplitude() const {
+  constexpr int kSamples = 256;  // of a period; the curve's kinks are that fine
+  double sum = 0.0;
+  for (int k = 0; k < kSamples; ++k) {
+    const double cosine = std::cos(2.0 * std::numbers::pi * (k + 0.5) / kSamples);
+    sum += Response(0.5 + 0.5 * cosine) * cosine;
+  }
+  return 2.0 * sum / kSamples;
 }
 
 double ProjectorCalibration::WhiteTargetDn(const Eigen::Vector3d& x_in_camera, const Eigen::Vector3d& normal,
@@ -109,12 +169,16 @@ Status RigCalibration::Validate() const {
   if (!(camera.saturation_dn > camera.black_level_dn))
     return Status::Usage("calibration: camera: saturation must lie above the black level");
   SLX_RETURN_IF_ERROR(CheckCovariance(camera.geometry_covariance, 9).WithContext("calibration: camera"));
+  SLX_RETURN_IF_ERROR(CheckResponse(camera.response).WithContext("calibration: camera"));
+  if (!IsPositive(camera.vignetting))
+    return Status::Usage("calibration: camera: vignetting reaches 0 within the picture; calibrate the light again");
   if (projectors.empty()) return Status::Usage("calibration: no projector");
   for (const ProjectorCalibration& p : projectors) {
     SLX_RETURN_IF_ERROR(p.model.Validate().WithContext("calibration: projector " + p.name));
     for (double v : p.white_dn_mm2_per_ms)
       if (!(v > 0.0) || !std::isfinite(v))
         return Status::Usage("calibration: projector " + p.name + ": white_dn_mm2_per_ms must be positive");
+    SLX_RETURN_IF_ERROR(CheckResponse(p.response).WithContext("calibration: projector " + p.name));
     SLX_RETURN_IF_ERROR(CheckCovariance(p.geometry_covariance, 15).WithContext("calibration: projector " + p.name));
     if (!p.camera_from_projector.translation_mm.allFinite())
       return Status::Usage("calibration: projector " + p.name + ": pose is not finite");
@@ -135,6 +199,8 @@ std::string RigCalibration::ToJson() const {
                  {"read_noise_dn", camera.read_noise_dn},
                  {"line_blur_px", camera.line_blur_px}}},
                {"projectors", Json::array()}};
+  if (!camera.response.empty()) json["camera"][kResponse] = camera.response;
+  if (camera.vignetting != std::array<double, 2>{}) json["camera"][kVignetting] = camera.vignetting;
   AddCovariance(camera.geometry_covariance, json["camera"]);
   for (const ProjectorCalibration& p : projectors) json["projectors"].push_back(ProjectorJson(p));
   return json.dump();
@@ -159,6 +225,8 @@ Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
     camera.at("gain_e_per_dn").get_to(c.camera.gain_e_per_dn);
     camera.at("read_noise_dn").get_to(c.camera.read_noise_dn);
     camera.at("line_blur_px").get_to(c.camera.line_blur_px);
+    if (camera.contains(kResponse)) camera.at(kResponse).get_to(c.camera.response);
+    if (camera.contains(kVignetting)) camera.at(kVignetting).get_to(c.camera.vignetting);
     GetCovariance(camera, c.camera.geometry_covariance);
     for (const Json& p : json.at("projectors")) c.projectors.push_back(ProjectorFrom(p));
     SLX_RETURN_IF_ERROR(c.Validate());

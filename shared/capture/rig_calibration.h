@@ -21,8 +21,19 @@ struct CameraCalibration {
   double gain_e_per_dn = 1.0;  // photo-electrons per digital number
   double read_noise_dn = 0.0;  // standard deviation
   double line_blur_px = 0.0;   // standard deviation of the optics' blur, camera pixels (the pixel box comes on top)
+  // Linear light of raw levels: entry k of n belongs to the raw level k / (n - 1) of the way from black to saturation;
+  // both above black, as shares of saturation less black. Rising from 0; the slope at black is 1, so that
+  // gain_e_per_dn holds there. Empty: linear.
+  std::vector<double> response;
+  // Sensitivity relative to the optical axis: 1 + vignetting[0] r^2 + vignetting[1] r^4, r = distance from the
+  // principal point over half the diagonal of the image.
+  std::array<double, 2> vignetting{};
   // Of fx fy cx cy k1 k2 p1 p2 k3: upper triangle, row by row (45); empty: exact, or not known.
   std::vector<double> geometry_covariance;
+
+  // Digital numbers above black that a linear camera would read, of a raw level above black; below black unchanged.
+  [[nodiscard]] double LinearDn(double above_black_dn) const;
+  [[nodiscard]] double Vignetting(double x_px, double y_px) const;
 };
 
 struct ProjectorCalibration {
@@ -34,6 +45,9 @@ struct ProjectorCalibration {
   // Fall-off relative to the optical axis: 1 + falloff[0] r^2 + falloff[1] r^4, r = distance from the principal point
   // over half the diagonal of the projector's image.
   std::array<double, 2> falloff{};
+  // Light of grey levels: entry k of n belongs to level k / (n - 1) of white; light above the projector's black, as a
+  // share of white's. Rises from 0 to 1. Empty: linear.
+  std::vector<double> response;
   // White-target scale per colour channel: a perfect white Lambertian target at distance d (mm) from the projector, its
   // normal at angle theta to the light, reads  (white_dn_mm2 * falloff * cos(theta) / d^2) digital numbers above black
   // per ms of exposure.
@@ -46,6 +60,10 @@ struct ProjectorCalibration {
   // (column, row) of a point in the camera frame; nullopt behind the projector.
   [[nodiscard]] std::optional<Eigen::Vector2d> ProjectFromCamera(const Eigen::Vector3d& x_in_camera) const;
   [[nodiscard]] double Falloff(const Eigen::Vector2d& column_row) const;
+  // Light of grey level `grey` in 0 .. 1, as `response` has it.
+  [[nodiscard]] double Response(double grey) const;
+  // Fourier coefficient of cos in Response(0.5 + 0.5 cos): 1/2 for a linear projector.
+  [[nodiscard]] double SinusoidAmplitude() const;
   // Digital numbers above black of a perfect white Lambertian target at the point, all columns on; 0 where it faces
   // away.
   [[nodiscard]] double WhiteTargetDn(const Eigen::Vector3d& x_in_camera, const Eigen::Vector3d& normal, int channel,

@@ -11,8 +11,8 @@
 namespace stratalux {
 namespace {
 
-constexpr std::array<std::string_view, 7> kNames = {"black",    "white", "gray", "checkerboard",
-                                                    "sinusoid", "comb",  "spots"};
+constexpr std::array<std::string_view, 8> kNames = {"black",    "white", "gray",  "checkerboard",
+                                                    "sinusoid", "comb",  "spots", "grey"};
 
 float GrayIntensity(const Pattern& p, int position) {
   const unsigned code = GrayFromBinary(static_cast<unsigned>(position));
@@ -54,6 +54,7 @@ Status ParseField(std::string_view key, std::string_view value, Pattern& p) {
   bool good = false;
   if (key == "bit") good = pair && number(first, p.bit) && number(second, p.bits);
   if (key == "shift") good = number(first, p.shift) && (!pair || number(second, p.shifts));
+  if (key == "level") good = pair && number(first, p.shift) && number(second, p.shifts);
   if (key == "period") good = !pair && number(first, p.period);
   if (key == "width" || key == "radius") good = !pair && number(first, p.width);
   if (good) return Status::Ok();
@@ -79,6 +80,8 @@ float Pattern::Intensity(int column, int row) const {
       return Modulo(position - shift, period) < width ? 1.0F : 0.0F;
     case PatternKind::kSpots:
       return SpotIntensity(*this, column, row);
+    case PatternKind::kGrey:
+      return static_cast<float>(shift) / static_cast<float>(shifts);
   }
   return 0.0F;
 }
@@ -119,6 +122,9 @@ std::string Pattern::ToString() const {
       break;
     case PatternKind::kSpots:
       text << " period=" << period << " radius=" << width;
+      break;
+    case PatternKind::kGrey:
+      text << " level=" << shift << '/' << shifts;
       break;
   }
   return text.str();
@@ -182,6 +188,9 @@ Status Pattern::Validate(int projector_width, int projector_height) const {
     case PatternKind::kSpots:
       if (width < 1 || period <= 2 * width) return refuse("radius must be at least 1 px, pitch more than its double");
       if (period > projector_width || period > projector_height) return refuse("pitch exceeds the projector");
+      return Status::Ok();
+    case PatternKind::kGrey:
+      if (shifts < 1 || shift < 0 || shift > shifts) return refuse("level must lie in 0 .. its number of levels");
       return Status::Ok();
   }
   return refuse("unknown kind");

@@ -19,6 +19,7 @@ enum class PatternKind {
   kSinusoid,      // 0.5 + 0.5 cos(2 pi (c + 0.5) / period - 2 pi shift / shifts)
   kComb,          // lines `width` wide every `period` pixels, the first one at offset `shift`
   kSpots,         // discs of radius `width` on a square lattice of pitch `period`
+  kGrey,          // one grey level `shift` of `shifts` everywhere; what light it gives is the projector's response
 };
 
 enum class PatternAxis { kColumns, kRows };
@@ -36,7 +37,7 @@ struct Pattern {
 
   friend bool operator==(const Pattern&, const Pattern&) = default;
 
-  // True when the intensity depends on the column alone or on the row alone (white and black: on neither).
+  // True when the intensity depends on the column alone or on the row alone (white, black and grey: on neither).
   [[nodiscard]] bool IsOneDimensional() const {
     return kind != PatternKind::kCheckerboard && kind != PatternKind::kSpots;
   }
