@@ -48,8 +48,8 @@ std::vector<Residual> ResidualsOf(const GeometryReport& report, size_t device) {
   return residuals;
 }
 
-// A round number of pixels for the arrow that is drawn a fifteenth of the picture long: most arrows are about as long,
-// and the longest stays in sight.
+// A round number of pixels for the arrow that is drawn a 25th of the picture long: most arrows are about as long, and
+// the longest stays in sight.
 double RoundArrowPx(const std::vector<Residual>& residuals) {
   std::vector<double> lengths{0.0};
   for (const Residual& r : residuals) lengths.push_back(r.off_px.norm());
@@ -184,7 +184,7 @@ ReportDrawing DrawResiduals(const GeometryReport& report, size_t device) {
   SvgDrawing svg;
   svg.Rectangle({1, 1}, {kWide - 2.0, height}, "none", "var(--line)");
   const auto residuals = ResidualsOf(report, device);
-  const double arrow_px = RoundArrowPx(residuals), drawn = kWide / 15.0;
+  const double arrow_px = RoundArrowPx(residuals), drawn = kWide / 25.0;
   for (const Residual& r : residuals) {
     const Point from = scale(r.seen_px);
     svg.Arrow(from, from + drawn / arrow_px * r.off_px, HueColour(r.pose, report.used.poses.size()));

@@ -4,24 +4,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
+#include <iterator>
 
 #include "fitter/report/calibration_drawings.h"
+#include "fitter/report/light_sections.h"
+#include "fitter/report/page_text.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
-
-std::string Fixed(double value, int digits) {
-  if (!std::isfinite(value)) return "-";
-  char text[48];
-  std::snprintf(text, sizeof text, "%.*f", digits, value);
-  return text;
-}
-
-std::string Signed(double value, int digits) { return (value >= 0.0 ? "+" : "") + Fixed(value, digits); }
-
-std::string PlusMinus(double value, double sd, int digits) { return Fixed(value, digits) + " ± " + Fixed(sd, digits); }
 
 // Digits after the point that show a parameter's standard deviation on a good rig.
 int DigitsOf(int parameter) {
@@ -40,7 +31,8 @@ ReportBanner BannerOf(const CalibrationPage& page) {
   const auto refusals = std::count_if(page.findings.begin(), page.findings.end(),
                                       [](const Finding& f) { return f.severity == Severity::kRefusal; });
   const auto warnings = static_cast<std::ptrdiff_t>(page.findings.size()) - refusals;
-  if (page.geometry == nullptr) return {Tone::kBad, "No calibration: see below what stands in the way."};
+  if (page.geometry == nullptr && page.light == nullptr)
+    return {Tone::kBad, "No calibration: see below what stands in the way."};
   if (refusals > 0)
     return {Tone::kBad, "Refused: do not use this calibration. Reasons and remedies: " + std::to_string(refusals) +
                             ", below. Earlier calibrations stay as they are."};
@@ -96,7 +88,13 @@ ReportSection Accuracy(const GeometryReport& g) {
 }
 
 ReportSection Residuals(const GeometryReport& g) {
-  ReportSection section{"Residuals", "What the calibration leaves unexplained at each corner.", {}, {}, {}};
+  ReportSection section{"Residuals",
+                        "What the calibration leaves unexplained at each corner. Errors of finding corners in the "
+                        "camera's picture move all "
+                        "devices alike; what is a projector's own is its noise in the table above.",
+                        {},
+                        {},
+                        {}};
   for (size_t d = 0; d < g.sigma_px.size(); ++d) section.drawings.push_back(DrawResiduals(g, d));
   return section;
 }
@@ -239,14 +237,19 @@ std::string Subtitle(const CalibrationPage& page) {
 
 Report CalibrationReport(const CalibrationPage& page) {
   Report report{"Calibration", Subtitle(page), {Verdict(page)}, BannerOf(page)};
-  if (page.geometry == nullptr) return report;
-  const GeometryReport& g = *page.geometry;
-  report.sections.push_back(Accuracy(g));
-  report.sections.push_back(Residuals(g));
-  report.sections.push_back(Coverage(g));
-  report.sections.push_back(Rig(g));
-  report.sections.push_back({"Parameters", "", {}, {}, {Trials(g), Parameters(g)}});
-  if (page.earlier) report.sections.push_back(BeforeAndAfter(g, *page.earlier));
+  if (page.geometry != nullptr) {
+    const GeometryReport& g = *page.geometry;
+    report.sections.push_back(Accuracy(g));
+    report.sections.push_back(Residuals(g));
+    report.sections.push_back(Coverage(g));
+    report.sections.push_back(Rig(g));
+    report.sections.push_back({"Parameters", "", {}, {}, {Trials(g), Parameters(g)}});
+    if (page.earlier) report.sections.push_back(BeforeAndAfter(g, *page.earlier));
+  }
+  if (page.light != nullptr) {
+    auto light = LightSections(*page.light, page.record);
+    std::move(light.begin(), light.end(), std::back_inserter(report.sections));
+  }
   return report;
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "fitter/calibration/calibrate_rig.h"
+#include "fitter/calibration/light_report.h"
 #include "fitter/calibration/verdict.h"
 #include "fitter/report/html_report.h"
 #include "shared/capture/rig_calibration.h"
@@ -15,10 +16,12 @@
 namespace stratalux::fit {
 
 struct CalibrationPage {
-  std::vector<std::string> sessions;  // ids
-  std::vector<Finding> findings;
+  std::vector<std::string> sessions;         // ids
+  std::vector<Finding> findings;             // of geometry and light
   const GeometryReport* geometry = nullptr;  // none: no calibration came about, `findings` says why
   std::optional<RigCalibration> earlier{};   // of the same rig, to show what changed
+  const LightReport* light = nullptr;        // none: no session told of light
+  RigCalibration record{};                   // what came out; with `light` only
 };
 
 [[nodiscard]] Report CalibrationReport(const CalibrationPage& page);

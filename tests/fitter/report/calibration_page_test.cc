@@ -26,7 +26,9 @@ const RigGeometry& Truth() {
 
 const GeometryReport& Calibrated() {
   static const GeometryReport report = [] {
-    auto observations = Observe(Truth(), ExamplePoses(), {}, 21);
+    auto poses = ExamplePoses();
+    poses.resize(6);
+    auto observations = Observe(Truth(), poses, {}, 21);
     observations.poses[3].corners[10].camera_px.x() += 5.0;  // will be left out
     auto calibrated = CalibrateRig(observations, {.distortion = DistortionModel::kK1K2});
     EXPECT_TRUE(calibrated.ok()) << calibrated.status().message();
@@ -132,6 +134,67 @@ TEST(CalibrationPage, ComparesNothingWithAnotherRig) {
   earlier.projectors.pop_back();
   const Report page = CalibrationReport({{"s1"}, {}, &Calibrated(), earlier});
   EXPECT_TRUE(SectionOf(page, "Before and after")->tables.empty());
+}
+
+LightReport MeasuredLight() {
+  LightReport light;
+  light.sessions = {"s2"};
+  light.dark.emplace();
+  light.dark->offset_dn = Image<float>(600, 40, 1, 64.0F);
+  light.dark->offset_dn(3, 3) = NAN;
+  light.dark->read_noise_dn_map = light.dark->offset_dn;
+  light.transfer.emplace();
+  light.transfer->gain_e_per_dn = 4.0;
+  light.transfer->read_noise_dn = 3.0;
+  light.transfer->points = {{100.0, 34.0, 10}, {2000.0, 509.0, 10}};
+  light.vignetting = {-0.2, 0.0};
+  light.projectors.resize(2);
+  light.projectors[0].name = "left <one>";
+  light.projectors[0].response = {0.0, 0.1, 0.3, 0.6, 1.0};
+  light.projectors[0].falloff = {-0.12, 0.02};
+  light.projectors[0].white_dn_mm2_per_ms = {2.0, 4.0, 1.0};
+  light.projectors[0].line.emplace();
+  light.projectors[0].line->offset_px = {-1.0, 0.0, 1.0};
+  light.projectors[0].line->light = {0.1, 0.9, 0.1};
+  light.flats = {{"s3", 2, 20.0, 700.0, 0.05, 0.8, 0.004}};
+  light.carried_over = {"black level: no session of kind dark"};
+  return light;
+}
+
+TEST(CalibrationPage, ShowsTheLightThatWasMeasured) {
+  const LightReport light = MeasuredLight();
+  const RigCalibration record = ToRecord(Calibrated(), std::nullopt, "x");
+  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, &light, record});
+  EXPECT_EQ(page.banner->tone, Tone::kGood);  // of light alone
+  const ReportSection* camera = SectionOf(page, "Light: the camera");
+  ASSERT_NE(camera, nullptr);
+  // The line of the photon transfer: read noise squared and signal over gain.
+  EXPECT_DOUBLE_EQ(camera->plots[0].series[1].y[1], 9.0 + 500.0);
+  for (const ReportImage& image : camera->images) EXPECT_LE(image.pixels.width(), 270);
+  const ReportSection* projectors = SectionOf(page, "Light: the projectors");
+  ASSERT_NE(projectors, nullptr);
+  EXPECT_EQ(projectors->tables[0].rows[0][1], "0.500, 1, 0.250");
+  EXPECT_EQ(projectors->tables[0].rows[1][1], "-");
+  // The inverse is the response with its axes exchanged.
+  EXPECT_EQ(projectors->plots[1].series[0].x, projectors->plots[0].series[0].y);
+  const std::string html = Page({{"s1"}, {}, nullptr, {}, &light, record});
+  EXPECT_THAT(html, HasSubstr("left &lt;one&gt;"));
+  EXPECT_THAT(html, HasSubstr("no session of kind dark"));
+  EXPECT_THAT(html, Not(HasSubstr("nan")));
+  EXPECT_EQ(FirstBadlyNested(html), "");
+}
+
+// A map falls to what the polynomial says at the picture's far corner.
+TEST(CalibrationPage, DrawsFallOffOverThePicture) {
+  const LightReport light = MeasuredLight();
+  RigCalibration record = ToRecord(Calibrated(), std::nullopt, "x");
+  Pinhole& m = record.projectors[0].model;
+  m.cx = -0.5;
+  m.cy = -0.5;  // the far corner lies at twice half the diagonal: 1 - 0.12 4 + 0.02 16
+  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, &light, record});
+  EXPECT_THAT(SectionOf(page, "Light: the projectors")->images[0].caption,
+              HasSubstr("0.999 (light)"));  // the brightest 0.5 % aside
+  EXPECT_THAT(SectionOf(page, "Light: the projectors")->images[0].caption, HasSubstr("0.820 (dark)"));
 }
 
 TEST(CalibrationPage, HasNoNumberWhereThereIsNone) {
