@@ -87,7 +87,9 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
                           const std::optional<SimulatedRigOptions>& simulated, Logger& logger) {
   OpenedRig rig;
   if (simulated) {
-    SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(*simulated, logger));
+    SimulatedRigOptions options = *simulated;
+    options.lens_covered = plan.options.kind == SessionKind::kDark;
+    SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));
     return rig;
   }
   if (config.projectors.empty())

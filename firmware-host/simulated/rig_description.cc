@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "shared/units/angle.h"
 
@@ -31,6 +32,33 @@ double LightDistance(const ProjectorCalibration& projector) {
   return (Eigen::Vector3d(0, 4, kWorkingDistanceMm) - projector.CentreInCamera()).norm();
 }
 
+constexpr int kResponseNodes = 65;
+
+template <typename F>
+std::vector<double> Curve(const F& value) {
+  std::vector<double> curve;
+  for (int k = 0; k < kResponseNodes; ++k) curve.push_back(value(static_cast<double>(k) / (kResponseNodes - 1)));
+  return curve;
+}
+
+// Inverse of the sensor's v (1 - c v).
+std::vector<double> ResponseOf(const CameraElectronics& camera) {
+  const double c = camera.compression;
+  if (c == 0.0) return {};
+  return Curve([c](double level) { return (1.0 - std::sqrt(std::max(0.0, 1.0 - 4.0 * c * level))) / (2.0 * c); });
+}
+
+// cos^4 of the field angle to the power given, by the record's polynomial: exact at the axis, half the squared corner
+// distance and the corner, to 0.0005 between.
+std::array<double, 2> VignettingOf(const Pinhole& camera, double power) {
+  const double corner =
+      0.25 * (double(camera.width) * camera.width + double(camera.height) * camera.height) / (camera.fx * camera.fx);
+  const double half = std::pow(1.0 + 0.5 * corner, -2.0 * power) - 1.0,
+               full = std::pow(1.0 + corner, -2.0 * power) - 1.0;
+  const double fourth = 2.0 * full - 4.0 * half;
+  return {full - fourth, fourth};
+}
+
 }  // namespace
 
 RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
@@ -53,6 +81,8 @@ RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
   camera.gain_e_per_dn = electronics.gain_e_per_dn;
   camera.read_noise_dn = electronics.read_noise_dn;
   camera.line_blur_px = electronics.blur_px;
+  camera.response = ResponseOf(electronics);
+  camera.vignetting = VignettingOf(camera.model, electronics.vignetting);
   for (size_t p = 0; p < kPlaces.size(); ++p) {
     const Place& place = kPlaces[p];
     ProjectorCalibration projector;
@@ -73,6 +103,8 @@ RigCalibration DescribeSimulatedRig(const SimulatedRigOptions& options) {
     projector.line_blur_px = optics.BlurPx(LightDistance(projector));
     projector.black_level = optics.black_level;
     projector.falloff = optics.falloff;
+    if (optics.gamma != 1.0)
+      projector.response = Curve([&optics](double grey) { return std::pow(grey, optics.gamma); });
     for (int c = 0; c < 3; ++c)
       projector.white_dn_mm2_per_ms[c] =
           kWhiteTargetDn / kNominalExposureMs * kWorkingDistanceMm * kWorkingDistanceMm * place.colour[c];

@@ -30,6 +30,7 @@ struct SimulatedRigOptions {
   int projector_height = 768;
   bool scattering = true;  // false: an opaque matt skin of the same albedo (ablation)
   bool noise = true;
+  bool lens_covered = false;  // a cap on the lens, as dark sessions want it
   // The camera streams by itself, a frame every `devices.timing.frame_period_ms`, and answers no trigger.
   bool free_running = false;
   std::string scene = "head";  // a shape's name or a scene file (simulation_file.h)

@@ -181,6 +181,7 @@ void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposur
 }
 
 Image<float> World::Light(const Exposure& exposure) {
+  if (options_.lens_covered) return {calibration_.camera.model.width, calibration_.camera.model.height};
   SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - start_));
   state.offset_mm += exposure.push_mm;
   Stage& stage = StageIn(state);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-fit calibrate`: board poses of one or several sessions -> a calibration record, judged.
+// `stratalux-fit calibrate`: board poses, dark, flat and response sessions -> a calibration record, judged.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -13,8 +13,10 @@
 
 #include "fitter/apps/run_command.h"
 #include "fitter/calibration/calibration_record.h"
+#include "fitter/calibration/light_record.h"
 #include "fitter/pipeline/board_stage.h"
 #include "fitter/pipeline/content_hash.h"
+#include "fitter/pipeline/light_stage.h"
 #include "fitter/report/calibration_page.h"
 #include "shared/base/read_file.h"
 #include "shared/base/version.h"
@@ -27,6 +29,7 @@ struct Flags {
   std::string camera_size, projector_size, known_camera, known_rig, page;
   std::vector<std::string> sessions;
   BoardStageOptions stage;
+  LightStageOptions light;
   int last = 0;
   bool json = false;
 };
@@ -75,11 +78,15 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
   std::vector<std::string> chosen;
-  for (const db::SessionRow& row : rows)
-    if (row.info.kind == SessionKind::kCalibration && static_cast<int>(chosen.size()) < f.last)
-      chosen.push_back(row.info.id);
-  if (static_cast<int>(chosen.size()) < f.last)
-    return Status::NotFound("--last " + std::to_string(f.last) + ": the store has " + std::to_string(chosen.size()) +
+  int poses = 0;
+  for (const db::SessionRow& row : rows) {
+    if (row.info.kind == SessionKind::kVisitor || row.info.status == SessionStatus::kFailed || poses == f.last)
+      continue;
+    poses += row.info.kind == SessionKind::kCalibration;
+    chosen.push_back(row.info.id);
+  }
+  if (poses < f.last)
+    return Status::NotFound("--last " + std::to_string(f.last) + ": the store has " + std::to_string(poses) +
                             " sessions of kind calibration");
   std::reverse(chosen.begin(), chosen.end());
   return chosen;
@@ -98,14 +105,17 @@ Status WritePage(const Flags& f, const std::string& html) {
   return f.page.empty() ? Status::Ok() : WriteText(f.page, html);
 }
 
-// In the store: a fit of the newest session that the poses came from.
-Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards, const std::string& record,
-                                       const std::string& figures, const std::string& html) {
-  const std::string session = boards.sessions.back();
+// In the store: a fit of the newest session that it came from.
+Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::string>& sessions,
+                                       const std::string& record, const std::string& figures, const std::string& html) {
+  const std::string session = sessions.back();
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadWrite));
-  nlohmann::ordered_json options = {
-      {"stage", "calibrate"}, {"sessions", boards.sessions},          {"board", f.board},
-      {"squares", f.squares}, {"square_mm", f.stage.board.square_mm}, {"distortion", f.distortion}};
+  nlohmann::ordered_json options = {{"stage", "calibrate"},
+                                    {"sessions", sessions},
+                                    {"board", f.board},
+                                    {"squares", f.squares},
+                                    {"square_mm", f.stage.board.square_mm},
+                                    {"distortion", f.distortion}};
   const std::string fit = ContentHashOf(record + options.dump() + kVersion).substr(0, 16);
   const std::filesystem::path folder = store.FitFolder(session, fit);
   std::error_code error;
@@ -118,13 +128,11 @@ Result<std::filesystem::path> Register(const Flags& f, const BoardPoses& boards,
   return folder / "calibration.json";
 }
 
-// An earlier calibration of the same box.
-Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const BoardPoses& boards) {
-  std::optional<RigCalibration> known = boards.calibration;
-  if (!f.known_rig.empty()) {
-    SLX_ASSIGN_OR_RETURN(known, ReadRecord("--known-rig", f.known_rig));
-  }
-  return known;
+// An earlier calibration of the same box: --known-rig, else what the sessions carry.
+Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const std::optional<RigCalibration>& of_sessions) {
+  if (f.known_rig.empty()) return of_sessions;
+  SLX_ASSIGN_OR_RETURN(const RigCalibration record, ReadRecord("--known-rig", f.known_rig));
+  return std::optional(record);
 }
 
 std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCalibration>& known,
@@ -143,10 +151,81 @@ std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCali
   return findings;
 }
 
+// Verdict, record, figures and page where they belong; `accepted`: the exit code unless refused.
+Result<int> Conclude(const Flags& f, const CalibrationPage& page, nlohmann::ordered_json& json, std::string& text,
+                     int accepted, Logger& logger) {
+  json["verdict"] = VerdictOf(page.findings);
+  json["findings"] = nlohmann::ordered_json::parse(FindingsJson(page.findings));
+  text += FindingsText(page.findings);
+  SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(CalibrationReport(page)));
+  SLX_RETURN_IF_ERROR(WritePage(f, html));
+  if (!IsRefused(page.findings)) {
+    const std::string record = page.record.ToJson();
+    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, page.sessions, record, json.dump(1), html));
+    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record));
+    text += (f.out.empty() ? file.string() : f.out) + "\n";
+    json["record"] = f.out.empty() ? file.string() : f.out;
+  }
+  std::printf("%s\n", f.json ? json.dump(1).c_str() : text.c_str());
+  if (!IsRefused(page.findings)) return accepted;
+  logger.Error("calibration refused; nothing was stored");
+  return static_cast<int>(StatusCode::kFailed);
+}
+
+// Sessions of boards and of light, each in the order given.
+struct SessionsByUse {
+  std::vector<std::string> boards, light;
+  std::optional<RigCalibration> record;  // of the newest light session
+};
+
+Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& sessions) {
+  SessionsByUse sorted;
+  for (const std::string& selector : sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, selector));
+    const SessionKind kind = frames.info().kind;
+    const bool light = kind == SessionKind::kDark || kind == SessionKind::kFlat || kind == SessionKind::kResponse;
+    (light ? sorted.light : sorted.boards).push_back(frames.info().id);
+    if (light && frames.record()) sorted.record = frames.record();
+  }
+  return sorted;
+}
+
+// Of the light sessions on the page's geometry: record, figures and findings added to what is there.
+Status AddLight(const Flags& f, const SessionsByUse& sessions, CalibrationPage& page, nlohmann::ordered_json& json,
+                std::string& text, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(auto light, CalibrateLight(f.store, sessions.light, page.record, f.light, logger));
+  page.record = std::move(light.record);
+  page.sessions.insert(page.sessions.end(), sessions.light.begin(), sessions.light.end());
+  page.findings.insert(page.findings.end(), light.report.findings.begin(), light.report.findings.end());
+  json["light"] = nlohmann::ordered_json::parse(LightJson(light.report));
+  text += LightText(light.report);
+  page.light = std::move(light.report);
+  return Status::Ok();
+}
+
+// Where the geometry is known already: the light alone.
+Result<int> CalibrateLightAlone(const Flags& f, const SessionsByUse& sessions, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, sessions.record));
+  if (!known)
+    return Status::Usage(
+        "the light of a rig needs its geometry: give the sessions of the board's poses, too, or a record with "
+        "--known-rig");
+  CalibrationPage page;
+  page.record = *known;
+  page.record.id.clear();
+  page.record.source = "light calibration session " + sessions.light.back();
+  nlohmann::ordered_json json = {{"schema", 1}};
+  std::string text;
+  SLX_RETURN_IF_ERROR(AddLight(f, sessions, page, json, text, logger));
+  return Conclude(f, page, json, text, 0, logger);
+}
+
 Result<int> Calibrate(Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CalibrateOptions options, OptionsFrom(f));
   SLX_ASSIGN_OR_RETURN(const auto sessions, ChooseSessions(f));
-  SLX_ASSIGN_OR_RETURN(const BoardPoses boards, ObserveBoards(f.store, sessions, f.stage, logger));
+  SLX_ASSIGN_OR_RETURN(const SessionsByUse by_use, SortByUse(f, sessions));
+  if (by_use.boards.empty()) return CalibrateLightAlone(f, by_use, logger);
+  SLX_ASSIGN_OR_RETURN(const BoardPoses boards, ObserveBoards(f.store, by_use.boards, f.stage, logger));
   auto calibrated = CalibrateRig(boards.observations, options);
   if (!calibrated.ok()) {
     std::string also;
@@ -154,25 +233,14 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
     return Status(calibrated.status().code(), calibrated.status().message() + also);
   }
   const GeometryReport& report = *calibrated;
-  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards));
-  const auto findings = Judge(boards, known, report);
-  const std::string figures = ReportJson(report, findings, boards.left_out);
-  const RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
-  SLX_ASSIGN_OR_RETURN(const std::string html,
-                       RenderHtml(CalibrationReport({boards.sessions, findings, &report, known})));
-  SLX_RETURN_IF_ERROR(WritePage(f, html));
-  std::string text = ReportText(report, findings);
-  nlohmann::ordered_json json = nlohmann::ordered_json::parse(figures);
-  if (!IsRefused(findings)) {
-    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, boards, record.ToJson(), figures, html));
-    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record.ToJson()));
-    text += (f.out.empty() ? file.string() : f.out) + "\n";
-    json["record"] = f.out.empty() ? file.string() : f.out;
-  }
-  std::printf("%s\n", f.json ? json.dump(1).c_str() : text.c_str());
-  if (!IsRefused(findings)) return boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
-  logger.Error("calibration refused; nothing was stored");
-  return static_cast<int>(StatusCode::kFailed);
+  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards.calibration));
+  CalibrationPage page{boards.sessions, Judge(boards, known, report), &report, known};
+  page.record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, page.findings, boards.left_out));
+  std::string text = ReportText(report);
+  if (!by_use.light.empty()) SLX_RETURN_IF_ERROR(AddLight(f, by_use, page, json, text, logger));
+  const int accepted = boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
+  return Conclude(f, page, json, text, accepted, logger);
 }
 
 // The page says why there is no calibration; wrong flags need none.
@@ -189,20 +257,28 @@ int Fail(const Flags& f, const Status& status, Logger& logger) {
 
 void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<Flags>();
-  auto* verb = app.add_subcommand("calibrate", "Board poses -> geometry of camera and projectors, judged");
+  auto* verb = app.add_subcommand(
+      "calibrate", "Board poses, dark, flat and response sessions -> geometry and light of the rig, judged");
   verb->footer(
       "The record of an accepted calibration is kept in the store, with its figures; a refused one is not.\n"
       "Exit codes: 0 accepted, 1 refused or failed, 2 usage, 3 accepted without some poses. docs/calibration.md "
       "explains "
       "each figure.\n"
+      "Sessions of kind calibration give the geometry; dark, flat and response ones the light. Without the former, the "
+      "geometry of --known-rig (or the sessions' own) stays; what no session tells stays as it was, and is named.\n"
       "Examples:\n"
       "  stratalux-fit calibrate --last 12 --store store --out calibration.json\n"
       "  stratalux-fit calibrate s000001 s000002 s000003 s000004 --store store --board charuco --squares 10x7 "
       "--square-mm 20 --marker-mm 15\n"
+      "  stratalux-fit calibrate s000013 s000014 s000015 s000016 --store store --known-rig calibration.json "
+      "--target-albedo 0.99\n"
       "  stratalux-fit calibrate latest --store store --board chess --squares 10x8 --square-mm 75 --json");
   verb->add_option("session", flags->sessions, "Sessions: ids, unique prefixes, or latest (default)");
   verb->add_option("--store", flags->store, "Store folder")->envname("STRATALUX_STORE")->required();
-  verb->add_option("--last", flags->last, "The newest N sessions of kind calibration")->check(CLI::Range(1, 1000));
+  verb->add_option(
+          "--last", flags->last,
+          "The newest N sessions of kind calibration, and all of kind dark, flat and response since the first of them")
+      ->check(CLI::Range(1, 1000));
   verb->add_option("--board", flags->board, "charuco or chess")->capture_default_str();
   verb->add_option("--squares", flags->squares, "Squares, COLUMNSxROWS (one more each way than inner corners)")
       ->capture_default_str();
@@ -217,6 +293,10 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--known-camera", flags->known_camera, "Record (JSON) whose camera intrinsics stay");
   verb->add_option("--known-rig", flags->known_rig,
                    "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
+  verb->add_option("--target-albedo", flags->light.target_albedo,
+                   "Diffuse albedo of the flat sessions' matt target, as its certificate has it")
+      ->check(CLI::Range(0.01, 1.2))
+      ->capture_default_str();
   verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
   verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
   verb->add_option("--out", flags->out, "Write the record here, too, and the page beside it (.html)");

@@ -71,13 +71,20 @@ RigCalibration ToRecord(const GeometryReport& report, const std::optional<RigCal
   return record;
 }
 
+const char* VerdictOf(const std::vector<Finding>& findings) { return IsRefused(findings) ? "refused" : "accepted"; }
+
+std::string FindingsJson(const std::vector<Finding>& findings) {
+  Json json = Json::array();
+  for (const Finding& f : findings)
+    json.push_back({{"severity", f.severity == Severity::kRefusal ? "refusal" : "warning"},
+                    {"what", f.what},
+                    {"remedy", f.remedy}});
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
 std::string ReportJson(const GeometryReport& report, const std::vector<Finding>& findings,
                        const std::vector<std::string>& left_out) {
-  Json json = {{"schema", 1}, {"verdict", IsRefused(findings) ? "refused" : "accepted"}, {"findings", Json::array()}};
-  for (const Finding& f : findings)
-    json["findings"].push_back({{"severity", f.severity == Severity::kRefusal ? "refusal" : "warning"},
-                                {"what", f.what},
-                                {"remedy", f.remedy}});
+  Json json = {{"schema", 1}, {"verdict", VerdictOf(findings)}, {"findings", Json::parse(FindingsJson(findings))}};
   json["left_out"] = left_out;
   json["distortion"] = ToString(report.distortion);
   json["trials"] = Json::array();
@@ -102,7 +109,7 @@ std::string ReportJson(const GeometryReport& report, const std::vector<Finding>&
   return json.dump(1, ' ', false, Json::error_handler_t::replace);
 }
 
-std::string ReportText(const GeometryReport& report, const std::vector<Finding>& findings) {
+std::string ReportText(const GeometryReport& report) {
   std::string text;
   Append(text, "%zu poses, %d corners, %zu rejected; distortion %s; RMS %.3f px, held-out poses %.3f px\n",
          report.training.size(), report.corners, report.rejected.size(), ToString(report.distortion),
@@ -122,6 +129,11 @@ std::string ReportText(const GeometryReport& report, const std::vector<Finding>&
   for (size_t k = 0; k < report.training.size(); ++k)
     Append(text, "  %s: tilt %.1f degrees, RMS %.3f, held out %.3f px\n", report.used.poses[k].name.c_str(),
            report.tilt_deg[k], report.training[k].JointRms(), report.held_out[k].errors.JointRms());
+  return text;
+}
+
+std::string FindingsText(const std::vector<Finding>& findings) {
+  std::string text;
   for (const Finding& f : findings)
     text +=
         std::string(f.severity == Severity::kRefusal ? "  REFUSED: " : "  warning: ") + f.what + "; " + f.remedy + "\n";

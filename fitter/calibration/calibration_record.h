@@ -24,7 +24,12 @@ namespace stratalux::fit {
 [[nodiscard]] std::string ReportJson(const GeometryReport& report, const std::vector<Finding>& findings,
                                      const std::vector<std::string>& left_out);
 
-// The same for people, some lines.
-[[nodiscard]] std::string ReportText(const GeometryReport& report, const std::vector<Finding>& findings);
+// The same for people, some lines, without the findings.
+[[nodiscard]] std::string ReportText(const GeometryReport& report);
+
+// "accepted" or "refused"; the findings as a JSON array and as lines, the verdict last.
+[[nodiscard]] const char* VerdictOf(const std::vector<Finding>& findings);
+[[nodiscard]] std::string FindingsJson(const std::vector<Finding>& findings);
+[[nodiscard]] std::string FindingsText(const std::vector<Finding>& findings);
 
 }  // namespace stratalux::fit

@@ -136,7 +136,7 @@ Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std
     if (!seen.insert(id).second) return Status::Usage("session " + id + " is given twice");
     boards.sessions.push_back(id);
     SLX_RETURN_IF_ERROR(CheckSession(frames, options, boards));
-    if (frames.calibration()) boards.calibration = frames.calibration();
+    if (frames.record()) boards.calibration = frames.record();
     for (const int pose : NumberedPoses(frames)) {
       const std::string name = pose >= 0 ? "pose " + std::to_string(pose) + " (session " + id + ")" : "session " + id;
       auto observed = ObservePose(frames, pose, boards.observations, options, logger);

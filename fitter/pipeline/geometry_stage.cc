@@ -83,6 +83,7 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
     (i < images.size() / 2 ? input.column_shifts : input.row_shifts).push_back(images[i]);
   SeparationOptions options;
   options.projector_black = rig.projectors[projector].black_level;
+  options.sinusoid_amplitude = rig.projectors[projector].SinusoidAmplitude();
   return SeparateSinusoids(input, rig.camera.cfa, noise, options);
 }
 

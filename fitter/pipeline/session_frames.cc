@@ -26,7 +26,8 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
     SLX_ASSIGN_OR_RETURN(frames.plan_, PlanOptionsFromJson(info.plan_json).WithContext(where));
   }
   if (!info.calibration_json.empty()) {
-    SLX_ASSIGN_OR_RETURN(frames.calibration_, RigCalibration::FromJson(info.calibration_json).WithContext(where));
+    SLX_ASSIGN_OR_RETURN(const auto record, RigCalibration::FromJson(info.calibration_json).WithContext(where));
+    frames.UseRecord(record);
   }
   SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
   for (size_t i = 0; i < frames.rows_.size(); ++i) {
@@ -36,6 +37,22 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
     frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose)] = i;
   }
   return frames;
+}
+
+void SessionFrames::UseRecord(const RigCalibration& record) {
+  record_ = calibration_ = record;
+  lineariser_.emplace(record.camera);
+  calibration_->camera = lineariser_->linear_camera();
+}
+
+Result<Image<uint16_t>> SessionFrames::ReadRaw(const db::FrameRow& row) const {
+  return store_.ReadFrame(info().id, row);
+}
+
+Result<Image<uint16_t>> SessionFrames::ReadLinear(const db::FrameRow& row) const {
+  SLX_ASSIGN_OR_RETURN(auto frame, ReadRaw(row));
+  if (lineariser_) lineariser_->Apply(frame, row.record.crop_x, row.record.crop_y);
+  return frame;
 }
 
 std::filesystem::path SessionFrames::folder() const { return store_.SessionFolder(session_.info.id); }
@@ -58,7 +75,7 @@ Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, c
                             ", " + ToString(phase) + ", '" + pattern.ToString() + "'" +
                             (pose >= 0 ? ", pose " + std::to_string(pose) : "") +
                             " (its reasons: `stratalux-db show`); capture it again with nothing moving");
-  return store_.ReadFrame(info().id, *row);
+  return ReadLinear(*row);
 }
 
 Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int& count) const {
@@ -68,8 +85,9 @@ Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int&
   count = 0;
   for (const db::FrameRow& row : rows_) {
     const FrameRecord& r = row.record;
-    if (r.projector != projector || r.pattern.kind != kind || r.level_check == LevelCheck::kFailed) continue;
-    SLX_ASSIGN_OR_RETURN(const auto image, store_.ReadFrame(info().id, row));
+    if (r.projector != projector || r.pattern.kind != kind || r.level_check == LevelCheck::kFailed || r.bracket != 0)
+      continue;
+    SLX_ASSIGN_OR_RETURN(const auto image, ReadLinear(row));
     if (mean.empty()) mean = Image<float>(image.width(), image.height());
     if (mean.width() != image.width() || mean.height() != image.height())
       return Status::Integrity("session " + info().id + ": " + name + " frames of projector " +

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "db/session_store.h"
+#include "fitter/calibration/linear_frame.h"
 #include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {
@@ -23,20 +24,29 @@ class SessionFrames {
   [[nodiscard]] const db::SessionStore& store() const { return store_; }
   // From the session's manifest; nullopt for imports without one.
   [[nodiscard]] const std::optional<PlanOptions>& plan() const { return plan_; }
+  // Of the frames as Read gives them: a linear camera without vignetting (FrameLineariser).
   [[nodiscard]] const std::optional<RigCalibration>& calibration() const { return calibration_; }
+  // As the manifest has it.
+  [[nodiscard]] const std::optional<RigCalibration>& record() const { return record_; }
   [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
   [[nodiscard]] std::vector<int> poses() const;
 
   // The last good shot (a failed level check does not count) of a pattern; nullptr when there is none.
   [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern,
                                          int pose = -1) const;
-  // As Find, then decoded pixels; kNotFound names projector, phase and pattern.
+  // As Find, then decoded pixels, linear; kNotFound names projector, phase and pattern.
   [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern,
                                              int pose = -1) const;
+  // Any frame, linear as Read gives it.
+  [[nodiscard]] Result<Image<uint16_t>> ReadLinear(const db::FrameRow& row) const;
+  // Any frame, as the camera gave it.
+  [[nodiscard]] Result<Image<uint16_t>> ReadRaw(const db::FrameRow& row) const;
+  // Reads on as if the session had been captured with this record.
+  void UseRecord(const RigCalibration& record);
   // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
   // black.
   [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
-  // Mean of the projector's white frames (reference and motion checks), raw; NaN where a site was saturated. `count`
+  // Mean of the projector's white frames (reference and motion checks); NaN where a site was saturated. `count`
   // receives their number.
   [[nodiscard]] Result<Image<float>> MeanWhite(int projector, int& count) const;
   // Hash over all frame hashes: the session's content.
@@ -50,7 +60,8 @@ class SessionFrames {
   db::SessionStore store_;
   db::SessionRow session_;
   std::optional<PlanOptions> plan_;
-  std::optional<RigCalibration> calibration_;
+  std::optional<RigCalibration> record_, calibration_;
+  std::optional<FrameLineariser> lineariser_;
   std::vector<db::FrameRow> rows_;
   std::map<std::string, size_t> by_key_;
 };

@@ -31,8 +31,7 @@ ReportBanner BannerOf(const CalibrationPage& page) {
   const auto refusals = std::count_if(page.findings.begin(), page.findings.end(),
                                       [](const Finding& f) { return f.severity == Severity::kRefusal; });
   const auto warnings = static_cast<std::ptrdiff_t>(page.findings.size()) - refusals;
-  if (page.geometry == nullptr && page.light == nullptr)
-    return {Tone::kBad, "No calibration: see below what stands in the way."};
+  if (page.geometry == nullptr && !page.light) return {Tone::kBad, "No calibration: see below what stands in the way."};
   if (refusals > 0)
     return {Tone::kBad, "Refused: do not use this calibration. Reasons and remedies: " + std::to_string(refusals) +
                             ", below. Earlier calibrations stay as they are."};
@@ -246,7 +245,7 @@ Report CalibrationReport(const CalibrationPage& page) {
     report.sections.push_back({"Parameters", "", {}, {}, {Trials(g), Parameters(g)}});
     if (page.earlier) report.sections.push_back(BeforeAndAfter(g, *page.earlier));
   }
-  if (page.light != nullptr) {
+  if (page.light) {
     auto light = LightSections(*page.light, page.record);
     std::move(light.begin(), light.end(), std::back_inserter(report.sections));
   }

@@ -20,8 +20,8 @@ struct CalibrationPage {
   std::vector<Finding> findings;             // of geometry and light
   const GeometryReport* geometry = nullptr;  // none: no calibration came about, `findings` says why
   std::optional<RigCalibration> earlier{};   // of the same rig, to show what changed
-  const LightReport* light = nullptr;        // none: no session told of light
-  RigCalibration record{};                   // what came out; with `light` only
+  std::optional<LightReport> light{};        // none: no session told of light
+  RigCalibration record{};                   // what came out
 };
 
 [[nodiscard]] Report CalibrationReport(const CalibrationPage& page);

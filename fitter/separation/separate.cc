@@ -52,7 +52,7 @@ SiteLight SolveSinusoids(const SeparationFrames& frames, size_t site, const Sens
     variance += h.amplitude_sigma_dn * h.amplitude_sigma_dn;
     ++axes;
   }
-  const double scale = 2.0 * TotalScale(options) / axes;
+  const double scale = TotalScale(options) / (options.sinusoid_amplitude * axes);
   light.direct = sum * scale;
   light.direct_variance = variance * scale * scale;
   return light;
@@ -168,6 +168,8 @@ const char* ToString(SeparationReason reason) {
 Status SeparationOptions::Validate() const {
   if (!(projector_black >= 0.0) || !(projector_black < 1.0))
     return Status::Usage("separate: projector_black = " + std::to_string(projector_black) + ", allowed: 0 .. below 1");
+  if (!(sinusoid_amplitude > 0.0))
+    return Status::Usage("separate: sinusoid_amplitude = " + std::to_string(sinusoid_amplitude) + ", allowed: above 0");
   if (!(min_signal_sigmas >= 0.0) || !(negative_sigmas >= 0.0))
     return Status::Usage("separate: thresholds must not be negative");
   return Status::Ok();

@@ -18,7 +18,10 @@ inline constexpr int kSeparationReasons = 4;
 [[nodiscard]] const char* ToString(SeparationReason reason);
 
 struct SeparationOptions {
-  double projector_black = 0.0;    // b: black over white of the projector (ProjectorCalibration::black_level)
+  double projector_black = 0.0;  // b: black over white of the projector (ProjectorCalibration::black_level)
+  // a_1: Fourier coefficient of the sinusoids' light as the projector gives it
+  // (ProjectorCalibration::SinusoidAmplitude)
+  double sinusoid_amplitude = 0.5;
   double min_signal_sigmas = 6.0;  // of white minus black, per quad and channel
   // A component below minus so many of its standard deviations is negative: invalid, never clipped.
   double negative_sigmas = 4.0;
@@ -41,8 +44,10 @@ struct Separation {
   std::array<int64_t, kSeparationReasons> counts{};
 };
 
-// With p = b + (1 - b)(1 + cos)/2 projected, L = L_d p + L_g mean(p); black frame removed:
-//   L_d = 2 amplitude / (1 - b),   L_d + L_g = (white - black) / (1 - b).
+// With p = b + (1 - b)(a_0 + a_1 cos + ...) projected, L = L_d p + L_g mean(p); black frame removed:
+//   L_d = amplitude / (a_1 (1 - b)),   L_d + L_g = (white - black) / (1 - b).
+// A linear projector has a_0 = a_1 = 1/2; the further harmonics of another one miss the amplitude, but for those that
+// N shifts cannot tell from the first (the third, for N = 4).
 // The amplitude is the mean of both axes', over the quad's sites of the colour. kUsage: no sinusoid, or sizes differ.
 [[nodiscard]] Result<Separation> SeparateSinusoids(const SeparationFrames& frames, Cfa cfa, const SensorNoise& noise,
                                                    const SeparationOptions& options = {});

@@ -164,7 +164,7 @@ LightReport MeasuredLight() {
 TEST(CalibrationPage, ShowsTheLightThatWasMeasured) {
   const LightReport light = MeasuredLight();
   const RigCalibration record = ToRecord(Calibrated(), std::nullopt, "x");
-  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, &light, record});
+  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, light, record});
   EXPECT_EQ(page.banner->tone, Tone::kGood);  // of light alone
   const ReportSection* camera = SectionOf(page, "Light: the camera");
   ASSERT_NE(camera, nullptr);
@@ -177,7 +177,7 @@ TEST(CalibrationPage, ShowsTheLightThatWasMeasured) {
   EXPECT_EQ(projectors->tables[0].rows[1][1], "-");
   // The inverse is the response with its axes exchanged.
   EXPECT_EQ(projectors->plots[1].series[0].x, projectors->plots[0].series[0].y);
-  const std::string html = Page({{"s1"}, {}, nullptr, {}, &light, record});
+  const std::string html = Page({{"s1"}, {}, nullptr, {}, light, record});
   EXPECT_THAT(html, HasSubstr("left &lt;one&gt;"));
   EXPECT_THAT(html, HasSubstr("no session of kind dark"));
   EXPECT_THAT(html, Not(HasSubstr("nan")));
@@ -191,7 +191,7 @@ TEST(CalibrationPage, DrawsFallOffOverThePicture) {
   Pinhole& m = record.projectors[0].model;
   m.cx = -0.5;
   m.cy = -0.5;  // the far corner lies at twice half the diagonal: 1 - 0.12 4 + 0.02 16
-  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, &light, record});
+  const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, light, record});
   EXPECT_THAT(SectionOf(page, "Light: the projectors")->images[0].caption,
               HasSubstr("0.999 (light)"));  // the brightest 0.5 % aside
   EXPECT_THAT(SectionOf(page, "Light: the projectors")->images[0].caption, HasSubstr("0.820 (dark)"));

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// Noise, dark signal and response of the camera from raw frames (docs/math/calibration.md, "Light"). Streaming: a few
+// frames at a time.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "fitter/calibration/light_report.h"
+#include "shared/base/result.h"
+#include "shared/image/pixel_format.h"
+
+namespace stratalux::fit {
+
+// Step between the raw levels that occur: 1 for 12 bits, 4 for 10 bits in a 12-bit container.
+[[nodiscard]] int QuantisationStep(ImageView<const uint16_t> raw);
+
+// Temporal statistics of dark frames, one exposure after the other.
+class DarkStatistics {
+ public:
+  // kIntegrity where the frame's size differs from those before.
+  [[nodiscard]] Status Add(const Image<uint16_t>& raw, double exposure_ms);
+  // kFailed with fewer than 4 frames of some exposure.
+  [[nodiscard]] Result<DarkReport> Finish() const;
+
+ private:
+  struct Exposure {
+    double ms = 0.0;
+    int frames = 0;
+    Image<uint16_t> first;  // differences from it add up exactly
+    Image<int32_t> sum;
+    Image<int64_t> squares;
+  };
+  [[nodiscard]] double MeanAt(const Exposure& e, size_t site) const;
+  [[nodiscard]] double VarianceAt(const Exposure& e, size_t site) const;
+  std::vector<Exposure> exposures_;
+  int step_ = 1;
+};
+
+// One exposure of the ramp: whites that differ by noise alone, and the black that belongs to them.
+struct RampFrames {
+  ImageView<const uint16_t> white_a, white_b, black;
+  double exposure_ms = 0.0;
+};
+
+// Photon transfer and linearity, from tiles of 16 x 16 sites, each colour apart.
+class ExposureRamp {
+ public:
+  // `saturation_dn`, `black_level_dn`: raw levels.
+  ExposureRamp(Cfa cfa, double saturation_dn, double black_level_dn)
+      : cfa_(cfa), saturation_dn_(saturation_dn), range_dn_(saturation_dn - black_level_dn) {}
+
+  void Add(const RampFrames& frames);
+  // var = read^2 + signal / gain + step^2 / 12 (Janesick 2007), least squares over the tiles below 60 % of the range.
+  // kFailed: fewer than 50 tiles, or a variance that does not grow with the light.
+  [[nodiscard]] Result<PhotonTransfer> Transfer() const;
+  // h(s) = s (1 + a_1 s + ... + a_4 s^4), s the raw level above black as a share of the range, such that h is
+  // proportional to the exposure in every tile; made monotone. kFailed: fewer than 4 exposures or 20 tiles.
+  [[nodiscard]] Result<CameraResponseReport> Response() const;
+
+ private:
+  struct Cell {
+    double signal = 0.0, variance = 0.0;  // dn above black; of one frame
+    int sites = 0;                        // 0: saturated somewhere
+  };
+  struct Exposure {
+    double ms = 0.0;
+    std::vector<Cell> cells;  // tile by tile, colour by colour
+  };
+  Cfa cfa_;
+  double saturation_dn_, range_dn_;
+  int step_ = 1;
+  std::vector<Exposure> exposures_;
+};
+
+}  // namespace stratalux::fit
