@@ -94,17 +94,21 @@ RigGeometry RigFromOpenCv(const OpenCvDevice& camera, const OpenCvDevice& projec
   return {PinholeFrom(camera), {{PinholeFrom(projector), projector_from_camera.Inverse()}}};
 }
 
-Result<std::vector<RigGeometry>> CalibrateJointly(const CalibrationObservations& observations) {
-  SLX_ASSIGN_OR_RETURN(const GeometryReport report, CalibrateRig(observations, {.reject_sigmas = 1e6}));
+Result<std::vector<RigGeometry>> CalibrateJointly(const CalibrationObservations& observations,
+                                                  DistortionModel distortion) {
+  SLX_ASSIGN_OR_RETURN(const Bundle start, StartBundle(observations, std::nullopt));
+  BundleOptions options;
+  options.distortion = distortion;
+  SLX_ASSIGN_OR_RETURN(const BundleReport adjusted, AdjustBundle(observations, start, options));
   std::vector<RigGeometry> pairs;
-  for (const ProjectorGeometry& projector : report.bundle.rig.projectors)
-    pairs.push_back({report.bundle.rig.camera, {projector}});
+  for (const ProjectorGeometry& projector : adjusted.bundle.rig.projectors)
+    pairs.push_back({adjusted.bundle.rig.camera, {projector}});
   return pairs;
 }
 
 Result<std::vector<RigGeometry>> CalibrateByOpenCv(const CalibrationObservations& observations,
-                                                   DistortionModel distortion, PairIntrinsics intrinsics) {
-  const int flags = FlagsOf(distortion);
+                                                   const PeerSettings& settings) {
+  const int flags = FlagsOf(settings.distortion);
   std::vector<RigGeometry> pairs;
   try {
     const PairCorners all = CornersOf(observations, -1);
@@ -114,11 +118,11 @@ Result<std::vector<RigGeometry>> CalibrateByOpenCv(const CalibrationObservations
       OpenCvDevice camera{camera_alone.size, camera_alone.matrix.clone(), camera_alone.distortion.clone()};
       OpenCvDevice projector = Alone(corners, corners.lit, observations.projectors[p], flags);
       cv::Mat turn, shift, essential, fundamental;
-      cv::stereoCalibrate(
-          corners.board, corners.seen, corners.lit, camera.matrix, camera.distortion, projector.matrix,
-          projector.distortion, camera.size, turn, shift, essential, fundamental,
-          intrinsics == PairIntrinsics::kFixed ? cv::CALIB_FIX_INTRINSIC : cv::CALIB_USE_INTRINSIC_GUESS | flags,
-          cv::TermCriteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 100, 1e-8));
+      cv::stereoCalibrate(corners.board, corners.seen, corners.lit, camera.matrix, camera.distortion, projector.matrix,
+                          projector.distortion, camera.size, turn, shift, essential, fundamental,
+                          settings.intrinsics == PairIntrinsics::kFixed ? cv::CALIB_FIX_INTRINSIC
+                                                                        : cv::CALIB_USE_INTRINSIC_GUESS | flags,
+                          cv::TermCriteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 100, 1e-8));
       pairs.push_back(RigFromOpenCv(camera, projector, turn, shift));
     }
   } catch (const cv::Exception& error) {
@@ -144,17 +148,32 @@ Result<DeviceErrors> HeldOutPairs(const CalibrationObservations& observations, c
   return total;
 }
 
+double HeldOutOfOurs(const CalibrationObservations& observations) {
+  const auto report = CalibrateRig(observations, {.reject_sigmas = 1e6});
+  if (!report.ok()) return std::numeric_limits<double>::quiet_NaN();
+  const auto errors = HeldOutPairs(observations, [&](const CalibrationObservations& others) {
+    return CalibrateJointly(others, report->distortion);
+  });
+  return errors.ok() ? errors->JointRms() : std::numeric_limits<double>::quiet_NaN();
+}
+
+std::string ToString(const PeerSettings& settings) {
+  return std::string(ToString(settings.distortion)) +
+         (settings.intrinsics == PairIntrinsics::kFixed ? ", fixed" : ", refined");
+}
+
+double HeldOutOfOpenCv(const CalibrationObservations& observations, const PeerSettings& settings) {
+  const auto errors = HeldOutPairs(
+      observations, [&](const CalibrationObservations& others) { return CalibrateByOpenCv(others, settings); });
+  return errors.ok() ? errors->JointRms() : std::numeric_limits<double>::quiet_NaN();
+}
+
 PeerResult BestOfOpenCv(const CalibrationObservations& observations) {
   PeerResult best{"", std::numeric_limits<double>::infinity()};
-  for (const DistortionModel model : {DistortionModel::kK1, DistortionModel::kK1K2, DistortionModel::kFull})
-    for (const PairIntrinsics intrinsics : {PairIntrinsics::kFixed, PairIntrinsics::kRefined}) {
-      const auto errors = HeldOutPairs(observations, [&](const CalibrationObservations& others) {
-        return CalibrateByOpenCv(others, model, intrinsics);
-      });
-      if (!errors.ok() || !(errors->JointRms() < best.held_out_px)) continue;
-      best = {std::string(ToString(model)) + (intrinsics == PairIntrinsics::kFixed ? ", fixed" : ", refined"),
-              errors->JointRms()};
-    }
+  for (const PeerSettings& settings : kPeerSettings) {
+    const double held_out_px = HeldOutOfOpenCv(observations, settings);
+    if (held_out_px < best.held_out_px) best = {ToString(settings), held_out_px};
+  }
   return best;
 }
 

@@ -6,8 +6,6 @@
 #include <fstream>
 #include <sstream>
 
-#include <gtest/gtest.h>
-
 #include "fitter/calibration/observe_board.h"
 #include "fitter/structured_light/gray_decoder.h"
 #include "shared/image/png.h"
@@ -17,21 +15,20 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<Image<uint16_t>> ReadPose(int pose) {
+Result<std::vector<Image<uint16_t>>> ReadPose(int pose) {
   std::vector<Image<uint16_t>> frames;
   for (int k = 0; k < 42; ++k) {
     char name[32];
     std::snprintf(name, sizeof name, "pose%d/g%02d.png", pose, k);
-    auto frame = ReadPng(RealBoardsFolder() / name, nullptr);
-    EXPECT_TRUE(frame.ok()) << frame.status().message();
-    if (frame.ok()) frames.push_back(std::move(frame).value());
+    SLX_ASSIGN_OR_RETURN(auto frame, ReadPng(RealBoardsFolder() / name, nullptr));
+    frames.push_back(std::move(frame));
   }
   return frames;
 }
 
 // From the frames themselves: search, motion, decoding, look-up.
-PoseObservation ObservePose(int pose, const Eigen::Vector2d& crop, const BoardDescription& board) {
-  const auto frames = ReadPose(pose);
+Result<PoseObservation> ObservePose(int pose, const Eigen::Vector2d& crop, const BoardDescription& board) {
+  SLX_ASSIGN_OR_RETURN(const auto frames, ReadPose(pose));
   Image<float> black(frames[41].width(), frames[41].height()), twice = black;
   Image<uint16_t> codes(black.width(), black.height());
   for (size_t i = 0; i < black.size(); ++i) {
@@ -44,9 +41,7 @@ PoseObservation ObservePose(int pose, const Eigen::Vector2d& crop, const BoardDe
   pictures[0].codes_light = BoardLight(codes, twice, Cfa::kMono);
   pictures[0].saturated = Image<uint8_t>(black.width(), black.height());
   PoseObservation observation{pose, "pose " + std::to_string(pose), {}};
-  const auto corners = FindStillBoard(pictures, board);
-  EXPECT_TRUE(corners.ok()) << corners.status().message();
-  if (!corners.ok()) return observation;
+  SLX_ASSIGN_OR_RETURN(const auto corners, FindStillBoard(pictures, board));
 
   DecodeInput input{.white = frames[40].view(), .black = black};
   input.columns.count = 1024;
@@ -55,12 +50,12 @@ PoseObservation ObservePose(int pose, const Eigen::Vector2d& crop, const BoardDe
     input.columns.bits.push_back({frames[2 * bit].view(), frames[2 * bit + 1].view()});
     input.rows.bits.push_back({frames[20 + 2 * bit].view(), frames[21 + 2 * bit].view()});
   }
-  const auto decoded = DecodeGray(input, {.saturation_dn = 255.0, .gain_e_per_dn = 20.0, .read_noise_dn = 1.0});
-  EXPECT_TRUE(decoded.ok());
-  const auto seen = LookUpCorners(decoded->map, *corners, {1024, 1024});
-  EXPECT_TRUE(seen.ok() && seen->seen);
-  for (size_t i = 0; i < corners->size(); ++i)
-    observation.corners.push_back({(*corners)[i].corner, (*corners)[i].pixel_px + crop, {seen->column_row[i]}});
+  SLX_ASSIGN_OR_RETURN(const auto decoded,
+                       DecodeGray(input, {.saturation_dn = 255.0, .gain_e_per_dn = 20.0, .read_noise_dn = 1.0}));
+  SLX_ASSIGN_OR_RETURN(const auto seen, LookUpCorners(decoded.map, corners, {1024, 1024}));
+  if (!seen.seen) return Status::Failed(observation.name + ": too few corners in the projector's light");
+  for (size_t i = 0; i < corners.size(); ++i)
+    observation.corners.push_back({corners[i].corner, corners[i].pixel_px + crop, {seen.column_row[i]}});
   return observation;
 }
 
@@ -73,7 +68,7 @@ fs::path RealBoardsFolder() {
   return data / "procam_gray_kamino";
 }
 
-CalibrationObservations ObserveRealBoards() {
+Result<CalibrationObservations> ObserveRealBoards() {
   CalibrationObservations observations{{BoardKind::kChess, 10, 8, 75.0, 0.0}, {1280, 1024}, {{1024, 768}}, {}};
   std::ifstream in(RealBoardsFolder() / "crops.txt");
   for (std::string line; std::getline(in, line);) {
@@ -82,7 +77,8 @@ CalibrationObservations ObserveRealBoards() {
     int pose = 0;
     Eigen::Vector2d crop;
     text >> pose >> crop.x() >> crop.y();
-    observations.poses.push_back(ObservePose(pose, crop, observations.board));
+    SLX_ASSIGN_OR_RETURN(auto observed, ObservePose(pose, crop, observations.board));
+    observations.poses.push_back(std::move(observed));
   }
   return observations;
 }
