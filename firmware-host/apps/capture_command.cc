@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
+#include <numbers>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -37,6 +39,15 @@ SessionInfo DescribeSession(const CaptureOptions& options, const CapturePlan& pl
   return info;
 }
 
+// Mean light of a sinusoid as the projector gives it.
+double SinusoidMean(const ProjectorCalibration& projector) {
+  constexpr int kSamples = 256;
+  double sum = 0.0;
+  for (int k = 0; k < kSamples; ++k)
+    sum += projector.Response(0.5 + 0.5 * std::cos(2.0 * std::numbers::pi * k / kSamples)) / kSamples;
+  return sum;
+}
+
 // The tolerances of a single probe follow the camera at hand.
 SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig) {
   const RigConfig& config = capture.config;
@@ -53,6 +64,8 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
     read_noise_dn = capture.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;
     saturation_dn = camera.saturation_dn;
+    for (const ProjectorCalibration& p : rig.simulation->calibration().projectors)
+      options.witness.sinusoid_mean.push_back(SinusoidMean(p));
   }
   options.witness.read_noise_dn = read_noise_dn;
   options.witness.saturation_dn = 0.975 * saturation_dn;
@@ -101,8 +114,8 @@ Status CaptureOptions::Validate() const {
     return Status::Usage("capture: the configuration wires no [[projector]]; --simulate runs the simulated rig");
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
-  if (board_pose >= 0 && config.plan.kind != SessionKind::kCalibration)
-    return Status::Usage("--pose numbers the board's poses of --kind calibration");
+  if (board_pose >= 0 && config.plan.kind != SessionKind::kCalibration && config.plan.kind != SessionKind::kFlat)
+    return Status::Usage("--pose numbers the board's poses of --kind calibration, or the target's of --kind flat");
   if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");
   return Status::Ok();
 }

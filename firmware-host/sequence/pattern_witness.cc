@@ -260,8 +260,8 @@ bool PatternWitness::WithinReference(const PlanStep& step) const {
   return true;
 }
 
-bool PatternWitness::AddsUp(std::span<const int> steps) const {
-  // 2/N sum I - (W + B) vanishes; its variance is that of W and B (weight 1) plus (2/N)^2 of each frame.
+bool PatternWitness::AddsUp(std::span<const int> steps, double mean) const {
+  // 2/N sum I - 2 (mean W + (1 - mean) B) vanishes; its variance is about that of W and B plus (2/N)^2 of each frame.
   const double scale = 2.0 / static_cast<double>(steps.size());
   std::vector<const Probes*> frames;
   for (int step : steps) frames.push_back(&frames_.at(step).probes);
@@ -273,7 +273,8 @@ bool PatternWitness::AddsUp(std::span<const int> steps) const {
     const double variance = (1.0 + scale) * (VarianceDn(white) + VarianceDn(black));
     const int band = lattice_.BandOf(i);
     ++all[band];
-    if (std::abs(scale * sum - white - black) > options_.sum_tolerance * (white - black) + 4.0 * std::sqrt(variance))
+    if (std::abs(scale * sum - 2.0 * (mean * white + (1.0 - mean) * black)) >
+        options_.sum_tolerance * (white - black) + 4.0 * std::sqrt(variance))
       ++off[band];
   }
   for (int b = 0; b < ProbeLattice::kBands; ++b)
@@ -282,7 +283,7 @@ bool PatternWitness::AddsUp(std::span<const int> steps) const {
 }
 
 PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) const {
-  if (!AddsUp(pair)) return Testimony::kRefutes;
+  if (!AddsUp(pair, 0.5)) return Testimony::kRefutes;
   // What is left of the sum against the contrast of the two, both less their noise: a bit beside another bit's inverse
   // leaves as much as it differs by.
   const Probes& bit = frames_.at(pair[0]).probes;
@@ -305,7 +306,9 @@ PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) c
 PatternWitness::Testimony PatternWitness::JudgeShifts(const PlanStep& step, std::span<const int> group) {
   const bool whole =
       step.pattern.kind == PatternKind::kSinusoid && static_cast<int>(group.size()) == step.pattern.shifts;
-  if (whole && !AddsUp(group)) return Testimony::kRefutes;
+  const auto& means = options_.sinusoid_mean;
+  const double mean = step.projector < static_cast<int>(means.size()) ? means[step.projector] : 0.5;
+  if (whole && !AddsUp(group, mean)) return Testimony::kRefutes;
   Testimony testimony = Testimony::kConfirms;
   std::vector<float> level;
   for (int member : group) {

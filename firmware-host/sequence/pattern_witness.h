@@ -44,6 +44,8 @@ struct WitnessOptions {
   double still_tolerance = 0.03;   // rms difference of a white from the reference, after its mean, over W - B
   double dark_tolerance = 0.01;    // mean n of guard frames
   double min_evidence = 5.0;       // standard deviations by which the planned shift must beat all others, or be beaten
+  // By projector: mean light of a whole set of sinusoid shifts, as its response gives it; empty: 1/2, all linear.
+  std::vector<double> sinusoid_mean;
 
   // Of one raw pixel's noise.
   [[nodiscard]] double VarianceDn(double dn) const { return dn / gain_e_per_dn + read_noise_dn * read_noise_dn; }
@@ -103,7 +105,8 @@ class PatternWitness {
   // run backwards. Not to be told: the top bit, which mirrors the whole picture, and bits finer than the lattice.
   // Doubts the pair's frames, or refutes them where they are `group`.
   [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
-  [[nodiscard]] bool AddsUp(std::span<const int> steps) const;
+  // Whether the frames' mean lies at `mean` on the way from black to white.
+  [[nodiscard]] bool AddsUp(std::span<const int> steps, double mean) const;
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
   [[nodiscard]] bool LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const;

@@ -9,16 +9,20 @@ namespace {
 constexpr size_t kFrames = 16;  // as many buffers as drivers give out
 constexpr int kSamples = 32;
 
-// FNV-1a over the samples; 0 when all are the same.
+constexpr int kFewestBelow = kSamples / 4;  // samples that say something: those below the brightest
+
+// FNV-1a over the samples; 0 when hardly any differs from the brightest, as where a white target saturates.
 uint64_t NumberOf(const uint16_t* row, int width) {
   const int step = std::max(1, width / kSamples);
+  uint16_t brightest = 0;
+  for (int x = 0; x < width; x += step) brightest = std::max(brightest, row[x]);
   uint64_t number = 0xcbf29ce484222325ULL;
-  bool varies = false;
+  int below = 0;
   for (int x = 0; x < width; x += step) {
     number = (number ^ row[x]) * 0x100000001b3ULL;
-    varies = varies || row[x] != row[0];
+    below += row[x] < brightest;
   }
-  return varies ? std::max<uint64_t>(number, 1) : 0;
+  return below >= std::min(kFewestBelow, width / 4) && below > 0 ? std::max<uint64_t>(number, 1) : 0;
 }
 
 }  // namespace

@@ -11,7 +11,8 @@
 namespace stratalux::rig {
 
 // The noise of a real camera never repeats: two frames whose rows agree in 32 pixels spread over the row, bit by bit,
-// are one exposure. Rows of one value (saturated, or dark beyond the converter's range) say nothing.
+// are one exposure. Rows of one value (saturated, or dark beyond the converter's range) say nothing, nor do those with
+// a few samples beside it: at the edge of a saturated white target.
 class RowMemory {
  public:
   // Share of the rows of `pixels` that repeat the same row of one of the last 16 frames, which must be of its size;

@@ -143,7 +143,7 @@ void ExposureRamp::Add(const RampFrames& frames) {
   ParallelFor(rows, 4, [&](int64_t begin, int64_t end) {
     for (int64_t j = begin; j < end; ++j)
       for (int i = 0; i < columns; ++i) {
-        std::array<double, kTileColours> light{}, difference{}, square{};
+        std::array<double, kTileColours> light{}, dark{}, difference{}, square{};
         std::array<int, kTileColours> count{};
         std::array<bool, kTileColours> saturated{};
         for (int y = static_cast<int>(j) * kTile; y < (static_cast<int>(j) + 1) * kTile; ++y)
@@ -151,7 +151,8 @@ void ExposureRamp::Add(const RampFrames& frames) {
             const int c = CfaColour(cfa_, x, y);
             const double a = frames.white_a(x, y), b = frames.white_b(x, y);
             saturated[c] = saturated[c] || a >= saturation_dn_ || b >= saturation_dn_;
-            light[c] += 0.5 * (a + b) - frames.black(x, y);
+            light[c] += 0.5 * (a + b);
+            dark[c] += frames.black(x, y);
             difference[c] += a - b;
             square[c] += (a - b) * (a - b);
             ++count[c];
@@ -161,22 +162,44 @@ void ExposureRamp::Add(const RampFrames& frames) {
           Cell& cell = exposure.cells[(static_cast<size_t>(j) * columns + i) * kTileColours + c];
           const double n = count[c];
           // The lamp may differ between the two by a little, alike in all of the tile: the mean goes.
-          cell = {light[c] / n, 0.5 * (square[c] - difference[c] * difference[c] / n) / (n - 1.0), count[c]};
+          cell = {light[c] / n, dark[c] / n, 0.5 * (square[c] - difference[c] * difference[c] / n) / (n - 1.0),
+                  count[c]};
         }
       }
   });
   exposures_.push_back(std::move(exposure));
 }
 
+std::vector<double> ExposureRamp::Offsets() const {
+  if (exposures_.empty()) return {};
+  std::vector<double> offsets(exposures_[0].cells.size(), 0.0);
+  for (size_t k = 0; k < offsets.size(); ++k) {
+    Eigen::Matrix2d normal = Eigen::Matrix2d::Zero();
+    Eigen::Vector2d right = Eigen::Vector2d::Zero();
+    for (const Exposure& e : exposures_) {
+      if (e.cells[k].sites == 0) continue;
+      const Eigen::Vector2d row(1.0, e.ms);
+      normal += row * row.transpose();
+      right += row * e.cells[k].black;
+    }
+    if (normal.determinant() > 1e-9) offsets[k] = normal.ldlt().solve(right)[0];
+  }
+  return offsets;
+}
+
 Result<PhotonTransfer> ExposureRamp::Transfer() const {
   struct Tile {
     double signal, variance, sites;
   };
+  const std::vector<double> offsets = Offsets();
   std::vector<Tile> tiles;
   for (const Exposure& e : exposures_)
-    for (const Cell& cell : e.cells)
-      if (cell.sites > 0 && cell.signal < kTransferRange * range_dn_)
-        tiles.push_back({cell.signal, cell.variance - step_ * step_ / 12.0, static_cast<double>(cell.sites)});
+    for (size_t k = 0; k < e.cells.size(); ++k) {
+      const Cell& cell = e.cells[k];
+      const double signal = cell.level - offsets[k];
+      if (cell.sites > 0 && signal < kTransferRange * range_dn_)
+        tiles.push_back({signal, cell.variance - step_ * step_ / 12.0, static_cast<double>(cell.sites)});
+    }
   if (tiles.size() < 50) return Status::Failed("photon transfer: only " + std::to_string(tiles.size()) + " tiles");
   // A variance from n differences has a relative variance of 2 / (n - 1); the weights follow the line itself.
   Eigen::Vector2d line(1.0, 1.0);
@@ -230,16 +253,18 @@ Result<CameraResponseReport> ExposureRamp::Response() const {
   struct Tile {
     Eigen::VectorXd s, w;
   };
+  const std::vector<double> offsets = Offsets();
   std::vector<Tile> tiles;
-  for (size_t k = 0; k < exposures_[0].cells.size(); ++k) {
+  for (size_t k = 0; k < offsets.size(); ++k) {
     Tile tile{Eigen::VectorXd::Zero(rows), Eigen::VectorXd::Zero(rows)};
     int used = 0;
     for (Eigen::Index j = 0; j < rows; ++j) {
       const Cell& cell = exposures_[j].cells[k];
       if (cell.sites == 0) continue;
-      tile.s[j] = cell.signal / range_dn_;
+      const double signal = cell.level - offsets[k];
+      tile.s[j] = signal / range_dn_;
       // Noise of the mean, and a part in 2000 for what lamp and shutter do.
-      const double noise2 = std::max(cell.variance, 0.1) / cell.sites + std::pow(5e-4 * cell.signal, 2);
+      const double noise2 = std::max(cell.variance, 0.1) / cell.sites + std::pow(5e-4 * signal, 2);
       tile.w[j] = range_dn_ * range_dn_ / noise2;
       ++used;
     }

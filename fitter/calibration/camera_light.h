@@ -61,13 +61,17 @@ class ExposureRamp {
 
  private:
   struct Cell {
-    double signal = 0.0, variance = 0.0;  // dn above black; of one frame
-    int sites = 0;                        // 0: saturated somewhere
+    double level = 0.0, black = 0.0, variance = 0.0;  // raw dn of white and black; dn^2 of one white frame
+    int sites = 0;                                    // 0: saturated somewhere
   };
   struct Exposure {
     double ms = 0.0;
     std::vector<Cell> cells;  // tile by tile, colour by colour
   };
+  // Levels without light, by cell: the blacks' at exposure 0. All light (ambient and the projector's own black, too)
+  // makes noise, and all of it grows with the exposure.
+  [[nodiscard]] std::vector<double> Offsets() const;
+
   Cfa cfa_;
   double saturation_dn_, range_dn_;
   int step_ = 1;

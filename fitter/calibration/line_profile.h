@@ -40,7 +40,7 @@ class LineSamples {
 };
 
 // Light of the line in columns of white (its equivalent width), and the standard deviation of all that blurs it: of
-//   box(width) * Gaussian(sigma)                                                                                (6)
+//   box(width) * Gaussian(sigma)
 // fitted to the profile, place and sigma free. kFailed: gaps in the profile, or no line in it.
 struct LineShape {
   double width_px = 0.0, sigma_px = 0.0, centre_px = 0.0;
@@ -48,7 +48,7 @@ struct LineShape {
 [[nodiscard]] Result<LineShape> FitLine(const LineSamples& samples);
 
 // Projector and camera blur from lines under different footprints:
-//   sigma^2 = projector_p^2 + (1/12 + camera^2) columns_per_px^2                                                (7)
+//   sigma^2 = projector_p^2 + (1/12 + camera^2) columns_per_px^2                                                (6)
 // `known_camera_px` where the footprints differ too little to tell the two apart (`camera_px` is then absent).
 struct LineBlur {
   std::vector<double> projector_px;

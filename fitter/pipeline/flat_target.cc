@@ -20,7 +20,8 @@ constexpr int kTile = 8;  // sites
 constexpr double kMaxPlaneRmsMm = 1.5;
 constexpr double kMinOnPlane = 0.6;  // share of the triangulated points
 constexpr float kMaxColumns = 1.5F;  // between the decoded place and the plane's
-constexpr double kLitShare = 0.15;   // of the brightest contrast
+constexpr int kMinAgreeing = kTile * kTile / 4, kMaxAstray = kTile * kTile / 16;  // sites of a tile
+constexpr double kLitShare = 0.15;                                                // of the brightest contrast
 
 struct Plane {
   Eigen::Vector3d normal{0, 0, -1};  // towards the camera
@@ -136,13 +137,17 @@ double MmPerColumn(const ProjectorCalibration& projector, const Plane& plane, co
   return 1.0 / std::sqrt(squares);
 }
 
+// What a site's codes say of the plane. Codes finer than a pixel leave many undecided.
+enum class Place : uint8_t { kUndecided, kAgrees, kAstray };
+
 // One projector's white and black, and where its codes agree with the plane.
 struct LitTarget {
   Image<uint16_t> white;
   Image<float> black;
-  Image<uint8_t> on_target;  // decoded where the plane says; saturated sites count, too
+  Image<uint8_t> place;  // Place, by site
   double max_contrast_dn = 0.0;
   [[nodiscard]] double Contrast(int x, int y) const { return white(x, y) - black(x, y); }
+  [[nodiscard]] bool Is(int x, int y, Place what) const { return place(x, y) == static_cast<uint8_t>(what); }
 };
 
 class FlatMeasurement {
@@ -185,10 +190,13 @@ class FlatMeasurement {
       SLX_ASSIGN_OR_RETURN(auto black, frames_.MeanBlack(p));
       LitTarget& lit = lit_.emplace_back(LitTarget{std::move(white), std::move(black),
                                                    Image<uint8_t>(view.column[p].width(), view.column[p].height())});
-      for (size_t i = 0; i < lit.on_target.size(); ++i) {
+      for (size_t i = 0; i < lit.place.size(); ++i) {
         const bool saturated = decoded[p].reason.pixels()[i] == static_cast<uint8_t>(DecodeReason::kSaturated);
         const float off = std::abs(decoded[p].column.pixels()[i] - view.column[p].pixels()[i]);
-        lit.on_target.pixels()[i] = saturated || off < kMaxColumns ? 1 : 0;
+        const Place place = saturated || std::isnan(off) ? Place::kUndecided
+                            : off < kMaxColumns          ? Place::kAgrees
+                                                         : Place::kAstray;
+        lit.place.pixels()[i] = static_cast<uint8_t>(place);
       }
     }
     return view;
@@ -212,9 +220,10 @@ class FlatMeasurement {
     int64_t saturated = 0;
     for (int y = 0; y < lit.white.height(); ++y)
       for (int x = 0; x < lit.white.width(); ++x) {
-        if (lit.on_target(x, y) == 0 || std::isnan(view.column[p](x, y))) continue;
+        const bool too_bright = lit.white(x, y) >= rig_.camera.saturation_dn;
+        if (!(lit.Is(x, y, Place::kAgrees) || too_bright) || std::isnan(view.column[p](x, y))) continue;
         contrast.push_back(static_cast<float>(lit.Contrast(x, y)));
-        saturated += lit.white(x, y) >= rig_.camera.saturation_dn;
+        saturated += too_bright;
       }
     target_.saturated.push_back(
         contrast.empty() ? 0.0 : static_cast<double>(saturated) / static_cast<double>(contrast.size()));
@@ -229,14 +238,17 @@ class FlatMeasurement {
 
   [[nodiscard]] bool Usable(size_t p, int x, int y) const {
     const LitTarget& lit = lit_[p];
-    return lit.on_target(x, y) != 0 && lit.white(x, y) < rig_.camera.saturation_dn &&
-           lit.Contrast(x, y) > kLitShare * lit.max_contrast_dn;
+    return lit.white(x, y) < rig_.camera.saturation_dn && lit.Contrast(x, y) > kLitShare * lit.max_contrast_dn;
   }
   [[nodiscard]] bool UsableTile(size_t p, int x0, int y0) const {
+    int agreeing = 0, astray = 0;
     for (int y = y0; y < y0 + kTile; ++y)
-      for (int x = x0; x < x0 + kTile; ++x)
+      for (int x = x0; x < x0 + kTile; ++x) {
         if (!Usable(p, x, y)) return false;
-    return true;
+        agreeing += lit_[p].Is(x, y, Place::kAgrees);
+        astray += lit_[p].Is(x, y, Place::kAstray);
+      }
+    return agreeing >= kMinAgreeing && astray <= kMaxAstray;
   }
   // Calls visit(x0, y0) for the first site of every whole tile.
   template <typename Visit>
@@ -311,7 +323,7 @@ class FlatMeasurement {
     const double middle = view.ColumnsPerPx2(p, image.width() / 2, image.height() / 2);
     for (int y = 1; y + 1 < image.height(); ++y)
       for (int x = 1 + y % step; x + 1 < image.width(); x += step) {
-        if (!Usable(p, x, y) || image(x, y) >= rig_.camera.saturation_dn) continue;
+        if (!Usable(p, x, y) || lit_[p].Is(x, y, Place::kAstray) || image(x, y) >= rig_.camera.saturation_dn) continue;
         const double moved = view.ColumnsPerPx2(p, x, y);
         if (!std::isfinite(moved)) continue;
         target_.lines[2 * p + (moved > middle ? 1 : 0)].Add(

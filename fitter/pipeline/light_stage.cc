@@ -192,11 +192,22 @@ Status LightStage::MeasureCamera() {
     Keep("camera gain, camera response", "no session of kind flat (a matt white target: --kind flat)");
     return Status::Ok();
   }
-  const SessionFrames& newest = flat_.back();
-  ExposureRamp ramp(record_.camera.cfa, record_.camera.saturation_dn, record_.camera.black_level_dn);
-  SLX_RETURN_IF_ERROR(AddRamp(newest, ramp));
-  UseTransfer(newest.info().id, ramp);
-  UseCameraResponse(newest.info().id, ramp);
+  // Of all targets the one whose light reaches furthest, or the newest if none tells anything.
+  std::optional<ExposureRamp> best;
+  std::string session;
+  double reached = -1.0;
+  for (const SessionFrames& frames : flat_) {
+    ExposureRamp ramp(record_.camera.cfa, record_.camera.saturation_dn, record_.camera.black_level_dn);
+    SLX_RETURN_IF_ERROR(AddRamp(frames, ramp));
+    const auto response = ramp.Response();
+    const double here = response.ok() ? response->reached : 0.0;
+    if (here < reached) continue;
+    reached = here;
+    session = frames.info().id;
+    best = std::move(ramp);
+  }
+  UseTransfer(session, *best);
+  UseCameraResponse(session, *best);
   return Status::Ok();
 }
 
@@ -283,9 +294,10 @@ Status LightStage::MeasureProjector(const SessionFrames& frames, int projector) 
       sites.push_back(i);
     }
   }
-  if (saturated > kMaxSaturated * static_cast<double>(sites.size() + saturated)) {
-    Refuse(name + ": " + Percent(static_cast<double>(saturated) / static_cast<double>(sites.size() + saturated)) +
-               " of the lit target is saturated",
+  const double saturated_share =
+      static_cast<double>(saturated) / static_cast<double>(std::max<size_t>(sites.size() + saturated, 1));
+  if (saturated_share > kMaxSaturated) {
+    Refuse(name + ": " + Percent(saturated_share) + " of the lit target is saturated",
            "expose shorter (--exposure) and capture the response session again");
     return Status::Ok();
   }

@@ -47,7 +47,6 @@ INSTANTIATE_TEST_SUITE_P(
                       std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
                       std::pair("capture --simulate --size 695x520", "camera width = 695"),
                       std::pair("capture --simulate --kind party", "party"),
-                      std::pair("capture --simulate --kind response", "grey levels"),
                       std::pair("capture --simulate --exposure 0", "exposure_ms"),
                       std::pair("capture --simulate --pose 2", "--kind calibration"),
                       std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR

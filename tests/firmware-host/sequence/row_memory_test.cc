@@ -45,5 +45,13 @@ TEST(RowMemory, RowsOfOneValueSayNothing) {
   EXPECT_EQ(memory.ShareRepeated(Image<uint16_t>(120, 40, 1, 4095)), 0.0);
 }
 
+TEST(RowMemory, TheEdgeOfASaturatedTargetSaysNothing) {
+  RowMemory memory;
+  Image<uint16_t> frame(120, 40, 1, 4095);
+  for (int y = 0; y < frame.height(); ++y) frame(0, y) = 64;  // beside the target, where noise is a few values wide
+  memory.ShareRepeated(frame);
+  EXPECT_EQ(memory.ShareRepeated(frame), 0.0);
+}
+
 }  // namespace
 }  // namespace stratalux::rig

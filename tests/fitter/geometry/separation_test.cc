@@ -19,16 +19,26 @@ struct Mixture {
   double global[3] = {900, 500, 150};
   double projector_black = 0.0;
   double ambient = 25.0;
+  double gamma = 1.0;  // light of grey level v: v^gamma
 
+  // Mean light of an even pattern: over one period for sinusoids.
+  [[nodiscard]] double MeanOf(const Pattern& pattern) const {
+    if (pattern.kind == PatternKind::kWhite || pattern.kind == PatternKind::kBlack) return pattern.Intensity(0, 0);
+    if (pattern.kind == PatternKind::kCheckerboard) return 0.5;
+    double sum = 0.0;
+    for (int k = 0; k < 64; ++k) sum += std::pow(0.5 + 0.5 * std::cos(6.283185307179586 * k / 64), gamma) / 64;
+    return sum;
+  }
   [[nodiscard]] Image<uint16_t> Frame(const Pattern& pattern) const {
-    const double mean = pattern.kind == PatternKind::kWhite ? 1.0 : pattern.kind == PatternKind::kBlack ? 0.0 : 0.5;
+    const double mean = MeanOf(pattern);
     const auto shown = [&](double v) { return projector_black + (1.0 - projector_black) * v; };
     Image<uint16_t> frame(kWidth, kHeight);
     for (int y = 0; y < kHeight; ++y)
       for (int x = 0; x < kWidth; ++x) {
         const int c = CfaColour(Cfa::kRggb, x, y);
-        frame(x, y) = static_cast<uint16_t>(
-            std::lround(kBlackDn + ambient + direct[c] * shown(pattern.Intensity(x, y)) + global[c] * shown(mean)));
+        frame(x, y) = static_cast<uint16_t>(std::lround(kBlackDn + ambient +
+                                                        direct[c] * shown(std::pow(pattern.Intensity(x, y), gamma)) +
+                                                        global[c] * shown(mean)));
       }
     return frame;
   }
@@ -82,6 +92,36 @@ TEST(SeparateSinusoids, TakesTheProjectorsBlackIntoAccount) {
   const Mixture mixture{.projector_black = 0.1};
   const Shots shots(mixture);
   ExpectMixture(*SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise, {.projector_black = 0.1}), mixture, 2.0);
+}
+
+// Mean over the map of the direct light, all colours, relative to the truth.
+double MeanDirectError(const Separation& s, const Mixture& m) {
+  double sum = 0.0, truth = 0.0;
+  for (int j = 0; j < kHeight / 2; ++j)
+    for (int i = 0; i < kWidth / 2; ++i)
+      for (int c = 0; c < 3; ++c) {
+        sum += s.map.direct(i, j, c);
+        truth += m.direct[c];
+      }
+  return sum / truth - 1.0;
+}
+
+TEST(SeparateSinusoids, TheResponseOfTheProjectorGivesTheLinearRigsSplit) {
+  for (const double gamma : {0.7, 1.4, 2.2, 2.4}) {
+    const Mixture mixture{.gamma = gamma};
+    const Shots shots(mixture);
+    ProjectorCalibration projector;
+    for (int k = 0; k <= 32; ++k) projector.response.push_back(std::pow(k / 32.0, gamma));
+    const auto blind = SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise);
+    const auto known =
+        SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise, {.sinusoid_amplitude = projector.SinusoidAmplitude()});
+    ASSERT_TRUE(blind.ok() && known.ok());
+    EXPECT_LT(std::abs(MeanDirectError(*known, mixture)), 0.003) << gamma;
+    EXPECT_GT(std::abs(MeanDirectError(*blind, mixture)), 0.01) << gamma;
+  }
+  const Shots shots{Mixture{}};
+  EXPECT_EQ(SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise, {.sinusoid_amplitude = 0.0}).status().code(),
+            StatusCode::kUsage);
 }
 
 TEST(SeparateCheckerboards, IsExactOnMixtures) {
