@@ -17,6 +17,7 @@
 #include "fitter/pipeline/board_stage.h"
 #include "fitter/pipeline/content_hash.h"
 #include "fitter/pipeline/light_stage.h"
+#include "fitter/report/calibration_page.h"
 #include "shared/base/read_file.h"
 #include "shared/base/version.h"
 
@@ -25,7 +26,7 @@ namespace {
 
 struct Flags {
   std::string store, out, board = "charuco", squares = "10x7", distortion = "auto";
-  std::string camera_size, projector_size, known_camera, known_rig;
+  std::string camera_size, projector_size, known_camera, known_rig, page;
   std::vector<std::string> sessions;
   BoardStageOptions stage;
   LightStageOptions light;
@@ -111,9 +112,15 @@ Status WriteText(const std::filesystem::path& file, const std::string& text) {
   return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
 }
 
+// Beside --out and where --page says, whether accepted or refused.
+Status WritePage(const Flags& f, const std::string& html) {
+  if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(std::filesystem::path(f.out).replace_extension(".html"), html));
+  return f.page.empty() ? Status::Ok() : WriteText(f.page, html);
+}
+
 // In the store: a fit of the newest session that it came from.
 Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::string>& sessions,
-                                       const std::string& record, const std::string& figures) {
+                                       const std::string& record, const std::string& figures, const std::string& html) {
   const std::string session = sessions.back();
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadWrite));
   nlohmann::ordered_json options = {{"stage", "calibrate"},
@@ -129,16 +136,21 @@ Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::st
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   SLX_RETURN_IF_ERROR(WriteText(folder / "calibration.json", record));
   SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.json", figures));
+  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.html", html));
   SLX_RETURN_IF_ERROR(store.RegisterFit({fit, session, options.dump(), figures, WallNow()}));
   return folder / "calibration.json";
 }
 
-Result<std::vector<Finding>> Judge(const Flags& f, const BoardPoses& boards, const GeometryReport& report) {
+// An earlier calibration of the same box: --known-rig, else what the sessions carry.
+Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const std::optional<RigCalibration>& of_sessions) {
+  if (f.known_rig.empty()) return of_sessions;
+  SLX_ASSIGN_OR_RETURN(const RigCalibration record, ReadRecord("--known-rig", f.known_rig));
+  return std::optional(record);
+}
+
+std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCalibration>& known,
+                           const GeometryReport& report) {
   std::vector<Finding> findings = JudgeCalibration(report);
-  std::optional<RigCalibration> known = boards.calibration;
-  if (!f.known_rig.empty()) {
-    SLX_ASSIGN_OR_RETURN(known, ReadRecord("--known-rig", f.known_rig));
-  }
   if (known) {
     const auto more = CompareWithKnownRig(RigGeometry::From(*known), report);
     findings.insert(findings.end(), more.begin(), more.end());
@@ -152,22 +164,24 @@ Result<std::vector<Finding>> Judge(const Flags& f, const BoardPoses& boards, con
   return findings;
 }
 
-// Verdict, record and figures where they belong; `accepted`: the exit code unless refused.
-Result<int> Conclude(const Flags& f, const std::vector<std::string>& sessions, RigCalibration record,
-                     const std::vector<Finding>& findings, nlohmann::ordered_json& json, std::string& text,
+// Verdict, record, figures and page where they belong; `accepted`: the exit code unless refused.
+Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_json& json, std::string& text,
                      int accepted, Logger& logger) {
-  if (record.made_wall.ns == 0) SLX_RETURN_IF_ERROR(StampValidity(f, sessions, record));
-  json["verdict"] = VerdictOf(findings);
-  json["findings"] = nlohmann::ordered_json::parse(FindingsJson(findings));
-  text += FindingsText(findings);
-  if (!IsRefused(findings)) {
-    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, sessions, record.ToJson(), json.dump(1)));
-    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record.ToJson()));
+  if (page.record.made_wall.ns == 0) SLX_RETURN_IF_ERROR(StampValidity(f, page.sessions, page.record));
+  json["verdict"] = VerdictOf(page.findings);
+  json["findings"] = nlohmann::ordered_json::parse(FindingsJson(page.findings));
+  text += FindingsText(page.findings);
+  SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(CalibrationReport(page)));
+  SLX_RETURN_IF_ERROR(WritePage(f, html));
+  if (!IsRefused(page.findings)) {
+    const std::string record = page.record.ToJson();
+    SLX_ASSIGN_OR_RETURN(const auto file, Register(f, page.sessions, record, json.dump(1), html));
+    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record));
     text += (f.out.empty() ? file.string() : f.out) + "\n";
     json["record"] = f.out.empty() ? file.string() : f.out;
   }
   std::printf("%s\n", f.json ? json.dump(1).c_str() : text.c_str());
-  if (!IsRefused(findings)) return accepted;
+  if (!IsRefused(page.findings)) return accepted;
   logger.Error("calibration refused; nothing was stored");
   return static_cast<int>(StatusCode::kFailed);
 }
@@ -192,35 +206,34 @@ Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& 
   return sorted;
 }
 
-// Of the light sessions on `geometry`: figures and findings added to those of the geometry.
-Status AddLight(const Flags& f, const SessionsByUse& sessions, RigCalibration& record, std::vector<Finding>& findings,
-                nlohmann::ordered_json& json, std::string& text, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(auto light, CalibrateLight(f.store, sessions.light, record, f.light, logger));
-  record = std::move(light.record);
-  findings.insert(findings.end(), light.report.findings.begin(), light.report.findings.end());
+// Of the light sessions on the page's geometry: record, figures and findings added to what is there.
+Status AddLight(const Flags& f, const SessionsByUse& sessions, CalibrationPage& page, nlohmann::ordered_json& json,
+                std::string& text, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(auto light, CalibrateLight(f.store, sessions.light, page.record, f.light, logger));
+  page.record = std::move(light.record);
+  page.sessions.insert(page.sessions.end(), sessions.light.begin(), sessions.light.end());
+  page.findings.insert(page.findings.end(), light.report.findings.begin(), light.report.findings.end());
   json["light"] = nlohmann::ordered_json::parse(LightJson(light.report));
   text += LightText(light.report);
+  page.light = std::move(light.report);
   return Status::Ok();
 }
 
 // Where the geometry is known already: the light alone.
 Result<int> CalibrateLightAlone(const Flags& f, const SessionsByUse& sessions, Logger& logger) {
-  std::optional<RigCalibration> known = sessions.record;
-  if (!f.known_rig.empty()) {
-    SLX_ASSIGN_OR_RETURN(known, ReadRecord("--known-rig", f.known_rig));
-  }
+  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, sessions.record));
   if (!known)
     return Status::Usage(
         "the light of a rig needs its geometry: give the sessions of the board's poses, too, or a record with "
         "--known-rig");
-  RigCalibration record = *known;
-  record.id.clear();
-  record.source = "light calibration session " + sessions.light.back();
-  std::vector<Finding> findings;
+  CalibrationPage page;
+  page.record = *known;
+  page.record.id.clear();
+  page.record.source = "light calibration session " + sessions.light.back();
   nlohmann::ordered_json json = {{"schema", 1}};
   std::string text;
-  SLX_RETURN_IF_ERROR(AddLight(f, sessions, record, findings, json, text, logger));
-  return Conclude(f, sessions.light, record, findings, json, text, 0, logger);
+  SLX_RETURN_IF_ERROR(AddLight(f, sessions, page, json, text, logger));
+  return Conclude(f, page, json, text, 0, logger);
 }
 
 Result<int> Calibrate(Flags& f, Logger& logger) {
@@ -236,19 +249,26 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
     return Status(calibrated.status().code(), calibrated.status().message() + also);
   }
   const GeometryReport& report = *calibrated;
-  SLX_ASSIGN_OR_RETURN(auto findings, Judge(f, boards, report));
-  RigCalibration record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
-  if (!boards.calibration) record.camera.cfa = by_use.cfa;
-  record.made_wall = record.valid_until_wall = {};  // not those of the record before
-  nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, findings, boards.left_out));
+  SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards.calibration));
+  CalibrationPage page{boards.sessions, Judge(boards, known, report), &report, known};
+  page.record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  if (!boards.calibration) page.record.camera.cfa = by_use.cfa;
+  page.record.made_wall = page.record.valid_until_wall = {};  // not those of the record before
+  nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, page.findings, boards.left_out));
   std::string text = ReportText(report);
-  std::vector<std::string> used = boards.sessions;
-  if (!by_use.light.empty()) {
-    SLX_RETURN_IF_ERROR(AddLight(f, by_use, record, findings, json, text, logger));
-    used.insert(used.end(), by_use.light.begin(), by_use.light.end());
-  }
+  if (!by_use.light.empty()) SLX_RETURN_IF_ERROR(AddLight(f, by_use, page, json, text, logger));
   const int accepted = boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
-  return Conclude(f, used, record, findings, json, text, accepted, logger);
+  return Conclude(f, page, json, text, accepted, logger);
+}
+
+// The page says why there is no calibration; wrong flags need none.
+int Fail(const Flags& f, const Status& status, Logger& logger) {
+  logger.Error(status.message());
+  if (status.code() == StatusCode::kUsage) return status.exit_code();
+  const auto html = RenderHtml(CalibrationReport({f.sessions, {{Severity::kRefusal, status.message(), ""}}}));
+  const Status written = html.ok() ? WritePage(f, *html) : html.status();
+  if (!written.ok()) logger.Error(written.message());
+  return status.exit_code();
 }
 
 }  // namespace
@@ -300,13 +320,13 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--valid-days", flags->valid_days, "Days after its captures from which on sessions warn of its age")
       ->check(CLI::Range(0.01, 36500.0))
       ->capture_default_str();
-  verb->add_option("--out", flags->out, "Write the record here, too");
+  verb->add_option("--out", flags->out, "Write the record here, too, and the page beside it (.html)");
+  verb->add_option("--page", flags->page, "Write the page (HTML) here, whether accepted or refused");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;
     const auto code = Calibrate(*flags, logger);
-    if (!code.ok()) logger.Error(code.status().message());
-    exit_code = code.ok() ? *code : code.status().exit_code();
+    exit_code = code.ok() ? *code : Fail(*flags, code.status(), logger);
   });
 }
 

@@ -12,20 +12,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-// Values in the order of ParameterName.
-std::vector<double> ParametersOf(const RigGeometry& rig, size_t device) {
-  const Pinhole& m = device == 0 ? rig.camera : rig.projectors[device - 1].model;
-  std::vector<double> values{m.fx, m.fy, m.cx, m.cy};
-  values.insert(values.end(), m.distortion.begin(), m.distortion.end());
-  if (device == 0) return values;
-  const Rigid3& pose = rig.projectors[device - 1].camera_from_projector;
-  const Eigen::AngleAxisd turn(pose.rotation);
-  const Eigen::Vector3d w = turn.angle() * turn.axis();
-  for (int i = 0; i < 3; ++i) values.push_back(w[i]);
-  for (int i = 0; i < 3; ++i) values.push_back(pose.translation_mm[i]);
-  return values;
-}
-
 std::vector<double> UpperTriangle(const Eigen::MatrixXd& m) {
   std::vector<double> values;
   for (Eigen::Index i = 0; i < m.rows(); ++i)
@@ -38,7 +24,7 @@ Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(); 
 
 Json DeviceJson(const GeometryReport& report, size_t d) {
   Json parameters = Json::object();
-  const std::vector<double> values = ParametersOf(report.bundle.rig, d);
+  const std::vector<double> values = DeviceParameters(report.bundle.rig, d);
   for (size_t i = 0; i < values.size(); ++i) {
     const auto k = static_cast<Eigen::Index>(i);
     const double sd = report.covariances.empty() ? NAN : std::sqrt(report.covariances[d](k, k));
@@ -129,7 +115,7 @@ std::string ReportText(const GeometryReport& report) {
          report.training.size(), report.corners, report.rejected.size(), ToString(report.distortion),
          report.training_total.JointRms(), report.held_out_total.JointRms());
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
-    const std::vector<double> v = ParametersOf(report.bundle.rig, d);
+    const std::vector<double> v = DeviceParameters(report.bundle.rig, d);
     auto sd = [&](Eigen::Index i) { return report.covariances.empty() ? NAN : std::sqrt(report.covariances[d](i, i)); };
     Append(text,
            "  %-12s RMS %.3f, held-out %.3f px; fx %.2f +- %.2f, fy %.2f +- %.2f, cx %.2f +- %.2f, cy %.2f +- %.2f",

@@ -16,6 +16,12 @@ struct CornerObservation {
   Eigen::Vector2d camera_px;  // full-frame mosaic pixels
   // (column, row) in each projector that lights `camera_px`, looked up there; nullopt where it could not be.
   std::vector<std::optional<Eigen::Vector2d>> projector_px;
+
+  // Device 0 is the camera, 1 + p projector p; null where it does not see the corner.
+  [[nodiscard]] const Eigen::Vector2d* SeenBy(size_t device) const {
+    if (device == 0) return &camera_px;
+    return projector_px[device - 1] ? &*projector_px[device - 1] : nullptr;
+  }
 };
 
 struct PoseObservation {

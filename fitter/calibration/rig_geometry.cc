@@ -26,6 +26,19 @@ RigGeometry RigGeometry::From(const RigCalibration& calibration) {
 
 std::string DeviceName(size_t device) { return device == 0 ? "camera" : "projector " + std::to_string(device - 1); }
 
+std::vector<double> DeviceParameters(const RigGeometry& rig, size_t device) {
+  const Pinhole& m = device == 0 ? rig.camera : rig.projectors[device - 1].model;
+  std::vector<double> values{m.fx, m.fy, m.cx, m.cy};
+  values.insert(values.end(), m.distortion.begin(), m.distortion.end());
+  if (device == 0) return values;
+  const Rigid3& pose = rig.projectors[device - 1].camera_from_projector;
+  const Eigen::AngleAxisd turn(pose.rotation);
+  const Eigen::Vector3d w = turn.angle() * turn.axis();
+  values.insert(values.end(), {w.x(), w.y(), w.z()});
+  values.insert(values.end(), {pose.translation_mm.x(), pose.translation_mm.y(), pose.translation_mm.z()});
+  return values;
+}
+
 void DeviceErrors::Add(const DeviceErrors& other) {
   for (size_t d = 0; d < squares.size(); ++d) {
     squares[d] += other.squares[d];
@@ -43,21 +56,25 @@ double DeviceErrors::JointRms() const {
   return count > 0 ? std::sqrt(sum / count) : std::numeric_limits<double>::quiet_NaN();
 }
 
+std::optional<Eigen::Vector2d> ProjectCorner(const RigGeometry& rig, size_t device, const BoardDescription& board,
+                                             const Rigid3& camera_from_board, int corner) {
+  const Eigen::Vector2d on_board = board.CornerMm(corner);
+  const Eigen::Vector3d x_in_camera = camera_from_board * Eigen::Vector3d(on_board.x(), on_board.y(), 0.0);
+  if (device == 0) return rig.camera.Project(x_in_camera);
+  const ProjectorGeometry& projector = rig.projectors[device - 1];
+  return projector.model.Project(projector.camera_from_projector.Inverse() * x_in_camera);
+}
+
 DeviceErrors ReprojectionErrors(const RigGeometry& rig, const BoardDescription& board, const Rigid3& camera_from_board,
                                 const PoseObservation& pose) {
   DeviceErrors errors(1 + rig.projectors.size());
-  for (const CornerObservation& corner : pose.corners) {
-    const Eigen::Vector2d on_board = board.CornerMm(corner.corner);
-    const Eigen::Vector3d x_in_camera = camera_from_board * Eigen::Vector3d(on_board.x(), on_board.y(), 0.0);
-    errors.squares[0] += SquaredError(rig.camera.Project(x_in_camera), corner.camera_px);
-    ++errors.counts[0];
-    for (size_t p = 0; p < rig.projectors.size(); ++p) {
-      if (!corner.projector_px[p]) continue;
-      const Eigen::Vector3d x = rig.projectors[p].camera_from_projector.Inverse() * x_in_camera;
-      errors.squares[1 + p] += SquaredError(rig.projectors[p].model.Project(x), *corner.projector_px[p]);
-      ++errors.counts[1 + p];
+  for (const CornerObservation& corner : pose.corners)
+    for (size_t d = 0; d <= rig.projectors.size(); ++d) {
+      const Eigen::Vector2d* seen = corner.SeenBy(d);
+      if (seen == nullptr) continue;
+      errors.squares[d] += SquaredError(ProjectCorner(rig, d, board, camera_from_board, corner.corner), *seen);
+      ++errors.counts[d];
     }
-  }
   return errors;
 }
 

@@ -2,6 +2,7 @@
 // The geometric part of a rig's calibration, and how well it explains corners.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,9 @@ struct RigGeometry {
 // "camera" for device 0, "projector p" for device 1 + p.
 [[nodiscard]] std::string DeviceName(size_t device);
 
+// A device's parameters in the order of ParameterName (bundle_adjustment.h): 9, projectors 15.
+[[nodiscard]] std::vector<double> DeviceParameters(const RigGeometry& rig, size_t device);
+
 // Root mean square distances, px, over the corners of some poses; index 0 the camera, 1 + p projector p. Squares and
 // counts, so that poses add up.
 struct DeviceErrors {
@@ -37,6 +41,11 @@ struct DeviceErrors {
   [[nodiscard]] double Rms(size_t device) const;  // NaN without corners
   [[nodiscard]] double JointRms() const;          // over the corners of all devices
 };
+
+// Where device `device` (0 the camera, 1 + p projector p) has corner `corner` of the board; nullopt behind it.
+[[nodiscard]] std::optional<Eigen::Vector2d> ProjectCorner(const RigGeometry& rig, size_t device,
+                                                           const BoardDescription& board,
+                                                           const Rigid3& camera_from_board, int corner);
 
 // Corners of the board at `camera_from_board` projected into every device, less where they were seen.
 [[nodiscard]] DeviceErrors ReprojectionErrors(const RigGeometry& rig, const BoardDescription& board,

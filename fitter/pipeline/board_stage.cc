@@ -56,8 +56,9 @@ Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector,
   return pictures;
 }
 
-Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const CalibrationObservations& known,
-                                    const BoardStageOptions& options, Logger& logger) {
+Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const std::string& pose_name,
+                                    const CalibrationObservations& known, const BoardStageOptions& options,
+                                    Logger& logger) {
   const SensorNoise noise = NoiseOf(frames);
   const CodeSize code = CodeSizeOf(frames);
   const int projectors = static_cast<int>(known.projectors.size());
@@ -69,7 +70,7 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
   SLX_ASSIGN_OR_RETURN(const auto corners, FindStillBoard(pictures, options.board, options.observe));
   pictures.clear();
   const FrameRecord& record = frames.Find(0, CapturePhase::kReference, kWhite, pose)->record;
-  PoseObservation observation;
+  PoseObservation observation{pose, pose_name, {}};
   for (const BoardCorner& corner : corners)
     observation.corners.push_back({corner.corner, corner.pixel_px + Eigen::Vector2d(record.crop_x, record.crop_y),
                                    std::vector<std::optional<Eigen::Vector2d>>(known.projectors.size())});
@@ -78,7 +79,7 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
     SLX_ASSIGN_OR_RETURN(const auto decoded, DecodeProjector(frames, p, pose, code.columns, code.rows, noise));
     auto seen = LookUpCorners(decoded.map, corners, {code.columns, code.rows}, options.observe);
     if (!seen.ok()) return seen.status().WithContext(name);
-    if (!seen->seen) logger.Warning(observation.name + ": " + name + " lights too few corners; it sits this pose out");
+    if (!seen->seen) logger.Warning(pose_name + ": " + name + " lights too few corners; it sits this pose out");
     for (size_t i = 0; seen->seen && i < corners.size(); ++i)
       observation.corners[i].projector_px[p] = seen->column_row[i];
   }
@@ -139,7 +140,7 @@ Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std
     if (frames.record()) boards.calibration = frames.record();
     for (const int pose : NumberedPoses(frames)) {
       const std::string name = pose >= 0 ? "pose " + std::to_string(pose) + " (session " + id + ")" : "session " + id;
-      auto observed = ObservePose(frames, pose, boards.observations, options, logger);
+      auto observed = ObservePose(frames, pose, name, boards.observations, options, logger);
       if (!observed.ok()) {
         // What the disk or the store has to say ends the work; what the board has to say, this pose.
         if (observed.status().code() == StatusCode::kIntegrity) return observed.status();
@@ -147,8 +148,6 @@ Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std
         logger.Warning(boards.left_out.back());
         continue;
       }
-      observed->pose = pose;
-      observed->name = name;
       std::erase_if(boards.observations.poses,
                     [&](const PoseObservation& earlier) { return pose >= 0 && earlier.pose == pose; });
       boards.observations.poses.push_back(std::move(observed).value());

@@ -5,8 +5,8 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <cstdio>
 
+#include "fitter/report/svg_drawing.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
@@ -26,37 +26,13 @@ figure.plot figcaption{max-width:540px}svg text{fill:var(--soft);font:11px syste
 table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.88rem}
 th,td{padding:.22rem .7rem;text-align:right;border-bottom:1px solid var(--line)}th:first-child,td:first-child{text-align:left}
 th{color:var(--soft);font-weight:600}caption{text-align:left;color:var(--soft);padding:.3rem 0}
+.banner{margin:1rem 0;padding:.7rem 1rem;border-radius:6px;border-left:6px solid;background:var(--card);font-weight:600}
+.good{border-color:#2b9a66}.doubtful{border-color:#d99a1c}.bad{border-color:#c8352b}
 )";
-constexpr std::array<const char*, 8> kColours = {"#3b6fd4", "#d1602c", "#2b9a66", "#8a55c9",
-                                                 "#c23b6b", "#7a7f2a", "#1f9db3", "#8c8c8c"};
-
 std::string Style() {
   const std::string mark = "%SCALE%";
   std::string style = kStyle;
   return style.replace(style.find(mark), mark.size(), ColourScaleCss());
-}
-
-std::string Escape(const std::string& text) {
-  std::string out;
-  for (char c : text) {
-    switch (c) {
-      case '&':
-        out += "&amp;";
-        break;
-      case '<':
-        out += "&lt;";
-        break;
-      case '>':
-        out += "&gt;";
-        break;
-      case '"':
-        out += "&quot;";
-        break;
-      default:
-        out += c;
-    }
-  }
-  return out;
 }
 
 std::string Base64(const std::vector<uint8_t>& bytes) {
@@ -74,23 +50,10 @@ std::string Base64(const std::vector<uint8_t>& bytes) {
   return out;
 }
 
-std::string Number(double v) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", v);
-  return text;
-}
-
 struct Axis {
   double low = 0.0, high = 1.0, from = 0.0, to = 1.0;
   [[nodiscard]] double At(double v) const { return from + (v - low) / (high - low) * (to - from); }
 };
-
-// The round step (1, 2 or 5 times a power of ten) that cuts `span` into four to ten parts.
-double RoundStep(double span) {
-  const double power = std::pow(10.0, std::floor(std::log10(span / 4.0)));
-  const double parts = span / 4.0 / power;  // 1 .. 10
-  return power * (parts >= 5.0 ? 5.0 : parts >= 2.0 ? 2.0 : 1.0);
-}
 
 Axis FitAxis(const ReportPlot& plot, bool horizontal, double from, double to) {
   Axis axis{1e300, -1e300, from, to};
@@ -116,25 +79,16 @@ std::vector<double> TickValues(const Axis& axis) {
   return values;
 }
 
-std::string Ticks(const Axis& x, const Axis& y) {
-  std::string svg;
-  for (double v : TickValues(x))
-    svg += "<text x='" + Number(x.At(v)) + "' y='244' text-anchor='middle'>" + Number(v) + "</text>";
+void DrawTicks(const Axis& x, const Axis& y, SvgDrawing& svg) {
+  for (double v : TickValues(x)) svg.Text({x.At(v), 244}, ShortNumber(v), TextAnchor::kMiddle);
   for (double v : TickValues(y)) {
-    svg += "<text x='54' y='" + Number(y.At(v) + 4) + "' text-anchor='end'>" + Number(v) + "</text>";
-    svg += "<line x1='58' x2='520' y1='" + Number(y.At(v)) + "' y2='" + Number(y.At(v)) + "' stroke='var(--line)'/>";
+    svg.Text({54, y.At(v) + 4}, ShortNumber(v), TextAnchor::kEnd);
+    svg.Line({58, y.At(v)}, {520, y.At(v)}, "var(--line)");
   }
-  return svg;
 }
 
-struct Legend {
-  std::string svg;
-  double height = 0.0;
-};
-
-// Names in rows; a name that would leave the picture starts the next row.
-Legend LegendSvg(const ReportPlot& plot) {
-  Legend legend;
+// Names in rows; a name that would leave the picture starts the next row. Returns the height that is needed.
+double DrawLegend(const ReportPlot& plot, SvgDrawing& svg) {
   double x = 62, y = 268;
   for (size_t k = 0; k < plot.series.size(); ++k) {
     const ReportSeries& s = plot.series[k];
@@ -144,53 +98,49 @@ Legend LegendSvg(const ReportPlot& plot) {
       x = 62;
       y += 16;
     }
-    legend.svg += "<rect x='" + Number(x) + "' y='" + Number(y) + "' width='10' height='4' fill='" +
-                  kColours[k % kColours.size()] + "'/><text x='" + Number(x + 14) + "' y='" + Number(y + 6) + "'>" +
-                  Escape(s.name) + "</text>";
+    svg.Rectangle({x, y}, {10, 4}, CurveColour(k));
+    svg.Text({x + 14, y + 6}, s.name);
     x += width;
   }
-  legend.height = y + 14;
-  return legend;
+  return y + 14;
 }
 
 std::string PlotSvg(const ReportPlot& plot) {
   const Axis x = FitAxis(plot, true, 60, 516), y = FitAxis(plot, false, 226, 14);
-  const Legend legend = LegendSvg(plot);
-  std::string svg = "<svg width='540' height='" + Number(legend.height) + "' viewBox='0 0 540 " +
-                    Number(legend.height) + "' role='img'>" + Ticks(x, y);
+  SvgDrawing svg;
+  DrawTicks(x, y, svg);
   for (size_t k = 0; k < plot.series.size(); ++k) {
     const ReportSeries& s = plot.series[k];
-    const std::string colour = kColours[k % kColours.size()];
-    std::string points;
-    for (size_t i = 0; i < s.x.size(); ++i) {
-      if (!std::isfinite(s.x[i]) || !std::isfinite(s.y[i])) continue;
-      if (s.dots) {
-        svg += "<circle cx='" + Number(x.At(s.x[i])) + "' cy='" + Number(y.At(s.y[i])) + "' r='2.2' fill='" + colour +
-               "'/>";
-      } else {
-        points += Number(x.At(s.x[i])) + "," + Number(y.At(s.y[i])) + " ";
-      }
-    }
-    if (!points.empty())
-      svg += "<polyline fill='none' stroke='" + colour + "' stroke-width='1.5' points='" + points + "'/>";
+    std::vector<SvgDrawing::Point> points;
+    for (size_t i = 0; i < s.x.size(); ++i) points.emplace_back(x.At(s.x[i]), y.At(s.y[i]));
+    if (!s.dots) svg.Polyline(points, CurveColour(k));
+    for (size_t i = 0; s.dots && i < points.size(); ++i) svg.Circle(points[i], 2.2, CurveColour(k));
   }
-  return svg + legend.svg + "<text x='288' y='260' text-anchor='middle'>" + Escape(plot.x_label) +
-         "</text><text x='60' y='10'>" + Escape(plot.y_label) + "</text></svg>";
+  const double height = DrawLegend(plot, svg);
+  svg.Text({288, 260}, plot.x_label, TextAnchor::kMiddle);
+  svg.Text({60, 10}, plot.y_label);
+  return svg.Svg(540, height);
+}
+
+std::string BannerHtml(const ReportBanner& banner) {
+  constexpr std::array<const char*, 3> kClasses = {"good", "doubtful", "bad"};
+  return std::string("<div class='banner ") + kClasses[static_cast<size_t>(banner.tone)] + "'>" +
+         EscapeHtml(banner.text) + "</div>\n";
 }
 
 std::string ColourBar(const ReportImage& image) {
   if (image.bar_low.empty()) return "";
-  return "<div class='bar'><span>" + Escape(image.bar_low) + "</span><i></i><span>" + Escape(image.bar_high) +
+  return "<div class='bar'><span>" + EscapeHtml(image.bar_low) + "</span><i></i><span>" + EscapeHtml(image.bar_high) +
          "</span></div>";
 }
 
 std::string TableHtml(const ReportTable& table) {
-  std::string html = "<table><caption>" + Escape(table.caption) + "</caption><thead><tr>";
-  for (const std::string& cell : table.header) html += "<th>" + Escape(cell) + "</th>";
+  std::string html = "<table><caption>" + EscapeHtml(table.caption) + "</caption><thead><tr>";
+  for (const std::string& cell : table.header) html += "<th>" + EscapeHtml(cell) + "</th>";
   html += "</tr></thead><tbody>";
   for (const auto& row : table.rows) {
     html += "<tr>";
-    for (const std::string& cell : row) html += "<td>" + Escape(cell) + "</td>";
+    for (const std::string& cell : row) html += "<td>" + EscapeHtml(cell) + "</td>";
     html += "</tr>";
   }
   return html + "</tbody></table>\n";
@@ -202,20 +152,24 @@ Result<std::string> RenderHtml(const Report& report) {
   std::string html =
       "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><meta name='viewport' content='width=device-width'>"
       "<title>" +
-      Escape(report.title) + "</title><style>" + Style() + "</style></head><body><main>\n<h1>" + Escape(report.title) +
-      "</h1><p>" + Escape(report.subtitle) + "</p>\n";
+      EscapeHtml(report.title) + "</title><style>" + Style() + "</style></head><body><main>\n<h1>" +
+      EscapeHtml(report.title) + "</h1><p>" + EscapeHtml(report.subtitle) + "</p>\n";
+  if (report.banner) html += BannerHtml(*report.banner);
   for (const ReportSection& section : report.sections) {
-    html += "<h2>" + Escape(section.title) + "</h2>\n";
-    if (!section.text.empty()) html += "<p>" + Escape(section.text) + "</p>\n";
+    html += "<h2>" + EscapeHtml(section.title) + "</h2>\n";
+    if (!section.text.empty()) html += "<p>" + EscapeHtml(section.text) + "</p>\n";
     html += "<div class='row'>";
     for (const ReportImage& image : section.images) {
       SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(image.pixels));
-      html += "<figure><img alt=\"" + Escape(image.caption) + "\" src='data:image/png;base64," + Base64(png) + "'>" +
-              ColourBar(image) + "<figcaption>" + Escape(image.caption) + "</figcaption></figure>\n";
+      html += "<figure><img alt=\"" + EscapeHtml(image.caption) + "\" src='data:image/png;base64," + Base64(png) +
+              "'>" + ColourBar(image) + "<figcaption>" + EscapeHtml(image.caption) + "</figcaption></figure>\n";
     }
     for (const ReportPlot& plot : section.plots)
-      html +=
-          "<figure class='plot'>" + PlotSvg(plot) + "<figcaption>" + Escape(plot.caption) + "</figcaption></figure>\n";
+      html += "<figure class='plot'>" + PlotSvg(plot) + "<figcaption>" + EscapeHtml(plot.caption) +
+              "</figcaption></figure>\n";
+    for (const ReportDrawing& drawing : section.drawings)
+      html += "<figure class='plot'>" + drawing.svg + "<figcaption style='max-width:" + ShortNumber(drawing.width) +
+              "px'>" + EscapeHtml(drawing.caption) + "</figcaption></figure>\n";
     html += "</div>\n";
     for (const ReportTable& table : section.tables) html += TableHtml(table);
   }

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// One self-contained HTML page a session: pictures as data URIs, plots as inline SVG, no script, nothing from outside.
+// Self-contained HTML pages, of a session or a calibration: pictures as data URIs, plots as inline SVG, no script,
+// nothing from outside.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,6 +30,13 @@ struct ReportPlot {
   std::vector<ReportSeries> series;
 };
 
+// A picture that is neither photograph nor curve (SvgDrawing).
+struct ReportDrawing {
+  std::string caption;
+  std::string svg;     // one <svg> element, shown as it is
+  double width = 540;  // of that element, px; the caption keeps to it
+};
+
 struct ReportTable {
   std::string caption;
   std::vector<std::string> header;
@@ -39,11 +48,20 @@ struct ReportSection {
   std::vector<ReportImage> images;
   std::vector<ReportPlot> plots;
   std::vector<ReportTable> tables;
+  std::vector<ReportDrawing> drawings{};
+};
+
+// What a page says before anything else.
+enum class Tone { kGood, kDoubtful, kBad };
+struct ReportBanner {
+  Tone tone = Tone::kGood;
+  std::string text;
 };
 
 struct Report {
   std::string title, subtitle;
   std::vector<ReportSection> sections;
+  std::optional<ReportBanner> banner{};
 };
 
 [[nodiscard]] Result<std::string> RenderHtml(const Report& report);
