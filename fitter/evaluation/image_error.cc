@@ -91,6 +91,21 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
   return result;
 }
 
+double NoiseFloor(ImageView<const float> reference, ImageView<const float> variance, ImageView<const uint8_t> mask) {
+  double noise = 0.0, power = 0.0;
+  for (int y = 0; y < reference.height(); ++y)
+    for (int x = 0; x < reference.width(); ++x) {
+      if (mask(x, y) == 0) continue;
+      for (int c = 0; c < reference.channels(); ++c) {
+        const double r = reference(x, y, c), v = variance(x, y, c);
+        if (!std::isfinite(r) || !std::isfinite(v)) continue;
+        noise += v;
+        power += r * r;
+      }
+    }
+  return power > 0.0 ? std::sqrt(noise / power) : 0.0;
+}
+
 SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
                             ImageView<const float> true_normal) {
   std::vector<double> depth, angle;

@@ -22,6 +22,11 @@ struct ImageError {
 [[nodiscard]] ImageError CompareImages(ImageView<const float> reference, ImageView<const float> estimate,
                                        ImageView<const uint8_t> mask);
 
+// What `nrmse` of a perfect estimate would be against a reference whose every value carries noise of `variance` (same
+// shape): RMS(noise) / RMS(reference) over the mask. 0 where nothing is comparable.
+[[nodiscard]] double NoiseFloor(ImageView<const float> reference, ImageView<const float> variance,
+                                ImageView<const uint8_t> mask);
+
 struct SurfaceError {
   double depth_rms_mm = 0.0;  // after removing the bias
   double depth_bias_mm = 0.0;

@@ -1,9 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/metrics.h"
 
+#include <algorithm>
+#include <cmath>
+
 #include <nlohmann/json.hpp>
 
 namespace stratalux::fit {
+
+double HeldOutFigure::AboveNoise() const {
+  return std::sqrt(std::max(0.0, error.nrmse * error.nrmse - noise_nrmse * noise_nrmse));
+}
 
 std::string Metrics::ToJson() const {
   using Json = nlohmann::ordered_json;
@@ -19,6 +26,8 @@ std::string Metrics::ToJson() const {
                                {"geometry", f.geometry},
                                {"pool", f.pool},
                                {"nrmse", f.error.nrmse},
+                               {"noise_nrmse", f.noise_nrmse},
+                               {"nrmse_above_noise", f.AboveNoise()},
                                {"nrmse_rgb", f.error.nrmse_channel},
                                {"psnr_db", f.error.psnr_db},
                                {"ssim", f.error.ssim},

@@ -22,6 +22,11 @@ struct HeldOutFigure {
   std::string geometry;  // reconstructed | truth
   int pool = 1;          // quads per side that one fitted profile covers
   ImageError error;
+  // Of error.nrmse, what the noise of the frame that is compared with makes up, in quadrature; 0 for the truth of a
+  // simulation.
+  double noise_nrmse = 0.0;
+  // What is left of it: the error against the same frame without noise.
+  [[nodiscard]] double AboveNoise() const;
 };
 
 struct AblationFigure {

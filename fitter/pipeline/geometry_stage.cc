@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/geometry_stage.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "fitter/photometric/fuse_normals.h"
@@ -160,6 +161,24 @@ Image<float> QuadSignal(ImageView<const uint16_t> raw, ImageView<const float> da
           count[c] += 1.0F;
         }
       for (int c = 0; c < channels; ++c) quads(i, j, c) = sum[c] / count[c];
+    }
+  return quads;
+}
+
+Image<float> QuadVariance(ImageView<const uint16_t> raw, const CameraCalibration& camera) {
+  const int step = QuadStep(camera.cfa), channels = QuadChannels(camera.cfa);
+  const double read2 = camera.read_noise_dn * camera.read_noise_dn;
+  Image<float> quads(raw.width() / step, raw.height() / step, channels);
+  for (int j = 0; j < quads.height(); ++j)
+    for (int i = 0; i < quads.width(); ++i) {
+      double sum[3] = {}, count[3] = {};
+      for (int y = j * step; y < (j + 1) * step; ++y)
+        for (int x = i * step; x < (i + 1) * step; ++x) {
+          const int c = CfaColour(camera.cfa, x, y);
+          sum[c] += std::max(raw(x, y) - camera.black_level_dn, 0.0) / camera.gain_e_per_dn + read2;
+          count[c] += 1.0;
+        }
+      for (int c = 0; c < channels; ++c) quads(i, j, c) = static_cast<float>(sum[c] / (count[c] * count[c]));
     }
   return quads;
 }

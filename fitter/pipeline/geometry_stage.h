@@ -48,4 +48,7 @@ struct CodeSize {
 [[nodiscard]] Image<float> QuadSignal(ImageView<const uint16_t> raw, ImageView<const float> dark,
                                       const CameraCalibration& camera);
 
+// Variance of QuadSignal: shot noise of all light that arrived and read noise, digital numbers squared.
+[[nodiscard]] Image<float> QuadVariance(ImageView<const uint16_t> raw, const CameraCalibration& camera);
+
 }  // namespace stratalux::fit

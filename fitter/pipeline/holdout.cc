@@ -140,6 +140,7 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
   for (const std::string& light : lights) {
     const Pattern pattern = PatternOf(light, plan);
     SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.Read(in.projector, PhaseOf(light), pattern));
+    const Image<float> variance = QuadVariance(raw, rig.camera);
     const LitPyramid pyramid = LightWith(lit, pattern, open);
     LightComparison comparison{light, QuadSignal(raw, dark, rig.camera), {}, {}, {}, {}};
     comparison.surface_measured = RenderSurface(rho_measured, in.surface, rig, pyramid, lit);
@@ -152,8 +153,9 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
     for (const ModelToCompare& model : models) {
       const Image<float> subsurface = RenderSubsurface(*model.map, in.surface, rig, pyramid, lit, {in.pool});
       auto add = [&](const char* part, const char* direct, const Image<float>& real, const Image<float>& estimate) {
-        figures.push_back(
-            {in.projector, light, model.name, part, direct, in.geometry, in.pool, CompareImages(real, estimate, mask)});
+        const bool of_truth = &real == &reference && in.truth;
+        figures.push_back({in.projector, light, model.name, part, direct, in.geometry, in.pool,
+                           CompareImages(real, estimate, mask), of_truth ? 0.0 : NoiseFloor(real, variance, mask)});
       };
       add("total", "measured", comparison.measured, Sum(subsurface, comparison.surface_measured));
       add("total", "rendered", comparison.measured, Sum(subsurface, comparison.surface_rendered));

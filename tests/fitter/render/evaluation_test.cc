@@ -63,6 +63,26 @@ TEST(CompareImages, MeasuresTheDecibelsOfKnownNoise) {
   EXPECT_NEAR(CompareImages(reference, noisy, kEverywhere).psnr_db, 40.0, 0.25);
 }
 
+TEST(NoiseFloor, IsTheErrorOfThePerfectEstimate) {
+  const Image<float> truth = Picture();
+  Image<float> measured = truth, variance = truth;
+  Random random(12);
+  for (size_t i = 0; i < truth.size(); ++i) {
+    variance.pixels()[i] = 9.0F + truth.pixels()[i] / 4.0F;  // read noise and shot noise
+    measured.pixels()[i] += static_cast<float>(std::sqrt(variance.pixels()[i]) * random.Normal());
+  }
+  const double floor = NoiseFloor(measured, variance, kEverywhere);
+  EXPECT_NEAR(CompareImages(measured, truth, kEverywhere).nrmse, floor, 0.03 * floor);
+  EXPECT_GT(floor, 0.015);
+
+  HeldOutFigure figure;
+  figure.noise_nrmse = floor;
+  Image<float> tenth_off = truth;
+  for (float& v : tenth_off.pixels()) v *= 1.1F;
+  figure.error = CompareImages(measured, tenth_off, kEverywhere);
+  EXPECT_NEAR(figure.AboveNoise(), 0.1, 0.002);
+}
+
 TEST(CompareImages, TakesThePeakAtTheUpperMilleOfTheReference) {
   Image<float> reference(64, 48, 1, 100.0F);
   reference(3, 3) = 4000.0F;  // one hot pixel of 3072 lies above the 99.9th percentile
@@ -163,7 +183,7 @@ TEST(Metrics, WritesSchemaOne) {
   m.session = "s";
   m.fit = "f";
   m.heldout.push_back(
-      {3, "stripe", "tied", "total", "measured", "reconstructed", 2, {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234}});
+      {3, "stripe", "tied", "total", "measured", "reconstructed", 2, {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234}, 0.03});
   m.ablations.push_back({"projectors_permuted", 3, "stripe", "total", 0.2, 0.05});
   m.stages.push_back({"decode", 1.5, 1 << 20});
   m.masked_by_reason["too dark"] = 7;
@@ -179,6 +199,8 @@ TEST(Metrics, WritesSchemaOne) {
   EXPECT_EQ(figure["part"], "total");
   EXPECT_EQ(figure["direct"], "measured");
   EXPECT_EQ(figure["nrmse"], 0.05);
+  EXPECT_EQ(figure["noise_nrmse"], 0.03);
+  EXPECT_NEAR(figure["nrmse_above_noise"], 0.04, 1e-12);
   EXPECT_EQ(figure["nrmse_rgb"][2], 0.06);
   EXPECT_EQ(figure["psnr_db"], 33.0);
   EXPECT_EQ(figure["ssim"], 0.97);
