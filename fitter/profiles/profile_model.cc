@@ -105,14 +105,31 @@ ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& opt
   return fit;
 }
 
-// Whether the sources' directions differ enough for tau, and tau with directional weights, to mean anything.
+// Whether the sources' paths through the skin differ enough for tau or directional weights to mean anything.
 bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
-  double least = lights[0].gain_path, most = least;
-  for (const ReferenceLight& light : lights) {
-    least = std::min(least, light.gain_path);
-    most = std::max(most, light.gain_path);
-  }
-  return most - least > 0.01;
+  const auto [least, most] =
+      std::minmax_element(lights.begin(), lights.end(), [](const ReferenceLight& a, const ReferenceLight& b) {
+        return a.directions.ExtraPath() < b.directions.ExtraPath();
+      });
+  return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
+}
+
+// Whether directional weights earn their three parameters: twice the gain in log likelihood, photons counted from the
+// residuals themselves, against the 97.5 % quantile of chi^2 with three degrees of freedom.
+bool Earns(const ReferenceFit& with, const ReferenceFit& without, const std::vector<ReferenceLight>& lights) {
+  constexpr double kQuantile = 9.35;
+  double samples = 0.0;
+  for (const ReferenceLight& light : lights) samples += light.samples();
+  return samples * (without.divergence - with.divergence) > kQuantile * with.divergence;
+}
+
+ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
+  const bool differ = DirectionsDiffer(lights);
+  if (directional == Directional::kOn) return Fit(lights, options, SharedParameters::kTauAndDirectional);
+  ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
+  if (directional == Directional::kOff || !differ) return without;
+  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional);
+  return Earns(with, without, lights) ? with : without;
 }
 
 // Neighbouring samples at exactly the greatest radiance: the camera's ceiling, or a line far wider than its step.
@@ -225,7 +242,7 @@ EmOptions ProfileOptions() {
 }
 
 Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const EmOptions& options,
-                                 SharedParameters shared) {
+                                 Directional directional) {
   SLX_RETURN_IF_ERROR(options.Validate());
   if (profiles.empty()) return Status::Usage("no profiles to fit");
   for (const LineProfile& p : profiles) SLX_RETURN_IF_ERROR(CheckSource(p));
@@ -241,8 +258,7 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   for (const LineProfile& p : profiles)
     model.sources.push_back({p.source, p.incidence_deg, p.exit_deg, p.slit_mm, {}, 0.0, 0.0, 0, 0.0});
   if (options.mode == FitMode::kTied) {
-    if (shared == SharedParameters::kTau && !DirectionsDiffer(lights)) shared = SharedParameters::kFixed;
-    const ReferenceFit fit = Fit(lights, options, shared);
+    const ReferenceFit fit = FitTied(lights, options, directional);
     model.tau = fit.tau;
     model.directional = fit.directional;
     model.layers = fit.layers;
