@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 #include <numeric>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -17,7 +18,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr int kSchema = 2;
-constexpr double kLeastShift = 0.02;  // below, a depth cannot be told (as in FitMixture)
+constexpr double kLeastPeak = 1e-6, kMostRadiance = 1e9;  // what single precision and EM's own zero can bear
+constexpr double kLeastShift = 0.02;                      // below, a depth cannot be told (as in FitMixture)
 
 // The angular gain of the exit: by reciprocity that of a lamp at the same angle (BatchOf's cos_in holds the lamp's
 // own).
@@ -156,6 +158,12 @@ Status CheckSource(const LineProfile& profile) {
   const std::string source = "source '" + profile.source + "' ";
   if (!(std::accumulate(profile.radiance.begin(), profile.radiance.end(), 0.0) > 0.0))
     return Status::Usage(source + "carries no light: its radiances sum to <= 0");
+  if (const double largest = std::max(*most, -*least); !(*most >= kLeastPeak && largest <= kMostRadiance)) {
+    std::ostringstream message;
+    message << source << "has radiances from " << *least << " to " << *most << ", allowed: a peak of " << kLeastPeak
+            << " .. " << kMostRadiance << "; scale them so that 1 is a white target";
+    return Status::Usage(message.str());
+  }
   if (*most - *least <= 1e-9 * *most)
     return Status::Usage(source + "has the same radiance at every u: there is no line in it");
   return Status::Ok();

@@ -221,6 +221,12 @@ TEST(ProfileModel, RefusesConstantsAndWarnsOfPlateausAndNarrowWindows) {
   for (double& y : flat.radiance) y = 0.2;
   EXPECT_THAT(FitProfiles({flat}, ProfileOptions()).status().message(), HasSubstr("'flat' has the same radiance"));
 
+  for (double scale : {1e-20, 1e300}) {
+    LineProfile absurd = Ideal("absurd", 0, 0, 0.5);
+    for (double& y : absurd.radiance) y *= scale;
+    EXPECT_THAT(FitProfiles({absurd}, ProfileOptions()).status().message(), HasSubstr("1 is a white target"));
+  }
+
   LineProfile saturated = Ideal("saturated", 30, 0, 0.5, 0.1);
   const double ceiling = 0.5 * *std::max_element(saturated.radiance.begin(), saturated.radiance.end());
   for (double& y : saturated.radiance) y = std::min(y, ceiling);
