@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 #include <numeric>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -17,7 +18,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr int kSchema = 2;
-constexpr double kLeastShift = 0.02;  // below, a depth cannot be told (as in FitMixture)
+constexpr double kLeastPeak = 1e-6, kMostRadiance = 1e9;  // what single precision and EM's own zero can bear
+constexpr double kLeastShift = 0.02;                      // below, a depth cannot be told (as in FitMixture)
 
 // The angular gain of the exit: by reciprocity that of a lamp at the same angle (BatchOf's cos_in holds the lamp's
 // own).
@@ -99,20 +101,45 @@ LayerSet ByWidth(const LayerSet& layers) {
   return sorted;
 }
 
-ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared) {
-  ReferenceFit fit = FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem);
+ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared,
+                 double shared_prior = kSharedPrior) {
+  ReferenceFit fit =
+      FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem, shared_prior);
   fit.layers = ByWidth(fit.layers);
   return fit;
 }
 
-// Whether the sources' directions differ enough for tau, and tau with directional weights, to mean anything.
+// Whether the sources' paths through the skin differ enough for tau or directional weights to mean anything.
 bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
-  double least = lights[0].gain_path, most = least;
-  for (const ReferenceLight& light : lights) {
-    least = std::min(least, light.gain_path);
-    most = std::max(most, light.gain_path);
-  }
-  return most - least > 0.01;
+  const auto [least, most] =
+      std::minmax_element(lights.begin(), lights.end(), [](const ReferenceLight& a, const ReferenceLight& b) {
+        return a.directions.ExtraPath() < b.directions.ExtraPath();
+      });
+  return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
+}
+
+// Samples that count as independent: those under one slit share their photons.
+double IndependentSamples(const std::vector<ReferenceLight>& lights) {
+  double samples = 0.0;
+  for (const ReferenceLight& light : lights)
+    samples += light.samples() / std::max(1.0, light.line.line_width_mm / light.step_mm);
+  return samples;
+}
+
+ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
+  const bool differ = DirectionsDiffer(lights);
+  ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
+  if (directional == Directional::kOff || (directional == Directional::kAuto && !differ)) return without;
+  // A divergence D of N samples is that of N / 2 D photons: in their log likelihood a prior weighs 2 D / N of the
+  // light.
+  const double samples = IndependentSamples(lights);
+  const double prior = std::max(kSharedPrior, 2.0 * without.divergence / samples);
+  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
+  // Do directional weights earn their three parameters? Twice the gain in log likelihood against the 97.5 % quantile of
+  // chi^2 with three degrees of freedom.
+  constexpr double kQuantile = 9.35;
+  const double gain = samples * (without.divergence - with.divergence);
+  return directional == Directional::kOn || gain > kQuantile * with.divergence ? with : without;
 }
 
 // Neighbouring samples at exactly the greatest radiance: the camera's ceiling, or a line far wider than its step.
@@ -131,6 +158,12 @@ Status CheckSource(const LineProfile& profile) {
   const std::string source = "source '" + profile.source + "' ";
   if (!(std::accumulate(profile.radiance.begin(), profile.radiance.end(), 0.0) > 0.0))
     return Status::Usage(source + "carries no light: its radiances sum to <= 0");
+  if (const double largest = std::max(*most, -*least); !(*most >= kLeastPeak && largest <= kMostRadiance)) {
+    std::ostringstream message;
+    message << source << "has radiances from " << *least << " to " << *most << ", allowed: a peak of " << kLeastPeak
+            << " .. " << kMostRadiance << "; scale them so that 1 is a white target";
+    return Status::Usage(message.str());
+  }
   if (*most - *least <= 1e-9 * *most)
     return Status::Usage(source + "has the same radiance at every u: there is no line in it");
   return Status::Ok();
@@ -225,7 +258,7 @@ EmOptions ProfileOptions() {
 }
 
 Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const EmOptions& options,
-                                 SharedParameters shared) {
+                                 Directional directional) {
   SLX_RETURN_IF_ERROR(options.Validate());
   if (profiles.empty()) return Status::Usage("no profiles to fit");
   for (const LineProfile& p : profiles) SLX_RETURN_IF_ERROR(CheckSource(p));
@@ -241,8 +274,7 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   for (const LineProfile& p : profiles)
     model.sources.push_back({p.source, p.incidence_deg, p.exit_deg, p.slit_mm, {}, 0.0, 0.0, 0, 0.0});
   if (options.mode == FitMode::kTied) {
-    if (shared == SharedParameters::kTau && !DirectionsDiffer(lights)) shared = SharedParameters::kFixed;
-    const ReferenceFit fit = Fit(lights, options, shared);
+    const ReferenceFit fit = FitTied(lights, options, directional);
     model.tau = fit.tau;
     model.directional = fit.directional;
     model.layers = fit.layers;

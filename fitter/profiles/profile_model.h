@@ -56,10 +56,14 @@ struct ProfileModel {
 // Options that suit measured profiles: no surface term (its light is a narrow layer here), one floor, a fine grid.
 [[nodiscard]] EmOptions ProfileOptions();
 
-// kUsage names a source without light or without a line. `shared`: what is chosen beside the layers to suit all
-// sources; kTau without directional weights. Free mode fits layers alone.
+// Whether layers have directional weights. kAuto: only if all sources together ask for them (a likelihood ratio); light
+// of layers that know no direction would else lose some of their depth to the weights.
+enum class Directional : uint8_t { kAuto, kOn, kOff };
+
+// kUsage names a source without light or without a line. tau and the directional weights are those that suit all
+// sources best. Free mode fits layers alone.
 [[nodiscard]] Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const EmOptions& options,
-                                               SharedParameters shared = SharedParameters::kTauAndDirectional);
+                                               Directional directional = Directional::kAuto);
 
 // Radiances on the profile's own grid. kUsage in free mode when the model has no layers for the profile's source.
 [[nodiscard]] Result<std::vector<double>> PredictProfile(const ProfileModel& model, const LineProfile& profile);

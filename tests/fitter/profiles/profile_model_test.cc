@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/profiles/profile_model.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -19,10 +20,10 @@ using ::testing::HasSubstr;
 
 double Phi(double x) { return 0.5 * std::erfc(-x / std::numbers::sqrt2); }
 
-// Snell's tangent, written out here independently of the fitter.
+// Snell, written out here independently of the fitter.
 double Refracted(double degrees) {
   const double sine = std::sin(degrees * std::numbers::pi / 180.0) / 1.4;
-  return sine / std::sqrt(1.0 - sine * sine);
+  return sine;  // of a step along the ray: the default law
 }
 
 struct Layer {
@@ -190,8 +191,8 @@ TEST(ProfileModel, JsonKeepsWhatPredictionNeeds) {
     const auto profile = Ideal("a", -45, 0, 0.5);
     EXPECT_LT(Nrmse(*PredictProfile(*model, profile), *PredictProfile(*read, profile)), 1e-9);
   }
-  for (const char* text :
-       {"", "{", "{}", R"({"schema":2,"mode":"tied"})", R"({"schema":2,"mode":"x","gain":"none"})"}) {
+  for (const char* text : {"", "{", "{}", R"({"schema":2,"mode":"tied"})", R"({"schema":2,"mode":"x","gain":"none"})",
+                           R"({"schema":1})"}) {
     const auto read = ProfileModel::FromJson(text, "m.json");
     ASSERT_FALSE(read.ok()) << text;
     EXPECT_EQ(read.status().code(), StatusCode::kUsage);
@@ -208,7 +209,100 @@ TEST(ProfileModel, RefusesSourcesWithoutLightAndSaysWhenDepthMeansNothing) {
   const auto frontal = FitProfiles({Ideal("a", 0, 0, 0.5)}, WithoutGain());
   ASSERT_TRUE(frontal.ok());
   EXPECT_FALSE(frontal->depth_estimable);
-  EXPECT_TRUE(FitProfiles(Training(), WithoutGain())->depth_estimable);
+  EXPECT_THAT(frontal->warnings, ::testing::Contains(HasSubstr("oblique")));
+  const auto all = FitProfiles(Training(), WithoutGain());
+  ASSERT_TRUE(all.ok());
+  EXPECT_TRUE(all->depth_estimable);
+  EXPECT_THAT(all->warnings, ::testing::IsEmpty());
+}
+
+TEST(ProfileModel, RefusesConstantsAndWarnsOfPlateausAndNarrowWindows) {
+  LineProfile flat = Ideal("flat", 0, 0, 0.5);
+  for (double& y : flat.radiance) y = 0.2;
+  EXPECT_THAT(FitProfiles({flat}, ProfileOptions()).status().message(), HasSubstr("'flat' has the same radiance"));
+
+  for (double scale : {1e-20, 1e300}) {
+    LineProfile absurd = Ideal("absurd", 0, 0, 0.5);
+    for (double& y : absurd.radiance) y *= scale;
+    EXPECT_THAT(FitProfiles({absurd}, ProfileOptions()).status().message(), HasSubstr("1 is a white target"));
+  }
+
+  LineProfile saturated = Ideal("saturated", 30, 0, 0.5, 0.1);
+  const double ceiling = 0.5 * *std::max_element(saturated.radiance.begin(), saturated.radiance.end());
+  for (double& y : saturated.radiance) y = std::min(y, ceiling);
+  const auto clipped = FitProfiles({saturated}, ProfileOptions());
+  ASSERT_TRUE(clipped.ok());
+  EXPECT_THAT(clipped->warnings, ::testing::Contains(HasSubstr("saturated")));
+
+  LineProfile narrow = Ideal("narrow", 30, 0, 0.5, 0.1);
+  narrow.radiance.erase(narrow.radiance.begin(), narrow.radiance.begin() + 135);
+  narrow.radiance.resize(11);
+  narrow.first_u_mm += 13.5;
+  narrow.samples = 11;
+  const auto cut = FitProfiles({narrow}, ProfileOptions());
+  ASSERT_TRUE(cut.ok());
+  EXPECT_THAT(cut->warnings, ::testing::Contains(HasSubstr("window is too narrow")));
+  for (double w : cut->layers.weight) EXPECT_TRUE(std::isfinite(w));
+}
+
+TEST(ProfileModel, LayersThatKnowNoDirectionGetNoDirectionalWeights) {
+  // ... and say with which errors their albedo and depth are known.
+  auto profiles = Training();
+  Random random(3);
+  for (LineProfile& p : profiles) {
+    const double peak = *std::max_element(p.radiance.begin(), p.radiance.end());
+    for (double& y : p.radiance) y += random.Normal() * std::sqrt(y * peak / 4000.0);
+  }
+  const auto model = FitProfiles(profiles, WithoutGain());
+  ASSERT_TRUE(model.ok());
+  EXPECT_TRUE(model->directional.Off());
+  ASSERT_TRUE(model->effective.has_value());
+  double weight = 0.0, depth = 0.0;
+  for (const Layer& l : kSkin) {
+    weight += l.weight;
+    depth += l.weight * l.depth;
+  }
+  const EffectiveParameters& e = *model->effective;
+  EXPECT_NEAR(e.total_weight.value / weight, 1.0, 0.01);
+  EXPECT_NEAR(e.mean_depth_mm.value / (depth / weight), 1.0, 0.04);
+  EXPECT_LT(std::abs(e.mean_depth_mm.value - depth / weight), 4.0 * e.mean_depth_mm.standard_error);
+  EXPECT_LT(e.mean_depth_mm.standard_error, 0.04 * depth / weight);
+}
+
+// Light that scattered once in a half-space (its integral over the depth, no Gaussians; Henyey-Greenstein of asymmetry
+// 0.8) beside the known layers: what narrow light really does with the directions.
+LineProfile WithSingleScattering(double incidence, double exit) {
+  LineProfile p = Ideal("i" + std::to_string(incidence) + " e" + std::to_string(exit), incidence, exit, 0.5, 0.1, 0.0);
+  constexpr double kMu = 8.0, kG = 0.8, kAlbedo = 0.06;
+  const double in = std::asin(Refracted(incidence)), out = std::asin(Refracted(exit));
+  const double phase = std::pow((1 + kG) * (1 + kG) / (1 + kG * kG + 2 * kG * std::cos(in + out)), 1.5);
+  const double sec_in = 1.0 / std::cos(in), sec_out = 1.0 / std::cos(out);
+  for (int k = 0; k < p.samples; ++k)
+    for (int j = 0; j < 400; ++j) {
+      const double dz = 2e-3, z = (j + 0.5) * dz;
+      const double share =
+          kAlbedo * 2.0 * kMu * dz * sec_in * sec_out * phase * std::exp(-kMu * z * (sec_in + sec_out));
+      const double low = p.first_u_mm + (k - 0.5) * p.step_mm - z * (std::tan(in) + std::tan(out)),
+                   high = low + p.step_mm;
+      p.radiance[k] += share * std::max(0.0, std::min(high, 0.25) - std::max(low, -0.25)) / p.step_mm;
+    }
+  return p;
+}
+
+TEST(ProfileModel, DirectionalWeightsPredictSingleScatteringAtUnseenAngles) {
+  std::vector<LineProfile> profiles;
+  for (double exit : {-30.0, 0.0})
+    for (double incidence : {-45.0, 0.0, 30.0}) profiles.push_back(WithSingleScattering(incidence, exit));
+  EmOptions options = WithoutGain();
+  options.max_iterations = 60;
+  const auto with = FitProfiles(profiles, options), without = FitProfiles(profiles, options, Directional::kOff);
+  ASSERT_TRUE(with.ok() && without.ok());
+  EXPECT_FALSE(with->directional.Off());
+  for (const LineProfile& unseen : {WithSingleScattering(45, 30), WithSingleScattering(60, 0)}) {
+    const double error = Nrmse(unseen.radiance, *PredictProfile(*with, unseen));
+    EXPECT_LT(error, 0.04) << unseen.source;
+    EXPECT_LT(error, 0.8 * Nrmse(unseen.radiance, *PredictProfile(*without, unseen))) << unseen.source;
+  }
 }
 
 TEST(ProfileModel, PredictsMonteCarloSkinFromUnseenLight) {
