@@ -19,7 +19,7 @@ namespace stratalux::fit {
 namespace {
 
 struct Flags {
-  std::string in = "-", out = "-", model, shift = "refracted", mode = "tied", gain = "model";
+  std::string in = "-", out = "-", model, shift = "refracted_sine", mode = "tied", gain = "model", directional = "auto";
   EmOptions em = ProfileOptions();
 };
 
@@ -34,14 +34,17 @@ Status WriteText(const std::string& path, const std::string& text) {
   return out ? Status::Ok() : Status::Failed("cannot write " + path + ": " + std::strerror(errno));
 }
 
+Directional DirectionalOf(const std::string& text) {
+  return text == "on" ? Directional::kOn : text == "off" ? Directional::kOff : Directional::kAuto;
+}
+
 Status Fit(Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(f.em.shift_law, ParseShiftLaw(f.shift));
   f.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.em.gain_model = f.gain == "model";
   SLX_ASSIGN_OR_RETURN(const auto file, ReadProfiles(f.in, true));
-  SLX_ASSIGN_OR_RETURN(const auto model, FitProfiles(file.profiles, f.em));
-  if (!model.depth_estimable)
-    logger.Warning("no source shifts the layers (incidence and exit cancel or are 0): their depths mean nothing");
+  SLX_ASSIGN_OR_RETURN(const auto model, FitProfiles(file.profiles, f.em, DirectionalOf(f.directional)));
+  for (const std::string& warning : model.warnings) logger.Warning(warning);
   for (const SourceFit& s : model.sources) {
     std::ostringstream line;
     line << "source " << s.source << ": incidence " << s.incidence_deg << ", exit " << s.exit_deg << " deg, slit "
@@ -106,6 +109,10 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
   fit->add_option("--eta", flags->em.eta, "Refractive index")->check(CLI::Range(1.0, 3.0))->capture_default_str();
   fit->add_option("--gain", flags->gain, "Angular gain of the incidence")
       ->check(CLI::IsMember({"model", "none"}))
+      ->capture_default_str();
+  fit->add_option("--directional", flags->directional,
+                  "Layers' weights follow the directions; auto: if the sources ask for it")
+      ->check(CLI::IsMember({"auto", "on", "off"}))
       ->capture_default_str();
   fit->add_option("--iterations", flags->em.max_iterations, "EM sweeps at most")
       ->check(CLI::Range(1, 100000))

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <numeric>
 
+#include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/photon_noise.h"
 #include "fitter/mixture/shift_law.h"
 
@@ -14,7 +15,6 @@ namespace stratalux::fit {
 namespace {
 
 constexpr double kTiny = 1e-12;
-constexpr double kReach = 8.0;  // of a Gaussian, in standard deviations: 1e-14 of its peak
 // Where the shared parameters may go. tau < 0: what narrow layers gain at oblique light can fall to it.
 struct Range {
   double low, high;
@@ -35,116 +35,16 @@ constexpr double kFreeReachMm = 8.0;  // of a mean in free mode
 
 using Vector = std::vector<double>;
 
-// A light with its fine grid z and the line response B on it.
-class Grid {
- public:
-  explicit Grid(const ReferenceLight& light) : light_(&light) {
-    const int k = light.samples(), n = light.cells_per_sample;
-    pad_ = light.wrapped ? 0 : n * k / 4;
-    cells_ = n * k + 2 * pad_;
-    const int reach = std::min(static_cast<int>(std::ceil(light.line.Support() / CellMm())) + 1, cells_ / 2 - 1);
-    // A sample's own position lies (n - 1) / 2 cells after its first one.
-    before_ = reach;
-    for (int t = 0; t < 2 * reach + n; ++t) response_.push_back(light.line.At((t - reach - 0.5 * (n - 1)) * CellMm()));
-    coverage_ = std::accumulate(response_.begin(), response_.end(), 0.0) / n;
-    for (int j = 0; j < k; ++j) {
-      const double u = light.first_u_mm + j * light.step_mm;
-      surface_.push_back(light.line.At(light.wrapped ? std::remainder(u, k * light.step_mm) : u));
-    }
-    seen_ = BackProject(Vector(k, 1.0));
-  }
-
-  [[nodiscard]] const ReferenceLight& light() const { return *light_; }
-  [[nodiscard]] int cells() const { return cells_; }
-  [[nodiscard]] double CellMm() const { return light_->step_mm / light_->cells_per_sample; }
-  [[nodiscard]] double Coverage() const { return coverage_; }                // A of a layer inside the window
-  [[nodiscard]] double SurfaceResponse(int k) const { return surface_[k]; }  // K(u_k; 0)
-  [[nodiscard]] double Unseen(int cell) const { return coverage_ - seen_[cell]; }
-  [[nodiscard]] double PositionMm(int cell) const {
-    return light_->first_u_mm + (cell - pad_ - 0.5 * (light_->cells_per_sample - 1)) * CellMm();
-  }
-
-  // B m: what each sample sees of the light `mass` that leaves each cell.
-  [[nodiscard]] Vector Project(const Vector& mass) const {
-    Vector y(light_->samples(), 0.0);
-    ForEachPair([&](int k, int cell, double r) { y[k] += r * mass[cell]; });
-    return y;
-  }
-  // B^T r.
-  [[nodiscard]] Vector BackProject(const Vector& ratio) const {
-    Vector q(cells_, 0.0);
-    ForEachPair([&](int k, int cell, double r) { q[cell] += r * ratio[k]; });
-    return q;
-  }
-
-  // m_l(z) dz of a layer of unit weight; a wrapped layer reaches a cell by its nearest image and the two beside it.
-  void Layer(double mean_mm, double sigma_mm, Vector& phi) const {
-    std::fill(phi.begin(), phi.end(), 0.0);
-    ForEachCell(mean_mm, sigma_mm, [&](int c, double /*x*/, double m) { phi[c] += m; });
-  }
-  // Sums over z of q phi {1, x, x^2}, x = z - mean, every image with its own x.
-  [[nodiscard]] std::array<double, 3> Moments(double mean_mm, double sigma_mm, const Vector& q) const {
-    std::array<double, 3> sum{};
-    ForEachCell(mean_mm, sigma_mm, [&](int c, double x, double m) {
-      sum[0] += q[c] * m;
-      sum[1] += q[c] * m * x;
-      sum[2] += q[c] * m * x * x;
-    });
-    return sum;
-  }
-
- private:
-  // Visits the cells a Gaussian reaches, with x = z - mean and its light there; each image of a comb by itself.
-  template <typename Visit>
-  void ForEachCell(double mean_mm, double sigma_mm, const Visit& visit) const {
-    const double sigma = std::max(sigma_mm, 0.5 * CellMm()), reach = kReach * sigma, period = CellMm() * cells_;
-    const double norm = CellMm() / (sigma * std::sqrt(2.0 * std::numbers::pi));
-    auto at = [&](int c, double x) {
-      if (std::abs(x) <= reach) visit(c, x, norm * std::exp(-0.5 * x * x / (sigma * sigma)));
-    };
-    if (light_->wrapped) {
-      for (int c = 0; c < cells_; ++c) {
-        const double nearest = std::remainder(PositionMm(c) - mean_mm, period);
-        for (int image : {-1, 0, 1}) at(c, nearest + image * period);
-      }
-      return;
-    }
-    const double first = (mean_mm - reach - PositionMm(0)) / CellMm(),
-                 last = (mean_mm + reach - PositionMm(0)) / CellMm();
-    const int end = static_cast<int>(std::min<double>(cells_, std::ceil(last) + 1.0));
-    for (int c = static_cast<int>(std::max(0.0, std::floor(first))); c < end; ++c) at(c, PositionMm(c) - mean_mm);
-  }
-  template <typename Visit>
-  void ForEachPair(const Visit& visit) const {
-    for (int k = 0; k < light_->samples(); ++k)
-      for (int t = 0; t < static_cast<int>(response_.size()); ++t) {
-        int cell = pad_ + k * light_->cells_per_sample - before_ + t;
-        if (light_->wrapped) cell = (cell % cells_ + cells_) % cells_;
-        if (cell >= 0 && cell < cells_) visit(k, cell, response_[t]);
-      }
-  }
-
-  const ReferenceLight* light_;
-  int pad_ = 0, cells_ = 0, before_ = 0;
-  Vector response_, surface_, seen_;
-  double coverage_ = 0.0;
-};
-
 double GainOf(const ReferenceLight& light, double tau) { return light.fresnel * std::exp(-tau * light.gain_path); }
 
-// g_p w_lp of a layer of weight 1.
-double FactorOf(const ReferenceLight& light, const ReferenceFit& fit, double depth, double sigma) {
-  return GainOf(light, fit.tau) * DirectionalFactor(fit.directional, light.directions, depth, sigma);
-}
-
 // Samples that `fit` predicts for a light.
-Vector ModelOf(const Grid& grid, const ReferenceFit& fit, size_t p) {
+Vector ModelOf(const FineGrid& grid, const ReferenceFit& fit, size_t p) {
   const ReferenceLight& light = grid.light();
   Vector mass(grid.cells(), 0.0), phi(grid.cells());
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     if (!(fit.layers.weight[l] > 0.0)) continue;
     const double d = fit.layers.depth_mm[l], sigma = fit.layers.sigma_mm[l];
-    const double weight = fit.layers.weight[l] * FactorOf(light, fit, d, sigma);
+    const double weight = fit.layers.weight[l] * LayerFactor(light, fit, d, sigma);
     grid.Layer(d * light.s, sigma, phi);
     for (int c = 0; c < grid.cells(); ++c) mass[c] += weight * phi[c];
   }
@@ -179,7 +79,7 @@ class Em {
     for (const ReferenceLight& light : lights)
       for (double y : light.y) total_photons_ += light.counts * std::max(y + light.read_shift, 0.0);
     sigma_floor_ = options.min_sigma_mm;
-    for (const Grid& grid : grids_) sigma_floor_ = std::max(sigma_floor_, 0.9 * grid.CellMm());
+    for (const FineGrid& grid : grids_) sigma_floor_ = std::max(sigma_floor_, 0.9 * grid.CellMm());
   }
 
   [[nodiscard]] ReferenceFit Start(const LayerSet& layers) const;
@@ -205,7 +105,7 @@ class Em {
 
   EmOptions options_;
   SharedParameters shared_;
-  std::vector<Grid> grids_;
+  std::vector<FineGrid> grids_;
   double sigma_floor_ = 0.0;
   double total_photons_ = 0.0;
 };
@@ -219,7 +119,7 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
     fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
   // Shares of the light that returns: the surface keeps near its start (nothing identifies it), the floor is small.
   const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
-  for (const Grid& grid : grids_) {
+  for (const FineGrid& grid : grids_) {
     const double light_total = total * GainOf(grid.light(), fit.tau);
     fit.surface.push_back(options_.surface_term ? 0.05 * light_total : 0.0);
     fit.background.push_back(options_.background_term ? 0.02 * light_total * grid.Coverage() / grid.light().samples()
@@ -258,7 +158,7 @@ ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const 
   Expected expected(grids_.size(), layers);
   double divergence = 0.0, total = 0.0;
   for (size_t p = 0; p < grids_.size(); ++p) {
-    const Grid& grid = grids_[p];
+    const FineGrid& grid = grids_[p];
     const ReferenceLight& light = grid.light();
     // E step: the ratio of data and model, back through the line response; cells that no sample sees are filled in by
     // the model's own expectation (exact EM of a truncated observation).
@@ -275,7 +175,7 @@ ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const 
     for (size_t l = 0; l < layers; ++l) {
       if (!(fit.layers.weight[l] > 0.0)) continue;
       const double depth = fit.layers.depth_mm[l], sigma = fit.layers.sigma_mm[l];
-      const double photons = light.counts * fit.layers.weight[l] * FactorOf(light, fit, depth, sigma);
+      const double photons = light.counts * fit.layers.weight[l] * LayerFactor(light, fit, depth, sigma);
       const auto moments = grid.Moments(depth * light.s, sigma, q);
       expected.c[p][l] = photons * moments[0];
       expected.cx[p][l] = photons * moments[1];
@@ -350,7 +250,7 @@ void Em::UpdateWeights(ReferenceFit& fit, const Expected& expected) const {
       const ReferenceLight& light = grids_[p].light();
       photons += expected.c[p][l];
       exposure +=
-          light.counts * grids_[p].Coverage() * FactorOf(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
+          light.counts * grids_[p].Coverage() * LayerFactor(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
     }
     fit.layers.weight[l] = photons / exposure;
     most = std::max(most, fit.layers.weight[l]);
@@ -367,7 +267,7 @@ double Em::SharedGain(const ReferenceFit& fit, const Expected& expected) const {
     double photons = 0.0, exposure = 0.0;
     for (size_t p = 0; p < grids_.size(); ++p) {
       const ReferenceLight& light = grids_[p].light();
-      const double factor = FactorOf(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
+      const double factor = LayerFactor(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
       photons += expected.c[p][l];
       exposure += light.counts * grids_[p].Coverage() * factor;
       gain += expected.c[p][l] * std::log(factor);
@@ -476,6 +376,10 @@ bool Em::Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const Refer
 
 }  // namespace
 
+double LayerFactor(const ReferenceLight& light, const ReferenceFit& fit, double depth_mm, double sigma_mm) {
+  return GainOf(light, fit.tau) * DirectionalFactor(fit.directional, light.directions, depth_mm, sigma_mm);
+}
+
 ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
   ReferenceLight light;
   const auto* y = batch.y.data() + profile * batch.samples;
@@ -508,7 +412,7 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
 LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& options) {
   double photons = 0.0, exposure = 0.0, longest = 0.0, narrowest = options.min_sigma_mm;
   for (const ReferenceLight& light : lights) {
-    const Grid grid(light);
+    const FineGrid grid(light);
     photons += light.counts * std::max(std::accumulate(light.y.begin(), light.y.end(), 0.0), 1e-6);
     exposure += light.counts * GainOf(light, options.tau) * grid.Coverage();
     longest = std::max(longest, grid.CellMm() * grid.cells());
@@ -562,7 +466,7 @@ ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet
 }
 
 std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights, size_t light) {
-  return ModelOf(Grid(lights[light]), fit, light);
+  return ModelOf(FineGrid(lights[light]), fit, light);
 }
 
 }  // namespace stratalux::fit

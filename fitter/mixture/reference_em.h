@@ -44,6 +44,10 @@ struct ReferenceFit {
   int iterations = 0;       // sweeps
 };
 
+// Light of a layer of weight 1: g_p w_lp / w_l.
+[[nodiscard]] double LayerFactor(const ReferenceLight& light, const ReferenceFit& fit, double depth_mm,
+                                 double sigma_mm);
+
 // The light `batch` holds of `profile`, on the grid that FitMixture uses.
 [[nodiscard]] ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options);
 

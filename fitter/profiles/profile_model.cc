@@ -16,7 +16,14 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr double kDegree = std::numbers::pi / 180.0;
+constexpr int kSchema = 2;
 constexpr double kLeastShift = 0.02;  // below, a depth cannot be told (as in FitMixture)
+
+// The angular gain of the exit: by reciprocity that of a lamp at the same angle (BatchOf's cos_in holds the lamp's
+// own).
+double ExitGain(const LineProfile& profile, const EmOptions& options) {
+  return options.gain_model ? AngularGain(std::cos(profile.exit_deg * kDegree), options.eta, options.tau) : 1.0;
+}
 
 // A profile as EM's samples. Every source counts alike, however finely it is sampled: photons per unit of radiance are
 // in proportion to the step.
@@ -65,86 +72,108 @@ double Nrmse(const std::vector<double>& data, const std::vector<double>& model) 
   return power > 0.0 ? std::sqrt(error / power) : 0.0;
 }
 
-struct Fitted {
-  LayerSet layers;
-  double background = 0.0, divergence = 0.0;
-  int iterations = 0;
-  bool depth_estimable = true;
-};
-
-Result<Fitted> FitBatches(const std::vector<SrdBatch>& batches, const EmOptions& options) {
-  std::vector<const SrdBatch*> lights;
-  std::vector<int> numbers;
-  for (const SrdBatch& b : batches) {
-    numbers.push_back(static_cast<int>(lights.size()));
-    lights.push_back(&b);
-  }
-  SLX_ASSIGN_OR_RETURN(const auto map, FitMixture(lights, numbers, 1, 1, 1, options));
-  if (!map.Fitted(0))
-    return Status::Usage(std::string("the profiles cannot be fitted: ") +
-                         ToString(static_cast<FitReason>(map.reason[0])));
-  Fitted fitted{LayersOf(map, 0), map.background[0], map.divergence[0], map.iterations[0],
-                static_cast<FitReason>(map.reason[0]) != FitReason::kDepthNotEstimable};
-  // Rising width reads best, and layers that lost their light say nothing.
-  std::vector<size_t> order(fitted.layers.weight.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(),
-                   [&](size_t a, size_t b) { return fitted.layers.sigma_mm[a] < fitted.layers.sigma_mm[b]; });
-  LayerSet sorted;
-  for (size_t l : order) {
-    sorted.weight.push_back(fitted.layers.weight[l]);
-    sorted.depth_mm.push_back(fitted.layers.depth_mm[l]);
-    sorted.sigma_mm.push_back(fitted.layers.sigma_mm[l]);
-  }
-  fitted.layers = std::move(sorted);
-  return fitted;
+ReferenceLight LightOf(const LineProfile& profile, double pedestal, EmOptions options) {
+  const SrdBatch batch = BatchOf(profile, pedestal);
+  ReferenceLight light = ReferenceLightOf(batch, 0, options);
+  options.tau = 0.0;
+  const double fresnel = ExitGain(profile, options);
+  options.tau = 1.0;
+  light.fresnel *= fresnel;
+  light.gain_path -= std::log(ExitGain(profile, options) / fresnel);
+  return light;
 }
 
-// The epidermis' optical depth: the divergence of the tied fit is smooth in tau, so a coarse scan and a golden section
-// find its least. 0 where the incidences do not tell.
-Result<double> FindTau(const std::vector<LineProfile>& profiles, const std::vector<SrdBatch>& batches,
-                       EmOptions options) {
-  double low_cos = 1.0, high_cos = 0.0;
+// Rising width reads best, and layers that lost their light say nothing.
+LayerSet ByWidth(const LayerSet& layers) {
+  std::vector<size_t> order;
+  for (size_t l = 0; l < layers.weight.size(); ++l)
+    if (layers.weight[l] > 0.0) order.push_back(l);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](size_t a, size_t b) { return layers.sigma_mm[a] < layers.sigma_mm[b]; });
+  LayerSet sorted;
+  for (size_t l : order) {
+    sorted.weight.push_back(layers.weight[l]);
+    sorted.depth_mm.push_back(layers.depth_mm[l]);
+    sorted.sigma_mm.push_back(layers.sigma_mm[l]);
+  }
+  return sorted;
+}
+
+ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared) {
+  ReferenceFit fit = FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem);
+  fit.layers = ByWidth(fit.layers);
+  return fit;
+}
+
+// Whether the sources' paths through the skin differ enough for tau or directional weights to mean anything.
+bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
+  const auto [least, most] =
+      std::minmax_element(lights.begin(), lights.end(), [](const ReferenceLight& a, const ReferenceLight& b) {
+        return a.directions.ExtraPath() < b.directions.ExtraPath();
+      });
+  return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
+}
+
+// Whether directional weights earn their three parameters: twice the gain in log likelihood, photons counted from the
+// residuals themselves, against the 97.5 % quantile of chi^2 with three degrees of freedom.
+bool Earns(const ReferenceFit& with, const ReferenceFit& without, const std::vector<ReferenceLight>& lights) {
+  constexpr double kQuantile = 9.35;
+  double samples = 0.0;
+  for (const ReferenceLight& light : lights) samples += light.samples();
+  return samples * (without.divergence - with.divergence) > kQuantile * with.divergence;
+}
+
+ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
+  const bool differ = DirectionsDiffer(lights);
+  if (directional == Directional::kOn) return Fit(lights, options, SharedParameters::kTauAndDirectional);
+  ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
+  if (directional == Directional::kOff || !differ) return without;
+  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional);
+  return Earns(with, without, lights) ? with : without;
+}
+
+// Neighbouring samples at exactly the greatest radiance: the camera's ceiling, or a line far wider than its step.
+int LongestPlateau(const LineProfile& profile) {
+  const double most = *std::max_element(profile.radiance.begin(), profile.radiance.end());
+  int run = 0, longest = 0;
+  for (double y : profile.radiance) {
+    run = y == most ? run + 1 : 0;
+    longest = std::max(longest, run);
+  }
+  return longest;
+}
+
+Status CheckSource(const LineProfile& profile) {
+  const auto [least, most] = std::minmax_element(profile.radiance.begin(), profile.radiance.end());
+  const std::string source = "source '" + profile.source + "' ";
+  if (!(std::accumulate(profile.radiance.begin(), profile.radiance.end(), 0.0) > 0.0))
+    return Status::Usage(source + "carries no light: its radiances sum to <= 0");
+  if (*most - *least <= 1e-9 * *most)
+    return Status::Usage(source + "has the same radiance at every u: there is no line in it");
+  return Status::Ok();
+}
+
+std::vector<std::string> WarningsOf(const std::vector<LineProfile>& profiles, const ProfileModel& model) {
+  std::vector<std::string> warnings;
   for (const LineProfile& p : profiles) {
-    const double c = std::cos(p.incidence_deg * kDegree);
-    low_cos = std::min(low_cos, c);
-    high_cos = std::max(high_cos, c);
+    const std::string source = "source '" + p.source + "': ";
+    if (const int plateau = LongestPlateau(p); plateau >= 4)
+      warnings.push_back(source + std::to_string(plateau) +
+                         " neighbouring samples share its greatest radiance; if they are saturated, expose less");
+    const double most = *std::max_element(p.radiance.begin(), p.radiance.end());
+    if (std::max(p.radiance.front(), p.radiance.back()) > 0.2 * most)
+      warnings.push_back(
+          source + "still has " +
+          std::to_string(static_cast<int>(100.0 * std::max(p.radiance.front(), p.radiance.back()) / most)) +
+          " % of its peak at the end of u; the window is too narrow to tell wide layers from the floor");
+    if (p.step_mm > 2.0 * p.slit_mm + 0.5)
+      warnings.push_back(source + "is sampled more coarsely than its line; layers narrower than the step are guesses");
   }
-  if (high_cos - low_cos < 0.02) return 0.0;
-  options.max_iterations = std::min(options.max_iterations, 60);
-  Status failed;
-  auto divergence = [&](double tau) {
-    options.tau = tau;
-    const auto fitted = FitBatches(batches, options);
-    if (!fitted.ok()) failed = fitted.status();
-    return fitted.ok() ? fitted->divergence : 0.0;
-  };
-  constexpr double kStep = 0.25, kMost = 2.0;
-  double best = 0.0, least = divergence(0.0);
-  for (double tau = kStep; tau <= kMost && failed.ok(); tau += kStep)
-    if (const double d = divergence(tau); d < least) {
-      least = d;
-      best = tau;
-    }
-  SLX_RETURN_IF_ERROR(failed);
-  constexpr double kGolden = 0.6180339887498949;
-  double a = std::max(0.0, best - kStep), b = best + kStep;
-  double x1 = b - kGolden * (b - a), x2 = a + kGolden * (b - a), f1 = divergence(x1), f2 = divergence(x2);
-  while (b - a > 0.01) {
-    if (f1 < f2) {
-      b = x2;
-      x2 = x1;
-      f2 = f1;
-      f1 = divergence(x1 = b - kGolden * (b - a));
-    } else {
-      a = x1;
-      x1 = x2;
-      f1 = f2;
-      f2 = divergence(x2 = a + kGolden * (b - a));
-    }
-  }
-  SLX_RETURN_IF_ERROR(failed);
-  return 0.5 * (a + b);
+  if (!model.depth_estimable)
+    warnings.emplace_back(
+        "no source shifts the layers (incidence and exit cancel or are 0): their depths mean nothing; add an oblique "
+        "one");
+  return warnings;
 }
 
 Json LayersToJson(const LayerSet& layers) {
@@ -152,6 +181,13 @@ Json LayersToJson(const LayerSet& layers) {
   for (size_t l = 0; l < layers.weight.size(); ++l)
     list.push_back({{"depth_mm", layers.depth_mm[l]}, {"sigma_mm", layers.sigma_mm[l]}, {"weight", layers.weight[l]}});
   return list;
+}
+
+Json EffectiveToJson(const EffectiveParameters& effective, bool depth_estimable) {
+  auto one = [](const Estimate& e) { return Json{{"value", e.value}, {"standard_error", e.standard_error}}; };
+  return {{"total_weight", one(effective.total_weight)},
+          {"mean_depth_mm", depth_estimable ? one(effective.mean_depth_mm) : Json()},
+          {"width_mm", one(effective.width_mm)}};
 }
 
 // Free layers: the displacement along u, and the depth that it means where the geometry shifts at all.
@@ -187,6 +223,7 @@ EmOptions OptionsOf(const ProfileModel& model) {
   options.eta = model.eta;
   options.gain_model = model.gain_model;
   options.tau = model.tau;
+  options.directional = model.directional;
   return options;
 }
 
@@ -196,26 +233,23 @@ EmOptions ProfileOptions() {
   EmOptions options;
   options.surface_term = false;
   options.shared_background = true;
-  options.max_cell_mm = 0.08;
-  options.min_sigma_mm = 0.03;
+  options.shift_law = ShiftLaw::kRefractedSine;
+  options.max_cell_mm = 0.04;
+  options.min_sigma_mm = 0.01;
   options.max_iterations = 200;
   options.tolerance = 1e-6;
   return options;
 }
 
-Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const EmOptions& em) {
-  SLX_RETURN_IF_ERROR(em.Validate());
+Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const EmOptions& options,
+                                 Directional directional) {
+  SLX_RETURN_IF_ERROR(options.Validate());
   if (profiles.empty()) return Status::Usage("no profiles to fit");
-  for (const LineProfile& p : profiles) {
-    double sum = 0.0;
-    for (double y : p.radiance) sum += y;
-    if (!(sum > 0.0)) return Status::Usage("source '" + p.source + "' carries no light: its radiances sum to <= 0");
-  }
+  for (const LineProfile& p : profiles) SLX_RETURN_IF_ERROR(CheckSource(p));
   const double pedestal = PedestalOf(profiles);
-  std::vector<SrdBatch> batches;
-  for (const LineProfile& p : profiles) batches.push_back(BatchOf(p, pedestal));
+  std::vector<ReferenceLight> lights;
+  for (const LineProfile& p : profiles) lights.push_back(LightOf(p, pedestal, options));
 
-  EmOptions options = em;
   ProfileModel model;
   model.mode = options.mode;
   model.shift_law = options.shift_law;
@@ -224,32 +258,33 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   for (const LineProfile& p : profiles)
     model.sources.push_back({p.source, p.incidence_deg, p.exit_deg, p.slit_mm, {}, 0.0, 0.0, 0, 0.0});
   if (options.mode == FitMode::kTied) {
-    if (options.gain_model) {
-      SLX_ASSIGN_OR_RETURN(options.tau, FindTau(profiles, batches, options));
-    }
-    SLX_ASSIGN_OR_RETURN(auto fitted, FitBatches(batches, options));
-    model.tau = options.tau;
-    model.layers = std::move(fitted.layers);
-    model.background = fitted.background;
-    model.divergence = fitted.divergence;
-    model.iterations = fitted.iterations;
-    model.depth_estimable = fitted.depth_estimable;
+    const ReferenceFit fit = FitTied(lights, options, directional);
+    model.tau = fit.tau;
+    model.directional = fit.directional;
+    model.layers = fit.layers;
+    model.background = fit.background[0];
+    model.divergence = fit.divergence;
+    model.iterations = fit.iterations;
+    model.depth_estimable = std::any_of(lights.begin(), lights.end(),
+                                        [](const ReferenceLight& light) { return std::abs(light.s) >= kLeastShift; });
+    model.effective = EffectiveParametersOf(fit, lights, NoiseScale::kFromResiduals);
   } else {
-    for (size_t i = 0; i < batches.size(); ++i) {
-      SLX_ASSIGN_OR_RETURN(auto fitted, FitBatches({batches[i]}, options));
+    for (size_t i = 0; i < lights.size(); ++i) {
+      const ReferenceFit fit = Fit({lights[i]}, options, SharedParameters::kFixed);
       SourceFit& s = model.sources[i];
-      s.layers = std::move(fitted.layers);
-      s.background = fitted.background;
-      s.divergence = fitted.divergence;
-      s.iterations = fitted.iterations;
-      model.divergence += fitted.divergence / static_cast<double>(batches.size());
-      model.iterations = std::max(model.iterations, fitted.iterations);
+      s.layers = fit.layers;
+      s.background = fit.background[0];
+      s.divergence = fit.divergence;
+      s.iterations = fit.iterations;
+      model.divergence += fit.divergence / static_cast<double>(lights.size());
+      model.iterations = std::max(model.iterations, fit.iterations);
     }
   }
   for (size_t i = 0; i < profiles.size(); ++i) {
     SLX_ASSIGN_OR_RETURN(const auto predicted, PredictProfile(model, profiles[i]));
     model.sources[i].nrmse = Nrmse(profiles[i].radiance, predicted);
   }
+  model.warnings = WarningsOf(profiles, model);
   return model;
 }
 
@@ -265,17 +300,23 @@ Result<std::vector<double>> PredictProfile(const ProfileModel& model, const Line
     layers = &source->layers;
     background = source->background;
   }
-  auto y = PredictSamples(*layers, BatchOf(profile, 0.0), 0, OptionsOf(model));
-  for (double& v : y) v += background;
+  const EmOptions options = OptionsOf(model);
+  const double exit_gain = ExitGain(profile, options);
+  auto y = PredictSamples(*layers, BatchOf(profile, 0.0), 0, options);
+  for (double& v : y) v = exit_gain * v + background;
   return y;
 }
 
 std::string ProfileModel::ToJson() const {
   const bool tied = mode == FitMode::kTied;
-  Json json = {{"schema", 1}, {"mode", tied ? "tied" : "free"},        {"shift_law", fit::ToString(shift_law)},
-               {"eta", eta},  {"gain", gain_model ? "model" : "none"}, {"tau", tau}};
+  Json json = {{"schema", kSchema}, {"mode", tied ? "tied" : "free"},        {"shift_law", fit::ToString(shift_law)},
+               {"eta", eta},        {"gain", gain_model ? "model" : "none"}, {"tau", tau}};
   if (tied) {
+    json["directional"] = {{"kappa_per_mm", directional.kappa_per_mm},
+                           {"phase_slope", directional.phase_slope},
+                           {"sigma_0_mm", directional.sigma_0_mm}};
     json["layers"] = LayersToJson(layers);
+    if (effective) json["effective"] = EffectiveToJson(*effective, depth_estimable);
     json["background"] = background;
     json["depth_estimable"] = depth_estimable;
   }
@@ -304,9 +345,12 @@ std::string ProfileModel::ToJson() const {
 Result<ProfileModel> ProfileModel::FromJson(const std::string& text, const std::string& origin) {
   try {
     const Json json = Json::parse(text);
-    if (const int schema = json.at("schema").get<int>(); schema > 1)
+    if (const int schema = json.at("schema").get<int>(); schema > kSchema)
       return Status(StatusCode::kNewerSchema,
-                    origin + ": schema " + std::to_string(schema) + ", this program reads up to 1");
+                    origin + ": schema " + std::to_string(schema) + ", this program reads " + std::to_string(kSchema));
+    else if (schema < kSchema)
+      return Status::Usage(origin + ": schema " + std::to_string(schema) +
+                           " knows no gain of the exit; fit the profiles again");
     ProfileModel model;
     const std::string mode = json.at("mode"), gain = json.at("gain");
     if (mode != "tied" && mode != "free")
@@ -321,6 +365,8 @@ Result<ProfileModel> ProfileModel::FromJson(const std::string& text, const std::
     if (!(model.eta >= 1.0 && model.eta <= 3.0))
       return Status::Usage(origin + ": eta = " + std::to_string(model.eta) + ", allowed: 1 .. 3");
     if (model.mode == FitMode::kTied) {
+      const Json& d = json.at("directional");
+      model.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
       model.layers = LayersFrom(json.at("layers"), "depth_mm");
       model.background = json.at("background");
       return model;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/profiles/profile_model.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -19,10 +20,10 @@ using ::testing::HasSubstr;
 
 double Phi(double x) { return 0.5 * std::erfc(-x / std::numbers::sqrt2); }
 
-// Snell's tangent, written out here independently of the fitter.
+// Snell, written out here independently of the fitter.
 double Refracted(double degrees) {
   const double sine = std::sin(degrees * std::numbers::pi / 180.0) / 1.4;
-  return sine / std::sqrt(1.0 - sine * sine);
+  return sine;  // of a step along the ray: the default law
 }
 
 struct Layer {
@@ -190,14 +191,14 @@ TEST(ProfileModel, JsonKeepsWhatPredictionNeeds) {
     const auto profile = Ideal("a", -45, 0, 0.5);
     EXPECT_LT(Nrmse(*PredictProfile(*model, profile), *PredictProfile(*read, profile)), 1e-9);
   }
-  for (const char* text :
-       {"", "{", "{}", R"({"schema":1,"mode":"tied"})", R"({"schema":1,"mode":"x","gain":"none"})"}) {
+  for (const char* text : {"", "{", "{}", R"({"schema":2,"mode":"tied"})", R"({"schema":2,"mode":"x","gain":"none"})",
+                           R"({"schema":1})"}) {
     const auto read = ProfileModel::FromJson(text, "m.json");
     ASSERT_FALSE(read.ok()) << text;
     EXPECT_EQ(read.status().code(), StatusCode::kUsage);
     EXPECT_THAT(read.status().message(), HasSubstr("m.json"));
   }
-  EXPECT_EQ(ProfileModel::FromJson(R"({"schema":2})", "m.json").status().code(), StatusCode::kNewerSchema);
+  EXPECT_EQ(ProfileModel::FromJson(R"({"schema":3})", "m.json").status().code(), StatusCode::kNewerSchema);
 }
 
 TEST(ProfileModel, RefusesSourcesWithoutLightAndSaysWhenDepthMeansNothing) {
@@ -208,7 +209,88 @@ TEST(ProfileModel, RefusesSourcesWithoutLightAndSaysWhenDepthMeansNothing) {
   const auto frontal = FitProfiles({Ideal("a", 0, 0, 0.5)}, WithoutGain());
   ASSERT_TRUE(frontal.ok());
   EXPECT_FALSE(frontal->depth_estimable);
-  EXPECT_TRUE(FitProfiles(Training(), WithoutGain())->depth_estimable);
+  EXPECT_THAT(frontal->warnings, ::testing::Contains(HasSubstr("oblique")));
+  const auto all = FitProfiles(Training(), WithoutGain());
+  ASSERT_TRUE(all.ok());
+  EXPECT_TRUE(all->depth_estimable);
+  EXPECT_THAT(all->warnings, ::testing::IsEmpty());
+}
+
+TEST(ProfileModel, RefusesConstantsAndWarnsOfPlateausAndNarrowWindows) {
+  LineProfile flat = Ideal("flat", 0, 0, 0.5);
+  for (double& y : flat.radiance) y = 0.2;
+  EXPECT_THAT(FitProfiles({flat}, ProfileOptions()).status().message(), HasSubstr("'flat' has the same radiance"));
+
+  LineProfile saturated = Ideal("saturated", 30, 0, 0.5, 0.1);
+  const double ceiling = 0.5 * *std::max_element(saturated.radiance.begin(), saturated.radiance.end());
+  for (double& y : saturated.radiance) y = std::min(y, ceiling);
+  const auto clipped = FitProfiles({saturated}, ProfileOptions());
+  ASSERT_TRUE(clipped.ok());
+  EXPECT_THAT(clipped->warnings, ::testing::Contains(HasSubstr("saturated")));
+
+  LineProfile narrow = Ideal("narrow", 30, 0, 0.5, 0.1);
+  narrow.radiance.erase(narrow.radiance.begin(), narrow.radiance.begin() + 135);
+  narrow.radiance.resize(11);
+  narrow.first_u_mm += 13.5;
+  narrow.samples = 11;
+  const auto cut = FitProfiles({narrow}, ProfileOptions());
+  ASSERT_TRUE(cut.ok());
+  EXPECT_THAT(cut->warnings, ::testing::Contains(HasSubstr("window is too narrow")));
+  for (double w : cut->layers.weight) EXPECT_TRUE(std::isfinite(w));
+}
+
+TEST(ProfileModel, LayersThatKnowNoDirectionGetNoDirectionalWeights) {
+  // ... and say with which errors their albedo and depth are known.
+  auto profiles = Training();
+  Random random(3);
+  for (LineProfile& p : profiles) {
+    const double peak = *std::max_element(p.radiance.begin(), p.radiance.end());
+    for (double& y : p.radiance) y += random.Normal() * std::sqrt(y * peak / 4000.0);
+  }
+  const auto model = FitProfiles(profiles, WithoutGain());
+  ASSERT_TRUE(model.ok());
+  EXPECT_TRUE(model->directional.Off());
+  ASSERT_TRUE(model->effective.has_value());
+  double weight = 0.0, depth = 0.0;
+  for (const Layer& l : kSkin) {
+    weight += l.weight;
+    depth += l.weight * l.depth;
+  }
+  const EffectiveParameters& e = *model->effective;
+  EXPECT_NEAR(e.total_weight.value / weight, 1.0, 0.01);
+  EXPECT_NEAR(e.mean_depth_mm.value / (depth / weight), 1.0, 0.04);
+  EXPECT_LT(std::abs(e.mean_depth_mm.value - depth / weight), 4.0 * e.mean_depth_mm.standard_error);
+  EXPECT_LT(e.mean_depth_mm.standard_error, 0.04 * depth / weight);
+}
+
+TEST(ProfileModel, DirectionalWeightsPredictObliqueViewsOfMonteCarloSkin) {
+  // Dark skin, blue: most of its light scattered only a few times. Sources of two exits; the third is never fitted.
+  rig::LineSpreadOptions options;
+  options.skin.melanin = 0.1F;
+  options.channel = 2;
+  options.photons = 60000;
+  options.slit_mm = {1.0};
+  options.exit_deg = {-30, 0};
+  const auto folder = std::filesystem::path(::testing::TempDir());
+  auto read = [&](const char* name) {
+    std::ofstream(folder / name) << rig::LineSpreadCsv(options);
+    return ReadProfiles((folder / name).string(), true);
+  };
+  const auto training = read("dark_train.csv");
+  options.incidence_deg = {45};
+  options.exit_deg = {30};
+  options.photons = 150000;
+  options.seed = 2;
+  const auto unseen = read("dark_unseen.csv");
+  ASSERT_TRUE(training.ok() && unseen.ok());
+  const auto with = FitProfiles(training->profiles, ProfileOptions()),
+             without = FitProfiles(training->profiles, ProfileOptions(), Directional::kOff);
+  ASSERT_TRUE(with.ok() && without.ok());
+  EXPECT_FALSE(with->directional.Off());
+  const auto& truth = unseen->profiles[0];
+  const double error = Nrmse(truth.radiance, *PredictProfile(*with, truth));
+  EXPECT_LT(error, 0.08);  // photon noise of both runs included
+  EXPECT_LT(error, 0.7 * Nrmse(truth.radiance, *PredictProfile(*without, truth)));
 }
 
 TEST(ProfileModel, PredictsMonteCarloSkinFromUnseenLight) {
