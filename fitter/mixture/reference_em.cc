@@ -22,12 +22,11 @@ struct Range {
 };
 constexpr Range kTau = {-2.0, 3.0}, kKappa = {-5.0, 20.0}, kSlope = {-2.0, 4.0}, kSigma0 = {0.02, 2.0};
 // What the shared parameters are held to where the lights do not tell them apart (exits all alike, few incidences):
-// about what Monte Carlo skins of three tones ask for when their lights do (docs/math/em.md). One standard deviation of
-// each costs kPrior of the light; a wrong form of the weights costs ten times as much.
-constexpr double kPrior = 3e-5;
+// about what Monte Carlo skins of three tones ask for when their lights do (docs/math/em.md).
 struct Prior {
   double mean, deviation;
-  [[nodiscard]] double Cost(double x) const { return 0.5 * kPrior * (x - mean) * (x - mean) / (deviation * deviation); }
+  // In units of the prior's weight.
+  [[nodiscard]] double Cost(double x) const { return 0.5 * (x - mean) * (x - mean) / (deviation * deviation); }
 };
 constexpr Prior kTauPrior = {0.25, 0.25}, kKappaPrior = {0.5, 3.0}, kSlopePrior = {1.15, 0.2},
                 kLogSigma0Prior = {-2.4, 0.35};
@@ -73,8 +72,8 @@ struct Expected {
 
 class Em {
  public:
-  Em(std::span<const ReferenceLight> lights, const EmOptions& options, SharedParameters shared)
-      : options_(options), shared_(shared) {
+  Em(std::span<const ReferenceLight> lights, const EmOptions& options, SharedParameters shared, double shared_prior)
+      : options_(options), shared_(shared), shared_prior_(shared_prior) {
     for (const ReferenceLight& light : lights) grids_.emplace_back(light);
     for (const ReferenceLight& light : lights)
       for (double y : light.y) total_photons_ += light.counts * std::max(y + light.read_shift, 0.0);
@@ -105,6 +104,7 @@ class Em {
 
   EmOptions options_;
   SharedParameters shared_;
+  double shared_prior_;
   std::vector<FineGrid> grids_;
   double sigma_floor_ = 0.0;
   double total_photons_ = 0.0;
@@ -137,7 +137,7 @@ double Em::PriorCost(const ReferenceFit& fit) const {
     cost = kKappaPrior.Cost(fit.directional.kappa_per_mm) + kSlopePrior.Cost(fit.directional.phase_slope) +
            kLogSigma0Prior.Cost(std::log(fit.directional.sigma_0_mm)) +
            (options_.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
-  return cost;
+  return shared_prior_ * cost;
 }
 
 double Em::Objective(const ReferenceFit& fit) const { return Divergence(fit) + PriorCost(fit); }
@@ -434,8 +434,8 @@ LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& o
 }
 
 ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet& start, const EmOptions& options,
-                          SharedParameters shared, Acceleration acceleration) {
-  const Em em(lights, options, shared);
+                          SharedParameters shared, Acceleration acceleration, double shared_prior) {
+  const Em em(lights, options, shared, shared_prior);
   ReferenceFit fit = em.Start(start);
   double before = 0.0, ignored = 0.0;
   while (fit.iterations < options.max_iterations) {

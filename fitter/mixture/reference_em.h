@@ -54,11 +54,16 @@ struct ReferenceFit {
 // Layers that EM starts from when it is given none: widths spread over all scales.
 [[nodiscard]] LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& options);
 
+// What one standard deviation of a shared parameter's prior costs, in shares of the light: a tenth of what a wrong form
+// of the directional weights costs on skin.
+inline constexpr double kSharedPrior = 3e-5;
+
 // EM from `start`. Stops when the divergence falls by less than options.tolerance of itself a sweep, or after
 // options.max_iterations sweeps. SQUAREM never ends above the divergence of the plain sweeps it replaces.
 [[nodiscard]] ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet& start,
                                         const EmOptions& options, SharedParameters shared = SharedParameters::kFixed,
-                                        Acceleration acceleration = Acceleration::kNone);
+                                        Acceleration acceleration = Acceleration::kNone,
+                                        double shared_prior = kSharedPrior);
 
 // The fit's own samples of a light: B m + surface + background.
 [[nodiscard]] std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights,

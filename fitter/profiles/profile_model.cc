@@ -99,8 +99,10 @@ LayerSet ByWidth(const LayerSet& layers) {
   return sorted;
 }
 
-ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared) {
-  ReferenceFit fit = FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem);
+ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared,
+                 double shared_prior = kSharedPrior) {
+  ReferenceFit fit =
+      FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem, shared_prior);
   fit.layers = ByWidth(fit.layers);
   return fit;
 }
@@ -114,22 +116,28 @@ bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
   return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
 }
 
-// Whether directional weights earn their three parameters: twice the gain in log likelihood, photons counted from the
-// residuals themselves, against the 97.5 % quantile of chi^2 with three degrees of freedom.
-bool Earns(const ReferenceFit& with, const ReferenceFit& without, const std::vector<ReferenceLight>& lights) {
-  constexpr double kQuantile = 9.35;
+// Samples that count as independent: those under one slit share their photons.
+double IndependentSamples(const std::vector<ReferenceLight>& lights) {
   double samples = 0.0;
-  for (const ReferenceLight& light : lights) samples += light.samples();
-  return samples * (without.divergence - with.divergence) > kQuantile * with.divergence;
+  for (const ReferenceLight& light : lights)
+    samples += light.samples() / std::max(1.0, light.line.line_width_mm / light.step_mm);
+  return samples;
 }
 
 ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
   const bool differ = DirectionsDiffer(lights);
-  if (directional == Directional::kOn) return Fit(lights, options, SharedParameters::kTauAndDirectional);
   ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
-  if (directional == Directional::kOff || !differ) return without;
-  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional);
-  return Earns(with, without, lights) ? with : without;
+  if (directional == Directional::kOff || (directional == Directional::kAuto && !differ)) return without;
+  // A divergence D of N samples is that of N / 2 D photons: in their log likelihood a prior weighs 2 D / N of the
+  // light.
+  const double samples = IndependentSamples(lights);
+  const double prior = std::max(kSharedPrior, 2.0 * without.divergence / samples);
+  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
+  // Do directional weights earn their three parameters? Twice the gain in log likelihood against the 97.5 % quantile of
+  // chi^2 with three degrees of freedom.
+  constexpr double kQuantile = 9.35;
+  const double gain = samples * (without.divergence - with.divergence);
+  return directional == Directional::kOn || gain > kQuantile * with.divergence ? with : without;
 }
 
 // Neighbouring samples at exactly the greatest radiance: the camera's ceiling, or a line far wider than its step.
