@@ -142,16 +142,19 @@ std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgeme
   return tasks;
 }
 
-// Runs EM on all usable profiles; `done(block, lane, profile)` is called from several threads.
+// Runs EM on all usable profiles; `done(block, lane, profile)` and `progress(profiles)`, once a task, are called from
+// several threads.
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                    const EmOptions& options, std::span<const LayerSet> start, const Done& done) {
+                    const EmOptions& options, std::span<const LayerSet> start,
+                    const std::function<void(int64_t)>& progress, const Done& done) {
   std::vector<int64_t> work;
   const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, work);
   ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
     for (int64_t t = begin; t < end; ++t) {
       EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
       em.Fit(tasks[t].profiles, [&](int lane, int64_t profile) { done(em, lane, profile); });
+      if (progress) progress(static_cast<int64_t>(tasks[t].profiles.size()));
     }
   });
 }
@@ -180,7 +183,7 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   MixtureMap map = EmptyMap(width, height, channels, options, projectors);
   Judgement judged = JudgeAll(lights);
   map.reason = std::move(judged.reason);
-  ForEachProfile(lights, judged, channels, options, start, [&](const EmBlock& em, int lane, int64_t i) {
+  ForEachProfile(lights, judged, channels, options, start, progress, [&](const EmBlock& em, int lane, int64_t i) {
     for (int l = 0; l < options.layers; ++l) {
       map.weight[i * options.layers + l] = em.Weight(l, lane);
       map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
@@ -194,7 +197,6 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
     map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
     if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
       map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
-    if (progress) progress(1);
   });
   return map;
 }
@@ -214,7 +216,7 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
   std::vector<float> fitted(judged.work.size() * stride);
   std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
   for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
-  ForEachProfile(lights, judged, channels, options, {}, [&](const EmBlock& em, int lane, int64_t i) {
+  ForEachProfile(lights, judged, channels, options, {}, {}, [&](const EmBlock& em, int lane, int64_t i) {
     float* profile = fitted.data() + place[i] * stride;
     for (size_t l = 0; l < layers; ++l) {
       profile[3 * l] = em.Weight(static_cast<int>(l), lane);
