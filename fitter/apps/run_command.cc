@@ -67,6 +67,9 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->capture_default_str();
   verb.add_flag("--full-evaluation", f.run.full_evaluation,
                 "Hold out every projector in turn; baselines and ablations");
+  verb.add_flag(
+      "--standard-errors", f.run.standard_errors,
+      "standard_errors.exr, too: of total weight, mean depth and width of each pixel (takes long at full size)");
   verb.add_flag("--force", f.run.force, "Fit again even if this fit is complete");
 }
 

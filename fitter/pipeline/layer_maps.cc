@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "fitter/mixture/standard_errors.h"
 #include "fitter/pipeline/exr_file.h"
 #include "shared/base/parallel.h"
 
@@ -40,11 +41,40 @@ DepthBands FindBands(const MixtureMap& map) {
   return {WidthOfShare(weights, kCellMm, 1.0 / 3.0), WidthOfShare(weights, kCellMm, 2.0 / 3.0)};
 }
 
+// In the order of map.training_projectors: columns, then rows.
+std::vector<const SrdBatch*> TrainingBatches(const MixtureMap& map, const SrdSet& srds) {
+  std::vector<const SrdBatch*> lights;
+  for (const auto* batches : {&srds.batches, &srds.row_batches})
+    for (size_t p = 0; p < batches->size(); ++p)
+      if (std::find(map.training_projectors.begin(), map.training_projectors.end(), static_cast<int>(p)) !=
+          map.training_projectors.end())
+        lights.push_back(&(*batches)[p]);
+  return lights;
+}
+
 std::vector<std::string> Names(const std::string& prefix, int channels) {
   std::vector<std::string> names;
   for (const char* colour : channels == 1 ? std::vector<const char*>{"Y"} : std::vector<const char*>{"R", "G", "B"})
     names.push_back(prefix + colour);
   return names;
+}
+
+// Maps of equal size as channels of one file, each with its prefix.
+Status WriteTogether(const std::filesystem::path& file,
+                     const std::vector<std::pair<const char*, const Image<float>*>>& maps) {
+  const Image<float>& any = *maps.front().second;
+  const int colours = any.channels(), all = static_cast<int>(maps.size()) * colours;
+  Image<float> together(any.width(), any.height(), all);
+  std::vector<std::string> names;
+  for (size_t m = 0; m < maps.size(); ++m) {
+    for (const std::string& name : Names(maps[m].first, colours)) names.push_back(name);
+    for (size_t i = 0; i < any.size(); ++i) {
+      const size_t pixel = i / static_cast<size_t>(colours), colour = i % static_cast<size_t>(colours);
+      together.pixels()[pixel * static_cast<size_t>(all) + m * static_cast<size_t>(colours) + colour] =
+          maps[m].second->pixels()[i];
+    }
+  }
+  return WriteExr(file, together, names);
 }
 
 }  // namespace
@@ -79,12 +109,7 @@ LayerMaps SummariseLayers(const MixtureMap& map) {
 
 Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds) {
   Image<float> ratio(map.width, map.height, map.channels);
-  std::vector<const SrdBatch*> lights;
-  for (const auto* batches : {&srds.batches, &srds.row_batches})
-    for (size_t p = 0; p < batches->size(); ++p)
-      if (std::find(map.training_projectors.begin(), map.training_projectors.end(), static_cast<int>(p)) !=
-          map.training_projectors.end())
-        lights.push_back(&(*batches)[p]);
+  const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
   ParallelFor(map.profiles(), 4096, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       double sum = 0.0, variance = 0.0;
@@ -101,6 +126,31 @@ Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds) {
   return ratio;
 }
 
+StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, EmOptions options,
+                                     const std::function<void(int64_t)>& progress) {
+  const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
+  StandardErrorMaps maps{unknown, unknown, unknown};
+  const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
+  options.tau = map.tau;
+  ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (!map.Fitted(i)) continue;
+      const EffectiveParameters errors = EffectiveParametersOf(map, i, lights, options);
+      maps.total_weight.pixels()[i] = static_cast<float>(errors.total_weight.standard_error);
+      if (DepthKnown(map, i)) maps.mean_depth_mm.pixels()[i] = static_cast<float>(errors.mean_depth_mm.standard_error);
+      maps.width_mm.pixels()[i] = static_cast<float>(errors.width_mm.standard_error);
+    }
+    progress(end - begin);
+  });
+  return maps;
+}
+
+Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps) {
+  return WriteTogether(
+      folder / "standard_errors.exr",
+      {{"total_weight.", &maps.total_weight}, {"mean_depth_mm.", &maps.mean_depth_mm}, {"width_mm.", &maps.width_mm}});
+}
+
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps) {
   const int channels = maps.total_weight.channels();
   for (const auto& [name, image] : {std::pair("total_weight", &maps.total_weight),
@@ -108,18 +158,8 @@ Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps
                                     {"mean_depth_mm", &maps.mean_depth_mm},
                                     {"effective_width_mm", &maps.effective_width_mm}})
     SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, Names("", channels)));
-  Image<float> bands(maps.shallow.width(), maps.shallow.height(), 3 * channels);
-  std::vector<std::string> names;
-  int first = 0;
-  for (const auto& [name, image] :
-       {std::pair("shallow.", &maps.shallow), {"middle.", &maps.middle}, {"deep.", &maps.deep}}) {
-    for (const std::string& n : Names(name, channels)) names.push_back(n);
-    for (int y = 0; y < bands.height(); ++y)
-      for (int x = 0; x < bands.width(); ++x)
-        for (int c = 0; c < channels; ++c) bands(x, y, first + c) = (*image)(x, y, c);
-    first += channels;
-  }
-  return WriteExr(folder / "depth_bands.exr", bands, names);
+  return WriteTogether(folder / "depth_bands.exr",
+                       {{"shallow.", &maps.shallow}, {"middle.", &maps.middle}, {"deep.", &maps.deep}});
 }
 
 }  // namespace stratalux::fit

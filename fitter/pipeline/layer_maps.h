@@ -4,7 +4,9 @@
 
 #include <array>
 #include <filesystem>
+#include <functional>
 
+#include "fitter/mixture/em_options.h"
 #include "fitter/mixture/mixture_map.h"
 #include "fitter/pipeline/srd_stage.h"
 #include "shared/base/result.h"
@@ -35,6 +37,17 @@ struct LayerMaps {
 [[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds);
 // Below this a profile is called weak: its layers rest on the session's mean more than on its own photons.
 inline constexpr double kWeakSignalToNoise = 50.0;
+
+// Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
+// where nothing was fitted. For tied fits.
+struct StandardErrorMaps {
+  Image<float> total_weight, mean_depth_mm, width_mm;
+};
+// `options`: of the fit. Costs about one sweep of the reference EM a profile; `progress` receives profiles done.
+[[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, EmOptions options,
+                                                   const std::function<void(int64_t)>& progress);
+// standard_errors.exr: total_weight.R, mean_depth_mm.R, width_mm.R ...
+Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
 
 // total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps);

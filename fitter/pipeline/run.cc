@@ -279,6 +279,12 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
     if (w.map.Fitted(i) && w.pictures.signal_to_noise.pixels()[i] < kWeakSignalToNoise) ++w.metrics.weak_pixels;
   SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.pictures.signal_to_noise, w.options.srd.pool));
   SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, w.pictures.layer_maps));
+  if (w.options.standard_errors) {
+    w.clock.Start("standard errors");
+    Progress progress(w.logger, "standard errors", w.map.profiles());
+    SLX_RETURN_IF_ERROR(WriteStandardErrors(
+        folder, FindStandardErrors(w.map, w.srds, w.options.em, [&](int64_t done) { progress.Advance(done); })));
+  }
   if (w.options.until < Stage::kRender) return Status::Ok();
   SLX_RETURN_IF_ERROR(CompareFullSize(w));
   if (w.options.full_evaluation && w.options.until >= Stage::kEvaluate) SLX_RETURN_IF_ERROR(EvaluateFully(w));
@@ -300,6 +306,8 @@ Status RunOptions::Validate() const {
   SLX_RETURN_IF_ERROR(em.Validate());
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
+  if (standard_errors && em.mode == FitMode::kFree)
+    return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
   return srd.Validate();
 }
 
@@ -317,6 +325,7 @@ std::string RunOptions::ToJson() const {
                                        {"reading", fit::ToString(srd.reading)},
                                        {"distance", fit::ToString(srd.distance)},
                                        {"full_evaluation", full_evaluation},
+                                       {"standard_errors", standard_errors},
                                        {"geometry", geometry == GeometrySource::kTruth ? "truth" : "reconstructed"}};
   return json.dump();
 }

@@ -25,6 +25,7 @@ struct RunOptions {
   int heldout = 3;               // the projector left out of the full-size fit
   SrdOptions srd;                // pool: quads per side of that fit's profiles
   bool full_evaluation = false;  // every projector held out in turn; baselines, ablations, true geometry
+  bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
   bool force = false;  // again, even if this fit is complete
