@@ -85,8 +85,8 @@ TEST(PatternText, RoundTripsEveryKind) {
 }
 
 TEST(PatternText, RefusesWhatItDoesNotKnow) {
-  for (const char* text :
-       {"", "grey columns bit=1/2", "gray columns bit=x/2", "comb period=", "sinusoid columns nonsense"})
+  for (const char* text : {"", "grey columns bit=1/2", "grey", "comb level=1/2", "gray columns bit=x/2",
+                           "comb period=", "sinusoid columns nonsense"})
     EXPECT_EQ(Pattern::Parse(text).status().code(), StatusCode::kUsage) << text;
 }
 
