@@ -189,7 +189,7 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
   const Outcome ages = Execute("stratalux-db query calibration-age --json --store " + store.string(), Show::kStdout);
   EXPECT_THAT(ages.out, AllOf(HasSubstr("\"version\""), HasSubstr("valid")));
   const Outcome visit =
-      Execute("stratalux-rig capture --simulate=plane --size 522x390 --kind flat --calibration latest --json --store " +
+      Execute("stratalux-rig capture --simulate=white --size 522x390 --kind flat --calibration latest --json --store " +
                   store.string(),
               Show::kStdout);
   ASSERT_EQ(visit.code, 0) << visit.out;
