@@ -158,6 +158,7 @@ TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
   }
   Write(fs::path(out) / "inverted.toml", swapped);
   const std::string store = Store("inverted");
+  ASSERT_EQ(Execute("stratalux-db init --store " + store).code, 0);
   const Outcome import = Execute("stratalux-db import --manifest " + out + "/inverted.toml --store " + store);
   ASSERT_EQ(import.code, 0) << import.out;
   const Outcome fit = Calibrate("latest --store " + store);
