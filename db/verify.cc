@@ -112,8 +112,8 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
     if (name.starts_with("frames-") && name.ends_with(".seg")) {
       if (std::find(segments.begin(), segments.end(), name) == segments.end())
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
-    } else if (name != "manifest.json" && name != "truth.seg" && name != "place.json" && name != "fits" &&
-               name != "previews") {
+    } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
+               name != "place.json" && name != "fits" && name != "previews") {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }

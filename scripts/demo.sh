@@ -44,8 +44,11 @@ capture() { "$bin/stratalux-rig" capture --store "$store" --seed "$seed" --size 
 
 # The rig knows nothing of itself: its sessions name no calibration before there is one.
 capture --kind calibration --simulate="$root/docs/examples/scenes/charuco_poses.toml" --calibration none
-for kind in dark flat response; do capture --kind "$kind" --simulate=white --calibration none; done
-"$bin/stratalux-fit" calibrate --last 12 --store "$store" >&2 || [ $? -eq 3 ]  # 3: accepted without some poses
+flat=$root/docs/examples/scenes/flat_poses.toml
+capture --kind dark --simulate="$flat" --calibration none
+for pose in 0 1 2; do capture --kind flat --pose $pose --simulate="$flat" --calibration none; done
+capture --kind response --simulate="$flat" --calibration none
+"$bin/stratalux-fit" calibrate --last 12 --target-albedo 0.99 --store "$store" >&2 || [ $? -eq 3 ]  # 3: accepted without some poses
 "$bin/stratalux-db" query calibration-age --store "$store" >&2
 calibrated=$(date +%s)
 

@@ -133,7 +133,9 @@ TEST_F(CalibrationStoreTest, GoesWithTheSessionThatIsForgotten) {
   const std::string first = StoreSession(1), second = StoreSession(1);
   Accept(first, "f1", Record(100, kDay_ns, 31 * kDay_ns), 900);
   Accept(second, "f2", Record(101, 2 * kDay_ns, 32 * kDay_ns), 901);
-  ASSERT_TRUE(Forget(folder_, {.sessions = {second}}, logger_).ok());
+  ForgetRequest request;
+  request.sessions = {second};
+  ASSERT_TRUE(Forget(folder_, request, logger_).ok());
   ASSERT_EQ(List().size(), 1U);
   EXPECT_EQ(FindCalibration(folder_, kBench, "latest")->fit, "f1");
 }

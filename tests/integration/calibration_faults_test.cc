@@ -128,7 +128,9 @@ TEST_F(CalibrationFaults, SwappedCablesAreNamedAgainstTheEarlierCalibration) {
 // As a projector whose inverse pictures lie in the memory where the others belong.
 TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
   const std::string out = (folder_ / "exported").string();
-  ASSERT_EQ(Execute("stratalux-db export " + Session(0) + " --out " + out + " --store " + Store("tilted")).code, 0);
+  ASSERT_EQ(
+      Execute("stratalux-db export " + Session(0) + " --format tiff --out " + out + " --store " + Store("tilted")).code,
+      0);
   std::string manifest = Text(fs::path(out) / "import.toml"), swapped;
   std::string pattern;
   for (size_t at = 0; at < manifest.size();) {
@@ -156,6 +158,7 @@ TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
   }
   Write(fs::path(out) / "inverted.toml", swapped);
   const std::string store = Store("inverted");
+  ASSERT_EQ(Execute("stratalux-db init --store " + store).code, 0);
   const Outcome import = Execute("stratalux-db import --manifest " + out + "/inverted.toml --store " + store);
   ASSERT_EQ(import.code, 0) << import.out;
   const Outcome fit = Calibrate("latest --store " + store);
@@ -187,7 +190,7 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
   const Outcome ages = Execute("stratalux-db query calibration-age --json --store " + store.string(), Show::kStdout);
   EXPECT_THAT(ages.out, AllOf(HasSubstr("\"version\""), HasSubstr("valid")));
   const Outcome visit =
-      Execute("stratalux-rig capture --simulate=plane --size 522x390 --kind flat --calibration latest --json --store " +
+      Execute("stratalux-rig capture --simulate=white --size 522x390 --kind flat --calibration latest --json --store " +
                   store.string(),
               Show::kStdout);
   ASSERT_EQ(visit.code, 0) << visit.out;
@@ -205,11 +208,13 @@ TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
         "[subject]\nshape = \"sphere\"\n[[projector]]\n[[projector]]\n[[projector]]\n"
         "turned_deg = [0.1, -0.11, 0]\n[[projector]]\n");
   Write(folder_ / "straight.toml", "[subject]\nshape = \"sphere\"\n");
+  // A short sweep: the codes tell it.
+  Write(folder_ / "rig.toml", "[plan]\ncomb_period = 16\nmotion_whites = 0\nspot_radius = 0\n");
   for (const std::string scene : {"straight", "turned"}) {
     const std::string store = Store("visit_" + scene);
-    ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 522x390 --simulate=" +
-                      (folder_ / (scene + ".toml")).string() + " --calibration " + (folder_ / "exact.json").string() +
-                      " --store " + store)
+    ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 522x390 --config " +
+                      (folder_ / "rig.toml").string() + " --simulate=" + (folder_ / (scene + ".toml")).string() +
+                      " --calibration " + (folder_ / "exact.json").string() + " --store " + store)
                   .code,
               0);
     const Outcome fit = Execute("stratalux-fit reconstruct latest --store " + store);

@@ -59,8 +59,6 @@ INSTANTIATE_TEST_SUITE_P(
                                 "/docs/examples/scenes/charuco_poses.toml",
                                 "behind the last"),
                       std::pair("capture --simulate --poses 3", "--kind calibration"),
-                      std::pair("capture --simulate=white --size 64x48 --calibration /no/such/record.json",
-                                "/no/such/record.json"),
                       std::pair("capture --simulate --seed minus", "seed"),
                       std::pair("capture --simulate --frobnicate", "frobnicate")));
 

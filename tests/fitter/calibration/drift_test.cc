@@ -15,7 +15,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-constexpr double kNoise_px = 0.15;
+constexpr float kNoise_px = 0.15F;
 
 RigCalibration Rig() {
   RigCalibration rig;
@@ -89,7 +89,7 @@ TEST(Drift, ARigThatStandsAsCalibratedIsNotNamed) {
     EXPECT_LT(drift.shift_px, 0.05) << drift.projector;
     EXPECT_FALSE(drift.moved);
     // Both axes together, a little less for what the surface took up of it.
-    EXPECT_NEAR(drift.expected_px, std::sqrt(2.0) * kNoise_px, 1e-3);
+    EXPECT_NEAR(drift.expected_px, std::sqrt(2.0) * double{kNoise_px}, 1e-3);
     EXPECT_GT(drift.spread_px, 0.6 * drift.expected_px);
     EXPECT_LT(drift.spread_px, 1.3 * drift.expected_px);
   }
