@@ -45,6 +45,8 @@ CapturePhase PhaseOf(PatternKind kind) {
       return CapturePhase::kSweep;
     case PatternKind::kSpots:
       return CapturePhase::kSpot;
+    case PatternKind::kGrey:
+      return CapturePhase::kRadiometry;
     case PatternKind::kBlack:
     case PatternKind::kWhite:
       break;

@@ -78,11 +78,12 @@ std::vector<std::string> PatternWitness::CheckSession() const {
   Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(projectors, projectors);
   Eigen::VectorXd right = Eigen::VectorXd::Zero(projectors), row(projectors);
   double all = 0.0, noise = 0.0;
-  int probes = 0;
+  int probes = 0, saturated = 0;
   for (size_t i = 0; i < preroll_white_.size(); ++i) {
     Eigen::Index p = 0;
     for (const auto& [projector, contrast] : contrast_) row[p++] = contrast[i];
     const double sum = preroll_white_[i] - preroll_black_[i];
+    saturated += preroll_white_[i] >= options_.saturation_dn;
     if (preroll_white_[i] >= options_.saturation_dn || !row.allFinite() || sum < options_.min_contrast_dn) continue;
     normal += row * row.transpose();
     right += row * sum;
@@ -91,7 +92,8 @@ std::vector<std::string> PatternWitness::CheckSession() const {
              static_cast<double>(projectors + 1) * VarianceDn(preroll_black_[i]);
     ++probes;
   }
-  if (probes < options_.min_lit_probes) return {};
+  // Under all projectors a white target saturates; the rim that is left says little.
+  if (probes < options_.min_lit_probes || probes < saturated) return {};
   const Eigen::LDLT<Eigen::MatrixXd> solver(normal);
   const Eigen::VectorXd gain = solver.solve(right);
   const double rest = std::sqrt(std::max(0.0, all - right.dot(gain) - noise) / all);

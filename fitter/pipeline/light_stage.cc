@@ -268,7 +268,8 @@ Status LightStage::MeasureProjector(const SessionFrames& frames, int projector) 
   if (!white.ok() || !black.ok()) {
     const Status& why = white.ok() ? black.status() : white.status();
     if (why.code() != StatusCode::kNotFound) return why;
-    Refuse(name + ": no good white or black frame", "capture the response session again");
+    Refuse(name + ": no good white or black frame",
+           "its reasons (`stratalux-db show`) say what to change; capture the response session again");
     return Status::Ok();
   }
   const double saturation = frames.calibration()->camera.saturation_dn;

@@ -217,7 +217,7 @@ ReportSection Projectors(const LightReport& light, const RigCalibration& record)
 
 ReportTable Flats(const LightReport& light) {
   ReportTable table{
-      "Poses of the matt target. Plane: how flat it was found; above 0.3 mm it is bent, or the geometry is "
+      "Poses of the matt target. Plane: how flat it was found; above 0.2 mm it is bent, or the geometry is "
       "off. Residual: what fall-off, vignetting and distance leave unexplained; above 1 %: the target shines, "
       "or stray light falls on it.",
       {"pose", "tilt", "distance, mm", "plane, mm", "used", "residual"},

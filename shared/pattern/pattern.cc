@@ -54,9 +54,11 @@ Status ParseField(std::string_view key, std::string_view value, Pattern& p) {
   bool good = false;
   if (key == "bit") good = pair && number(first, p.bit) && number(second, p.bits);
   if (key == "shift") good = number(first, p.shift) && (!pair || number(second, p.shifts));
-  if (key == "level") good = pair && number(first, p.shift) && number(second, p.shifts);
+  if (key == "level") good = p.kind == PatternKind::kGrey && pair && number(first, p.shift) && number(second, p.shifts);
   if (key == "period") good = !pair && number(first, p.period);
   if (key == "width" || key == "radius") good = !pair && number(first, p.width);
+  // One level and nothing else: `gray` in its other spelling is no level.
+  if (p.kind == PatternKind::kGrey) good = good && key == "level";
   if (good) return Status::Ok();
   return Status::Usage("pattern field '" + std::string(key) + "=" + std::string(value) + "' is not understood");
 }
@@ -154,6 +156,8 @@ Result<Pattern> Pattern::Parse(const std::string& text) {
       if (!status.ok()) return status.WithContext("pattern '" + text + "'");
     }
   }
+  if (pattern.kind == PatternKind::kGrey && text.find(" level=") == std::string::npos)
+    return Status::Usage("pattern '" + text + "' names no level (grey level=5/32)");
   return pattern;
 }
 

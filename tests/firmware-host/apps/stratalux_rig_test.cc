@@ -67,8 +67,8 @@ TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
 TEST(StrataluxRig, FlagsOverrideTheConfiguration) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-kinds.toml";
   std::ofstream(file) << "[plan]\nkind = \"flat\"\nprojectors = 1\npreroll_markers = 0\n";
-  EXPECT_THAT(Rig("plan show --config " + file.string()).text, HasSubstr("\n2 frames"));
-  EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).text, HasSubstr("\n1 frames"));
+  EXPECT_THAT(Rig("plan show --config " + file.string()).text, HasSubstr("\n91 frames"));
+  EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).text, HasSubstr("\n48 frames"));
 }
 
 TEST(StrataluxRig, AStoreMustBeNamed) {

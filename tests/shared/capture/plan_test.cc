@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/capture/plan.h"
 
+#include <algorithm>
 #include <map>
 #include <set>
 
@@ -108,6 +109,40 @@ TEST(Plan, EachPhaseHasBracketsOfItsOwn) {
   EXPECT_EQ(BuildPlan(options).status().code(), StatusCode::kUsage);
   options.correspondence_brackets = {};
   EXPECT_EQ(BuildPlan(options).status().code(), StatusCode::kUsage);
+}
+
+TEST(LightPlans, RepeatWhatNoiseAndCurvesNeed) {
+  auto count = [](const CapturePlan& plan, int projector, CapturePhase phase, PatternKind kind, double exposure_ms) {
+    return std::count_if(plan.steps.begin(), plan.steps.end(), [&](const PlanStep& s) {
+      return s.projector == projector && s.phase == phase && s.pattern.kind == kind && s.exposure_ms == exposure_ms;
+    });
+  };
+  PlanOptions options;
+  options.kind = SessionKind::kDark;
+  const CapturePlan dark = *BuildPlan(options);
+  for (const double ms : {4.0, 16.0, 64.0})
+    EXPECT_EQ(count(dark, 0, CapturePhase::kRadiometry, PatternKind::kBlack, ms), 16);
+  EXPECT_EQ(count(dark, 0, CapturePhase::kReference, PatternKind::kWhite, 16.0), 0);
+
+  options.kind = SessionKind::kFlat;
+  const CapturePlan flat = *BuildPlan(options);
+  for (const double factor : options.BracketsOf(CapturePhase::kRadiometry)) {
+    // Pairs of whites and their black, by the first projector alone.
+    EXPECT_EQ(count(flat, 0, CapturePhase::kRadiometry, PatternKind::kWhite, 16.0 * factor), 2);
+    EXPECT_EQ(count(flat, 0, CapturePhase::kRadiometry, PatternKind::kBlack, 16.0 * factor), 1);
+    EXPECT_EQ(count(flat, 1, CapturePhase::kRadiometry, PatternKind::kWhite, 16.0 * factor), 0);
+  }
+  for (int p = 0; p < 4; ++p) {
+    EXPECT_EQ(count(flat, p, CapturePhase::kRadiometry, PatternKind::kComb, 16.0), 8);  // a whole cycle
+    EXPECT_EQ(count(flat, p, CapturePhase::kCorrespondence, PatternKind::kGray, 16.0), 40);
+  }
+
+  options.kind = SessionKind::kResponse;
+  const CapturePlan response = *BuildPlan(options);
+  for (int p = 0; p < 4; ++p) {
+    EXPECT_EQ(count(response, p, CapturePhase::kRadiometry, PatternKind::kGrey, 16.0), 31);
+    EXPECT_EQ(count(response, p, CapturePhase::kRadiometry, PatternKind::kWhite, 16.0), 4);
+  }
 }
 
 }  // namespace

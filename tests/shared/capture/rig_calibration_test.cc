@@ -82,5 +82,31 @@ TEST(LookAt, PutsTheTargetOnTheOpticalAxis) {
   EXPECT_NEAR((pose * (pose.Inverse() * Eigen::Vector3d(1, 2, 3)) - Eigen::Vector3d(1, 2, 3)).norm(), 0.0, 1e-9);
 }
 
+TEST(RigCalibration, ResponsesAndVignettingSurviveTheirJson) {
+  RigCalibration rig;
+  rig.camera.model = {64, 48, 80.0, 80.0, 31.5, 23.5, {}};
+  rig.camera.black_level_dn = 95.0;
+  rig.camera.vignetting = {-0.1, 0.02};
+  rig.camera.response = {0.0, 0.5, 1.2};
+  rig.projectors.emplace_back();
+  rig.projectors[0].model = {128, 96, 200.0, 200.0, 63.5, 47.5, {}};
+  rig.projectors[0].white_dn_mm2_per_ms = {1.0, 1.0, 1.0};
+  rig.projectors[0].response = {0.0, 0.2, 1.0};
+  const auto back = RigCalibration::FromJson(rig.ToJson());
+  ASSERT_TRUE(back.ok()) << back.status().message();
+  EXPECT_EQ(back->camera.response, rig.camera.response);
+  EXPECT_EQ(back->camera.vignetting, rig.camera.vignetting);
+  EXPECT_EQ(back->projectors[0].response, rig.projectors[0].response);
+  EXPECT_DOUBLE_EQ(back->camera.LinearDn(2000.0), 2000.0);  // half way: 0.5 of 4000
+  EXPECT_DOUBLE_EQ(back->camera.LinearDn(3000.0), 3400.0);
+  EXPECT_DOUBLE_EQ(back->camera.LinearDn(-3.0), -3.0);
+  EXPECT_DOUBLE_EQ(back->projectors[0].Response(0.75), 0.6);
+  rig.projectors[0].response = {0.0, 1.1, 1.0};
+  EXPECT_EQ(RigCalibration::FromJson(rig.ToJson()).status().code(), StatusCode::kUsage);
+  rig.projectors[0].response.clear();
+  rig.camera.vignetting = {-1.0, 0.0};
+  EXPECT_EQ(rig.Validate().code(), StatusCode::kUsage);
+}
+
 }  // namespace
 }  // namespace stratalux

@@ -85,8 +85,8 @@ TEST(PatternText, RoundTripsEveryKind) {
 }
 
 TEST(PatternText, RefusesWhatItDoesNotKnow) {
-  for (const char* text :
-       {"", "grey columns bit=1/2", "gray columns bit=x/2", "comb period=", "sinusoid columns nonsense"})
+  for (const char* text : {"", "grey columns bit=1/2", "grey", "comb level=1/2", "gray columns bit=x/2",
+                           "comb period=", "sinusoid columns nonsense"})
     EXPECT_EQ(Pattern::Parse(text).status().code(), StatusCode::kUsage) << text;
 }
 
@@ -97,6 +97,17 @@ TEST(PatternValidate, RefusesWhatNoProjectorCanShow) {
   EXPECT_FALSE((Pattern{.kind = PatternKind::kGray, .bit = 0, .bits = 11}.Validate(1024, 768).ok()));
   EXPECT_FALSE(
       (Pattern{.kind = PatternKind::kSinusoid, .period = 8, .shift = 4, .shifts = 4}.Validate(1024, 768).ok()));
+}
+
+TEST(Pattern, GreyLevelsAreEvenAndNamed) {
+  const Pattern grey{.kind = PatternKind::kGrey, .shift = 5, .shifts = 32};
+  EXPECT_EQ(grey.ToString(), "grey level=5/32");
+  ASSERT_TRUE(Pattern::Parse(grey.ToString()).ok());
+  EXPECT_EQ(*Pattern::Parse(grey.ToString()), grey);
+  EXPECT_FLOAT_EQ(grey.Intensity(3, 700), 5.0F / 32.0F);
+  EXPECT_TRUE(grey.Validate(64, 48).ok());
+  EXPECT_FALSE((Pattern{.kind = PatternKind::kGrey, .shift = 33, .shifts = 32}).Validate(64, 48).ok());
+  EXPECT_FALSE(Pattern::Parse("grey level=5").ok());
 }
 
 }  // namespace
