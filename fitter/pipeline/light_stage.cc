@@ -116,10 +116,12 @@ Status LightStage::CheckSession(const SessionFrames& frames) const {
     return Status::Usage(name + " failed (its reasons: `stratalux-db show`); capture it again");
   const FrameRecord& first = frames.rows()[0].record;
   const Pinhole& camera = record_.camera.model;
-  if (first.width != camera.width || first.height != camera.height || first.cfa != record_.camera.cfa)
+  if (first.width != camera.width || first.height != camera.height)
     return Status::Usage(name + " has frames of " + std::to_string(first.width) + "x" + std::to_string(first.height) +
                          ", the rig's camera is " + std::to_string(camera.width) + "x" + std::to_string(camera.height) +
-                         " with another or the same mosaic; give sessions of one rig");
+                         "; give sessions of one rig");
+  if (first.cfa != record_.camera.cfa)
+    return Status::Usage(name + ": its frames' mosaic is not that of the rig's camera; give sessions of one rig");
   const PlanOptions& plan = *frames.plan();
   const Pinhole& projector = record_.projectors[0].model;
   if (plan.projectors != static_cast<int>(record_.projectors.size()) || plan.projector_width != projector.width ||
@@ -134,7 +136,8 @@ Status LightStage::CheckSession(const SessionFrames& frames) const {
 
 Status LightStage::MeasureDark() {
   if (dark_.empty()) {
-    Keep("black level, read noise", "no session of kind dark (cover the lens: stratalux-rig capture --kind dark)");
+    Keep(flat_.empty() ? "black level, read noise" : "black level",
+         "no session of kind dark (cover the lens: stratalux-rig capture --kind dark)");
     return Status::Ok();
   }
   DarkStatistics statistics;
@@ -224,7 +227,7 @@ void LightStage::UseTransfer(const std::string& session, const ExposureRamp& ram
     Warn("session " + session + ": the camera's gain is known to " +
              Percent(report_.transfer->gain_sd / report_.transfer->gain_e_per_dn) + " only",
          "let the target fill more of the picture");
-  if (!report_.dark) record_.camera.read_noise_dn = report_.transfer->read_noise_dn;
+  if (!report_.dark) record_.camera.read_noise_dn = report_.transfer->read_noise_dn;  // the next best
 }
 
 void LightStage::UseCameraResponse(const std::string& session, const ExposureRamp& ramp) {
