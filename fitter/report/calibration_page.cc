@@ -36,7 +36,9 @@ ReportBanner BannerOf(const CalibrationPage& page) {
     return {Tone::kBad, "Refused: do not use this calibration. Reasons and remedies: " + std::to_string(refusals) +
                             ", below. Earlier calibrations stay as they are."};
   if (warnings > 0) return {Tone::kDoubtful, "Accepted, with " + std::to_string(warnings) + " warnings (below)."};
-  return {Tone::kGood, "Accepted: nothing speaks against this calibration."};
+  const bool kept = page.light && !page.light->carried_over.empty();
+  return {Tone::kGood, std::string("Accepted: nothing speaks against this calibration.") +
+                           (kept ? " Parts that no session told stay as before (end of the page)." : "")};
 }
 
 ReportSection Verdict(const CalibrationPage& page) {

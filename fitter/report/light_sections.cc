@@ -113,10 +113,12 @@ ReportSection Camera(const LightReport& light, const RigCalibration& record) {
   }
   if (const auto& response = light.camera_response) {
     table.rows.push_back(
-        {"bend of the response", Fixed(100.0 * response->largest_deviation, 2) + " %",
+        {"bend of the response, from a line between black and saturation",
+         Fixed(100.0 * response->largest_deviation, 2) + " %",
          "any: it is undone; measured up to " + Fixed(100.0 * response->reached, 0) + " % of the range"});
     section.plots.push_back(
-        {"Camera: linear light over the raw level, less a straight line. Good: smooth, some per cent at most. A step "
+        {"Camera: linear light over the raw level, less a straight line of its slope at black. Good: smooth, some per "
+         "cent at most. A step "
          "or "
          "a wave: exposure times are not what they are said to be.",
          "raw level, share of the range",
@@ -215,7 +217,7 @@ ReportSection Projectors(const LightReport& light, const RigCalibration& record)
 
 ReportTable Flats(const LightReport& light) {
   ReportTable table{
-      "Poses of the matt target. Plane: how flat it was found; above 0.3 mm it is bent, or the geometry is "
+      "Poses of the matt target. Plane: how flat it was found; above 0.2 mm it is bent, or the geometry is "
       "off. Residual: what fall-off, vignetting and distance leave unexplained; above 1 %: the target shines, "
       "or stray light falls on it.",
       {"pose", "tilt", "distance, mm", "plane, mm", "used", "residual"},

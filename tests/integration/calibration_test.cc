@@ -40,6 +40,11 @@ Outcome Execute(const std::string& command, Show show = Show::kStdout) {
   return outcome;
 }
 
+std::string ReadText(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
 Json ReadJson(const fs::path& file) {
   std::ifstream in(file, std::ios::binary);
   return Json::parse(in, nullptr, false);
@@ -145,6 +150,9 @@ TEST_F(Calibration, StaysInTheStore) {
   ASSERT_EQ(code_, 0);
   const Json shown = Json::parse(Execute("stratalux-db show latest --json --store " + store_).out, nullptr, false);
   ASSERT_EQ(shown["fits"].size(), 1U);
+  const std::string page = ReadText(fs::path(Record()).replace_extension(".html"));
+  EXPECT_THAT(page, HasSubstr("Accepted"));
+  EXPECT_THAT(page, HasSubstr("Before and after"));
   EXPECT_EQ(Execute("stratalux-db verify --store " + store_).code, 0);
 }
 
@@ -157,6 +165,10 @@ TEST_F(Calibration, WithAWrongSquareSizeIsRefusedAndNamesTheRightOne) {
   EXPECT_THAT(run.out, HasSubstr("times as large as before"));
   EXPECT_THAT(run.out, HasSubstr("measure the board's squares: 20.0"));
   EXPECT_FALSE(fs::exists(folder_ / "refused.json"));
+  // The page says so, too: it is there that the operator sees why.
+  const std::string page = ReadText(folder_ / "refused.html");
+  EXPECT_THAT(page, HasSubstr("Refused: do not use this calibration"));
+  EXPECT_THAT(page, HasSubstr("times as large as before"));
 }
 
 TEST_F(Calibration, NamesThePoseInWhichTheBoardMovedAndGoesOnWithoutIt) {

@@ -14,8 +14,8 @@ namespace {
 TEST(OpenCvPeer, FindsARigWithoutNoise) {
   // The peer is used as it should be: without noise it is as good as exact (single precision corners).
   const RigGeometry rig = ExampleRig(1);
-  const auto pairs =
-      CalibrateByOpenCv(Observe(rig, ExamplePoses(), {0.0, 0.0}, 1), DistortionModel::kK1K2, PairIntrinsics::kRefined);
+  const auto pairs = CalibrateByOpenCv(Observe(rig, ExamplePoses(), {0.0, 0.0}, 1),
+                                       {DistortionModel::kK1K2, PairIntrinsics::kRefined});
   ASSERT_TRUE(pairs.ok()) << pairs.status().message();
   EXPECT_NEAR((*pairs)[0].camera.fx, rig.camera.fx, 0.5);
   EXPECT_NEAR((*pairs)[0].projectors[0].model.fx, rig.projectors[0].model.fx, 0.5);

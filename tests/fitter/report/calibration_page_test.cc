@@ -166,6 +166,7 @@ TEST(CalibrationPage, ShowsTheLightThatWasMeasured) {
   const RigCalibration record = ToRecord(Calibrated(), std::nullopt, "x");
   const Report page = CalibrationReport({{"s1"}, {}, nullptr, {}, light, record});
   EXPECT_EQ(page.banner->tone, Tone::kGood);  // of light alone
+  EXPECT_THAT(page.banner->text, HasSubstr("stay as before"));
   const ReportSection* camera = SectionOf(page, "Light: the camera");
   ASSERT_NE(camera, nullptr);
   // The line of the photon transfer: read noise squared and signal over gain.
