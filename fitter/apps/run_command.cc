@@ -17,7 +17,7 @@ namespace {
 struct Flags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
-              distance = "tangent";
+              distance = "tangent", directional = "off";
   bool json = false, path_only = false;
 };
 
@@ -41,6 +41,10 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->capture_default_str();
   verb.add_option("--gain", f.gain, "Angular gain: model or none")
       ->check(CLI::IsMember({"model", "none"}))
+      ->capture_default_str();
+  verb.add_option("--directional", f.directional,
+                  "on: weights of the layers that follow the directions, chosen on the training lights; off")
+      ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--refinement", f.run.em.refinement_iterations,
                   "EM sweeps of each pixel from the session's mean layers; 0: every pixel on its own")
@@ -90,6 +94,7 @@ int Execute(Flags& f) {
   f.run.srd.distance = *distance;
   f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.run.em.gain_model = f.gain == "model";
+  f.run.em.choose_directions = f.directional == "on";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
   if (!outcome.ok()) return finish(outcome.status());

@@ -59,6 +59,7 @@ CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, d
   options.eta = map.eta;
   options.tau = map.tau;
   options.gain_model = map.gain_model;
+  options.directional = map.directional;
   std::vector<int64_t> chosen;
   for (int64_t i = 0; i < map.profiles(); ++i)
     if (i / map.channels % every == 0 && map.Fitted(i) && heldout.valid[i] != 0) chosen.push_back(i);

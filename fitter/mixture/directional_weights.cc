@@ -20,6 +20,16 @@ Inside Refract(double along, double across, double eta) {
 
 }  // namespace
 
+RefractedDirections DirectionsOf(const Eigen::Vector3d& omega_in, const Eigen::Vector3d& omega_out,
+                                 const Eigen::Vector3d& normal, double eta) {
+  // Snell: the tangential parts shrink by eta.
+  const Eigen::Vector3d in = (omega_in - normal.dot(omega_in) * normal) / eta,
+                        out = (omega_out - normal.dot(omega_out) * normal) / eta;
+  const double z_in = std::sqrt(std::max(1.0 - in.squaredNorm(), 1e-6)),
+               z_out = std::sqrt(std::max(1.0 - out.squaredNorm(), 1e-6));
+  return {1.0 / z_in, 1.0 / z_out, -(in.dot(out) + z_in * z_out)};
+}
+
 RefractedDirections DirectionsOf(const SrdBatch& batch, int64_t profile, double eta) {
   const Inside in = Refract(batch.slope_in[profile], batch.slope_in_across[profile], eta);
   const Inside out = Refract(batch.slope_out[profile], batch.slope_out_across[profile], eta);

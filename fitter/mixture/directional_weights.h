@@ -11,6 +11,8 @@
 // Wide layers have forgotten the directions but for the attenuation along the oblique path.
 #pragma once
 
+#include <Eigen/Core>
+
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
@@ -33,6 +35,9 @@ struct RefractedDirections {
   [[nodiscard]] double ExtraPath() const { return sec_in + sec_out - 2.0; }
 };
 
+// omega_in, omega_out: unit vectors from the point to lamp and eye; n . omega > 0.
+[[nodiscard]] RefractedDirections DirectionsOf(const Eigen::Vector3d& omega_in, const Eigen::Vector3d& omega_out,
+                                               const Eigen::Vector3d& normal, double eta);
 [[nodiscard]] RefractedDirections DirectionsOf(const SrdBatch& batch, int64_t profile, double eta);
 
 // w_lp / w_l.

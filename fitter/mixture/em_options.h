@@ -14,6 +14,7 @@ struct EmOptions {
   bool gain_model = true;
   double tau = 0.0;                // of the angular gain
   DirectionalWeights directional;  // of the layers; off unless set
+  bool choose_directions = false;  // a session's fit: directional weights and tau by EstimateDirections
   bool direction_blind = false;    // every depth stays 0: the baseline
   bool surface_term = true;        // light reflected at the very surface
   bool background_term = true;

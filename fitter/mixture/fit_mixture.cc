@@ -67,6 +67,7 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   map.eta = options.eta;
   map.tau = options.tau;
   map.gain_model = options.gain_model;
+  map.directional = options.directional;
   map.training_projectors = projectors;
   const size_t profiles = static_cast<size_t>(map.profiles());
   for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm}) v->assign(profiles * options.layers, 0.0F);

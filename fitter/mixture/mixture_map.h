@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "fitter/mixture/directional_weights.h"
 #include "shared/base/result.h"
 
 namespace stratalux::fit {
@@ -37,6 +38,7 @@ struct MixtureMap {
   double eta = 1.4;
   double tau = 0.0;  // of the angular gain g (model section 7), one per session
   bool gain_model = true;
+  DirectionalWeights directional;  // off unless the fit had them
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;
   std::vector<float> surface;        // [profile][training projector]

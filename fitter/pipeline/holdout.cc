@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <sstream>
 
+#include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/shift_law.h"
 #include "fitter/pipeline/free_fit.h"
 #include "fitter/srd/srd_extractor.h"
@@ -48,10 +50,15 @@ Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
                                                QuadCentre(rig.camera.cfa, i, j), 1, 0, plan.exposure_ms)
                                 .blur_mm;
         const double seen = std::exp(-0.5 * wave * wave * blur * blur);
+        const RefractedDirections directions =
+            DirectionsOf((rig.projectors[in.projector].CentreInCamera() - in.surface.Point(i, j)).normalized(),
+                         -in.surface.Point(i, j).normalized(), in.surface.Normal(i, j), map.eta);
         double narrow = 0.0;
         for (int l = 0; l < map.layers; ++l) {
-          const double sigma = map.sigma_mm[profile * map.layers + l];
-          narrow += map.weight[profile * map.layers + l] * std::exp(-0.5 * wave * wave * sigma * sigma);
+          const size_t at = static_cast<size_t>(profile) * map.layers + l;
+          const double sigma = map.sigma_mm[at];
+          narrow += map.weight[at] * DirectionalFactor(map.directional, directions, map.depth_mm[at], sigma) *
+                    std::exp(-0.5 * wave * wave * sigma * sigma);
         }
         const double gain = map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0;
         reflectance(i, j, c) = static_cast<float>(separation.direct(i, j, c) / (g.white_dn * seen) - gain * narrow);
@@ -106,6 +113,16 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
   std::vector<int> projectors;
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
   if (options.gain_model) options.tau = EstimateTau(lights, options.eta);
+  if (options.choose_directions && options.mode == FitMode::kTied && !options.direction_blind) {
+    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, options));
+    options.tau = chosen.tau;
+    options.directional = chosen.weights;
+    std::ostringstream text;
+    text << label << ": tau " << chosen.tau << ", kappa " << chosen.weights.kappa_per_mm << " / mm, phase slope "
+         << chosen.weights.phase_slope << ", sigma_0 " << chosen.weights.sigma_0_mm << " mm; training divergence "
+         << chosen.divergence << ", without " << chosen.divergence_without;
+    logger.Info(text.str());
+  }
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
     bool any = false;

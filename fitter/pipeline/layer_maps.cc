@@ -132,6 +132,7 @@ StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, 
   StandardErrorMaps maps{unknown, unknown, unknown};
   const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
   options.tau = map.tau;
+  options.directional = map.directional;
   ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!map.Fitted(i)) continue;

@@ -152,6 +152,7 @@ ReportSection SrdOfPixel(const RunPictures& in) {
   options.eta = map.eta;
   options.tau = map.tau;
   options.gain_model = map.gain_model;
+  options.directional = map.directional;
   const LayerSet layers = LayersOf(map, profile);
   for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
     const SrdBatch& b = in.chosen_srds[p];

@@ -308,6 +308,8 @@ Status RunOptions::Validate() const {
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
   if (standard_errors && em.mode == FitMode::kFree)
     return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
+  if (em.choose_directions && em.mode == FitMode::kFree)
+    return Status::Usage("directional weights are those of a tied fit: leave out --mode free or --directional on");
   return srd.Validate();
 }
 
@@ -317,6 +319,7 @@ std::string RunOptions::ToJson() const {
                                        {"shift", fit::ToString(em.shift_law)},
                                        {"eta", em.eta},
                                        {"gain_model", em.gain_model},
+                                       {"directional", em.choose_directions},
                                        {"iterations", em.max_iterations},
                                        {"refinement", em.refinement_iterations},
                                        {"tolerance", em.tolerance},

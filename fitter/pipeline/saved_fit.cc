@@ -116,6 +116,10 @@ Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, c
                      {"eta", map.eta},
                      {"tau", map.tau},
                      {"gain", map.gain_model ? "model" : "none"},
+                     {"directional",
+                      {{"kappa_per_mm", map.directional.kappa_per_mm},
+                       {"phase_slope", map.directional.phase_slope},
+                       {"sigma_0_mm", map.directional.sigma_0_mm}}},
                      {"training_projectors", map.training_projectors}};
   std::ofstream out(folder / "layers.json", std::ios::trunc);
   out << json.dump(1) << '\n';
@@ -141,6 +145,10 @@ Result<SavedFit> LoadFit(const std::filesystem::path& folder) {
     map.eta = json.at("eta");
     map.tau = json.at("tau");
     map.gain_model = json.at("gain").get<std::string>() == "model";
+    if (json.contains("directional")) {
+      const Json& d = json.at("directional");
+      map.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
+    }
     map.training_projectors = json.at("training_projectors").get<std::vector<int>>();
     if (map.layers < 1 || map.layers > 32 || (map.channels != 1 && map.channels != 3) || fit.pool < 1 ||
         fit.pool > 16 || map.training_projectors.empty())

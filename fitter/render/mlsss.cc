@@ -6,6 +6,7 @@
 #include <numbers>
 #include <optional>
 
+#include "fitter/mixture/directional_weights.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
@@ -17,9 +18,11 @@ namespace {
 struct Receiver {
   Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
   double gain = 1.0;
+  RefractedDirections directions;
   double footprint2 = 0.0;  // variance of the camera pixel's box on the surface, mm^2
   double pitch_mm = 1.0;    // of the light's pixels on the surface, mean of both axes
-  // Variance below which the light's pixels sample a Gaussian too coarsely (0.55 of the longer pitch: 0.5 % of ripple).
+  // Variance below which the light's pixels sample a Gaussian too coarsely (0.55 of the longer pitch: 0.5 % of ripple):
+  // such layers read the pattern itself.
   double narrowest2 = 0.0;
   Eigen::Vector3d column_per_mm, row_per_mm;  // gradient of the light's pixel coordinates
 };
@@ -48,6 +51,7 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
   if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
   r.shift = ShiftVector(map.shift_law, in, r.normal, map.eta) - ShiftVector(map.shift_law, out, r.normal, map.eta);
   if (map.gain_model) r.gain = AngularGain(cos_in, map.eta, map.tau);
+  r.directions = DirectionsOf(in, out, r.normal, map.eta);
   // Box of one mosaic pixel, 1/12 px^2 an axis.
   const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
                py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
@@ -148,6 +152,15 @@ float GatherLevel(const Receiver& r, const LitPyramid& light, int level, const E
   return sum * static_cast<float>(half_inverse2 / std::numbers::pi);
 }
 
+// The pattern between its pixels; beyond its edge, the edge.
+double PatternAt(const Image<float>& pattern, const Eigen::Vector2d& at) {
+  const int x = std::clamp(static_cast<int>(std::floor(at.x())), 0, pattern.width() - 2);
+  const int y = std::clamp(static_cast<int>(std::floor(at.y())), 0, pattern.height() - 2);
+  const double u = std::clamp(at.x() - x, 0.0, 1.0), v = std::clamp(at.y() - y, 0.0, 1.0);
+  return (1 - v) * ((1 - u) * pattern(x, y) + u * pattern(x + 1, y)) +
+         v * ((1 - u) * pattern(x, y + 1) + u * pattern(x + 1, y + 1));
+}
+
 // Something nearer to the light takes it: the light's pixel shows another place.
 bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point) {
   constexpr double kSamePlaceMm = 3.0;
@@ -155,6 +168,32 @@ bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vec
                                    std::clamp(static_cast<int>(std::lround(at.y())), 0, lit.samples.height() - 1));
   return s.flux[1] > 0.0F && (point - lit.light.CentreInCamera()).norm() >
                                  (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
+}
+
+// A layer too narrow for the light's pixels: irradiance times the mean of the pattern over the layer's Gaussian, on the
+// tangent plane, where the surface is as good as flat.
+double NarrowLayer(const Receiver& r, const LitPyramid& light, const LitSurface& lit, const Eigen::Vector3d& centre,
+                   const Eigen::Vector2d& at, double variance, int channel) {
+  if (!lit.light.model.Contains(at) || InShadow(lit, at, centre)) return 0.0;
+  // Axes across the columns and along them; a pixel's box has 1/12, reading between pixels 2/12 of its square.
+  const Eigen::Vector3d gradient = r.column_per_mm - r.normal.dot(r.column_per_mm) * r.normal;
+  if (!(gradient.norm() > 1e-9)) return 0.0;
+  const Eigen::Vector3d across = gradient.normalized(), along = r.normal.cross(across);
+  const double columns = gradient.norm(), rows = std::max(std::abs(r.row_per_mm.dot(along)), 1e-9);
+  const double spread_across = std::sqrt(std::max(variance - 1.0 / (12.0 * columns * columns), 0.0)),
+               spread_along = std::sqrt(std::max(variance - 1.0 / (12.0 * rows * rows), 0.0));
+  constexpr int kHalf = 4;
+  constexpr double kStep = 0.75;  // standard deviations
+  double sum = 0.0, weights = 0.0;
+  for (int j = -kHalf; j <= kHalf; ++j)
+    for (int i = -kHalf; i <= kHalf; ++i) {
+      const double weight = std::exp(-0.5 * kStep * kStep * (i * i + j * j));
+      const Eigen::Vector3d offset = kStep * (i * spread_across * across + j * spread_along * along);
+      sum += weight *
+             PatternAt(light.pattern, at + Eigen::Vector2d(r.column_per_mm.dot(offset), r.row_per_mm.dot(offset)));
+      weights += weight;
+    }
+  return sum / weights * lit.light.WhiteTargetDn(centre, r.normal, channel, lit.exposure_ms);
 }
 
 int64_t ProfileOf(const MixtureMap& map, int i, int j, int c, int pool) {
@@ -204,8 +243,10 @@ Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, 
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       const auto pixel = lit.light.ProjectFromCamera(centre);
       if (!pixel) continue;
-      sum += map.weight[at] *
-             GatherLevel(r, light, level, centre, *pixel, std::sqrt(std::max(own2 + h * h / 12.0, r.narrowest2)), c);
+      const double variance = own2 + h * h / 12.0;
+      sum += map.weight[at] * DirectionalFactor(map.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) *
+             (variance < r.narrowest2 ? NarrowLayer(r, light, lit, centre, *pixel, own2, c)
+                                      : GatherLevel(r, light, level, centre, *pixel, std::sqrt(variance), c));
     }
     return sum * r.gain;
   });
@@ -219,12 +260,19 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
       const size_t at = static_cast<size_t>(profile) * map.layers + l;
       if (!(map.weight[at] > 0.0F)) continue;
       const double own2 = double(map.sigma_mm[at]) * map.sigma_mm[at] + r.footprint2;
-      const double variance = std::max(own2 + r.pitch_mm * r.pitch_mm / 12.0, r.narrowest2);
+      const double variance = own2 + r.pitch_mm * r.pitch_mm / 12.0;
       const Eigen::Vector3d centre = r.point + map.depth_mm[at] * r.shift;
       double layer = 0.0;
-      for (const LitSample& s : light.levels[0].pixels())
-        if (s.flux[c] > 0.0F) layer += s.flux[c] * Exchange(r, s, centre, 0.5 / variance);
-      sum += map.weight[at] * layer / (2.0 * std::numbers::pi * variance);
+      if (variance < r.narrowest2) {
+        const auto pixel = lit.light.ProjectFromCamera(centre);
+        if (pixel) layer = NarrowLayer(r, light, lit, centre, *pixel, own2, c);
+      } else {
+        for (const LitSample& s : light.levels[0].pixels())
+          if (s.flux[c] > 0.0F) layer += s.flux[c] * Exchange(r, s, centre, 0.5 / variance);
+        layer /= 2.0 * std::numbers::pi * variance;
+      }
+      sum +=
+          map.weight[at] * DirectionalFactor(map.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) * layer;
     }
     return sum * r.gain;
   });
@@ -264,11 +312,7 @@ Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap&
             const Eigen::Vector3d point = ray * (n.dot(surface.Point(i, j)) / n.dot(ray));
             const auto at = lit.light.ProjectFromCamera(point);
             if (!at || !lit.light.model.Contains(*at) || InShadow(lit, *at, point)) continue;
-            const int x = std::clamp(static_cast<int>(std::floor(at->x())), 0, light.pattern.width() - 2);
-            const int y = std::clamp(static_cast<int>(std::floor(at->y())), 0, light.pattern.height() - 2);
-            const double u = std::clamp(at->x() - x, 0.0, 1.0), v = std::clamp(at->y() - y, 0.0, 1.0);
-            sum += (1 - v) * ((1 - u) * light.pattern(x, y) + u * light.pattern(x + 1, y)) +
-                   v * ((1 - u) * light.pattern(x, y + 1) + u * light.pattern(x + 1, y + 1));
+            sum += PatternAt(light.pattern, *at);
           }
           const double white = lit.light.WhiteTargetDn(surface.Point(i, j), n, c, lit.exposure_ms);
           const float reflected = static_cast<float>(reflectance(i, j, c) * white * sum / 9.0);
