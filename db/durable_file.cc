@@ -113,6 +113,11 @@ Status CutFile(const fs::path& file, int64_t size) {
   return Status::Ok();
 }
 
+Status SyncFile(const fs::path& file) {
+  std::error_code error;
+  return fs::is_regular_file(fs::symlink_status(file, error)) ? SyncOpened(file, O_RDONLY) : Status::Ok();
+}
+
 Status SyncTree(const fs::path& folder) {
   std::error_code error;
   std::vector<fs::path> folders = {folder};

@@ -27,6 +27,8 @@ Status CutFile(const std::filesystem::path& file, int64_t size);
 // Overwrites with zeros, syncs, removes; kOk where there is no such file. A flash disk may keep the old blocks
 // (docs/privacy.md).
 Status WipeFile(const std::filesystem::path& file);
+// What others have written to `file`; kOk where there is none.
+Status SyncFile(const std::filesystem::path& file);
 // Every file and folder at and below `folder`; symbolic links are left alone.
 Status SyncTree(const std::filesystem::path& folder);
 

@@ -23,14 +23,6 @@ fs::path FreeName(const fs::path& store) {
   }
 }
 
-Status SyncFile(const fs::path& file) {
-  const int fd = open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  const bool synced = fd >= 0 && fsync(fd) == 0;
-  const std::string reason = std::strerror(errno);
-  if (fd >= 0) close(fd);
-  return synced ? Status::Ok() : Status::Failed("cannot sync " + file.string() + ": " + reason);
-}
-
 Status Move(const fs::path& from, const fs::path& to) {
   std::error_code error;
   fs::rename(from, to, error);

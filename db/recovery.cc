@@ -176,6 +176,9 @@ Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const fs::path& store
   const auto lock = WriteLock::TryTake(store);
   if (lock.status().code() == StatusCode::kBusy) return notes;  // a live writer: its session is its own
   if (!lock.ok()) return FindUnfinished(index, store);
+  // A writer that died between writing the log and syncing it leaves frames that the index lists in memory alone. What
+  // follows is made durable on their word.
+  SLX_RETURN_IF_ERROR(SyncFile(store / "index.sqlite-wal"));
   SLX_ASSIGN_OR_RETURN(const auto sessions, Unfinished(index));
   for (const SessionRow& session : sessions)
     if (const Status ended = RecoverOne(index, store, session, notes); !ended.ok())

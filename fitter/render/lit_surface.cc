@@ -159,10 +159,10 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
 
 LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale) {
   LitPyramid pyramid;
-  pyramid.pattern = pattern.Render(lit.samples.width(), lit.samples.height());
+  pyramid.shown = pattern.Render(lit.samples.width(), lit.samples.height());
+  for (float& v : pyramid.shown.pixels()) v *= static_cast<float>(pattern_scale);
   const double sigma = lit.light.line_blur_px;
-  if (sigma > 0.0) pyramid.pattern = BlurRows(BlurRows(pyramid.pattern, sigma), sigma);
-  for (float& v : pyramid.pattern.pixels()) v *= static_cast<float>(pattern_scale);
+  pyramid.pattern = sigma > 0.0 ? BlurRows(BlurRows(pyramid.shown, sigma), sigma) : pyramid.shown;
   pyramid.levels.push_back(lit.samples);
   for (size_t i = 0; i < lit.samples.size(); ++i) {
     LitSample& s = pyramid.levels[0].pixels()[i];

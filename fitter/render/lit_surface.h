@@ -38,6 +38,7 @@ struct LitPyramid {
   std::vector<Image<LitSample>> levels;
   std::vector<LitPlanes> planes;  // the same, for the fast renderer
   Image<float> pattern;           // blurred
+  Image<float> shown;             // before the optics blurred it
 };
 [[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
 

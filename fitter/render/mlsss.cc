@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 #include <optional>
+#include <vector>
 
 #include "fitter/mixture/directional_weights.h"
 #include "fitter/mixture/shift_law.h"
@@ -170,30 +171,46 @@ bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vec
                                  (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
 }
 
-// A layer too narrow for the light's pixels: irradiance times the mean of the pattern over the layer's Gaussian, on the
-// tangent plane, where the surface is as good as flat.
+// Shares of a Gaussian (mean, standard deviation in pixels) that fall on pixels first, first + 1, ...
+struct PixelShares {
+  int first = 0;
+  std::vector<double> share;
+
+  PixelShares(double mean, double sigma) {
+    const int reach = static_cast<int>(std::ceil(4.0 * sigma + 0.5));
+    first = static_cast<int>(std::lround(mean)) - reach;
+    auto below = [&](double x) { return 0.5 * std::erfc((mean - x) / (sigma * std::numbers::sqrt2)); };
+    double last = below(first - 0.5);
+    for (int k = 0; k <= 2 * reach; ++k) {
+      const double next = below(first + k + 0.5);
+      share.push_back(next - last);
+      last = next;
+    }
+  }
+};
+
+// A layer too narrow for the light's pixels to sample it: irradiance times the mean over the layer's Gaussian, blurred
+// by the light's optics, of the pattern, whose pixels are boxes, on the tangent plane, where the surface is as good as
+// flat. Columns and rows are taken as independent.
 double NarrowLayer(const Receiver& r, const LitPyramid& light, const LitSurface& lit, const Eigen::Vector3d& centre,
                    const Eigen::Vector2d& at, double variance, int channel) {
   if (!lit.light.model.Contains(at) || InShadow(lit, at, centre)) return 0.0;
-  // Axes across the columns and along them; a pixel's box has 1/12, reading between pixels 2/12 of its square.
-  const Eigen::Vector3d gradient = r.column_per_mm - r.normal.dot(r.column_per_mm) * r.normal;
-  if (!(gradient.norm() > 1e-9)) return 0.0;
-  const Eigen::Vector3d across = gradient.normalized(), along = r.normal.cross(across);
-  const double columns = gradient.norm(), rows = std::max(std::abs(r.row_per_mm.dot(along)), 1e-9);
-  const double spread_across = std::sqrt(std::max(variance - 1.0 / (12.0 * columns * columns), 0.0)),
-               spread_along = std::sqrt(std::max(variance - 1.0 / (12.0 * rows * rows), 0.0));
-  constexpr int kHalf = 4;
-  constexpr double kStep = 0.75;  // standard deviations
-  double sum = 0.0, weights = 0.0;
-  for (int j = -kHalf; j <= kHalf; ++j)
-    for (int i = -kHalf; i <= kHalf; ++i) {
-      const double weight = std::exp(-0.5 * kStep * kStep * (i * i + j * j));
-      const Eigen::Vector3d offset = kStep * (i * spread_across * across + j * spread_along * along);
-      sum += weight *
-             PatternAt(light.pattern, at + Eigen::Vector2d(r.column_per_mm.dot(offset), r.row_per_mm.dot(offset)));
-      weights += weight;
-    }
-  return sum / weights * lit.light.WhiteTargetDn(centre, r.normal, channel, lit.exposure_ms);
+  auto pixels = [&](const Eigen::Vector3d& per_mm) {
+    const double along_normal = r.normal.dot(per_mm);
+    const double optics = lit.light.line_blur_px;
+    return std::sqrt(std::max(per_mm.squaredNorm() - along_normal * along_normal, 1e-12) * variance + optics * optics);
+  };
+  const PixelShares columns(at.x(), pixels(r.column_per_mm)), rows(at.y(), pixels(r.row_per_mm));
+  const Image<float>& pattern = light.shown;
+  double sum = 0.0;
+  for (size_t j = 0; j < rows.share.size(); ++j) {
+    const int y = std::clamp(rows.first + static_cast<int>(j), 0, pattern.height() - 1);
+    double row = 0.0;
+    for (size_t i = 0; i < columns.share.size(); ++i)
+      row += columns.share[i] * pattern(std::clamp(columns.first + static_cast<int>(i), 0, pattern.width() - 1), y);
+    sum += rows.share[j] * row;
+  }
+  return sum * lit.light.WhiteTargetDn(centre, r.normal, channel, lit.exposure_ms);
 }
 
 int64_t ProfileOf(const MixtureMap& map, int i, int j, int c, int pool) {

@@ -182,10 +182,17 @@ TEST(Metrics, WritesSchemaOne) {
   Metrics m;
   m.session = "s";
   m.fit = "f";
-  m.heldout.push_back(
-      {3, "stripe", "tied", "total", "measured", "reconstructed", 2, {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234}, 0.03});
+  m.heldout.push_back({3,
+                       "stripe",
+                       "tied",
+                       "total",
+                       "measured",
+                       "reconstructed",
+                       2,
+                       {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234},
+                       0.03});
   m.ablations.push_back({"projectors_permuted", 3, "stripe", "total", 0.2, 0.05});
-  m.stages.push_back({"decode", 1.5, 1 << 20});
+  m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
   m.masked_by_reason["too dark"] = 7;
   const auto without_truth = nlohmann::json::parse(m.ToJson());
   EXPECT_FALSE(without_truth.contains("truth"));
@@ -207,6 +214,7 @@ TEST(Metrics, WritesSchemaOne) {
   EXPECT_EQ(figure["pixels"], 1234);
   EXPECT_EQ(json["ablations"][0]["baseline_nrmse"], 0.05);
   EXPECT_EQ(json["fit"]["masked_by_reason"]["too dark"], 7);
+  EXPECT_EQ(json["stages"][0]["cpu_seconds"], 2.5);
   EXPECT_EQ(json["stages"][0]["peak_rss_bytes"], 1 << 20);
   EXPECT_EQ(json["truth"]["depth_bias_mm"], -0.2);
 }

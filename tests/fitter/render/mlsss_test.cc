@@ -115,19 +115,21 @@ struct LineOnPlane {
 };
 
 TEST(RenderSubsurface, ShowsTheAnalyticMixtureUnderALine) {
-  const std::vector<Layer> layers = SkinLayers();
-  for (const Eigen::Vector3d& lamp : {kAtCamera, kFromLeft})
-    for (int columns : {2, 8}) {
-      const LitScene scene = MakeScene(FrontalPlane(), lamp);
-      const MixtureMap map = UniformSkin(scene, layers);
-      const Image<float> image = Render(scene, map, MiddleLine(scene, columns));
-      const LineOnPlane line(scene, columns);
-      const int j = 18;  // rows in the middle see the line to both ends
-      double peak = 0.0;
-      for (int i = 0; i < 48; ++i) peak = std::max(peak, line.Dn(scene, layers, map, i, j));
-      for (int i = 4; i < 44; ++i)
-        EXPECT_NEAR(image(i, j) / peak, line.Dn(scene, layers, map, i, j) / peak, 0.01) << columns << " columns, " << i;
-    }
+  // Layers of skin; one narrower than the light's pixels, which seen from the side are wider than the camera's.
+  for (const std::vector<Layer>& layers : {SkinLayers(), {{0.3F, 0.2F, 0.02F}}})
+    for (const Eigen::Vector3d& lamp : {kAtCamera, kFromLeft})
+      for (int columns : {2, 8}) {
+        const LitScene scene = MakeScene(FrontalPlane(), lamp);
+        const MixtureMap map = UniformSkin(scene, layers);
+        const Image<float> image = Render(scene, map, MiddleLine(scene, columns));
+        const LineOnPlane line(scene, columns);
+        const int j = 18;  // rows in the middle see the line to both ends
+        double peak = 0.0;
+        for (int i = 0; i < 48; ++i) peak = std::max(peak, line.Dn(scene, layers, map, i, j));
+        for (int i = 4; i < 44; ++i)
+          EXPECT_NEAR(image(i, j) / peak, line.Dn(scene, layers, map, i, j) / peak, 0.01)
+              << columns << " columns, " << i;
+      }
 }
 
 TEST(RenderSubsurface, GlowsOnTheSideAwayFromTheLamp) {
