@@ -23,7 +23,7 @@ struct EmOptions {
   int max_iterations = 20;
   // Sweeps of a pixel that starts from the session's mean layers (FitMixture's `start`): fewer sweeps keep it closer to
   // the mean where its own photons are few.
-  int refinement_iterations = 4;
+  int refinement_iterations = 2;
   double tolerance = 1e-5;  // relative change of the divergence
   // Nesterov's momentum with restart: never loses likelihood, and reaches that of plain EM in a third of its sweeps.
   // Not used from a given start, where few plain sweeps are the prior.

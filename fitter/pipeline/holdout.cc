@@ -10,6 +10,7 @@
 #include "fitter/mixture/shift_law.h"
 #include "fitter/pipeline/free_fit.h"
 #include "fitter/srd/srd_extractor.h"
+#include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -26,44 +27,61 @@ CapturePhase PhaseOf(const std::string& light) {
   return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
 }
 
-// Reflectance of the very surface under the held-out light: its measured direct image holds rho_s E and the subsurface
-// light that the sinusoids' period still resolves, sum w g E exp(-2 pi^2 sigma^2 / period^2), both blurred by the line
-// response.
-Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
+// What the sinusoids along one axis show of a pixel, as shares of its irradiance: contrast of the very surface, and
+// light of the layers, sum w exp(-2 pi^2 sigma^2 / period^2), seen with that contrast.
+struct SinusoidContrast {
+  double surface = 0.0, layers = 0.0;
+};
+
+SinusoidContrast ContrastAlong(PatternAxis axis, const HoldOutInput& in, const MixtureMap& map, int i, int j,
+                               int64_t profile) {
   const RigCalibration& rig = *in.frames.calibration();
   const PlanOptions& plan = *in.frames.plan();
+  const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
+  // The amplitude is taken site by site, so the blur of a single site (that of red) counts, also for the two greens.
+  const SrdGeometry g = ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, 0,
+                                           plan.exposure_ms, axis);
+  if (!(g.white_dn > 0.0)) return {};
+  const double wave = 2.0 * std::numbers::pi / (plan.separation_period * g.mm_per_column);
+  const double half_pixel = std::numbers::pi / plan.separation_period;  // the projector's pixels are boxes
+  const double seen = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
+  const RefractedDirections directions = DirectionsOf(
+      (rig.projectors[in.projector].CentreInCamera() - point).normalized(), -point.normalized(), normal, map.eta);
+  double narrow = 0.0;
+  for (int l = 0; l < map.layers; ++l) {
+    const size_t at = static_cast<size_t>(profile) * map.layers + l;
+    const double sigma = map.sigma_mm[at];
+    narrow += map.weight[at] * DirectionalFactor(map.directional, directions, map.depth_mm[at], sigma) *
+              std::exp(-0.5 * wave * wave * sigma * sigma);
+  }
+  return {seen, seen * narrow * (map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0)};
+}
+
+// Reflectance of the very surface under the held-out light. Its measured direct image, the mean of the sinusoids along
+// both axes, holds the surface's light and what of the layers' the period still resolves.
+Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
+  const RigCalibration& rig = *in.frames.calibration();
   const SeparationMap& separation = in.face.separation[in.projector];
   Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
-  for (int j = 0; j < in.surface.height(); ++j)
-    for (int i = 0; i < in.surface.width(); ++i) {
-      if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
-      for (int c = 0; c < map.channels; ++c) {
-        const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
-        if (!map.Fitted(profile)) continue;
-        const SrdGeometry g = ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
-                                                 QuadCentre(rig.camera.cfa, i, j), 1, c, plan.exposure_ms);
-        if (!(g.white_dn > 0.0)) continue;
-        const double wave = 2.0 * std::numbers::pi / (plan.separation_period * g.mm_per_column);
-        // The amplitude is taken site by site, so the blur of a single site (that of red) counts, also for the two
-        // greens.
-        const double blur = ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
-                                               QuadCentre(rig.camera.cfa, i, j), 1, 0, plan.exposure_ms)
-                                .blur_mm;
-        const double seen = std::exp(-0.5 * wave * wave * blur * blur);
-        const RefractedDirections directions =
-            DirectionsOf((rig.projectors[in.projector].CentreInCamera() - in.surface.Point(i, j)).normalized(),
-                         -in.surface.Point(i, j).normalized(), in.surface.Normal(i, j), map.eta);
-        double narrow = 0.0;
-        for (int l = 0; l < map.layers; ++l) {
-          const size_t at = static_cast<size_t>(profile) * map.layers + l;
-          const double sigma = map.sigma_mm[at];
-          narrow += map.weight[at] * DirectionalFactor(map.directional, directions, map.depth_mm[at], sigma) *
-                    std::exp(-0.5 * wave * wave * sigma * sigma);
+  ParallelFor(in.surface.height(), 4, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < in.surface.width(); ++i) {
+        if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
+        for (int c = 0; c < map.channels; ++c) {
+          const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
+          if (!map.Fitted(profile)) continue;
+          const SrdGeometry g =
+              ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
+                                 QuadCentre(rig.camera.cfa, i, j), 1, c, in.frames.plan()->exposure_ms);
+          const SinusoidContrast columns = ContrastAlong(PatternAxis::kColumns, in, map, i, j, profile),
+                                 rows = ContrastAlong(PatternAxis::kRows, in, map, i, j, profile);
+          if (!(g.white_dn > 0.0) || !(columns.surface > 0.0) || !(rows.surface > 0.0)) continue;
+          reflectance(i, j, c) =
+              static_cast<float>((2.0 * separation.direct(i, j, c) / g.white_dn - columns.layers - rows.layers) /
+                                 (columns.surface + rows.surface));
         }
-        const double gain = map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0;
-        reflectance(i, j, c) = static_cast<float>(separation.direct(i, j, c) / (g.white_dn * seen) - gain * narrow);
       }
-    }
+  });
   return reflectance;
 }
 
