@@ -23,6 +23,8 @@ class SceneTruth {
   // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
   // another calibration than the exact one, on the rays of the exact one, which lies beside the truth.
   [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;
+  // The exact record where the session names another one: that of the rig that the true surface stands in.
+  [[nodiscard]] const std::optional<RigCalibration>& exact_calibration() const { return exact_; }
 
  private:
   SceneTruth(db::TruthSegment segment, std::optional<RigCalibration> exact)

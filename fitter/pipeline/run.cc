@@ -167,9 +167,7 @@ Status Ablate(Work& w, const std::string& geometry) {
   return ablate("comb_frames_shuffled");
 }
 
-// The same fit on the true surface: what of the error is the model's, not the reconstruction's. Last of all: its SRDs
-// take the place of the others, so that memory holds one set.
-Status EvaluateOnTruth(Work& w) {
+Status EvaluateOnTrueSurface(Work& w) {
   const int projector = w.options.heldout;
   SLX_ASSIGN_OR_RETURN(const auto surface, w.truth->Surface(*w.frames.calibration()));
   w.srds = {};
@@ -178,9 +176,25 @@ Status EvaluateOnTruth(Work& w) {
   SLX_ASSIGN_OR_RETURN(auto fit, FitLayers(w.srds, projector, w.options.em, w.logger, "true geometry"));
   w.metrics.centroids.push_back({projector, "truth", CompareCentroids(fit, w.srds.batches[projector])});
   SLX_ASSIGN_OR_RETURN(const auto models, FitBaselines(w, w.srds, projector, std::move(fit), "true geometry"));
-  return CompareHeldOut(InputFor(w, surface, projector, w.srds.pool, "truth"), models.List(NameOf(w.options.em.mode)),
-                        {"stripe"}, w.metrics.heldout)
+  const HoldOutInput input = InputFor(w, surface, projector, w.srds.pool, "truth");
+  const std::string mode = NameOf(w.options.em.mode);
+  SLX_RETURN_IF_ERROR(CompareHeldOut(input, models.List(mode), {"stripe"}, w.metrics.heldout).status());
+  std::vector<std::string> lights = {"white"};
+  if (w.frames.plan()->spot_radius > 0) lights.push_back("spot");
+  return CompareHeldOut(input, {{mode, &models.fit}, {"direction_blind", &models.direction_blind}}, lights,
+                        w.metrics.heldout)
       .status();
+}
+
+// The same fit on the true surface, and in the rig as it truly is where the session names a calibration of its own:
+// what of the error is the model's, not the reconstruction's. Last of all: its SRDs take the place of the others, so
+// that memory holds one set.
+Status EvaluateOnTruth(Work& w) {
+  const RigCalibration own = *w.frames.record();
+  if (const auto& exact = w.truth->exact_calibration()) w.frames.UseRecord(*exact);
+  const Status status = EvaluateOnTrueSurface(w);
+  w.frames.UseRecord(own);
+  return status;
 }
 
 Status EvaluateFully(Work& w) {
@@ -378,6 +392,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   std::filesystem::create_directories(folder / "report", error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
 
+  if (options.geometry == GeometrySource::kTruth && truth->exact_calibration())
+    frames.UseRecord(*truth->exact_calibration());
   Work w{options, logger, std::move(frames), StageClock(logger), {}, {}, std::move(truth), {}, {}, {}, {}};
   if (w.frames.info().simulated && !w.truth)
     logger.Warning("session " + outcome.session +
