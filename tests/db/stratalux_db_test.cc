@@ -1,35 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command line: what it prints and how it exits.
 #include <algorithm>
-#include <cstdio>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
-#include <sys/wait.h>
 
 #include "shared/image/png.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/run_program.h"
 
 namespace stratalux::db {
 namespace {
 
 using ::testing::HasSubstr;
-
-struct Outcome {
-  int code = -1;
-  std::string output;  // stdout
-};
-
-Outcome Shell(const std::string& command) {
-  Outcome outcome;
-  FILE* pipe = popen(command.c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char buffer[4096];
-  for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.output.append(buffer, n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
-}
 
 class StrataluxDb : public StoreTest {
  protected:
@@ -38,7 +21,7 @@ class StrataluxDb : public StoreTest {
                  redirect);
   }
   [[nodiscard]] nlohmann::json Json(const std::string& arguments) const {
-    return nlohmann::json::parse(Db(arguments + " --json").output, nullptr, false);
+    return nlohmann::json::parse(Db(arguments + " --json").out, nullptr, false);
   }
 };
 
@@ -52,12 +35,12 @@ TEST_F(StrataluxDb, ListsAndShowsSessions) {
   EXPECT_EQ(list[0]["bytes"], 3 * 36);
   EXPECT_EQ(list[0]["fits"], 1);
   EXPECT_EQ(list[1]["fits"], 0);
-  EXPECT_THAT(Db("ls").output, HasSubstr(first));
+  EXPECT_THAT(Db("ls").out, HasSubstr(first));
   const auto show = Json("show latest");
   EXPECT_EQ(show["session"], second);
   EXPECT_EQ(show["status"], "complete");
   EXPECT_EQ(show["fits"][0]["metrics"]["rms"], 0.25);
-  EXPECT_THAT(Db("show s000001").output, HasSubstr(first));
+  EXPECT_THAT(Db("show s000001").out, HasSubstr(first));
 }
 
 TEST_F(StrataluxDb, FiltersAndExtractsFrames) {
@@ -85,7 +68,7 @@ TEST_F(StrataluxDb, VerifyExitsWith6AndNamesTheOffset) {
   WriteBytes(Segment(id), bytes);
   const Outcome all = Db("verify --deep");
   EXPECT_EQ(all.code, 6);
-  EXPECT_THAT(all.output, HasSubstr("offset 420"));
+  EXPECT_THAT(all.out, HasSubstr("offset 420"));
   EXPECT_EQ(Db("verify --deep " + other).code, 0);
   EXPECT_EQ(Json("verify --deep " + id)[0]["problems"].size(), 1U);
 }
@@ -94,14 +77,14 @@ TEST_F(StrataluxDb, InitMakesAStore) {
   const std::string store = (folder_ / "new" / "store").string();
   EXPECT_EQ(Db("ls --store " + store).code, 4);
   EXPECT_EQ(Db("init --store " + store).code, 0);
-  EXPECT_EQ(Db("ls --json --store " + store).output, "[]\n");
+  EXPECT_EQ(Db("ls --json --store " + store).out, "[]\n");
 }
 
 TEST_F(StrataluxDb, ExitsWithTheDocumentedCodes) {
   StoreSession(1);
   StoreSession(1);
   EXPECT_EQ(Db("--version").code, 0);
-  EXPECT_THAT(Db("ls --help").output, HasSubstr("Examples:"));
+  EXPECT_THAT(Db("ls --help").out, HasSubstr("Examples:"));
   EXPECT_EQ(Db("").code, 2);
   EXPECT_EQ(Db("frobnicate").code, 2);
   EXPECT_EQ(Db("show").code, 2);
@@ -129,7 +112,7 @@ TEST_F(StrataluxDb, ListsWhatPassesTheFilters) {
   EXPECT_THAT(ids("--until 1h"), ElementsAre(fitted, plain)) << "the fixture's sessions start in 1970";
   EXPECT_THAT(ids("--since 1h"), ElementsAre());
   EXPECT_THAT(ids("--calibration none --limit 1"), ElementsAre(fitted));
-  EXPECT_THAT(Db("ls --csv").output, ::testing::StartsWith("session,started,kind,"));
+  EXPECT_THAT(Db("ls --csv").out, ::testing::StartsWith("session,started,kind,"));
   for (const char* wrong : {"--since yesterday-ish", "--status great", "--kind party", "--fitted maybe",
                             "--sort colour", "--max-error x=y", "--limit -1", "--json --csv"})
     EXPECT_EQ(Db("ls " + std::string(wrong)).code, 2) << wrong;
@@ -137,7 +120,7 @@ TEST_F(StrataluxDb, ListsWhatPassesTheFilters) {
 
 TEST_F(StrataluxDb, AnswersByNameAndBySql) {
   StoreSession(3);
-  EXPECT_THAT(Db("query --list").output, HasSubstr("missing-frames"));
+  EXPECT_THAT(Db("query --list").out, HasSubstr("missing-frames"));
   EXPECT_EQ(Json("query disk-use")[0]["frames"], 3);
   EXPECT_EQ(Db("query nothing").code, 4);
   EXPECT_EQ(Db("query").code, 2);
@@ -145,13 +128,13 @@ TEST_F(StrataluxDb, AnswersByNameAndBySql) {
   EXPECT_EQ(Json("sql 'SELECT count(*) AS n FROM frames'")[0]["n"], 3);
   EXPECT_EQ(Shell("echo 'SELECT 1 AS one' | STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR +
                   "/stratalux-db sql - --csv")
-                .output,
+                .out,
             "one\r\n1\r\n");
   EXPECT_EQ(Db("sql 'DELETE FROM frames'").code, 2);
-  EXPECT_THAT(Db("sql 'DELETE FROM frames'", "2>&1").output, HasSubstr("only reads"));
+  EXPECT_THAT(Db("sql 'DELETE FROM frames'", "2>&1").out, HasSubstr("only reads"));
   const std::string many = "\"WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM c) SELECT x FROM c\"";
   EXPECT_EQ(Db("sql " + many).code, 3) << "cut without being asked to";
-  EXPECT_EQ(Db("sql --limit 5 " + many).output, "x\n1\n2\n3\n4\n5\n");
+  EXPECT_EQ(Db("sql --limit 5 " + many).out, "x\n1\n2\n3\n4\n5\n");
   EXPECT_EQ(Db("sql --limit 5 " + many).code, 0);
   EXPECT_EQ(
       Db("sql --seconds 0.05 \"WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM c) SELECT count(*) FROM c\"")
@@ -163,8 +146,8 @@ TEST_F(StrataluxDb, DrawsItsStatistics) {
   StoreSession(3);
   const Outcome text = Db("stats --since 7d --until 1970-01-02");
   EXPECT_EQ(text.code, 0);
-  EXPECT_THAT(text.output, HasSubstr("1 sessions, 1 complete; 3 frames"));
-  EXPECT_TRUE(std::all_of(text.output.begin(), text.output.end(), [](char c) { return c > 0; })) << "ASCII in a pipe";
+  EXPECT_THAT(text.out, HasSubstr("1 sessions, 1 complete; 3 frames"));
+  EXPECT_TRUE(std::all_of(text.out.begin(), text.out.end(), [](char c) { return c > 0; })) << "ASCII in a pipe";
   EXPECT_EQ(Json("stats --since 7d --until 1970-01-02")["sessions"], 1);
   const auto page = folder_ / "stats.html";
   EXPECT_EQ(Db("stats --html " + page.string()).code, 0);
@@ -174,8 +157,8 @@ TEST_F(StrataluxDb, DrawsItsStatistics) {
 
 TEST_F(StrataluxDb, KeepsMessagesOffStdout) {
   const Outcome outcome = Db("show nobody");
-  EXPECT_EQ(outcome.output, "");
-  EXPECT_THAT(Db("show nobody", "2>&1").output, HasSubstr("nobody"));
+  EXPECT_EQ(outcome.out, "");
+  EXPECT_THAT(Db("show nobody", "2>&1").out, HasSubstr("nobody"));
   EXPECT_EQ(Db("ls", ">/dev/full 2>/dev/null").code, 1) << "a full disk must not pass for success";
 }
 

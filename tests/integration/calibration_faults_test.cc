@@ -1,12 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What goes wrong when a rig is calibrated and used, from the command line: each fault is named with its remedy, and
 // none ends in a silently bad result.
-#include <array>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -14,6 +9,10 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "tests/support/run_program.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
@@ -22,46 +21,22 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
-struct Outcome {
-  int code = -1;
-  std::string out;  // stdout and stderr together, or stdout alone
-};
-
-enum class Show { kStdout, kAll };
-
-Outcome Execute(const std::string& command, Show show = Show::kAll) {
-  Outcome outcome;
-  const std::string tail = show == Show::kAll ? " 2>&1" : " 2>/dev/null";
-  std::FILE* pipe = popen((std::string(STRATALUX_BIN_DIR) + "/" + command + tail).c_str(), "r");
-  std::array<char, 4096> buffer{};
-  while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.out.append(buffer.data(), n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
-}
-
-std::string Text(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-}
-
-void Write(const fs::path& file, const std::string& text) { std::ofstream(file, std::ios::binary) << text; }
-
 class CalibrationFaults : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     folder_ = fs::temp_directory_path() / ("stratalux_calibration_faults_" + std::to_string(getpid()));
     fs::create_directories(folder_);
     // Five poses of the shipped scene; and the same board held frontally.
-    Write(folder_ / "tilted.toml", Board() + Pose("0, 0, 0", "12, -6, 3") + Pose("5, -8, 20", "22, 0, 4") +
-                                       Pose("-8, 6, 10", "-22, 5, -3") + Pose("6, 4, -15", "3, 24, 2") +
-                                       Pose("-5, -6, 25", "-4, -24, 8"));
-    Write(folder_ / "frontal.toml", Board() + Pose("0, 0, 0", "0, 0, 2") + Pose("8, 4, 20", "0, 0, 10") +
-                                        Pose("-8, 6, -15", "0, 0, -5") + Pose("3, -6, 30", "0, 0, 20"));
+    WriteText(folder_ / "tilted.toml", Board() + Pose("0, 0, 0", "12, -6, 3") + Pose("5, -8, 20", "22, 0, 4") +
+                                           Pose("-8, 6, 10", "-22, 5, -3") + Pose("6, 4, -15", "3, 24, 2") +
+                                           Pose("-5, -6, 25", "-4, -24, 8"));
+    WriteText(folder_ / "frontal.toml", Board() + Pose("0, 0, 0", "0, 0, 2") + Pose("8, 4, 20", "0, 0, 10") +
+                                            Pose("-8, 6, -15", "0, 0, -5") + Pose("3, -6, 30", "0, 0, 20"));
     const Outcome series = Execute(Capture("tilted.toml") + " --store " + Store("tilted") + " --json", Show::kStdout);
     ASSERT_EQ(series.code, 0) << series.out;
     series_ = Json::parse(series.out, nullptr, false);
-    exact_ = Json::parse(Text(fs::path(Store("tilted")) / "sessions" / Session(0) / "manifest.json"))["calibration"];
+    exact_ =
+        Json::parse(ReadText(fs::path(Store("tilted")) / "sessions" / Session(0) / "manifest.json"))["calibration"];
   }
   static void TearDownTestSuite() { fs::remove_all(folder_); }
 
@@ -116,7 +91,7 @@ TEST_F(CalibrationFaults, FrontalPosesAreRefused) {
 TEST_F(CalibrationFaults, SwappedCablesAreNamedAgainstTheEarlierCalibration) {
   Json earlier = exact_;
   std::swap(earlier["projectors"][1], earlier["projectors"][2]);
-  Write(folder_ / "earlier.json", earlier.dump());
+  WriteText(folder_ / "earlier.json", earlier.dump());
   std::string sessions;
   for (size_t pose = 0; pose < 5; ++pose) sessions += Session(pose) + " ";
   const Outcome fit =
@@ -131,7 +106,7 @@ TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
   ASSERT_EQ(
       Execute("stratalux-db export " + Session(0) + " --format tiff --out " + out + " --store " + Store("tilted")).code,
       0);
-  std::string manifest = Text(fs::path(out) / "import.toml"), swapped;
+  std::string manifest = ReadText(fs::path(out) / "import.toml"), swapped;
   std::string pattern;
   for (size_t at = 0; at < manifest.size();) {
     const size_t end = manifest.find('\n', at);
@@ -156,7 +131,7 @@ TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
     }
     swapped += line + "\n";
   }
-  Write(fs::path(out) / "inverted.toml", swapped);
+  WriteText(fs::path(out) / "inverted.toml", swapped);
   const std::string store = Store("inverted");
   ASSERT_EQ(Execute("stratalux-db init --store " + store).code, 0);
   const Outcome import = Execute("stratalux-db import --manifest " + out + "/inverted.toml --store " + store);
@@ -173,7 +148,7 @@ TEST_F(CalibrationFaults, ASessionThatNamesNoCalibrationThatIsThereIsNotCaptured
   EXPECT_EQ(none.code, 4) << none.out;
   EXPECT_THAT(none.out, HasSubstr("--calibration latest"));
   EXPECT_FALSE(fs::exists(store));
-  Write(folder_ / "exact.json", exact_.dump());
+  WriteText(folder_ / "exact.json", exact_.dump());
   const Outcome other = Execute(visit + " --calibration " + (folder_ / "exact.json").string());
   EXPECT_EQ(other.code, 2) << other.out;
   EXPECT_THAT(other.out, AllOf(HasSubstr("522x390"), HasSubstr("64x48")));
@@ -195,21 +170,21 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
               Show::kStdout);
   ASSERT_EQ(visit.code, 0) << visit.out;
   const fs::path session = store / "sessions" / Json::parse(visit.out)["session"].get<std::string>();
-  const Json named = Json::parse(Text(session / "manifest.json"))["calibration"];
+  const Json named = Json::parse(ReadText(session / "manifest.json"))["calibration"];
   EXPECT_THAT(named["source"].get<std::string>(), HasSubstr("calibration session " + Session(4)));
   EXPECT_NE(named["camera"]["model"]["fx"], exact_["camera"]["model"]["fx"]);
-  EXPECT_EQ(Json::parse(Text(session / "truth_calibration.json")), exact_);
+  EXPECT_EQ(Json::parse(ReadText(session / "truth_calibration.json")), exact_);
 }
 
 // A projector is turned by 0.15 degrees after the calibration.
 TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
-  Write(folder_ / "exact.json", exact_.dump());
-  Write(folder_ / "turned.toml",
-        "[subject]\nshape = \"sphere\"\n[[projector]]\n[[projector]]\n[[projector]]\n"
-        "turned_deg = [0.1, -0.11, 0]\n[[projector]]\n");
-  Write(folder_ / "straight.toml", "[subject]\nshape = \"sphere\"\n");
+  WriteText(folder_ / "exact.json", exact_.dump());
+  WriteText(folder_ / "turned.toml",
+            "[subject]\nshape = \"sphere\"\n[[projector]]\n[[projector]]\n[[projector]]\n"
+            "turned_deg = [0.1, -0.11, 0]\n[[projector]]\n");
+  WriteText(folder_ / "straight.toml", "[subject]\nshape = \"sphere\"\n");
   // A short sweep: the codes tell it.
-  Write(folder_ / "rig.toml", "[plan]\ncomb_period = 16\nmotion_whites = 0\nspot_radius = 0\n");
+  WriteText(folder_ / "rig.toml", "[plan]\ncomb_period = 16\nmotion_whites = 0\nspot_radius = 0\n");
   for (const std::string scene : {"straight", "turned"}) {
     const std::string store = Store("visit_" + scene);
     ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 522x390 --config " +
@@ -228,3 +203,4 @@ TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
 }
 
 }  // namespace
+}  // namespace stratalux

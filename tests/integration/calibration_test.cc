@@ -1,20 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 // A rig is calibrated as its operator does it: twelve poses of a board are captured, one session each, and calibrated
 // together. The simulated rig knows what must come out.
+#include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
-#include <fstream>
 #include <iostream>
-#include <iterator>
+#include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "tests/support/run_program.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
@@ -22,33 +25,7 @@ using Json = nlohmann::json;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
 
-struct Outcome {
-  int code = -1;
-  std::string out;  // stdout and stderr together, or stdout alone
-};
-
-enum class Show { kStdout, kAll };
-
-Outcome Execute(const std::string& command, Show show = Show::kStdout) {
-  Outcome outcome;
-  const std::string tail = show == Show::kAll ? " 2>&1" : " 2>/dev/null";
-  std::FILE* pipe = popen((std::string(STRATALUX_BIN_DIR) + "/" + command + tail).c_str(), "r");
-  std::array<char, 4096> buffer{};
-  while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.out.append(buffer.data(), n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
-}
-
-std::string ReadText(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), {}};
-}
-
-Json ReadJson(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  return Json::parse(in, nullptr, false);
-}
+Json ReadJson(const fs::path& file) { return Json::parse(ReadText(file), nullptr, false); }
 
 // fx fy cx cy k1 k2 p1 p2 k3, then of projectors the angle-axis vector and the translation.
 std::vector<double> Parameters(const Json& device) {
@@ -80,7 +57,8 @@ class Calibration : public ::testing::Test {
     for (int pose = 0; pose < 12; ++pose)
       ASSERT_EQ(Execute(CaptureOf(pose) + " --store " + store_ + " --seed " + std::to_string(40 + pose)).code, 0)
           << "pose " << pose;
-    const Outcome run = Execute("stratalux-fit calibrate --last 12 --store " + store_ + " --json --out " + Record());
+    const Outcome run =
+        Execute("stratalux-fit calibrate --last 12 --store " + store_ + " --json --out " + Record(), Show::kStdout);
     code_ = run.code;
     result_ = Json::parse(run.out, nullptr, false);
   }
@@ -148,7 +126,8 @@ TEST_F(Calibration, PredictsHeldOutPosesToASixthOfAPixel) {
 
 TEST_F(Calibration, StaysInTheStore) {
   ASSERT_EQ(code_, 0);
-  const Json shown = Json::parse(Execute("stratalux-db show latest --json --store " + store_).out, nullptr, false);
+  const Json shown =
+      Json::parse(Execute("stratalux-db show latest --json --store " + store_, Show::kStdout).out, nullptr, false);
   ASSERT_EQ(shown["fits"].size(), 1U);
   const std::string page = ReadText(fs::path(Record()).replace_extension(".html"));
   EXPECT_THAT(page, HasSubstr("Accepted"));
@@ -159,8 +138,7 @@ TEST_F(Calibration, StaysInTheStore) {
 TEST_F(Calibration, WithAWrongSquareSizeIsRefusedAndNamesTheRightOne) {
   const Outcome run =
       Execute("stratalux-fit calibrate --last 12 --store " + store_ +
-                  " --square-mm 25 --marker-mm 18.75 --distortion k1k2 --out " + (folder_ / "refused.json").string(),
-              Show::kAll);
+              " --square-mm 25 --marker-mm 18.75 --distortion k1k2 --out " + (folder_ / "refused.json").string());
   EXPECT_EQ(run.code, 1) << run.out;
   EXPECT_THAT(run.out, HasSubstr("times as large as before"));
   EXPECT_THAT(run.out, HasSubstr("measure the board's squares: 20.0"));
@@ -176,7 +154,7 @@ TEST_F(Calibration, NamesThePoseInWhichTheBoardMovedAndGoesOnWithoutIt) {
   // The sequencer sees so much of a move and ends degraded; what it lets pass the calibration finds (FindStillBoard).
   ASSERT_THAT(Execute(CaptureOf(1) + " --store " + store + " --fault subject_moved@30=0.3").code, AnyOf(0, 3));
   for (int pose : {2, 3, 4, 5}) ASSERT_EQ(Execute(CaptureOf(pose) + " --store " + store).code, 0);
-  const Outcome run = Execute("stratalux-fit calibrate --last 5 --distortion k1 --store " + store, Show::kAll);
+  const Outcome run = Execute("stratalux-fit calibrate --last 5 --distortion k1 --store " + store);
   EXPECT_EQ(run.code, 3) << run.out;
   EXPECT_THAT(run.out, HasSubstr("pose 1 (session s000001"));
   EXPECT_THAT(run.out, AnyOf(HasSubstr("the board moved by"), HasSubstr("capture it again with nothing moving")));
@@ -186,12 +164,13 @@ TEST_F(Calibration, SaysThatThereIsNoBoard) {
   const std::string store = (folder_ / "plain").string();
   ASSERT_EQ(Execute("stratalux-rig capture --kind calibration --size 348x260 --simulate=white --store " + store).code,
             0);
-  const Outcome run = Execute("stratalux-fit calibrate latest --store " + store, Show::kAll);
+  const Outcome run = Execute("stratalux-fit calibrate latest --store " + store);
   EXPECT_EQ(run.code, 1) << run.out;
   EXPECT_THAT(run.out, HasSubstr("no charuco board of 10x7 squares"));
-  const Outcome usage = Execute("stratalux-fit calibrate latest --squares 10by7 --store " + store, Show::kAll);
+  const Outcome usage = Execute("stratalux-fit calibrate latest --squares 10by7 --store " + store);
   EXPECT_EQ(usage.code, 2);
   EXPECT_THAT(usage.out, HasSubstr("--squares '10by7'"));
 }
 
 }  // namespace
+}  // namespace stratalux

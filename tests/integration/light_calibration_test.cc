@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The light of a rig is calibrated as its operator does it: a cap on the lens, a white target at three places, a grey
 // ramp. The simulated rig has vices that its calibration must find, and knows what must come out.
-#include <array>
+#include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 
@@ -13,27 +12,13 @@
 
 #include "shared/base/read_file.h"
 #include "shared/capture/rig_calibration.h"
+#include "tests/support/run_program.h"
 
 namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
-
-struct Outcome {
-  int code = -1;
-  std::string text;  // stdout and stderr
-};
-
-Outcome Execute(const std::string& command) {
-  Outcome outcome;
-  std::FILE* pipe = popen((std::string(STRATALUX_BIN_DIR) + "/" + command + " 2>&1").c_str(), "r");
-  std::array<char, 4096> buffer{};
-  while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.text.append(buffer.data(), n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
-}
 
 constexpr const char* kScene = R"(
 [subject]
@@ -136,7 +121,7 @@ class LightCalibration : public ::testing::Test {
 
 TEST_F(LightCalibration, FindsTheLightOfARigThatNobodyDescribed) {
   const Outcome run = Calibrate("store", "s000001 s000002 s000003 s000004 s000005");
-  ASSERT_EQ(run.code, 0) << run.text;
+  ASSERT_EQ(run.code, 0) << run.out;
   const RigCalibration found = Found();
   EXPECT_NEAR(found.camera.black_level_dn, 72.0, 0.1);
   EXPECT_NEAR(found.camera.gain_e_per_dn / 3.4, 1.0, 0.02);
@@ -160,14 +145,14 @@ TEST_F(LightCalibration, FindsTheLightOfARigThatNobodyDescribed) {
     EXPECT_EQ(is.model.fx, was.model.fx);
   }
   // Lines of 2 columns, mm on the target from the light they carry.
-  EXPECT_THAT(run.text, HasSubstr("line of 2 px: 2.0"));
+  EXPECT_THAT(run.out, HasSubstr("line of 2 px: 2.0"));
 }
 
 TEST_F(LightCalibration, WhatNoSessionTellsStaysAndIsNamed) {
   const Outcome run = Calibrate("store", "s000005");
-  ASSERT_EQ(run.code, 0) << run.text;
-  EXPECT_THAT(run.text, HasSubstr("no session of kind dark"));
-  EXPECT_THAT(run.text, HasSubstr("no session of kind flat"));
+  ASSERT_EQ(run.code, 0) << run.out;
+  EXPECT_THAT(run.out, HasSubstr("no session of kind dark"));
+  EXPECT_THAT(run.out, HasSubstr("no session of kind flat"));
   const RigCalibration found = Found();
   EXPECT_EQ(found.camera.black_level_dn, 64.0);
   EXPECT_EQ(found.projectors[0].white_dn_mm2_per_ms[0], 1.0);
@@ -178,12 +163,12 @@ TEST_F(LightCalibration, BadLightIsRefusedWithTheSessionAndTheRemedy) {
   ASSERT_EQ(Capture("bad", "response --exposure 36").code, 0);
   const Outcome bright = Calibrate("bad", "latest");
   EXPECT_EQ(bright.code, 1);
-  EXPECT_THAT(bright.text, HasSubstr("session s000001"));
-  EXPECT_THAT(bright.text, HasSubstr("saturated; expose shorter"));
+  EXPECT_THAT(bright.out, HasSubstr("session s000001"));
+  EXPECT_THAT(bright.out, HasSubstr("saturated; expose shorter"));
   ASSERT_EQ(Capture("bad", "response --fault lamp_drift@60=0.8").code, 0);
   const Outcome drift = Calibrate("bad", "latest");
   EXPECT_EQ(drift.code, 1);
-  EXPECT_THAT(drift.text, HasSubstr("warm up"));
+  EXPECT_THAT(drift.out, HasSubstr("warm up"));
   for (const auto& entry : fs::recursive_directory_iterator(folder_ / "bad"))
     EXPECT_NE(entry.path().filename(), "calibration.json") << "a refused calibration was kept: " << entry.path();
 }
@@ -192,7 +177,7 @@ TEST_F(LightCalibration, WithoutGeometryThereIsNoLight) {
   const Outcome run =
       Execute("stratalux-fit calibrate s000002 --store " + (folder_ / "store").string() + " --known-rig /nowhere.json");
   EXPECT_NE(run.code, 0);
-  EXPECT_THAT(run.text, HasSubstr("/nowhere.json"));
+  EXPECT_THAT(run.out, HasSubstr("/nowhere.json"));
 }
 
 }  // namespace

@@ -1,27 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 // `stratalux-fit profiles` as a user runs it: pipes, files, exit codes, messages.
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
+#include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "tests/support/run_program.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
-
-struct Outcome {
-  int code = -1;
-  std::string out, err;
-};
 
 class ProfilesCommand : public ::testing::Test {
  protected:
@@ -43,22 +39,12 @@ class ProfilesCommand : public ::testing::Test {
   }
   void TearDown() override { fs::remove_all(folder_); }
 
-  void Write(const std::string& name, const std::string& text) const { std::ofstream(folder_ / name) << text; }
-  [[nodiscard]] std::string Read(const std::string& name) const {
-    std::ifstream in(folder_ / name);
-    return {std::istreambuf_iterator<char>(in), {}};
-  }
+  void Write(const std::string& name, const std::string& text) const { WriteText(folder_ / name, text); }
+  [[nodiscard]] std::string Read(const std::string& name) const { return ReadText(folder_ / name); }
   // Runs in the folder; `command` follows "stratalux-fit profiles".
   [[nodiscard]] Outcome Run(const std::string& command) const {
-    Outcome outcome;
-    std::FILE* pipe = popen(
-        ("cd " + folder_.string() + " && " + STRATALUX_BIN_DIR + "/stratalux-fit profiles " + command + " 2>err.txt")
-            .c_str(),
-        "r");
-    std::array<char, 4096> buffer{};
-    while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.out.append(buffer.data(), n);
-    const int status = pclose(pipe);
-    outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    Outcome outcome = Shell("cd " + folder_.string() + " && " + STRATALUX_BIN_DIR + "/stratalux-fit profiles " +
+                            command + " 2>err.txt");
     outcome.err = Read("err.txt");
     return outcome;
   }
@@ -130,3 +116,4 @@ TEST_F(ProfilesCommand, BadInputIsNamedAndNothingIsWritten) {
 }
 
 }  // namespace
+}  // namespace stratalux

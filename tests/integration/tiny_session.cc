@@ -3,12 +3,9 @@
 
 #include <algorithm>
 #include <cstdlib>
-#include <fstream>
-#include <iterator>
 #include <sstream>
 
 #include <gmock/gmock.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 namespace stratalux {
@@ -30,12 +27,11 @@ const Original& TheOriginal() {
   return original;
 }
 
-Outcome Shell(const std::string& command, const fs::path& folder) {
-  const fs::path out = folder / "stdout", err = folder / "stderr";
-  const int status = std::system(("{ " + command + "; } >" + out.string() + " 2>" + err.string()).c_str());
-  Outcome outcome{WIFEXITED(status) ? WEXITSTATUS(status) : -1, WIFSIGNALED(status) ? WTERMSIG(status) : 0,
-                  ReadText(out), ReadText(err)};
-  fs::remove(out);
+// With stderr apart.
+Outcome ShellIn(const fs::path& folder, const std::string& command) {
+  const fs::path err = folder / "stderr";
+  Outcome outcome = Shell("{ " + command + "; } 2>" + err.string());
+  outcome.err = ReadText(err);
   fs::remove(err);
   return outcome;
 }
@@ -69,15 +65,6 @@ motion_whites = 0
 guards = 1
 )";
 
-std::string ReadText(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-}
-
-void WriteText(const fs::path& file, const std::string& text) {
-  std::ofstream(file, std::ios::binary | std::ios::trunc) << text;
-}
-
 std::map<std::string, std::string> Contents(const fs::path& folder) {
   std::map<std::string, std::string> contents;
   if (!fs::exists(folder)) return contents;
@@ -98,8 +85,8 @@ void TinyStore::SetUpTestSuite() {
   WriteText(folder / "rig.toml", kTinyConfig);
   const std::string capture = std::string(STRATALUX_BIN_DIR) + "/stratalux-rig capture --simulate --seed 3 --config " +
                               (folder / "rig.toml").string() + " --store " + (folder / "store").string();
-  ASSERT_EQ(Shell("exec " + capture, folder).code, 0);
-  ASSERT_EQ(Shell("exec " + capture + " --kind calibration", folder).code, 0);
+  ASSERT_EQ(ShellIn(folder, "exec " + capture).code, 0);
+  ASSERT_EQ(ShellIn(folder, "exec " + capture + " --kind calibration").code, 0);
 }
 
 void TinyStore::SetUp() {
@@ -112,9 +99,8 @@ void TinyStore::SetUp() {
 void TinyStore::TearDown() { fs::remove_all(folder_); }
 
 Outcome TinyStore::Run(const std::string& program_and_arguments, const std::string& before) const {
-  return Shell(before + " export STRATALUX_STORE=" + store_.string() + "; exec " + STRATALUX_BIN_DIR + "/" +
-                   program_and_arguments,
-               folder_);
+  return ShellIn(folder_, before + " export STRATALUX_STORE=" + store_.string() + "; exec " + STRATALUX_BIN_DIR + "/" +
+                              program_and_arguments);
 }
 
 void TinyStore::ExpectRefused(const std::string& program_and_arguments, int code,

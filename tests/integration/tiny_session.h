@@ -10,16 +10,10 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/run_program.h"
+#include "tests/support/text_file.h"
+
 namespace stratalux {
-
-struct Outcome {
-  int code = -1;   // exit code; -1: a signal ended the program
-  int signal = 0;  // that signal
-  std::string out, err;
-};
-
-std::string ReadText(const std::filesystem::path& file);
-void WriteText(const std::filesystem::path& file, const std::string& text);
 
 // What a file holds, by its path below `folder`. Without what may come and go at any opening: SQLite's -wal and -shm,
 // and the unfinished fits, which no program shows.

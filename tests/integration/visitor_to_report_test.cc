@@ -2,40 +2,21 @@
 // The main job, end to end, as a user runs it: a simulated visitor is captured, fitted, compared and reported.
 #include <array>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "tests/support/run_program.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
-
-struct Outcome {
-  int code = -1;
-  std::string out;
-};
-
-Outcome Execute(const std::string& command) {
-  Outcome outcome;
-  std::FILE* pipe = popen((std::string(STRATALUX_BIN_DIR) + "/" + command + " 2>/dev/null").c_str(), "r");
-  std::array<char, 4096> buffer{};
-  while (size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.out.append(buffer.data(), n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
-}
-
-std::string Bytes(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-}
 
 // One store for all cases of this program.
 class Visitor : public ::testing::Test {
@@ -45,10 +26,11 @@ class Visitor : public ::testing::Test {
     store_ = (folder_ / "store").string();
     ASSERT_EQ(Execute("stratalux-db init --store " + store_).code, 0);
     ASSERT_EQ(Execute("stratalux-rig capture --simulate --store " + store_ + " --seed 5 --size 696x520").code, 0);
-    const Outcome run = Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --json");
+    const Outcome run =
+        Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --json", Show::kStdout);
     ASSERT_EQ(run.code, 0);
     fit_ = Json::parse(run.out)["folder"].get<std::string>();
-    metrics_ = Json::parse(Bytes(fit_ / "metrics.json"));
+    metrics_ = Json::parse(ReadText(fit_ / "metrics.json"));
   }
   static void TearDownTestSuite() { fs::remove_all(folder_); }
 
@@ -141,7 +123,7 @@ TEST_F(Visitor, IsRelitByLightsThatNobodyCaptured) {
 }
 
 TEST_F(Visitor, ReportHoldsEveryPictureAndNothingFromOutside) {
-  const std::string html = Bytes(fit_ / "report" / "index.html");
+  const std::string html = ReadText(fit_ / "report" / "index.html");
   for (const char* title : {"figure 4", "Shape", "Direct and global", "figure 5", "figure 7", "figure 8", "figure 9",
                             "Layer maps", "Figures"})
     EXPECT_NE(html.find(title), std::string::npos) << title;
@@ -157,11 +139,11 @@ TEST_F(Visitor, MapsDoNotDependOnTheTruth) {
                                          "layers_depth_mm.exr"};
   const std::string command = "stratalux-fit run s000001 --json --pool 3 --force --store " + store_;
   auto maps_of = [&] {
-    const Outcome run = Execute(command);
+    const Outcome run = Execute(command, Show::kStdout);
     EXPECT_EQ(run.code, 0);
     std::vector<std::string> bytes;
     for (const std::string& map : maps)
-      bytes.push_back(Bytes(fs::path(Json::parse(run.out)["folder"].get<std::string>()) / map));
+      bytes.push_back(ReadText(fs::path(Json::parse(run.out)["folder"].get<std::string>()) / map));
     return bytes;
   };
   const std::vector<std::string> before = maps_of();
@@ -177,11 +159,12 @@ TEST_F(Visitor, WithoutScatteringHardlyAnyLightIsInWideLayers) {
   ASSERT_EQ(
       Execute("stratalux-rig capture --simulate --no-scattering --store " + store_ + " --seed 5 --size 696x520").code,
       0);
-  const Outcome opaque = Execute("stratalux-fit run s000002 --store " + store_ + " --json");
+  const Outcome opaque = Execute("stratalux-fit run s000002 --store " + store_ + " --json", Show::kStdout);
   ASSERT_EQ(opaque.code, 0);
   const fs::path folder = Json::parse(opaque.out)["folder"].get<std::string>();
-  EXPECT_LE(Json::parse(Bytes(folder / "metrics.json"))["fit"]["wide_weight_fraction"].get<double>(), 0.02);
+  EXPECT_LE(Json::parse(ReadText(folder / "metrics.json"))["fit"]["wide_weight_fraction"].get<double>(), 0.02);
   EXPECT_GT(metrics_["fit"]["wide_weight_fraction"].get<double>(), 0.15);
 }
 
 }  // namespace
+}  // namespace stratalux

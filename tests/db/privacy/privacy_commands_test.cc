@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // The privacy verbs as an operator runs them.
-#include <cstdio>
-
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
-#include <sys/wait.h>
 
 #include "db/privacy/access_log.h"
 #include "tests/db/privacy/raw_bytes.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/run_program.h"
 
 namespace stratalux::db {
 namespace {
@@ -16,28 +14,14 @@ namespace {
 using ::testing::HasSubstr;
 using ::testing::Not;
 
-struct Outcome {
-  int code = -1;
-  std::string output;  // stdout and stderr
-};
-
 class PrivacyCommands : public StoreTest {
  protected:
   [[nodiscard]] Outcome Db(const std::string& arguments, const std::string& redirect = "2>&1") const {
-    Outcome outcome;
-    FILE* pipe = popen(("STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR + "/stratalux-db " + arguments +
-                        " " + redirect)
-                           .c_str(),
-                       "r");
-    if (pipe == nullptr) return outcome;
-    char buffer[4096];
-    for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.output.append(buffer, n);
-    const int status = pclose(pipe);
-    outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-    return outcome;
+    return Shell("STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR + "/stratalux-db " + arguments + " " +
+                 redirect);
   }
   [[nodiscard]] nlohmann::json Json(const std::string& arguments) const {
-    return nlohmann::json::parse(Db(arguments + " --json", "2>/dev/null").output, nullptr, false);
+    return nlohmann::json::parse(Db(arguments + " --json", "2>/dev/null").out, nullptr, false);
   }
   // Without SQLite's -wal and -shm, which come and go at any opening.
   [[nodiscard]] RawFiles Lasting() const {
@@ -74,8 +58,8 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(Db("forget --visitor nobody --yes").code, 4);
   const Outcome dry = Db("forget " + id + " --dry-run");
   EXPECT_EQ(dry.code, 0);
-  EXPECT_THAT(dry.output, HasSubstr("2 frames"));
-  EXPECT_THAT(dry.output, HasSubstr("nothing was changed"));
+  EXPECT_THAT(dry.out, HasSubstr("2 frames"));
+  EXPECT_THAT(dry.out, HasSubstr("nothing was changed"));
   const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   const auto done = Json("forget " + id + " --yes");
@@ -83,7 +67,7 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(done["leftovers"].size(), 0U);
   const Outcome again = Db("forget " + id + " --yes");
   EXPECT_EQ(again.code, 0);
-  EXPECT_THAT(again.output, HasSubstr("forgotten already"));
+  EXPECT_THAT(again.out, HasSubstr("forgotten already"));
   EXPECT_EQ(Json("deletions")[0]["session"], id);
   EXPECT_EQ(Db("show " + id).code, 4);
 }
@@ -93,25 +77,25 @@ TEST_F(PrivacyCommands, LeftoversAreDegradedUntilResumed) {
   WriteText(folder_ / "thumbnail.txt", id);
   const Outcome first = Db("forget " + id + " --yes");
   EXPECT_EQ(first.code, 3);
-  EXPECT_THAT(first.output, HasSubstr("thumbnail.txt, offset 0: session id"));
+  EXPECT_THAT(first.out, HasSubstr("thumbnail.txt, offset 0: session id"));
   std::filesystem::remove(folder_ / "thumbnail.txt");
   EXPECT_EQ(Db("forget --resume").code, 0);
-  EXPECT_THAT(Db("deletions").output, HasSubstr("yes"));
+  EXPECT_THAT(Db("deletions").out, HasSubstr("yes"));
 }
 
 TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   const std::string id = StoreSession(2);
-  EXPECT_THAT(Db("purge").output, HasSubstr("no session is due"));
+  EXPECT_THAT(Db("purge").out, HasSubstr("no session is due"));
   const RawFiles before = Lasting();
   const Outcome dry = Db("purge --dry-run --now 2099-01-01");
   EXPECT_EQ(dry.code, 0);
-  EXPECT_THAT(dry.output, HasSubstr("kept for 365"));
+  EXPECT_THAT(dry.out, HasSubstr("kept for 365"));
   const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   EXPECT_EQ(Db("purge --now yesterday").code, 2);
   EXPECT_EQ(Db("purge --standard-days -3").code, 2);
   WriteText(folder_ / "rig.toml", "[retention]\nstandard_days = 99999\n");
-  EXPECT_THAT(Db("purge --now 2099-01-01 --config " + (folder_ / "rig.toml").string()).output,
+  EXPECT_THAT(Db("purge --now 2099-01-01 --config " + (folder_ / "rig.toml").string()).out,
               HasSubstr("no session is due"));
   const auto done = Json("purge --now 2099-01-01T00:00:00Z");
   EXPECT_EQ(done["sessions"][0]["session"], id);
@@ -146,7 +130,7 @@ TEST_F(PrivacyCommands, AKeyIsCarriedToAnotherStoreByHand) {
   const std::string read = "frames " + id + " --extract " + (folder_ / "out").string();
   const Outcome without = Db(read);
   EXPECT_EQ(without.code, 4);
-  EXPECT_THAT(without.output, HasSubstr("key import"));
+  EXPECT_THAT(without.out, HasSubstr("key import"));
   EXPECT_EQ(Db("frames " + plain + " --extract " + (folder_ / "plain").string()).code, 0);
   EXPECT_EQ(Db("verify").code, 0);
   ASSERT_EQ(Db("key import " + file.string()).code, 0);

@@ -1,34 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command line: exit codes and messages for wrong use. Nothing here may leave a store behind.
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
+#include "tests/support/run_program.h"
+
+namespace stratalux {
 namespace {
 
 using ::testing::HasSubstr;
 
-struct Outcome {
-  int code = -1;
-  std::string text;  // stdout and stderr
-};
-
 Outcome Rig(const std::string& arguments) {
-  Outcome outcome;
-  const std::string command =
-      "env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig " + arguments + " 2>&1";
-  FILE* pipe = popen(command.c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char buffer[4096];
-  for (size_t n = 0; (n = fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.text.append(buffer, n);
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+  return Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig " + arguments + " 2>&1");
 }
 
 class WrongUse : public ::testing::TestWithParam<std::pair<const char*, const char*>> {};
@@ -36,8 +23,8 @@ class WrongUse : public ::testing::TestWithParam<std::pair<const char*, const ch
 TEST_P(WrongUse, ExitsWith2AndSaysWhy) {
   const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-wrong-use";
   const Outcome outcome = Rig(std::string(GetParam().first) + " --store " + store.string());
-  EXPECT_EQ(outcome.code, 2) << outcome.text;
-  EXPECT_THAT(outcome.text, HasSubstr(GetParam().second));
+  EXPECT_EQ(outcome.code, 2) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr(GetParam().second));
   EXPECT_FALSE(std::filesystem::exists(store));
 }
 
@@ -67,21 +54,21 @@ TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
   std::ofstream(file) << "[plan]\nmotion_whites = 2\nmotion_blacks = 2\n";
   const Outcome outcome = Rig("plan show --config " + file.string());
   EXPECT_EQ(outcome.code, 2);
-  EXPECT_THAT(outcome.text, HasSubstr(file.string() + ":3"));
-  EXPECT_THAT(outcome.text, HasSubstr("motion_blacks"));
+  EXPECT_THAT(outcome.out, HasSubstr(file.string() + ":3"));
+  EXPECT_THAT(outcome.out, HasSubstr("motion_blacks"));
 }
 
 TEST(StrataluxRig, FlagsOverrideTheConfiguration) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-kinds.toml";
   std::ofstream(file) << "[plan]\nkind = \"flat\"\nprojectors = 1\npreroll_markers = 0\n";
-  EXPECT_THAT(Rig("plan show --config " + file.string()).text, HasSubstr("\n91 frames"));
-  EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).text, HasSubstr("\n48 frames"));
+  EXPECT_THAT(Rig("plan show --config " + file.string()).out, HasSubstr("\n91 frames"));
+  EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).out, HasSubstr("\n48 frames"));
 }
 
 TEST(StrataluxRig, AStoreMustBeNamed) {
   const Outcome outcome = Rig("capture --simulate");
   EXPECT_EQ(outcome.code, 2);
-  EXPECT_THAT(outcome.text, HasSubstr("STRATALUX_STORE"));
+  EXPECT_THAT(outcome.out, HasSubstr("STRATALUX_STORE"));
 }
 
 // Before any device is looked for: the lines and the camera of this file do not exist.
@@ -94,12 +81,12 @@ TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
   const std::string capture = "capture --config " + file.string() + " --store " + store.string();
   for (const char* visitor : {"", " --visitor simulated"}) {
     const Outcome outcome = Rig(capture + visitor);
-    EXPECT_EQ(outcome.code, 2) << outcome.text;
-    EXPECT_THAT(outcome.text, HasSubstr("needs a pseudonym"));
+    EXPECT_EQ(outcome.code, 2) << outcome.out;
+    EXPECT_THAT(outcome.out, HasSubstr("needs a pseudonym"));
   }
   const Outcome flat = Rig(capture + " --kind flat --yes");
-  EXPECT_EQ(flat.code, 4) << flat.text;
-  EXPECT_THAT(flat.text, HasSubstr("no-such-line"));
+  EXPECT_EQ(flat.code, 4) << flat.out;
+  EXPECT_THAT(flat.out, HasSubstr("no-such-line"));
   EXPECT_FALSE(std::filesystem::exists(store));
 }
 
@@ -108,24 +95,25 @@ TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
   std::ofstream(file) << "[plan]\nprojectors = 1\n";
   const Outcome unwired = Rig("safe --config " + file.string());
   EXPECT_EQ(unwired.code, 2);
-  EXPECT_THAT(unwired.text, HasSubstr("no ENABLE line"));
+  EXPECT_THAT(unwired.out, HasSubstr("no ENABLE line"));
   std::ofstream(file) << "[plan]\nprojectors = 1\n[[projector]]\nenable = { line = \"no-such-line\" }\n"
                          "trigger = { line = \"t\" }\nsync = { line = \"s\" }\n";
   const Outcome missing = Rig("safe --config " + file.string());
   EXPECT_EQ(missing.code, 4);
-  EXPECT_THAT(missing.text, HasSubstr("no-such-line"));
+  EXPECT_THAT(missing.out, HasSubstr("no-such-line"));
 }
 
 TEST(StrataluxRig, HelpShowsExamples) {
   const Outcome outcome = Rig("--help");
   EXPECT_EQ(outcome.code, 0);
-  EXPECT_THAT(outcome.text, HasSubstr("stratalux-rig capture --simulate --store store"));
+  EXPECT_THAT(outcome.out, HasSubstr("stratalux-rig capture --simulate --store store"));
 }
 
 TEST(StrataluxRig, ThePlanHas492Frames) {
   const Outcome outcome = Rig("plan show");
   EXPECT_EQ(outcome.code, 0);
-  EXPECT_THAT(outcome.text, HasSubstr("492 frames"));
+  EXPECT_THAT(outcome.out, HasSubstr("492 frames"));
 }
 
 }  // namespace
+}  // namespace stratalux
