@@ -91,10 +91,11 @@ std::string Reasons(const CaptureOutcome& capture) {
   return text;
 }
 
-// Captures one pose until it is usable. False: the operator or a signal ended the series.
-Result<bool> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
-                                const std::atomic<bool>& stop, Logger& logger, PoseOutcome& pose,
-                                SeriesOutcome& outcome) {
+// Captures one pose until it is usable. Else than kGo: the operator went back; the operator or a signal ended the
+// series.
+Result<Answer> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+                                  const std::atomic<bool>& stop, Logger& logger, PoseOutcome& pose,
+                                  SeriesOutcome& outcome) {
   const std::string name = "pose " + std::to_string(pose.pose);
   while (pose.attempts < series.max_attempts) {
     SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(options, pose.pose, stop, logger));
@@ -106,15 +107,16 @@ Result<bool> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptio
     if (pose.usable) {
       outcome.camera.Add(attempt.sighting.camera);
       for (size_t p = 0; p < outcome.projectors.size(); ++p) outcome.projectors[p].Add(attempt.sighting.projectors[p]);
-      return true;
+      return Answer::kGo;
     }
     logger.Warning(name + " went wrong: " + Reasons(pose.capture));
-    if (stop.load()) return false;
+    if (stop.load()) return Answer::kQuit;
     if (pose.attempts == series.max_attempts) break;
     if (!ask && !attempt.by_chance()) break;
-    if (ask && ask(name + " again. Mend what is named above") != Answer::kGo) return false;
+    if (!ask) continue;
+    if (const Answer answer = ask(name + " again. Mend what is named above"); answer != Answer::kGo) return answer;
   }
-  return true;
+  return Answer::kGo;
 }
 
 // The outcome of this pose: of an earlier attempt, gone back to, or a new one.
@@ -140,17 +142,17 @@ std::vector<std::string> UsableSessions(const SeriesOutcome& outcome) {
 
 }  // namespace
 
-AskOperator AskOnTerminal(const std::atomic<bool>& stop) {
-  return [&stop](const std::string& text) {
+AskOperator AskOnTerminal(const std::atomic<bool>& stop, bool poses) {
+  return [&stop, poses](const std::string& text) {
     std::string line;
     while (true) {
-      std::fprintf(stderr, "%s\n[Enter: capture, b: the pose before, q: end] ", text.c_str());
+      std::fprintf(stderr, "%s\n[Enter: capture, %sq: end] ", text.c_str(), poses ? "b: the pose before, " : "");
       if (!ReadLine(stop, line)) {
         std::fprintf(stderr, "\nno answer on stdin (--yes captures without asking)\n");
         return Answer::kQuit;
       }
       if (line.empty()) return Answer::kGo;
-      if (line == "b") return Answer::kBack;
+      if (poses && line == "b") return Answer::kBack;
       if (line == "q") return Answer::kQuit;
     }
   };
@@ -160,7 +162,10 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
                                     const std::atomic<bool>& stop, Logger& logger) {
   SeriesOutcome outcome;
   outcome.projectors.resize(static_cast<size_t>(options.config.plan.projectors));
-  int pose = series.first;
+  outcome.first = series.first;
+  outcome.end = series.poses;
+  int& pose = outcome.next;
+  pose = series.first;
   while (pose < series.poses) {
     const std::string text = "pose " + std::to_string(pose) + " (" + std::to_string(pose - series.first + 1) + " of " +
                              std::to_string(series.poses - series.first) + ")";
@@ -175,11 +180,11 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
     } else {
       logger.Info(text);
     }
-    SLX_ASSIGN_OR_RETURN(const bool go_on,
+    SLX_ASSIGN_OR_RETURN(const Answer answer,
                          CaptureUntilUsable(options, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
     logger.Info(CoverageLine(outcome));
-    if (!go_on) return outcome;
-    ++pose;
+    if (answer == Answer::kQuit) return outcome;
+    pose = answer == Answer::kBack ? std::max(series.first, pose - 1) : pose + 1;
   }
   outcome.finished = true;
   return outcome;
@@ -194,7 +199,7 @@ Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperat
     BoardWatch watch(BoardOptions(config));
     return Capture(options, stop, logger, &watch);
   }
-  if (ask && ask(LightInstruction(config.plan.kind)) != Answer::kGo)
+  if (ask && ask(LightInstruction(config.plan.kind, options.board_pose)) != Answer::kGo)
     return Status::Failed("ended before the capture; nothing was stored");
   LightWatchOptions light;
   light.kind = config.plan.kind;
@@ -212,11 +217,15 @@ std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store)
             pose.capture.session + (pose.attempts > 1 ? ", attempt " + std::to_string(pose.attempts) : "") + "\n";
     if (!pose.usable) text += "  " + Reasons(pose.capture) + "\n";
   }
-  if (!outcome.finished) text += "the series was ended early; --pose N goes on with pose N\n";
+  if (!outcome.finished)
+    text += "the series was ended early; it goes on with --pose " + std::to_string(outcome.next) + " --poses " +
+            std::to_string(outcome.end) + "\n";
   text += CoverageMaps(outcome);
   const auto sessions = UsableSessions(outcome);
   if (sessions.empty()) return text;
-  text += "next: stratalux-fit calibrate --store " + store;
+  const bool all = outcome.finished && outcome.first == 0;
+  text += all ? "next: " : "next, with the sessions of the other poses: ";
+  text += "stratalux-fit calibrate --store " + store;
   for (const std::string& session : sessions) text += " " + session;
   return text + "\n";
 }

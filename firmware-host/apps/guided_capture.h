@@ -19,8 +19,9 @@ enum class Answer { kGo, kBack, kQuit };
 // Shows a text and waits for what the operator decides.
 using AskOperator = std::function<Answer(const std::string& text)>;
 
-// On the terminal: Enter goes on, b goes back by one pose, q ends; the end of stdin and a stop signal end, too.
-[[nodiscard]] AskOperator AskOnTerminal(const std::atomic<bool>& stop);
+// On the terminal: Enter goes on, b goes back by one pose (where there are `poses`), q ends; the end of stdin and a
+// stop signal end, too.
+[[nodiscard]] AskOperator AskOnTerminal(const std::atomic<bool>& stop, bool poses);
 
 struct SeriesOptions {
   int first = 0;         // number of the first pose: > 0 goes on with a series that was broken off
@@ -41,6 +42,9 @@ struct SeriesOutcome {
   CoverageMap camera;  // of the usable poses
   std::vector<CoverageMap> projectors;
   bool finished = false;  // not ended by the operator or a signal
+  int first = 0;          // pose of this series
+  int next = 0;           // pose at which an unfinished one goes on
+  int end = 0;            // behind the last pose
 };
 
 // One session a pose. A pose that went wrong is captured again at once: after the operator mended what is named, or,

@@ -223,7 +223,7 @@ int RunCapture(const Flags& flags) {
   if (!series.ok()) return Report(series.status());
   // A simulated board needs nobody's hands.
   AskOperator ask;
-  if (!flags.yes && !options->simulated) ask = AskOnTerminal(InstallStopSignals());
+  if (!flags.yes && !options->simulated) ask = AskOnTerminal(InstallStopSignals(), series->has_value());
   if (*series) return RunSeries(flags, *options, **series, ask, logger);
   const Result<CaptureOutcome> outcome = CaptureOne(*options, ask, InstallStopSignals(), logger);
   if (!outcome.ok()) return Report(outcome.status());
@@ -333,15 +333,15 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
   capture
-      ->add_option("--pose", flags.board_pose,
-                   "calibration: number of the board's pose, kept with the session; simulation: which [[pose]] of the "
-                   "scene")
+      ->add_option(
+          "--pose", flags.board_pose,
+          "calibration, flat: number of the pose, from 0, kept with the session; this one alone unless --poses "
+          "is given; simulation: which [[pose]] of the scene")
       ->check(CLI::Range(0, 999));
   capture
-      ->add_option(
-          "--poses", flags.poses,
-          "calibration: so many poses one after the other, from --pose on (default: 12; simulation: as many as "
-          "the scene lists)")
+      ->add_option("--poses", flags.poses,
+                   "calibration: one after the other, from --pose (else 0) to the one before this number (default: 12; "
+                   "simulation: as many as the scene lists)")
       ->check(CLI::Range(1, 999));
   capture->add_flag("--yes", flags.yes, "calibration, dark, flat, response: do not wait for Enter before a capture");
   capture->add_option("--calibration", flags.calibration,

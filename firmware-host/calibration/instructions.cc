@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/calibration/instructions.h"
 
+#include <algorithm>
 #include <array>
 
 namespace stratalux::rig {
@@ -20,6 +21,12 @@ constexpr std::array<const char*, kAdvisedPoses> kPoses = {
     "to the bottom, 4 cm nearer, turned by 20 degrees; top towards the camera by 30 degrees",
     "towards a corner that is not covered yet; left side away by 30 degrees"};
 
+constexpr std::array<const char*, 3> kFlats = {
+    "where a face would be, about facing the camera",
+    "9 cm nearer than a face would be, tilted by some 20 degrees",
+    "9 cm farther than a face would be, tilted by some 20 degrees the other way",
+};
+
 }  // namespace
 
 std::string PoseInstruction(int pose) {
@@ -27,13 +34,13 @@ std::string PoseInstruction(int pose) {
   return pose < kAdvisedPoses ? text : text + ", towards a part of the picture that is not covered yet";
 }
 
-std::string LightInstruction(SessionKind kind) {
+std::string LightInstruction(SessionKind kind, int pose) {
   switch (kind) {
     case SessionKind::kDark:
       return "dark: put the cap on the lens, close the door; no light may reach the camera";
     case SessionKind::kFlat:
-      return "flat: a flat, matt, white target (of known reflectance) that fills the picture, where a face would be, "
-             "facing the camera";
+      return std::string("flat: a flat, matt, white target (of known reflectance) that fills the picture, ") +
+             kFlats[static_cast<size_t>(std::max(0, pose)) % kFlats.size()];
     case SessionKind::kResponse:
       return "response: the white target of the flat capture, not moved; let the projectors warm up for half an hour";
     default:

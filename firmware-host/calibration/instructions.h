@@ -14,7 +14,8 @@ inline constexpr int kAdvisedPoses = 12;
 // poses lean in all directions, reach the edges of the picture and both ends of the working depth
 // (docs/calibration.md).
 [[nodiscard]] std::string PoseInstruction(int pose);
-// Of kinds dark, flat and response: what must be in front of the rig. Empty for the others.
-[[nodiscard]] std::string LightInstruction(SessionKind kind);
+// Of kinds dark, flat and response: what must be in front of the rig. Empty for the others. Flat captures 0, 1 and 2
+// differ in depth and tilt, by which vignetting and fall-off are told apart.
+[[nodiscard]] std::string LightInstruction(SessionKind kind, int pose = 0);
 
 }  // namespace stratalux::rig

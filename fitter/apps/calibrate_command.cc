@@ -148,8 +148,9 @@ Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const std::option
   return std::optional(record);
 }
 
+// `light`: sessions of it are there, too.
 std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCalibration>& known,
-                           const GeometryReport& report) {
+                           const GeometryReport& report, bool light) {
   std::vector<Finding> findings = JudgeCalibration(report);
   if (known) {
     const auto more = CompareWithKnownRig(RigGeometry::From(*known), report);
@@ -159,6 +160,11 @@ std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCali
                         "no earlier calibration of this rig: the size of the squares is taken on trust",
                         "measure it twice, or name a record with --known-rig"});
   }
+  // Nothing to keep either: the record holds placeholders.
+  if (!boards.calibration && !light)
+    findings.push_back({Severity::kWarning,
+                        "the light was never measured: black level 0, gain 1, no responses, vignetting or fall-off",
+                        "capture dark, flat and response, and calibrate with their sessions before the first visitor"});
   for (const std::string& pose : boards.left_out)
     findings.push_back({Severity::kWarning, pose, "the pose was left out"});
   return findings;
@@ -178,9 +184,10 @@ Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_jso
     SLX_ASSIGN_OR_RETURN(const auto file, Register(f, page.sessions, record, json.dump(1), html));
     if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record));
     text += (f.out.empty() ? file.string() : f.out) + "\n";
+    text += "page " + (file.parent_path() / "calibration_report.html").string() + "\n";
     json["record"] = f.out.empty() ? file.string() : f.out;
   }
-  std::printf("%s\n", f.json ? json.dump(1).c_str() : text.c_str());
+  std::printf("%s", (f.json ? json.dump(1) + "\n" : text).c_str());
   if (!IsRefused(page.findings)) return accepted;
   logger.Error("calibration refused; nothing was stored");
   return static_cast<int>(StatusCode::kFailed);
@@ -250,7 +257,7 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
   }
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards.calibration));
-  CalibrationPage page{boards.sessions, Judge(boards, known, report), &report, known};
+  CalibrationPage page{boards.sessions, Judge(boards, known, report, !by_use.light.empty()), &report, known};
   page.record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
   if (!boards.calibration) page.record.camera.cfa = by_use.cfa;
   page.record.made_wall = page.record.valid_until_wall = {};  // not those of the record before

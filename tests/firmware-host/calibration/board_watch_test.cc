@@ -162,6 +162,9 @@ TEST(PoseInstruction, LeadsThroughTwelvePosesAndOn) {
   for (int pose = 0; pose < 2 * kAdvisedPoses; ++pose) EXPECT_FALSE(PoseInstruction(pose).empty());
   EXPECT_NE(PoseInstruction(0), PoseInstruction(kAdvisedPoses));
   EXPECT_TRUE(LightInstruction(SessionKind::kVisitor).empty());
+  EXPECT_THAT(LightInstruction(SessionKind::kFlat, -1), HasSubstr("facing the camera"));
+  EXPECT_THAT(LightInstruction(SessionKind::kFlat, 1), HasSubstr("nearer"));
+  EXPECT_THAT(LightInstruction(SessionKind::kFlat, 2), HasSubstr("farther"));
 }
 
 }  // namespace
