@@ -188,7 +188,7 @@ TEST_F(DamagedIndex, OfANewerSchema) {
   std::string bytes = ReadText(Index());
   bytes[63] = 9;  // user_version, big-endian, at 60
   WriteText(Index(), bytes);
-  ExpectRefusedByAll(7, {Index().string(), "schema 9 is newer than this program's 3", "use a newer stratalux"});
+  ExpectRefusedByAll(7, {Index().string(), "schema 9 is newer than this program's 4", "use a newer stratalux"});
   ExpectRefused("stratalux-db init", 7, {Index().string(), "use a newer stratalux"});
 }
 
