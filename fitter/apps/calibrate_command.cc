@@ -31,7 +31,7 @@ struct Flags {
   BoardStageOptions stage;
   LightStageOptions light;
   int last = 0;
-  double valid_days = kCalibrationValidDays;
+  std::optional<double> valid_days;
   bool json = false;
 };
 
@@ -94,14 +94,20 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
 }
 
 // Made when the newest of its sessions was captured: calibrating the same captures again makes nothing newer.
+// A record that has its time, of which light alone is new, keeps it, and its validity unless --valid-days says
+// otherwise.
 Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, RigCalibration& record) {
-  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
-  for (const std::string& id : sessions) {
-    SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(id));
-    const WallNs ended = row.info.finished_wall.ns != 0 ? row.info.finished_wall : row.info.started_wall;
-    record.made_wall = std::max(record.made_wall, ended);
+  if (record.made_wall.ns != 0 && !f.valid_days) return Status::Ok();
+  if (record.made_wall.ns == 0) {
+    SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
+    for (const std::string& id : sessions) {
+      SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(id));
+      const WallNs ended = row.info.finished_wall.ns != 0 ? row.info.finished_wall : row.info.started_wall;
+      record.made_wall = std::max(record.made_wall, ended);
+    }
   }
-  record.valid_until_wall.ns = record.made_wall.ns + static_cast<int64_t>(f.valid_days * 86400e9);
+  record.valid_until_wall.ns =
+      record.made_wall.ns + static_cast<int64_t>(f.valid_days.value_or(kCalibrationValidDays) * 86400e9);
   return Status::Ok();
 }
 
@@ -173,7 +179,7 @@ std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCali
 // Verdict, record, figures and page where they belong; `accepted`: the exit code unless refused.
 Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_json& json, std::string& text,
                      int accepted, Logger& logger) {
-  if (page.record.made_wall.ns == 0) SLX_RETURN_IF_ERROR(StampValidity(f, page.sessions, page.record));
+  SLX_RETURN_IF_ERROR(StampValidity(f, page.sessions, page.record));
   json["verdict"] = VerdictOf(page.findings);
   json["findings"] = nlohmann::ordered_json::parse(FindingsJson(page.findings));
   text += FindingsText(page.findings);
@@ -324,9 +330,10 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
   verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
-  verb->add_option("--valid-days", flags->valid_days, "Days after its captures from which on sessions warn of its age")
-      ->check(CLI::Range(0.01, 36500.0))
-      ->capture_default_str();
+  verb->add_option("--valid-days", flags->valid_days,
+                   "Days after its captures from which on sessions warn of its age (default: 30; of light alone: as "
+                   "the known rig has it)")
+      ->check(CLI::Range(0.01, 36500.0));
   verb->add_option("--out", flags->out, "Write the record here, too, and the page beside it (.html)");
   verb->add_option("--page", flags->page, "Write the page (HTML) here, whether accepted or refused");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
