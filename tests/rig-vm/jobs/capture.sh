@@ -22,7 +22,7 @@ v4l2_node() { echo /dev/"$(basename "$(dirname "$(grep -l "$1" /sys/class/video4
 # capture NAME PLAN WANTED FAULT...: WANTED lists the session's allowed ends; a fault must leave a sign. `control`, if
 # set, is given to vivid just before the capture.
 capture() {
-  local name="$1" config="$2" wanted="$3" out=/share/"$1" responder visitor="" ended judged detected
+  local name="$1" config="$2" wanted="$3" out=/share/"$1" responder subject ended judged detected
   shift 3
   mkdir "$out"
   /build/bin/rig-vm-responder "$config" "$screen" "$@" >"$out/responder.log" 2>&1 &
@@ -32,10 +32,12 @@ capture() {
     sleep 0.2
   done
   [ -z "$control" ] || v4l2-ctl -d "$camera" -c "$control"
-  [ "$config" = $short_plan ] || visitor="--visitor loop-1 --consent-scope fit --consent-text test --consent-language en"
+  # One pose of a board: the guided series would ask for an answer.
+  subject="--pose 0"
+  [ "$config" = $short_plan ] || subject="--visitor loop-1 --consent-scope fit --consent-text test --consent-language en"
   rm -rf /tmp/store
   # shellcheck disable=SC2086
-  timeout 120 /build/bin/stratalux-rig capture --config "$config" --store /tmp/store $visitor --json \
+  timeout 120 /build/bin/stratalux-rig capture --config "$config" --store /tmp/store $subject --json \
     >"$out/outcome.json" 2>"$out/rig.log"
   ended=$?
   kill $responder 2>/dev/null
