@@ -6,6 +6,7 @@
 #include <thread>
 
 #include "firmware-host/sequence/probe_lattice.h"
+#include "shared/base/median.h"
 
 namespace stratalux::rig {
 namespace {
@@ -18,11 +19,6 @@ std::string Text(const char* format, double a, double b = 0.0, double c = 0.0) {
   char text[160];
   std::snprintf(text, sizeof text, format, a, b, c);
   return text;
-}
-
-double Median(std::vector<double> values) {
-  std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
-  return values[values.size() / 2];
 }
 
 class RigCheck {

@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "fitter/calibration/monotone.h"
+#include "shared/base/median.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -18,13 +19,6 @@ constexpr int kResponseNodes = 65;
 constexpr int kTerms = 4;               // of h beyond the linear one
 constexpr double kTransferRange = 0.6;  // of the range; above, a compressing camera's noise is compressed, too
 constexpr double kHotSigmas = 6.0;
-
-double MedianOf(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // h in units of the range, without the linear term's factor.
 double Linearised(double s, const Eigen::VectorXd& a) {
@@ -107,10 +101,10 @@ Result<DarkReport> DarkStatistics::Finish() const {
     levels[i] = MeanAt(longest, i);
     report.read_noise_dn_map.pixels()[i] = static_cast<float>(std::sqrt(std::max(0.0, VarianceAt(shortest, i))));
   }
-  const double usual = MedianOf(levels);
+  const double usual = Median(levels);
   std::vector<double> deviations(levels.size());
   for (size_t i = 0; i < levels.size(); ++i) deviations[i] = std::abs(levels[i] - usual);
-  const double limit = kHotSigmas * std::max(MedianOf(deviations) / 0.6745, 0.5 / std::sqrt(longest.frames));
+  const double limit = kHotSigmas * std::max(Median(deviations) / 0.6745, 0.5 / std::sqrt(longest.frames));
   double offsets = 0.0, squares = 0.0, variance = 0.0;
   int64_t count = 0;
   for (size_t i = 0; i < levels.size(); ++i) {
@@ -131,7 +125,7 @@ Result<DarkReport> DarkStatistics::Finish() const {
   const double bias = report.black_level_dn - usual;
   report.offset_spread_dn = std::sqrt(std::max(0.0, squares / sites - bias * bias - variance * offset_noise));
   report.read_noise_dn = std::sqrt(std::max(0.0, variance - step_ * step_ / 12.0));
-  report.dark_current_dn_per_s = 1000.0 * MedianOf(rates);
+  report.dark_current_dn_per_s = 1000.0 * Median(rates);
   return report;
 }
 

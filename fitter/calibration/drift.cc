@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <optional>
 
+#include "shared/base/median.h"
 #include "shared/geometry/quad.h"
 #include "shared/units/angle.h"
 
@@ -18,13 +19,6 @@ struct Point {
   Eigen::Matrix<double, 2, 3> by_turning;  // d predicted / d turn (rad), about the projector's own axes
   double sigma_px = 0.0;                   // of the codes, both axes together
 };
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<int64_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // Mean of the decoded coordinates of a quad; false unless all of its sites are decoded.
 bool DecodedQuad(const DecodedMap& map, int step, int i, int j, Eigen::Vector2d& at, double& sigma) {

@@ -8,18 +8,13 @@
 #include <map>
 
 #include "fitter/structured_light/local_homography.h"
+#include "shared/base/median.h"
 #include "shared/pattern/pattern.h"
 
 namespace stratalux::fit {
 namespace {
 
 constexpr int kSaturationReach = 10;  // sites about a corner that are looked at
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::string Fixed(double value, int digits) {
   char text[32];

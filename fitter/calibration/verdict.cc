@@ -7,6 +7,7 @@
 #include <cstdarg>
 #include <cstdio>
 
+#include "shared/base/median.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
@@ -146,11 +147,6 @@ std::vector<double> DistanceRatios(const RigGeometry& known, const RigGeometry& 
     ratios.push_back(ours.projectors[p].camera_from_projector.translation_mm.norm() /
                      known.projectors[p].camera_from_projector.translation_mm.norm());
   return ratios;
-}
-
-double Median(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return values[values.size() / 2];
 }
 
 }  // namespace

@@ -54,12 +54,7 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
 }  // namespace
 
 CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, double reach_mm, int every) {
-  EmOptions options;
-  options.shift_law = map.shift_law;
-  options.eta = map.eta;
-  options.tau = map.tau;
-  options.gain_model = map.gain_model;
-  options.directional = map.directional;
+  const EmOptions options = OptionsOf(map);
   std::vector<int64_t> chosen;
   for (int64_t i = 0; i < map.profiles(); ++i)
     if (i / map.channels % every == 0 && map.Fitted(i) && heldout.valid[i] != 0) chosen.push_back(i);

@@ -264,6 +264,15 @@ LayerSet LayersOf(const MixtureMap& map, int64_t profile) {
   return set;
 }
 
+EmOptions OptionsOf(const MixtureMap& map, EmOptions options) {
+  options.shift_law = map.shift_law;
+  options.eta = map.eta;
+  options.tau = map.tau;
+  options.gain_model = map.gain_model;
+  options.directional = map.directional;
+  return options;
+}
+
 double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
   // Centre each profile's values over its lights, then one regression through the origin.
   double xy = 0.0, xx = 0.0;

@@ -33,20 +33,13 @@ struct SinusoidContrast {
   double surface = 0.0, layers = 0.0;
 };
 
-SinusoidContrast ContrastAlong(PatternAxis axis, const HoldOutInput& in, const MixtureMap& map, int i, int j,
-                               int64_t profile) {
-  const RigCalibration& rig = *in.frames.calibration();
-  const PlanOptions& plan = *in.frames.plan();
-  const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
-  // The amplitude is taken site by site, so the blur of a single site (that of red) counts, also for the two greens.
-  const SrdGeometry g = ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, 0,
-                                           plan.exposure_ms, axis);
-  if (!(g.white_dn > 0.0)) return {};
-  const double wave = 2.0 * std::numbers::pi / (plan.separation_period * g.mm_per_column);
-  const double half_pixel = std::numbers::pi / plan.separation_period;  // the projector's pixels are boxes
+// `g`: of the axis, at the site of red: the amplitude is taken site by site, so the blur of a single site counts, also
+// for the two greens.
+SinusoidContrast ContrastOf(const SrdGeometry& g, const RefractedDirections& directions, double separation_period,
+                            const MixtureMap& map, int64_t profile) {
+  const double wave = 2.0 * std::numbers::pi / (separation_period * g.mm_per_column);
+  const double half_pixel = std::numbers::pi / separation_period;  // the projector's pixels are boxes
   const double seen = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
-  const RefractedDirections directions = DirectionsOf(
-      (rig.projectors[in.projector].CentreInCamera() - point).normalized(), -point.normalized(), normal, map.eta);
   double narrow = 0.0;
   for (int l = 0; l < map.layers; ++l) {
     const size_t at = static_cast<size_t>(profile) * map.layers + l;
@@ -61,24 +54,32 @@ SinusoidContrast ContrastAlong(PatternAxis axis, const HoldOutInput& in, const M
 // both axes, holds the surface's light and what of the layers' the period still resolves.
 Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
   const RigCalibration& rig = *in.frames.calibration();
+  const PlanOptions& plan = *in.frames.plan();
   const SeparationMap& separation = in.face.separation[in.projector];
   Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
   ParallelFor(in.surface.height(), 4, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < in.surface.width(); ++i) {
         if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
+        const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
+        auto geometry_of = [&](int channel, PatternAxis axis) {
+          return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, channel,
+                                    plan.exposure_ms, axis);
+        };
+        const SrdGeometry columns = geometry_of(0, PatternAxis::kColumns), rows = geometry_of(0, PatternAxis::kRows);
+        if (!(columns.white_dn > 0.0) || !(rows.white_dn > 0.0)) continue;
+        const RefractedDirections directions = DirectionsOf(
+            (rig.projectors[in.projector].CentreInCamera() - point).normalized(), -point.normalized(), normal, map.eta);
         for (int c = 0; c < map.channels; ++c) {
           const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
           if (!map.Fitted(profile)) continue;
-          const SrdGeometry g =
-              ComputeSrdGeometry(rig, in.projector, in.surface.Point(i, j), in.surface.Normal(i, j),
-                                 QuadCentre(rig.camera.cfa, i, j), 1, c, in.frames.plan()->exposure_ms);
-          const SinusoidContrast columns = ContrastAlong(PatternAxis::kColumns, in, map, i, j, profile),
-                                 rows = ContrastAlong(PatternAxis::kRows, in, map, i, j, profile);
-          if (!(g.white_dn > 0.0) || !(columns.surface > 0.0) || !(rows.surface > 0.0)) continue;
+          const double white_dn = geometry_of(c, PatternAxis::kColumns).white_dn;
+          if (!(white_dn > 0.0)) continue;
+          const SinusoidContrast across = ContrastOf(columns, directions, plan.separation_period, map, profile),
+                                 along = ContrastOf(rows, directions, plan.separation_period, map, profile);
           reflectance(i, j, c) =
-              static_cast<float>((2.0 * separation.direct(i, j, c) / g.white_dn - columns.layers - rows.layers) /
-                                 (columns.surface + rows.surface));
+              static_cast<float>((2.0 * separation.direct(i, j, c) / white_dn - across.layers - along.layers) /
+                                 (across.surface + along.surface));
         }
       }
   });

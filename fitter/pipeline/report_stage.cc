@@ -147,12 +147,7 @@ ReportSection SrdOfPixel(const RunPictures& in) {
   const MixtureMap& map = *in.map;
   const int64_t profile = in.chosen_profile;
   if (profile < 0) return section;
-  EmOptions options;
-  options.shift_law = map.shift_law;
-  options.eta = map.eta;
-  options.tau = map.tau;
-  options.gain_model = map.gain_model;
-  options.directional = map.directional;
+  const EmOptions options = OptionsOf(map);
   const LayerSet layers = LayersOf(map, profile);
   for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
     const SrdBatch& b = in.chosen_srds[p];

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <cstring>
 
-#include "fitter/mixture/simd.h"
+#include "fitter/render/simd.h"
 
 namespace stratalux::fit {
 
