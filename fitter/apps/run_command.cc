@@ -17,7 +17,7 @@ namespace {
 struct Flags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
-              distance = "tangent", directional = "off";
+              distance = "tangent", directional = "off", surface = "model", background = "off";
   bool json = false, path_only = false;
 };
 
@@ -44,6 +44,15 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->capture_default_str();
   verb.add_option("--directional", f.directional,
                   "on: weights of the layers that follow the directions, chosen on the training lights; off")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
+  verb.add_option("--surface", f.surface,
+                  "Light reflected by the very surface. model: facets of one roughness and strength, found on the "
+                  "training lights; free: of each light its own, near 5 %")
+      ->check(CLI::IsMember({"model", "free"}))
+      ->capture_default_str();
+  verb.add_option("--background", f.background,
+                  "on: a uniform floor beside the layers, for rooms whose light returns from far; off")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--refinement", f.run.em.refinement_iterations,
@@ -94,6 +103,8 @@ int Execute(Flags& f) {
   f.run.srd.distance = *distance;
   f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.run.em.gain_model = f.gain == "model";
+  f.run.em.estimate_reflection = f.surface == "model";
+  f.run.em.background_term = f.background == "on";
   f.run.em.choose_directions = f.directional == "on";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);

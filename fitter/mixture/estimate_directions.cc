@@ -135,7 +135,8 @@ EmOptions With(EmOptions options, const Parameters& at) {
 Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> lights, int channels, EmOptions options,
                                              int every) {
   SLX_CHECK(every >= 1 && !lights.empty());
-  if (options.gain_model) options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
+  if (options.gain_model && !options.reflection.Known())
+    options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
   std::vector<SrdBatch> parts;
   for (const SrdBatch* b : lights) parts.push_back(Sample(*b, channels, every));
   std::vector<const SrdBatch*> sampled;

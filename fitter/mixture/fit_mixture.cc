@@ -68,6 +68,7 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   map.tau = options.tau;
   map.gain_model = options.gain_model;
   map.directional = options.directional;
+  map.reflection = options.reflection;
   map.training_projectors = projectors;
   const size_t profiles = static_cast<size_t>(map.profiles());
   for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm}) v->assign(profiles * options.layers, 0.0F);
@@ -270,10 +271,11 @@ EmOptions OptionsOf(const MixtureMap& map, EmOptions options) {
   options.tau = map.tau;
   options.gain_model = map.gain_model;
   options.directional = map.directional;
+  options.reflection = map.reflection;
   return options;
 }
 
-double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
+double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const SurfaceReflection& surface) {
   // Centre each profile's values over its lights, then one regression through the origin.
   double xy = 0.0, xx = 0.0;
   const int64_t profiles = lights.empty() ? 0 : lights[0]->profiles();
@@ -281,12 +283,8 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
       if (Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
-      double sum = 0.0;
-      if (!batch->white.empty() && batch->white_variance[i] > 0.0F) {
-        sum = batch->white[i];
-      } else {
-        for (int k = 0; k < batch->samples; ++k) sum += batch->y[i * batch->samples + k];
-      }
+      const double sum =
+          WhiteReflectanceOf(*batch, i).value - ReflectanceOf(surface, ReflectionAngles::Of(*batch, i), eta);
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];
       x.push_back(-std::log(AngularGain(cos_in, eta, 1.0) / AngularGain(cos_in, eta, 0.0)));

@@ -35,9 +35,10 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
                                                  const EmOptions& options);
 
-// The session's tau of the angular gain from white reflectances (white frames, else cycle sums) of the training lights:
-// least squares of log(sum y_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not differ
-// enough.
-[[nodiscard]] double EstimateTau(std::span<const SrdBatch* const> lights, double eta);
+// The session's tau of the angular gain from white reflectances of the training lights, less what the surface reflects:
+// least squares of log(white_p - R_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not
+// differ enough.
+[[nodiscard]] double EstimateTau(std::span<const SrdBatch* const> lights, double eta,
+                                 const SurfaceReflection& surface = {});
 
 }  // namespace stratalux::fit

@@ -89,6 +89,7 @@ void SummariseFit(const MixtureMap& map, const SrdSet& srds, Metrics& metrics) {
   }
   metrics.pixels = static_cast<int64_t>(divergence.size());
   metrics.tau = map.tau;
+  metrics.reflection = map.reflection;
   metrics.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
   if (divergence.empty()) return;
   std::nth_element(divergence.begin(), divergence.begin() + static_cast<int64_t>(divergence.size() / 2),
@@ -334,6 +335,8 @@ std::string RunOptions::ToJson() const {
                                        {"eta", em.eta},
                                        {"gain_model", em.gain_model},
                                        {"directional", em.choose_directions},
+                                       {"surface", em.estimate_reflection ? "model" : "free"},
+                                       {"background", em.background_term},
                                        {"iterations", em.max_iterations},
                                        {"refinement", em.refinement_iterations},
                                        {"tolerance", em.tolerance},
