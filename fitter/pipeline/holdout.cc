@@ -63,7 +63,7 @@ Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
         if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
         const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
         auto geometry_of = [&](int channel, PatternAxis axis) {
-          return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, channel,
+          return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), channel,
                                     plan.exposure_ms, axis);
         };
         const SrdGeometry columns = geometry_of(0, PatternAxis::kColumns), rows = geometry_of(0, PatternAxis::kRows);
