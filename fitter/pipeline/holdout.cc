@@ -131,6 +131,10 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
                              const std::string& label) {
   std::vector<int> projectors;
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
+  // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
+  constexpr int kMostSweeps = 100000;
+  options.max_iterations =
+      static_cast<int>(std::min<int64_t>(int64_t{options.max_iterations} * srds.pool * srds.pool, kMostSweeps));
   if (options.gain_model) options.tau = EstimateTau(lights, options.eta);
   if (options.choose_directions && options.mode == FitMode::kTied && !options.direction_blind) {
     SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, options));
