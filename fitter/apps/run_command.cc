@@ -59,7 +59,8 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
                   "EM sweeps of each pixel from the session's mean layers; 0: every pixel on its own")
       ->check(CLI::Range(0, 100000))
       ->capture_default_str();
-  verb.add_option("--iterations", f.run.em.max_iterations, "EM sweeps of the mean layers at most")
+  verb.add_option("--iterations", f.run.em.max_iterations,
+                  "EM sweeps of the mean layers at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")

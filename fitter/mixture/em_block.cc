@@ -151,9 +151,7 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
 
 void EmBlock::LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const {
   const double cell = light.cell_mm[lane];
-  const LineResponse line{batch.line_width_mm[profile], batch.blur_mm[profile],
-                          batch.sample_box * batch.step_mm[profile], cell,
-                          batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  const LineResponse line = LineResponseOf(batch, profile, cell);
   const double support = line.Support();
   const int reach = static_cast<int>(std::min(std::ceil(support / cell) + 1.0, double(light.reach_limit)));
   light.reach = std::max(light.reach, reach);

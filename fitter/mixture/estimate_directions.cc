@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/line_response.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
 
@@ -21,12 +22,14 @@ SrdBatch Sample(const SrdBatch& all, int channels, int every) {
   part.samples = all.samples;
   part.wrapped = all.wrapped;
   part.sample_box = all.sample_box;
+  part.pool = all.pool;
   for (int64_t i = 0; i < all.profiles(); ++i) {
     if (i / channels % every != 0) continue;
     const auto first = i * all.samples;
     part.y.insert(part.y.end(), all.y.begin() + first, all.y.begin() + first + all.samples);
     part.variance.insert(part.variance.end(), all.variance.begin() + first, all.variance.begin() + first + all.samples);
-    for (const auto field : {&SrdBatch::white, &SrdBatch::white_variance, &SrdBatch::pair_mm})
+    for (const auto field :
+         {&SrdBatch::white, &SrdBatch::white_variance, &SrdBatch::quad_x_mm, &SrdBatch::quad_y_mm, &SrdBatch::pair_mm})
       if (!(all.*field).empty()) (part.*field).push_back((all.*field)[static_cast<size_t>(i)]);
     for (const auto field : {&SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm,
                              &SrdBatch::slope_in, &SrdBatch::slope_out, &SrdBatch::cos_in, &SrdBatch::cos_out,
@@ -57,8 +60,7 @@ struct Scattered {
 
 // How far that reflection is seen.
 double ReachOfSurface(const SrdBatch& batch, int64_t i) {
-  const double pair = batch.pair_mm.empty() ? 0.0 : batch.pair_mm[i];
-  return 0.5 * batch.line_width_mm[i] + 3.0 * batch.blur_mm[i] + pair;
+  return 0.5 * batch.line_width_mm[i] + 3.0 * batch.blur_mm[i] + SampleSitesOf(batch, i).ReachMm();
 }
 
 std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double reach, double eta) {

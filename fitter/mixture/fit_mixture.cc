@@ -7,6 +7,7 @@
 #include <string>
 
 #include "fitter/mixture/em_block.h"
+#include "fitter/mixture/line_response.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
@@ -19,9 +20,9 @@ bool Usable(float value) { return std::abs(value) < 1e9F; }
 
 bool GeometryUsable(const SrdBatch& batch, int64_t i) {
   for (float v : {batch.first_u_mm[i], batch.line_width_mm[i], batch.blur_mm[i], batch.slope_in[i], batch.slope_out[i],
-                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i],
-                  batch.pair_mm.empty() ? 0.0F : batch.pair_mm[i]})
+                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i]})
     if (!Usable(v)) return false;
+  if (!Usable(static_cast<float>(SampleSitesOf(batch, i).ReachMm()))) return false;
   if (!batch.white.empty() && !(Usable(batch.white[i]) && Usable(batch.white_variance[i]))) return false;
   const float step = batch.step_mm[i];
   return step > 1e-6F && step < 1e6F && batch.line_width_mm[i] >= 0.0F && batch.blur_mm[i] >= 0.0F;

@@ -395,8 +395,7 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
       batch.wrapped
           ? std::max(options.cells_per_sample, static_cast<int>(std::ceil(light.step_mm / options.max_cell_mm)))
           : std::max(1, static_cast<int>(std::ceil(light.step_mm / (options.max_cell_mm / 2))));
-  light.line = {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * light.step_mm,
-                light.step_mm / light.cells_per_sample, batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  light.line = LineResponseOf(batch, profile, light.step_mm / light.cells_per_sample);
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.counts = noise.counts;
   light.read_shift = noise.read_shift;

@@ -84,6 +84,10 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
                              const std::string& label) {
   std::vector<int> projectors;
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
+  // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
+  constexpr int kMostSweeps = 100000;
+  options.max_iterations =
+      static_cast<int>(std::min<int64_t>(int64_t{options.max_iterations} * srds.pool * srds.pool, kMostSweeps));
   options.reflection = {};
   if (options.surface_term && options.estimate_reflection)
     options.reflection = EstimateSurfaceReflection(lights, srds.channels, options.eta);

@@ -52,7 +52,7 @@ LitQuad LookAt(const HoldOutInput& in, const MixtureMap& map, int i, int j) {
   const RigCalibration& rig = *in.frames.calibration();
   const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
   const auto geometry_of = [&](int channel, PatternAxis axis) {
-    return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, channel,
+    return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), channel,
                               in.frames.plan()->exposure_ms, axis);
   };
   const Eigen::Vector3d to_lamp = (rig.projectors[in.projector].CentreInCamera() - point).normalized(),

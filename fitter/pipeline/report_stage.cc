@@ -100,6 +100,7 @@ SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
   one.samples = batch.samples;
   one.wrapped = batch.wrapped;
   one.sample_box = batch.sample_box;
+  one.pool = batch.pool;
   const auto first = batch.y.begin() + profile * batch.samples;
   one.y.assign(first, first + batch.samples);
   auto copy = [&](const auto& from, auto& to) {
@@ -109,6 +110,8 @@ SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
   copy(batch.step_mm, one.step_mm);
   copy(batch.line_width_mm, one.line_width_mm);
   copy(batch.blur_mm, one.blur_mm);
+  copy(batch.quad_x_mm, one.quad_x_mm);
+  copy(batch.quad_y_mm, one.quad_y_mm);
   copy(batch.pair_mm, one.pair_mm);
   copy(batch.slope_in, one.slope_in);
   copy(batch.slope_out, one.slope_out);

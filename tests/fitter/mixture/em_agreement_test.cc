@@ -74,6 +74,8 @@ TEST(EmAgreement, OpenWindows) {
   ExpectAgreement({.profiles = 2, .samples = 41, .wrapped = false, .peak_counts = 20000}, Plain(30), 12);
 }
 
+TEST(EmAgreement, PooledQuads) { ExpectAgreement({.profiles = 2, .pool = 2}, Plain(30), 20); }
+
 TEST(EmAgreement, FreeModeOfASingleLight) {
   EmOptions options = Plain(30);
   options.mode = FitMode::kFree;

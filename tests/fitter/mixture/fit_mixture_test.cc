@@ -278,10 +278,14 @@ TEST(FitMixture, SurvivesAnyNumbers) {
       b.wrapped = wrapped;
       b.white.assign(300, 0.5F);
       b.white_variance.assign(300, 1e-4F);
+      b.pool = 2;
+      b.quad_x_mm.assign(300, 0.4F);
+      b.pair_mm.assign(300, 0.2F);
       auto* const fields = &b;
-      for (auto* values : {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
-                           &fields->line_width_mm, &fields->blur_mm, &fields->slope_in, &fields->slope_out,
-                           &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
+      for (auto* values :
+           {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
+            &fields->line_width_mm, &fields->blur_mm, &fields->quad_x_mm, &fields->pair_mm, &fields->slope_in,
+            &fields->slope_out, &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
         for (int n = 0; n < 40; ++n)
           (*values)[static_cast<size_t>(random.Uniform() * static_cast<double>(values->size()))] =
               kOdd[static_cast<size_t>(random.Uniform() * std::size(kOdd))];
