@@ -16,7 +16,8 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr double kLeastCos = 0.3;     // beyond 73 degrees the gain is only a rough law
+constexpr double kLeastCos =
+    0.7;  // beyond 45 degrees the gain is only a rough law, and the surface takes what it misses
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
 constexpr int64_t kLeastProfiles = 100;

@@ -7,9 +7,8 @@
 // and one strength for the session (skin: Weyrich et al. 2006).
 #pragma once
 
-#include <span>
-
 #include <Eigen/Core>
+#include <span>
 
 #include "fitter/mixture/srd_samples.h"
 
