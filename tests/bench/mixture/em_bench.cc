@@ -344,7 +344,7 @@ void PrintPeers() {
       std::printf("%s: %.0f times as fast, %.2e and %.2e\n", best->name.c_str(), best->rate / peer.rate,
                   best->from_data, best->from_truth);
   }
-  if (ArmadilloEm() == nullptr) std::printf("Armadillo's gmm_diag: not measured, libarmadillo-dev is not installed\n");
+  if (ArmadilloEm() == nullptr) std::printf("Armadillo's gmm_diag: not measured, built without libarmadillo-dev\n");
 }
 
 }  // namespace
