@@ -33,5 +33,7 @@ if(STRATALUX_BUILD_BENCH)
   find_package(benchmark REQUIRED)
   if(STRATALUX_BUILD_FITTER)
     find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc calib3d aruco ml)  # ml: a peer
+    find_package(Armadillo QUIET)
+    add_feature_info(armadillo ARMADILLO_FOUND "peer of em_bench (libarmadillo-dev)")
   endif()
 endif()

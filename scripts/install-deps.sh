@@ -4,6 +4,7 @@
 #   scripts/install-deps.sh           install what is missing
 #   scripts/install-deps.sh --list    print the packages and what each is for
 #   scripts/install-deps.sh --rig     only what the controller needs
+#   scripts/install-deps.sh --peers   also what benchmarks compare with and nothing else needs
 set -euo pipefail
 
 packages() {
@@ -42,14 +43,17 @@ cpio                 vm   the guest's first file system
 kmod                 vm   depmod and modprobe for the guest's modules
 xz-utils             vm   the kernel's source is an xz archive
 git                  test the style checks list the tracked files
+libarmadillo-dev     peer em_bench: gmm_diag; without it that peer is left out
+python3-sklearn      peer tests/bench/mixture/em_sklearn.py: GaussianMixture
 LIST
 }
 
 case "${1:-}" in
   --list) packages; exit 0 ;;
   --rig) wanted=$(packages | awk '$2=="rig"{print $1}') ;;
-  "") wanted=$(packages | awk '{print $1}') ;;
-  *) echo "usage: scripts/install-deps.sh [--list|--rig]" >&2; exit 2 ;;
+  --peers) wanted=$(packages | awk '{print $1}') ;;
+  "") wanted=$(packages | awk '$2!="peer"{print $1}') ;;
+  *) echo "usage: scripts/install-deps.sh [--list|--rig|--peers]" >&2; exit 2 ;;
 esac
 
 missing=()

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// EM of the scattering layers: rates by instruction set and threads, the machine's peak, the textbook's loop, OpenCV's
-// EM, how cost grows, and a full-size visitor (docs/benchmarks.md).
+// EM of the scattering layers: rates by instruction set and threads, the machine's peak, the textbook's loop, Gaussian
+// mixtures of OpenCV and Armadillo, how cost grows, and a full-size visitor (docs/benchmarks.md).
 //   build/bench/bin/em_bench [--benchmark_filter=...]
+//   STRATALUX_BENCH_PROFILES=FILE build/bench/bin/em_bench     writes the peers' profiles for em_sklearn.py, no more
 // A component evaluation is one profile x cell of the fine grid x layer x sweep. "grid" counts all of them as the model
 // has them; "evaluated" only those not skipped as negligible. Rates are per second of processor time and per core.
 #include <algorithm>
@@ -9,10 +10,10 @@
 #include <cstdio>
 #include <cstdlib>
 #include <map>
-#include <numbers>
 #include <numeric>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include <benchmark/benchmark.h>
 #include <sys/resource.h>
@@ -22,6 +23,7 @@
 #include "shared/base/check.h"
 #include "tests/bench/mixture/em_peers.h"
 #include "tests/bench/mixture/fma_peak.h"
+#include "tests/bench/mixture/peer_profiles.h"
 #include "tests/bench/mixture/textbook_em.h"
 #include "tests/fitter/mixture/em_cases.h"
 #include "tests/fitter/mixture/simd_targets.h"
@@ -113,23 +115,6 @@ void Components(benchmark::State& state, int64_t target) {
   fit::ChooseSimdTarget(0);
 }
 
-// One light's profile as a textbook, or a peer, wants it: photons at the cells of the fine grid.
-struct Photons {
-  std::vector<double> at;
-  double first = 0.0, step = 0.0;
-};
-Photons PhotonsOf(const fit::SrdBatch& b, int64_t profile, int per_sample, double total) {
-  Photons p;
-  p.step = double(b.step_mm[profile]) / per_sample;
-  p.first = double(b.first_u_mm[profile]) - 0.5 * (per_sample - 1) * p.step;
-  double sum = 0.0;
-  for (int k = 0; k < b.samples; ++k) sum += std::max(double(b.y[profile * b.samples + k]), 0.0);
-  for (int k = 0; k < b.samples; ++k)
-    for (int j = 0; j < per_sample; ++j)
-      p.at.push_back(total * std::max(double(b.y[profile * b.samples + k]), 0.0) / (sum * per_sample));
-  return p;
-}
-
 LayerSet SpreadStart(int layers) {
   LayerSet set;
   for (int l = 0; l < layers; ++l) {
@@ -145,95 +130,52 @@ void TextbookLoop(benchmark::State& state) {
   constexpr int kSweeps = 10, kLayers = 20;
   for (auto _ : state) {
     LayerSet layers = SpreadStart(kLayers);
-    TextbookEm(photons.at, photons.first, photons.step, kSweeps, layers);
+    TextbookEm(photons.at, photons.first_mm, photons.step_mm, kSweeps, layers);
     benchmark::DoNotOptimize(layers.weight.data());
   }
   state.counters["grid G/s"] = benchmark::Counter(static_cast<double>(photons.at.size()) * kLayers * kSweeps * 1e-9,
                                                   benchmark::Counter::kIsIterationInvariantRate);
 }
 
-// Divergence of a normalised mixture, integrated over each sample's step, from a profile, as [M 6] compares them.
-double DivergenceOf(const Photons& photons, const LayerSet& layers) {
-  const auto below = [&](double x) {
-    double sum = 0.0;
-    for (size_t l = 0; l < layers.weight.size(); ++l)
-      sum += layers.weight[l] * 0.5 * std::erfc((layers.depth_mm[l] - x) / (layers.sigma_mm[l] * std::numbers::sqrt2));
-    return sum;
-  };
-  const double total = std::accumulate(photons.at.begin(), photons.at.end(), 0.0);
-  const double start = photons.first - 0.5 * photons.step, span = photons.step * static_cast<double>(photons.at.size());
-  const double model_total = below(start + span) - below(start);
-  double divergence = 0.0;
-  for (size_t i = 0; i < photons.at.size(); ++i) {
-    const double left = start + static_cast<double>(i) * photons.step;
-    const double p = photons.at[i] / total, q = (below(left + photons.step) - below(left)) / model_total;
-    if (p > 0.0) divergence += p * std::log(p / std::max(q, 1e-12));
+// Accelerated ones; the last bring the divergence below that of peers whose k-means places the clusters first.
+constexpr int kOwnSweeps[] = {kPeerSweeps, 200, 500};
+
+const PeerProfiles& Profiles() {
+  static const PeerProfiles profiles = MakePeerProfiles(Skins());
+  return profiles;
+}
+
+// Of a fit, from the profiles it was given and from those without noise.
+template <typename FittedLayers>  // LayerSet (int profile)
+void CountDivergences(benchmark::State& state, const FittedLayers& fitted) {
+  double noisy = 0.0, truth = 0.0;
+  for (int i = 0; i < kPeerProfiles; ++i) {
+    noisy += DivergenceOf(PhotonsOf(Profiles().noisy, i, 1, kPeerPhotons), fitted(i)) / kPeerProfiles;
+    truth += DivergenceOf(PhotonsOf(Profiles().truth, i, 1, kPeerPhotons), fitted(i)) / kPeerProfiles;
   }
-  return divergence;
+  state.counters["divergence"] = noisy;
+  state.counters["of the truth"] = truth;
 }
 
-// Own sweeps: as many as bring the divergence below the peer's, whose k-means places its clusters first.
-constexpr int kPeerProfiles = 4, kPeerSweeps = 50, kOwnSweeps = 500, kPeerLayers = 20;
-constexpr double kPeerPhotons = 5000.0;
+enum class Start { kKmeans, kOwn };
 
-// Profiles of one light as a peer can fit them, each on its own with free means: photons alone, as far from the entry
-// point as free means may go, and nothing but the step's width between layers and samples.
-fit::SrdBatch PeerBatch(fit::SrdBatch b) {
-  constexpr double kFarthestMm = 7.5;
-  b.line_width_mm = b.step_mm;
-  std::fill(b.blur_mm.begin(), b.blur_mm.end(), 0.0F);
-  for (size_t i = 0; i < b.y.size(); ++i) {
-    const size_t profile = i / b.samples;
-    const double u = double(b.first_u_mm[profile]) + static_cast<double>(i % b.samples) * double(b.step_mm[profile]);
-    b.y[i] = std::abs(u) < kFarthestMm ? std::max(b.y[i], 0.0F) : 0.0F;
-    b.variance[i] = b.y[i] / static_cast<float>(kPeerPhotons);
-  }
-  return b;
-}
-const fit::SrdBatch& PeerProfiles() {
-  static const fit::SrdBatch batch = PeerBatch(Skins().batches[0]);
-  return batch;
-}
-// What they would be without noise: a mixture that follows the noise is not the better one.
-const fit::SrdBatch& PeerTruth() {
-  static const fit::SrdBatch batch = [] {
-    fit::SrdBatch b = Skins().batches[0];
-    for (int i = 0; i < kPeerProfiles; ++i) {
-      const auto y = fit::PredictSamples(Skins().skins[i], b, i, EmOptions());
-      std::copy(y.begin(), y.end(), b.y.begin() + int64_t{i} * b.samples);
-    }
-    return PeerBatch(std::move(b));
-  }();
-  return batch;
-}
-
-// Divergences of a fit from the profile it was given and from the one without noise.
-void KeepDivergences(benchmark::State& state, const std::string& whose, int profile, const LayerSet& fitted) {
-  const double noisy = DivergenceOf(PhotonsOf(PeerProfiles(), profile, 1, kPeerPhotons), fitted);
-  const double truth = DivergenceOf(PhotonsOf(PeerTruth(), profile, 1, kPeerPhotons), fitted);
-  state.counters["divergence"] = Figures()[whose + " divergence"] += noisy / kPeerProfiles;
-  state.counters["of the truth"] = Figures()[whose + " of the truth"] += truth / kPeerProfiles;
-}
-
-void PeerOpencv(benchmark::State& state) {
+void Peer(benchmark::State& state, PeerEm em, Start start) {
   std::vector<LayerSet> fitted(kPeerProfiles);
   for (auto _ : state)
     for (int i = 0; i < kPeerProfiles; ++i) {
-      const Photons photons = PhotonsOf(PeerProfiles(), i, 1, kPeerPhotons);
-      fitted[i] = OpencvEm(photons.at, photons.first, photons.step, kPeerLayers, kPeerSweeps);
+      const Photons photons = PhotonsOf(Profiles().noisy, i, 1, kPeerPhotons);
+      const LayerSet from = start == Start::kOwn ? OwnStart(Profiles().noisy, i) : LayerSet();
+      fitted[i] = em(photons, from, kPeerLayers, kPeerSweeps);
     }
-  Figures()["opencv divergence"] = Figures()["opencv of the truth"] = 0.0;
-  for (int i = 0; i < kPeerProfiles; ++i) KeepDivergences(state, "opencv", i, fitted[i]);
+  CountDivergences(state, [&](int i) { return fitted[i]; });
   state.counters["profiles/s"] = benchmark::Counter(kPeerProfiles, benchmark::Counter::kIsIterationInvariantRate);
 }
 
 void OwnOnThePeersProfiles(benchmark::State& state) {
-  EmOptions options = Plain(kOwnSweeps, kPeerLayers);
-  options.accelerated = true;
-  options.mode = fit::FitMode::kFree;
-  options.gain_model = options.surface_term = options.background_term = false;
+  EmOptions options = PeerOptions(static_cast<int>(state.range(0)));
+  options.accelerated = state.range(1) != 0;
   setenv("STRATALUX_THREADS", "1", 1);
-  const fit::SrdBatch* light = &PeerProfiles();
+  const fit::SrdBatch* light = &Profiles().noisy;
   MixtureMap map;
   for (auto _ : state) {
     auto fitted = fit::FitMixture(std::span(&light, 1), {0}, kSkins, 1, 1, options);
@@ -241,8 +183,7 @@ void OwnOnThePeersProfiles(benchmark::State& state) {
     map = *std::move(fitted);
   }
   unsetenv("STRATALUX_THREADS");
-  Figures()["own divergence"] = Figures()["own of the truth"] = 0.0;
-  for (int i = 0; i < kPeerProfiles; ++i) KeepDivergences(state, "own", i, fit::LayersOf(map, i));
+  CountDivergences(state, [&](int i) { return fit::LayersOf(map, i); });
   state.counters["profiles/s"] = benchmark::Counter(kSkins, benchmark::Counter::kIsIterationInvariantRate);
 }
 
@@ -294,6 +235,22 @@ void FullSizeVisitor(benchmark::State& state) {
   state.counters["peak GiB"] = static_cast<double>(usage.ru_maxrss) / (1024.0 * 1024.0);
 }
 
+void RegisterPeers() {
+  auto* own = benchmark::RegisterBenchmark("peer/own", OwnOnThePeersProfiles)->ArgNames({"sweeps", "accelerated"});
+  own->Args({kPeerSweeps, 0});
+  for (int sweeps : kOwnSweeps) own->Args({sweeps, 1});
+  own->Unit(benchmark::kMillisecond)->MeasureProcessCPUTime();
+  const std::map<std::string, PeerEm> peers = {{"OpenCV", OpencvEm}, {"Armadillo", ArmadilloEm()}};
+  const std::map<std::string, Start> starts = {{"k-means", Start::kKmeans}, {"own start", Start::kOwn}};
+  for (const auto& [name, em] : peers)
+    for (const auto& [from, start] : starts)
+      if (em != nullptr)
+        benchmark::RegisterBenchmark(("peer/" + name + "/" + from).c_str(), Peer, em, start)
+            ->Unit(benchmark::kMillisecond)
+            ->Iterations(1)
+            ->MeasureProcessCPUTime();
+}
+
 void Register() {
   const std::map<std::string, int64_t> targets = {{"AVX-512", HWY_AVX3}, {"AVX2", HWY_AVX2}, {"NEON", HWY_NEON}};
   for (const auto& [name, target] : targets) {
@@ -310,11 +267,7 @@ void Register() {
     }
   }
   benchmark::RegisterBenchmark("textbook", TextbookLoop);
-  benchmark::RegisterBenchmark("peer/own", OwnOnThePeersProfiles)->Unit(benchmark::kMillisecond);
-  benchmark::RegisterBenchmark("peer/OpenCV", PeerOpencv)
-      ->Unit(benchmark::kMillisecond)
-      ->Iterations(1)
-      ->MeasureProcessCPUTime();
+  RegisterPeers();
   auto* linear = benchmark::RegisterBenchmark("linear", Linearity)->ArgNames({"profiles", "samples", "layers"});
   for (int profiles : {256, 512, 1024}) linear->Args({profiles, 64, 20});
   for (int samples : {32, 128}) linear->Args({512, samples, 20});
@@ -354,23 +307,58 @@ void PrintRatios() {
     std::printf("%s: %.0f (evaluated ones alone: %.0f) times the textbook's loop; %.0f %% of the multiply-add peak\n",
                 name, grid / textbook, evaluated / textbook, 100.0 * 8.0 * evaluated / peak);
   }
-  const double own = Figure("peer/own profiles/s"), opencv = Figure("peer/OpenCV/iterations:1/process_time profiles/s");
-  if (own > 0.0 && opencv > 0.0)
-    std::printf("%.0f times OpenCV's EM; divergence %.2e from the data, %.2e from the truth, OpenCV's %.2e and %.2e\n",
-                own / opencv, Figures()["own divergence"], Figures()["own of the truth"],
-                Figures()["opencv divergence"], Figures()["opencv of the truth"]);
-  std::printf("Armadillo's gmm_diag and scikit-learn: not measured, not installed here\n");
+}
+
+struct PeerFit {
+  std::string name;
+  double rate = 0.0, from_data = 0.0, from_truth = 0.0;  // profiles/s, divergences
+};
+std::vector<PeerFit> PeerFits() {
+  const std::string rate_of = " profiles/s";
+  std::vector<PeerFit> fits;
+  for (const auto& [name, rate] : Figures()) {
+    if (!name.starts_with("peer/") || !name.ends_with(rate_of)) continue;
+    const std::string fit = name.substr(0, name.size() - rate_of.size());
+    fits.push_back({fit, rate, Figures()[fit + " divergence"], Figures()[fit + " of the truth"]});
+  }
+  return fits;
+}
+
+// Beside each peer the fastest own fit that is no worse by either divergence.
+void PrintPeers() {
+  std::vector<PeerFit> own = PeerFits();
+  const auto others =
+      std::partition(own.begin(), own.end(), [](const PeerFit& fit) { return fit.name.starts_with("peer/own"); });
+  const std::vector<PeerFit> peers(others, own.end());
+  own.erase(others, own.end());
+  std::sort(own.begin(), own.end(), [](const PeerFit& a, const PeerFit& b) { return a.rate > b.rate; });
+  for (const PeerFit& peer : peers) {
+    const auto best = std::find_if(own.begin(), own.end(), [&](const PeerFit& fit) {
+      return fit.from_data <= peer.from_data && fit.from_truth <= peer.from_truth;
+    });
+    std::printf("%s: %.3g profiles/s, divergence %.2e from the data, %.2e from the truth; ", peer.name.c_str(),
+                peer.rate, peer.from_data, peer.from_truth);
+    if (best == own.end())
+      std::printf("no own fit measured is as good\n");
+    else
+      std::printf("%s: %.0f times as fast, %.2e and %.2e\n", best->name.c_str(), best->rate / peer.rate,
+                  best->from_data, best->from_truth);
+  }
+  if (ArmadilloEm() == nullptr) std::printf("Armadillo's gmm_diag: not measured, built without libarmadillo-dev\n");
 }
 
 }  // namespace
 }  // namespace stratalux::bench
 
 int main(int argc, char** argv) {
+  if (const char* path = std::getenv("STRATALUX_BENCH_PROFILES"))
+    return stratalux::bench::WritePeerProfiles(stratalux::bench::Profiles(), path) ? 0 : 1;
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
   stratalux::bench::Register();
   stratalux::bench::Reporter reporter;
   benchmark::RunSpecifiedBenchmarks(&reporter);
   stratalux::bench::PrintRatios();
+  stratalux::bench::PrintPeers();
   return 0;
 }
