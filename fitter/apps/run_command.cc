@@ -18,7 +18,7 @@ namespace {
 struct Flags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
-              distance = "tangent", directional = "off", prior = "auto";
+              distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
   bool json = false, path_only = false;
 };
 
@@ -47,12 +47,21 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
                   "on: weights of the layers that follow the directions, chosen on the training lights; off")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
+  verb.add_option("--surface", f.surface,
+                  "Light reflected by the very surface. model: facets of one roughness and strength, found on the "
+                  "training lights; free: of each light its own, near 5 %")
+      ->check(CLI::IsMember({"model", "free"}))
+      ->capture_default_str();
+  verb.add_option("--background", f.background,
+                  "on: a uniform floor beside the layers, for rooms whose light returns from far; off")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
   verb.add_option("--prior", f.prior,
                   "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
                   "predicts the training lights, left out in turn, best; none: every pixel on its own")
       ->capture_default_str();
   verb.add_option("--iterations", f.run.em.max_iterations,
-                  "EM sweeps of the mean layers (without prior: of each pixel) at most")
+                  "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
@@ -107,6 +116,8 @@ int Execute(Flags& f) {
   if (const Status prior = ParsePrior(f.prior, f.run.em); !prior.ok()) return finish(prior);
   f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.run.em.gain_model = f.gain == "model";
+  f.run.em.estimate_reflection = f.surface == "model";
+  f.run.em.background_term = f.background == "on";
   f.run.em.choose_directions = f.directional == "on";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);

@@ -56,6 +56,7 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
   Image<uint8_t> valid(reference.width(), reference.height());
   std::vector<float> values;
   std::array<double, 3> error{}, power{};
+  double sum_of_errors = 0.0, sum = 0.0;
   ImageError result;
   for (int y = 0; y < reference.height(); ++y)
     for (int x = 0; x < reference.width(); ++x) {
@@ -69,6 +70,8 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
         const double r = reference(x, y, c), d = double(estimate(x, y, c)) - r;
         error[c] += d * d;
         power[c] += r * r;
+        sum_of_errors += d;
+        sum += r;
         values.push_back(reference(x, y, c));
       }
     }
@@ -80,6 +83,7 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
     all_power += power[c];
   }
   result.nrmse = all_power > 0.0 ? std::sqrt(all_error / all_power) : 0.0;
+  result.bias = sum > 0.0 ? sum_of_errors / sum : 0.0;
   const size_t rank = std::min(values.size() - 1, static_cast<size_t>(0.999 * static_cast<double>(values.size())));
   std::nth_element(values.begin(), values.begin() + static_cast<int64_t>(rank), values.end());
   const double peak = values[rank];

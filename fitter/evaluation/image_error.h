@@ -13,6 +13,7 @@ namespace stratalux::fit {
 struct ImageError {
   double nrmse = 0.0;  // RMS(error) / RMS(reference), all channels together
   std::array<double, 3> nrmse_channel{};
+  double bias = 0.0;     // sum of the errors over the sum of the reference, all channels together
   double psnr_db = 0.0;  // peak = 99.9th percentile of the reference
   double ssim = 0.0;     // Gaussian 11 x 11, sigma 1.5, same peak, windows wholly inside the mask; mean of channels
   int64_t pixels = 0;    // of the mask that are finite in both images

@@ -71,6 +71,7 @@ struct Metrics {
   double divergence = 0.0;                // median
   int iterations_median = 0;
   double tau = 0.0;
+  SurfaceReflection reflection;
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
   int64_t pixels = 0;
   double prior_photons = 0.0;  // N0 of the prior (docs/math/em.md); 0: none

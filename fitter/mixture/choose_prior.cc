@@ -19,7 +19,8 @@ struct Score {
   double divergence = 0.0, photons = 0.0;
 };
 
-// What a fit to other lights predicts of a light: its layers, the mean of its lights' surface and floor.
+// What a fit to other lights predicts of a light: its layers, the mean of its lights' floor and, where it is not
+// known, surface.
 ReferenceFit Prediction(const MixtureMap& map, int64_t profile) {
   ReferenceFit fit;
   fit.layers = LayersOf(map, profile);
@@ -41,7 +42,9 @@ ReferenceFit Prediction(const MixtureMap& map, int64_t profile) {
 // Shifted Poisson, in photons.
 Score ScoreOf(const MixtureMap& map, const SrdBatch& light, int64_t profile, const EmOptions& options) {
   const ReferenceLight left_out = ReferenceLightOf(light, profile, options);
-  const std::vector<double> model = ReferenceModelOf(Prediction(map, profile), {&left_out, 1}, 0);
+  ReferenceFit prediction = Prediction(map, profile);
+  if (left_out.reflected >= 0.0) prediction.surface = {left_out.reflected};
+  const std::vector<double> model = ReferenceModelOf(prediction, {&left_out, 1}, 0);
   Score score;
   for (size_t k = 0; k < model.size(); ++k) {
     const double data = std::max(left_out.y[k] + left_out.read_shift, 0.0);

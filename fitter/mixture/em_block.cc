@@ -51,7 +51,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
   if (!options.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
   moments_.assign(Row(3 * options.layers), 0.0F);
   if (!start.empty() && options.prior.photons > 0.0)
-    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift);
+    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift, options.reflection.Known());
   for (size_t p = 0; p < lights.size(); ++p) {
     EmLight& light = lights_[p];
     light.samples = lights[p]->samples;
@@ -134,6 +134,10 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
   light.s[lane] = options_.mode == FitMode::kFree ? 1.0F : static_cast<float>(t_in - t_out);
   if (options_.gain_model)
     light.gain[lane] = static_cast<float>(AngularGain(batch.cos_in[profile], options_.eta, options_.tau));
+  light.reflected[lane] =
+      options_.reflection.Known()
+          ? static_cast<float>(ReflectanceOf(options_.reflection, ReflectionAngles::Of(batch, profile), options_.eta))
+          : -1.0F;
   if (!options_.directional.Off()) {
     const RefractedDirections directions = DirectionsOf(batch, profile, options_.eta);
     light.extra_path[lane] = static_cast<float>(directions.ExtraPath());
@@ -150,9 +154,7 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
 
 void EmBlock::LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const {
   const double cell = light.cell_mm[lane];
-  const LineResponse line{batch.line_width_mm[profile], batch.blur_mm[profile],
-                          batch.sample_box * batch.step_mm[profile], cell,
-                          batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  const LineResponse line = LineResponseOf(batch, profile, cell);
   const double support = line.Support();
   const int reach = static_cast<int>(std::min(std::ceil(support / cell) + 1.0, double(light.reach_limit)));
   light.reach = std::max(light.reach, reach);
@@ -197,25 +199,34 @@ void EmBlock::Start(int lane) {
       lanes_[lane].total += double(light.counts[lane]) * light.data[Row(k) + lane];
   }
   if (!(exposure > 0.0)) return;
+  // What each light shows of the surface and of the layers; light of the layers per exposure.
+  double layers = 0.0;
+  for (size_t p = 0; p < lights_.size(); ++p) {
+    const EmLight& light = lights_[p];
+    if (!(light.counts[lane] > 0.0F)) continue;
+    const double shown = total / exposure * light.gain[lane];
+    double surface = 0.0;
+    if (options_.surface_term)
+      surface = light.reflected[lane] < 0.0F ? kUnknownSurface * shown
+                                             : std::min(double(light.reflected[lane]), kMostSurface * shown);
+    At(rows_.surface(static_cast<int>(p)), lane) = static_cast<float>(surface);
+    layers += light.counts[lane] * light.coverage[lane] * (shown - surface);
+  }
+  layers /= exposure;
   const size_t channel = start_.empty() ? 0 : static_cast<size_t>(lanes_[lane].profile) % start_.size();
-  // Shares of the light that returns: surface (the fit does not identify it and stays near its start: skin's Fresnel
-  // reflection is 3 to 7 % of the light that returns), and floor over a whole cycle or window.
-  const double surface = options_.surface_term ? 0.05 : 0.0;
-  double floor = 0.02;
+  double floor = 0.02;  // share of the light over a whole cycle or window
   if (!start_.empty() && !start_[channel].weight.empty()) {
     const LayerSet& mean = start_[channel];
     floor = mean.background / std::max(std::accumulate(mean.weight.begin(), mean.weight.end(), 0.0), 1e-9);
-    StartFrom(mean, lane, (1.0 - surface) * total / exposure);
+    StartFrom(mean, lane, layers);
   } else {
     SpreadLayers(lane, total / exposure, std::min(options_.max_sigma_mm, longest / 4.0));
   }
   for (int p = 0; p < rows_.lights; ++p) {
     const EmLight& light = lights_[p];
-    if (!(light.counts[lane] > 0.0F)) continue;
-    const double light_total = total / exposure * light.gain[lane];
-    At(rows_.surface(p), lane) = static_cast<float>(surface * light_total);
-    if (options_.background_term)
-      At(rows_.background(p), lane) = static_cast<float>(floor * light_total * light.coverage[lane] / light.samples);
+    if (!(light.counts[lane] > 0.0F) || !options_.background_term) continue;
+    At(rows_.background(p), lane) =
+        static_cast<float>(floor * total / exposure * light.gain[lane] * light.coverage[lane] / light.samples);
   }
   if (options_.shared_background) ShareBackground(at_.data());
   lanes_[lane].own = total;
@@ -280,8 +291,10 @@ void EmBlock::UpdateFloor(int p) {
   const float* at = at_.data();
   float* image = image_.data();
   const size_t surface = Row(rows_.surface(p)), background = Row(rows_.background(p));
+  const bool held = options_.reflection.Known();
   for (int i = 0; i < kEmLanes; ++i) {
-    image[surface + i] = at[surface + i] * light.surface_ratio[i] / std::max(light.surface_total[i], kTiny);
+    image[surface + i] =
+        held ? at[surface + i] : at[surface + i] * light.surface_ratio[i] / std::max(light.surface_total[i], kTiny);
     image[background + i] = at[background + i] * light.ratio_sum[i] / static_cast<float>(light.samples);
   }
 }

@@ -25,6 +25,7 @@ struct EmLight {
   LaneRow cell_mm, origin;    // cell size; cell coordinate of u = 0
   // Of the directional weights: sec_i + sec_o - 2, and what a layer without depth or width shows, less 1.
   LaneRow extra_path, phase_m1;
+  LaneRow reflected;              // by the surface, reflectance; negative: unknown
   LaneRow coverage;               // sum over samples of the response, inside
   LaneRow white, white_variance;  // variance 0: none
 

@@ -16,6 +16,10 @@ struct LayerPrior {
   double square_shift = 1.0;
 };
 
+// The surface's share of the light that returns, where its reflection is unknown (skin's is 3 to 7 %; EM does not
+// identify it and leaves it near there); the most that is held where it is known.
+inline constexpr double kUnknownSurface = 0.05, kMostSurface = 0.8;
+
 struct EmOptions {
   int layers = 20;  // [M]'s choice
   FitMode mode = FitMode::kTied;
@@ -27,7 +31,13 @@ struct EmOptions {
   bool choose_directions = false;  // a session's fit: directional weights and tau by EstimateDirections
   bool direction_blind = false;    // every depth stays 0: the baseline
   bool surface_term = true;        // light reflected at the very surface
-  bool background_term = true;
+  // Known: the surface term is its reflectance, held. Unknown: it starts at 5 % of the light, near which EM leaves it.
+  SurfaceReflection reflection;
+  // A session's fit: the reflection of its training lights (EstimateSurfaceReflection).
+  bool estimate_reflection = true;
+  // A uniform floor beside the layers. A comb's cycle does not tell it from the widest layers: where there is none (the
+  // black frame takes the ambient light) EM gives it 1 to 2 % of the light, which no renderer puts back.
+  bool background_term = false;
   // Accelerated ones, worth 50 plain ones (docs/math/em-kernel.md): held-out light is predicted best at 50-100 plain
   // sweeps (model section 7).
   int max_iterations = 20;

@@ -94,8 +94,8 @@ namespace {
 size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
 }  // namespace
 
-EmPrior::EmPrior(const ParameterRows& rows, double photons, double square_shift)
-    : rows_(rows), n0_(photons), square_shift_(static_cast<float>(square_shift)) {
+EmPrior::EmPrior(const ParameterRows& rows, double photons, double square_shift, bool surface_held)
+    : rows_(rows), n0_(photons), square_shift_(static_cast<float>(square_shift)), surface_held_(surface_held) {
   for (auto* v : {&centre_, &photons_, &shown_}) v->assign(Row(rows.size()), 0.0F);
 }
 
@@ -118,7 +118,7 @@ void EmPrior::AddShown(int p, const EmLight& light, const float* at, const float
       shown_[Row(rows_.weight(l)) + i] += light.counts[i] * light.coverage[i] * weight[Row(l) + i];
   const size_t surface = Row(rows_.surface(p)), background = Row(rows_.background(p));
   for (int i = 0; i < kEmLanes; ++i) {
-    shown_[surface + i] = light.counts[i] * light.surface_total[i] * at[surface + i];
+    if (!surface_held_) shown_[surface + i] = light.counts[i] * light.surface_total[i] * at[surface + i];
     shown_[background + i] = light.counts[i] * static_cast<float>(light.samples) * at[background + i];
   }
 }
@@ -159,12 +159,18 @@ void EmPrior::KeepTotal(std::span<const EmLight> lights, const MomentSums& sums,
     if (!(total_[i] > 0.0F)) continue;
     double all = 0.0;
     for (int l = 0; l < rows_.layers; ++l) all += sums.photons[Row(l) + i];
-    for (int p = 0; p < rows_.lights; ++p)
-      all += double(lights[p].counts[i]) * (double(lights[p].surface_total[i]) * image[Row(rows_.surface(p)) + i] +
-                                            double(lights[p].samples) * image[Row(rows_.background(p)) + i]);
+    for (int p = 0; p < rows_.lights; ++p) {
+      const EmLight& light = lights[p];
+      if (!surface_held_)
+        all += double(light.counts[i]) * double(light.surface_total[i]) * image[Row(rows_.surface(p)) + i];
+      all += double(light.counts[i]) * double(light.samples) * image[Row(rows_.background(p)) + i];
+    }
     const float own = static_cast<float>(std::max(1.0 - total_[i] / all, 0.0));
     for (int l = 0; l < rows_.layers; ++l) image[Row(rows_.weight(l)) + i] *= own;
-    for (int row = rows_.surface(0); row < rows_.size(); ++row) image[Row(row) + i] *= own;
+    for (int p = 0; p < rows_.lights; ++p) {
+      if (!surface_held_) image[Row(rows_.surface(p)) + i] *= own;
+      image[Row(rows_.background(p)) + i] *= own;
+    }
   }
 }
 

@@ -15,8 +15,9 @@ namespace stratalux::fit {
 class EmPrior {
  public:
   EmPrior() = default;  // none
-  // `square_shift`: as in LayerPrior; 0 where means are free and no depths.
-  EmPrior(const ParameterRows& rows, double photons, double square_shift);
+  // `square_shift`: as in LayerPrior; 0 where means are free and no depths. `surface_held`: it is known, and no part of
+  // what the prior binds.
+  EmPrior(const ParameterRows& rows, double photons, double square_shift, bool surface_held);
 
   [[nodiscard]] bool On() const { return !centre_.empty(); }
   [[nodiscard]] double Photons(int lane) const { return total_[lane]; }
@@ -42,6 +43,7 @@ class EmPrior {
   ParameterRows rows_;
   double n0_ = 0.0;
   float square_shift_ = 0.0F;
+  bool surface_held_ = false;
   LaneRows centre_;   // [parameter row][lane]: the known pixel
   LaneRows photons_;  // [parameter row][lane]: N0 pi of each weight, surface and floor; else 0
   LaneRows shown_;    // [parameter row][lane]: photons of each weight, surface and floor in the model

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/line_response.h"
 #include "fitter/mixture/sampled_lights.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
@@ -36,8 +37,7 @@ struct Scattered {
 
 // How far that reflection is seen.
 double ReachOfSurface(const SrdBatch& batch, int64_t i) {
-  const double pair = batch.pair_mm.empty() ? 0.0 : batch.pair_mm[i];
-  return 0.5 * batch.line_width_mm[i] + 3.0 * batch.blur_mm[i] + pair;
+  return 0.5 * batch.line_width_mm[i] + 3.0 * batch.blur_mm[i] + SampleSitesOf(batch, i).ReachMm();
 }
 
 std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double reach, double eta) {

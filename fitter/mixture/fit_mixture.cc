@@ -7,6 +7,7 @@
 #include <string>
 
 #include "fitter/mixture/em_block.h"
+#include "fitter/mixture/line_response.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
@@ -19,9 +20,9 @@ bool Usable(float value) { return std::abs(value) < 1e9F; }
 
 bool GeometryUsable(const SrdBatch& batch, int64_t i) {
   for (float v : {batch.first_u_mm[i], batch.line_width_mm[i], batch.blur_mm[i], batch.slope_in[i], batch.slope_out[i],
-                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i],
-                  batch.pair_mm.empty() ? 0.0F : batch.pair_mm[i]})
+                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i]})
     if (!Usable(v)) return false;
+  if (!Usable(static_cast<float>(SampleSitesOf(batch, i).ReachMm()))) return false;
   if (!batch.white.empty() && !(Usable(batch.white[i]) && Usable(batch.white_variance[i]))) return false;
   const float step = batch.step_mm[i];
   return step > 1e-6F && step < 1e6F && batch.line_width_mm[i] >= 0.0F && batch.blur_mm[i] >= 0.0F;
@@ -68,6 +69,7 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   map.tau = options.tau;
   map.gain_model = options.gain_model;
   map.directional = options.directional;
+  map.reflection = options.reflection;
   map.training_projectors = projectors;
   const size_t profiles = static_cast<size_t>(map.profiles());
   for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm}) v->assign(profiles * options.layers, 0.0F);
@@ -277,10 +279,11 @@ EmOptions OptionsOf(const MixtureMap& map, EmOptions options) {
   options.tau = map.tau;
   options.gain_model = map.gain_model;
   options.directional = map.directional;
+  options.reflection = map.reflection;
   return options;
 }
 
-double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
+double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const SurfaceReflection& surface) {
   // Centre each profile's values over its lights, then one regression through the origin.
   double xy = 0.0, xx = 0.0;
   const int64_t profiles = lights.empty() ? 0 : lights[0]->profiles();
@@ -288,12 +291,8 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta) {
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
       if (Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
-      double sum = 0.0;
-      if (!batch->white.empty() && batch->white_variance[i] > 0.0F) {
-        sum = batch->white[i];
-      } else {
-        for (int k = 0; k < batch->samples; ++k) sum += batch->y[i * batch->samples + k];
-      }
+      const double sum =
+          WhiteReflectanceOf(*batch, i).value - ReflectanceOf(surface, ReflectionAngles::Of(*batch, i), eta);
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];
       x.push_back(-std::log(AngularGain(cos_in, eta, 1.0) / AngularGain(cos_in, eta, 0.0)));

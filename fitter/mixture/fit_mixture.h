@@ -15,8 +15,8 @@ namespace stratalux::fit {
 // Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
 // that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, by channel,
 // scaled to each profile's own light (MeanLayers below), and the centre of options.prior; empty: widths spread over all
-// scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits, whatever the number of
-// threads.
+// scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits, whatever the number
+// of threads.
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
                               int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
                               const std::function<void(int64_t)>& progress = {});
@@ -36,9 +36,10 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
                                                  const EmOptions& options);
 
-// The session's tau of the angular gain from white reflectances (white frames, else cycle sums) of the training lights:
-// least squares of log(sum y_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not differ
-// enough.
-[[nodiscard]] double EstimateTau(std::span<const SrdBatch* const> lights, double eta);
+// The session's tau of the angular gain from white reflectances of the training lights, less what the surface reflects:
+// least squares of log(white_p - R_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not
+// differ enough.
+[[nodiscard]] double EstimateTau(std::span<const SrdBatch* const> lights, double eta,
+                                 const SurfaceReflection& surface = {});
 
 }  // namespace stratalux::fit

@@ -42,9 +42,18 @@ double Bowl(double x) {
 
 }  // namespace
 
+double SampleSites::ReachMm() const {
+  return 0.5 * (pool - 1) * (std::abs(quad_x_mm) + std::abs(quad_y_mm)) + std::abs(pair_mm);
+}
+
+double SampleSites::VarianceMm2() const {
+  return (pool * pool - 1) / 12.0 * (quad_x_mm * quad_x_mm + quad_y_mm * quad_y_mm) + pair_mm * pair_mm;
+}
+
 double LineResponse::At(double t_mm) const {
-  if (pair_mm <= 0.0) return OfOneSite(t_mm);
-  return 0.5 * (OfOneSite(t_mm - pair_mm) + OfOneSite(t_mm + pair_mm));
+  double response = 0.0;
+  sites.ForEach([&](double site_mm, double share) { response += share * OfOneSite(t_mm + site_mm); });
+  return response;
 }
 
 std::vector<double> LineResponse::OnCells(double first_mm, int count) const {
@@ -54,7 +63,7 @@ std::vector<double> LineResponse::OnCells(double first_mm, int count) const {
     return response;
   }
   const double s = std::max(blur_mm, 1e-3 * cell_mm), w = 0.5 * line_width_mm;
-  const auto add_site = [&](double site_mm, double share) {
+  sites.ForEach([&](double site_mm, double share) {
     double before = 0.0;
     for (int i = 0; i <= count; ++i) {
       const double edge = first_mm + site_mm + (i - 0.5) * cell_mm;
@@ -62,13 +71,7 @@ std::vector<double> LineResponse::OnCells(double first_mm, int count) const {
       if (i > 0) response[i - 1] += share * (here - before) / cell_mm;
       before = here;
     }
-  };
-  if (pair_mm <= 0.0) {
-    add_site(0.0, 1.0);
-  } else {
-    add_site(-pair_mm, 0.5);
-    add_site(pair_mm, 0.5);
-  }
+  });
   return response;
 }
 
@@ -87,7 +90,19 @@ double LineResponse::OfOneSite(double t_mm) const {
 }
 
 double LineResponse::Support() const {
-  return 0.5 * (line_width_mm + cell_mm + sample_box_mm) + 4.8 * blur_mm + pair_mm;
+  return 0.5 * (line_width_mm + cell_mm + sample_box_mm) + 4.8 * blur_mm + sites.ReachMm();
+}
+
+SampleSites SampleSitesOf(const SrdBatch& batch, int64_t profile) {
+  const auto of_profile = [&](const std::vector<float>& field) {
+    return field.empty() ? 0.0 : double{field[static_cast<size_t>(profile)]};
+  };
+  return {batch.pool, of_profile(batch.quad_x_mm), of_profile(batch.quad_y_mm), of_profile(batch.pair_mm)};
+}
+
+LineResponse LineResponseOf(const SrdBatch& batch, int64_t profile, double cell_mm) {
+  return {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * double{batch.step_mm[profile]},
+          cell_mm, SampleSitesOf(batch, profile)};
 }
 
 }  // namespace stratalux::fit

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "fitter/mixture/directional_weights.h"
+#include "fitter/mixture/surface_reflection.h"
 #include "shared/base/result.h"
 
 namespace stratalux::fit {
@@ -39,6 +40,7 @@ struct MixtureMap {
   double tau = 0.0;  // of the angular gain g (model section 7), one per session
   bool gain_model = true;
   DirectionalWeights directional;  // off unless the fit had them
+  SurfaceReflection reflection;    // unknown: every light's surface term is its own
   double prior_photons = 0.0;      // N0 of the prior; 0: none, or of a fit read back
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;

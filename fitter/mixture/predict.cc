@@ -21,8 +21,7 @@ double LayerResponse(double u, double sigma, const LineResponse& line) {
 std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
                                    const EmOptions& options) {
   const double step = batch.step_mm[profile], period = step * batch.samples;
-  const LineResponse line{batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * step, 1e-4,
-                          batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  const LineResponse line = LineResponseOf(batch, profile, 1e-4);
   double s = TangentialShift(options.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], options.eta) -
              TangentialShift(options.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options.eta);
   if (options.mode == FitMode::kFree) s = 1.0;

@@ -122,11 +122,15 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
   fit.directional = options_.directional;
   if (shared_ == SharedParameters::kTauAndDirectional && fit.directional.Off())
     fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
-  // Shares of the light that returns: the surface keeps near its start (nothing identifies it), the floor is small.
+  // Shares of the light that returns: an unknown surface keeps near its start (nothing identifies it), the floor is
+  // small.
   const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
   for (const FineGrid& grid : grids_) {
     const double light_total = total * GainOf(grid.light(), fit.tau);
-    fit.surface.push_back(options_.surface_term ? 0.05 * light_total : 0.0);
+    const double reflected = grid.light().reflected;
+    const double surface =
+        reflected < 0.0 ? kUnknownSurface * light_total : std::min(reflected, kMostSurface * light_total);
+    fit.surface.push_back(options_.surface_term ? surface : 0.0);
     fit.background.push_back(options_.background_term ? 0.02 * light_total * grid.Coverage() / grid.light().samples()
                                                       : 0.0);
   }
@@ -205,7 +209,7 @@ void Em::UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const {
     own += grids_[p].SurfaceResponse(static_cast<int>(k));
     mean += ratio[k] / static_cast<double>(ratio.size());
   }
-  fit.surface[p] *= own_ratio / std::max(own, kTiny);
+  if (grids_[p].light().reflected < 0.0) fit.surface[p] *= own_ratio / std::max(own, kTiny);
   fit.background[p] *= mean;
   if (known_) known_->AddFloor(p, fit);
 }
@@ -401,8 +405,7 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
       batch.wrapped
           ? std::max(options.cells_per_sample, static_cast<int>(std::ceil(light.step_mm / options.max_cell_mm)))
           : std::max(1, static_cast<int>(std::ceil(light.step_mm / (options.max_cell_mm / 2))));
-  light.line = {batch.line_width_mm[profile], batch.blur_mm[profile], batch.sample_box * light.step_mm,
-                light.step_mm / light.cells_per_sample, batch.pair_mm.empty() ? 0.0 : batch.pair_mm[profile]};
+  light.line = LineResponseOf(batch, profile, light.step_mm / light.cells_per_sample);
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.counts = noise.counts;
   light.read_shift = noise.read_shift;
@@ -412,6 +415,8 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
                                                  TangentialShift(options.shift_law, batch.slope_out[profile],
                                                                  batch.slope_out_across[profile], options.eta);
   light.directions = DirectionsOf(batch, profile, options.eta);
+  if (options.reflection.Known())
+    light.reflected = ReflectanceOf(options.reflection, ReflectionAngles::Of(batch, profile), options.eta);
   if (options.gain_model) {
     light.fresnel = AngularGain(batch.cos_in[profile], options.eta, 0.0);
     light.gain_path = -std::log(AngularGain(batch.cos_in[profile], options.eta, 1.0) / light.fresnel);

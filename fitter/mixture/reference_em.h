@@ -27,6 +27,7 @@ struct ReferenceLight {
   double fresnel = 1.0;      // the angular gain is fresnel exp(-tau gain_path)
   double gain_path = 0.0;
   RefractedDirections directions;
+  double reflected = -1.0;  // by the surface, reflectance; negative: unknown
 
   [[nodiscard]] int samples() const { return static_cast<int>(y.size()); }
 };

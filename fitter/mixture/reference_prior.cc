@@ -19,6 +19,8 @@ double SurfaceExposure(const FineGrid& grid) {
   for (int k = 0; k < grid.light().samples(); ++k) sum += grid.SurfaceResponse(k);
   return grid.light().counts * sum;
 }
+// The surface is known, and no part of what the prior binds.
+bool Held(const FineGrid& grid) { return grid.light().reflected >= 0.0; }
 double FloorExposure(const FineGrid& grid) { return grid.light().counts * grid.light().samples(); }
 
 }  // namespace
@@ -39,7 +41,7 @@ ShownPhotons ShownBy(const ReferenceFit& fit, std::span<const FineGrid> grids) {
     shown.layers.push_back(photons);
   }
   for (size_t p = 0; p < grids.size(); ++p) {
-    shown.surface.push_back(SurfaceExposure(grids[p]) * fit.surface[p]);
+    shown.surface.push_back(Held(grids[p]) ? 0.0 : SurfaceExposure(grids[p]) * fit.surface[p]);
     shown.background.push_back(FloorExposure(grids[p]) * fit.background[p]);
   }
   return shown;
@@ -90,8 +92,10 @@ void KnownPixel::AddFloor(size_t light, ReferenceFit& fit) const {
 
 void KnownPixel::KeepTotal(ReferenceFit& fit) const {
   const double own = std::max(1.0 - n0_ / ShownBy(fit, grids_).Sum(), 0.0);
-  for (auto* terms : {&fit.layers.weight, &fit.surface, &fit.background})
+  for (auto* terms : {&fit.layers.weight, &fit.background})
     for (double& v : *terms) v *= own;
+  for (size_t p = 0; p < grids_.size(); ++p)
+    if (!Held(grids_[p])) fit.surface[p] *= own;
 }
 
 }  // namespace stratalux::fit

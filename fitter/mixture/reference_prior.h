@@ -11,7 +11,7 @@
 
 namespace stratalux::fit {
 
-// Photons that a fit shows of each layer, and of surface and floor of each light.
+// Photons that a fit shows of each layer, and of surface (0 where it is known) and floor of each light.
 struct ShownPhotons {
   std::vector<double> layers, surface, background;
   [[nodiscard]] double Sum() const;

@@ -23,15 +23,17 @@ struct SrdBatch {
   // Response to all columns at once in units of the samples' sum, from the white frames, and its variance (0: unknown);
   // empty where there are none. It fixes the scale far better than the sum of dim samples does.
   std::vector<float> white, white_variance;
-  std::vector<float> first_u_mm;       // [profile]
-  std::vector<float> step_mm;          // [profile]
-  std::vector<float> line_width_mm;    // [profile]
-  std::vector<float> blur_mm;          // [profile] standard deviation of projector + camera blur and pixel footprint
-  std::vector<float> pair_mm;          // [profile] LineResponse::pair_mm; empty: 0 everywhere
-  std::vector<float> slope_in;         // [profile] tangent of incidence along e: t(omega_i) . e
-  std::vector<float> slope_out;        // [profile] t(omega_o) . e
-  std::vector<float> cos_in;           // [profile] n . omega_i
-  std::vector<float> cos_out;          // [profile] n . omega_o
+  std::vector<float> first_u_mm;     // [profile]
+  std::vector<float> step_mm;        // [profile]
+  std::vector<float> line_width_mm;  // [profile]
+  std::vector<float> blur_mm;        // [profile] standard deviation of projector + camera blur and pixel footprint
+  // The sites that a sample averages: SampleSites of each profile. Empty: 0 everywhere.
+  int pool = 1;
+  std::vector<float> quad_x_mm, quad_y_mm, pair_mm;  // [profile]
+  std::vector<float> slope_in;                       // [profile] tangent of incidence along e: t(omega_i) . e
+  std::vector<float> slope_out;                      // [profile] t(omega_o) . e
+  std::vector<float> cos_in;                         // [profile] n . omega_i
+  std::vector<float> cos_out;                        // [profile] n . omega_o
   std::vector<float> slope_in_across;  // [profile] t(omega_i) . (n x e), the part along the line (for exact refraction)
   std::vector<float> slope_out_across;  // [profile]
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel

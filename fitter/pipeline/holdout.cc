@@ -10,6 +10,7 @@
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/shift_law.h"
 #include "fitter/pipeline/free_fit.h"
+#include "fitter/pipeline/measured_surface.h"
 #include "fitter/srd/srd_extractor.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
@@ -26,65 +27,6 @@ Pattern PatternOf(const std::string& light, const PlanOptions& o) {
 
 CapturePhase PhaseOf(const std::string& light) {
   return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
-}
-
-// What the sinusoids along one axis show of a pixel, as shares of its irradiance: contrast of the very surface, and
-// light of the layers, sum w exp(-2 pi^2 sigma^2 / period^2), seen with that contrast.
-struct SinusoidContrast {
-  double surface = 0.0, layers = 0.0;
-};
-
-// `g`: of the axis, at the site of red: the amplitude is taken site by site, so the blur of a single site counts, also
-// for the two greens.
-SinusoidContrast ContrastOf(const SrdGeometry& g, const RefractedDirections& directions, double separation_period,
-                            const MixtureMap& map, int64_t profile) {
-  const double wave = 2.0 * std::numbers::pi / (separation_period * g.mm_per_column);
-  const double half_pixel = std::numbers::pi / separation_period;  // the projector's pixels are boxes
-  const double seen = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
-  double narrow = 0.0;
-  for (int l = 0; l < map.layers; ++l) {
-    const size_t at = static_cast<size_t>(profile) * map.layers + l;
-    const double sigma = map.sigma_mm[at];
-    narrow += map.weight[at] * DirectionalFactor(map.directional, directions, map.depth_mm[at], sigma) *
-              std::exp(-0.5 * wave * wave * sigma * sigma);
-  }
-  return {seen, seen * narrow * (map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0)};
-}
-
-// Reflectance of the very surface under the held-out light. Its measured direct image, the mean of the sinusoids along
-// both axes, holds the surface's light and what of the layers' the period still resolves.
-Image<float> MeasuredSurface(const HoldOutInput& in, const MixtureMap& map) {
-  const RigCalibration& rig = *in.frames.calibration();
-  const PlanOptions& plan = *in.frames.plan();
-  const SeparationMap& separation = in.face.separation[in.projector];
-  Image<float> reflectance(in.surface.width(), in.surface.height(), map.channels, std::nanf(""));
-  ParallelFor(in.surface.height(), 4, [&](int64_t begin, int64_t end) {
-    for (int j = static_cast<int>(begin); j < end; ++j)
-      for (int i = 0; i < in.surface.width(); ++i) {
-        if (in.surface.mask(i, j) == 0 || i / in.pool >= map.width || j / in.pool >= map.height) continue;
-        const Eigen::Vector3d point = in.surface.Point(i, j), normal = in.surface.Normal(i, j);
-        auto geometry_of = [&](int channel, PatternAxis axis) {
-          return ComputeSrdGeometry(rig, in.projector, point, normal, QuadCentre(rig.camera.cfa, i, j), 1, channel,
-                                    plan.exposure_ms, axis);
-        };
-        const SrdGeometry columns = geometry_of(0, PatternAxis::kColumns), rows = geometry_of(0, PatternAxis::kRows);
-        if (!(columns.white_dn > 0.0) || !(rows.white_dn > 0.0)) continue;
-        const RefractedDirections directions = DirectionsOf(
-            (rig.projectors[in.projector].CentreInCamera() - point).normalized(), -point.normalized(), normal, map.eta);
-        for (int c = 0; c < map.channels; ++c) {
-          const int64_t profile = map.ProfileIndex(i / in.pool, j / in.pool, c);
-          if (!map.Fitted(profile)) continue;
-          const double white_dn = geometry_of(c, PatternAxis::kColumns).white_dn;
-          if (!(white_dn > 0.0)) continue;
-          const SinusoidContrast across = ContrastOf(columns, directions, plan.separation_period, map, profile),
-                                 along = ContrastOf(rows, directions, plan.separation_period, map, profile);
-          reflectance(i, j, c) =
-              static_cast<float>((2.0 * separation.direct(i, j, c) / white_dn - across.layers - along.layers) /
-                                 (across.surface + along.surface));
-        }
-      }
-  });
-  return reflectance;
 }
 
 Image<float> Sum(const Image<float>& a, const Image<float>& b) {
@@ -126,6 +68,17 @@ Result<LayerPrior> PriorOf(std::span<const SrdBatch* const> lights, const std::v
   return choice.prior;
 }
 
+std::string Describe(const EmOptions& options, const std::string& label) {
+  std::ostringstream text;
+  text.precision(3);
+  text << label << ": tau " << options.tau << ", surface ";
+  if (options.reflection.Known())
+    text << options.reflection.strength << " of Fresnel's, roughness " << options.reflection.roughness;
+  else
+    text << "of each light its own";
+  return text.str();
+}
+
 }  // namespace
 
 Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
@@ -146,7 +99,15 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
                              const std::string& label) {
   std::vector<int> projectors;
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
-  if (options.gain_model) options.tau = EstimateTau(lights, options.eta);
+  // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
+  constexpr int kMostSweeps = 100000;
+  options.max_iterations =
+      static_cast<int>(std::min<int64_t>(int64_t{options.max_iterations} * srds.pool * srds.pool, kMostSweeps));
+  options.reflection = {};
+  if (options.surface_term && options.estimate_reflection)
+    options.reflection = EstimateSurfaceReflection(lights, srds.channels, options.eta);
+  if (options.gain_model) options.tau = EstimateTau(lights, options.eta, options.reflection);
+  logger.Info(Describe(options, label));
   if (options.choose_directions && options.mode == FitMode::kTied && !options.direction_blind) {
     SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, options));
     options.tau = chosen.tau;
@@ -187,7 +148,7 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
   SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.projector));
   const Image<uint8_t> mask = SkinMask(in, *models[0].map);
   const Image<float> rho_measured = MeasuredSurface(in, *models[0].map),
-                     rho_trained = SurfaceReflectance(*models[0].map, in.surface, in.pool);
+                     rho_trained = SurfaceReflectance(*models[0].map, in.surface, lit.light, in.pool);
   std::vector<LightComparison> comparisons;
   for (const std::string& light : lights) {
     const Pattern pattern = PatternOf(light, plan);

@@ -19,7 +19,8 @@ namespace stratalux::fit {
 [[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
                                                                   std::vector<int>* projectors);
 
-// EM on the training lights, with tau of their white reflectances; options.mode says whether tied or free.
+// EM on the training lights, with tau of their white reflectances; options.mode says whether tied or free. Pooled
+// profiles take pool x pool times as many sweeps as options.max_iterations.
 [[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
                                            const std::string& label);
 

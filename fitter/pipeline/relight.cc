@@ -82,7 +82,8 @@ Result<Relit> Relight(const SavedFit& fit, const RigCalibration& rig, const Virt
   const LitPyramid pyramid = LightWith(lit, light.pattern);
   Relit relit;
   relit.subsurface = RenderSubsurface(fit.map, fit.surface, rig, pyramid, lit, {fit.pool});
-  relit.surface = RenderSurface(SurfaceReflectance(fit.map, fit.surface, fit.pool), fit.surface, rig, pyramid, lit);
+  relit.surface =
+      RenderSurface(SurfaceReflectance(fit.map, fit.surface, projector, fit.pool), fit.surface, rig, pyramid, lit);
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
   return relit;

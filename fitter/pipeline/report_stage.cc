@@ -100,6 +100,7 @@ SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
   one.samples = batch.samples;
   one.wrapped = batch.wrapped;
   one.sample_box = batch.sample_box;
+  one.pool = batch.pool;
   const auto first = batch.y.begin() + profile * batch.samples;
   one.y.assign(first, first + batch.samples);
   auto copy = [&](const auto& from, auto& to) {
@@ -109,6 +110,8 @@ SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
   copy(batch.step_mm, one.step_mm);
   copy(batch.line_width_mm, one.line_width_mm);
   copy(batch.blur_mm, one.blur_mm);
+  copy(batch.quad_x_mm, one.quad_x_mm);
+  copy(batch.quad_y_mm, one.quad_y_mm);
   copy(batch.pair_mm, one.pair_mm);
   copy(batch.slope_in, one.slope_in);
   copy(batch.slope_out, one.slope_out);
@@ -216,11 +219,14 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
   struct Column {
     const char *title, *light, *part, *direct;
   };
-  constexpr std::array<Column, 6> kColumns = {{{"stripe, total", "stripe", "total", "measured"},
+  constexpr std::array<Column, 9> kColumns = {{{"stripe, total", "stripe", "total", "measured"},
+                                               {"stripe, surface predicted", "stripe", "total", "rendered"},
                                                {"stripe, subsurface", "stripe", "subsurface", "none"},
                                                {"white, total", "white", "total", "measured"},
+                                               {"white, surface predicted", "white", "total", "rendered"},
                                                {"white, subsurface", "white", "subsurface", "none"},
                                                {"spot, total", "spot", "total", "measured"},
+                                               {"spot, surface predicted", "spot", "total", "rendered"},
                                                {"spot, subsurface", "spot", "subsurface", "none"}}};
   std::vector<ReportTable> tables;
   std::vector<std::pair<int, std::string>> views;
@@ -236,7 +242,8 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
       return nullptr;
     };
     ReportTable table{"Projector " + std::to_string(projector) + " held out, " + geometry +
-                          " geometry: NRMSE (total: also without the measured frame's own noise, PSNR in dB, SSIM)",
+                          " geometry: NRMSE (total: also without the measured frame's own noise, PSNR in dB, SSIM; " +
+                          "surface predicted: its light, too, from the training lights; subsurface: and bias)",
                       {"model"},
                       {}};
     std::vector<std::string> models;
@@ -260,7 +267,7 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
           row.push_back(Fixed(f->error.nrmse, 4) + " (" + Fixed(f->AboveNoise(), 4) + ", " +
                         Fixed(f->error.psnr_db, 1) + ", " + Fixed(f->error.ssim, 3) + ")");
         } else {
-          row.push_back(Fixed(f->error.nrmse, 4));
+          row.push_back(Fixed(f->error.nrmse, 4) + " (" + Fixed(f->error.bias, 4) + ")");
         }
       }
       table.rows.push_back(std::move(row));
@@ -316,11 +323,11 @@ ReportSection Figures(const Metrics& m) {
                                 Fixed(m.truth->normal_median_deg, 2), std::to_string(m.truth->pixels)}}});
   ReportTable fit{"Fit",
                   {"profiles", "prior, photons", "weaker profiles", "median divergence", "median sweeps", "tau",
-                   "weight in layers wider than a line"},
+                   "surface over Fresnel's", "its roughness", "weight in layers wider than a line"},
                   {}};
   fit.rows.push_back({std::to_string(m.pixels), Fixed(m.prior_photons, 0), std::to_string(m.weak_pixels),
                       Fixed(m.divergence, 6), std::to_string(m.iterations_median), Fixed(m.tau),
-                      Fixed(m.wide_weight_fraction)});
+                      Fixed(m.reflection.strength), Fixed(m.reflection.roughness), Fixed(m.wide_weight_fraction)});
   section.tables.push_back(fit);
   ReportTable masked{"Profiles without (or with doubtful) layers", {"reason", "profiles"}, {}};
   for (const auto& [reason, count] : m.masked_by_reason) masked.rows.push_back({reason, std::to_string(count)});

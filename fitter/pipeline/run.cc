@@ -91,6 +91,7 @@ void SummariseFit(const MixtureMap& map, const SrdSet& srds, Metrics& metrics) {
   metrics.pixels = static_cast<int64_t>(divergence.size());
   metrics.tau = map.tau;
   metrics.prior_photons = map.prior_photons;
+  metrics.reflection = map.reflection;
   metrics.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
   if (divergence.empty()) return;
   std::nth_element(divergence.begin(), divergence.begin() + static_cast<int64_t>(divergence.size() / 2),
@@ -348,6 +349,8 @@ std::string RunOptions::ToJson() const {
                                        {"eta", em.eta},
                                        {"gain_model", em.gain_model},
                                        {"directional", em.choose_directions},
+                                       {"surface", em.estimate_reflection ? "model" : "free"},
+                                       {"background", em.background_term},
                                        {"iterations", em.max_iterations},
                                        {"prior", PriorText(em)},
                                        {"tolerance", em.tolerance},

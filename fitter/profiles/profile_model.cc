@@ -248,7 +248,7 @@ EmOptions OptionsOf(const ProfileModel& model) {
 EmOptions ProfileOptions() {
   EmOptions options;
   options.surface_term = false;
-  options.shared_background = true;
+  options.background_term = options.shared_background = true;  // an open window sees the lamp's halo, too
   options.shift_law = ShiftLaw::kRefractedSine;
   options.max_cell_mm = 0.04;
   options.min_sigma_mm = 0.01;

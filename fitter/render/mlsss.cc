@@ -295,7 +295,8 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
   });
 }
 
-Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, int pool) {
+Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, const ProjectorCalibration& light,
+                                int pool) {
   Image<float> reflectance(surface.width(), surface.height(), map.channels, std::nanf(""));
   const size_t lights = map.training_projectors.size();
   for (int j = 0; j < reflectance.height(); ++j)
@@ -303,6 +304,13 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
       for (int c = 0; c < map.channels; ++c) {
         const int64_t profile = ProfileOf(map, i, j, c, pool);
         if (profile < 0 || !map.Fitted(profile)) continue;
+        if (map.reflection.Known()) {
+          const Eigen::Vector3d point = surface.Point(i, j);
+          const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(),
+                                                        -point.normalized(), surface.Normal(i, j));
+          reflectance(i, j, c) = static_cast<float>(ReflectanceOf(map.reflection, angles, map.eta));
+          continue;
+        }
         float sum = 0.0F;
         for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
         reflectance(i, j, c) = sum / static_cast<float>(lights);

@@ -27,9 +27,10 @@ struct RenderOptions {
                                                      const RigCalibration& rig, const LitPyramid& light,
                                                      const LitSurface& lit, const RenderOptions& options = {});
 
-// The fitted surface term as reflectance of every quad, W x H x C: the mean of the training lights'; NaN where nothing
-// was fitted.
-[[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, int pool);
+// Reflectance of the very surface of every quad under `light`, W x H x C: of the fit's surface reflection, or, where
+// the fit has none, the mean of its training lights'. NaN where nothing was fitted.
+[[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface,
+                                              const ProjectorCalibration& light, int pool);
 
 // Light reflected by the very surface: reflectance (W x H x C on quads) times irradiance times the pattern at (C, R),
 // averaged over the pixel's footprint.

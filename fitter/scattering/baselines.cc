@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "fitter/mixture/line_response.h"
+
 namespace stratalux::fit {
 namespace {
 
@@ -75,7 +77,7 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
     for (int64_t i = channel; i < b->profiles(); i += channels) {
       if (b->valid[i] == 0) continue;
       width += b->line_width_mm[i];
-      blur += b->blur_mm[i];
+      blur += std::sqrt(b->blur_mm[i] * b->blur_mm[i] + SampleSitesOf(*b, i).VarianceMm2());
       n += 1.0;
       const double period = double(b->step_mm[i]) * b->samples;
       for (int k = 0; k < b->samples; ++k) {

@@ -108,6 +108,7 @@ class QuadSeparator {
       if (!sum[c].saturated) map.white(i, j, c) = static_cast<float>(sum[c].total / sites[c]);
       if (reason != SeparationReason::kValid) continue;
       map.direct(i, j, c) = static_cast<float>(sum[c].direct / sites[c]);
+      map.direct_variance(i, j, c) = static_cast<float>(sum[c].direct_variance / (sites[c] * sites[c]));
       map.global(i, j, c) = static_cast<float>((sum[c].total - sum[c].direct) / sites[c]);
     }
   }
@@ -146,9 +147,8 @@ Separation SeparateAll(const SeparationFrames& frames, Cfa cfa, const SensorNois
   const int step = QuadStep(cfa), channels = QuadChannels(cfa);
   const int width = frames.white.width() / step, height = frames.white.height() / step;
   const float nan = std::nanf("");
-  Separation out{{Image<float>(width, height, channels, nan), Image<float>(width, height, channels, nan),
-                  Image<float>(width, height, channels, nan), Image<uint8_t>(width, height)},
-                 {}};
+  const auto unknown = [&] { return Image<float>(width, height, channels, nan); };
+  Separation out{{unknown(), unknown(), unknown(), unknown(), Image<uint8_t>(width, height)}, {}};
   const QuadSeparator separator(frames, cfa, noise, options, std::move(solve));
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
     for (int64_t j = begin; j < end; ++j)

@@ -11,10 +11,11 @@ namespace stratalux::fit {
 enum class SeparationReason : uint8_t { kValid = 0, kUnlit = 1, kSaturated = 2, kNegative = 3 };
 
 struct SeparationMap {
-  Image<float> direct;    // W x H x C; NaN where invalid
-  Image<float> global;    // W x H x C; NaN where invalid
-  Image<float> white;     // W x H x C, all columns on, ambient removed
-  Image<uint8_t> reason;  // W x H, SeparationReason
+  Image<float> direct;           // W x H x C; NaN where invalid
+  Image<float> global;           // W x H x C; NaN where invalid
+  Image<float> direct_variance;  // W x H x C, of its noise; NaN where invalid
+  Image<float> white;            // W x H x C, all columns on, ambient removed
+  Image<uint8_t> reason;         // W x H, SeparationReason
 };
 
 }  // namespace stratalux::fit

@@ -98,6 +98,9 @@ void SrdExtractor::Prepare() {
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);
+  batch_.pool = options_.pool;
+  if (batch_.pool > 1)
+    for (auto* v : {&batch_.quad_x_mm, &batch_.quad_y_mm}) v->assign(profiles, 0.0F);
   if (scatter) along_.assign(profiles, Eigen::Vector3f::Zero());
   if (scatter || options_.distance == SrdDistance::kSurface) column_.assign(profiles, 0.0F);
   batch_.valid.assign(profiles, 0);
@@ -113,9 +116,8 @@ void SrdExtractor::Prepare() {
             Reject(first + c, SrdReason::kUnlit);
             continue;
           }
-          PrepareProfile(first + c,
-                         ComputeSrdGeometry(rig_, projector_, surface_.Point(x, y), surface_.Normal(x, y),
-                                            PixelCentre(x, y), options_.pool, c, cycle_.exposure_ms, cycle_.axis));
+          PrepareProfile(first + c, ComputeSrdGeometry(rig_, projector_, surface_.Point(x, y), surface_.Normal(x, y),
+                                                       PixelCentre(x, y), c, cycle_.exposure_ms, cycle_.axis));
         }
       }
   });
@@ -130,6 +132,10 @@ void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
   batch_.step_mm[profile] = static_cast<float>(cycle_.step * g.mm_per_column);
   batch_.line_width_mm[profile] = static_cast<float>(cycle_.width * g.mm_per_column);
   batch_.pair_mm[profile] = static_cast<float>(g.pair_mm);
+  if (batch_.pool > 1) {
+    batch_.quad_x_mm[profile] = static_cast<float>(g.quad_x_mm);
+    batch_.quad_y_mm[profile] = static_cast<float>(g.quad_y_mm);
+  }
   batch_.blur_mm[profile] = static_cast<float>(g.blur_mm);
   batch_.slope_in[profile] = static_cast<float>(g.slope_in);
   batch_.slope_out[profile] = static_cast<float>(g.slope_out);

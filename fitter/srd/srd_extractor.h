@@ -61,23 +61,23 @@ inline constexpr int kSrdReasons = 8;
 // mm; e is the unit tangent across the line, in the sense of rising columns: e = grad_t C / |grad_t C|, and m = 1 /
 // |grad_t C| is the length of a column.
 struct SrdGeometry {
-  double column = 0.0;                     // C at the colour's own site(s)
-  double mm_per_column = 0.0;              // m
-  double blur_mm = 0.0;                    // projector and camera blur, pixel box, pooled quads: standard deviation
-  double pair_mm = 0.0;                    // half the distance across the line of the two greens of a quad
-  double white_dn = 0.0;                   // E: what a white Lambertian target would read here, all columns on
-  double slope_in = 0.0, slope_out = 0.0;  // t(omega) . e
+  double column = 0.0;                      // C at the colour's own site(s)
+  double mm_per_column = 0.0;               // m
+  double blur_mm = 0.0;                     // projector and camera blur, pixel box: standard deviation
+  double quad_x_mm = 0.0, quad_y_mm = 0.0;  // what one quad along the image's x, y moves across the line
+  double pair_mm = 0.0;                     // half the distance across the line of the two greens of a quad
+  double white_dn = 0.0;                    // E: what a white Lambertian target would read here, all columns on
+  double slope_in = 0.0, slope_out = 0.0;   // t(omega) . e
   double slope_in_across = 0.0, slope_out_across = 0.0;   // t(omega) . (n x e)
   double cos_in = 0.0, cos_out = 0.0;                     // n . omega
   Eigen::Vector3d across_line = Eigen::Vector3d::Zero();  // e
 };
 
-// Geometry of colour `channel` of a pixel whose centre is the mosaic position `pixel` and whose surface is the plane
-// (point, normal); `pool` quads wide. cos_in <= 0 where the point faces away; white_dn = 0 outside the projector's
-// image.
+// Geometry of colour `channel` of a pixel, pooled or not, whose centre is the mosaic position `pixel` and whose surface
+// is the plane (point, normal). cos_in <= 0 where the point faces away; white_dn = 0 outside the projector's image.
 [[nodiscard]] SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const Eigen::Vector3d& point,
-                                             const Eigen::Vector3d& normal, const Eigen::Vector2d& pixel, int pool,
-                                             int channel, double exposure_ms, PatternAxis axis = PatternAxis::kColumns);
+                                             const Eigen::Vector3d& normal, const Eigen::Vector2d& pixel, int channel,
+                                             double exposure_ms, PatternAxis axis = PatternAxis::kColumns);
 
 // One shot of a comb: mosaic, the projector's black in the same exposure (ambient, black level), the exposure itself.
 struct CombShot {

@@ -36,7 +36,7 @@ Eigen::Vector3d ColumnGradient(const ProjectorCalibration& projector, const Eige
 }  // namespace
 
 SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const Eigen::Vector3d& point,
-                               const Eigen::Vector3d& normal, const Eigen::Vector2d& pixel, int pool, int channel,
+                               const Eigen::Vector3d& normal, const Eigen::Vector2d& pixel, int channel,
                                double exposure_ms, PatternAxis axis) {
   const ProjectorCalibration& light = rig.projectors[projector];
   const Cfa cfa = rig.camera.cfa;
@@ -68,15 +68,14 @@ SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const E
   g.slope_in_across = omega_in.dot(across) / g.cos_in;
   g.slope_out_across = omega_out.dot(across) / g.cos_out;
 
-  // Blur in columns^2: the projector's, and through dC/dx, dC/dy the camera's, its pixel box (1/12) and the centres of
-  // the pooled quads.
+  // Blur in columns^2: the projector's, and through dC/dx, dC/dy the camera's and its pixel box (1/12).
   const double dx = (*c_x)[k] - (*c)[k];
   const double dy = (*c_y)[k] - (*c)[k];
-  const int step = QuadStep(cfa);
-  const double per_axis =
-      rig.camera.line_blur_px * rig.camera.line_blur_px + 1.0 / 12.0 + step * step * (pool * pool - 1) / 12.0;
+  const double per_axis = rig.camera.line_blur_px * rig.camera.line_blur_px + 1.0 / 12.0;
   const double columns2 = light.line_blur_px * light.line_blur_px + per_axis * (dx * dx + dy * dy);
   g.blur_mm = std::sqrt(std::max(columns2, 0.0)) * g.mm_per_column;
+  g.quad_x_mm = QuadStep(cfa) * dx * g.mm_per_column;
+  g.quad_y_mm = QuadStep(cfa) * dy * g.mm_per_column;
   const auto sites = QuadSites(cfa, channel);
   const Eigen::Vector2d half = (sites.back() - sites.front()) / 2.0;
   g.pair_mm = std::abs(half.x() * dx + half.y() * dy) * g.mm_per_column;

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
 
 #include "fitter/separation/separate.h"
+#include "fitter/separation/shrink_noise.h"
+#include "shared/base/random.h"
 #include "shared/pattern/pattern.h"
 
 namespace stratalux::fit {
@@ -159,6 +162,55 @@ TEST(Separate, RefusesTooFewPatterns) {
   SeparationFrames views = shots.Views();
   views.column_shifts.resize(2);
   EXPECT_EQ(SeparateSinusoids(views, Cfa::kRggb, kNoise).status().code(), StatusCode::kUsage);
+}
+
+// A disc of `height` in a plane of 1, noise of standard deviation 0.1.
+struct NoisyDisc {
+  Image<float> truth{64, 64, 1}, noisy{64, 64, 1}, variance{64, 64, 1, 0.01F};
+  explicit NoisyDisc(float height) {
+    Random random(5);
+    for (int y = 0; y < 64; ++y)
+      for (int x = 0; x < 64; ++x) {
+        truth(x, y) = std::hypot(x - 32.0, y - 32.0) < 10.0 ? 1.0F + height : 1.0F;
+        noisy(x, y) = truth(x, y) + 0.1F * static_cast<float>(random.Normal());
+      }
+  }
+  // Mean squared error over the noise's, of pixels nearer than `reach` to the rim or of all the others.
+  [[nodiscard]] double Error(const Image<float>& image, bool at_rim) const {
+    double sum = 0.0, count = 0.0;
+    for (int y = 4; y < 60; ++y)
+      for (int x = 4; x < 60; ++x) {
+        if ((std::abs(std::hypot(x - 32.0, y - 32.0) - 10.0) < 5.0) != at_rim) continue;
+        sum += std::pow(double(image(x, y)) - truth(x, y), 2) / 0.01;
+        count += 1.0;
+      }
+    return sum / count;
+  }
+};
+
+TEST(ShrinkNoise, TakesNoiseAndLeavesWhatStandsOut) {
+  const NoisyDisc disc(3.0F);
+  const Image<float> quiet = ShrinkNoise(disc.noisy, disc.variance, 3);
+  EXPECT_LT(disc.Error(quiet, false), 0.1);
+  EXPECT_LT(disc.Error(quiet, true), 1.3);  // an edge of thirty standard deviations: hardly touched
+  EXPECT_GT(disc.Error(disc.noisy, false), 0.9);
+}
+
+TEST(ShrinkNoise, WithoutNoiseIsTheImage) {
+  NoisyDisc disc(3.0F);
+  std::fill(disc.variance.pixels().begin(), disc.variance.pixels().end(), 0.0F);
+  const Image<float> same = ShrinkNoise(disc.noisy, disc.variance, 3);
+  for (size_t k = 0; k < same.size(); ++k) EXPECT_NEAR(same.pixels()[k], disc.noisy.pixels()[k], 1e-5);
+}
+
+TEST(ShrinkNoise, UnknownPixelsStayUnknownAndSpoilNoOther) {
+  NoisyDisc disc(0.0F);
+  disc.noisy(20, 20) = std::nanf("");
+  disc.variance(40, 40) = std::nanf("");
+  const Image<float> quiet = ShrinkNoise(disc.noisy, disc.variance, 3);
+  EXPECT_TRUE(std::isnan(quiet(20, 20)));
+  EXPECT_TRUE(std::isnan(quiet(40, 40)));
+  EXPECT_TRUE(std::isfinite(quiet(21, 20)));
 }
 
 }  // namespace

@@ -49,6 +49,7 @@ EmOptions Plain(int sweeps) {
   options.accelerated = false;
   options.tolerance = 0.0;
   options.max_iterations = sweeps;
+  options.background_term = true;
   return options;
 }
 
@@ -73,6 +74,8 @@ TEST(EmAgreement, OpenWindows) {
   ExpectAgreement({.profiles = 2, .samples = 41, .wrapped = false, .peak_counts = 20000}, Plain(30), 12);
 }
 
+TEST(EmAgreement, PooledQuads) { ExpectAgreement({.profiles = 2, .pool = 2}, Plain(30), 20); }
+
 TEST(EmAgreement, FreeModeOfASingleLight) {
   EmOptions options = Plain(30);
   options.mode = FitMode::kFree;
@@ -88,6 +91,13 @@ TEST(EmAgreement, DirectionalWeightsWithoutSurfaceAndWithOneFloor) {
   ExpectAgreement({.profiles = 2}, options, 14);
   options.directional.sigma_0_mm = 0.0;  // no layer is narrow
   ExpectAgreement({.profiles = 1}, options, 14);
+}
+
+TEST(EmAgreement, SurfaceReflectionHeldAndNoFloor) {
+  EmOptions options = Plain(30);
+  options.reflection = {1.1, 0.35};
+  options.background_term = false;
+  ExpectAgreement({.profiles = 2}, options, 16);
 }
 
 TEST(EmAgreement, ProfilesThatOneLightMisses) {

@@ -32,6 +32,7 @@ SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
   SrdBatch b;
   b.samples = cases.samples;
   b.wrapped = cases.wrapped;
+  b.pool = cases.pool;
   const auto n = static_cast<size_t>(cases.profiles);
   b.y.assign(n * b.samples, 0.0F);
   b.variance.assign(n * b.samples, 1e-6F);
@@ -48,6 +49,10 @@ SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
     b.slope_out.push_back(static_cast<float>(out));
     b.cos_in.push_back(static_cast<float>(1.0 / std::hypot(1.0, in)));
     b.cos_out.push_back(static_cast<float>(1.0 / std::hypot(1.0, out)));
+    if (b.pool == 1) continue;
+    b.quad_x_mm.push_back(static_cast<float>(random.Uniform(-0.9, 0.9)));
+    b.quad_y_mm.push_back(static_cast<float>(random.Uniform(-0.4, 0.4)));
+    b.pair_mm.push_back(static_cast<float>(random.Uniform(0.0, 0.3)));
   }
   return b;
 }

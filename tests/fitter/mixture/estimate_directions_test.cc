@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/mixture/estimate_directions.h"
 
+#include <algorithm>
+
 #include <gtest/gtest.h>
 
+#include "fitter/mixture/fit_mixture.h"
 #include "tests/fitter/mixture/em_cases.h"
 
 namespace stratalux::fit {
@@ -39,6 +42,21 @@ TEST(EstimateDirections, AddsNothingWhereLightKnowsNoDirection) {
   ASSERT_TRUE(estimate.ok());
   EXPECT_NEAR(estimate->tau, 0.4, 0.1);
   EXPECT_LE(estimate->weights.kappa_per_mm, 0.2);
+}
+
+TEST(EstimateDirections, ReadsPooledProfilesAsTheFitDoes) {
+  EmOptions options = SixLayers();
+  const EmCases cases = MakeEmCases({.profiles = 32, .peak_counts = 50000.0, .pool = 2}, options, 7);
+  const auto lights = cases.lights();
+  const auto estimate = EstimateDirections(lights, 1, options, 1);
+  ASSERT_TRUE(estimate.ok());
+  options.tau = estimate->tau;
+  const auto map = FitMixture(lights, {0, 1, 2}, 32, 1, 1, options);
+  ASSERT_TRUE(map.ok());
+  // A mean of the profiles' divergences.
+  const auto [least, most] = std::minmax_element(map->divergence.begin(), map->divergence.end());
+  EXPECT_GT(estimate->divergence_without, *least);
+  EXPECT_LT(estimate->divergence_without, *most);
 }
 
 TEST(EstimateDirections, KeepsTauWhereNoPixelSeesAllLights) {

@@ -278,10 +278,14 @@ TEST(FitMixture, SurvivesAnyNumbers) {
       b.wrapped = wrapped;
       b.white.assign(300, 0.5F);
       b.white_variance.assign(300, 1e-4F);
+      b.pool = 2;
+      b.quad_x_mm.assign(300, 0.4F);
+      b.pair_mm.assign(300, 0.2F);
       auto* const fields = &b;
-      for (auto* values : {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
-                           &fields->line_width_mm, &fields->blur_mm, &fields->slope_in, &fields->slope_out,
-                           &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
+      for (auto* values :
+           {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
+            &fields->line_width_mm, &fields->blur_mm, &fields->quad_x_mm, &fields->pair_mm, &fields->slope_in,
+            &fields->slope_out, &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
         for (int n = 0; n < 40; ++n)
           (*values)[static_cast<size_t>(random.Uniform() * static_cast<double>(values->size()))] =
               kOdd[static_cast<size_t>(random.Uniform() * std::size(kOdd))];
@@ -355,6 +359,37 @@ TEST(LineResponse, IsTheDifferenceOfNormalDistributionsAveragedOverTheCell) {
   double sum = 0.0;  // coverage: the samples of a cycle see every cell once
   for (int k = -20; k <= 20; ++k) sum += b.At(0.07 + 0.58 * k);
   EXPECT_NEAR(sum, 1.0, 1e-9);
+}
+
+// The light of the very surface added to that of known layers.
+TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
+  EmOptions options;
+  options.gain_model = false;
+  options.reflection = {1.2, 0.35};
+  Lights lights = MakeLights({-1.0, 0.0, 0.577}, 8, 0.0, options);
+  for (SrdBatch& b : lights.batches)
+    for (int64_t i = 0; i < b.profiles(); ++i) {
+      const LayerSet surface = {
+          {ReflectanceOf(options.reflection, ReflectionAngles::Of(b, i), options.eta)}, {0.0}, {1e-3}};
+      const auto y = PredictSamples(surface, b, i, options);
+      for (int k = 0; k < b.samples; ++k) b.y[i * b.samples + k] += static_cast<float>(y[k]);
+    }
+  const auto error_of_total = [&](const EmOptions& of) {
+    const auto map = Fit(lights, of);
+    EXPECT_TRUE(map.ok());
+    double worst = 0.0;
+    for (int64_t i = 0; i < map->profiles(); ++i) {
+      double total = 0.0, truth = 0.0;
+      for (double w : LayersOf(*map, i).weight) total += w;
+      for (double w : KnownLayers().weight) truth += w;
+      worst = std::max(worst, std::abs(total / truth - 1.0));
+    }
+    return worst;
+  };
+  EXPECT_LT(error_of_total(options), 0.01);
+  EmOptions unknown = options;
+  unknown.reflection = {};
+  EXPECT_GT(error_of_total(unknown), 0.03);
 }
 
 }  // namespace

@@ -41,6 +41,7 @@ TEST(CompareImages, CallsATenPercentGainTenPercent) {
   const ImageError e = CompareImages(Picture(), brighter, kEverywhere);
   EXPECT_NEAR(e.nrmse, 0.1, 1e-5);
   for (double channel : e.nrmse_channel) EXPECT_NEAR(channel, 0.1, 1e-5);
+  EXPECT_NEAR(e.bias, 0.1, 1e-5);
 }
 
 TEST(CompareImages, TellsTheChannelsApart) {
@@ -189,7 +190,7 @@ TEST(Metrics, WritesSchemaOne) {
                        "measured",
                        "reconstructed",
                        2,
-                       {0.05, {0.04, 0.05, 0.06}, 33.0, 0.97, 1234},
+                       {0.05, {0.04, 0.05, 0.06}, -0.02, 33.0, 0.97, 1234},
                        0.03});
   m.ablations.push_back({"projectors_permuted", 3, "stripe", "total", 0.2, 0.05});
   m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
@@ -209,6 +210,7 @@ TEST(Metrics, WritesSchemaOne) {
   EXPECT_EQ(figure["noise_nrmse"], 0.03);
   EXPECT_NEAR(figure["nrmse_above_noise"], 0.04, 1e-12);
   EXPECT_EQ(figure["nrmse_rgb"][2], 0.06);
+  EXPECT_EQ(figure["bias"], -0.02);
   EXPECT_EQ(figure["psnr_db"], 33.0);
   EXPECT_EQ(figure["ssim"], 0.97);
   EXPECT_EQ(figure["pixels"], 1234);

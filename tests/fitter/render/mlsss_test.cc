@@ -278,5 +278,30 @@ TEST(RenderSurface, KeepsTheLightOfALineAndDoesNotMoveIt) {
   EXPECT_NEAR(CentroidX(scene, image), middle, 0.03);
 }
 
+// A plane's highlight lies where the mirror would show the lamp: lamp at x = -160, eye at x = 0, both at the same
+// height above the plane.
+TEST(SurfaceReflectance, HighlightFollowsTheLamp) {
+  for (const double lamp_x : {-160.0, 120.0}) {
+    const LitScene scene = MakeScene(FrontalPlane(), {lamp_x, 0.0, 0.0});
+    MixtureMap skin = UniformSkin(scene, SkinLayers());
+    skin.reflection = {1.0, 0.15};
+    const Image<float> reflectance = SurfaceReflectance(skin, scene.surface, scene.lit.light, 1);
+    EXPECT_GT(reflectance(lamp_x < 0.0 ? 0 : 47, 18), 1.5F * reflectance(lamp_x < 0.0 ? 47 : 0, 18));
+    const Eigen::Vector3d point = scene.surface.Point(10, 18);
+    const auto angles = ReflectionAngles::Between((Eigen::Vector3d(lamp_x, 0.0, 0.0) - point).normalized(),
+                                                  -point.normalized(), scene.surface.Normal(10, 18));
+    EXPECT_NEAR(reflectance(10, 18), ReflectanceOf(skin.reflection, angles, skin.eta), 1e-6);
+  }
+}
+
+TEST(SurfaceReflectance, OfAFitWithoutOneIsTheMeanOfItsLights) {
+  const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
+  MixtureMap skin = UniformSkin(scene, SkinLayers());
+  skin.training_projectors = {0, 1};
+  skin.surface.assign(2 * static_cast<size_t>(skin.profiles()), 0.02F);
+  for (size_t k = 1; k < skin.surface.size(); k += 2) skin.surface[k] = 0.04F;
+  EXPECT_NEAR(SurfaceReflectance(skin, scene.surface, scene.lit.light, 1)(20, 20), 0.03F, 1e-7);
+}
+
 }  // namespace
 }  // namespace stratalux::fit

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/surface_reflection.h"
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <vector>
+
+#include <Eigen/Geometry>
+#include <gtest/gtest.h>
+
+#include "fitter/mixture/directional_weights.h"
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/shift_law.h"
+#include "shared/base/random.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr double kEta = 1.4, kFresnel = (0.4 / 2.4) * (0.4 / 2.4);
+
+Eigen::Vector3d Direction(double theta, double phi) {
+  return {std::sin(theta) * std::cos(phi), std::sin(theta) * std::sin(phi), std::cos(theta)};
+}
+
+double Reflectance(double roughness, const Eigen::Vector3d& lamp, const Eigen::Vector3d& eye) {
+  return ReflectanceOf({1.0, roughness}, ReflectionAngles::Between(lamp, eye, Eigen::Vector3d::UnitZ()), kEta);
+}
+
+TEST(SurfaceReflection, AtTheMirrorIsTheLobesPeak) {
+  // D = 1 / (pi a^2), no shadowing: pi f_r = F0 / (4 a^2).
+  EXPECT_NEAR(Reflectance(0.35, Eigen::Vector3d::UnitZ(), Eigen::Vector3d::UnitZ()), kFresnel / (4.0 * 0.35 * 0.35),
+              1e-12);
+}
+
+TEST(SurfaceReflection, IsReciprocal) {
+  Random random(3);
+  for (int k = 0; k < 100; ++k) {
+    const auto any = [&] { return Direction(1.4 * random.Uniform(), 6.28 * random.Uniform()); };
+    const Eigen::Vector3d a = any(), b = any();
+    EXPECT_NEAR(Reflectance(0.3, a, b), Reflectance(0.3, b, a), 1e-12);
+  }
+}
+
+TEST(SurfaceReflection, OfASmoothSurfaceReturnsFresnelsShare) {
+  // Integral of f_r cos over the hemisphere; at 0.15 masking takes some three per cent.
+  const Eigen::Vector3d lamp = Direction(0.3, 0.0);
+  constexpr int kSteps = 600;
+  double sum = 0.0;
+  for (int i = 0; i < kSteps; ++i)
+    for (int j = 0; j < kSteps; ++j) {
+      const double theta = (i + 0.5) * std::numbers::pi / 2 / kSteps, phi = (j + 0.5) * 2 * std::numbers::pi / kSteps;
+      sum += Reflectance(0.15, lamp, Direction(theta, phi)) / std::numbers::pi * std::cos(theta) * std::sin(theta);
+    }
+  sum *= std::numbers::pi / 2 / kSteps * 2 * std::numbers::pi / kSteps;
+  EXPECT_NEAR(sum, kFresnel, 0.04 * kFresnel);
+}
+
+TEST(SurfaceReflection, IsNothingBehindTheHorizon) {
+  EXPECT_EQ(Reflectance(0.3, Direction(1.7, 0.0), Eigen::Vector3d::UnitZ()), 0.0);
+}
+
+// White frames of a sphere's front seen from afar, three colours: layers of any albedo, gain, few events, surface.
+struct Sphere {
+  double strength = 1.0, roughness = 0.35, tau = 0.2;
+  std::array<double, 3> few = {0.1, 0.15, 0.2};
+  double noise = 0.0;     // of each light, relative
+  double shadowed = 0.0;  // share of the lights that something else halves
+
+  [[nodiscard]] std::vector<SrdBatch> Lights(const std::vector<Eigen::Vector3d>& lamps) const {
+    Random random(7);
+    std::vector<SrdBatch> lights(lamps.size());
+    constexpr int kSide = 40;
+    std::vector<double> albedo;
+    for (int k = 0; k < 3 * kSide * kSide; ++k)
+      albedo.push_back((k % 3 == 0 ? 0.45 : 0.2) * (0.8 + 0.4 * random.Uniform()));
+    for (size_t p = 0; p < lamps.size(); ++p)
+      for (int k = 0; k < kSide * kSide; ++k) {
+        const double x = (k % kSide + 0.5) / kSide * 1.6 - 0.8, y = (k / kSide + 0.5) / kSide * 1.6 - 0.8;
+        if (x * x + y * y > 0.8) continue;
+        for (int c = 0; c < 3; ++c)
+          AddProfile({x, y, std::sqrt(1.0 - x * x - y * y)}, lamps[p], c, albedo[3 * k + c], random, lights[p]);
+      }
+    return lights;
+  }
+
+ private:
+  void AddProfile(const Eigen::Vector3d& normal, const Eigen::Vector3d& lamp, int c, double albedo, Random& random,
+                  SrdBatch& b) const {
+    const Eigen::Vector3d along = Eigen::Vector3d::UnitY().cross(normal).normalized(), across = normal.cross(along);
+    const Eigen::Vector3d eye = Eigen::Vector3d::UnitZ();
+    const auto slope = [&](const Eigen::Vector3d& w, const Eigen::Vector3d& e) {
+      return static_cast<float>(w.dot(e) / std::max(normal.dot(w), 1e-3));
+    };
+    b.samples = 3;
+    b.slope_in.push_back(slope(lamp, along));
+    b.slope_in_across.push_back(slope(lamp, across));
+    b.slope_out.push_back(slope(eye, along));
+    b.slope_out_across.push_back(slope(eye, across));
+    b.cos_in.push_back(static_cast<float>(normal.dot(lamp)));
+    b.cos_out.push_back(static_cast<float>(normal.dot(eye)));
+    b.step_mm.push_back(0.5F);
+    b.line_width_mm.push_back(1.0F);  // a cycle adds up to two whites
+    b.first_u_mm.push_back(0.0F);
+    b.valid.push_back(normal.dot(lamp) > 0.1 ? 1 : 0);
+    double white = 0.0;
+    if (b.valid.back() != 0) {
+      const RefractedDirections d = DirectionsOf(lamp, eye, normal, kEta);
+      const double events = d.sec_in * d.sec_out * std::exp(1.15 * (1.0 + d.cos_scatter));
+      white = albedo * AngularGain(normal.dot(lamp), kEta, tau) * (1.0 + few[c] * (events - 1.0)) +
+              ReflectanceOf({strength, roughness}, ReflectionAngles::Between(lamp, eye, normal), kEta);
+      white *= 1.0 + noise * random.Normal();
+      if (random.Uniform() < shadowed) white *= 0.5;
+    }
+    b.white.push_back(static_cast<float>(2.0 * white));
+    b.white_variance.push_back(static_cast<float>(std::pow(2.0 * noise * white, 2) + 1e-10));
+    b.y.insert(b.y.end(), 3, static_cast<float>(2.0 * white / 3.0));
+    b.variance.insert(b.variance.end(), 3, 1e-6F);
+  }
+};
+
+const std::vector<Eigen::Vector3d>& ThreeLamps() {
+  static const std::vector<Eigen::Vector3d> lamps = {Direction(0.6, 0.0), Direction(0.6, 2.1), Direction(0.6, 4.2)};
+  return lamps;
+}
+
+SurfaceReflection Estimate(const std::vector<SrdBatch>& lights) {
+  std::vector<const SrdBatch*> pointers;
+  for (const SrdBatch& b : lights) pointers.push_back(&b);
+  return EstimateSurfaceReflection(pointers, 3, kEta, 1);
+}
+
+class EstimateSurfaceReflectionTest : public testing::TestWithParam<Sphere> {};
+
+TEST_P(EstimateSurfaceReflectionTest, FindsStrengthAndRoughness) {
+  const Sphere& sphere = GetParam();
+  const double tolerance = sphere.shadowed > 0.0 ? 0.1 : sphere.noise > 0.0 ? 0.06 : 0.005;
+  const SurfaceReflection found = Estimate(sphere.Lights(ThreeLamps()));
+  EXPECT_NEAR(found.strength, sphere.strength, tolerance * sphere.strength);
+  EXPECT_NEAR(found.roughness, sphere.roughness, tolerance * sphere.roughness);
+}
+
+INSTANTIATE_TEST_SUITE_P(Spheres, EstimateSurfaceReflectionTest,
+                         testing::Values(Sphere{}, Sphere{0.5, 0.25, 0.0, {0.0, 0.0, 0.0}},
+                                         Sphere{1.6, 0.45, 0.5, {0.3, 0.2, 0.1}},
+                                         Sphere{1.0, 0.35, 0.2, {0.1, 0.15, 0.2}, 0.02},
+                                         Sphere{1.0, 0.35, 0.2, {0.1, 0.15, 0.2}, 0.02, 0.05}));
+
+TEST(EstimateSurfaceReflection, OfAMattSphereIsNearNothing) {
+  Sphere matt;
+  matt.strength = 0.0;
+  EXPECT_LT(Estimate(matt.Lights(ThreeLamps())).strength, 0.01);
+}
+
+TEST(EstimateSurfaceReflection, OneLightTellsNothing) {
+  EXPECT_FALSE(Estimate(Sphere{}.Lights({Direction(0.6, 0.0)})).Known());
+}
+
+TEST(EstimateSurfaceReflection, ValuesThatAreNotFiniteHaveNoPart) {
+  auto lights = Sphere{}.Lights(ThreeLamps());
+  for (size_t i = 0; i < lights[1].white.size(); i += 5) lights[1].white[i] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_NEAR(Estimate(lights).strength, 1.0, 0.01);
+}
+
+TEST(WhiteReflectanceOf, WithoutWhiteFramesIsTheCyclesSum) {
+  auto lights = Sphere{}.Lights(ThreeLamps());
+  const double of_frames = WhiteReflectanceOf(lights[0], 600).value;
+  lights[0].white.clear();
+  EXPECT_NEAR(WhiteReflectanceOf(lights[0], 600).value, of_frames, 1e-6);
+}
+
+}  // namespace
+}  // namespace stratalux::fit

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <gtest/gtest.h>
+
+#include "fitter/pipeline/holdout.h"
+#include "tests/fitter/mixture/known_lights.h"
+
+namespace stratalux::fit {
+namespace {
+
+TEST(FitLayers, SweepsPooledProfilesAsManyTimesMoreAsTheyAreFewer) {
+  EmOptions options;
+  options.max_iterations = 3;
+  options.tolerance = 0.0;
+  options.refinement_iterations = 0;  // every pixel on its own: its sweeps are counted
+  Random random(1);
+  SrdSet srds{.pool = 1, .width = 16, .height = 1, .channels = 1, .batches = {}, .row_batches = {}};
+  for (double slope : {-1.0, 0.0, 0.58})
+    srds.batches.push_back(test::CombOf(test::FiveLayers(), slope, srds.width, 4000.0, options, random));
+  Logger logger;
+  for (int pool : {1, 2}) {
+    srds.pool = pool;
+    const auto map = FitLayers(srds, 1, options, logger, "fit");
+    ASSERT_TRUE(map.ok()) << map.status().message();
+    for (const int sweeps : map->iterations) EXPECT_EQ(sweeps, 3 * pool * pool);
+  }
+}
+
+}  // namespace
+}  // namespace stratalux::fit
