@@ -90,6 +90,7 @@ TEST(MapEm, NoSweepOfTheReferenceLowersThePosterior) {
 TEST(MapEm, EndsWhereThePosteriorIsStationary) {
   EmOptions options = Plain(0, 500.0);
   options.layers = 3;
+  options.background_term = true;  // else samples lie beyond the reach of all three layers
   const EmCases made = MakeEmCases({.profiles = 2, .peak_counts = 300}, options, 32);
   const MixtureMap start = Fit(made, options, MeanSkin(options.layers));
   for (int64_t i = 0; i < 2; ++i) {
