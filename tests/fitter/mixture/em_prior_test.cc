@@ -164,6 +164,7 @@ TEST(MapEm, AgreesInOpenWindowsWithDirectionsAndOneFloor) {
 
 TEST(MapEm, KeepsTheLightOfTheProfileAndWithEndlessPhotonsTheShapeOfTheMean) {
   EmOptions options = Plain(30, 1e6);
+  options.background_term = true;
   const EmCases made = MakeEmCases({.profiles = 8, .peak_counts = 300}, options, 35);
   const LayerSet mean = MeanSkin(options.layers);
   const MixtureMap held = Fit(made, options, mean);

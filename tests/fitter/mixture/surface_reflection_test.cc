@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/mixture/surface_reflection.h"
 
+#include <Eigen/Geometry>
 #include <array>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <vector>
 
-#include <Eigen/Geometry>
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/directional_weights.h"
