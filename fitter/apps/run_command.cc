@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/apps/run_command.h"
 
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <memory>
@@ -17,7 +18,7 @@ namespace {
 struct Flags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
-              distance = "tangent", directional = "off", surface = "model", background = "off";
+              distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
   bool json = false, path_only = false;
 };
 
@@ -55,12 +56,12 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
                   "on: a uniform floor beside the layers, for rooms whose light returns from far; off")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
-  verb.add_option("--refinement", f.run.em.refinement_iterations,
-                  "EM sweeps of each pixel from the session's mean layers; 0: every pixel on its own")
-      ->check(CLI::Range(0, 100000))
+  verb.add_option("--prior", f.prior,
+                  "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
+                  "predicts the training lights, left out in turn, best; none: every pixel on its own")
       ->capture_default_str();
   verb.add_option("--iterations", f.run.em.max_iterations,
-                  "EM sweeps of the mean layers at most, times the square of --pool")
+                  "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
@@ -87,6 +88,16 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_flag("--force", f.run.force, "Fit again even if this fit is complete");
 }
 
+Status ParsePrior(const std::string& text, EmOptions& em) {
+  em.choose_prior = text == "auto";
+  em.prior = {};
+  if (em.choose_prior || text == "none") return Status::Ok();
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), em.prior.photons);
+  if (error == std::errc() && end == text.data() + text.size() && em.prior.photons > 0.0 && em.prior.photons <= 1e9)
+    return Status::Ok();
+  return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e9");
+}
+
 int Execute(Flags& f) {
   Logger logger;
   auto finish = [&](const Status& status) {
@@ -102,6 +113,7 @@ int Execute(Flags& f) {
   const auto distance = ParseSrdDistance(f.distance);
   if (!distance.ok()) return finish(distance.status());
   f.run.srd.distance = *distance;
+  if (const Status prior = ParsePrior(f.prior, f.run.em); !prior.ok()) return finish(prior);
   f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.run.em.gain_model = f.gain == "model";
   f.run.em.estimate_reflection = f.surface == "model";

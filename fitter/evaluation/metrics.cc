@@ -55,6 +55,7 @@ std::string Metrics::ToJson() const {
                  {"surface", {{"strength", reflection.strength}, {"roughness", reflection.roughness}}},
                  {"wide_weight_fraction", wide_weight_fraction},
                  {"pixels", pixels},
+                 {"prior_photons", prior_photons},
                  {"weak_pixels", weak_pixels},
                  {"masked_by_reason", masked_by_reason}};
   json["sweeps"] = Json::array();

@@ -74,7 +74,8 @@ struct Metrics {
   SurfaceReflection reflection;
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
   int64_t pixels = 0;
-  int64_t weak_pixels = 0;  // fitted, of few photons: their layers lean on the session's mean
+  double prior_photons = 0.0;  // N0 of the prior (docs/math/em.md); 0: none
+  int64_t weak_pixels = 0;     // fitted, of fewer photons than that: their layers lean on the session's mean
   std::map<std::string, int64_t> masked_by_reason;
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;

@@ -39,7 +39,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
       batches_(lights),
       usable_(usable),
       start_(start),
-      accelerated_(options.accelerated && start.empty()),
+      accelerated_(options.accelerated),
       lights_(lights.size()),
       rows_{options.layers, static_cast<int>(lights.size())} {
   const bool free = options.mode == FitMode::kFree;
@@ -50,6 +50,8 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
   for (auto* v : {&cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(Row(options.layers), 0.0F);
   if (!options.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
   moments_.assign(Row(3 * options.layers), 0.0F);
+  if (!start.empty() && options.prior.photons > 0.0)
+    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift, options.reflection.Known());
   for (size_t p = 0; p < lights.size(); ++p) {
     EmLight& light = lights_[p];
     light.samples = lights[p]->samples;
@@ -72,6 +74,7 @@ void EmBlock::Clear(int lane) {
   lanes_[lane] = {};
   for (int row = 0; row < rows_.size(); ++row)
     at_[Row(row) + lane] = image_[Row(row) + lane] = last_[Row(row) + lane] = 0.0F;
+  prior_.Clear(lane);
   bounds_.least_sigma_mm[lane] = bounds_.most_sigma_mm[lane] = 1.0F;
   for (int l = 0; l < rows_.layers; ++l) At(rows_.sigma(l), lane) = 1.0F;
   for (EmLight& light : lights_) {
@@ -226,6 +229,8 @@ void EmBlock::Start(int lane) {
         static_cast<float>(floor * total / exposure * light.gain[lane] * light.coverage[lane] / light.samples);
   }
   if (options_.shared_background) ShareBackground(at_.data());
+  lanes_[lane].own = total;
+  if (prior_.On() && !start_[channel].weight.empty()) prior_.Set(lane, at_.data());
 }
 
 // Widths spread logarithmically, depths growing with the width, the observed total shared out in proportion to 1 /
@@ -260,6 +265,7 @@ void EmBlock::Sweep(bool update) {
   for (auto* v : {&sums_.photons, &sums_.moved, &sums_.leverage, &sums_.spread, &sums_.exposure})
     v->assign(Row(rows_.layers), 0.0F);
   divergence_ = {};
+  if (prior_.On()) prior_.BeginSweep();
   const float* factor = factor_.empty() ? nullptr : factor_.data();
   const LayersOnGrid layers{rows_.layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data()};
   for (int p = 0; p < rows_.lights; ++p) {
@@ -270,6 +276,7 @@ void EmBlock::Sweep(bool update) {
     Project(light, at_.data() + Row(rows_.surface(p)), at_.data() + Row(rows_.background(p)));
     Compare(light, divergence_.data());
     if (!update) continue;
+    if (prior_.On()) prior_.AddShown(p, light, at_.data(), cell_weight_.data());
     ProjectBack(light);
     LayerMoments(layers, light.tiles, light.q.data(), moments_.data());
     AddMoments(rows_.layers, light, moments_.data(), sums_);
@@ -293,6 +300,10 @@ void EmBlock::UpdateFloor(int p) {
 }
 
 void EmBlock::UpdateParameters() {
+  if (prior_.On()) {
+    prior_.AddCost(at_.data(), divergence_.data());
+    prior_.AddPhotons(lights_, at_.data(), sums_, image_.data());
+  }
   if (options_.shared_background) ShareBackground(image_.data());
   UpdateShapes(rows_, bounds_, sums_, at_.data(), image_.data());
   for (const EmLight& light : lights_) {
@@ -300,6 +311,7 @@ void EmBlock::UpdateParameters() {
     AddExposure(rows_.layers, light, factor_.empty() ? nullptr : factor_.data(), sums_);
   }
   UpdateWeights(rows_, sums_, image_.data());
+  if (prior_.On()) prior_.KeepTotal(lights_, sums_, image_.data());
 }
 
 // One floor for all lights: the mean of theirs, weighted by the photons each would see of it.
@@ -421,6 +433,11 @@ void EmBlock::Fit(std::span<const int64_t> profiles, const std::function<void(in
       }
     }
   }
+}
+
+double EmBlock::PriorShare(int lane) const {
+  const double total = prior_.Photons(lane);
+  return total > 0.0 ? total / (total + lanes_[lane].own) : 0.0;
 }
 
 int64_t EmBlock::EvaluatedComponents() const {

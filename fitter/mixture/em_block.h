@@ -12,6 +12,7 @@
 
 #include "fitter/mixture/em_light.h"
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/em_prior.h"
 #include "fitter/mixture/em_update.h"
 #include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
@@ -38,6 +39,8 @@ class EmBlock {
   [[nodiscard]] float Background(int light, int lane) const { return At(rows_.background(light), lane); }
   // Kullback-Leibler divergence of data and model over the data's sum.
   [[nodiscard]] double Divergence(int lane) const { return lanes_[lane].divergence; }
+  // Share of the prior's photons in those that the layers were fitted to.
+  [[nodiscard]] double PriorShare(int lane) const;
   [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].sweeps; }
   // Mean over the lights of a lane of the floor over a whole cycle, in units of reflectance.
   [[nodiscard]] float MeanBackground(int lane) const;
@@ -51,6 +54,7 @@ class EmBlock {
   struct Lane {
     int64_t profile = -1;  // -1: idle
     double total = 0.0;    // photons of data
+    double own = 0.0;      // of them, the profile's light
     int sweeps = 0;
     bool last_pass = false;  // the layers are final: only their divergence is missing
     double best = std::numeric_limits<double>::infinity(), checked = best, divergence = 0.0;
@@ -85,7 +89,8 @@ class EmBlock {
   LayerBounds bounds_;
   LaneRows at_, image_, last_;  // parameters: of this sweep, what it makes of them, what the last one made
   std::array<Lane, kEmLanes> lanes_{};
-  LaneRow divergence_;
+  EmPrior prior_;
+  LaneRow divergence_;  // and, with a prior, its cost
   alignas(64) std::array<int, kEmLanes> step_{};
   LaneRow momentum_;
   LaneRows cell_weight_, cell_mean_, cell_sigma_, moments_, factor_;  // of the light at hand

@@ -10,35 +10,12 @@
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/line_response.h"
+#include "fitter/mixture/sampled_lights.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
 
 namespace stratalux::fit {
 namespace {
-
-// Every so many pixels of a batch, all channels of each.
-SrdBatch Sample(const SrdBatch& all, int channels, int every) {
-  SrdBatch part;
-  part.samples = all.samples;
-  part.wrapped = all.wrapped;
-  part.sample_box = all.sample_box;
-  part.pool = all.pool;
-  for (int64_t i = 0; i < all.profiles(); ++i) {
-    if (i / channels % every != 0) continue;
-    const auto first = i * all.samples;
-    part.y.insert(part.y.end(), all.y.begin() + first, all.y.begin() + first + all.samples);
-    part.variance.insert(part.variance.end(), all.variance.begin() + first, all.variance.begin() + first + all.samples);
-    for (const auto field :
-         {&SrdBatch::white, &SrdBatch::white_variance, &SrdBatch::quad_x_mm, &SrdBatch::quad_y_mm, &SrdBatch::pair_mm})
-      if (!(all.*field).empty()) (part.*field).push_back((all.*field)[static_cast<size_t>(i)]);
-    for (const auto field : {&SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm,
-                             &SrdBatch::slope_in, &SrdBatch::slope_out, &SrdBatch::cos_in, &SrdBatch::cos_out,
-                             &SrdBatch::slope_in_across, &SrdBatch::slope_out_across})
-      (part.*field).push_back((all.*field)[static_cast<size_t>(i)]);
-    part.valid.push_back(all.valid[i]);
-  }
-  return part;
-}
 
 // Photons of a profile: the square of its signal over its noise.
 double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
@@ -137,10 +114,8 @@ EmOptions With(EmOptions options, const Parameters& at) {
 Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> lights, int channels, EmOptions options,
                                              int every) {
   SLX_CHECK(every >= 1 && !lights.empty());
-  if (options.gain_model && !options.reflection.Known())
-    options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
-  std::vector<SrdBatch> parts;
-  for (const SrdBatch* b : lights) parts.push_back(Sample(*b, channels, every));
+  if (options.gain_model) options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
+  const std::vector<SrdBatch> parts = SampledPixels(lights, channels, every);
   std::vector<const SrdBatch*> sampled;
   for (const SrdBatch& b : parts) sampled.push_back(&b);
   const int pixels = static_cast<int>(parts.front().profiles() / channels);

@@ -67,9 +67,11 @@ class FineGrid {
       if (std::abs(x) <= reach) visit(c, x, norm * std::exp(-0.5 * x * x / (sigma * sigma)));
     };
     if (light_->wrapped) {
+      double nearest = std::remainder(PositionMm(0) - mean_mm, period);
       for (int c = 0; c < cells_; ++c) {
-        const double nearest = std::remainder(PositionMm(c) - mean_mm, period);
         for (int image : {-1, 0, 1}) at(c, nearest + image * period);
+        nearest += CellMm();
+        if (nearest > 0.5 * period) nearest -= period;
       }
       return;
     }

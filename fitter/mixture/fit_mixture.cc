@@ -171,6 +171,8 @@ Status EmOptions::Validate() const {
     return Status::Usage("max_iterations = " + std::to_string(max_iterations) + ", allowed: 1 .. 100000");
   if (refinement_iterations < 0 || refinement_iterations > 100000)
     return Status::Usage("refinement_iterations = " + std::to_string(refinement_iterations) + ", allowed: 0 .. 100000");
+  if (!(prior.photons >= 0.0 && prior.photons <= 1e9) || !(prior.square_shift >= 0.0 && prior.square_shift <= 1e4))
+    return Status::Usage("a prior of " + std::to_string(prior.photons) + " photons, allowed: 0 .. 1e9");
   if (!(tolerance >= 0.0)) return Status::Usage("tolerance must not be negative");
   if (cells_per_sample < 1 || cells_per_sample > 64) return Status::Usage("cells_per_sample must lie in 1 .. 64");
   return Status::Ok();
@@ -186,6 +188,10 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   MixtureMap map = EmptyMap(width, height, channels, options, projectors);
   Judgement judged = JudgeAll(lights);
   map.reason = std::move(judged.reason);
+  if (!start.empty() && options.prior.photons > 0.0) {
+    map.prior_photons = options.prior.photons;
+    map.prior_share.assign(static_cast<size_t>(profiles), 0.0F);
+  }
   ForEachProfile(lights, judged, channels, options, start, progress, [&](const EmBlock& em, int lane, int64_t i) {
     for (int l = 0; l < options.layers; ++l) {
       map.weight[i * options.layers + l] = em.Weight(l, lane);
@@ -197,6 +203,7 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
       map.background[i * lights.size() + p] = em.Background(static_cast<int>(p), lane);
     }
     map.divergence[i] = static_cast<float>(em.Divergence(lane));
+    if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
     map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
     if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
       map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);

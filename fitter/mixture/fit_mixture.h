@@ -14,8 +14,9 @@ namespace stratalux::fit {
 
 // Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
 // that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, by channel,
-// scaled to each profile's own light (MeanLayers below); empty: widths spread over all scales. `progress` (may be
-// empty) receives numbers of finished profiles. Same input, same bits, whatever the number of threads.
+// scaled to each profile's own light (MeanLayers below), and the centre of options.prior; empty: widths spread over all
+// scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits, whatever the number
+// of threads.
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
                               int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
                               const std::function<void(int64_t)>& progress = {});

@@ -41,11 +41,13 @@ struct MixtureMap {
   bool gain_model = true;
   DirectionalWeights directional;  // off unless the fit had them
   SurfaceReflection reflection;    // unknown: every light's surface term is its own
+  double prior_photons = 0.0;      // N0 of the prior; 0: none, or of a fit read back
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;
   std::vector<float> surface;        // [profile][training projector]
   std::vector<float> background;     // [profile][training projector], per sample
   std::vector<float> divergence;     // [profile] Kullback-Leibler, final
+  std::vector<float> prior_share;    // [profile] N0 / (N0 + the profile's photons); empty where N0 = 0
   std::vector<uint16_t> iterations;  // [profile]
   std::vector<uint8_t> reason;       // [profile] FitReason
 

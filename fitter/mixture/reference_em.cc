@@ -6,9 +6,11 @@
 #include <cmath>
 #include <numbers>
 #include <numeric>
+#include <optional>
 
 #include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/reference_prior.h"
 #include "fitter/mixture/shift_law.h"
 
 namespace stratalux::fit {
@@ -82,6 +84,8 @@ class Em {
   }
 
   [[nodiscard]] ReferenceFit Start(const LayerSet& layers) const;
+  // From now on with the prior of `options.prior.photons` photons of that pixel.
+  void SetPrior(const ReferenceFit& known) { known_.emplace(known, grids_, options_); }
   // One sweep; `objective_before` receives that of `fit`.
   [[nodiscard]] ReferenceFit Sweep(const ReferenceFit& fit, double* objective_before) const;
   // From x0 and two sweeps from it, the SQUAREM extrapolation; false where there is nothing to extrapolate.
@@ -106,6 +110,7 @@ class Em {
   SharedParameters shared_;
   double shared_prior_;
   std::vector<FineGrid> grids_;
+  std::optional<KnownPixel> known_;
   double sigma_floor_ = 0.0;
   double total_photons_ = 0.0;
 };
@@ -136,6 +141,7 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
 }
 
 double Em::PriorCost(const ReferenceFit& fit) const {
+  if (known_) return known_->Cost(fit) / total_photons_;
   double cost = 0.0;
   if (shared_ == SharedParameters::kTauAndDirectional)
     cost = kKappaPrior.Cost(fit.directional.kappa_per_mm) + kSlopePrior.Cost(fit.directional.phase_slope) +
@@ -191,6 +197,7 @@ ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const 
   UpdateLayers(next, expected);
   UpdateShared(next, expected);
   UpdateWeights(next, expected);
+  if (known_) known_->KeepTotal(next);
   *objective_before = (total > 0.0 ? divergence / total : 0.0) + PriorCost(fit);
   return next;
 }
@@ -204,6 +211,7 @@ void Em::UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const {
   }
   if (grids_[p].light().reflected < 0.0) fit.surface[p] *= own_ratio / std::max(own, kTiny);
   fit.background[p] *= mean;
+  if (known_) known_->AddFloor(p, fit);
 }
 
 // One floor for all lights: the mean of theirs, weighted by the photons each would see of it.
@@ -221,25 +229,26 @@ void Em::ShareBackground(ReferenceFit& fit) const {
 void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
   const bool free = options_.mode == FitMode::kFree;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
-    double photons = 0.0, moved = 0.0, leverage = 0.0, spread = 0.0;
+    LayerSums sums;
     for (size_t p = 0; p < grids_.size(); ++p) {
       const double s = grids_[p].light().s;
-      photons += expected.c[p][l];
-      moved += s * expected.cx[p][l];
-      leverage += s * s * expected.c[p][l];
-      spread += expected.cxx[p][l];
+      sums.photons += expected.c[p][l];
+      sums.moved += s * expected.cx[p][l];
+      sums.leverage += s * s * expected.c[p][l];
+      sums.spread += expected.cxx[p][l];
     }
-    if (!(photons > 0.0)) continue;
+    if (known_) known_->AddLayer(l, fit.layers.depth_mm[l], sums);
+    if (!(sums.photons > 0.0)) continue;
     double step = 0.0;
-    if (!options_.direction_blind && leverage > 1e-6 * photons) {
+    if (!options_.direction_blind && sums.leverage > 1e-6 * sums.photons) {
       double& depth = fit.layers.depth_mm[l];
-      const double wanted = depth + moved / leverage;
+      const double wanted = depth + sums.moved / sums.leverage;
       step = (free ? std::clamp(wanted, -kFreeReachMm, kFreeReachMm)
                    : std::clamp(wanted, options_.min_depth_mm, options_.max_depth_mm)) -
              depth;
       depth += step;
     }
-    const double variance = (spread - 2.0 * step * moved + step * step * leverage) / photons;
+    const double variance = (sums.spread - 2.0 * step * sums.moved + step * step * sums.leverage) / sums.photons;
     fit.layers.sigma_mm[l] =
         std::clamp(std::sqrt(std::max(variance, 0.0)), sigma_floor_, std::max(options_.max_sigma_mm, sigma_floor_));
   }
@@ -256,6 +265,7 @@ void Em::UpdateWeights(ReferenceFit& fit, const Expected& expected) const {
       exposure +=
           light.counts * grids_[p].Coverage() * LayerFactor(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
     }
+    if (known_) photons += known_->LayerPhotons(l);
     fit.layers.weight[l] = photons / exposure;
     most = std::max(most, fit.layers.weight[l]);
   }
@@ -468,6 +478,31 @@ ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet
   }
   fit.divergence = em.Divergence(fit);
   return fit;
+}
+
+ReferenceFit RefineReference(std::span<const ReferenceLight> lights, const ReferenceFit& start,
+                             const EmOptions& options) {
+  Em em(lights, options, SharedParameters::kFixed, 0.0);
+  if (options.prior.photons > 0.0) em.SetPrior(start);
+  ReferenceFit fit = start;
+  fit.iterations = 0;
+  double before = 0.0;
+  while (fit.iterations < options.max_iterations) {
+    ReferenceFit next = em.Sweep(fit, &before);
+    const double now = em.Objective(next);
+    next.iterations = fit.iterations + 1;
+    fit = std::move(next);
+    if (before - now < options.tolerance * std::abs(before)) break;
+  }
+  fit.divergence = em.Divergence(fit);
+  return fit;
+}
+
+double PenalisedDivergence(std::span<const ReferenceLight> lights, const ReferenceFit& centre, const ReferenceFit& fit,
+                           const EmOptions& options) {
+  Em em(lights, options, SharedParameters::kFixed, 0.0);
+  if (options.prior.photons > 0.0) em.SetPrior(centre);
+  return em.Objective(fit);
 }
 
 std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights, size_t light) {

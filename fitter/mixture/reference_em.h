@@ -66,6 +66,14 @@ inline constexpr double kSharedPrior = 3e-5;
                                         Acceleration acceleration = Acceleration::kNone,
                                         double shared_prior = kSharedPrior);
 
+// EM from a whole fit, which with options.prior.photons > 0 is also the centre of the prior (docs/math/em.md): then no
+// sweep lowers the likelihood times the prior. Shared parameters stay.
+[[nodiscard]] ReferenceFit RefineReference(std::span<const ReferenceLight> lights, const ReferenceFit& start,
+                                           const EmOptions& options);
+// What those sweeps lower: divergence and prior, over the data's sum. `centre`: the fit they started from.
+[[nodiscard]] double PenalisedDivergence(std::span<const ReferenceLight> lights, const ReferenceFit& centre,
+                                         const ReferenceFit& fit, const EmOptions& options);
+
 // The fit's own samples of a light: B m + surface + background.
 [[nodiscard]] std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights,
                                                    size_t light);

@@ -38,6 +38,7 @@ void AddLight(const MixtureMap& free, const SrdBatch& batch, size_t light, size_
       sum.surface[i * lights + light] = free.surface[i];
       sum.background[i * lights + light] = free.background[i];
       sum.divergence[i] += free.divergence[i];
+      if (!sum.prior_share.empty()) sum.prior_share[i] += free.prior_share[i];
       sum.iterations[i] = static_cast<uint16_t>(std::min(65535, sum.iterations[i] + free.iterations[i]));
     }
   });
@@ -59,6 +60,7 @@ void Average(const EmOptions& options, const std::vector<float>& leverage, const
         map.weight[at] = static_cast<float>(w / count[i]);
       }
       map.divergence[i] /= static_cast<float>(count[i]);
+      if (!map.prior_share.empty()) map.prior_share[i] /= static_cast<float>(count[i]);
       map.iterations[i] = static_cast<uint16_t>(map.iterations[i] / count[i]);
       // |s| below 0.02, as for the tied fit: shifts tell nothing of depths.
       if (leverages < 4e-4 * weights) map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
@@ -84,7 +86,7 @@ Result<MixtureMap> FitFree(std::span<const SrdBatch* const> lights, const std::v
     if (p == 0) {
       map = free;
       map.training_projectors = projectors;
-      for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm, &map.divergence})
+      for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm, &map.divergence, &map.prior_share})
         std::fill(v->begin(), v->end(), 0.0F);
       std::fill(map.iterations.begin(), map.iterations.end(), uint16_t{0});
       std::fill(map.reason.begin(), map.reason.end(), static_cast<uint8_t>(FitReason::kNoProjector));

@@ -6,6 +6,7 @@
 #include <numbers>
 #include <sstream>
 
+#include "fitter/mixture/choose_prior.h"
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/shift_law.h"
 #include "fitter/pipeline/free_fit.h"
@@ -51,6 +52,20 @@ Image<uint8_t> SkinMask(const HoldOutInput& in, const MixtureMap& map) {
       if (!fitted) mask(i, j) = 0;
     }
   return mask;
+}
+
+// As `options` have it, else chosen by the data.
+Result<LayerPrior> PriorOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int channels,
+                           const EmOptions& options, Logger& logger, const std::string& label) {
+  if (!options.choose_prior) return options.prior;
+  SLX_ASSIGN_OR_RETURN(const auto choice, ChoosePrior(lights, projectors, channels, options));
+  std::ostringstream text;
+  text << label << ": prior of " << choice.prior.photons << " photons a profile";
+  for (const auto& trial : choice.trials)
+    text << (&trial == &choice.trials.front() ? "; divergence of the lights left out in turn: " : ", ")
+         << trial.divergence << " with " << trial.photons;
+  logger.Info(text.str());
+  return choice.prior;
 }
 
 std::string Describe(const EmOptions& options, const std::string& label) {
@@ -111,10 +126,11 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options,
   }
   std::vector<LayerSet> start;
   const bool free = options.mode == FitMode::kFree;
-  if (options.refinement_iterations > 0) {
+  if (options.choose_prior || options.prior.photons > 0.0) {
     EmOptions tied = options;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.mode = FitMode::kTied;
     SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
+    SLX_ASSIGN_OR_RETURN(options.prior, PriorOf(lights, projectors, srds.channels, tied, logger, label));
   }
   Progress progress(logger, label, free ? usable * static_cast<int64_t>(lights.size()) : usable);
   const auto advance = [&](int64_t done) { progress.Advance(done); };

@@ -35,8 +35,6 @@ struct LayerMaps {
 // Signal-to-noise ratio of each profile's samples, all training lights together: sum y / sqrt(sum variance); 0 where no
 // light is usable.
 [[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds);
-// Below this a profile is called weak: its layers rest on the session's mean more than on its own photons.
-inline constexpr double kWeakSignalToNoise = 50.0;
 
 // Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
 // where nothing was fitted. For tied fits.

@@ -71,6 +71,13 @@ void AddColourPictures(const LayerMaps& maps, ReportSection& section) {
       2, ""));
 }
 
+std::string WeakCaption(const MixtureMap& map) {
+  if (!(map.prior_photons > 0.0)) return "";
+  return " Profiles of fewer than " + Fixed(map.prior_photons, 0) + " photons (a ratio of " +
+         Fixed(std::sqrt(map.prior_photons), 0) +
+         " where read noise does not count) are weak: their layers lean on the mean of the session.";
+}
+
 }  // namespace
 
 ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps, const Image<float>& signal_to_noise) {
@@ -112,10 +119,7 @@ ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps, const 
   const Image<float> ratio = MapOf(map.width, map.height, [&](int x, int y) {
     return map.Fitted(map.ProfileIndex(x, y, 0)) ? signal_to_noise(x, y, 0) : std::nanf("");
   });
-  section.images.push_back(Scaled("Quality: signal over noise of a pixel's samples. Below " +
-                                      Fixed(kWeakSignalToNoise, 0) +
-                                      " a pixel is weak: its layers lean on the mean of the session.",
-                                  ratio, 0, ""));
+  section.images.push_back(Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(map), ratio, 0, ""));
   return section;
 }
 

@@ -322,12 +322,12 @@ ReportSection Figures(const Metrics& m) {
                               {{Fixed(m.truth->depth_rms_mm), Fixed(m.truth->depth_bias_mm),
                                 Fixed(m.truth->normal_median_deg, 2), std::to_string(m.truth->pixels)}}});
   ReportTable fit{"Fit",
-                  {"profiles", "of them weak", "median divergence", "median sweeps", "tau", "surface over Fresnel's",
-                   "its roughness", "weight in layers wider than a line"},
+                  {"profiles", "prior, photons", "weaker profiles", "median divergence", "median sweeps", "tau",
+                   "surface over Fresnel's", "its roughness", "weight in layers wider than a line"},
                   {}};
-  fit.rows.push_back({std::to_string(m.pixels), std::to_string(m.weak_pixels), Fixed(m.divergence, 6),
-                      std::to_string(m.iterations_median), Fixed(m.tau), Fixed(m.reflection.strength),
-                      Fixed(m.reflection.roughness), Fixed(m.wide_weight_fraction)});
+  fit.rows.push_back({std::to_string(m.pixels), Fixed(m.prior_photons, 0), std::to_string(m.weak_pixels),
+                      Fixed(m.divergence, 6), std::to_string(m.iterations_median), Fixed(m.tau),
+                      Fixed(m.reflection.strength), Fixed(m.reflection.roughness), Fixed(m.wide_weight_fraction)});
   section.tables.push_back(fit);
   ReportTable masked{"Profiles without (or with doubtful) layers", {"reason", "profiles"}, {}};
   for (const auto& [reason, count] : m.masked_by_reason) masked.rows.push_back({reason, std::to_string(count)});

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <fstream>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -89,6 +90,7 @@ void SummariseFit(const MixtureMap& map, const SrdSet& srds, Metrics& metrics) {
   }
   metrics.pixels = static_cast<int64_t>(divergence.size());
   metrics.tau = map.tau;
+  metrics.prior_photons = map.prior_photons;
   metrics.reflection = map.reflection;
   metrics.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
   if (divergence.empty()) return;
@@ -291,7 +293,7 @@ Status RunStages(Work& w, const std::filesystem::path& folder) {
   w.pictures.layer_maps = SummariseLayers(w.map);
   w.pictures.signal_to_noise = SignalToNoise(w.map, w.srds);
   for (int64_t i = 0; i < w.map.profiles(); ++i)
-    if (w.map.Fitted(i) && w.pictures.signal_to_noise.pixels()[i] < kWeakSignalToNoise) ++w.metrics.weak_pixels;
+    if (w.map.Fitted(i) && !w.map.prior_share.empty() && w.map.prior_share[i] > 0.5F) ++w.metrics.weak_pixels;
   SLX_RETURN_IF_ERROR(WriteLayers(folder, w.map, w.pictures.signal_to_noise, w.options.srd.pool));
   SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, w.pictures.layer_maps));
   if (w.options.standard_errors) {
@@ -328,6 +330,18 @@ Status RunOptions::Validate() const {
   return srd.Validate();
 }
 
+namespace {
+
+std::string PriorText(const EmOptions& em) {
+  if (em.choose_prior) return "auto";
+  if (!(em.prior.photons > 0.0)) return "none";
+  std::ostringstream text;
+  text << em.prior.photons;
+  return text.str();
+}
+
+}  // namespace
+
 std::string RunOptions::ToJson() const {
   const nlohmann::ordered_json json = {{"layers", em.layers},
                                        {"mode", em.mode == FitMode::kTied ? "tied" : "free"},
@@ -338,7 +352,7 @@ std::string RunOptions::ToJson() const {
                                        {"surface", em.estimate_reflection ? "model" : "free"},
                                        {"background", em.background_term},
                                        {"iterations", em.max_iterations},
-                                       {"refinement", em.refinement_iterations},
+                                       {"prior", PriorText(em)},
                                        {"tolerance", em.tolerance},
                                        {"heldout", heldout},
                                        {"pool", srd.pool},

@@ -56,9 +56,10 @@ std::vector<std::string> QualityChannels(int channels) {
 }
 
 // What a later program may do without is written after what it needs.
-std::vector<std::string> QualityChannelsWithNoise(int channels) {
+std::vector<std::string> AllQualityChannels(int channels) {
   std::vector<std::string> names = QualityChannels(channels);
-  for (const std::string& colour : Colours(channels)) names.push_back("signal_to_noise." + colour);
+  for (const char* what : {"signal_to_noise.", "prior_share."})
+    for (const std::string& colour : Colours(channels)) names.push_back(what + colour);
   return names;
 }
 
@@ -98,16 +99,17 @@ Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, c
     }
   SLX_RETURN_IF_ERROR(WriteExr(folder / "floor.exr", floor, FloorChannels(map.channels, map.training_projectors)));
   const int colours = map.channels;
-  Image<float> quality(map.width, map.height, 4 * colours);
+  Image<float> quality(map.width, map.height, 5 * colours);
   for (int64_t i = 0; i < map.profiles(); ++i) {
     const int64_t colour = i % colours, pixel = i / colours;
-    float* values = quality.data() + pixel * 4 * colours;
+    float* values = quality.data() + pixel * 5 * colours;
     values[3 * colour] = map.divergence[i];
     values[3 * colour + 1] = map.iterations[i];
     values[3 * colour + 2] = map.reason[i];
     values[3 * colours + colour] = signal_to_noise.pixels()[i];
+    values[4 * colours + colour] = map.prior_share.empty() ? 0.0F : map.prior_share[i];
   }
-  SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, QualityChannelsWithNoise(colours)));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, AllQualityChannels(colours)));
   const Json json = {{"schema", 1},
                      {"layers", map.layers},
                      {"channels", map.channels},

@@ -13,7 +13,7 @@ namespace stratalux::fit {
 // Maps as EXR, mesh as PLY.
 Status WriteMaps(const std::filesystem::path& folder, const FaceGeometry& face, const SurfaceMap& surface);
 // layers_*.exr, floor.exr (surface term and background of each training light), quality.exr (divergence, iterations,
-// reason, and `signal_to_noise`, W x H x C), layers.json.
+// reason, `signal_to_noise`, W x H x C, and the prior's share), layers.json.
 Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, const Image<float>& signal_to_noise,
                    int pool);
 

@@ -51,6 +51,7 @@ TEST_F(WrongFlags, NumbersThatAreNone) {
       {"stratalux-rig plan show --settle nan", "--settle nan", "allowed: 0 .. 10000 ms"},
       {"stratalux-rig plan show --kind party", "party", "visitor, calibration"},
       {"stratalux-fit run s000001 --layers many", "--layers", "many"},
+      {"stratalux-fit run s000001 --prior much", "--prior", "much"},
       {"stratalux-fit run s000001 --pool 0", "--pool", "0"},
       {"stratalux-fit run s000001 --shift odd", "'odd'", "paper, refracted"},
   }};

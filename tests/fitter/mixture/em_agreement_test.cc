@@ -177,16 +177,21 @@ TEST(Acceleration, ReachesFiftyPlainSweepsInTwentyOnTheWhole) {
   }
 }
 
-TEST(Start, LayersGivenAreRefinedByPlainSweepsAndNoneKeepsThem) {
-  EmOptions options;
-  options.refinement_iterations = 0;
-  const EmCases made = MakeEmCases({.profiles = 4}, options, 19);
+LayerSet TwentyLayers() {
   LayerSet start;
-  for (int l = 0; l < options.layers; ++l) {
+  for (int l = 0; l < 20; ++l) {
     start.weight.push_back(0.02);
     start.depth_mm.push_back(0.05 * l);
     start.sigma_mm.push_back(0.2 + 0.15 * l);
   }
+  return start;
+}
+
+TEST(Start, LayersGivenAreRefinedAndNoSweepKeepsThem) {
+  EmOptions options = Plain(20);
+  options.refinement_iterations = 0;
+  const EmCases made = MakeEmCases({.profiles = 4}, options, 19);
+  const LayerSet start = TwentyLayers();
   const MixtureMap kept = Fit(made.lights(), options, {start});
   options.refinement_iterations = 6;
   const MixtureMap refined = Fit(made.lights(), options, {start});

@@ -11,7 +11,7 @@ TEST(FitLayers, SweepsPooledProfilesAsManyTimesMoreAsTheyAreFewer) {
   EmOptions options;
   options.max_iterations = 3;
   options.tolerance = 0.0;
-  options.refinement_iterations = 0;  // every pixel on its own: its sweeps are counted
+  options.choose_prior = false;  // every pixel on its own: its sweeps are counted
   Random random(1);
   SrdSet srds{.pool = 1, .width = 16, .height = 1, .channels = 1, .batches = {}, .row_batches = {}};
   for (double slope : {-1.0, 0.0, 0.58})

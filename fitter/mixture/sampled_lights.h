@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+// One pixel in so many of every light: what a session's few shared numbers are chosen on.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "fitter/mixture/srd_samples.h"
+
+namespace stratalux::fit {
+
+// Every so many pixels of a batch, all `channels` profiles of each, in their order.
+[[nodiscard]] SrdBatch SampledPixels(const SrdBatch& all, int channels, int every);
+
+[[nodiscard]] std::vector<SrdBatch> SampledPixels(std::span<const SrdBatch* const> lights, int channels, int every);
+
+}  // namespace stratalux::fit

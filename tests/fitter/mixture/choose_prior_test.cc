@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+// The prior chosen by the lights left out: what it is worth for pixels of few and of many photons.
+#include "fitter/mixture/choose_prior.h"
+
+#include <cmath>
+#include <cstdlib>
+#include <numeric>
+
+#include <gtest/gtest.h>
+
+#include "fitter/mixture/fit_mixture.h"
+#include "tests/fitter/mixture/em_cases.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kProfiles = 256;
+const std::vector<int> kProjectors = {0, 1, 2};
+
+// Neighbouring pixels: one skin, each layer of each pixel up to a fifth off in weight, depth and width.
+EmCases Neighbours(double peak_counts, uint64_t seed) {
+  return MakeEmCases({.profiles = kProfiles, .peak_counts = peak_counts, .alike = kProfiles}, {}, seed);
+}
+
+LayerPrior Chosen(const EmCases& made, const EmOptions& options) {
+  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  EXPECT_TRUE(choice.ok()) << choice.status().message();
+  EXPECT_FALSE(choice->trials.empty());
+  return choice->prior;
+}
+
+MixtureMap Fit(const EmCases& made, EmOptions options, const LayerPrior& prior) {
+  options.prior = prior;
+  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  EXPECT_TRUE(mean.ok());
+  auto map = FitMixture(made.lights(), kProjectors, kProfiles, 1, 1, options, *mean);
+  EXPECT_TRUE(map.ok());
+  return *std::move(map);
+}
+
+// What the fitted layers make of a light that nobody saw, against the true layers: rms over the profiles of the NRMSE
+// of shapes, each with its own sum.
+double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options) {
+  const EmCases unseen = MakeEmCases({.profiles = kProfiles, .slopes = {1.0}}, options, 99);
+  double squares = 0.0;
+  for (int64_t i = 0; i < kProfiles; ++i) {
+    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options);
+    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options);
+    const double light = std::accumulate(truth.begin(), truth.end(), 0.0);
+    const double guessed = std::accumulate(guess.begin(), guess.end(), 0.0);
+    double error = 0.0, power = 0.0;
+    for (size_t k = 0; k < truth.size(); ++k) {
+      error += std::pow(guess[k] / guessed - truth[k] / light, 2);
+      power += std::pow(truth[k] / light, 2);
+    }
+    squares += error / power / kProfiles;
+  }
+  return std::sqrt(squares);
+}
+
+TEST(ChoosePrior, ServesWeakPixelsAndCostsStrongOnesNothing) {
+  const EmOptions options;
+  for (const auto& [counts, worth] : {std::pair(100.0, 0.8), {400.0, 0.95}, {4000.0, 1.0}}) {
+    const EmCases made = Neighbours(counts, 41);
+    const LayerPrior prior = Chosen(made, options);
+    const double with = ShapeError(made, Fit(made, options, prior), options),
+                 without = ShapeError(made, Fit(made, options, {}), options);
+    EXPECT_LT(with, worth * without) << counts << " counts, N0 = " << prior.photons;
+  }
+}
+
+TEST(ChoosePrior, BindsPixelsThatAreAlikeMoreThanThoseThatAreNot) {
+  const EmOptions options;
+  const EmCases alike = Neighbours(400.0, 42);
+  const EmCases unlike = MakeEmCases({.profiles = kProfiles, .peak_counts = 400.0, .alike = 1}, options, 42);
+  EXPECT_LT(3.0 * Chosen(unlike, options).photons, Chosen(alike, options).photons);
+}
+
+TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeLeftOut) {
+  const EmOptions options;
+  EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 200.0, .alike = 40}, options, 43);
+  setenv("STRATALUX_THREADS", "1", 1);
+  const auto one = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  setenv("STRATALUX_THREADS", "3", 1);
+  const auto three = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  unsetenv("STRATALUX_THREADS");
+  ASSERT_TRUE(one.ok() && three.ok());
+  ASSERT_EQ(one->trials.size(), three->trials.size());
+  for (size_t t = 0; t < one->trials.size(); ++t) EXPECT_EQ(one->trials[t].divergence, three->trials[t].divergence);
+  EXPECT_EQ(one->prior.photons, three->prior.photons);
+
+  // Three sweeps of one projector are one light.
+  const auto alone = ChoosePrior(made.lights(), {2, 2, 2}, 1, options, 1);
+  ASSERT_TRUE(alone.ok());
+  EXPECT_EQ(alone->prior.photons, kUsualPriorPhotons);
+  EXPECT_TRUE(alone->trials.empty());
+}
+
+}  // namespace
+}  // namespace stratalux::fit
