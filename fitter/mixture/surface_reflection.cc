@@ -139,7 +139,7 @@ SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lig
     if (count < 2) continue;
     problem.AddResidualBlock(
         new ceres::AutoDiffCostFunction<ProfileResiduals, ceres::DYNAMIC, 1, 1, 1, 1>(profile.release(), count),
-        new ceres::HuberLoss(2.0), &tau, &strength, &roughness, &narrow[i % channels]);
+        new ceres::CauchyLoss(2.0), &tau, &strength, &roughness, &narrow[i % channels]);
   }
   if (problem.NumResidualBlocks() < kLeastProfiles) return {};
   Bound(problem, tau, 0.0, 3.0);

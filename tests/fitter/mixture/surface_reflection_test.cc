@@ -135,7 +135,7 @@ class EstimateSurfaceReflectionTest : public testing::TestWithParam<Sphere> {};
 
 TEST_P(EstimateSurfaceReflectionTest, FindsStrengthAndRoughness) {
   const Sphere& sphere = GetParam();
-  const double tolerance = sphere.shadowed > 0.0 ? 0.15 : sphere.noise > 0.0 ? 0.06 : 0.005;
+  const double tolerance = sphere.shadowed > 0.0 ? 0.1 : sphere.noise > 0.0 ? 0.06 : 0.005;
   const SurfaceReflection found = Estimate(sphere.Lights(ThreeLamps()));
   EXPECT_NEAR(found.strength, sphere.strength, tolerance * sphere.strength);
   EXPECT_NEAR(found.roughness, sphere.roughness, tolerance * sphere.roughness);
