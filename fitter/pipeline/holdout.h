@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Leave one projector out (model section 9): fit the layers on the other lights, predict this one, compare.
+// Leave one projector out (model section 9): predict its light from layers that were fitted on the others, compare.
 #pragma once
 
 #include <string>
@@ -7,22 +7,10 @@
 
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/truth.h"
-#include "fitter/mixture/fit_mixture.h"
 #include "fitter/pipeline/geometry_stage.h"
-#include "fitter/pipeline/srd_stage.h"
 #include "fitter/render/mlsss.h"
 
 namespace stratalux::fit {
-
-// The batches of all projectors but one, their row sweeps after their column sweeps; kUsage when none is left.
-// `projectors`: of each batch.
-[[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
-                                                                  std::vector<int>* projectors);
-
-// EM on the training lights, with tau of their white reflectances; options.mode says whether tied or free. Pooled
-// profiles take pool x pool times as many sweeps as options.max_iterations.
-[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
-                                           const std::string& label);
 
 // What is compared under one light of the held-out projector.
 struct LightComparison {

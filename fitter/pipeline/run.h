@@ -6,6 +6,7 @@
 #include <string>
 
 #include "fitter/mixture/em_options.h"
+#include "fitter/pipeline/fit_stage.h"
 #include "fitter/pipeline/holdout.h"
 #include "fitter/pipeline/layer_maps.h"
 #include "shared/base/log.h"

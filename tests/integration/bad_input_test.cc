@@ -36,7 +36,7 @@ TEST_F(WrongFlags, AreUsageErrorsOfAllPrograms) {
 }
 
 TEST_F(WrongFlags, NumbersThatAreNone) {
-  const std::array<std::array<const char*, 3>, 16> cases = {{
+  const std::array<std::array<const char*, 3>, 19> cases = {{
       {"stratalux-db frames s000001 --projector one", "--projector", "one"},
       {"stratalux-db frames s000001 --phase party", "party", "preroll, reference"},
       {"stratalux-rig capture --simulate --seed one", "--seed", "one"},
@@ -52,6 +52,8 @@ TEST_F(WrongFlags, NumbersThatAreNone) {
       {"stratalux-rig plan show --kind party", "party", "visitor, calibration"},
       {"stratalux-fit run s000001 --layers many", "--layers", "many"},
       {"stratalux-fit run s000001 --prior much", "--prior", "much"},
+      {"stratalux-fit run s000001 --surface shiny", "--surface", "shiny"},
+      {"stratalux-fit run s000001 --background maybe", "--background", "maybe"},
       {"stratalux-fit run s000001 --pool 0", "--pool", "0"},
       {"stratalux-fit run s000001 --shift odd", "'odd'", "paper, refracted"},
   }};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <gtest/gtest.h>
 
-#include "fitter/pipeline/holdout.h"
+#include "fitter/pipeline/fit_stage.h"
 #include "tests/fitter/mixture/known_lights.h"
 
 namespace stratalux::fit {
