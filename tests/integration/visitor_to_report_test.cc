@@ -34,14 +34,18 @@ class Visitor : public ::testing::Test {
   }
   static void TearDownTestSuite() { fs::remove_all(folder_); }
 
-  static double Nrmse(const std::string& light, const std::string& model, const std::string& part,
-                      const std::string& direct, int projector, const std::string& geometry) {
-    double value = std::nan("");
+  static Json Figure(const std::string& light, const std::string& model, const std::string& part,
+                     const std::string& direct, int projector, const std::string& geometry) {
     for (const Json& f : metrics_["heldout"])
       if (f["light"] == light && f["model"] == model && f["part"] == part && f["direct"] == direct &&
           f["projector"] == projector && f["geometry"] == geometry)
-        value = f["nrmse"];
-    return value;
+        return f;
+    ADD_FAILURE() << light << model << part << direct << projector << geometry;
+    return {{"nrmse", std::nan("")}, {"nrmse_above_noise", std::nan("")}, {"bias", std::nan("")}};
+  }
+  static double Nrmse(const std::string& light, const std::string& model, const std::string& part,
+                      const std::string& direct, int projector, const std::string& geometry) {
+    return Figure(light, model, part, direct, projector, geometry)["nrmse"];
   }
 
   static inline fs::path folder_, fit_;
@@ -79,6 +83,31 @@ TEST_F(Visitor, LayersPredictTheHeldOutLightBetterThanTheBaselines) {
   // surface it shows.
   EXPECT_LT(Nrmse("stripe", "tied", "subsurface", "none", 3, "truth"),
             0.7 * Nrmse("stripe", "direction_blind", "subsurface", "none", 3, "truth"));
+}
+
+// Surface and layers together are what the camera saw, noise apart.
+TEST_F(Visitor, SumOfSurfaceAndLayersIsTheHeldOutLight) {
+  const auto above_noise = [](const char* light, const char* model, const char* direct, const char* geometry) {
+    return Figure(light, model, "total", direct, 3, geometry)["nrmse_above_noise"].get<double>();
+  };
+  for (const char* geometry : {"reconstructed", "truth"}) {
+    EXPECT_LT(above_noise("stripe", "tied", "measured", geometry), 0.05) << geometry;
+    EXPECT_LT(above_noise("spot", "tied", "measured", geometry), 0.05) << geometry;
+    EXPECT_LT(above_noise("white", "tied", "measured", geometry), 0.03) << geometry;
+    // With nothing of the held-out light but its directions.
+    EXPECT_LT(above_noise("stripe", "tied", "rendered", geometry), 0.055) << geometry;
+    EXPECT_LT(above_noise("white", "tied", "rendered", geometry), 0.02) << geometry;
+  }
+  EXPECT_LT(above_noise("stripe", "tied", "measured", "truth"),
+            0.6 * above_noise("stripe", "direction_blind", "measured", "truth"));
+}
+
+TEST_F(Visitor, TotalOfTheLayersIsUnbiased) {
+  for (const char* geometry : {"reconstructed", "truth"})
+    EXPECT_LT(std::abs(Figure("white", "tied", "subsurface", "none", 3, geometry)["bias"].get<double>()), 0.015)
+        << geometry;
+  EXPECT_NEAR(metrics_["fit"]["surface"]["strength"].get<double>(), 1.0, 0.15);
+  EXPECT_NEAR(metrics_["fit"]["surface"]["roughness"].get<double>(), 0.35, 0.03);
 }
 
 TEST_F(Visitor, EveryProjectorIsHeldOutOnceWithEveryModel) {
