@@ -93,9 +93,9 @@ Status ParsePrior(const std::string& text, EmOptions& em) {
   em.prior = {};
   if (em.choose_prior || text == "none") return Status::Ok();
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), em.prior.photons);
-  if (error == std::errc() && end == text.data() + text.size() && em.prior.photons > 0.0 && em.prior.photons <= 1e9)
+  if (error == std::errc() && end == text.data() + text.size() && em.prior.photons > 0.0 && em.prior.photons <= 1e7)
     return Status::Ok();
-  return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e9");
+  return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e7");
 }
 
 int Execute(Flags& f) {
@@ -179,8 +179,9 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     flags->run.until = v.until;
     auto* verb = app.add_subcommand(v.name, v.help);
     const std::string command = std::string("  stratalux-fit ") + v.name + " latest --store store";
-    verb->footer("Examples:\n" + command + "\n" + command + " --heldout 0 --shift refracted_sine\n" + command +
-                 " --mode free --shift paper   # the paper as printed");
+    verb->footer(
+        "Examples:\n" + command + "\n" + command + " --heldout 0 --shift refracted_sine\n" + command +
+        " --mode free --shift paper --gain none --surface free --background on --prior none   # the paper as printed");
     AddStore(*verb, *flags);
     AddFitOptions(*verb, *flags);
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });

@@ -49,15 +49,17 @@ std::string Metrics::ToJson() const {
                                     {"predicted_mm_per_shift", c.error.predicted_mm},
                                     {"rms_mm", c.error.rms_mm},
                                     {"profiles", c.error.profiles}});
-  json["fit"] = {{"divergence", divergence},
-                 {"iterations_median", iterations_median},
-                 {"tau", tau},
-                 {"surface", {{"strength", reflection.strength}, {"roughness", reflection.roughness}}},
-                 {"wide_weight_fraction", wide_weight_fraction},
-                 {"pixels", pixels},
-                 {"prior_photons", prior_photons},
-                 {"weak_pixels", weak_pixels},
-                 {"masked_by_reason", masked_by_reason}};
+  json["fit"] = {
+      {"divergence", divergence},
+      {"iterations_median", iterations_median},
+      {"tau", tau},
+      {"surface",
+       reflection.Known() ? Json{{"strength", reflection.strength}, {"roughness", reflection.roughness}} : Json()},
+      {"wide_weight_fraction", wide_weight_fraction},
+      {"pixels", pixels},
+      {"prior_photons", prior_photons},
+      {"weak_pixels", weak_pixels},
+      {"masked_by_reason", masked_by_reason}};
   json["sweeps"] = Json::array();
   for (const SweepFigure& s : sweeps)
     json["sweeps"].push_back(

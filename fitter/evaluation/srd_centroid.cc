@@ -39,6 +39,7 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
     floor += map.background[profile * lights + p] / static_cast<double>(lights);
     surface += map.surface[profile * lights + p] / static_cast<double>(lights);
   }
+  if (map.reflection.Known()) surface = ReflectanceOf(map.reflection, ReflectionAngles::Of(heldout, profile), map.eta);
   layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
   layers.depth_mm.push_back(0.0);
   layers.sigma_mm.push_back(1e-3);

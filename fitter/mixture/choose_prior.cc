@@ -15,6 +15,11 @@ namespace {
 // 1e6: pixels are all alike but for their light.
 constexpr double kGrid[] = {0.0, 100.0, 300.0, 1000.0, 3000.0, 1e4, 1e6};
 
+// Fewer tell no N0 from another.
+constexpr int64_t kLeastProfiles = 100;
+// Enough to tell them; more cost time.
+constexpr int64_t kPixels = 512;
+
 struct Score {
   double divergence = 0.0, photons = 0.0;
 };
@@ -55,12 +60,6 @@ Score ScoreOf(const MixtureMap& map, const SrdBatch& light, int64_t profile, con
   return score;
 }
 
-// Profiles that all of `lights` light, so that every N0 is judged on the same ones.
-bool Comparable(std::span<const SrdBatch* const> lights, const SrdBatch& left_out, int64_t profile) {
-  return left_out.valid[profile] != 0 &&
-         std::all_of(lights.begin(), lights.end(), [&](const SrdBatch* b) { return b->valid[profile] != 0; });
-}
-
 // [trial][profile of a light left out]
 using Scores = std::vector<std::vector<Score>>;
 
@@ -84,7 +83,7 @@ Status LeaveOut(int projector, std::span<const SrdBatch* const> lights, const st
     ParallelFor(profiles, 16, [&](int64_t begin, int64_t end) {
       for (size_t p = 0; p < left_out.size(); ++p)
         for (int64_t i = begin; i < end; ++i)
-          if (map.Fitted(i) && Comparable(training, *left_out[p], i))
+          if (map.Fitted(i) && left_out[p]->valid[i] != 0)
             scores[trial][first + p * profiles + i] = ScoreOf(map, *left_out[p], i, options);
     });
   }
@@ -109,11 +108,19 @@ size_t WeakestOfTheBest(const Scores& scores, const std::vector<PriorChoice::Tri
   return best;
 }
 
+// One usable pixel in so many.
+int OneIn(std::span<const SrdBatch* const> lights, int channels) {
+  int64_t usable = 0;
+  for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
+    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->valid[i] != 0; }) ? 1 : 0;
+  return static_cast<int>(std::max<int64_t>(usable / kPixels, 1));
+}
+
 }  // namespace
 
 Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                int channels, const EmOptions& options, int every) {
-  const std::vector<SrdBatch> parts = SampledPixels(lights, channels, every);
+                                int channels, const EmOptions& options) {
+  const std::vector<SrdBatch> parts = SampledPixels(lights, channels, OneIn(lights, channels));
   std::vector<const SrdBatch*> sampled;
   for (const SrdBatch& b : parts) sampled.push_back(&b);
   PriorChoice choice{options.prior, {}};
@@ -128,11 +135,13 @@ Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const s
   for (int projector : distinct) SLX_RETURN_IF_ERROR(LeaveOut(projector, sampled, projectors, channels, trial, scores));
   for (size_t t = 0; t < scores.size(); ++t) {
     Score sum;
+    int64_t told = 0;
     for (const Score& score : scores[t]) {
       sum.divergence += score.divergence;
       sum.photons += score.photons;
+      told += score.photons > 0.0 ? 1 : 0;
     }
-    if (!(sum.photons > 0.0)) return PriorChoice{choice.prior, {}};
+    if (told < kLeastProfiles) return PriorChoice{choice.prior, {}};
     choice.trials.push_back({kGrid[t], sum.divergence / sum.photons});
   }
   choice.prior.photons = kGrid[WeakestOfTheBest(scores, choice.trials)];

@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-// N0 where there is no light to leave out: about what sessions of simulated skin choose.
+// N0 where there is no light to leave out, or too little data: about what sessions of simulated skin choose.
 inline constexpr double kUsualPriorPhotons = 1000.0;
 
 struct PriorChoice {
@@ -24,11 +24,11 @@ struct PriorChoice {
   std::vector<Trial> trials;  // empty where none could be made
 };
 
-// On one pixel in `every` each projector of `projectors` (the batches' own) is left out in turn, columns and rows: mean
+// On some 500 pixels each projector of `projectors` (the batches' own) is left out in turn, columns and rows: mean
 // layers and tied fits of the others predict its samples. From a logarithmic grid of 0, few to endlessly many photons
 // the least N0 whose divergence is not a standard error above the best one's. The same bits for any number of threads.
 [[nodiscard]] Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights,
                                               const std::vector<int>& projectors, int channels,
-                                              const EmOptions& options, int every = 64);
+                                              const EmOptions& options);
 
 }  // namespace stratalux::fit

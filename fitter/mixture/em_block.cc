@@ -360,26 +360,34 @@ void EmBlock::Judge() {
   }
 }
 
+// Of sample k's model, what no scale may change.
+double EmBlock::HeldSurface(const EmLight& light, int p, int k, int lane) const {
+  if (!options_.reflection.Known()) return 0.0;
+  return double(at_[Row(rows_.surface(p)) + lane]) * light.surface_response[Row(k) + lane];
+}
+
 // The shape is EM's; its scale and that of the white frames are averaged by their Fisher information. White frames
 // enter here and not as samples of EM: they know nothing of positions and would only slow it down. `model` holds
 // predictions.
 double EmBlock::ScaleToWhite(int lane) const {
   double information = 0.0, scaled = 0.0;
   bool any = false;
-  for (const EmLight& light : lights_) {
+  for (int p = 0; p < rows_.lights; ++p) {
+    const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
-    double sum = 0.0, of_samples = 0.0;
+    double sum = 0.0, of_samples = 0.0, held = 0.0;
     for (int k = 0; k < light.samples; ++k) {
-      const double m = light.model[Row(k) + lane];
+      const double model = light.model[Row(k) + lane], surface = HeldSurface(light, p, k, lane), m = model - surface;
       sum += m;
-      of_samples += m * m * light.counts[lane] / std::max(m + light.shift[lane], double(kTiny));
+      held += surface;
+      of_samples += m * m * light.counts[lane] / std::max(model + light.shift[lane], double(kTiny));
     }
     information += of_samples;
     scaled += of_samples;  // EM's own scale: 1
     if (!(light.white_variance[lane] > 0.0F) || !(sum > 0.0)) continue;
     const double of_white = sum * sum / light.white_variance[lane];
     information += of_white;
-    scaled += of_white * light.white[lane] / sum;
+    scaled += of_white * (light.white[lane] - held) / sum;
     any = true;
   }
   return any && scaled > 0.0 ? scaled / information : 1.0;
@@ -391,12 +399,13 @@ void EmBlock::Finish(int lane) {
   double divergence = 0.0;
   for (int p = 0; p < rows_.lights; ++p) {
     const EmLight& light = lights_[p];
-    At(rows_.surface(p), lane) *= static_cast<float>(scale);
     At(rows_.background(p), lane) *= static_cast<float>(scale);
+    if (!options_.reflection.Known()) At(rows_.surface(p), lane) *= static_cast<float>(scale);
     if (!(light.counts[lane] > 0.0F)) continue;
     for (int k = 0; k < light.samples; ++k) {
-      const double data = light.data[Row(k) + lane];
-      const double model = std::max(light.model[Row(k) + lane] * scale + light.shift[lane], double(kTiny));
+      const double data = light.data[Row(k) + lane], held = HeldSurface(light, p, k, lane);
+      const double model =
+          std::max((light.model[Row(k) + lane] - held) * scale + held + light.shift[lane], double(kTiny));
       divergence += light.counts[lane] * (model - data + (data > 0.0 ? data * std::log(data / model) : 0.0));
     }
   }

@@ -75,6 +75,7 @@ class EmBlock {
   void Judge();
   void Finish(int lane);
   [[nodiscard]] double ScaleToWhite(int lane) const;
+  [[nodiscard]] double HeldSurface(const EmLight& light, int p, int k, int lane) const;
   [[nodiscard]] float& At(int row, int lane) { return at_[size_t(row) * kEmLanes + lane]; }
   [[nodiscard]] float At(int row, int lane) const { return at_[size_t(row) * kEmLanes + lane]; }
 

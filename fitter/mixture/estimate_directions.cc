@@ -114,7 +114,8 @@ EmOptions With(EmOptions options, const Parameters& at) {
 Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> lights, int channels, EmOptions options,
                                              int every) {
   SLX_CHECK(every >= 1 && !lights.empty());
-  if (options.gain_model) options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
+  if (options.gain_model && !options.reflection.Known())
+    options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
   const std::vector<SrdBatch> parts = SampledPixels(lights, channels, every);
   std::vector<const SrdBatch*> sampled;
   for (const SrdBatch& b : parts) sampled.push_back(&b);

@@ -171,8 +171,10 @@ Status EmOptions::Validate() const {
     return Status::Usage("max_iterations = " + std::to_string(max_iterations) + ", allowed: 1 .. 100000");
   if (refinement_iterations < 0 || refinement_iterations > 100000)
     return Status::Usage("refinement_iterations = " + std::to_string(refinement_iterations) + ", allowed: 0 .. 100000");
-  if (!(prior.photons >= 0.0 && prior.photons <= 1e9) || !(prior.square_shift >= 0.0 && prior.square_shift <= 1e4))
-    return Status::Usage("a prior of " + std::to_string(prior.photons) + " photons, allowed: 0 .. 1e9");
+  if (!(prior.photons >= 0.0 && prior.photons <= 1e7))  // single precision
+    return Status::Usage("a prior of " + std::to_string(prior.photons) + " photons, allowed: 0 .. 1e7");
+  if (!(prior.square_shift >= 0.0 && prior.square_shift <= 1e4))
+    return Status::Usage("prior: square_shift = " + std::to_string(prior.square_shift) + ", allowed: 0 .. 1e4");
   if (!(tolerance >= 0.0)) return Status::Usage("tolerance must not be negative");
   if (cells_per_sample < 1 || cells_per_sample > 64) return Status::Usage("cells_per_sample must lie in 1 .. 64");
   return Status::Ok();

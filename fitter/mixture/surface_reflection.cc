@@ -2,9 +2,9 @@
 #include "fitter/mixture/surface_reflection.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include <ceres/ceres.h>
@@ -16,11 +16,12 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr double kLeastCos =
-    0.7;  // beyond 45 degrees the gain is only a rough law, and the surface takes what it misses
+// Beyond 45 degrees the gain is only a rough law, and the surface takes what it misses.
+constexpr double kLeastCos = 0.7;
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
 constexpr int64_t kLeastProfiles = 100;
+constexpr double kClearly = 0.5, kTold = 0.5;  // a strength that much off must cost a standard deviation
 
 // pi f_r of strength 1; T: double, or Ceres' own for its derivatives.
 template <typename T>
@@ -65,6 +66,16 @@ struct ProfileResiduals {
   }
 };
 
+// A light that stands to the surface as one of `lights` does, such as the row sweep of the same lamp, tells nothing
+// more.
+bool Repeats(const std::vector<Shown>& lights, const ReflectionAngles& angles) {
+  constexpr double kAlike = 1e-3;
+  return std::any_of(lights.begin(), lights.end(), [&](const Shown& s) {
+    return std::abs(s.angles.normal_in - angles.normal_in) < kAlike &&
+           std::abs(s.angles.half_in - angles.half_in) < kAlike;
+  });
+}
+
 std::unique_ptr<ProfileResiduals> ResidualsOf(std::span<const SrdBatch* const> lights, int64_t i, double eta) {
   auto profile = std::make_unique<ProfileResiduals>(ProfileResiduals{{}, eta});
   double mean = 0.0;
@@ -73,19 +84,32 @@ std::unique_ptr<ProfileResiduals> ResidualsOf(std::span<const SrdBatch* const> l
     const WhiteReflectance white = WhiteReflectanceOf(*batch, i);
     if (!std::isfinite(white.value) || !std::isfinite(white.variance) || !(white.value > 0.0)) continue;
     Shown s;
+    s.angles = ReflectionAngles::Of(*batch, i);
+    if (!std::isfinite(s.angles.normal_half) || Repeats(profile->lights, s.angles)) continue;
     s.reflectance = white.value;
     s.sigma = std::sqrt(std::max(white.variance, 0.0));
     s.fresnel = AngularGain(batch->cos_in[i], eta, 0.0);
     s.path = -std::log(AngularGain(batch->cos_in[i], eta, 1.0) / s.fresnel);
     const RefractedDirections directions = DirectionsOf(*batch, i, eta);
     s.few = directions.sec_in * directions.sec_out * std::exp(kPhaseSlope * (1.0 + directions.cos_scatter));
-    s.angles = ReflectionAngles::Of(*batch, i);
     mean += white.value;
     profile->lights.push_back(s);
   }
   mean /= static_cast<double>(std::max<size_t>(profile->lights.size(), 1));
   for (Shown& s : profile->lights) s.sigma = std::hypot(s.sigma, kModelError * mean);
   return profile;
+}
+
+// The cost at the optimum; none where no solution was found.
+std::optional<double> Solve(ceres::Problem& problem) {
+  ceres::Solver::Options options;
+  options.num_threads = 1;  // sums in one order
+  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  if (!summary.IsSolutionUsable()) return std::nullopt;
+  return summary.final_cost;
 }
 
 void Bound(ceres::Problem& problem, double& parameter, double least, double most) {
@@ -108,13 +132,13 @@ ReflectionAngles ReflectionAngles::Of(const SrdBatch& batch, int64_t i) {
 }
 
 double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta) {
-  if (!(angles.normal_in > 0.0) || !(angles.normal_out > 0.0)) return 0.0;
+  if (!surface.Known() || !(angles.normal_in > 0.0) || !(angles.normal_out > 0.0)) return 0.0;
   return surface.strength * Facets(surface.roughness, angles, eta);
 }
 
 WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t i) {
-  // A comb's cycle adds up to width / step whites.
-  const double whites = batch.wrapped ? batch.line_width_mm[i] / batch.step_mm[i] : 1.0;
+  // A comb's frames add up to width / step whites.
+  const double whites = batch.line_width_mm[i] / batch.step_mm[i];
   if (!batch.white.empty() && batch.white_variance[i] > 0.0F)
     return {batch.white[i] / whites, batch.white_variance[i] / (whites * whites)};
   WhiteReflectance sum;
@@ -147,14 +171,14 @@ SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lig
   Bound(problem, roughness, 0.15, 0.7);
   for (double& share : narrow)
     if (problem.HasParameterBlock(&share)) Bound(problem, share, 0.0, 0.6);
-  ceres::Solver::Options options;
-  options.num_threads = 1;  // sums in one order
-  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
-  options.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(options, &problem, &summary);
-  if (!summary.IsSolutionUsable()) return {};
-  return {strength, roughness};
+  const auto solved = Solve(problem);
+  if (!solved) return {};
+  const SurfaceReflection found{strength, roughness};
+  // Does another strength explain the lights as well?
+  strength = strength < 1.0 ? strength + kClearly : strength - kClearly;
+  problem.SetParameterBlockConstant(&strength);
+  const auto other = Solve(problem);
+  return other && *other - *solved > kTold ? found : SurfaceReflection{};
 }
 
 }  // namespace stratalux::fit

@@ -15,10 +15,10 @@
 namespace stratalux::fit {
 
 struct SurfaceReflection {
-  double strength = 0.0;   // of the Fresnel reflection of a bare surface of index eta; 0: unknown
+  double strength = -1.0;  // of the Fresnel reflection of a bare surface of index eta; negative: unknown
   double roughness = 0.3;  // alpha of GGX
 
-  [[nodiscard]] bool Known() const { return strength > 0.0; }
+  [[nodiscard]] bool Known() const { return strength >= 0.0; }
 };
 
 // Cosines at a point between its normal, the directions to lamp and eye, and the bisector of those two.
@@ -31,11 +31,11 @@ struct ReflectionAngles {
   [[nodiscard]] static ReflectionAngles Of(const SrdBatch& batch, int64_t profile);
 };
 
-// pi f_r, the reflectance unit of model section 6; 0 behind the horizon.
+// pi f_r, the reflectance unit of model section 6; 0 behind the horizon and where the surface is unknown.
 [[nodiscard]] double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta);
 
-// Response to all columns at once, as reflectance: of the white frames, else the cycle's (or window's) sum; and its
-// variance.
+// Response to all columns of a comb at once, as reflectance: of the white frames, else the cycle's (or window's) sum;
+// and its variance.
 struct WhiteReflectance {
   double value = 0.0, variance = 0.0;
 };
@@ -44,7 +44,8 @@ struct WhiteReflectance {
 // Robust least squares over the lights of one pixel in `every`, W_pc a profile's own, the rest the session's:
 //   y_pc = W_c g_p(tau) (1 - n_c + n_c few_p) + strength R_p(roughness).
 // n_c few_p: the share of light that scattered a few times only, with the phase function of directional_weights.h; left
-// out, it would pass for surface. Unknown where fewer than a hundred profiles are lit twice. The same bits always.
+// out, it would pass for surface. Unknown where fewer than a hundred profiles are lit from two directions, and where
+// those do not tell the strength. The same bits always.
 [[nodiscard]] SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, int channels,
                                                           double eta, int every = 8);
 

@@ -51,6 +51,10 @@ Result<EmOptions> WithShared(EmOptions options, const Lights& lights, const SrdS
   options.reflection = {};
   if (options.surface_term && options.estimate_reflection)
     options.reflection = EstimateSurfaceReflection(lights, srds.channels, options.eta);
+  if (options.surface_term && options.estimate_reflection && !options.reflection.Known())
+    logger.Warning(label +
+                   ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
+                   "reflects; of each light its own, as with --surface free");
   if (options.gain_model) options.tau = EstimateTau(lights, options.eta, options.reflection);
   logger.Info(label + ": " + DescribeShared(options));
   if (options.choose_directions && options.mode == FitMode::kTied && !options.direction_blind) {

@@ -327,7 +327,8 @@ ReportSection Figures(const Metrics& m) {
                   {}};
   fit.rows.push_back({std::to_string(m.pixels), Fixed(m.prior_photons, 0), std::to_string(m.weak_pixels),
                       Fixed(m.divergence, 6), std::to_string(m.iterations_median), Fixed(m.tau),
-                      Fixed(m.reflection.strength), Fixed(m.reflection.roughness), Fixed(m.wide_weight_fraction)});
+                      m.reflection.Known() ? Fixed(m.reflection.strength) : "-",
+                      m.reflection.Known() ? Fixed(m.reflection.roughness) : "-", Fixed(m.wide_weight_fraction)});
   section.tables.push_back(fit);
   ReportTable masked{"Profiles without (or with doubtful) layers", {"reason", "profiles"}, {}};
   for (const auto& [reason, count] : m.masked_by_reason) masked.rows.push_back({reason, std::to_string(count)});

@@ -122,7 +122,9 @@ Status WriteLayers(const std::filesystem::path& folder, const MixtureMap& map, c
                       {{"kappa_per_mm", map.directional.kappa_per_mm},
                        {"phase_slope", map.directional.phase_slope},
                        {"sigma_0_mm", map.directional.sigma_0_mm}}},
-                     {"surface", {{"strength", map.reflection.strength}, {"roughness", map.reflection.roughness}}},
+                     {"surface", map.reflection.Known() ? Json{{"strength", map.reflection.strength},
+                                                               {"roughness", map.reflection.roughness}}
+                                                        : Json()},
                      {"training_projectors", map.training_projectors}};
   std::ofstream out(folder / "layers.json", std::ios::trunc);
   out << json.dump(1) << '\n';
@@ -152,7 +154,7 @@ Result<SavedFit> LoadFit(const std::filesystem::path& folder) {
       const Json& d = json.at("directional");
       map.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
     }
-    if (json.contains("surface"))
+    if (json.contains("surface") && !json.at("surface").is_null())
       map.reflection = {json.at("surface").at("strength"), json.at("surface").at("roughness")};
     map.training_projectors = json.at("training_projectors").get<std::vector<int>>();
     if (map.layers < 1 || map.layers > 32 || (map.channels != 1 && map.channels != 3) || fit.pool < 1 ||

@@ -23,7 +23,7 @@ EmCases Neighbours(double peak_counts, uint64_t seed) {
 }
 
 LayerPrior Chosen(const EmCases& made, const EmOptions& options) {
-  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
   EXPECT_TRUE(choice.ok()) << choice.status().message();
   EXPECT_FALSE(choice->trials.empty());
   return choice->prior;
@@ -31,7 +31,7 @@ LayerPrior Chosen(const EmCases& made, const EmOptions& options) {
 
 MixtureMap Fit(const EmCases& made, EmOptions options, const LayerPrior& prior) {
   options.prior = prior;
-  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  const auto mean = MeanLayers(made.lights(), 1, options);
   EXPECT_TRUE(mean.ok());
   auto map = FitMixture(made.lights(), kProjectors, kProfiles, 1, 1, options, *mean);
   EXPECT_TRUE(map.ok());
@@ -80,9 +80,9 @@ TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeL
   const EmOptions options;
   EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 200.0, .alike = 40}, options, 43);
   setenv("STRATALUX_THREADS", "1", 1);
-  const auto one = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  const auto one = ChoosePrior(made.lights(), kProjectors, 1, options);
   setenv("STRATALUX_THREADS", "3", 1);
-  const auto three = ChoosePrior(made.lights(), kProjectors, 1, options, 1);
+  const auto three = ChoosePrior(made.lights(), kProjectors, 1, options);
   unsetenv("STRATALUX_THREADS");
   ASSERT_TRUE(one.ok() && three.ok());
   ASSERT_EQ(one->trials.size(), three->trials.size());
@@ -90,7 +90,7 @@ TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeL
   EXPECT_EQ(one->prior.photons, three->prior.photons);
 
   // Three sweeps of one projector are one light.
-  const auto alone = ChoosePrior(made.lights(), {2, 2, 2}, 1, options, 1);
+  const auto alone = ChoosePrior(made.lights(), {2, 2, 2}, 1, options);
   ASSERT_TRUE(alone.ok());
   EXPECT_EQ(alone->prior.photons, kUsualPriorPhotons);
   EXPECT_TRUE(alone->trials.empty());

@@ -28,6 +28,7 @@ LayerSet MeanSkin(int layers) {
 EmOptions Plain(int sweeps, double prior_photons) {
   EmOptions options;
   options.accelerated = false;
+  options.background_term = true;
   options.tolerance = 0.0;
   options.refinement_iterations = sweeps;
   options.max_iterations = std::max(sweeps, 1);  // the reference's
@@ -150,6 +151,20 @@ TEST(MapEm, AgreesWithTheReferenceOnEveryInstructionSet) {
       ExpectAgreement(MakeEmCases({.profiles = 2, .peak_counts = 300}, options, 33), options, MeanSkin(options.layers));
     }
   });
+}
+
+// As every run has it: no floor.
+TEST(MapEm, AgreesWithTheReferenceWhereTheSurfaceIsHeld) {
+  EmOptions options = Plain(20, 1000.0);
+  options.background_term = false;
+  options.reflection = {1.1, 0.35};
+  const EmCases made = MakeEmCases({.profiles = 2, .peak_counts = 300}, options, 37);
+  const LayerSet mean = MeanSkin(options.layers);
+  ExpectAgreement(made, options, mean);
+  const MixtureMap map = Fit(made, options, mean);
+  for (size_t p = 0; p < made.batches.size(); ++p)
+    EXPECT_NEAR(map.surface[p],
+                ReflectanceOf(options.reflection, ReflectionAngles::Of(made.batches[p], 0), options.eta), 1e-6);
 }
 
 TEST(MapEm, AgreesInOpenWindowsWithDirectionsAndOneFloor) {

@@ -387,6 +387,21 @@ TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
     return worst;
   };
   EXPECT_LT(error_of_total(options), 0.01);
+  // White frames that say otherwise move the layers, not the surface that is held.
+  for (SrdBatch& b : lights.batches)
+    for (int64_t i = 0; i < b.profiles(); ++i) {
+      const double surface = ReflectanceOf(options.reflection, ReflectionAngles::Of(b, i), options.eta);
+      b.white.push_back(static_cast<float>((WhiteReflectanceOf(b, i).value - surface) * 1.2 + surface));
+      b.white_variance.push_back(1e-12F);
+    }
+  const auto brighter = Fit(lights, options);
+  ASSERT_TRUE(brighter.ok());
+  EXPECT_NEAR(brighter->surface[0],
+              ReflectanceOf(options.reflection, ReflectionAngles::Of(lights.batches[0], 0), options.eta), 1e-6);
+  double total = 0.0;
+  for (double w : LayersOf(*brighter, 0).weight) total += w;
+  EXPECT_NEAR(total, 1.2 * 0.45, 0.01);
+  for (SrdBatch& b : lights.batches) b.white.clear();
   EmOptions unknown = options;
   unknown.reflection = {};
   EXPECT_GT(error_of_total(unknown), 0.03);

@@ -150,12 +150,21 @@ INSTANTIATE_TEST_SUITE_P(Spheres, EstimateSurfaceReflectionTest,
 TEST(EstimateSurfaceReflection, OfAMattSphereIsNearNothing) {
   Sphere matt;
   matt.strength = 0.0;
-  EXPECT_LT(Estimate(matt.Lights(ThreeLamps())).strength, 0.01);
+  const SurfaceReflection found = Estimate(matt.Lights(ThreeLamps()));
+  EXPECT_TRUE(found.Known());
+  EXPECT_LT(found.strength, 0.01);
 }
 
 TEST(EstimateSurfaceReflection, OneLightTellsNothing) {
   EXPECT_FALSE(Estimate(Sphere{}.Lights({Direction(0.6, 0.0)})).Known());
 }
+
+// Columns and rows of one lamp.
+TEST(EstimateSurfaceReflection, OneLightTwiceTellsNothing) {
+  EXPECT_FALSE(Estimate(Sphere{}.Lights({Direction(0.6, 0.0), Direction(0.6, 0.0)})).Known());
+}
+
+TEST(EstimateSurfaceReflection, UnknownReflectsNothing) { EXPECT_EQ(ReflectanceOf({}, ReflectionAngles{}, kEta), 0.0); }
 
 TEST(EstimateSurfaceReflection, ValuesThatAreNotFiniteHaveNoPart) {
   auto lights = Sphere{}.Lights(ThreeLamps());
@@ -163,12 +172,17 @@ TEST(EstimateSurfaceReflection, ValuesThatAreNotFiniteHaveNoPart) {
   EXPECT_NEAR(Estimate(lights).strength, 1.0, 0.01);
 }
 
-TEST(WhiteReflectanceOf, WithoutWhiteFramesIsTheCyclesSum) {
+class WhiteReflectanceOfTest : public testing::TestWithParam<bool> {};
+
+TEST_P(WhiteReflectanceOfTest, WithoutWhiteFramesIsTheCyclesSum) {
   auto lights = Sphere{}.Lights(ThreeLamps());
+  lights[0].wrapped = GetParam();
   const double of_frames = WhiteReflectanceOf(lights[0], 600).value;
   lights[0].white.clear();
   EXPECT_NEAR(WhiteReflectanceOf(lights[0], 600).value, of_frames, 1e-6);
 }
+
+INSTANTIATE_TEST_SUITE_P(GatheredAndScattered, WhiteReflectanceOfTest, testing::Bool());
 
 }  // namespace
 }  // namespace stratalux::fit
