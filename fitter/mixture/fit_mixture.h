@@ -28,7 +28,8 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
 
 [[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
 
-// `options` with what the map says of its model: shift law, refractive index, angular gain, directional weights, surface.
+// `options` with what the map says of its model: shift law, refractive index, angular gain, directional weights,
+// surface.
 [[nodiscard]] EmOptions OptionsOf(const MixtureMap& map, EmOptions options = {});
 
 // Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;
