@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 namespace stratalux::fit {
@@ -39,5 +40,8 @@ struct SrdBatch {
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel
   [[nodiscard]] int64_t profiles() const { return static_cast<int64_t>(first_u_mm.size()); }
 };
+
+// These profiles of `batch` alone, in the order of `which`.
+[[nodiscard]] SrdBatch ProfilesOf(const SrdBatch& batch, std::span<const int64_t> which);
 
 }  // namespace stratalux::fit

@@ -94,35 +94,6 @@ ReportSection DirectAndGlobal(const RunPictures& in, double white) {
   return section;
 }
 
-// One profile of a batch, as a batch.
-SrdBatch Slice(const SrdBatch& batch, int64_t profile) {
-  SrdBatch one;
-  one.samples = batch.samples;
-  one.wrapped = batch.wrapped;
-  one.sample_box = batch.sample_box;
-  one.pool = batch.pool;
-  const auto first = batch.y.begin() + profile * batch.samples;
-  one.y.assign(first, first + batch.samples);
-  auto copy = [&](const auto& from, auto& to) {
-    if (!from.empty()) to.assign(1, from[profile]);
-  };
-  copy(batch.first_u_mm, one.first_u_mm);
-  copy(batch.step_mm, one.step_mm);
-  copy(batch.line_width_mm, one.line_width_mm);
-  copy(batch.blur_mm, one.blur_mm);
-  copy(batch.quad_x_mm, one.quad_x_mm);
-  copy(batch.quad_y_mm, one.quad_y_mm);
-  copy(batch.pair_mm, one.pair_mm);
-  copy(batch.slope_in, one.slope_in);
-  copy(batch.slope_out, one.slope_out);
-  copy(batch.slope_in_across, one.slope_in_across);
-  copy(batch.slope_out_across, one.slope_out_across);
-  copy(batch.cos_in, one.cos_in);
-  copy(batch.cos_out, one.cos_out);
-  copy(batch.valid, one.valid);
-  return one;
-}
-
 // The fitted pixel nearest to the cheek beside the image's centre.
 int64_t ChosenProfile(const MixtureMap& map) {
   int64_t best = -1;
@@ -384,7 +355,8 @@ void ShowLayers(const MixtureMap& map, const SrdSet& srds, RunPictures& pictures
   pictures.map = &map;
   pictures.chosen_profile = ChosenProfile(map);
   if (pictures.chosen_profile < 0) return;
-  for (const SrdBatch& batch : srds.batches) pictures.chosen_srds.push_back(Slice(batch, pictures.chosen_profile));
+  for (const SrdBatch& batch : srds.batches)
+    pictures.chosen_srds.push_back(ProfilesOf(batch, {&pictures.chosen_profile, 1}));
 }
 
 Status WriteReport(const std::filesystem::path& folder, const RunPictures& in, const Metrics& metrics) {

@@ -109,25 +109,9 @@ TEST(EmAgreement, ProfilesThatOneLightMisses) {
 }
 
 // Profile `from` of each batch, alone or repeated.
-EmCases Pick(const EmCases& all, const std::vector<int>& from) {
+EmCases Pick(const EmCases& all, const std::vector<int64_t>& from) {
   EmCases picked;
-  for (const SrdBatch& b : all.batches) {
-    SrdBatch out;
-    out.samples = b.samples;
-    out.wrapped = b.wrapped;
-    out.sample_box = b.sample_box;
-    for (int i : from) {
-      out.y.insert(out.y.end(), b.y.begin() + i * b.samples, b.y.begin() + (i + 1) * b.samples);
-      out.variance.insert(out.variance.end(), b.variance.begin() + i * b.samples,
-                          b.variance.begin() + (i + 1) * b.samples);
-      out.valid.push_back(b.valid[i]);
-      for (auto member : {&SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm,
-                          &SrdBatch::slope_in, &SrdBatch::slope_out, &SrdBatch::cos_in, &SrdBatch::cos_out,
-                          &SrdBatch::slope_in_across, &SrdBatch::slope_out_across})
-        (out.*member).push_back((b.*member)[i]);
-    }
-    picked.batches.push_back(std::move(out));
-  }
+  for (const SrdBatch& b : all.batches) picked.batches.push_back(ProfilesOf(b, from));
   return picked;
 }
 
