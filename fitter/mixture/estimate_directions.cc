@@ -51,7 +51,7 @@ std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double
   }
   if (!std::isfinite(s.light)) return std::nullopt;
   s.fresnel = AngularGain(batch.cos_in[i], eta, 0.0);
-  s.path = -std::log(AngularGain(batch.cos_in[i], eta, 1.0) / s.fresnel);
+  s.path = GainPath(batch.cos_in[i], eta);
   return s;
 }
 

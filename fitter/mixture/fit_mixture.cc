@@ -297,7 +297,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
           WhiteReflectanceOf(*batch, i).value - ReflectanceOf(surface, ReflectionAngles::Of(*batch, i), eta);
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];
-      x.push_back(-std::log(AngularGain(cos_in, eta, 1.0) / AngularGain(cos_in, eta, 0.0)));
+      x.push_back(GainPath(cos_in, eta));
       y.push_back(std::log(sum / AngularGain(cos_in, eta, 0.0)));
     }
     if (x.size() < 2) continue;

@@ -419,7 +419,7 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
     light.reflected = ReflectanceOf(options.reflection, ReflectionAngles::Of(batch, profile), options.eta);
   if (options.gain_model) {
     light.fresnel = AngularGain(batch.cos_in[profile], options.eta, 0.0);
-    light.gain_path = -std::log(AngularGain(batch.cos_in[profile], options.eta, 1.0) / light.fresnel);
+    light.gain_path = GainPath(batch.cos_in[profile], options.eta);
   }
   return light;
 }

@@ -49,4 +49,8 @@ double AngularGain(double cos_in, double eta, double tau) {
   return FresnelTransmission(cos_in, eta) / FresnelTransmission(1.0, eta) * std::exp(-tau * (sec_t - 1.0));
 }
 
+double GainPath(double cos_in, double eta) {
+  return -std::log(AngularGain(cos_in, eta, 1.0) / AngularGain(cos_in, eta, 0.0));
+}
+
 }  // namespace stratalux::fit

@@ -16,4 +16,7 @@ namespace stratalux::fit {
 // the epidermis; 1 at normal incidence.
 [[nodiscard]] double AngularGain(double cos_in, double eta, double tau);
 
+// Its two parts: g = AngularGain(tau = 0) exp(-tau GainPath).
+[[nodiscard]] double GainPath(double cos_in, double eta);
+
 }  // namespace stratalux::fit

@@ -89,7 +89,7 @@ std::unique_ptr<ProfileResiduals> ResidualsOf(std::span<const SrdBatch* const> l
     s.reflectance = white.value;
     s.sigma = std::sqrt(std::max(white.variance, 0.0));
     s.fresnel = AngularGain(batch->cos_in[i], eta, 0.0);
-    s.path = -std::log(AngularGain(batch->cos_in[i], eta, 1.0) / s.fresnel);
+    s.path = GainPath(batch->cos_in[i], eta);
     const RefractedDirections directions = DirectionsOf(*batch, i, eta);
     s.few = directions.sec_in * directions.sec_out * std::exp(kPhaseSlope * (1.0 + directions.cos_scatter));
     mean += white.value;
