@@ -9,7 +9,7 @@ planted=()
 fresh() {
   planted=()
   rm -rf "${tree:?}"/*
-  mkdir -p "$tree"/{shared/{base,image,pattern},db/{interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
+  mkdir -p "$tree"/{shared/{base,image,pattern},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
 }
 write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
 plant() {                             # FILE LINE: the check must complain of this line
@@ -30,35 +30,38 @@ fresh
 expect_clean
 
 # Layers.
-plant shared/base/a.h '#include "db/session_store.h"'
+plant shared/base/a.h '#include "db/catalogue/session_store.h"'
 plant shared/image/a.h '#include "shared/pattern/pattern.h"'
-plant db/a.cc '#include "fitter/render/mlsss.h"'
+plant db/base/a.cc '#include "fitter/render/mlsss.h"'
 plant firmware-host/apps/a.cc '#include "fitter/render/mlsss.h"'
+plant db/segment/a.h '#include "db/catalogue/session_index.h"'
+plant db/catalogue/a.cc '#include "db/privacy/forget.h"'
+plant db/base/a.cc '#include "db/care/reindex.h"'
 plant fitter/render/a.cc '#include "firmware-host/gpio/line_bank.h"'
-plant fitter/render/a.cc '#include "db/truth_segment.h"'
-plant firmware-host/apps/a.cc '#include "db/truth_segment.h"'
+plant fitter/render/a.cc '#include "db/segment/truth_segment.h"'
+plant firmware-host/apps/a.cc '#include "db/segment/truth_segment.h"'
 expect_all_found
-write fitter/evaluation/a.cc '#include "db/truth_segment.h"'
+write fitter/evaluation/a.cc '#include "db/segment/truth_segment.h"'
 expect_clean
 
 # SQLite.
-plant db/a.h '#include <sqlite3.h>'
+plant db/base/a.h '#include <sqlite3.h>'
 plant db/interchange/a.cc '#include <sqlite3.h>'
 plant fitter/render/a.cc '#include <sqlite3.h>'
-plant firmware-host/apps/a.cc '#include "db/sqlite.h"'
-plant db/interchange/a.h '#include "db/sqlite.h"'
-plant db/privacy/a.h '#include "db/sqlite.h"'
+plant firmware-host/apps/a.cc '#include "db/base/sqlite.h"'
+plant db/interchange/a.h '#include "db/base/sqlite.h"'
+plant db/privacy/a.h '#include "db/base/sqlite.h"'
 plant db/privacy/a.cc '#include <sqlite3.h>'
 expect_all_found
-write db/a.cc '#include <sqlite3.h>'
-write db/sqlite.h 'struct sqlite3;'
-write db/session_index.h '#include "db/sqlite.h"'
-write db/privacy/a.cc '#include "db/sqlite.h"'
+write db/base/a.cc '#include <sqlite3.h>'
+write db/base/sqlite.h 'struct sqlite3;'
+write db/catalogue/session_index.h '#include "db/base/sqlite.h"'
+write db/privacy/a.cc '#include "db/base/sqlite.h"'
 expect_clean
 
 # OpenCV and Ceres.
 for header in '<opencv2/core.hpp>' '<ceres/ceres.h>'; do
-  for file in firmware-host/apps/a.cc db/a.cc shared/image/a.cc; do plant "$file" "#include $header"; done
+  for file in firmware-host/apps/a.cc db/base/a.cc shared/image/a.cc; do plant "$file" "#include $header"; done
 done
 expect_all_found
 write fitter/render/a.cc '#include <opencv2/core.hpp>'
@@ -69,7 +72,7 @@ expect_clean
 adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<linux/videodev2.h>' camera '<libcamera/camera.h>'
           projector '<xf86drm.h>' projector '<xf86drmMode.h>' projector '<drm/drm.h>' projector '<drm_fourcc.h>')
 for ((i = 0; i < ${#adapters[@]}; i += 2)); do
-  for file in "firmware-host/${adapters[i]}/adapter.h" firmware-host/apps/a.cc shared/base/a.cc db/a.cc fitter/render/a.cc; do
+  for file in "firmware-host/${adapters[i]}/adapter.h" firmware-host/apps/a.cc shared/base/a.cc db/base/a.cc fitter/render/a.cc; do
     plant "$file" "#include ${adapters[i + 1]}"
   done
 done
@@ -89,7 +92,7 @@ for ((i = 0; i < ${#adapters[@]}; i += 2)); do
 done
 
 # Headers of db and firmware-host.
-for file in db/a.h firmware-host/gpio/gpiod_a.h; do
+for file in db/base/a.h firmware-host/gpio/gpiod_a.h; do
   for header in '<nlohmann/json.hpp>' '<CLI/CLI.hpp>' '<png.h>' '<fcntl.h>' '<toml++/toml.h>' '"json.hpp"'; do
     plant "$file" "#include $header"
   done
@@ -99,7 +102,7 @@ for file in db/a.h firmware-host/gpio/gpiod_a.h; do
   done
 done
 expect_all_found
-for folder in db firmware-host/gpio; do
+for folder in db/base firmware-host/gpio; do
   write "$folder/gpiod_a.h" '#include <Eigen/Core>'
   write "$folder/gpiod_a.h" '#include "shared/base/result.h"'
   write "$folder/gpiod_a.h" '// No sqlite3 type appears here; gpiod_chip neither.'

@@ -37,40 +37,48 @@ forbid "shared" '#include "(db|firmware-host|fitter)/' 'shared includes upward'
 forbid "db" '#include "(firmware-host|fitter)/' 'db includes upward'
 forbid "firmware-host" '#include "fitter/' 'the controller includes the fitter'
 forbid "fitter" '#include "firmware-host/' 'the fitter includes the controller'
-forbid "firmware-host shared" '#include "db/truth_segment\.h"' 'truth is for evaluation alone'
+forbid "firmware-host shared" '#include "db/segment/truth_segment\.h"' 'truth is for evaluation alone'
 for folder in fitter/*/; do
-  [ "$folder" = fitter/evaluation/ ] || forbid "$folder" '#include "db/truth_segment\.h"' 'truth is for evaluation alone'
+  [ "$folder" = fitter/evaluation/ ] || forbid "$folder" '#include "db/segment/truth_segment\.h"' 'truth is for evaluation alone'
 done
 
 # Libraries stay where they are wrapped.
-only_in 'db/[^/]*\.cc' 'sqlite3' 'sqlite3 only in db/*.cc'
+only_in 'db/(base|catalogue)/[^/]*\.cc' 'sqlite3' 'sqlite3 only in the sources of db/base and db/catalogue'
 only_in 'fitter/.*' '(opencv2|ceres)/|opencv\.hpp' 'OpenCV and Ceres only in fitter'
 one_adapter firmware-host/gpio 'gpiod\.h' 'libgpiod'
 one_adapter firmware-host/camera 'linux/videodev2\.h|linux/v4l2' 'V4L2'
 one_adapter firmware-host/camera 'libcamera/' 'libcamera'
 one_adapter firmware-host/projector 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
 # Headers of db and firmware-host show the standard library, our own types and Eigen: no library's header, no library's
-# type. (db/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
+# type. (db/base/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
 # A program's own command line (apps/command.h) is no public header.
 headers() { grep -rnE --include='*.h' "$1" db firmware-host 2>/dev/null | grep -v '/apps/command\.h:'; }
 hits=$(headers '#include ' | grep -vE '#include (<[a-z_]+>|<Eigen/[A-Za-z]+>|"(shared|db|firmware-host)/[^"]+")')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a header that shows more than the standard library, Eigen and ours|'; bad=1; }
 types='sqlite3|gpiod_[a-z]|gpiod::|v4l2_[a-z]|libcamera::|drm[A-Z_]|cv::|ceres::|nlohmann::|toml::|CLI::|png_[a-z]|XXH'
-hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -v '^db/sqlite\.h:')
+hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -v '^db/base/sqlite\.h:')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a type of a library in a header|'; bad=1; }
-hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/sqlite\.h"' shared firmware-host fitter db/*/ 2>/dev/null |
-       grep -v '^db/privacy/[^/]*\.cc:')
-[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- db/sqlite.h only in db and the sources of db/privacy|'; bad=1; }
+rooms_of_sqlite='base|keys|catalogue|care|privacy'
+hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/base/sqlite\.h"' shared firmware-host fitter db 2>/dev/null |
+       grep -vE "^db/($rooms_of_sqlite)/[^/]*\.cc:|^db/catalogue/[^/]*\.h:")
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- db/base/sqlite.h only in the rooms of db that ask the index|'; bad=1; }
 
-# Inside shared/, each folder may include only itself and those above it in the list.
-order="base units geometry image transport pattern capture config"
-later="$order"
-for folder in $order; do
-  later=${later#"$folder"}; later=${later# }
-  # geometry may name the pixel format of a mosaic; image and geometry are otherwise independent.
-  for below in $later; do
-    [ "$folder/$below" = geometry/image ] && continue
-    forbid "shared/$folder" "#include \"shared/$below/" "shared/$folder stands above shared/$below"
+# one_way PARENT FOLDERS: each folder of PARENT may include only itself and those above it in the list.
+one_way() {
+  local parent=$1 folder below later
+  shift
+  later=$*
+  for folder in "$@"; do
+    later=${later#"$folder"}; later=${later# }
+    # geometry may name the pixel format of a mosaic; image and geometry are otherwise independent.
+    for below in $later; do
+      [ "$parent/$folder/$below" = shared/geometry/image ] && continue
+      forbid "$parent/$folder" "#include \"$parent/$below/" "$parent/$folder stands above $parent/$below"
+    done
   done
-done
+}
+one_way shared base units geometry image transport pattern capture config http
+one_way db base keys segment ledger catalogue care privacy transfer interchange apps
+hits=$(ls db/*.h db/*.cc 2>/dev/null)
+[ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a file of db has a room|'; bad=1; }
 exit $bad

@@ -9,7 +9,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json_fwd.hpp>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 

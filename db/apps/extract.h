@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "shared/base/log.h"
 
 namespace stratalux::db {

@@ -8,10 +8,11 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
-#include "db/privacy/consent.h"
+#include "db/catalogue/consent.h"
+#include "db/catalogue/deletions.h"
+#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
-#include "db/privacy/tombstone.h"
 #include "shared/config/store_config.h"
 
 namespace stratalux::db {

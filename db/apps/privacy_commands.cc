@@ -7,8 +7,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/catalogue/consent.h"
 #include "db/privacy/access_log.h"
-#include "db/privacy/consent.h"
 #include "db/privacy/key_file.h"
 
 namespace stratalux::db {

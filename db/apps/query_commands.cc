@@ -11,8 +11,8 @@
 #include "db/apps/command.h"
 #include "db/apps/moment.h"
 #include "db/apps/table_output.h"
-#include "db/named_query.h"
-#include "db/session_filter.h"
+#include "db/catalogue/named_query.h"
+#include "db/catalogue/session_filter.h"
 
 namespace stratalux::db {
 namespace {

@@ -6,8 +6,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/display_text.h"
-#include "db/manifest.h"
-#include "db/read_only_index.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/read_only_index.h"
 
 namespace stratalux::db {
 namespace {

@@ -7,8 +7,8 @@
 #include <utility>
 #include <vector>
 
-#include "db/session_store.h"
-#include "db/verify.h"
+#include "db/care/verify.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 

@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/display_text.h"
-#include "db/named_query.h"
+#include "db/catalogue/named_query.h"
 
 namespace stratalux::db {
 namespace {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "db/read_only_index.h"
+#include "db/catalogue/read_only_index.h"
 #include "shared/units/time.h"
 
 namespace stratalux::db {

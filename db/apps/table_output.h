@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "db/result_table.h"
+#include "db/catalogue/result_table.h"
 
 namespace stratalux::db {
 

@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
-#include "db/transcode.h"
+#include "db/care/transcode.h"
 
 namespace stratalux::db {
 namespace {

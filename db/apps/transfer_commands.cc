@@ -6,9 +6,9 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/care/reindex.h"
 #include "db/interchange/export.h"
 #include "db/interchange/import.h"
-#include "db/reindex.h"
 #include "db/transfer/backup.h"
 #include "db/transfer/pull.h"
 

@@ -5,11 +5,11 @@
 
 #include <nlohmann/json.hpp>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/session_index.h"
 #include "db/interchange/export_files.h"
-#include "db/manifest.h"
 #include "db/privacy/export_marker.h"
-#include "db/session_index.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {

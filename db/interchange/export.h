@@ -8,7 +8,7 @@
 #include <optional>
 #include <string>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "shared/base/log.h"
 
 namespace stratalux::db {

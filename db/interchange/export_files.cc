@@ -9,7 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
 #include "db/interchange/image_file.h"
 #include "db/privacy/export_marker.h"
 #include "shared/base/read_file.h"

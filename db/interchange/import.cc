@@ -5,9 +5,9 @@
 #include <set>
 #include <utility>
 
+#include "db/catalogue/deletions.h"
 #include "db/interchange/image_file.h"
 #include "db/privacy/export_marker.h"
-#include "db/privacy/tombstone.h"
 #include "shared/base/version.h"
 
 namespace stratalux::db {

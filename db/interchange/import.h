@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <string>
 
+#include "db/catalogue/session_store.h"
 #include "db/interchange/import_manifest.h"
-#include "db/session_store.h"
 #include "shared/base/log.h"
 
 namespace stratalux::db {

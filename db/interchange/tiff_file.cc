@@ -8,7 +8,7 @@
 
 #include <tiffio.h>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
 #include "db/interchange/image_file.h"
 
 namespace stratalux::db {

@@ -4,7 +4,7 @@
 #include <pwd.h>
 #include <unistd.h>
 
-#include "db/session_index.h"
+#include "db/catalogue/session_index.h"
 
 namespace stratalux::db {
 

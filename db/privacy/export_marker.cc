@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
 #include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
 

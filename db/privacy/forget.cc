@@ -6,12 +6,12 @@
 
 #include <nlohmann/json.hpp>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
+#include "db/base/write_lock.h"
+#include "db/ledger/tombstone.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/store_scan.h"
-#include "db/privacy/tombstone.h"
-#include "db/write_lock.h"
 #include "shared/base/version.h"
 
 namespace stratalux::db {

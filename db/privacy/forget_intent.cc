@@ -8,7 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <sodium.h>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
+#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 
@@ -155,10 +156,6 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
   }
   if (!intents.empty()) SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
   return intents;
-}
-
-fs::path IntentFile(const fs::path& store, const std::string& session_id) {
-  return store / "deletions" / (session_id + ".forgetting");
 }
 
 Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "db/privacy/key_store.h"
-#include "db/session_index.h"
+#include "db/catalogue/session_index.h"
+#include "db/keys/key_store.h"
 
 namespace stratalux::db {
 
@@ -29,7 +29,6 @@ struct ForgetIntent {
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
                                                                const std::vector<std::string>& ids);
 
-[[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
 Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);
 // Renamed first: a half-wiped intent must not be taken for one.
 Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);

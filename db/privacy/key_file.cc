@@ -10,11 +10,11 @@
 #include <sodium.h>
 #include <unistd.h>
 
+#include "db/base/write_lock.h"
+#include "db/catalogue/deletions.h"
+#include "db/keys/key_store.h"
 #include "db/privacy/export_marker.h"
 #include "db/privacy/forget_intent.h"
-#include "db/privacy/key_store.h"
-#include "db/privacy/tombstone.h"
-#include "db/write_lock.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {

@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <string>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <optional>
 
-#include "db/privacy/consent.h"
-#include "db/session_store.h"
+#include "db/catalogue/consent.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 namespace {

@@ -5,9 +5,9 @@
 #include <cctype>
 #include <map>
 
-#include "db/privacy/consent.h"
+#include "db/catalogue/consent.h"
+#include "db/ledger/tombstone.h"
 #include "db/privacy/marker_scan.h"
-#include "db/privacy/tombstone.h"
 
 namespace stratalux::db {
 namespace {

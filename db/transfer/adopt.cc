@@ -9,11 +9,11 @@
 #include <sys/file.h>
 #include <unistd.h>
 
-#include "db/durable_file.h"
-#include "db/manifest.h"
-#include "db/privacy/tombstone.h"
-#include "db/session_rebuild.h"
-#include "db/write_lock.h"
+#include "db/base/durable_file.h"
+#include "db/base/write_lock.h"
+#include "db/care/session_rebuild.h"
+#include "db/catalogue/manifest.h"
+#include "db/ledger/tombstone.h"
 
 namespace stratalux::db {
 namespace {

@@ -13,9 +13,9 @@
 #include <unistd.h>
 #include <xxhash.h>
 
-#include "db/descriptor.h"
-#include "db/durable_file.h"
-#include "db/segment.h"
+#include "db/base/descriptor.h"
+#include "db/base/durable_file.h"
+#include "db/segment/segment.h"
 
 namespace stratalux::db {
 namespace {

@@ -5,7 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {

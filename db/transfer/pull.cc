@@ -3,11 +3,11 @@
 
 #include <algorithm>
 
-#include "db/durable_file.h"
-#include "db/manifest.h"
-#include "db/privacy/tombstone.h"
-#include "db/session_index.h"
-#include "db/session_rebuild.h"
+#include "db/base/durable_file.h"
+#include "db/care/session_rebuild.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/session_index.h"
+#include "db/ledger/tombstone.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/program.h"
 

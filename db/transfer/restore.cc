@@ -2,9 +2,9 @@
 #include <map>
 #include <vector>
 
-#include "db/durable_file.h"
-#include "db/privacy/tombstone.h"
-#include "db/session_index.h"
+#include "db/base/durable_file.h"
+#include "db/catalogue/session_index.h"
+#include "db/ledger/tombstone.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/backup.h"
 #include "db/transfer/file_copy.h"

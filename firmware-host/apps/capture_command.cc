@@ -10,7 +10,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "db/privacy/consent.h"
+#include "db/catalogue/consent.h"
 #include "firmware-host/apps/open_rig.h"
 #include "firmware-host/apps/session_calibration.h"
 #include "firmware-host/recording/session_archive.h"

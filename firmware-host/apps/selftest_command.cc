@@ -13,8 +13,8 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
-#include "db/codec/frame_codec.h"
-#include "db/durable_file.h"
+#include "db/base/durable_file.h"
+#include "db/segment/frame_codec.h"
 
 namespace stratalux::rig {
 namespace {

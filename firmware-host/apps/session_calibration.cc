@@ -3,7 +3,7 @@
 
 #include <cstdio>
 
-#include "db/calibration_store.h"
+#include "db/catalogue/calibration_store.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::rig {

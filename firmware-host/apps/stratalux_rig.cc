@@ -12,7 +12,7 @@
 
 #include <CLI/CLI.hpp>
 
-#include "db/privacy/consent.h"
+#include "db/catalogue/consent.h"
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/open_rig.h"

@@ -2,7 +2,7 @@
 // SessionArchive: a session of the store as the recorder's archive.
 #pragma once
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "firmware-host/recording/recorder.h"
 
 namespace stratalux::rig {

@@ -6,7 +6,7 @@
 #include <optional>
 #include <string>
 
-#include "db/truth_segment.h"
+#include "db/segment/truth_segment.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "shared/capture/rig_calibration.h"
 

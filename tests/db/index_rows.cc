@@ -7,8 +7,8 @@
 #include <optional>
 #include <random>
 
-#include "db/fit_metrics.h"
-#include "db/sqlite.h"
+#include "db/base/sqlite.h"
+#include "db/catalogue/fit_metrics.h"
 
 namespace stratalux::db {
 namespace {

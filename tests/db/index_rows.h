@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 

@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::db {
 

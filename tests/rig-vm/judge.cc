@@ -8,7 +8,7 @@
 #include <iostream>
 #include <map>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "shared/capture/plan.h"
 #include "tests/rig-vm/loop_scene.h"
 

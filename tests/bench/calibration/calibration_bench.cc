@@ -9,7 +9,7 @@
 
 #include <benchmark/benchmark.h>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "fitter/calibration/calibrate_rig.h"
 #include "fitter/pipeline/board_stage.h"
 #include "shared/base/check.h"

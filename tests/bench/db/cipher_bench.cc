@@ -8,7 +8,7 @@
 #include <sodium.h>
 #include <xxhash.h>
 
-#include "db/privacy/frame_cipher.h"
+#include "db/segment/frame_cipher.h"
 
 namespace stratalux::db {
 namespace {

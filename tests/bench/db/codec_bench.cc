@@ -8,7 +8,7 @@
 
 #include <benchmark/benchmark.h>
 
-#include "db/codec/frame_codec.h"
+#include "db/segment/frame_codec.h"
 #include "tests/bench/db/image_file_peers.h"
 #include "tests/bench/db/visit_frames.h"
 

@@ -16,8 +16,8 @@
 
 #include "db/apps/session_views.h"
 #include "db/apps/table_output.h"
-#include "db/named_query.h"
-#include "db/session_filter.h"
+#include "db/catalogue/named_query.h"
+#include "db/catalogue/session_filter.h"
 #include "tests/db/index_rows.h"
 
 namespace stratalux::db {

@@ -12,9 +12,9 @@
 #include <unistd.h>
 #include <xxhash.h>
 
-#include "db/reindex.h"
-#include "db/session_store.h"
-#include "db/verify.h"
+#include "db/care/reindex.h"
+#include "db/care/verify.h"
+#include "db/catalogue/session_store.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
 #include "shared/base/random.h"

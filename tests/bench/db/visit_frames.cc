@@ -3,7 +3,7 @@
 
 #include <cstdlib>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 
 namespace stratalux::bench {
 

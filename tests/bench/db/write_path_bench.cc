@@ -9,7 +9,7 @@
 #include <benchmark/benchmark.h>
 #include <sys/resource.h>
 
-#include "db/session_store.h"
+#include "db/catalogue/session_store.h"
 #include "tests/bench/db/visit_frames.h"
 
 namespace stratalux::bench {

@@ -16,8 +16,8 @@
 
 #include <sys/resource.h>
 
-#include "db/privacy/consent.h"
-#include "db/session_store.h"
+#include "db/catalogue/consent.h"
+#include "db/catalogue/session_store.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "shared/base/random.h"

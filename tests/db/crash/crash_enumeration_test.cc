@@ -5,8 +5,8 @@
 
 #include <gmock/gmock.h>
 
+#include "db/base/sqlite.h"
 #include "db/migration_0001.h"
-#include "db/sqlite.h"
 #include "tests/db/crash/crash_fixture.h"
 #include "tests/db/crash/enumeration.h"
 

@@ -5,8 +5,8 @@
 #include <iterator>
 #include <set>
 
-#include "db/sqlite.h"
-#include "db/verify.h"
+#include "db/base/sqlite.h"
+#include "db/care/verify.h"
 #include "tests/db/crash/disk_recorder.h"
 
 namespace stratalux::db::crash {

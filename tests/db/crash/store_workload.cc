@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <fstream>
 
-#include "db/privacy/consent.h"
-#include "db/sqlite.h"
+#include "db/base/sqlite.h"
+#include "db/catalogue/consent.h"
 #include "tests/db/crash/disk_recorder.h"
 #include "tests/db/store_fixture.h"
 

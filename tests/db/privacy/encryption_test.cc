@@ -9,10 +9,10 @@
 #include <sys/stat.h>
 #include <xxhash.h>
 
-#include "db/privacy/frame_cipher.h"
-#include "db/privacy/key_store.h"
-#include "db/truth_segment.h"
-#include "db/verify.h"
+#include "db/care/verify.h"
+#include "db/keys/key_store.h"
+#include "db/segment/frame_cipher.h"
+#include "db/segment/truth_segment.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {

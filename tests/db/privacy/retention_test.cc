@@ -4,7 +4,7 @@
 
 #include <gmock/gmock.h>
 
-#include "db/privacy/consent.h"
+#include "db/catalogue/consent.h"
 #include "tests/db/privacy/raw_bytes.h"
 #include "tests/db/store_fixture.h"
 

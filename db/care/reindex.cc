@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/care/reindex.h"
+
+#include <algorithm>
+#include <optional>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include "db/base/durable_file.h"
+#include "db/base/write_lock.h"
+#include "db/care/index_swap.h"
+#include "db/care/session_rebuild.h"
+#include "db/ledger/tombstone.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr const char* kWorkFolder = "reindex.new";
+
+// In the order that ids and place.json tell; sessions without a number come last, by id.
+Result<std::vector<fs::path>> SessionFolders(const fs::path& store) {
+  std::error_code error;
+  std::vector<fs::path> folders;
+  for (auto entry = fs::directory_iterator(store / "sessions", error); !error && entry != fs::directory_iterator();
+       entry.increment(error))
+    if (entry->is_directory(error)) folders.push_back(entry->path());
+  if (error) return Status::NotFound("no store in " + store.string() + ": " + error.message());
+  std::sort(folders.begin(), folders.end());
+  return folders;
+}
+
+// A name within SQL's quotes.
+std::string Quoted(const fs::path& file) {
+  std::string text = "'";
+  for (char c : file.string()) text += c == '\'' ? std::string("''") : std::string(1, c);
+  return text + "'";
+}
+
+Status InsertTombstones(SessionIndex& index, const fs::path& store, ReindexReport& report) {
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       index.connection().Prepare("INSERT OR REPLACE INTO deletions VALUES (?1, ?2, ?3, ?4)"));
+  for (const fs::path& file : ListTombstones(store)) {
+    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+    const auto json = nlohmann::ordered_json::parse(text, nullptr, false);
+    // A damaged tombstone still keeps its session away: its name tells which.
+    const bool whole = json.is_object();
+    auto number = [&](const char* key) {
+      return whole && json.contains(key) && json[key].is_number_integer() ? json[key].get<int64_t>() : int64_t{0};
+    };
+    const bool has_reason = whole && json.contains("reason") && json["reason"].is_string();
+    if (!whole) report.problems.push_back(file.string() + ": no JSON; its session stays forgotten");
+    insert.Bind(1, file.stem().string()).Bind(2, number("deleted_wall_ns"));
+    insert.Bind(3, has_reason ? json["reason"].get<std::string>() : std::string("forget")).Bind(4, text);
+    SLX_RETURN_IF_ERROR(insert.Run());
+    ++report.forgotten;
+  }
+  return Status::Ok();
+}
+
+// Numbers of forgotten sessions are not given again.
+Status RaiseSequence(SessionIndex& index, const fs::path& store, int64_t highest) {
+  for (const fs::path& file : ListTombstones(store))
+    highest = std::max(highest, NumberOfId(file.stem().string()).value_or(0));
+  Connection& connection = index.connection();
+  SLX_RETURN_IF_ERROR(connection.Execute("DELETE FROM sqlite_sequence WHERE name = 'sessions'"));
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       connection.Prepare("INSERT INTO sqlite_sequence (name, seq) VALUES ('sessions', ?1)"));
+  return insert.Bind(1, highest).Run();
+}
+
+// What lies in no file of a session.
+Status TakeOver(SessionIndex& index) {
+  Connection& connection = index.connection();
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA old.user_version"));
+  SLX_ASSIGN_OR_RETURN(const int64_t own, connection.QueryInteger("PRAGMA main.user_version"));
+  if (version != own) return Status::Failed("it has schema " + std::to_string(version));
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_RETURN_IF_ERROR(connection.Execute(
+      "INSERT INTO main.visitors SELECT * FROM old.visitors WHERE true"
+      " ON CONFLICT (id) DO UPDATE SET created_wall_ns = excluded.created_wall_ns;"
+      "DELETE FROM main.consents;"
+      "INSERT INTO main.consents SELECT * FROM old.consents WHERE visitor IN (SELECT id FROM main.visitors);"
+      "INSERT INTO main.access_log SELECT * FROM old.access_log;"
+      "INSERT INTO main.jobs SELECT j.* FROM old.jobs j JOIN old.sessions o ON o.number = j.session"
+      " JOIN main.sessions n ON n.number = o.number AND n.id = o.id;"
+      "INSERT OR IGNORE INTO main.deletions SELECT * FROM old.deletions"));
+  return transaction.Commit();
+}
+
+void CutTails(const RebuiltSession& session, ReindexReport& report) {
+  for (const auto& tail : session.tails)
+    if (const Status cut = CutFile(tail.file, tail.keep); !cut.ok()) report.problems.push_back(cut.message());
+}
+
+Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders, Logger& logger,
+                      ReindexReport& report) {
+  Progress progress(logger, "reindex", static_cast<int64_t>(folders.size()));
+  std::set<int64_t> taken;
+  std::vector<RebuiltSession> late;  // whose number is unknown or taken: behind all others
+  auto insert = [&](const RebuiltSession& session, std::optional<int64_t> number) -> Status {
+    SLX_ASSIGN_OR_RETURN(const int64_t given, InsertRebuilt(index, session, number));
+    taken.insert(given);
+    ++report.sessions;
+    report.frames += static_cast<int64_t>(session.frames.size());
+    report.fits += static_cast<int64_t>(session.fits.size());
+    return Status::Ok();
+  };
+  for (const fs::path& folder : folders) {
+    progress.Advance();
+    if (HasTombstone(store, folder.filename().string())) {
+      report.notes.push_back("session " + folder.filename().string() + " was forgotten; what is left of it in " +
+                             folder.string() + " was not listed");
+      continue;
+    }
+    auto session = RebuildSession(folder);
+    if (!session.ok()) {
+      report.problems.push_back(session.status().message());
+      continue;
+    }
+    CutTails(*session, report);
+    report.notes.insert(report.notes.end(), session->notes.begin(), session->notes.end());
+    if (!session->number || taken.contains(*session->number)) {
+      late.push_back(std::move(session).value());
+      continue;
+    }
+    SLX_RETURN_IF_ERROR(insert(*session, session->number));
+  }
+  for (const RebuiltSession& session : late) {
+    const int64_t number = taken.empty() ? 1 : *taken.rbegin() + 1;
+    report.notes.push_back("session " + session.info.id + ": its number is taken or unknown; listed as number " +
+                           std::to_string(number));
+    SLX_RETURN_IF_ERROR(insert(session, number));
+    SLX_RETURN_IF_ERROR(WritePlace(store / "sessions" / session.info.id, {number, "reindex"}));
+  }
+  return RaiseSequence(index, store, taken.empty() ? 0 : *taken.rbegin());
+}
+
+Status Build(const fs::path& store, const fs::path& work, Logger& logger, ReindexReport& report) {
+  SLX_ASSIGN_OR_RETURN(const auto folders, SessionFolders(store));
+  std::error_code error;
+  fs::remove_all(work, error);
+  SLX_RETURN_IF_ERROR(SessionIndex::Create(work));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
+  Connection& connection = index.connection();
+  // Nobody sees this file before it is whole and synced; should the power fail, it is built anew.
+  SLX_RETURN_IF_ERROR(
+      connection.Execute("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;"
+                         "PRAGMA cache_size = -65536"));
+  bool attached = false;
+  if (fs::exists(store / "index.sqlite", error))
+    attached = connection.Execute("ATTACH " + Quoted(store / "index.sqlite") + " AS old").ok();
+  {
+    SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, logger, report));
+    SLX_RETURN_IF_ERROR(InsertTombstones(index, store, report));
+    const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
+    if (!taken.ok())
+      report.notes.push_back("access log, jobs and withdrawals of consent were not taken over from the old index: " +
+                             taken.message());
+    SLX_RETURN_IF_ERROR(transaction.Commit());
+  }
+  if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));
+  return connection.Execute(
+      "PRAGMA synchronous = FULL; PRAGMA journal_mode = WAL;"
+      "PRAGMA wal_checkpoint(TRUNCATE)");
+}
+
+}  // namespace
+
+Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
+  std::error_code error;
+  if (!fs::is_directory(store / "sessions", error))
+    return Status::NotFound("no store in " + store.string() + " (it has no folder 'sessions')");
+  if (const auto old = SessionIndex::Open(store, AccessMode::kReadOnly);
+      old.status().code() == StatusCode::kNewerSchema)
+    return old.status();
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
+  SLX_RETURN_IF_ERROR(ReleaseIndex(store));
+  ReindexReport report;
+  const fs::path work = store / kWorkFolder;
+  Status built = Build(store, work, logger, report);
+  if (built.ok()) {
+    auto kept = SwapIndex(store, work / "index.sqlite");
+    if (kept.ok()) report.kept = *kept;
+    built = kept.status();
+  }
+  fs::remove_all(work, error);
+  if (!built.ok()) {
+    (void)ResumeIndex(store).ok();  // a damaged one cannot
+    return built.WithContext("the old index stays as it was");
+  }
+  return report;
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <set>
+#include <system_error>
+
+#include "db/care/verify.h"
+#include "db/catalogue/calibration_store.h"
+#include "db/catalogue/session_index.h"
+#include "db/ledger/tombstone.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+
+Status CheckDatabase(const SessionStore& store, VerifyDepth depth, VerifyReport& report) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store.folder(), AccessMode::kReadOnly));
+  Connection& connection = index.connection();
+  const std::string file = (store.folder() / "index.sqlite").string();
+  const char* pragma = depth == VerifyDepth::kDeep ? "PRAGMA integrity_check" : "PRAGMA quick_check";
+  for (const char* question : {pragma, "PRAGMA foreign_key_check"}) {
+    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare(question));
+    while (true) {
+      const auto more = select.Step();
+      if (!more.ok()) {  // damage that stops even the check
+        report.problems.push_back(more.status().message());
+        break;
+      }
+      if (!*more) break;
+      if (select.Text(0) != "ok") report.problems.push_back(file + ": " + question + ": " + select.Text(0));
+    }
+  }
+  return Status::Ok();
+}
+
+bool IsOurs(const std::string& name) {
+  static const std::set<std::string> kNames = {
+      "index.sqlite",  "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
+      "deletions",     "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",
+      "incoming.lock", "reindex.new",      "lost+found",       "backup.json"};
+  return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
+}
+
+void CheckFolders(const SessionStore& store, const std::set<std::string>& known, VerifyReport& report) {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(store.folder(), error))
+    if (!IsOurs(entry.path().filename().string()))
+      report.notes.push_back(entry.path().string() + " is no file of a store");
+  for (const auto& entry : fs::directory_iterator(store.folder() / "sessions", error)) {
+    const std::string id = entry.path().filename().string();
+    if (HasTombstone(store.folder(), id)) {
+      report.problems.push_back(entry.path().string() + " is of a session that was forgotten; `stratalux-db forget " +
+                                id + "` again");
+    } else if (!known.contains(id)) {
+      report.problems.push_back(entry.path().string() +
+                                " is not in the index: `stratalux-db reindex` lists it, if it is a session");
+    }
+  }
+}
+
+}  // namespace
+
+Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions& options) {
+  VerifyReport report;
+  SLX_RETURN_IF_ERROR(CheckDatabase(store, options.depth, report));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
+  std::set<std::string> known;
+  for (const SessionRow& row : sessions) {
+    known.insert(row.info.id);
+    if (HasTombstone(store.folder(), row.info.id))
+      report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
+  }
+  CheckFolders(store, known, report);
+  SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));
+  report.problems.insert(report.problems.end(), calibrations.begin(), calibrations.end());
+  return report;
+}
+
+}  // namespace stratalux::db

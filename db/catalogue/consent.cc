@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/consent.h"
+
+#include <sstream>
+
+#include <nlohmann/json.hpp>
+
+#include "db/catalogue/session_index.h"
+
+namespace stratalux::db {
+namespace {
+
+// Quoted for a shell: the remedy can be pasted.
+std::string Quoted(const std::string& text) {
+  std::string quoted = "'";
+  for (const char c : text) quoted += c == '\'' ? "'\\''" : std::string(1, c);
+  return quoted + "'";
+}
+
+Status Missing(const std::filesystem::path& store, const std::string& visitor, const std::string& why) {
+  return Status::Usage("visitor " + Quoted(visitor) + " " + why +
+                       ": no capture without consent; record it with"
+                       " `stratalux-db consent give --store " +
+                       Quoted(store.string()) + " --visitor " + Quoted(visitor) +
+                       " --text-version VERSION --language LANGUAGE --scope fit`");
+}
+
+Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(auto person, connection.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
+  SLX_RETURN_IF_ERROR(person.Bind(1, visitor).Bind(2, consent.given_wall.ns).Run());
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
+                         " given_wall_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"));
+  insert.Bind(1, visitor).Bind(2, consent.text_version).Bind(3, consent.language);
+  insert.Bind(4, int64_t{consent.fit}).Bind(5, int64_t{consent.research}).Bind(6, int64_t{consent.publication});
+  SLX_RETURN_IF_ERROR(insert.Bind(7, consent.given_wall.ns).Run());
+  return transaction.Commit();
+}
+
+}  // namespace
+
+Status CheckPseudonym(const std::string& visitor) {
+  using Json = nlohmann::ordered_json;
+  if (visitor.empty()) return Status::Usage("--visitor: the pseudonym is empty");
+  // JSON takes UTF-8 alone: what is none comes back otherwise than it went in.
+  const Json json = visitor;
+  const std::string shown = json.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (Json::parse(shown) != json) return Status::Usage("--visitor " + shown + ": the pseudonym is not UTF-8 text");
+  for (const unsigned char c : visitor)
+    if (c < 0x20 || c == 0x7f) return Status::Usage("--visitor " + shown + ": the pseudonym has control characters");
+  return Status::Ok();
+}
+
+Status SetScope(const std::string& text, Consent& consent) {
+  std::istringstream in(text);
+  bool any = false;
+  for (std::string scope; std::getline(in, scope, ',');) {
+    bool* member = scope == "fit"           ? &consent.fit
+                   : scope == "research"    ? &consent.research
+                   : scope == "publication" ? &consent.publication
+                                            : nullptr;
+    if (member == nullptr)
+      return Status::Usage("scope '" + scope + "' is unknown; allowed: fit, research, publication, joined by commas");
+    *member = any = true;
+  }
+  return any ? Status::Ok() : Status::Usage("a consent needs a scope: fit, research, publication, joined by commas");
+}
+
+std::string ScopeText(const Consent& consent) {
+  std::string text;
+  for (const auto& [given, name] : {std::pair(consent.fit, "fit"), std::pair(consent.research, "research"),
+                                    std::pair(consent.publication, "publication")})
+    if (given) text += (text.empty() ? "" : ",") + std::string(name);
+  return text;
+}
+
+Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent) {
+  SLX_RETURN_IF_ERROR(CheckPseudonym(visitor));
+  if (consent.text_version.empty() || consent.language.empty())
+    return Status::Usage("a consent names the version of the text that was shown and its language");
+  if (ScopeText(consent).empty()) return SetScope("", consent);
+  if (consent.given_wall.ns == 0) consent.given_wall = WallNow();
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
+  return InsertConsent(index.connection(), visitor, consent);
+}
+
+Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(auto count, index.connection().Prepare("SELECT count(*) FROM consents WHERE visitor = ?1 AND"
+                                                              " withdrawn_wall_ns IS NULL"));
+  count.Bind(1, visitor);
+  SLX_RETURN_IF_ERROR(count.Step().status());
+  if (count.Integer(0) == 0) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that holds");
+  SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
+                                                               " visitor = ?1 AND withdrawn_wall_ns IS NULL"));
+  return update.Bind(1, visitor).Bind(2, WallNow().ns).Run();
+}
+
+Result<std::vector<ConsentRow>> ListConsents(const std::filesystem::path& store, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      index.connection().Prepare("SELECT visitor, text_version, language, fit, research, publication, given_wall_ns,"
+                                 " coalesce(withdrawn_wall_ns, 0), withdrawn_wall_ns IS NOT NULL FROM consents"
+                                 " WHERE ?1 = '' OR visitor = ?1 ORDER BY number"));
+  select.Bind(1, visitor);
+  std::vector<ConsentRow> rows;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return rows;
+    ConsentRow row;
+    row.visitor = select.Text(0);
+    row.consent = {select.Text(1),         select.Text(2),         select.Integer(3) != 0,
+                   select.Integer(4) != 0, select.Integer(5) != 0, {select.Integer(6)}};
+    if (select.Integer(8) != 0) row.withdrawn = WallNs{select.Integer(7)};
+    rows.push_back(std::move(row));
+  }
+}
+
+Result<Consent> ValidConsent(const std::filesystem::path& store, const std::string& visitor) {
+  SLX_RETURN_IF_ERROR(CheckPseudonym(visitor));
+  const auto rows = ListConsents(store, visitor);
+  if (rows.status().code() == StatusCode::kNotFound)
+    return Missing(store, visitor, "has given no consent (there is no store yet: `stratalux-db init` makes it)");
+  if (!rows.ok()) return rows.status();
+  if (rows->empty()) return Missing(store, visitor, "has given no consent");
+  const ConsentRow& newest = rows->back();
+  if (newest.withdrawn) return Missing(store, visitor, "has withdrawn consent on " + ToIso8601(*newest.withdrawn));
+  if (!newest.consent.fit)
+    return Missing(store, visitor, "has consented to " + ScopeText(newest.consent) + " only, not to fit");
+  return newest.consent;
+}
+
+Status RequireConsent(const std::filesystem::path& store, SessionInfo& info) {
+  if (info.kind != SessionKind::kVisitor) return Status::Ok();
+  if (info.visitor.empty()) {
+    if (!info.simulated)
+      return Status::Usage(
+          "a visitor's session needs a pseudonym whose consent is recorded (--visitor;"
+          " `stratalux-db consent give` records it)");
+    info.visitor = kSimulatedVisitor;
+  }
+  auto consent = ValidConsent(store, info.visitor);
+  if (!consent.ok() && info.simulated && info.visitor == kSimulatedVisitor) {
+    const Consent given{kSimulatedConsentText, "none", true, true, true, WallNow()};
+    SLX_RETURN_IF_ERROR(GiveConsent(store, info.visitor, given));
+    consent = given;
+  }
+  if (!consent.ok()) return consent.status();
+  info.consent = *consent;
+  return Status::Ok();
+}
+
+}  // namespace stratalux::db

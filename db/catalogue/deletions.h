@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// What was forgotten, by files (db/ledger/tombstone.h) and index. Import, key import and pull ask here before they take
+// a session in.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "shared/base/result.h"
+
+namespace stratalux::db {
+
+struct Deletion {
+  std::string session;
+  std::string certificate_json;
+};
+
+// True from the moment a `forget` of the session has begun. The files decide; the index is asked where it is there, so
+// that one of the two may be lost.
+[[nodiscard]] Result<bool> IsForgotten(const std::filesystem::path& store, const std::string& session_id);
+// kUsage naming the certificate, for programs that were told to take the session in.
+Status RefuseForgotten(const std::filesystem::path& store, const std::string& session_id);
+
+// The certificates, by session id, from files and index.
+[[nodiscard]] Result<std::vector<Deletion>> ListDeletions(const std::filesystem::path& store);
+
+}  // namespace stratalux::db

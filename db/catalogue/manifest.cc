@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/manifest.h"
+
+#include <nlohmann/json.hpp>
+
+#include "db/base/durable_file.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+
+using Json = nlohmann::ordered_json;
+
+namespace {
+
+// A file name in a reason may be no UTF-8, which JSON is.
+std::string TextOf(const Json& json, int indent) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
+}
+
+constexpr int kManifestSchema = 2;
+
+Json JsonOf(const Consent& consent) {
+  if (consent.text_version.empty()) return nullptr;
+  Json scope = Json::array();
+  if (consent.fit) scope.push_back("fit");
+  if (consent.research) scope.push_back("research");
+  if (consent.publication) scope.push_back("publication");
+  return {{"text_version", consent.text_version},
+          {"language", consent.language},
+          {"scope", scope},
+          {"given_wall_ns", consent.given_wall.ns}};
+}
+
+Consent ConsentOf(const Json& json) {
+  Consent consent;
+  if (json.is_string()) consent.text_version = json.get<std::string>();  // schema 1
+  if (!json.is_object()) return consent;
+  json.at("text_version").get_to(consent.text_version);
+  json.at("language").get_to(consent.language);
+  json.at("given_wall_ns").get_to(consent.given_wall.ns);
+  for (const Json& scope : json.at("scope")) {
+    consent.fit |= scope == "fit";
+    consent.research |= scope == "research";
+    consent.publication |= scope == "publication";
+  }
+  return consent;
+}
+
+Result<SessionInfo> InfoFrom(const Json& json) {
+  if (json.at("schema").get<int>() > kManifestSchema)
+    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
+                                                std::to_string(kManifestSchema) + ")");
+  SessionInfo info;
+  json.at("session").get_to(info.id);
+  SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
+  json.at("rig").get_to(info.rig);
+  json.at("visitor").get_to(info.visitor);
+  info.consent = ConsentOf(json.at("consent"));
+  if (json.contains("retention")) {
+    SLX_ASSIGN_OR_RETURN(info.retention, ParseRetention(json.at("retention").get<std::string>()));
+  }
+  info.finished_wall.ns = json.value("finished_wall_ns", int64_t{0});
+  json.at("simulated").get_to(info.simulated);
+  json.at("seed").get_to(info.seed);
+  info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
+  SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
+  json.at("reasons").get_to(info.reasons);
+  json.at("program_version").get_to(info.program_version);
+  if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
+  if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
+  return info;
+}
+
+}  // namespace
+
+std::string ConsentToJson(const Consent& consent) {
+  return consent.text_version.empty() ? "" : TextOf(JsonOf(consent), -1);
+}
+
+Consent ConsentFromJson(const std::string& text) {
+  const Json json = Json::parse(text, nullptr, false);
+  try {
+    return ConsentOf(json);
+  } catch (const nlohmann::json::exception&) {
+    return {};
+  }
+}
+
+std::string ReasonsToJson(const std::vector<std::string>& reasons) { return TextOf(Json(reasons), -1); }
+
+std::vector<std::string> ReasonsFromJson(const std::string& text) {
+  const Json json = Json::parse(text, nullptr, false);
+  std::vector<std::string> reasons;
+  if (!json.is_array()) return reasons;
+  for (const Json& reason : json) reasons.push_back(reason.is_string() ? reason.get<std::string>() : reason.dump());
+  return reasons;
+}
+
+Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
+                     const std::vector<std::string>& segments) {
+  const Json json = {
+      {"schema", kManifestSchema},
+      {"session", info.id},
+      {"kind", ToString(info.kind)},
+      {"rig", info.rig},
+      {"visitor", info.visitor},
+      {"consent", JsonOf(info.consent)},
+      {"retention", ToString(info.retention)},
+      {"simulated", info.simulated},
+      {"seed", info.seed},
+      {"started_wall_ns", info.started_wall.ns},
+      {"finished_wall_ns", info.finished_wall.ns},
+      {"status", ToString(info.status)},
+      {"reasons", info.reasons},
+      {"program_version", info.program_version},
+      {"plan", info.plan_json.empty() ? Json() : Json::parse(info.plan_json, nullptr, false)},
+      {"calibration", info.calibration_json.empty() ? Json() : Json::parse(info.calibration_json, nullptr, false)},
+      {"frames", frames},
+      {"segments", segments}};
+  const std::string text = TextOf(json, 1) + "\n";
+  return ReplaceFile(folder / "manifest.json", text);
+}
+
+Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "manifest.json";
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    const Json json = Json::parse(text);
+    return ManifestContents{json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>()};
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
+}
+
+Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<std::string>& segments) {
+  const std::filesystem::path file = folder / "manifest.json";
+  if (std::error_code error; !std::filesystem::exists(file, error)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object()) return Status::Integrity(file.string() + ": not a JSON object");
+  json["segments"] = segments;
+  return ReplaceFile(file, TextOf(json, 1) + "\n");
+}
+
+Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "manifest.json";
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    auto info = InfoFrom(Json::parse(text));
+    // What no version writes is damage, not somebody's wrong flag.
+    if (info.status().code() == StatusCode::kUsage)
+      return Status::Integrity(file.string() + ": " + info.status().message());
+    return std::move(info).WithContext(file.string());
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,370 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/session_index.h"
+
+#include <cstdio>
+#include <random>
+
+#include "db/base/durable_file.h"
+#include "db/catalogue/calibration_store.h"
+#include "db/catalogue/fit_metrics.h"
+#include "db/catalogue/manifest.h"
+#include "db/migration_0001.h"
+#include "db/migration_0002.h"
+#include "db/migration_0003.h"
+#include "db/migration_0004.h"
+
+namespace stratalux::db {
+namespace {
+
+constexpr int64_t kApplicationId = 0x534c5831;  // "SLX1"
+
+// An index whose creation was cut short: no table yet, and nobody else's mark.
+bool IsUnborn(const std::filesystem::path& file) {
+  auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
+  if (!connection.ok()) return false;
+  const auto marks = connection->QueryInteger(
+      "SELECT count(*) + (SELECT application_id FROM pragma_application_id) + (SELECT user_version FROM "
+      "pragma_user_version) FROM sqlite_master");
+  return marks.ok() && *marks == 0;
+}
+
+// A whole copy or none, also when an earlier attempt was cut short.
+Status BackUp(Connection& connection, const std::filesystem::path& file) {
+  std::filesystem::path beside = file;
+  beside += ".new";
+  std::error_code error;
+  std::filesystem::remove(beside, error);
+  SLX_ASSIGN_OR_RETURN(auto copy, connection.Prepare("VACUUM INTO ?1"));
+  SLX_RETURN_IF_ERROR(copy.Bind(1, beside.string()).Run());
+  return KeepFile(beside, file);
+}
+
+bool HasSessions(const std::filesystem::path& folder) {
+  std::error_code error;
+  const std::filesystem::directory_iterator sessions(folder / "sessions", error);
+  return !error && sessions != std::filesystem::directory_iterator();
+}
+
+// The index is gone, what it spoke of is not.
+bool IsLost(const std::filesystem::path& folder) {
+  std::error_code error;
+  const auto log_bytes = std::filesystem::file_size(folder / "index.sqlite-wal", error);
+  return (!error && log_bytes > 0) || HasSessions(folder);
+}
+
+Status LostIndex(const std::filesystem::path& folder) {
+  return Status::Integrity((folder / "index.sqlite").string() +
+                           " is missing, but sessions are there; restore it from a copy or rebuild it with"
+                           " `stratalux-db reindex` (the frames in sessions/ are not touched)");
+}
+
+Status WriteMetrics(Connection& connection, int64_t number, const std::string& fit, const std::string& metrics_json) {
+  SLX_ASSIGN_OR_RETURN(auto clear, connection.Prepare("DELETE FROM metrics WHERE session = ?1 AND fit = ?2"));
+  SLX_RETURN_IF_ERROR(clear.Bind(1, number).Bind(2, fit).Run());
+  SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT INTO metrics VALUES (?1, ?2, ?3, ?4)"));
+  for (const auto& [name, value] : FlattenMetrics(metrics_json))
+    SLX_RETURN_IF_ERROR(insert.Bind(1, number).Bind(2, fit).Bind(3, name).Bind(4, value).Run());
+  return Status::Ok();
+}
+
+// Fits registered before schema 3 have their figures in metrics_json alone.
+Status WriteMetricsOfAllFits(Connection& connection) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT session, id, metrics_json FROM fits"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    SLX_RETURN_IF_ERROR(WriteMetrics(connection, select.Integer(0), select.Text(1), select.Text(2)));
+  }
+}
+
+}  // namespace
+
+std::string SegmentName(int64_t number) {
+  char name[32];
+  std::snprintf(name, sizeof name, "frames-%04lld.seg", static_cast<long long>(number));
+  return name;
+}
+
+Status SessionIndex::Create(const std::filesystem::path& folder) {
+  if (const Status made = MakeFolder(folder / "sessions"); !made.ok())
+    return made.WithContext("cannot create store " + folder.string());
+  const auto file = folder / "index.sqlite";
+  std::error_code error;
+  if (std::filesystem::exists(file, error) && (HasSessions(folder) || !IsUnborn(file)))
+    return Open(folder, AccessMode::kReadWrite).status();
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
+  return Migrate(connection, folder);
+}
+
+Status SessionIndex::CreateNew(const std::filesystem::path& folder) {
+  std::error_code error;
+  if (!std::filesystem::exists(folder / "index.sqlite", error) && IsLost(folder)) return LostIndex(folder);
+  return Create(folder);
+}
+
+Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path& folder) {
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  if (version == kSchemaVersion) return Status::Ok();
+  if (version > 0) {
+    SLX_RETURN_IF_ERROR(BackUp(connection, folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")));
+  }
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));
+  if (version < 2) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0002));
+  if (version < 3) {
+    SLX_RETURN_IF_ERROR(connection.Execute(kMigration0003));
+    SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
+  }
+  if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
+  return transaction.Commit();
+}
+
+Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, AccessMode mode) {
+  const auto file = folder / "index.sqlite";
+  std::error_code error;
+  const auto type = std::filesystem::status(file, error).type();
+  if (type == std::filesystem::file_type::not_found && IsLost(folder)) return LostIndex(folder);
+  if (type == std::filesystem::file_type::not_found)
+    return Status::NotFound("no store in " + folder.string() + " (make one with `stratalux-db init --store " +
+                            folder.string() + "`)");
+  if (type == std::filesystem::file_type::none)
+    return Status::Failed("cannot open store " + folder.string() + ": " + error.message());
+  const bool write = mode == AccessMode::kReadWrite;
+  SLX_ASSIGN_OR_RETURN(auto connection,
+                       Connection::Open(file, write ? Connection::Mode::kReadWrite : Connection::Mode::kReadOnly));
+  auto identity = connection.QueryInteger("PRAGMA application_id");
+  if (identity.status().code() == StatusCode::kIntegrity)
+    return identity.status().WithContext("damaged, or not a Stratalux index");
+  if (!identity.ok()) return identity.status();
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  if (*identity != kApplicationId)
+    return Status::Integrity(file.string() + " is not a Stratalux index (application id " + std::to_string(*identity) +
+                             "); restore it from a copy (the frames in sessions/ are not touched)");
+  if (version > kSchemaVersion)
+    return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
+                                                " is newer than this program's " + std::to_string(kSchemaVersion) +
+                                                "; use a newer stratalux");
+  if (!write && version < kSchemaVersion) {
+    SLX_ASSIGN_OR_RETURN(auto writer, Connection::Open(file, Connection::Mode::kReadWrite));
+    SLX_RETURN_IF_ERROR(
+        Migrate(writer, folder)
+            .WithContext("the store has schema " + std::to_string(version) + " and must be migrated first"));
+  }
+  SLX_RETURN_IF_ERROR(
+      connection.Execute("PRAGMA foreign_keys = ON; PRAGMA synchronous = FULL; PRAGMA secure_delete = ON"));
+  if (write) SLX_RETURN_IF_ERROR(Migrate(connection, folder));
+  return SessionIndex(std::move(connection));
+}
+
+Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int64_t> known_number) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  if (!info.calibration_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(auto calibration,
+                         connection_.Prepare("INSERT OR IGNORE INTO calibrations (id, record_json, rig)"
+                                             " VALUES (?1, ?2, ?3)"));
+    SLX_RETURN_IF_ERROR(calibration.Bind(1, CalibrationId(info.calibration_json))
+                            .Bind(2, info.calibration_json)
+                            .Bind(3, info.rig)
+                            .Run());
+  }
+  if (!info.visitor.empty()) {
+    SLX_ASSIGN_OR_RETURN(auto visitor, connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
+    SLX_RETURN_IF_ERROR(visitor.Bind(1, info.visitor).Bind(2, info.started_wall.ns).Run());
+  }
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection_.Prepare(
+          "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)"));
+  std::random_device random;
+  char suffix[16];
+  std::snprintf(suffix, sizeof suffix, "%08x", random());
+  const bool named = !info.id.empty();
+  insert.Bind(1, named ? info.id : std::string("pending-") + suffix)
+      .Bind(2, std::string(ToString(info.kind)))
+      .Bind(3, info.rig);
+  insert.Bind(4, info.visitor)
+      .Bind(5, info.consent.text_version)
+      .Bind(6, int64_t{info.simulated})
+      .Bind(7, static_cast<int64_t>(info.seed));
+  insert.Bind(8, info.started_wall.ns)
+      .Bind(9, std::string(ToString(info.status)))
+      .Bind(10, ReasonsToJson(info.reasons));
+  insert.Bind(11, info.program_version).Bind(12, info.plan_json);
+  if (!info.calibration_json.empty()) insert.Bind(13, CalibrationId(info.calibration_json));
+  insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
+  if (known_number) insert.Bind(16, *known_number);
+  SLX_RETURN_IF_ERROR(insert.Run());
+  const int64_t number = connection_.LastInsertId();
+  if (named) {
+    SLX_RETURN_IF_ERROR(transaction.Commit());
+    return number;
+  }
+  char id[40];
+  std::snprintf(id, sizeof id, "s%06lld-%s", static_cast<long long>(number), suffix);
+  info.id = id;
+  SLX_ASSIGN_OR_RETURN(auto name, connection_.Prepare("UPDATE sessions SET id = ?1 WHERE number = ?2"));
+  SLX_RETURN_IF_ERROR(name.Bind(1, info.id).Bind(2, number).Run());
+  SLX_RETURN_IF_ERROR(transaction.Commit());
+  return number;
+}
+
+Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
+  SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2,"
+                                                        " finished_wall_ns = ?3 WHERE number = ?4"));
+  return update.Bind(1, std::string(ToString(ending.status)))
+      .Bind(2, ReasonsToJson(ending.reasons))
+      .Bind(3, ending.finished_wall.ns)
+      .Bind(4, number)
+      .Run();
+}
+
+Result<bool> SessionIndex::IsEncrypted(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT 1 FROM sessions WHERE id = ?1 AND key_id IS NOT NULL"));
+  return select.Bind(1, id).Step();
+}
+
+Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {
+  SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET key_id = ?1 WHERE number = ?2"));
+  return update.Bind(1, key_id).Bind(2, number).Run();
+}
+
+Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection_.Prepare("INSERT INTO frames VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
+  SLX_ASSIGN_OR_RETURN(
+      auto proof,
+      connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)"));
+  int64_t bytes = 0;
+  for (const auto& [segment, f] : frames) {
+    const FrameHeader& h = f.header;
+    insert.Bind(1, number).Bind(2, h.frame).Bind(3, segment).Bind(4, f.offset);
+    insert.Bind(5, static_cast<int64_t>(h.payload_bytes)).Bind(6, std::span<const uint8_t>(h.payload_hash));
+    insert.Bind(7, int64_t{h.step}).Bind(8, int64_t{h.projector});
+    insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, std::string(h.pattern));
+    insert.Bind(11, int64_t{h.retry}).Bind(12, int64_t{h.level_check});
+    SLX_RETURN_IF_ERROR(insert.Run());
+    proof.Bind(1, number).Bind(2, h.frame).Bind(3, int64_t{h.bracket}).Bind(4, int64_t{h.pose});
+    proof.Bind(5, h.trigger_number).Bind(6, h.trigger_ns).Bind(7, h.sync_ns).Bind(8, h.driver_sequence);
+    proof.Bind(9, h.frame_ns).Bind(10, int64_t{h.frame_clock});
+    proof.Bind(11, h.exposure_ms).Bind(12, h.gain).Bind(13, h.mean_dn).Bind(14, std::string(h.retake_cause));
+    SLX_RETURN_IF_ERROR(proof.Run());
+    bytes += static_cast<int64_t>(h.payload_bytes);
+  }
+  SLX_ASSIGN_OR_RETURN(auto totals, connection_.Prepare("UPDATE sessions SET frame_count = frame_count + ?1,"
+                                                        " stored_bytes = stored_bytes + ?2 WHERE number = ?3"));
+  SLX_RETURN_IF_ERROR(totals.Bind(1, static_cast<int64_t>(frames.size())).Bind(2, bytes).Bind(3, number).Run());
+  return transaction.Commit();
+}
+
+Status SessionIndex::MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(auto update,
+                       connection_.Prepare("UPDATE frames SET segment = ?1, offset = ?2, stored_bytes = ?3, hash = ?4"
+                                           " WHERE session = ?5 AND frame = ?6"));
+  int64_t bytes = 0;
+  for (const auto& [segment, f] : frames) {
+    const auto payload_bytes = static_cast<int64_t>(f.header.payload_bytes);
+    update.Bind(1, segment).Bind(2, f.offset).Bind(3, payload_bytes);
+    update.Bind(4, std::span<const uint8_t>(f.header.payload_hash)).Bind(5, number).Bind(6, f.header.frame);
+    SLX_RETURN_IF_ERROR(update.Run());
+    bytes += payload_bytes;
+  }
+  SLX_ASSIGN_OR_RETURN(auto total, connection_.Prepare("UPDATE sessions SET stored_bytes = ?1 WHERE number = ?2"));
+  SLX_RETURN_IF_ERROR(total.Bind(1, bytes).Bind(2, number).Run());
+  return transaction.Commit();
+}
+
+Result<std::vector<SessionRow>> SessionIndex::Sessions() {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection_.Prepare(
+          "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
+          " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), s.frame_count, s.stored_bytes,"
+          " s.retention, coalesce(s.finished_wall_ns, 0), s.consent, lower(hex(s.key_id)) FROM sessions s LEFT JOIN "
+          "calibrations c ON c.id = "
+          "s.calibration_id ORDER BY s.number DESC"));
+  std::vector<SessionRow> rows;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return rows;
+    SessionRow row;
+    row.info.id = select.Text(0);
+    SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
+    row.info.rig = select.Text(2);
+    row.info.visitor = select.Text(3);
+    row.info.consent = ConsentFromJson(select.Text(4));
+    if (row.info.consent.text_version.empty()) row.info.consent.text_version = select.Text(17);  // schema 1
+    row.info.simulated = select.Integer(5) != 0;
+    row.info.seed = static_cast<uint64_t>(select.Integer(6));
+    row.info.started_wall.ns = select.Integer(7);
+    SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)));
+    row.info.reasons = ReasonsFromJson(select.Text(9));
+    row.info.program_version = select.Text(10);
+    row.info.plan_json = select.Text(11);
+    row.info.calibration_json = select.Text(12);
+    row.frames = select.Integer(13);
+    row.bytes = select.Integer(14);
+    SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(15)));
+    row.info.finished_wall.ns = select.Integer(16);
+    row.key_id = select.Text(18);
+    rows.push_back(std::move(row));
+  }
+}
+
+Result<bool> SessionIndex::HasUnfinished() {
+  SLX_ASSIGN_OR_RETURN(const int64_t count,
+                       connection_.QueryInteger("SELECT count(*) FROM sessions WHERE status = 'recording'"));
+  return count > 0;
+}
+
+Result<int64_t> SessionIndex::NumberOf(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT number FROM sessions WHERE id = ?1"));
+  select.Bind(1, id);
+  SLX_ASSIGN_OR_RETURN(const bool found, select.Step());
+  if (!found) return Status::NotFound("no session " + id);
+  return select.Integer(0);
+}
+
+Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT frame, segment, offset, stored_bytes, hash FROM frames"
+                                                        " WHERE session = ?1 ORDER BY frame"));
+  select.Bind(1, number);
+  std::vector<Place> places;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return places;
+    places.push_back({select.Integer(0), select.Integer(1), select.Integer(2), select.Integer(3), select.Blob(4)});
+  }
+}
+
+Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(auto insert, connection_.Prepare("INSERT OR REPLACE INTO fits VALUES (?1, ?2, ?3, ?4, ?5)"));
+  insert.Bind(1, fit.id).Bind(2, number).Bind(3, fit.options_json).Bind(4, fit.metrics_json);
+  SLX_RETURN_IF_ERROR(insert.Bind(5, fit.created_wall.ns).Run());
+  SLX_RETURN_IF_ERROR(WriteMetrics(connection_, number, fit.id, fit.metrics_json));
+  if (!fit.calibration_json.empty()) SLX_RETURN_IF_ERROR(EnterCalibration(connection_, number, fit));
+  return transaction.Commit();
+}
+
+Result<std::vector<FitRow>> SessionIndex::Fits(int64_t number, const std::string& session) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection_.Prepare("SELECT id, options_json, metrics_json, created_wall_ns FROM fits"
+                                           " WHERE session = ?1 ORDER BY created_wall_ns DESC"));
+  select.Bind(1, number);
+  std::vector<FitRow> fits;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return fits;
+    fits.push_back({select.Text(0), session, select.Text(1), select.Text(2), {select.Integer(3)}});
+  }
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// The rows of the index: opening and migrating it, and one function a question. Internal to db/.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "db/base/sqlite.h"
+#include "db/catalogue/session_store.h"
+#include "db/segment/segment.h"
+
+namespace stratalux::db {
+
+[[nodiscard]] std::string SegmentName(int64_t number);  // frames-0001.seg
+
+class SessionIndex {
+ public:
+  // An existing index is left as it is (kOk).
+  static Status Create(const std::filesystem::path& folder);
+  // Create(), but kIntegrity where sessions lie without their index: an empty one would hide them.
+  static Status CreateNew(const std::filesystem::path& folder);
+  static Result<SessionIndex> Open(const std::filesystem::path& folder, AccessMode mode);
+
+  // Gives info.id where it is empty; returns the session's number: `known_number`, else the next one.
+  Result<int64_t> InsertSession(SessionInfo& info, std::optional<int64_t> known_number = {});
+  struct Ending {
+    SessionStatus status = SessionStatus::kFailed;
+    std::vector<std::string> reasons;
+    WallNs finished_wall;
+  };
+  Status SetStatus(int64_t number, const Ending& ending);
+  // Frames, proofs and totals in one transaction: the group's commit.
+  Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
+  // Gives frames that are there already another place, size and hash, in one transaction.
+  Status MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
+  Result<std::vector<SessionRow>> Sessions();
+  Result<bool> HasUnfinished();
+  Result<int64_t> NumberOf(const std::string& id);
+  struct Place {
+    int64_t frame, segment, offset, bytes;
+    std::vector<uint8_t> hash;
+  };
+  Result<std::vector<Place>> Places(int64_t number);
+  // The row, and its figures in `metrics`.
+  Status UpsertFit(int64_t number, const FitRow& fit);
+  Result<std::vector<FitRow>> Fits(int64_t number, const std::string& session);
+  Result<bool> IsEncrypted(const std::string& id);
+  Status SetKeyId(int64_t number, std::span<const uint8_t> key_id);
+  // For statements of one purpose (rebuilding, checking, forgetting).
+  [[nodiscard]] Connection& connection() { return connection_; }
+
+ private:
+  explicit SessionIndex(Connection connection) : connection_(std::move(connection)) {}
+  static Status Migrate(Connection& connection, const std::filesystem::path& folder);
+  Connection connection_;
+};
+
+}  // namespace stratalux::db

@@ -1,0 +1,353 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/session_store.h"
+
+#include <algorithm>
+#include <cstring>
+#include <map>
+
+#include "db/base/durable_file.h"
+#include "db/base/write_lock.h"
+#include "db/catalogue/calibration_store.h"
+#include "db/catalogue/consent.h"
+#include "db/catalogue/fit_record.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/recovery.h"
+#include "db/catalogue/session_index.h"
+#include "db/catalogue/transcode_journal.h"
+#include "db/segment/frame_cipher.h"
+#include "db/segment/frame_codec.h"
+#include "db/segment/segment.h"
+
+namespace stratalux::db {
+namespace {
+
+// Where a session's bytes are not what they were, only a copy or a new capture helps.
+Status WithRemedy(const Status& status, const std::string& id) {
+  if (status.code() != StatusCode::kIntegrity) return status;
+  return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
+}
+
+FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
+
+}  // namespace
+
+struct SessionStore::Impl {
+  std::filesystem::path folder;
+  SessionIndex index;
+  RecoveryNotes notes;
+  FrameOpener opener;
+  FrameDecoder decoder = {};
+
+  Result<std::vector<FrameRow>> ListFrames(const std::string& id);
+  Result<Image<uint16_t>> ReadFrame(const std::string& id, const FrameRow& frame);
+};
+
+struct SessionWriter::Impl {
+  std::filesystem::path store, folder;
+  SessionIndex index;
+  WriteLock lock;
+  SessionInfo info;
+  int64_t number = 0;
+  WriterOptions options;
+  FrameEncoder encoder;
+  std::unique_ptr<FrameSealer> sealer;  // null: stored as it is
+  std::optional<SegmentWriter> segment, truth;
+  int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
+  bool commit_in_doubt = false;  // one failed, but may lie in SQLite's log
+  std::vector<std::pair<int64_t, SegmentFrame>> pending;
+  std::chrono::steady_clock::time_point pending_since;
+  Status failure;  // the first one; every later call repeats it
+
+  Impl(SessionIndex opened, StoreCodec codec) : index(std::move(opened)), encoder(codec) {}
+  Status Fail(const Status& status) {
+    if (!failure.ok()) return failure;
+    failure = status.WithContext("session " + info.id);
+    SessionRow row;
+    row.info = info;
+    RecoveryNotes ignored;  // the caller hears the reason
+    // Rows of a commit that failed may come back with the log at the next opening, until another commit has taken their
+    // place in it. Cut before that, their bytes would be missing. Where this fails, too, the session stays `recording`
+    // and the next opening ends it, by the rows it then finds.
+    if (commit_in_doubt && !index.SetStatus(number, {SessionStatus::kRecording, {status.message()}, {}}).ok())
+      return failure;
+    std::vector<std::string> doubtful;
+    if (segment && segment->sync_failed()) doubtful.push_back(SegmentName(segments));
+    if (truth && truth->sync_failed()) doubtful.push_back("truth.seg");
+    (void)AbandonSession(index, store, row, status.message(), doubtful, ignored).ok();
+    return failure;
+  }
+  Status Committed(const Status& status) {
+    commit_in_doubt |= !status.ok();
+    return status.ok() ? status : Fail(status);
+  }
+  Status NextSegment() {
+    if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
+    SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id, sealer.get()));
+    segment = std::move(next);
+    ++segments;
+    return Status::Ok();
+  }
+  Status Flush() {
+    if (!failure.ok()) return failure;
+    if (pending.empty()) return Status::Ok();
+    // Bytes on disk first, then the rows that speak of them, then the caller hears of it.
+    if (Status s = segment->Sync(); !s.ok()) return Fail(s);
+    SLX_RETURN_IF_ERROR(Committed(index.InsertFrames(number, pending)));
+    acknowledged += static_cast<int64_t>(pending.size());
+    pending.clear();
+    return Status::Ok();
+  }
+  Status FlushIfDue() {
+    if (!failure.ok()) return failure;
+    const bool due = static_cast<int>(pending.size()) >= options.group_frames ||
+                     (!pending.empty() && options.now() - pending_since >= options.group_window);
+    return due ? Flush() : Status::Ok();
+  }
+  template <typename T>
+  Status Append(const FrameRecord& record, ImageView<const T> pixels) {
+    if (!failure.ok()) return failure;
+    const std::string name = "frame of step " + std::to_string(record.step);
+    if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
+        pixels.channels() != record.channels)
+      return Status::Usage(name + ": pixels do not have the record's size");
+    const std::span<const T> samples = pixels.pixels();
+    SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
+    return Append(record, encoded);
+  }
+  Status Append(const FrameRecord& record, const EncodedFrame& encoded) {
+    if (!segment || segment->bytes() > options.max_segment_bytes) {
+      SLX_RETURN_IF_ERROR(Flush());
+      if (Status s = NextSegment(); !s.ok()) return Fail(s);
+    }
+    auto frame =
+        segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), encoded.codec, encoded.bytes);
+    if (!frame.ok()) return Fail(frame.status());
+    ++frames;
+    if (pending.empty()) pending_since = options.now();
+    pending.emplace_back(segments, *frame);
+    return FlushIfDue();
+  }
+};
+
+Status WriterOptions::Validate() const {
+  if (group_frames < 1) return Status::Usage("group_frames " + std::to_string(group_frames) + " must be at least 1");
+  if (group_window.count() < 0) return Status::Usage("group_window must not be negative");
+  if (max_segment_bytes < 1)
+    return Status::Usage("max_segment_bytes " + std::to_string(max_segment_bytes) + " must be at least 1");
+  return Status::Ok();
+}
+
+SessionWriter::SessionWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+SessionWriter::SessionWriter(SessionWriter&&) noexcept = default;
+SessionWriter& SessionWriter::operator=(SessionWriter&&) noexcept = default;
+SessionWriter::~SessionWriter() = default;
+
+const SessionInfo& SessionWriter::info() const { return impl_->info; }
+int64_t SessionWriter::acknowledged_frames() const { return impl_->acknowledged; }
+
+Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint16_t> pixels) {
+  return impl_->Append(record, pixels);
+}
+Status SessionWriter::Append(const FrameRecord& record, ImageView<const uint8_t> pixels) {
+  return impl_->Append(record, pixels);
+}
+
+Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float> pixels) {
+  if (!impl_->failure.ok()) return impl_->failure;
+  if (name.empty() || name.size() > 63)
+    return Status::Usage("truth map name '" + name + "' must have 1 .. 63 characters");
+  if (!impl_->truth) {
+    auto created = SegmentWriter::Create(impl_->folder / "truth.seg", impl_->info.id, impl_->sealer.get());
+    if (!created.ok()) return impl_->Fail(created.status());
+    impl_->truth = std::move(created).value();
+  }
+  FrameRecord record;
+  record.format = PixelFormat::kF32;
+  record.width = pixels.width();
+  record.height = pixels.height();
+  record.channels = pixels.channels();
+  const auto bytes = std::span(reinterpret_cast<const uint8_t*>(pixels.data()), pixels.size() * sizeof(float));
+  const auto frame = impl_->truth->Append(MakeFrameHeader(record, impl_->truth_maps++, name), Codec::kF32, bytes);
+  return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
+}
+
+Status SessionWriter::KeepTruthCalibration(const std::string& record_json) {
+  if (!impl_->failure.ok()) return impl_->failure;
+  const Status kept = ReplaceFile(impl_->folder / "truth_calibration.json", record_json + "\n");
+  return kept.ok() ? kept : impl_->Fail(kept);
+}
+
+Status SessionWriter::Flush() { return impl_->Flush(); }
+Status SessionWriter::FlushIfDue() { return impl_->FlushIfDue(); }
+
+Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons) {
+  SLX_RETURN_IF_ERROR(Flush());
+  Impl& w = *impl_;
+  if (!w.segment) {
+    if (Status s = w.NextSegment(); !s.ok()) return w.Fail(s);  // a session without frames still has its segment
+  }
+  if (Status s = w.segment->Seal(); !s.ok()) return w.Fail(s);
+  if (w.truth) {
+    if (Status s = w.truth->Seal(); !s.ok()) return w.Fail(s);
+  }
+  w.info.status = status;
+  w.info.reasons = std::move(reasons);
+  w.info.finished_wall = WallNow();
+  std::vector<std::string> names;
+  for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
+  if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
+  return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
+}
+
+SessionStore::SessionStore(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+SessionStore::SessionStore(SessionStore&&) noexcept = default;
+SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
+SessionStore::~SessionStore() = default;
+
+Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::CreateNew(folder); }
+
+Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
+  const bool write = mode == AccessMode::kReadWrite;
+  if (write) SLX_RETURN_IF_ERROR(EndInterruptedTranscode(index, folder));
+  SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
+  return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes), FrameOpener(folder)}));
+}
+
+const std::filesystem::path& SessionStore::folder() const { return impl_->folder; }
+const std::vector<std::string>& SessionStore::notes() const { return impl_->notes; }
+std::filesystem::path SessionStore::SessionFolder(const std::string& id) const {
+  return impl_->folder / "sessions" / id;
+}
+std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::string& fit) const {
+  return SessionFolder(id) / "fits" / fit;
+}
+
+Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
+  info.id.clear();
+  SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
+  info.status = SessionStatus::kRecording;
+  SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
+  const auto folder = SessionFolder(info.id);
+  const auto fail = [&](Status status) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
+    return status;
+  };
+  if (const Status made = MakeFolder(folder); !made.ok()) return fail(made);
+  std::unique_ptr<FrameSealer> sealer;
+  if (options.encryption == Encryption::kPerSession) {
+    auto key = CreateKey(impl_->folder);
+    if (!key.ok()) return fail(key.status());
+    if (Status status = index.SetKeyId(number, key->id); !status.ok()) return fail(status);
+    sealer = std::make_unique<FrameSealer>(info.id, std::move(key).value());
+  }
+  // What the index knows of an unfinished session, for `reindex`.
+  if (const Status begun = WriteManifest(folder, info, 0, {}); !begun.ok()) {
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow()}).ok();
+    return begun;
+  }
+  auto writer = std::make_unique<SessionWriter::Impl>(std::move(index), options.codec);
+  writer->store = impl_->folder;
+  writer->folder = folder;
+  writer->lock = std::move(lock);
+  writer->info = std::move(info);
+  writer->number = number;
+  writer->options = options;
+  writer->sealer = std::move(sealer);
+  return SessionWriter(std::move(writer));
+}
+
+Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+
+Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
+  SLX_ASSIGN_OR_RETURN(const auto rows, ListSessions());
+  std::vector<const SessionRow*> found;
+  for (const SessionRow& row : rows) {
+    if (selector == "latest" && row.frames > 0) return row;
+    if (row.info.id == selector) return row;
+    if (row.info.id.starts_with(selector)) found.push_back(&row);
+  }
+  if (selector.empty() || found.empty())
+    return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
+                            " (`stratalux-db ls` lists them)");
+  if (found.size() > 1)
+    return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
+                         (found.size() > 2 ? ", ..." : "") + "; give more of the id");
+  return *found[0];
+}
+
+Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
+  auto rows = impl_->ListFrames(id);
+  return rows.ok() ? std::move(rows) : WithRemedy(rows.status(), id);
+}
+
+Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
+  SLX_ASSIGN_OR_RETURN(const auto places, index.Places(number));
+  // Only what the index speaks of: behind it a live or failed writer may have left half a record.
+  std::map<int64_t, SegmentReader> segments;
+  std::vector<FrameRow> rows;
+  for (const auto& p : places) {
+    auto reader = segments.find(p.segment);
+    if (reader == segments.end()) {
+      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::Open(folder / "sessions" / id / SegmentName(p.segment)));
+      reader = segments.emplace(p.segment, std::move(opened)).first;
+    }
+    SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader->second.ReadHeader(p.offset).WithContext("session " + id));
+    if (!std::equal(p.hash.begin(), p.hash.end(), std::begin(header.payload_hash), std::end(header.payload_hash)))
+      return Status::Integrity("session " + id + ": index and " + SegmentName(p.segment) + " disagree on frame " +
+                               std::to_string(p.frame) + " (offset " + std::to_string(p.offset) + ")");
+    FrameRow row;
+    row.id = p.frame;
+    SLX_ASSIGN_OR_RETURN(row.record, RecordOf(header).WithContext("session " + id));
+    row.codec = ToString(static_cast<Codec>(header.codec));
+    row.segment = SegmentName(p.segment);
+    row.offset = p.offset;
+    row.stored_bytes = p.bytes;
+    row.hash = HashText(header.payload_hash);
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const FrameRow& frame) const {
+  auto image = impl_->ReadFrame(id, frame);
+  return image.ok() ? std::move(image) : WithRemedy(image.status(), id);
+}
+
+Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) {
+  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
+  FrameHeader header{};
+  const std::string where = "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset);
+  SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(frame.offset, &header).WithContext("session " + id));
+  if (header.cipher == 0) {
+    SLX_ASSIGN_OR_RETURN(const bool encrypted, index.IsEncrypted(id));
+    if (encrypted) return Status::Integrity(where + ": a plain frame in an encrypted session was put there by another");
+  }
+  SLX_ASSIGN_OR_RETURN(const auto bytes,
+                       opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
+  return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
+}
+
+Status SessionStore::RegisterFit(FitRow fit) {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
+  // Its files first: a fit that is listed is whole.
+  const auto folder = FitFolder(fit.session, fit.id);
+  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
+  fit.calibration_json = calibration.value_or("");
+  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
+  SLX_RETURN_IF_ERROR(SyncTree(folder));
+  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
+  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
+  return impl_->index.UpsertFit(number, fit);
+}
+
+Result<std::vector<FitRow>> SessionStore::ListFits(const std::string& id) const {
+  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(id));
+  return impl_->index.Fits(number, id);
+}
+
+}  // namespace stratalux::db
