@@ -12,6 +12,7 @@
 #include "db/migration_0002.h"
 #include "db/migration_0003.h"
 #include "db/migration_0004.h"
+#include "db/migration_0005.h"
 
 namespace stratalux::db {
 namespace {
@@ -117,6 +118,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
   }
   if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
+  if (version < 5) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -235,9 +237,10 @@ Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {
 
 Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
-  SLX_ASSIGN_OR_RETURN(
-      auto insert,
-      connection_.Prepare("INSERT INTO frames VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       connection_.Prepare("INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, "
+                                           "step, projector, phase, pattern, retry,"
+                                           " level_check) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
   SLX_ASSIGN_OR_RETURN(
       auto proof,
       connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)"));

@@ -24,7 +24,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 4;
+inline constexpr int kSchemaVersion = 5;
 
 struct SessionRow {
   SessionInfo info;
