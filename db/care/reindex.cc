@@ -32,13 +32,6 @@ Result<std::vector<fs::path>> SessionFolders(const fs::path& store) {
   return folders;
 }
 
-// A name within SQL's quotes.
-std::string Quoted(const fs::path& file) {
-  std::string text = "'";
-  for (char c : file.string()) text += c == '\'' ? std::string("''") : std::string(1, c);
-  return text + "'";
-}
-
 Status InsertTombstones(SessionIndex& index, const fs::path& store, ReindexReport& report) {
   SLX_ASSIGN_OR_RETURN(auto insert,
                        index.connection().Prepare("INSERT OR REPLACE INTO deletions VALUES (?1, ?2, ?3, ?4)"));
@@ -151,7 +144,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
                          "PRAGMA cache_size = -65536"));
   bool attached = false;
   if (fs::exists(store / "index.sqlite", error))
-    attached = connection.Execute("ATTACH " + Quoted(store / "index.sqlite") + " AS old").ok();
+    attached = connection.Attach(store / "index.sqlite", "old").ok();
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
     SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, logger, report));
