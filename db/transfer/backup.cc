@@ -159,7 +159,7 @@ class Copier {
 Status DropUnfinished(const fs::path& to, BackupReport& report, std::vector<std::string>& ids) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(to, AccessMode::kReadWrite));
   SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
-  for (const SessionRow& row : sessions) {
+  for (const SessionSummary& row : sessions) {
     if (row.info.status == SessionStatus::kRecording) {
       report.left_out.push_back(row.info.id);
     } else {

@@ -90,7 +90,7 @@ Status PlaceIndex(Restorer& restorer, const fs::path& store) {
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
     SLX_ASSIGN_OR_RETURN(auto remove, index.connection().Prepare("DELETE FROM sessions WHERE id = ?1"));
     SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
-    for (const SessionRow& row : sessions)
+    for (const SessionSummary& row : sessions)
       if (restorer.Forgotten(row.info.id)) SLX_RETURN_IF_ERROR(remove.Bind(1, row.info.id).Run());
     SLX_RETURN_IF_ERROR(index.connection().Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)"));
   }
