@@ -104,8 +104,9 @@ TEST_F(LedgerTest, SeesEveryBitThatFlipsAndBindsAllElse) {
     const Ledger ledger = ReadOf(store_);
     EXPECT_THAT(ledger.problems(), Not(IsEmpty())) << "byte " << at;
     const size_t line = at / (lines[0].size() + 1);
-    for (size_t i = 0; i < lines.size(); ++i)
-      if (i != line) EXPECT_TRUE(ledger.IsForgotten("s" + std::to_string(i))) << "byte " << at << ", line " << i;
+    for (size_t i = 0; i < lines.size(); ++i) {
+      EXPECT_TRUE(i == line || ledger.IsForgotten("s" + std::to_string(i))) << "byte " << at << ", line " << i;
+    }
     FlipBits(ChainOf(store_), at, static_cast<uint8_t>(1U << (at % 8)));
   }
 }
