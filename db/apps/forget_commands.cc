@@ -87,9 +87,8 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
   SLX_ASSIGN_OR_RETURN(const auto store, SessionStore::Open(common.store, AccessMode::kReadOnly));
   if (flags.resume) return request;
   if (!flags.visitor.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
-    for (const SessionRow& row : rows)
-      if (row.info.visitor == flags.visitor) request.sessions.push_back(row.info.id);
+    SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessionsOf(flags.visitor));
+    for (const SessionSummary& row : rows) request.sessions.push_back(row.info.id);
     SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
     if (request.sessions.empty() && consents.empty())
       return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);

@@ -59,7 +59,7 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
-  std::vector<SessionRow> sessions;
+  std::vector<SessionSummary> sessions;
   if (flags.session.empty()) {
     auto all = store->ListSessions();
     if (!all.ok()) return Report(all.status());
@@ -71,7 +71,7 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   }
   Logger logger;
   int64_t frames = 0;
-  for (const SessionRow& session : sessions) frames += session.frames;
+  for (const SessionSummary& session : sessions) frames += session.frames;
   Verified verified;
   bool sound = true;
   {
@@ -86,8 +86,10 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       if (!report.ok()) return Report(report.status());
       if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
     }
-    for (const SessionRow& session : sessions) {
-      auto report = VerifySession(*store, session, options);
+    for (const SessionSummary& session : sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return Report(row.status());
+      auto report = VerifySession(*store, *row, options);
       if (!report.ok()) return Report(report.status());
       add(session.info.id, std::move(report));
     }

@@ -64,7 +64,7 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
   SLX_RETURN_IF_ERROR(CheckDatabase(store, options.depth, report));
   SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
   std::set<std::string> known;
-  for (const SessionRow& row : sessions) {
+  for (const SessionSummary& row : sessions) {
     known.insert(row.info.id);
     if (HasTombstone(store.folder(), row.info.id))
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");

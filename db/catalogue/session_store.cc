@@ -7,9 +7,8 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
-#include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
-#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
 #include "db/catalogue/session_index.h"
@@ -260,23 +259,21 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   return SessionWriter(std::move(writer));
 }
 
-Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessionsOf(const std::string& visitor) const {
+  return impl_->index.SessionsOf(visitor);
+}
 
 Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
-  SLX_ASSIGN_OR_RETURN(const auto rows, ListSessions());
-  std::vector<const SessionRow*> found;
-  for (const SessionRow& row : rows) {
-    if (selector == "latest" && row.frames > 0) return row;
-    if (row.info.id == selector) return row;
-    if (row.info.id.starts_with(selector)) found.push_back(&row);
-  }
-  if (selector.empty() || found.empty())
+  SLX_ASSIGN_OR_RETURN(const auto numbers, impl_->index.Select(selector));
+  if (numbers.empty())
     return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
                             " (`stratalux-db ls` lists them)");
-  if (found.size() > 1)
-    return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
-                         (found.size() > 2 ? ", ..." : "") + "; give more of the id");
-  return *found[0];
+  SLX_ASSIGN_OR_RETURN(SessionRow first, impl_->index.Session(numbers[0]));
+  if (numbers.size() == 1) return first;
+  SLX_ASSIGN_OR_RETURN(const SessionRow second, impl_->index.Session(numbers[1]));
+  return Status::Usage("'" + selector + "' is ambiguous: " + first.info.id + ", " + second.info.id +
+                       (numbers.size() > 2 ? ", ..." : "") + "; give more of the id");
 }
 
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
@@ -332,17 +329,8 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
 }
 
-Status SessionStore::RegisterFit(FitRow fit) {
-  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
-  // Its files first: a fit that is listed is whole.
-  const auto folder = FitFolder(fit.session, fit.id);
-  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
-  fit.calibration_json = calibration.value_or("");
-  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
-  SLX_RETURN_IF_ERROR(SyncTree(folder));
-  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
-  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
-  return impl_->index.UpsertFit(number, fit);
+Status SessionStore::RegisterFit(const FitRow& fit, const RegisterOptions& options) {
+  return stratalux::db::RegisterFit(impl_->folder, fit, options);
 }
 
 Result<std::vector<FitRow>> SessionStore::ListFits(const std::string& id) const {

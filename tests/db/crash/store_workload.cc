@@ -113,7 +113,7 @@ class Workload {
     const auto rows = store.ListSessions();
     if (!Note(rows.status())) return;
     for (SessionPromise& promise : now_.sessions)
-      for (const SessionRow& row : *rows)
+      for (const SessionSummary& row : *rows)
         if (row.info.id == promise.id && row.info.status != SessionStatus::kRecording) promise.ended = row.info.status;
     Promised();
   }
