@@ -161,6 +161,12 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   return SessionIndex(std::move(connection));
 }
 
+Result<SessionIndex> SessionIndex::InMemory() {
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+  SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+  return SessionIndex(std::move(connection));
+}
+
 Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int64_t> known_number) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   if (!info.calibration_json.empty()) {

@@ -13,6 +13,7 @@
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
 #include "db/catalogue/session_index.h"
+#include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
@@ -195,7 +196,8 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   w.info.finished_wall = WallNow();
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
-  if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
+  const auto signature = w.options.signing == Signing::kRigKey ? EndingSignature::kByRigKey : EndingSignature::kNone;
+  if (Status s = WriteEnding(w.store, w.info, w.frames, names, signature); !s.ok()) return w.Fail(s);
   return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
 }
 
@@ -225,6 +227,8 @@ std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::
 
 Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  // Before the rig moves: a session that was to be signed and cannot be has failed.
+  if (options.signing == Signing::kRigKey) SLX_RETURN_IF_ERROR(RigKey::Read(impl_->folder).status());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
   info.id.clear();

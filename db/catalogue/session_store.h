@@ -58,6 +58,9 @@ enum class AccessMode { kReadOnly, kReadWrite };
 // kPerSession: each session has a key of its own in keys.sqlite (db/segment/frame_cipher.h).
 enum class Encryption { kNone, kPerSession };
 
+// kRigKey: a finished session is signed with the rig's key (db/catalogue/signature.h).
+enum class Signing { kNone, kRigKey };
+
 struct WriterOptions {
   StoreCodec codec = StoreCodec::kDelta;  // smaller and fast enough for any camera here (docs/benchmarks.md)
   // Frames are acknowledged together once there are so many, or once the first of them has waited so long: looked at
@@ -66,6 +69,7 @@ struct WriterOptions {
   std::chrono::milliseconds group_window{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
   Encryption encryption = Encryption::kNone;
+  Signing signing = Signing::kNone;
   std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 
   [[nodiscard]] Status Validate() const;

@@ -99,6 +99,8 @@ class SegmentReader {
   [[nodiscard]] std::optional<int64_t> SealedFrames() const;
   // All frames out of that footer, in one read; nullopt also where its headers are no unbroken row up to it.
   [[nodiscard]] std::optional<std::vector<SegmentFrame>> Footer() const;
+  // Footer and trailer as they lie there, where they are intact: what the manifest's hash of a segment is of.
+  [[nodiscard]] std::optional<std::vector<uint8_t>> SealedTail() const;
   // Where the records end and the footer begins; only where SealedFrames() is.
   [[nodiscard]] int64_t frames_end() const;
   // Behind the last record of an unbroken row of intact ones, from the first on.
@@ -107,6 +109,7 @@ class SegmentReader {
   // truncated, or the footer of a sealed segment disagrees.
   Result<std::vector<SegmentFrame>> Walk(bool payloads, bool* sealed) const;
   [[nodiscard]] const std::string& session_id() const { return session_id_; }
+  [[nodiscard]] const std::string& file() const { return file_; }
   [[nodiscard]] int64_t size() const { return size_; }
 
  private:
