@@ -3,6 +3,7 @@
 
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::db {
@@ -25,13 +26,17 @@ class PayloadChecker {
                                        .WithContext(where));
       payload = opened;
     }
-    return Decode(header, payload).WithContext(where + ", frame " + std::to_string(header.frame));
+    SLX_ASSIGN_OR_RETURN(const SecretKey* key, opener_.KeyOf(reader_.session_id(), header));
+    return Decode(header, payload, key).WithContext(where + ", frame " + std::to_string(header.frame));
   }
 
  private:
-  Status Decode(const FrameHeader& header, std::span<const uint8_t> payload) {
-    if (static_cast<Codec>(header.codec) != Codec::kF32)
-      return decoder_.Decode(ShapeOf(header), static_cast<Codec>(header.codec), payload).status();
+  Status Decode(const FrameHeader& header, std::span<const uint8_t> payload, const SecretKey* key) {
+    if (static_cast<Codec>(header.codec) != Codec::kF32) {
+      SLX_ASSIGN_OR_RETURN(const auto image,
+                           decoder_.Decode(ShapeOf(header), static_cast<Codec>(header.codec), payload));
+      return CheckPixels(header, image, key);
+    }
     // A truth map: floats as they are.
     const bool sized = header.width > 0 && header.height > 0 && header.channels > 0;
     const auto samples = static_cast<uint64_t>(header.width) * static_cast<uint64_t>(header.height);
@@ -39,6 +44,8 @@ class PayloadChecker {
         payload.size() / sizeof(float) / static_cast<uint64_t>(header.channels) != samples ||
         payload.size() % (sizeof(float) * static_cast<uint64_t>(header.channels)) != 0)
       return Status::Integrity("the payload has not the size that its header says");
+    if (HasPixelHash(header) && HashPixels(payload, key) != PixelHashOf(header))
+      return Status::Integrity("the map is not what its pixel hash says");
     return Status::Ok();
   }
 

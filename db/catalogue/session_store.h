@@ -40,7 +40,8 @@ struct FrameRow {
   std::string segment;  // file name within the session folder
   int64_t offset = 0;   // of the frame record in the segment
   int64_t stored_bytes = 0;
-  std::string hash;  // XXH3-128 of the stored payload, 32 hex digits
+  std::string hash;        // XXH3-128 of the stored payload, 32 hex digits
+  std::string pixel_hash;  // of the samples, whatever the codec (db/segment/pixel_hash.h); empty: not recorded
 };
 
 struct FitRow {
@@ -136,7 +137,8 @@ class SessionStore {
   // `selector`: an id, a unique prefix of one, or "latest". kNotFound, or kUsage when ambiguous.
   Result<SessionRow> FindSession(const std::string& selector) const;
   Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
-  // Decoded pixels; 8-bit frames are widened. Every read checks the hash: kIntegrity names session, segment and offset.
+  // Decoded pixels; 8-bit frames are widened. Every read checks the hashes of payload and pixels: kIntegrity names
+  // session, segment and offset.
   // kNotFound for an encrypted session whose key is not here.
   Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
   [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;
