@@ -13,7 +13,7 @@ namespace stratalux::db {
 namespace {
 
 struct ViewFlags {
-  std::string session, phase, extract;
+  std::string session, phase, extract, public_key;
   std::optional<int> projector;
   bool deep = false;
 };
@@ -57,6 +57,12 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
 }
 
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
+  VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders};
+  if (!flags.public_key.empty()) {
+    const auto key = ParsePublicKey(flags.public_key);
+    if (!key.ok()) return Report(key.status().WithContext("--public-key"));
+    options.signed_by = *key;
+  }
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   std::vector<SessionSummary> sessions;
@@ -76,7 +82,7 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   bool sound = true;
   {
     Progress progress(logger, "verify", frames);
-    const VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders, &progress};
+    options.progress = &progress;
     auto add = [&](const std::string& name, Result<VerifyReport> report) {
       sound = sound && report->problems.empty();
       verified.emplace_back(name, std::move(report).value());
@@ -108,12 +114,14 @@ void AddViewCommands(Commands& commands) {
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
   CLI::App* verify =
-      commands.Add("verify", "Hold index, segments, manifests and proofs against each other; --deep reads every byte",
+      commands.Add("verify", "Rebuild each session in memory and compare it with the index; --deep decodes every frame",
                    [&common, flags] { return RunVerify(common, *flags); });
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
-  verify->add_flag("--deep", flags->deep, "read every payload, too, and compare complementary patterns");
+  verify->add_flag("--deep", flags->deep, "decode every frame, too: its pixel hash, complementary patterns, signature");
+  verify->add_option("--public-key", flags->public_key,
+                     "each session must be signed by this key: 64 hex digits, or a file that holds them");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");
   frames->add_option("--projector", flags->projector, "this projector only; -1: frames lit by all of them");
   frames->add_option("--extract", flags->extract, "write the frames to this folder as PNG (12-bit values << 4)");
