@@ -154,12 +154,17 @@ void AddTransferCommands(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* import = commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM)",
                                   [&common, flags] { return RunImport(common, *flags); });
+  import->footer(Examples(
+      {"import --manifest procam_gray_kamino.toml --root captures --pose 2", "import --manifest export/import.toml"},
+      "A manifest has 16 MiB at most, a picture 1 GiB and 268435456 pixels."));
   import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)")->required();
   import->add_option("--root", flags->root, "folder of the image files (default: the manifest's)");
   import->add_option("--pose", flags->pose, "this pose only (default: all)");
 
   CLI::App* exported = commands.Add("export", "Write a session, or all of one visitor, as image files with their proof",
                                     [&common, flags] { return RunExport(common, *flags); });
+  exported->footer(Examples({"export latest --out pictures --format tiff", "export s000017 --out sweep --phase sweep",
+                             "export --visitor v-5f3a91c2 --out for-v-5f3a91c2"}));
   exported->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym");
   exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export")->required();
@@ -167,18 +172,25 @@ void AddTransferCommands(Commands& commands) {
   exported->add_option("--phase", flags->phase, "this phase only");
   exported->add_option("--projector", flags->projector, "this projector only");
 
-  commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
-               [&common] { return RunReindex(common); });
+  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
+                                   [&common] { return RunReindex(common); });
+  reindex->footer(Examples({"reindex", "reindex --json"}));
   CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",
                                   [&common, flags] { return RunBackup(common, *flags); });
+  backup->footer(Examples({"backup --to /media/disk/store-backup",
+                           "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
   backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
   backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, apart from the backup");
   CLI::App* restore = commands.Add("restore", "Make a store from a backup, every file checked against its hash",
                                    [&common, flags] { return RunRestore(common, *flags); });
+  restore->footer(Examples({"restore --from /media/disk/store-backup --store new-store",
+                            "restore --from /media/disk/store-backup --merge"}));
   restore->add_option("--from", flags->from, "folder of the backup")->required();
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
+  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux",
+                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux --dry-run"}));
   pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
 }

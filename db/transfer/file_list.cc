@@ -35,7 +35,7 @@ Status WriteFileList(const std::filesystem::path& folder, const FileList& list) 
 
 Result<FileList> ReadFileList(const std::filesystem::path& folder) {
   const auto file = folder / "backup.json";
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));  // a line a file of the store
   try {
     const Json json = Json::parse(text);
     if (json.at("schema").get<int>() > kListSchema)
