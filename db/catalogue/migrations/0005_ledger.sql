@@ -244,15 +244,17 @@ CREATE VIEW failures AS
   GROUP BY status, reason_class;
 
 -- One row a session that is not complete and lacks steps: a good frame is one whose level check did not fail. `steps` names
--- the runs between the good ones, such as 3, 17-20; -1 and the plan's length are the posts on either side.
+-- the runs between the good ones, such as 3, 17-20; -1 and the plan's length are the posts on either side, and the index
+-- frames_by_step has them in order.
 CREATE VIEW missing_frames AS
   SELECT number AS session, id, rig, status, started_wall_ns, planned, good, planned - good AS missing,
          (SELECT group_concat(CASE WHEN step + 1 = next - 1 THEN step + 1 ELSE (step + 1) || '-' || (next - 1) END, ', ')
-          FROM (SELECT step, lead(step) OVER (ORDER BY step) AS next
-                FROM (SELECT DISTINCT f.step FROM frames f
-                      WHERE f.session = q.number AND f.level_check <> 2 AND f.step >= 0 AND f.step < q.planned
-                      UNION ALL SELECT -1 UNION ALL SELECT q.planned)
-                ORDER BY step)
+          FROM (SELECT -1 AS step, coalesce((SELECT min(f.step) FROM frames f
+                                             WHERE f.session = q.number AND f.level_check <> 2 AND f.step >= 0
+                                               AND f.step < q.planned), q.planned) AS next
+                UNION ALL
+                SELECT f.step, lead(f.step, 1, q.planned) OVER (ORDER BY f.step) FROM frames f
+                WHERE f.session = q.number AND f.level_check <> 2 AND f.step >= 0 AND f.step < q.planned)
           WHERE next > step + 1) AS steps,
          strftime('%Y-%m-%dT%H:%M:%S', started_wall_ns / 1000000000, 'unixepoch')
            || printf('.%09dZ', started_wall_ns % 1000000000) AS started

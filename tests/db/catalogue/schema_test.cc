@@ -191,6 +191,20 @@ TEST_F(SchemaTest, MomentsAreExactToTheNanosecond) {
                                       "1970-01-01T00:00:00.000000000Z", "2262-04-11T23:47:16.854775807Z"}));
 }
 
+TEST_F(SchemaTest, ASessionKnowsTheStepsOfItsPlan) {
+  const PlanOptions options;
+  SessionInfo info = SimulatedVisit();
+  info.plan_json = PlanOptionsToJson(options);
+  SessionStore store = OpenStore();
+  ASSERT_TRUE(store.BeginSession(info)->Finish(SessionStatus::kFailed).ok());
+  StoreSession(1);  // without a plan
+  Connection index = Index();
+  EXPECT_EQ(Texts(index, "SELECT coalesce(planned_steps, 'none') FROM sessions ORDER BY number"),
+            (std::vector<std::string>{std::to_string(BuildPlan(options)->steps.size()), "none"}));
+  EXPECT_EQ(Texts(index, "SELECT steps FROM missing_frames"),
+            std::vector<std::string>{"0-" + std::to_string(BuildPlan(options)->steps.size() - 1)});
+}
+
 TEST_F(SchemaTest, EnumerationsOfFramesAreWords) {
   StoreSession(1);
   Connection index = Index();
