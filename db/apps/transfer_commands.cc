@@ -191,6 +191,9 @@ void AddTransferCommands(Commands& commands) {
   CLI::App* import =
       commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM); or an RO-Crate",
                    [&common, flags] { return RunImport(common, *flags); });
+  import->footer(Examples({"import --manifest procam_gray_kamino.toml --root captures --pose 2",
+                           "import --manifest export/import.toml", "import --crate crate"},
+                          "A manifest has 16 MiB at most, a picture 1 GiB and 268435456 pixels."));
   CLI::Option* manifest = import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)");
   import->add_option("--crate", flags->crate, "an RO-Crate that `export --crate` wrote")->excludes(manifest);
   import->add_option("--root", flags->root, "folder of the image files (default: the manifest's)");
@@ -199,6 +202,9 @@ void AddTransferCommands(Commands& commands) {
   CLI::App* exported =
       commands.Add("export", "Write a session, or all of one visitor, as image files with their proof; or an RO-Crate",
                    [&common, flags] { return RunExport(common, *flags); });
+  exported->footer(Examples({"export latest --out pictures --format tiff", "export s000017 --out sweep --phase sweep",
+                             "export --visitor v-5f3a91c2 --out for-v-5f3a91c2",
+                             "export s000017 s000018 --crate crate --scope research"}));
   exported->add_option("SESSION", flags->sessions, "id, unique prefix, or latest; several with --crate");
   const std::vector<CLI::Option*> plain = {
       exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym"),
@@ -208,10 +214,13 @@ void AddTransferCommands(Commands& commands) {
       exported->add_option("--projector", flags->projector, "this projector only")};
   AddCrateExportFlags(exported, plain, flags->crate_export);
 
-  commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
-               [&common] { return RunReindex(common); });
+  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
+                                   [&common] { return RunReindex(common); });
+  reindex->footer(Examples({"reindex", "reindex --json"}));
   CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",
                                   [&common, flags] { return RunBackup(common, *flags); });
+  backup->footer(Examples({"backup --to /media/disk/store-backup",
+                           "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
   backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
   backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, apart from the backup");
   backup
@@ -220,12 +229,17 @@ void AddTransferCommands(Commands& commands) {
       ->check(CLI::IsMember({"turn", "all"}));
   CLI::App* restore = commands.Add("restore", "Make a store from a backup, every file checked against its hash",
                                    [&common, flags] { return RunRestore(common, *flags); });
+  restore->footer(Examples({"restore --from /media/disk/store-backup --store new-store --ledger store",
+                            "restore --from /media/disk/store-backup --merge"}));
   restore->add_option("--from", flags->from, "folder of the backup")->required();
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
   restore->add_option("--ledger", flags->ledger,
                       "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
+  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux",
+                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux --dry-run",
+                         "pull --from kiosk@rig-1:/var/lib/stratalux --obey"}));
   pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
   pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");

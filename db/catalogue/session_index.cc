@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <random>
+#include <set>
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/calibration_store.h"
@@ -14,6 +15,7 @@
 #include "db/migration_0004.h"
 #include "db/migration_0005.h"
 #include "db/segment/pixel_hash.h"
+#include "shared/capture/plan.h"
 
 namespace stratalux::db {
 namespace {
@@ -81,6 +83,30 @@ Status WriteMetricsOfAllFits(Connection& connection) {
   }
 }
 
+// Of the plan that PlanOptionsToJson wrote; nullopt where the text is no plan, or one of another version.
+std::optional<int64_t> PlannedSteps(const std::string& plan_json) {
+  const auto options = PlanOptionsFromJson(plan_json);
+  if (!options.ok()) return std::nullopt;
+  const auto plan = BuildPlan(*options);
+  if (!plan.ok()) return std::nullopt;
+  return static_cast<int64_t>(plan->steps.size());
+}
+
+// Sessions of before schema 5. Those of a rig share a few plans: each is built once.
+Status WritePlannedStepsOfAllSessions(Connection& connection) {
+  std::set<std::string> plans;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT DISTINCT plan_json FROM sessions"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    plans.insert(select.Text(0));
+  }
+  SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE sessions SET planned_steps = ?1 WHERE plan_json = ?2"));
+  for (const std::string& plan : plans)
+    if (const auto steps = PlannedSteps(plan)) SLX_RETURN_IF_ERROR(update.Bind(1, *steps).Bind(2, plan).Run());
+  return Status::Ok();
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -121,7 +147,10 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
   }
   if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
-  if (version < 5) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+  if (version < 5) {
+    SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+    SLX_RETURN_IF_ERROR(WritePlannedStepsOfAllSessions(connection));
+  }
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -190,8 +219,8 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number, planned_steps)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
@@ -210,6 +239,7 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
   if (!info.calibration_json.empty()) insert.Bind(13, CalibrationId(info.calibration_json));
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   if (known_number) insert.Bind(16, *known_number);
+  if (const auto steps = PlannedSteps(info.plan_json)) insert.Bind(17, *steps);
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
   if (named) {

@@ -69,7 +69,7 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     progress.Advance();
   }
   for (const fs::path& file : fit_files) {
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file));
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file, kAnyFileSize));
     SLX_RETURN_IF_ERROR(MakeFolder((options.out / "fits" / file).parent_path()));
     SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "fits" / file, bytes).status());
   }
