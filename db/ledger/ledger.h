@@ -24,7 +24,8 @@ enum class LedgerKind {
   kConsent,     // with the first frame of a session: what it was made under
   kWithdrawal,  // of the visitor who made `sessions`
   kForgetting,  // begun: from here on the sessions cannot come back
-  kForgotten    // done: with the certificate
+  kForgotten,   // done: with the certificate
+  kNote         // what befell the store itself, such as a restore without a newer ledger; binds nothing
 };
 [[nodiscard]] const char* ToString(LedgerKind kind);
 

@@ -30,8 +30,8 @@ std::optional<Parts> Split(std::string_view line) {
 }
 
 std::optional<LedgerKind> KindFrom(const std::string& text) {
-  for (const LedgerKind kind :
-       {LedgerKind::kConsent, LedgerKind::kWithdrawal, LedgerKind::kForgetting, LedgerKind::kForgotten})
+  for (const LedgerKind kind : {LedgerKind::kConsent, LedgerKind::kWithdrawal, LedgerKind::kForgetting,
+                                LedgerKind::kForgotten, LedgerKind::kNote})
     if (text == ToString(kind)) return kind;
   return std::nullopt;
 }
@@ -71,9 +71,11 @@ const char* ToString(LedgerKind kind) {
     case LedgerKind::kForgetting:
       return "forgetting";
     case LedgerKind::kForgotten:
+      return "forgotten";
+    case LedgerKind::kNote:
       break;
   }
-  return "forgotten";
+  return "note";
 }
 
 std::string LedgerHash(std::string_view bytes) {

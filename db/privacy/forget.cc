@@ -207,8 +207,8 @@ Status Forgetting::RemoveRows(SessionIndex& index) {
                        connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
                                           " session_id = ?1 AND ?2 <> ''"));
   SLX_ASSIGN_OR_RETURN(auto tombstone,
-                       connection.Prepare("INSERT OR IGNORE INTO deletions (session_id, deleted_wall_ns,"
-                                          " reason, certificate_json) VALUES (?1, ?2, ?3, '{}')"));
+                       connection.Prepare("INSERT OR IGNORE INTO deletions (session_id, deleted_wall_ns, reason,"
+                                          " certificate_json) VALUES (?1, ?2, ?3, '{}')"));
   SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
                                                         " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
   for (const ForgetIntent& intent : intents_) {
