@@ -4,8 +4,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/care/row_comparison.h"
-#include "db/ledger/tombstone.h"
-#include "shared/base/read_file.h"
+#include "db/catalogue/ledger_follow.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -25,16 +25,19 @@ Status Ask(Connection& connection, const std::string& file, const char* question
 }
 
 constexpr const char* kComplaints[] = {
-    "SELECT 'sqlite_sequence.seq of sessions is ' || quote(q.seq) || ', but the number ' || max(s.number) || ' was given'"
+    "SELECT 'sqlite_sequence.seq of sessions is ' || quote(q.seq) || ', but the number ' || max(s.number) || ' was "
+    "given'"
     " FROM sessions s LEFT JOIN sqlite_sequence q ON q.name = 'sessions' GROUP BY q.name"
     " HAVING q.seq IS NULL OR typeof(q.seq) <> 'integer' OR q.seq < max(s.number)",
     // A record's rig is that of a session that names it or accepted it.
-    "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that rig'"
+    "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that "
+    "rig'"
     " FROM calibrations c WHERE c.rig <> '' AND EXISTS (SELECT 1 FROM sessions u WHERE u.calibration_id = c.id)"
     " AND NOT EXISTS (SELECT 1 FROM sessions s WHERE s.calibration_id = c.id AND s.rig = c.rig)"
     " AND NOT EXISTS (SELECT 1 FROM accepted_calibrations a JOIN sessions s ON s.number = a.session"
     "                 WHERE a.calibration_id = c.id AND s.rig = c.rig)",
-    "SELECT 'calibrations.made_wall_ns of ' || c.id || ' is ' || quote(c.made_wall_ns) || '; the fit that made it says '"
+    "SELECT 'calibrations.made_wall_ns of ' || c.id || ' is ' || quote(c.made_wall_ns) || '; the fit that made it says "
+    "'"
     " || max(a.made_wall_ns) FROM calibrations c JOIN accepted_calibrations a ON a.calibration_id = c.id GROUP BY c.id"
     " HAVING c.made_wall_ns IS NULL OR sum(a.made_wall_ns = c.made_wall_ns) = 0",
     "SELECT 'calibrations.made_wall_ns of ' || id || ' is ' || made_wall_ns || '; its record does not say so'"
@@ -50,47 +53,46 @@ constexpr const char* kComplaints[] = {
     " AND NOT EXISTS (SELECT 1 FROM sessions WHERE visitor = v.id AND started_wall_ns = v.created_wall_ns)",
 };
 
-// What `reindex` would make of a certificate; of a damaged one its name alone counts.
-Lines CompareDeletion(const fs::path& certificate, Statement& row, const std::string& file) {
+// What `reindex` would make of a certificate. While there is none, the row holds '{}'.
+Lines CompareDeletion(const std::string& id, const std::string& certificate, Statement& row, const std::string& file) {
   Lines lines;
-  const std::string id = certificate.stem().string();
-  const auto text = ReadFile(certificate);
-  if (!text.ok()) return {text.status().message()};
-  const Json json = Json::parse(*text, nullptr, false);
-  if (!json.is_object()) return {certificate.string() + ": no JSON object; its session stays forgotten"};
+  const Json json = Json::parse(certificate.empty() ? "{}" : certificate, nullptr, false);
+  if (!json.is_object()) return {"the certificate of " + id + " in the ledger is no JSON object; it stays forgotten"};
   const auto differs = [&](const char* column, const std::string& there, const std::string& said) {
-    lines.push_back(file + ": deletions." + column + " of " + id + " is " + there + "; " + certificate.string() +
+    lines.push_back(file + ": deletions." + column + " of " + id + " is " + there + "; its certificate in the ledger" +
                     " says " + said);
   };
   const Json at = json.value("deleted_wall_ns", Json()), reason = json.value("reason", Json());
-  if (!at.is_number_integer() || at != row.Integer(0)) differs("deleted_wall_ns", row.Text(0), at.dump());
-  if (!reason.is_string() || reason != row.Text(1)) differs("reason", row.Text(1), reason.dump());
-  const Json kept = Json::parse(row.Text(2), nullptr, false);
-  if (kept != json) differs("certificate_json", "another text", "what lies there");
+  if (at.is_number_integer() && at != row.Integer(0)) differs("deleted_wall_ns", row.Text(0), at.dump());
+  if (reason.is_string() && reason != row.Text(1)) differs("reason", row.Text(1), reason.dump());
+  if (Json::parse(row.Text(2), nullptr, false) != json) differs("certificate_json", "another text", "what lies there");
   return lines;
 }
 
-Status CompareDeletions(const fs::path& store, Connection& connection, const std::string& file, Lines& lines) {
-  std::map<std::string, fs::path> certificates;
-  for (const fs::path& path : ListTombstones(store)) certificates[path.stem().string()] = path;
-  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT deleted_wall_ns, reason, certificate_json, session_id"
-                                                       " FROM deletions"));
-  std::error_code error;
+Status CompareDeletions(const fs::path& store, SessionIndex& index, const std::string& file, Lines& lines) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_ASSIGN_OR_RETURN(const bool follows, FollowsLedger(index, store));
+  std::map<std::string, std::string> certificates = ledger.forgotten();
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       index.connection().Prepare("SELECT deleted_wall_ns, reason, certificate_json, session_id"
+                                                  " FROM deletions"));
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) break;
     const std::string id = select.Text(3);
     const auto found = certificates.find(id);
-    if (found != certificates.end()) {
-      for (std::string& line : CompareDeletion(found->second, select, file)) lines.push_back(std::move(line));
-      certificates.erase(found);
-    } else if (!HasTombstone(store, id)) {
-      lines.push_back(file + ": deletions has the row " + id + ", but " + CertificateFile(store, id).string() +
-                      " is not there");
+    if (found == certificates.end()) {
+      lines.push_back(file + ": deletions has the row " + id + ", but no entry of " + (store / "ledger").string() +
+                      " says that it was forgotten: bring the ledger back from a backup (`restore --merge`)");
+      continue;
     }
+    if (follows)
+      for (std::string& line : CompareDeletion(id, found->second, select, file)) lines.push_back(std::move(line));
+    certificates.erase(found);
   }
-  for (const auto& [id, path] : certificates)
-    lines.push_back(file + ": deletions lacks the row " + id + " of " + path.string());
+  if (!follows) return Status::Ok();  // the next opening for writing brings the rows
+  for (const auto& [id, certificate] : certificates)
+    lines.push_back(file + ": deletions lacks the row " + id + " of the ledger");
   return Status::Ok();
 }
 
@@ -100,8 +102,9 @@ Result<std::vector<std::string>> CompareSchemas(Connection& index, const std::st
   SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::InMemory());
   // Tables of SQLite's own (sqlite_stat1 after ANALYZE) are nobody's schema.
   const auto read = [](Connection& connection) -> Result<std::map<std::string, std::string>> {
-    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT type || ' ' || name, coalesce(sql, '') FROM"
-                                                         " sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"));
+    SLX_ASSIGN_OR_RETURN(auto select,
+                         connection.Prepare("SELECT type || ' ' || name, coalesce(sql, '') FROM"
+                                            " sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"));
     std::map<std::string, std::string> objects;
     while (true) {
       SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -130,7 +133,7 @@ Result<std::vector<std::string>> CompareStore(const fs::path& store) {
   const std::string file = (store / "index.sqlite").string();
   SLX_ASSIGN_OR_RETURN(Lines lines, CompareSchemas(connection, file));
   for (const char* complaint : kComplaints) SLX_RETURN_IF_ERROR(Ask(connection, file, complaint, lines));
-  SLX_RETURN_IF_ERROR(CompareDeletions(store, connection, file, lines));
+  SLX_RETURN_IF_ERROR(CompareDeletions(store, index, file, lines));
   return lines;
 }
 
