@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <map>
-#include <set>
 
 #include <nlohmann/json.hpp>
 
 #include "db/care/row_comparison.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/ledger/ledger.h"
 
 namespace stratalux::db {
@@ -53,56 +53,46 @@ constexpr const char* kComplaints[] = {
     " AND NOT EXISTS (SELECT 1 FROM sessions WHERE visitor = v.id AND started_wall_ns = v.created_wall_ns)",
 };
 
-// What the ledger says of a forgotten session; two stores that forgot it have each their word.
-struct Forgetting {
-  std::set<int64_t> begun, done;  // ns
-  std::set<std::string> reasons, certificates;
-};
-
-std::map<std::string, Forgetting> ForgettingsOf(const Ledger& ledger) {
-  std::map<std::string, Forgetting> forgettings;
-  for (const LedgerEntry& entry : ledger.entries()) {
-    if (entry.kind != LedgerKind::kForgetting && entry.kind != LedgerKind::kForgotten) continue;
-    const Json detail = Json::parse(entry.detail_json, nullptr, false);
-    const bool has_reason = detail.is_object() && detail.contains("reason") && detail["reason"].is_string();
-    for (const std::string& session : entry.sessions) {
-      Forgetting& said = forgettings[session];
-      said.reasons.insert(has_reason ? detail["reason"].get<std::string>() : "forget");
-      (entry.kind == LedgerKind::kForgotten ? said.done : said.begun).insert(entry.at.ns);
-      if (entry.kind == LedgerKind::kForgotten) said.certificates.insert(entry.detail_json);
-    }
-  }
-  return forgettings;
+// What `reindex` would make of a certificate. While there is none, the row holds '{}'.
+Lines CompareDeletion(const std::string& id, const std::string& certificate, Statement& row, const std::string& file) {
+  Lines lines;
+  const Json json = Json::parse(certificate.empty() ? "{}" : certificate, nullptr, false);
+  if (!json.is_object()) return {"the certificate of " + id + " in the ledger is no JSON object; it stays forgotten"};
+  const auto differs = [&](const char* column, const std::string& there, const std::string& said) {
+    lines.push_back(file + ": deletions." + column + " of " + id + " is " + there + "; its certificate in the ledger" +
+                    " says " + said);
+  };
+  const Json at = json.value("deleted_wall_ns", Json()), reason = json.value("reason", Json());
+  if (at.is_number_integer() && at != row.Integer(0)) differs("deleted_wall_ns", row.Text(0), at.dump());
+  if (reason.is_string() && reason != row.Text(1)) differs("reason", row.Text(1), reason.dump());
+  if (Json::parse(row.Text(2), nullptr, false) != json) differs("certificate_json", "another text", "what lies there");
+  return lines;
 }
 
-// deletions is what `reindex` would make of the ledger.
-Status CompareDeletions(const fs::path& store, Connection& connection, const std::string& file, Lines& lines) {
+Status CompareDeletions(const fs::path& store, SessionIndex& index, const std::string& file, Lines& lines) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  auto forgettings = ForgettingsOf(ledger);
-  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT session_id, deleted_wall_ns, reason, certificate_json"
-                                                       " FROM deletions"));
+  SLX_ASSIGN_OR_RETURN(const bool follows, FollowsLedger(index, store));
+  std::map<std::string, std::string> certificates = ledger.forgotten();
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       index.connection().Prepare("SELECT deleted_wall_ns, reason, certificate_json, session_id"
+                                                  " FROM deletions"));
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) break;
-    const std::string id = select.Text(0);
-    const auto found = forgettings.find(id);
-    if (found == forgettings.end()) {
-      if (!ledger.IsForgotten(id)) lines.push_back(file + ": deletions has the row " + id + "; no entry of the ledger");
+    const std::string id = select.Text(3);
+    const auto found = certificates.find(id);
+    if (found == certificates.end()) {
+      lines.push_back(file + ": deletions has the row " + id + ", but no entry of " + (store / "ledger").string() +
+                      " says that it was forgotten: bring the ledger back from a backup (`restore --merge`)");
       continue;
     }
-    const Forgetting& said = found->second;
-    const auto differs = [&](const char* column, const std::string& there) {
-      lines.push_back(file + ": deletions." + column + " of " + id + " is " + there + "; the ledger says otherwise");
-    };
-    if (!(said.done.empty() ? said.begun : said.done).contains(select.Integer(1)))
-      differs("deleted_wall_ns", select.Text(1));
-    if (!said.reasons.contains(select.Text(2))) differs("reason", select.Text(2));
-    const bool whole = said.certificates.empty() ? select.Text(3) == "{}" : said.certificates.contains(select.Text(3));
-    if (!whole) differs("certificate_json", "another text");
-    forgettings.erase(found);
+    if (follows)
+      for (std::string& line : CompareDeletion(id, found->second, select, file)) lines.push_back(std::move(line));
+    certificates.erase(found);
   }
-  for (const auto& [id, said] : forgettings)
-    lines.push_back(file + ": deletions lacks the row " + id + ", which the ledger has");
+  if (!follows) return Status::Ok();  // the next opening for writing brings the rows
+  for (const auto& [id, certificate] : certificates)
+    lines.push_back(file + ": deletions lacks the row " + id + " of the ledger");
   return Status::Ok();
 }
 
@@ -143,7 +133,7 @@ Result<std::vector<std::string>> CompareStore(const fs::path& store) {
   const std::string file = (store / "index.sqlite").string();
   SLX_ASSIGN_OR_RETURN(Lines lines, CompareSchemas(connection, file));
   for (const char* complaint : kComplaints) SLX_RETURN_IF_ERROR(Ask(connection, file, complaint, lines));
-  SLX_RETURN_IF_ERROR(CompareDeletions(store, connection, file, lines));
+  SLX_RETURN_IF_ERROR(CompareDeletions(store, index, file, lines));
   return lines;
 }
 

@@ -138,8 +138,7 @@ void CheckFiles(const std::filesystem::path& folder, const ManifestContents& con
 
 void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
   const auto manifest = ReadManifest(folder);
-  if (manifest.ok() && manifest->status == SessionStatus::kRecording &&
-      session.info.status == SessionStatus::kFailed) {
+  if (manifest.ok() && manifest->status == SessionStatus::kRecording && session.info.status == SessionStatus::kFailed) {
     // Its disk was full; CompareSession looks at what the index says of it.
     return report.notes.push_back((folder / "manifest.json").string() + " still speaks of a session being recorded");
   }

@@ -5,6 +5,7 @@
 #include "db/care/row_comparison.h"
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
 
@@ -50,14 +51,8 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
                                 " bytes long and " + (error ? "is gone" : "is " + std::to_string(size) + " now") +
                                 ": restore it from a backup (`stratalux-db restore --merge`)");
   }
-  SLX_ASSIGN_OR_RETURN(auto deletions, connection.Prepare("SELECT session_id FROM deletions"));
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, deletions.Step());
-    if (!more) break;
-    if (!ledger.IsForgotten(deletions.Text(0)))
-      report.problems.push_back("session " + deletions.Text(0) + " was forgotten, but no entry of " + folder +
-                                " says so: restore the ledger from a backup");
-  }
+  SLX_ASSIGN_OR_RETURN(const bool follows, FollowsLedger(index, store.folder()));
+  if (!follows) return Status::Ok();  // the next opening for writing tells the index
   SLX_ASSIGN_OR_RETURN(auto holding,
                        connection.Prepare("SELECT 1 FROM consents c JOIN sessions s ON s.visitor = c.visitor"
                                           " WHERE s.id = ?1 AND s.visitor <> '' AND c.withdrawn_wall_ns IS"
@@ -75,8 +70,8 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
 
 bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
-      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",        "deletions",
-      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",        "incoming.lock",
+      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",      "deletions",
+      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",      "incoming.lock",
       "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }

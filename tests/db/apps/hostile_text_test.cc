@@ -8,7 +8,6 @@
 
 #include "db/apps/display_text.h"
 #include "db/base/sqlite.h"
-#include "db/ledger/tombstone.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/run_program.h"
 
