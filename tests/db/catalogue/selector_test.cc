@@ -49,7 +49,7 @@ class SelectorTest : public StoreTest {
 
 TEST_F(SelectorTest, CostsTheSameInALargeStore) {
   std::map<std::string, StatementWork> small, large;
-  for (const int sessions : {100, 2000}) {
+  for (const int sessions : {100, 600}) {
     const std::string id = Fill(sessions);
     auto& work = sessions == 100 ? small : large;
     const auto open = [this] { return OpenStore(AccessMode::kReadOnly); };
