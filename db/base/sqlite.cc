@@ -111,6 +111,16 @@ Result<int64_t> Connection::QueryInteger(const std::string& sql) {
   return row ? statement.Integer(0) : int64_t{0};
 }
 
+Status Connection::Attach(const std::filesystem::path& file, const std::string& name) {
+  SLX_ASSIGN_OR_RETURN(auto attach, Prepare("ATTACH ?1 AS " + name));
+  return attach.Bind(1, file.string()).Run();
+}
+
+Status Connection::CopyInto(const std::filesystem::path& to) {
+  SLX_ASSIGN_OR_RETURN(auto copy, Prepare("VACUUM INTO ?1"));
+  return copy.Bind(1, to.string()).Run();
+}
+
 int64_t Connection::LastInsertId() const { return sqlite3_last_insert_rowid(handle_.get()); }
 
 Statement& Statement::Bind(int index, int64_t value) {

@@ -29,6 +29,10 @@ class Connection {
   Result<Statement> Prepare(const std::string& sql);
   // First column of the first row.
   Result<int64_t> QueryInteger(const std::string& sql);
+  // Another database as schema `name`; its file's name may hold any character.
+  Status Attach(const std::filesystem::path& file, const std::string& name);
+  // The whole database, as one transaction sees it, as the new file `to`.
+  Status CopyInto(const std::filesystem::path& to);
   [[nodiscard]] int64_t LastInsertId() const;
   // Status of a failed call, naming the file.
   [[nodiscard]] Status Error(const std::string& what) const;

@@ -9,7 +9,6 @@
 #include <sodium.h>
 
 #include "db/base/durable_file.h"
-#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 
@@ -19,6 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 constexpr size_t kHashBytes = 8;
+constexpr const char* kIntent = ".forgetting";
 constexpr const char* kWiping = ".wiping";
 
 std::string Hex(std::span<const uint8_t> bytes) {
@@ -72,7 +72,8 @@ Status CollectExports(Connection& connection, ForgetIntent& intent) {
   }
 }
 
-Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const std::string& id, int64_t number) {
+Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const std::string& id, int64_t number,
+                             IntentHashes hashes) {
   ForgetIntent intent;
   intent.session = id;
   intent.began = WallNow();
@@ -86,8 +87,9 @@ Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const s
   intent.key_id = select.Text(1);
   intent.frames = select.Integer(2);
   intent.fits = select.Integer(3);
-  SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
-  if (!intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
+  const bool wanted = hashes == IntentHashes::kCollected;
+  if (wanted) SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
+  if (wanted && !intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
   SLX_RETURN_IF_ERROR(CollectExports(connection, intent));
   MeasureFolder(store / "sessions" / id, intent);
   return intent;
@@ -145,23 +147,26 @@ Result<std::vector<uint8_t>> FromHex(const std::string& text) {
 }
 
 Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::path& store,
-                                                 const std::vector<std::string>& ids) {
+                                                 const std::vector<std::string>& ids, IntentHashes hashes) {
   std::vector<ForgetIntent> intents;
   std::vector<int64_t> numbers;
   for (const std::string& id : ids) {
     SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
-    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number));
+    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number, hashes));
     numbers.push_back(number);
     intents.push_back(std::move(intent));
   }
-  if (!intents.empty()) SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
+  if (hashes == IntentHashes::kCollected && !intents.empty())
+    SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
   return intents;
 }
 
+fs::path IntentFile(const fs::path& store, const std::string& session_id) {
+  return store / "ledger" / (session_id + kIntent);
+}
+
 Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
-  std::error_code error;
-  if (fs::create_directories(store / "deletions", error)) SLX_RETURN_IF_ERROR(SyncFolder(store));
-  if (error) return Status::Failed("cannot create " + (store / "deletions").string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(MakeFolder(IntentFile(store, intent.session).parent_path()));
   const Json json = {{"session", intent.session}, {"visitor", intent.visitor}, {"reason", intent.reason},
                      {"key_id", intent.key_id},   {"frames", intent.frames},   {"began_wall_ns", intent.began.ns},
                      {"fits", intent.fits},       {"files", intent.files},     {"bytes", intent.bytes},
@@ -174,16 +179,21 @@ Status WipeIntent(const fs::path& store, const std::string& session_id) {
   const fs::path file = IntentFile(store, session_id), wiped = file.string() + kWiping;
   std::error_code error;
   fs::rename(file, wiped, error);
-  if (error) return Status::Failed("cannot rename " + file.string() + ": " + error.message());
-  SLX_RETURN_IF_ERROR(SyncFolder(store / "deletions"));
-  return WipeFile(wiped);
+  if (error && error != std::errc::no_such_file_or_directory)
+    return Status::Failed("cannot rename " + file.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(SyncFolder(file.parent_path()));
+  SLX_RETURN_IF_ERROR(WipeFile(wiped));
+  return SyncFolder(file.parent_path());
 }
 
-Status TidyDeletions(const fs::path& store) {
+Status TidyIntents(const fs::path& store) {
   std::vector<fs::path> strays;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
-    if (entry.path().extension() == ".new" || entry.path().extension() == kWiping) strays.push_back(entry.path());
+  for (const auto& entry : fs::directory_iterator(store / "ledger", error)) {
+    const fs::path extension = entry.path().extension();
+    if ((extension == ".new" || extension == kWiping) && entry.path().stem().extension() == kIntent)
+      strays.push_back(entry.path());
+  }
   for (const fs::path& stray : strays) SLX_RETURN_IF_ERROR(WipeFile(stray));
   return Status::Ok();
 }
@@ -192,7 +202,10 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
   std::vector<ForgetIntent> intents;
   for (const std::string& id : UnfinishedForgets(store)) {
     const fs::path file = IntentFile(store, id);
-    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+    const auto read = ReadFile(file);
+    if (read.status().code() == StatusCode::kNotFound) continue;  // another forget has finished it meanwhile
+    if (!read.ok()) return read.status();
+    const std::string& text = *read;
     try {
       intents.push_back(IntentFrom(Json::parse(text)));
     } catch (const nlohmann::json::exception& error) {
@@ -205,8 +218,8 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
 std::vector<std::string> UnfinishedForgets(const fs::path& store) {
   std::vector<std::string> ids;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
-    if (entry.path().extension() == ".forgetting") ids.push_back(entry.path().stem().string());
+  for (const auto& entry : fs::directory_iterator(store / "ledger", error))
+    if (entry.path().extension() == kIntent) ids.push_back(entry.path().stem().string());
   std::sort(ids.begin(), ids.end());
   return ids;
 }

@@ -428,7 +428,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
                          "two are needed at least (`stratalux-fit srd` works with one)");
   RunOutcome outcome;
   outcome.session = frames.info().id;
-  outcome.fit = ContentHashOf(frames.ContentHash() + options.ToJson() + kVersion).substr(0, 16);
+  SLX_ASSIGN_OR_RETURN(const std::string content, frames.ContentHash());
+  outcome.fit = ContentHashOf(content + options.ToJson() + kVersion).substr(0, 16);
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
   SLX_ASSIGN_OR_RETURN(const bool listed, IsListed(frames.store(), outcome));
   if (!options.force && options.until == Stage::kReport && listed &&

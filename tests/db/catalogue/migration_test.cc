@@ -120,6 +120,22 @@ TEST_F(MigrationTest, FillsWhatTheNewSchemaAdds) {
       << "made by the session its source names";
 }
 
+TEST_F(MigrationTest, CountsTheStepsOfOldPlans) {
+  PlanOptions options;
+  options.guards = 3;
+  const auto steps = static_cast<int64_t>(BuildPlan(options)->steps.size());
+  {
+    Connection old = Open(Connection::Mode::kReadWrite);
+    ASSERT_TRUE(old.Execute("UPDATE sessions SET plan_json = '" + PlanOptionsToJson(options) +
+                            "' WHERE number = 1; UPDATE sessions SET plan_json = 'no plan' WHERE number = 2")
+                    .ok());
+  }
+  ASSERT_TRUE(SessionStore::Open(folder_, AccessMode::kReadWrite).ok());
+  Connection now = Open(Connection::Mode::kReadOnly);
+  EXPECT_EQ(Integer(now, "SELECT planned_steps FROM sessions WHERE number = 1"), steps);
+  EXPECT_EQ(Integer(now, "SELECT planned_steps IS NULL FROM sessions WHERE number = 2"), 1);
+}
+
 TEST_F(MigrationTest, MakesABackupOfTheOldIndexFirst) {
   std::string before;
   {
