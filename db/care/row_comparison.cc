@@ -121,6 +121,7 @@ const std::vector<StoreTable>& StoreTables() {
   static const std::vector<StoreTable> kTables = {
       {"deletions", "of sessions that are gone; CompareStore holds them against their certificates"},
       {"jobs", "what is to be done, not what was captured"},
+      {"job_fence", "the newest token of jobs"},
       {"access_log", "outlives the sessions it speaks of"},
       {"sqlite_sequence", "CompareStore: no lower than any number given"},
   };
