@@ -122,6 +122,8 @@ const std::vector<StoreTable>& StoreTables() {
       {"deletions", "of sessions that are gone; CompareStore holds them against their certificates"},
       {"jobs", "what is to be done, not what was captured"},
       {"job_fence", "the newest token of jobs"},
+      {"retention_classes", "the days of each class, for people who ask the views"},
+      {"ledger_heads", "how far the index has followed the ledger"},
       {"access_log", "outlives the sessions it speaks of"},
       {"sqlite_sequence", "CompareStore: no lower than any number given"},
   };
