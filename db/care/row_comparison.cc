@@ -121,6 +121,9 @@ const std::vector<StoreTable>& StoreTables() {
   static const std::vector<StoreTable> kTables = {
       {"deletions", "of sessions that are gone; CompareStore holds them against their certificates"},
       {"jobs", "what is to be done, not what was captured"},
+      {"job_fence", "the newest token of jobs"},
+      {"retention_classes", "the days of each class, for people who ask the views"},
+      {"ledger_heads", "how far the index has followed the ledger"},
       {"access_log", "outlives the sessions it speaks of"},
       {"sqlite_sequence", "CompareStore: no lower than any number given"},
   };

@@ -98,7 +98,7 @@ Status Forgetting::WriteIntents() {
   for (const std::string& id : request_.sessions)
     if (std::none_of(intents_.begin(), intents_.end(), [&id](const ForgetIntent& i) { return i.session == id; }))
       fresh.push_back(id);
-  SLX_ASSIGN_OR_RETURN(auto collected, CollectIntents(index, store_, fresh));
+  SLX_ASSIGN_OR_RETURN(auto collected, CollectIntents(index, store_, fresh, IntentHashes::kCollected));
   for (ForgetIntent& intent : collected) {
     intent.reason = ToString(request_.reason);
     SLX_RETURN_IF_ERROR(WriteIntent(store_, intent));
@@ -375,7 +375,7 @@ const char* ToString(ForgetReason reason) { return reason == ForgetReason::kPurg
 
 Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions));
+  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions, IntentHashes::kLeftOut));
   ForgetReport report;
   for (const ForgetIntent& intent : intents) {
     ForgottenSession session = SessionOf(intent);

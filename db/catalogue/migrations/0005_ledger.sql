@@ -172,8 +172,8 @@ CREATE INDEX jobs_by_session ON jobs (session) WHERE session IS NOT NULL;   -- a
 -- The newest token of all leases. It starts anywhere, so that tokens of an index that was lost fit no lease of the one
 -- that took its place, and only grows.
 CREATE TABLE job_fence (
-  one               INTEGER PRIMARY KEY CHECK (one = 1),
-  last              INTEGER NOT NULL
+  one               INTEGER PRIMARY KEY CHECK (one = 1),   -- the table has one row
+  last              INTEGER NOT NULL                     -- token of the newest lease
 ) STRICT;
 INSERT INTO job_fence (one, last) VALUES (1, (random() & 0xfffffff) * 1000000);
 

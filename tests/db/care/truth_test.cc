@@ -71,8 +71,10 @@ class TruthTest : public StoreTest {
     all = whole->problems;
     const auto sessions = store->ListSessions();
     if (!sessions.ok()) return {sessions.status().message()};
-    for (const SessionRow& row : *sessions) {
-      const auto report = VerifySession(*store, row, {depth});
+    for (const SessionSummary& session : *sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return {row.status().message()};
+      const auto report = VerifySession(*store, *row, {depth});
       if (!report.ok()) return {report.status().message()};
       all.insert(all.end(), report->problems.begin(), report->problems.end());
     }
@@ -168,16 +170,19 @@ TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
   Connection index = Index();
   ASSERT_TRUE(index.Execute("UPDATE sqlite_sequence SET seq = 0 WHERE name = 'sessions'").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("sqlite_sequence.seq of sessions is 0, but the number 1 was given")));
-  ASSERT_TRUE(index.Execute("UPDATE sqlite_sequence SET seq = 1 WHERE name = 'sessions';"
-                            "UPDATE calibrations SET rig = 'another'")
+  ASSERT_TRUE(index
+                  .Execute("UPDATE sqlite_sequence SET seq = 1 WHERE name = 'sessions';"
+                           "UPDATE calibrations SET rig = 'another'")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("calibrations.rig")));
   ASSERT_TRUE(index.Execute("UPDATE calibrations SET rig = 'bench', made_wall_ns = 7").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("calibrations.made_wall_ns")));
-  ASSERT_TRUE(index.Execute("UPDATE calibrations SET made_wall_ns = 5500; UPDATE visitors SET created_wall_ns = 9").ok());
+  ASSERT_TRUE(
+      index.Execute("UPDATE calibrations SET made_wall_ns = 5500; UPDATE visitors SET created_wall_ns = 9").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("visitors.created_wall_ns")));
-  ASSERT_TRUE(index.Execute("UPDATE visitors SET created_wall_ns = 4000;"
-                            "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
+  ASSERT_TRUE(index
+                  .Execute("UPDATE visitors SET created_wall_ns = 4000;"
+                           "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("s000009-0badcafe")));
 }

@@ -26,7 +26,7 @@ TEST_F(ReadOnlyIndexTest, NoStatementChangesTheStore) {
   ReadOnlyIndex index = OpenIndex();
   const std::string elsewhere = (folder_ / "elsewhere.sqlite").string();
   const std::vector<std::string> writes = {
-      "INSERT INTO jobs VALUES (1, 1, 'a', 'queued', '', '')",
+      "INSERT INTO job_fence (one, last) VALUES (2, 1)",
       "INSERT INTO sessions SELECT * FROM sessions",
       "WITH a AS (SELECT 1) INSERT INTO visitors SELECT 'x', 1",
       "INSERT INTO visitors VALUES ('x', 1) RETURNING id",

@@ -30,7 +30,8 @@ bool IsLeftOut(const std::string& table, const std::string& column) {
 Status AddRows(Connection& connection, Picture& picture) {
   SLX_ASSIGN_OR_RETURN(auto tables, connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
                                                        "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
-                                                       " AND m.name NOT IN ('jobs', 'access_log') ORDER BY 1, c.cid"));
+                                                       " AND m.name NOT IN ('jobs', 'job_fence', 'access_log')"
+                                                       " ORDER BY 1, c.cid"));
   std::map<std::string, std::string> columns;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, tables.Step());
@@ -66,8 +67,9 @@ void AddFrames(const SessionStore& store, const std::string& id, Picture& pictur
       continue;
     }
     const auto samples = std::as_const(*image).pixels();
-    picture.push_back(name + " " + HashHex(std::span(reinterpret_cast<const uint8_t*>(samples.data()),
-                                                     samples.size() * sizeof(uint16_t))));
+    picture.push_back(
+        name + " " +
+        HashHex(std::span(reinterpret_cast<const uint8_t*>(samples.data()), samples.size() * sizeof(uint16_t))));
   }
 }
 
@@ -85,7 +87,10 @@ std::vector<std::string> Complaints(const SampleStore& sample, const fs::path& f
   add(VerifyStore(*store, options));
   const auto sessions = store->ListSessions();
   if (!sessions.ok()) all.push_back(sessions.status().message());
-  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) add(VerifySession(*store, (*sessions)[i], options));
+  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
+    const auto row = store->FindSession((*sessions)[i].info.id);
+    add(row.ok() ? VerifySession(*store, *row, options) : row.status());
+  }
   return all;
 }
 
@@ -96,12 +101,14 @@ void Look(const fs::path& folder, const fs::path& scratch) {
   if (!store.ok()) return;
   const auto sessions = store->ListSessions();
   for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
-    const SessionRow& row = (*sessions)[i];
-    if (const auto details = LoadDetails(*store, row.info.id); details.ok())
+    const std::string& id = (*sessions)[i].info.id;
+    if (const auto details = LoadDetails(*store, id); details.ok())
       (void)(DetailsAsText(*details) + DetailsAsJson(*details)).size();
-    if (const auto frames = store->ListFrames(row.info.id); frames.ok())
+    if (const auto frames = store->ListFrames(id); frames.ok())
       (void)(FramesAsText(*frames) + FramesAsJson(*frames)).size();
-    (void)ExportSession(*store, row, {.out = scratch / ("export-" + std::to_string(i))}, logger).ok();
+    const auto row = store->FindSession(id);
+    if (!row.ok()) continue;
+    (void)ExportSession(*store, *row, {.out = scratch / ("export-" + std::to_string(i))}, logger).ok();
   }
   if (auto index = ReadOnlyIndex::Open(folder); index.ok())
     for (const NamedQuery& query : NamedQueries())
@@ -143,8 +150,7 @@ Picture PictureOf(const fs::path& folder) {
   Picture picture;
   auto index = SessionIndex::Open(folder, AccessMode::kReadOnly);
   if (!index.ok()) return {Refusal("index", index.status())};
-  if (const Status rows = AddRows(index->connection(), picture); !rows.ok())
-    picture.push_back(Refusal("rows", rows));
+  if (const Status rows = AddRows(index->connection(), picture); !rows.ok()) picture.push_back(Refusal("rows", rows));
   const auto store = SessionStore::Open(folder, AccessMode::kReadOnly);
   const auto sessions = store.ok() ? store->ListSessions() : store.status();
   if (!sessions.ok()) picture.push_back(Refusal("sessions", sessions.status()));
@@ -174,9 +180,7 @@ Verdict Judge(const SampleStore& sample, const Expected& expected, const Mutant&
   if (complaints.empty()) {
     // Only a signature tells a forgery in which nothing disagrees; a cipher tells one of frames.
     const bool tellable = !mutant.consistent || sample.signed_by.has_value();
-    verdict = picture == expected.as_it_is ? Verdict::kHarmless
-              : tellable                   ? Verdict::kSilent
-                                           : Verdict::kRightlyTaken;
+    verdict = picture == expected.as_it_is ? Verdict::kHarmless : tellable ? Verdict::kSilent : Verdict::kRightlyTaken;
     if (IsWrong(verdict)) why = "verify --deep says nothing\n   " + FirstDifference(expected.as_it_is, picture);
   }
   if (IsWrong(verdict)) return verdict;
