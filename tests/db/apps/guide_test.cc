@@ -15,7 +15,6 @@
 
 #include <gmock/gmock.h>
 
-#include "db/catalogue/consent.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/run_program.h"
 
@@ -65,6 +64,10 @@ class Guide : public StoreTest {
     ASSERT_TRUE(SessionStore::Create(place_ / "archive").ok());
   }
   void Store(const std::filesystem::path& folder, const std::string& visitor) {
+    ASSERT_EQ(Execute("stratalux-db consent give --store " + folder.string() + " --visitor " + visitor +
+                      " --text-version 3 --language de --scope fit")
+                  .code,
+              0);
     SessionStore store = *SessionStore::Open(folder, AccessMode::kReadWrite);
     SessionInfo info = SimulatedVisit();
     info.rig = "kiosk";

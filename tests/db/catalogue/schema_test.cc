@@ -68,7 +68,7 @@ class Definitions {
         at_ = end + 1;
         continue;
       }
-      if (c == '\n') behind_comma = false;
+      if (c != ' ') behind_comma = false;
       depth += c == '(' ? 1 : c == ')' ? -1 : 0;
       if (depth < 0) break;
       if (c == ',' && depth == 0) {
