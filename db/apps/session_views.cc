@@ -240,8 +240,9 @@ std::string VerifiedAsText(const Verified& verified) {
   std::string text;
   for (const auto& [id, report] : verified) {
     const std::string verdict = report.problems.empty() ? "ok" : std::to_string(report.problems.size()) + " problem(s)";
-    text += id + ": " + verdict + ", " + std::to_string(report.frames) + " frames and maps, " + SizeText(report.bytes) +
-            "\n";
+    text += id + ": " + verdict + ", " + std::to_string(report.frames) + " frames and maps, " + SizeText(report.bytes);
+    if (report.signed_by) text += ", signed by " + Fingerprint(*report.signed_by);
+    text += "\n";
     for (const std::string& problem : report.problems) text += "  problem: " + problem + "\n";
     for (const std::string& note : report.notes) text += "  note: " + note + "\n";
   }
@@ -252,6 +253,7 @@ std::string VerifiedAsJson(const Verified& verified) {
   Json json = Json::array();
   for (const auto& [id, report] : verified)
     json.push_back({{"session", id},
+                    {"signed_by", report.signed_by ? Json(ToHex(*report.signed_by)) : Json()},
                     {"frames", report.frames},
                     {"bytes", report.bytes},
                     {"problems", report.problems},

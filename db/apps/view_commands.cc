@@ -15,7 +15,7 @@ namespace stratalux::db {
 namespace {
 
 struct ViewFlags {
-  std::string session, phase, extract;
+  std::string session, phase, extract, public_key;
   std::optional<int> projector;
   bool deep = false;
 };
@@ -96,9 +96,15 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
 }
 
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
+  VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders};
+  if (!flags.public_key.empty()) {
+    const auto key = ParsePublicKey(flags.public_key);
+    if (!key.ok()) return Report(key.status().WithContext("--public-key"));
+    options.signed_by = *key;
+  }
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
-  std::vector<SessionRow> sessions;
+  std::vector<SessionSummary> sessions;
   if (flags.session.empty()) {
     auto all = store->ListSessions();
     if (!all.ok()) return Report(all.status());
@@ -110,12 +116,12 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   }
   Logger logger;
   int64_t frames = 0;
-  for (const SessionRow& session : sessions) frames += session.frames;
+  for (const SessionSummary& session : sessions) frames += session.frames;
   Verified verified;
   bool sound = true;
   {
     Progress progress(logger, "verify", frames);
-    const VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders, &progress};
+    options.progress = &progress;
     auto add = [&](const std::string& name, Result<VerifyReport> report) {
       sound = sound && report->problems.empty();
       verified.emplace_back(name, std::move(report).value());
@@ -125,8 +131,10 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       if (!report.ok()) return Report(report.status());
       if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
     }
-    for (const SessionRow& session : sessions) {
-      auto report = VerifySession(*store, session, options);
+    for (const SessionSummary& session : sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return Report(row.status());
+      auto report = VerifySession(*store, *row, options);
       if (!report.ok()) return Report(report.status());
       add(session.info.id, std::move(report));
     }
@@ -150,7 +158,7 @@ void AddViewCommands(Commands& commands) {
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
   CLI::App* verify =
-      commands.Add("verify", "Hold index, segments, manifests and proofs against each other; --deep reads every byte",
+      commands.Add("verify", "Rebuild each session in memory and compare it with the index; --deep decodes every frame",
                    [&common, flags] { return RunVerify(common, *flags); });
   show->footer(Examples({"show latest", "show s000017 --json"}));
   frames->footer(Examples({"frames latest --phase sweep --projector 2",
@@ -160,7 +168,9 @@ void AddViewCommands(Commands& commands) {
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
-  verify->add_flag("--deep", flags->deep, "read every payload, too, and compare complementary patterns");
+  verify->add_flag("--deep", flags->deep, "decode every frame, too: its pixel hash, complementary patterns, signature");
+  verify->add_option("--public-key", flags->public_key,
+                     "each session must be signed by this key: 64 hex digits, or a file that holds them");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");
   frames->add_option("--projector", flags->projector, "this projector only; -1: frames lit by all of them");
   frames->add_option("--extract", flags->extract, "write the frames to this folder as PNG (12-bit values << 4)");

@@ -73,6 +73,7 @@ struct Flags {
   bool no_scattering = false;
   bool no_noise = false;
   bool encrypt = false;
+  bool sign = false;
   bool json = false;
   bool verbose = false;
 };
@@ -177,6 +178,7 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
   SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) options.config.store.encrypt = true;
+  if (flags.sign) options.config.store.sign = true;
   if (!flags.scene.empty()) {
     SLX_ASSIGN_OR_RETURN(options.simulated, SimulationFrom(flags, options.config));
   }
@@ -332,6 +334,7 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   capture->add_option("--consent-language", flags.consent_language, "in which it was shown, such as de");
   capture->add_option("--retention", flags.retention, "how long it is kept: short, standard, long, keep")
       ->capture_default_str();
+  capture->add_flag("--sign", flags.sign, "with the rig's key, `stratalux-db key sign-init` (default: [store] sign)");
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
   capture
