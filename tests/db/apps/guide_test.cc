@@ -7,6 +7,7 @@
 //   store                                  the store, beside the folder the commands run in (STRATALUX_STORE too)
 //   /media/...                             a folder of the test
 //   kiosk@rig-1:/var/lib/stratalux         another store, on this machine
+//   archive, copy-of-the-store             stores without sessions: what was pulled, what is all signed
 //   a command with "# exit N" behind it    ends with that code; 0 otherwise
 // Commands run in the order of the page, in a folder of their own.
 #include <fstream>
@@ -61,7 +62,7 @@ class Guide : public StoreTest {
       ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
       for (const char* visitor : {"p-0417", "v-5f3a91c2"}) Store(place_ / name, visitor);
     }
-    ASSERT_TRUE(SessionStore::Create(place_ / "archive").ok());
+    for (const char* name : {"archive", "copy-of-the-store"}) ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
   }
   void Store(const std::filesystem::path& folder, const std::string& visitor) {
     ASSERT_EQ(Execute("stratalux-db consent give --store " + folder.string() + " --visitor " + visitor +
