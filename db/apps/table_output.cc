@@ -70,7 +70,7 @@ Json ForPrograms(const Cell& cell, ColumnKind kind) {
   if (const auto* bytes = std::get_if<Blob>(&cell)) return HexOf(*bytes);
   const auto& text = std::get<std::string>(cell);
   if (kind != ColumnKind::kJson) return text;
-  const Json nested = Json::parse(text, nullptr, false);
+  const Json nested = Json::parse(PrintableJson(text), nullptr, false);
   return nested.is_discarded() ? Json(text) : nested;
 }
 
