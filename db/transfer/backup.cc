@@ -6,6 +6,7 @@
 #include <sys/stat.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/file_lock.h"
 #include "db/base/paths.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
