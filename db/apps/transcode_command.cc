@@ -93,6 +93,7 @@ void AddTranscodeCommand(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* transcode = commands.Add("transcode", "Code the frames of finished sessions anew; pixels stay as they are",
                                      [&common, flags] { return RunTranscode(common, *flags); });
+  transcode->footer(Examples({"transcode latest --codec delta", "transcode --all --codec raw12"}));
   transcode->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   transcode->add_flag("--all", flags->all, "all sessions; those that cannot be transcoded are named and left alone");
   transcode->add_option("--codec", flags->codec, "delta (less than half the bytes) or raw12 (packed)")->required();

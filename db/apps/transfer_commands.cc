@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/apps/crate_command.h"
 #include "db/care/reindex.h"
 #include "db/interchange/export.h"
 #include "db/interchange/import.h"
@@ -18,9 +19,11 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 struct TransferFlags {
-  std::string manifest, root;                           // import
-  std::optional<int> pose;                              // import
-  std::string session, visitor, phase, format = "png";  // export
+  std::string manifest, root, crate;           // import
+  std::optional<int> pose;                     // import
+  std::vector<std::string> sessions;           // export
+  std::string visitor, phase, format = "png";  // export
+  CrateFlags crate_export;
   std::optional<int> projector;
   std::string out, to, keys, from;
   std::string scrub = "turn", ledger;  // backup; restore
@@ -29,6 +32,9 @@ struct TransferFlags {
 };
 
 int RunImport(const CommonFlags& common, const TransferFlags& flags) {
+  if (!flags.crate.empty()) return RunCrateImport(common, flags.crate);
+  if (flags.manifest.empty())
+    return Report(Status::Usage("import needs --manifest FILE (image files) or --crate DIR (an RO-Crate)"));
   auto store = OpenStore(common, AccessMode::kReadWrite);
   if (!store.ok()) return Report(store.status());
   Logger logger;
@@ -40,8 +46,11 @@ int RunImport(const CommonFlags& common, const TransferFlags& flags) {
 }
 
 int RunExport(const CommonFlags& common, const TransferFlags& flags) {
-  if (flags.session.empty() == flags.visitor.empty())
+  if (!flags.crate_export.crate.empty()) return RunCrateExport(common, flags.sessions, flags.crate_export);
+  if (flags.sessions.empty() == flags.visitor.empty())
     return Report(Status::Usage("export needs either SESSION or --visitor"));
+  if (flags.sessions.size() > 1) return Report(Status::Usage("several sessions are exported with --crate only"));
+  if (flags.out.empty()) return Report(Status::Usage("export needs --out DIR, or --crate DIR for an RO-Crate"));
   ExportOptions options{
       flags.out, flags.format == "tiff" ? ExportFormat::kTiff : ExportFormat::kPng, {}, flags.projector};
   if (!flags.phase.empty()) {
@@ -54,7 +63,7 @@ int RunExport(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
   Result<ExportReport> report = Status::Ok();
   if (flags.visitor.empty()) {
-    const auto session = store->FindSession(flags.session);
+    const auto session = store->FindSession(flags.sessions[0]);
     if (!session.ok()) return Report(session.status());
     report = ExportSession(*store, *session, options, logger);
   } else {
@@ -179,25 +188,39 @@ int RunPull(const CommonFlags& common, const TransferFlags& flags) {
 void AddTransferCommands(Commands& commands) {
   const auto flags = std::make_shared<TransferFlags>();
   const CommonFlags& common = commands.flags();
-  CLI::App* import = commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM)",
-                                  [&common, flags] { return RunImport(common, *flags); });
-  import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)")->required();
+  CLI::App* import =
+      commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM); or an RO-Crate",
+                   [&common, flags] { return RunImport(common, *flags); });
+  import->footer(Examples({"import --manifest procam_gray_kamino.toml --root captures --pose 2",
+                           "import --manifest export/import.toml", "import --crate crate"},
+                          "A manifest has 16 MiB at most, a picture 1 GiB and 268435456 pixels."));
+  CLI::Option* manifest = import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)");
+  import->add_option("--crate", flags->crate, "an RO-Crate that `export --crate` wrote")->excludes(manifest);
   import->add_option("--root", flags->root, "folder of the image files (default: the manifest's)");
   import->add_option("--pose", flags->pose, "this pose only (default: all)");
 
-  CLI::App* exported = commands.Add("export", "Write a session, or all of one visitor, as image files with their proof",
-                                    [&common, flags] { return RunExport(common, *flags); });
-  exported->add_option("SESSION", flags->session, "id, unique prefix, or latest");
-  exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym");
-  exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export")->required();
-  exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"}));
-  exported->add_option("--phase", flags->phase, "this phase only");
-  exported->add_option("--projector", flags->projector, "this projector only");
+  CLI::App* exported =
+      commands.Add("export", "Write a session, or all of one visitor, as image files with their proof; or an RO-Crate",
+                   [&common, flags] { return RunExport(common, *flags); });
+  exported->footer(Examples({"export latest --out pictures --format tiff", "export s000017 --out sweep --phase sweep",
+                             "export --visitor v-5f3a91c2 --out for-v-5f3a91c2",
+                             "export s000017 s000018 --crate crate --scope research"}));
+  exported->add_option("SESSION", flags->sessions, "id, unique prefix, or latest; several with --crate");
+  const std::vector<CLI::Option*> plain = {
+      exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym"),
+      exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export"),
+      exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"})),
+      exported->add_option("--phase", flags->phase, "this phase only"),
+      exported->add_option("--projector", flags->projector, "this projector only")};
+  AddCrateExportFlags(exported, plain, flags->crate_export);
 
-  commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
-               [&common] { return RunReindex(common); });
+  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
+                                   [&common] { return RunReindex(common); });
+  reindex->footer(Examples({"reindex", "reindex --json"}));
   CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",
                                   [&common, flags] { return RunBackup(common, *flags); });
+  backup->footer(Examples({"backup --to /media/disk/store-backup",
+                           "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
   backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
   backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, apart from the backup");
   backup
@@ -206,12 +229,17 @@ void AddTransferCommands(Commands& commands) {
       ->check(CLI::IsMember({"turn", "all"}));
   CLI::App* restore = commands.Add("restore", "Make a store from a backup, every file checked against its hash",
                                    [&common, flags] { return RunRestore(common, *flags); });
+  restore->footer(Examples({"restore --from /media/disk/store-backup --store new-store --ledger store",
+                            "restore --from /media/disk/store-backup --merge"}));
   restore->add_option("--from", flags->from, "folder of the backup")->required();
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
   restore->add_option("--ledger", flags->ledger,
                       "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
+  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux",
+                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux --dry-run",
+                         "pull --from kiosk@rig-1:/var/lib/stratalux --obey"}));
   pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
   pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");

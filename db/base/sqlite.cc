@@ -10,9 +10,20 @@
 #include <unistd.h>
 
 namespace stratalux::db {
+namespace {
+
+thread_local StatementWork work_of_this_thread;
+
+}  // namespace
 
 void Connection::Closer::operator()(sqlite3* handle) const { sqlite3_close(handle); }
-void Statement::Finalizer::operator()(sqlite3_stmt* handle) const { sqlite3_finalize(handle); }
+void Statement::Finalizer::operator()(sqlite3_stmt* handle) const {
+  work_of_this_thread.scanned_rows += sqlite3_stmt_status(handle, SQLITE_STMTSTATUS_FULLSCAN_STEP, 0);
+  work_of_this_thread.steps += sqlite3_stmt_status(handle, SQLITE_STMTSTATUS_VM_STEP, 0);
+  sqlite3_finalize(handle);
+}
+
+StatementWork WorkOfThisThread() { return work_of_this_thread; }
 
 Status Connection::Error(const std::string& what) const {
   const int code = handle_ ? sqlite3_errcode(handle_.get()) & 0xff : SQLITE_CANTOPEN;

@@ -49,6 +49,13 @@ class Connection {
   std::string file_;
 };
 
+// What finished statements of this thread have done so far, for tests of what a question costs: rows that scans without
+// an index visited, and steps of SQLite's machine.
+struct StatementWork {
+  int64_t scanned_rows = 0, steps = 0;
+};
+[[nodiscard]] StatementWork WorkOfThisThread();
+
 class Statement {
  public:
   Statement& Bind(int index, int64_t value);

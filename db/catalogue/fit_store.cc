@@ -41,8 +41,7 @@ Status CheckConsent(Connection& connection, int64_t session) {
   const std::string what = "session " + select.Text(0) + " must not be fitted: ";
   const Consent consent = ConsentFromJson(select.Text(3));
   // A session of schema 1 knows the version of its text alone, which was one for fitting.
-  if (!consent.text_version.empty() && !consent.fit)
-    return Status::Usage(what + "its visitor's consent does not cover it");
+  if (!select.Text(3).empty() && !consent.fit) return Status::Usage(what + "its visitor's consent does not cover it");
   SLX_ASSIGN_OR_RETURN(const auto withdrawn, WithdrawnOn(connection, select.Text(2), consent.given_wall));
   if (withdrawn) return Status::Usage(what + "its visitor's consent was withdrawn on " + ToIso8601(*withdrawn));
   return Status::Ok();

@@ -9,6 +9,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/manifest.h"
+#include "db/catalogue/signature.h"
 #include "db/segment/segment.h"
 
 namespace stratalux::db {
@@ -157,7 +158,12 @@ Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionR
   info.status = SessionStatus::kFailed;
   info.reasons = {reason};
   info.finished_wall = WallNow();
-  const Status manifest = WriteManifest(folder, info, found.frames, found.segments);
+  // At its own rig a session is signed as it ends, also one that failed: else a forger could make any session fail.
+  std::error_code error;
+  Status manifest = Status::Failed("the store has no rig key");
+  if (fs::exists(RigKeyFile(store), error))
+    manifest = WriteEnding(store, info, found.frames, found.segments, EndingSignature::kByRigKey);
+  if (!manifest.ok()) manifest = WriteEnding(store, info, found.frames, found.segments, EndingSignature::kNone);
   // On a full disk the row alone must do, unless an older manifest says that the session ended otherwise.
   if (!manifest.ok() && EndOf(folder, session.info.id).ok()) return manifest;
   return index.SetStatus(number, {info.status, info.reasons, info.finished_wall});

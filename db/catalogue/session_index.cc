@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <random>
+#include <set>
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/calibration_store.h"
@@ -13,11 +14,14 @@
 #include "db/migration_0003.h"
 #include "db/migration_0004.h"
 #include "db/migration_0005.h"
+#include "db/segment/pixel_hash.h"
+#include "shared/capture/plan.h"
 
 namespace stratalux::db {
 namespace {
 
 constexpr int64_t kApplicationId = 0x534c5831;  // "SLX1"
+constexpr PixelHash kNotRecorded{};
 
 // An index whose creation was cut short: no table yet, and nobody else's mark.
 bool IsUnborn(const std::filesystem::path& file) {
@@ -79,6 +83,30 @@ Status WriteMetricsOfAllFits(Connection& connection) {
   }
 }
 
+// Of the plan that PlanOptionsToJson wrote; nullopt where the text is no plan, or one of another version.
+std::optional<int64_t> PlannedSteps(const std::string& plan_json) {
+  const auto options = PlanOptionsFromJson(plan_json);
+  if (!options.ok()) return std::nullopt;
+  const auto plan = BuildPlan(*options);
+  if (!plan.ok()) return std::nullopt;
+  return static_cast<int64_t>(plan->steps.size());
+}
+
+// Sessions of before schema 5. Those of a rig share a few plans: each is built once.
+Status WritePlannedStepsOfAllSessions(Connection& connection) {
+  std::set<std::string> plans;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT DISTINCT plan_json FROM sessions"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    plans.insert(select.Text(0));
+  }
+  SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE sessions SET planned_steps = ?1 WHERE plan_json = ?2"));
+  for (const std::string& plan : plans)
+    if (const auto steps = PlannedSteps(plan)) SLX_RETURN_IF_ERROR(update.Bind(1, *steps).Bind(2, plan).Run());
+  return Status::Ok();
+}
+
 }  // namespace
 
 std::string SegmentName(int64_t number) {
@@ -119,7 +147,10 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
   }
   if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
-  if (version < 5) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+  if (version < 5) {
+    SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+    SLX_RETURN_IF_ERROR(WritePlannedStepsOfAllSessions(connection));
+  }
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -162,6 +193,12 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   return SessionIndex(std::move(connection));
 }
 
+Result<SessionIndex> SessionIndex::InMemory() {
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+  SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+  return SessionIndex(std::move(connection));
+}
+
 Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int64_t> known_number) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   if (!info.calibration_json.empty()) {
@@ -182,8 +219,8 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number, planned_steps)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
@@ -202,6 +239,7 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
   if (!info.calibration_json.empty()) insert.Bind(13, CalibrationId(info.calibration_json));
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   if (known_number) insert.Bind(16, *known_number);
+  if (const auto steps = PlannedSteps(info.plan_json)) insert.Bind(17, *steps);
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
   if (named) {
@@ -242,7 +280,8 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
   SLX_ASSIGN_OR_RETURN(auto insert,
                        connection_.Prepare("INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, "
                                            "step, projector, phase, pattern, retry,"
-                                           " level_check) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)"));
+                                           " level_check, pixel_hash) VALUES"
+                                           " (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, nullif(?13, ?14))"));
   SLX_ASSIGN_OR_RETURN(auto proof,
                        connection_.Prepare("INSERT INTO proofs (session, frame, bracket, pose, trigger_number, "
                                            "trigger_ns, sync_ns, driver_sequence, frame_ns,"
@@ -256,6 +295,7 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
     insert.Bind(7, int64_t{h.step}).Bind(8, int64_t{h.projector});
     insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, std::string(h.pattern));
     insert.Bind(11, int64_t{h.retry}).Bind(12, int64_t{h.level_check});
+    insert.Bind(13, std::span<const uint8_t>(h.pixel_hash)).Bind(14, std::span<const uint8_t>(kNotRecorded));
     SLX_RETURN_IF_ERROR(insert.Run());
     proof.Bind(1, number).Bind(2, h.frame).Bind(3, int64_t{h.bracket}).Bind(4, int64_t{h.pose});
     proof.Bind(5, h.trigger_number).Bind(6, h.trigger_ns).Bind(7, h.sync_ns).Bind(8, h.driver_sequence);
@@ -273,13 +313,14 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
 Status SessionIndex::MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   SLX_ASSIGN_OR_RETURN(auto update,
-                       connection_.Prepare("UPDATE frames SET segment = ?1, offset = ?2, stored_bytes = ?3, hash = ?4"
-                                           " WHERE session = ?5 AND frame = ?6"));
+                       connection_.Prepare("UPDATE frames SET segment = ?1, offset = ?2, stored_bytes = ?3, hash = ?4,"
+                                           " pixel_hash = nullif(?7, ?8) WHERE session = ?5 AND frame = ?6"));
   int64_t bytes = 0;
   for (const auto& [segment, f] : frames) {
     const auto payload_bytes = static_cast<int64_t>(f.header.payload_bytes);
     update.Bind(1, segment).Bind(2, f.offset).Bind(3, payload_bytes);
     update.Bind(4, std::span<const uint8_t>(f.header.payload_hash)).Bind(5, number).Bind(6, f.header.frame);
+    update.Bind(7, std::span<const uint8_t>(f.header.pixel_hash)).Bind(8, std::span<const uint8_t>(kNotRecorded));
     SLX_RETURN_IF_ERROR(update.Run());
     bytes += payload_bytes;
   }

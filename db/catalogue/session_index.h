@@ -22,6 +22,8 @@ class SessionIndex {
   // Create(), but kIntegrity where sessions lie without their index: an empty one would hide them.
   static Status CreateNew(const std::filesystem::path& folder);
   static Result<SessionIndex> Open(const std::filesystem::path& folder, AccessMode mode);
+  // An empty one of the newest schema that no file holds: for rows to be compared with.
+  static Result<SessionIndex> InMemory();
 
   // Gives info.id where it is empty; returns the session's number: `known_number`, else the next one.
   Result<int64_t> InsertSession(SessionInfo& info, std::optional<int64_t> known_number = {});

@@ -9,12 +9,17 @@
 #include "db/base/write_lock.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/fit_store.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
 #include "db/catalogue/session_index.h"
+#include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
+#include "db/keys/key_store.h"
+#include "db/ledger/ledger.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
 namespace stratalux::db {
@@ -26,7 +31,27 @@ Status WithRemedy(const Status& status, const std::string& id) {
   return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
 }
 
+PixelHash HashOf(const FrameRecord& r, std::span<const uint16_t> samples, const SecretKey* key) {
+  return HashPixels(r.format, samples, key);
+}
+PixelHash HashOf(const FrameRecord&, std::span<const uint8_t> samples, const SecretKey* key) {
+  return HashPixels(samples, key);
+}
+
 FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
+
+// Asks for the consent again. None for sessions that show nobody.
+Result<std::optional<LedgerEntry>> ConsentEntry(const std::filesystem::path& store, const SessionInfo& info) {
+  if (info.kind != SessionKind::kVisitor) return std::optional<LedgerEntry>();
+  SLX_RETURN_IF_ERROR(ValidConsent(store, info.visitor).status());
+  LedgerEntry entry;
+  entry.kind = LedgerKind::kConsent;
+  entry.at = info.started_wall.ns != 0 ? info.started_wall : WallNow();
+  entry.sessions = {info.id};
+  SLX_ASSIGN_OR_RETURN(entry.visitor_hmac, NameVisitor(store, info.visitor));
+  entry.detail_json = ConsentToJson(info.consent);
+  return std::optional(std::move(entry));
+}
 
 }  // namespace
 
@@ -53,6 +78,8 @@ struct SessionWriter::Impl {
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
   bool commit_in_doubt = false;  // one failed, but may lie in SQLite's log
+  // What the ledger is told before the first frame is acknowledged; nothing for sessions that show nobody.
+  std::optional<LedgerEntry> consent;
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
   std::chrono::steady_clock::time_point pending_since;
   Status failure;  // the first one; every later call repeats it
@@ -79,6 +106,7 @@ struct SessionWriter::Impl {
     commit_in_doubt |= !status.ok();
     return status.ok() ? status : Fail(status);
   }
+  [[nodiscard]] const SecretKey* key() const { return sealer ? &sealer->key() : nullptr; }
   Status NextSegment() {
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
     SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id, sealer.get()));
@@ -91,6 +119,10 @@ struct SessionWriter::Impl {
     if (pending.empty()) return Status::Ok();
     // Bytes on disk first, then the rows that speak of them, then the caller hears of it.
     if (Status s = segment->Sync(); !s.ok()) return Fail(s);
+    if (consent) {
+      if (Status s = AppendToLedger(store, *consent); !s.ok()) return Fail(s);
+      consent.reset();
+    }
     SLX_RETURN_IF_ERROR(Committed(index.InsertFrames(number, pending)));
     acknowledged += static_cast<int64_t>(pending.size());
     pending.clear();
@@ -111,15 +143,16 @@ struct SessionWriter::Impl {
       return Status::Usage(name + ": pixels do not have the record's size");
     const std::span<const T> samples = pixels.pixels();
     SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
-    return Append(record, encoded);
+    return Append(record, encoded, HashOf(record, samples, key()));
   }
-  Status Append(const FrameRecord& record, const EncodedFrame& encoded) {
+  Status Append(const FrameRecord& record, const EncodedFrame& encoded, const PixelHash& pixel_hash) {
     if (!segment || segment->bytes() > options.max_segment_bytes) {
       SLX_RETURN_IF_ERROR(Flush());
       if (Status s = NextSegment(); !s.ok()) return Fail(s);
     }
-    auto frame =
-        segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), encoded.codec, encoded.bytes);
+    FrameHeader header = MakeFrameHeader(record, frames, record.pattern.ToString());
+    SetPixelHash(header, pixel_hash);
+    auto frame = segment->Append(header, encoded.codec, encoded.bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
     if (pending.empty()) pending_since = options.now();
@@ -166,7 +199,9 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   record.height = pixels.height();
   record.channels = pixels.channels();
   const auto bytes = std::span(reinterpret_cast<const uint8_t*>(pixels.data()), pixels.size() * sizeof(float));
-  const auto frame = impl_->truth->Append(MakeFrameHeader(record, impl_->truth_maps++, name), Codec::kF32, bytes);
+  FrameHeader header = MakeFrameHeader(record, impl_->truth_maps++, name);
+  SetPixelHash(header, HashPixels(bytes, impl_->key()));
+  const auto frame = impl_->truth->Append(header, Codec::kF32, bytes);
   return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
 }
 
@@ -194,7 +229,8 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   w.info.finished_wall = WallNow();
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
-  if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
+  const auto signature = w.options.signing == Signing::kRigKey ? EndingSignature::kByRigKey : EndingSignature::kNone;
+  if (Status s = WriteEnding(w.store, w.info, w.frames, names, signature); !s.ok()) return w.Fail(s);
   return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
 }
 
@@ -203,13 +239,20 @@ SessionStore::SessionStore(SessionStore&&) noexcept = default;
 SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
 SessionStore::~SessionStore() = default;
 
-Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::CreateNew(folder); }
+Status SessionStore::Create(const std::filesystem::path& folder) {
+  SLX_RETURN_IF_ERROR(SessionIndex::CreateNew(folder));
+  return MakeStoreId(folder);
+}
 
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
   const bool write = mode == AccessMode::kReadWrite;
+  const Status ledger = write ? BringLedgerUp(index, folder) : Status::Ok();
+  if (ledger.code() == StatusCode::kNewerSchema) return ledger;
   if (write) SLX_RETURN_IF_ERROR(EndInterruptedTranscode(index, folder));
   SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
+  // As on a disk that cannot be written: the next opening tries again, and a capture needs the ledger before that.
+  if (!ledger.ok()) notes.push_back("the ledger could not be followed: " + ledger.message());
   return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes), FrameOpener(folder)}));
 }
 
@@ -224,6 +267,8 @@ std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::
 
 Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  // Before the rig moves: a session that was to be signed and cannot be has failed.
+  if (options.signing == Signing::kRigKey) SLX_RETURN_IF_ERROR(RigKey::Read(impl_->folder).status());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
   info.id.clear();
@@ -236,6 +281,9 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     return status;
   };
   if (const Status made = MakeFolder(folder); !made.ok()) return fail(made);
+  // Withdrawn while the session began: the withdrawal did not see it, so that this must see the withdrawal.
+  auto consent = ConsentEntry(impl_->folder, info);
+  if (!consent.ok()) return fail(consent.status());
   std::unique_ptr<FrameSealer> sealer;
   if (options.encryption == Encryption::kPerSession) {
     auto key = CreateKey(impl_->folder);
@@ -256,6 +304,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   writer->number = number;
   writer->options = options;
   writer->sealer = std::move(sealer);
+  writer->consent = std::move(consent).value();
   return SessionWriter(std::move(writer));
 }
 
@@ -305,6 +354,7 @@ Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& 
     row.offset = p.offset;
     row.stored_bytes = p.bytes;
     row.hash = HashText(header.payload_hash);
+    if (HasPixelHash(header)) row.pixel_hash = HashText(header.pixel_hash);
     rows.push_back(std::move(row));
   }
   return rows;
@@ -326,7 +376,12 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   }
   SLX_ASSIGN_OR_RETURN(const auto bytes,
                        opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
-  return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
+  SLX_ASSIGN_OR_RETURN(
+      auto image,
+      decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where));
+  SLX_ASSIGN_OR_RETURN(const SecretKey* key, opener.KeyOf(reader.session_id(), header));
+  SLX_RETURN_IF_ERROR(CheckPixels(header, image, key).WithContext(where));
+  return image;
 }
 
 Status SessionStore::RegisterFit(const FitRow& fit, const RegisterOptions& options) {

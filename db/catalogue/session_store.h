@@ -44,7 +44,8 @@ struct FrameRow {
   std::string segment;  // file name within the session folder
   int64_t offset = 0;   // of the frame record in the segment
   int64_t stored_bytes = 0;
-  std::string hash;  // XXH3-128 of the stored payload, 32 hex digits
+  std::string hash;        // XXH3-128 of the stored payload, 32 hex digits
+  std::string pixel_hash;  // of the samples, whatever the codec (db/segment/pixel_hash.h); empty: not recorded
 };
 
 struct FitRow {
@@ -70,6 +71,9 @@ enum class AccessMode { kReadOnly, kReadWrite };
 // kPerSession: each session has a key of its own in keys.sqlite (db/segment/frame_cipher.h).
 enum class Encryption { kNone, kPerSession };
 
+// kRigKey: a finished session is signed with the rig's key (db/catalogue/signature.h).
+enum class Signing { kNone, kRigKey };
+
 struct WriterOptions {
   StoreCodec codec = StoreCodec::kDelta;  // smaller and fast enough for any camera here (docs/benchmarks.md)
   // Frames are acknowledged together once there are so many, or once the first of them has waited so long: looked at
@@ -78,6 +82,7 @@ struct WriterOptions {
   std::chrono::milliseconds group_window{250};
   int64_t max_segment_bytes = int64_t{1} << 30;
   Encryption encryption = Encryption::kNone;
+  Signing signing = Signing::kNone;
   std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 
   [[nodiscard]] Status Validate() const;
@@ -146,7 +151,8 @@ class SessionStore {
   // fast in a store of a hundred thousand sessions as in one of ten.
   Result<SessionRow> FindSession(const std::string& selector) const;
   Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
-  // Decoded pixels; 8-bit frames are widened. Every read checks the hash: kIntegrity names session, segment and offset.
+  // Decoded pixels; 8-bit frames are widened. Every read checks the hashes of payload and pixels: kIntegrity names
+  // session, segment and offset.
   // kNotFound for an encrypted session whose key is not here.
   Result<Image<uint16_t>> ReadFrame(const std::string& session_id, const FrameRow& frame) const;
   [[nodiscard]] std::filesystem::path SessionFolder(const std::string& session_id) const;

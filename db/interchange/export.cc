@@ -48,6 +48,11 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
   const auto frames = Chosen(std::move(all), options);
   const auto fit_files = fits == Fits::kIncluded ? FitFiles(store.SessionFolder(id) / "fits") : std::vector<fs::path>();
   std::vector<std::string> names = {"frames.json", "session.json", "import.toml"};
+  // So that the pictures can be held against what the rig signed.
+  std::error_code error;
+  const fs::path signature = store.SessionFolder(id) / "signature.json";
+  const bool is_signed = fs::exists(signature, error);
+  if (is_signed) names.emplace_back("signature.json");
   for (const FrameRow& f : frames) names.push_back("frames/" + ExportedName(f, options.format));
   for (const fs::path& file : fit_files) names.push_back("fits/" + file.string());
   SLX_RETURN_IF_ERROR(PrepareExportFolder(options.out, id));
@@ -64,12 +69,16 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     progress.Advance();
   }
   for (const fs::path& file : fit_files) {
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file));
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file, kAnyFileSize));
     SLX_RETURN_IF_ERROR(MakeFolder((options.out / "fits" / file).parent_path()));
     SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "fits" / file, bytes).status());
   }
   SLX_ASSIGN_OR_RETURN(const std::string manifest, ReadFile(store.SessionFolder(id) / "manifest.json"));
   SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "session.json", manifest).status());
+  if (is_signed) {
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(signature));
+    SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "signature.json", bytes).status());
+  }
   SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "frames.json", FramesJson(frames, options.format)).status());
   const std::string toml = ImportToml(session.info, frames, options.format);
   if (toml.empty()) {
