@@ -178,9 +178,9 @@ TEST_F(BackupTest, AFullDiskIsSaidAndTheEarlierBackupStaysValid) {
   ASSERT_TRUE(BackUp().ok());
   const auto list = ReadBytes(backup_ / "backup.json");
   StoreSession(400, Groups(400));
-  const Outcome outcome = Shell("ulimit -f 15; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) +
-                                "/stratalux-db backup --store " + folder_.string() + " --to " + backup_.string() +
-                                " 2>&1");
+  const Outcome outcome =
+      Shell("ulimit -f 15; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
+            folder_.string() + " --to " + backup_.string() + " 2>&1");
   EXPECT_EQ(outcome.code, 1) << outcome.out;
   EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run goes on"));
   EXPECT_EQ(ReadBytes(backup_ / "backup.json"), list);

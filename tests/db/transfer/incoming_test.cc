@@ -8,7 +8,6 @@
 namespace stratalux::db {
 namespace {
 
-
 using ::testing::IsEmpty;
 
 class IncomingTest : public TransferTest {
