@@ -8,7 +8,6 @@
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/manifest.h"
 #include "db/ledger/ledger.h"
-#include "db/ledger/tombstone.h"
 
 namespace stratalux::db {
 namespace {
@@ -100,7 +99,7 @@ Status InsertAdopted(const fs::path& store, const std::string& id, const std::st
 // Asked under the write lock, which a forgetting takes as well: none can begin between the answer and the move.
 Status RefuseTombstone(const fs::path& store, const std::string& id) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  if (!ledger.IsForgotten(id) && !HasTombstone(store, id)) return Status::Ok();
+  if (!ledger.IsForgotten(id)) return Status::Ok();
   return Status::Usage("session " + id + " was forgotten and cannot return");
 }
 

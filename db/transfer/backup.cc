@@ -10,7 +10,6 @@
 #include "db/base/paths.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
-#include "db/ledger/tombstone.h"
 #include "db/transfer/backup_folder.h"
 
 namespace stratalux::db {
@@ -138,8 +137,10 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
   }
   for (const std::string& problem : merged.ok() ? merged->problems : std::vector<std::string>())
     report_.problems.push_back("ledger: " + problem);
-  for (const fs::path& tombstone : ListTombstones(store_))
-    SLX_RETURN_IF_ERROR(folder.CopyFile(tombstone.lexically_relative(store_).string()));
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(store_ / "deletions", error))
+    if (entry.path().extension() == ".json")
+      SLX_RETURN_IF_ERROR(folder.CopyFile(entry.path().lexically_relative(store_).string()));
   return Status::Ok();
 }
 
