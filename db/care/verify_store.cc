@@ -2,6 +2,7 @@
 #include <set>
 #include <system_error>
 
+#include "db/care/incoming.h"
 #include "db/care/row_comparison.h"
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
@@ -94,6 +95,21 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
   }
 }
 
+// What a pull or restore that was broken off left. While one runs, it is at work there.
+void CheckIncoming(const SessionStore& store, const Ledger& ledger, VerifyReport& report) {
+  const bool at_work = IncomingLock::IsHeld(store.folder());
+  for (const IncomingSession& session : ListIncoming(store.folder()))
+    for (const fs::path& place : session.places) {
+      if (ledger.IsForgotten(session.id)) {
+        report.problems.push_back(place.string() + " is of a session that was forgotten; `stratalux-db forget " +
+                                  session.id + "` again, or the next pull, wipes it");
+      } else if (!at_work) {
+        report.notes.push_back(place.string() +
+                               " was left by a pull or restore that was broken off: the next one goes on or wipes it");
+      }
+    }
+}
+
 }  // namespace
 
 Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions& options) {
@@ -109,6 +125,7 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
   }
   CheckFolders(store, known, ledger, report);
+  CheckIncoming(store, ledger, report);
   SLX_ASSIGN_OR_RETURN(const auto rows, CompareStore(store.folder()));
   report.problems.insert(report.problems.end(), rows.begin(), rows.end());
   SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));

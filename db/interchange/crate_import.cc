@@ -8,6 +8,7 @@
 #include <set>
 
 #include "db/base/durable_file.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/session_index.h"
