@@ -32,16 +32,10 @@ Result<std::vector<fs::path>> SessionFolders(const fs::path& store) {
   return folders;
 }
 
-// A name within SQL's quotes.
-std::string Quoted(const fs::path& file) {
-  std::string text = "'";
-  for (char c : file.string()) text += c == '\'' ? std::string("''") : std::string(1, c);
-  return text + "'";
-}
-
 Status InsertTombstones(SessionIndex& index, const fs::path& store, ReindexReport& report) {
   SLX_ASSIGN_OR_RETURN(auto insert,
-                       index.connection().Prepare("INSERT OR REPLACE INTO deletions VALUES (?1, ?2, ?3, ?4)"));
+                       index.connection().Prepare("INSERT OR REPLACE INTO deletions (session_id, deleted_wall_ns,"
+                                                  " reason, certificate_json) VALUES (?1, ?2, ?3, ?4)"));
   for (const fs::path& file : ListTombstones(store)) {
     SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
     const auto json = nlohmann::ordered_json::parse(text, nullptr, false);
@@ -79,14 +73,24 @@ Status TakeOver(SessionIndex& index) {
   if (version != own) return Status::Failed("it has schema " + std::to_string(version));
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   SLX_RETURN_IF_ERROR(connection.Execute(
-      "INSERT INTO main.visitors SELECT * FROM old.visitors WHERE true"
+      "INSERT INTO main.visitors (id, created_wall_ns) SELECT id, created_wall_ns FROM old.visitors WHERE true"
       " ON CONFLICT (id) DO UPDATE SET created_wall_ns = excluded.created_wall_ns;"
       "DELETE FROM main.consents;"
-      "INSERT INTO main.consents SELECT * FROM old.consents WHERE visitor IN (SELECT id FROM main.visitors);"
-      "INSERT INTO main.access_log SELECT * FROM old.access_log;"
-      "INSERT INTO main.jobs SELECT j.* FROM old.jobs j JOIN old.sessions o ON o.number = j.session"
-      " JOIN main.sessions n ON n.number = o.number AND n.id = o.id;"
-      "INSERT OR IGNORE INTO main.deletions SELECT * FROM old.deletions"));
+      "INSERT INTO main.consents (number, visitor, text_version, language, fit, research, publication, given_wall_ns,"
+      " withdrawn_wall_ns) SELECT number, visitor, text_version, language, fit, research, publication, given_wall_ns,"
+      " withdrawn_wall_ns FROM old.consents WHERE visitor IN (SELECT id FROM main.visitors);"
+      "INSERT INTO main.access_log (number, at_wall_ns, who, action, session_id, detail)"
+      " SELECT number, at_wall_ns, who, action, session_id, detail FROM old.access_log;"
+      "INSERT INTO main.jobs (id, key, session, kind, state, priority, options_json, created_wall_ns,"
+      " not_before_wall_ns, attempts, max_attempts, owner, fence, boot, until_boot_ns, last_error, finished_wall_ns)"
+      " SELECT j.id, j.key, j.session, j.kind, j.state, j.priority, j.options_json, j.created_wall_ns,"
+      " j.not_before_wall_ns, j.attempts, j.max_attempts, j.owner, j.fence, j.boot, j.until_boot_ns, j.last_error,"
+      " j.finished_wall_ns FROM old.jobs j LEFT JOIN old.sessions o ON o.number = j.session"
+      " LEFT JOIN main.sessions n ON n.number = o.number AND n.id = o.id"
+      " WHERE j.session IS NULL OR n.number IS NOT NULL;"
+      "UPDATE main.job_fence SET last = (SELECT last FROM old.job_fence);"
+      "INSERT OR IGNORE INTO main.deletions (session_id, deleted_wall_ns, reason, certificate_json)"
+      " SELECT session_id, deleted_wall_ns, reason, certificate_json FROM old.deletions"));
   return transaction.Commit();
 }
 
@@ -151,7 +155,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
                          "PRAGMA cache_size = -65536"));
   bool attached = false;
   if (fs::exists(store / "index.sqlite", error))
-    attached = connection.Execute("ATTACH " + Quoted(store / "index.sqlite") + " AS old").ok();
+    attached = connection.Attach(store / "index.sqlite", "old").ok();
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
     SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, logger, report));

@@ -11,6 +11,7 @@
 #include "db/catalogue/session_index.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
 namespace stratalux::db {
@@ -30,8 +31,11 @@ class FrameSource {
   Result<Image<uint16_t>> Read(int64_t segment, int64_t offset, FrameHeader* header) {
     SLX_ASSIGN_OR_RETURN(const SegmentReader* reader, Segment(segment));
     SLX_ASSIGN_OR_RETURN(const auto payload, reader->Read(offset, header));
-    return decoder_.Decode(ShapeOf(*header), static_cast<Codec>(header->codec), payload)
-        .WithContext((folder_ / SegmentName(segment)).string() + ", offset " + std::to_string(offset));
+    const std::string where = (folder_ / SegmentName(segment)).string() + ", offset " + std::to_string(offset);
+    SLX_ASSIGN_OR_RETURN(
+        auto image, decoder_.Decode(ShapeOf(*header), static_cast<Codec>(header->codec), payload).WithContext(where));
+    SLX_RETURN_IF_ERROR(CheckPixels(*header, image, nullptr).WithContext(where));
+    return image;
   }
 
  private:
@@ -48,14 +52,19 @@ class FrameSource {
   std::map<int64_t, SegmentReader> readers_;
 };
 
-// True where the headers tell the same of the frame, however it is coded.
-bool SameProof(FrameHeader a, FrameHeader b) {
-  for (FrameHeader* h : {&a, &b}) {
+PixelHash HashOf(const FrameHeader& header, const Image<uint16_t>& image) {
+  return HashPixels(static_cast<PixelFormat>(header.format), image.pixels(), nullptr);
+}
+
+// True where the headers tell the same of the frame, however it is coded. `was` may be of before the pixel hash.
+bool SameProof(FrameHeader was, FrameHeader is) {
+  if (!HasPixelHash(was)) SetPixelHash(was, PixelHashOf(is));
+  for (FrameHeader* h : {&was, &is}) {
     h->codec = 0;
     h->payload_bytes = h->header_hash = 0;
     std::memset(h->payload_hash, 0, sizeof h->payload_hash);
   }
-  return std::memcmp(&a, &b, sizeof a) == 0;
+  return std::memcmp(&was, &is, sizeof was) == 0;
 }
 
 class Transcoder {
@@ -135,6 +144,7 @@ class Transcoder {
       FrameHeader header{};
       SLX_ASSIGN_OR_RETURN(const auto image, source_.Read(p.segment, p.offset, &header));
       SLX_ASSIGN_OR_RETURN(const auto encoded, encoder_.Encode(ShapeOf(header), image.pixels()));
+      if (!HasPixelHash(header)) SetPixelHash(header, HashOf(header, image));
       changed_ += encoded.codec != static_cast<Codec>(header.codec) ? 1 : 0;
       SLX_ASSIGN_OR_RETURN(const SegmentFrame frame, writer->Append(header, encoded.codec, encoded.bytes));
       moved_.emplace_back(segment, frame);

@@ -4,8 +4,8 @@
 // Order: journal -> new segments, synced -> every frame read back from both and compared -> rows in one transaction
 //        -> manifest -> old segments removed -> journal removed.
 // Stopped anywhere, the session is readable with all its frames; the next read-write opening of the store clears what
-// is left over. A frame's hash is that of its stored bytes and so changes with the codec, and with it the identity that
-// fits were computed for: they stay, but `stratalux-fit run` fits a transcoded session anew.
+// is left over. A frame's payload hash is of its stored bytes and changes with the codec; its pixel hash
+// stays (a frame of before gets one), and with it the name by which fits know the session: none is made anew.
 #pragma once
 
 #include <cstdint>

@@ -2,6 +2,7 @@
 #include <set>
 #include <system_error>
 
+#include "db/care/row_comparison.h"
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/session_index.h"
@@ -36,7 +37,8 @@ bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
       "index.sqlite",  "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
       "deletions",     "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",
-      "incoming.lock", "reindex.new",      "lost+found",       "backup.json"};
+      "incoming.lock", "reindex.new",      "lost+found",       "backup.json",
+      "rig.key",       "transcode.json",   "ledger"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 
@@ -64,12 +66,14 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
   SLX_RETURN_IF_ERROR(CheckDatabase(store, options.depth, report));
   SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
   std::set<std::string> known;
-  for (const SessionRow& row : sessions) {
+  for (const SessionSummary& row : sessions) {
     known.insert(row.info.id);
     if (HasTombstone(store.folder(), row.info.id))
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
   }
   CheckFolders(store, known, report);
+  SLX_ASSIGN_OR_RETURN(const auto rows, CompareStore(store.folder()));
+  report.problems.insert(report.problems.end(), rows.begin(), rows.end());
   SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));
   report.problems.insert(report.problems.end(), calibrations.begin(), calibrations.end());
   return report;

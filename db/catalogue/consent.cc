@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/consent_rows.h"
 #include "db/catalogue/session_index.h"
 
 namespace stratalux::db {
@@ -23,20 +24,6 @@ Status Missing(const std::filesystem::path& store, const std::string& visitor, c
                        " `stratalux-db consent give --store " +
                        Quoted(store.string()) + " --visitor " + Quoted(visitor) +
                        " --text-version VERSION --language LANGUAGE --scope fit`");
-}
-
-Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent) {
-  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(auto person, connection.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
-  SLX_RETURN_IF_ERROR(person.Bind(1, visitor).Bind(2, consent.given_wall.ns).Run());
-  SLX_ASSIGN_OR_RETURN(
-      auto insert,
-      connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
-                         " given_wall_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"));
-  insert.Bind(1, visitor).Bind(2, consent.text_version).Bind(3, consent.language);
-  insert.Bind(4, int64_t{consent.fit}).Bind(5, int64_t{consent.research}).Bind(6, int64_t{consent.publication});
-  SLX_RETURN_IF_ERROR(insert.Bind(7, consent.given_wall.ns).Run());
-  return transaction.Commit();
 }
 
 }  // namespace
@@ -83,7 +70,7 @@ Status GiveConsent(const std::filesystem::path& store, const std::string& visito
   if (ScopeText(consent).empty()) return SetScope("", consent);
   if (consent.given_wall.ns == 0) consent.given_wall = WallNow();
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  return InsertConsent(index.connection(), visitor, consent);
+  return InsertConsent(index.connection(), visitor, consent, ConsentSource::kGiven);
 }
 
 Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor) {

@@ -7,15 +7,16 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
-#include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
-#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
 #include "db/catalogue/session_index.h"
+#include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
 namespace stratalux::db {
@@ -25,6 +26,13 @@ namespace {
 Status WithRemedy(const Status& status, const std::string& id) {
   if (status.code() != StatusCode::kIntegrity) return status;
   return Status::Integrity(status.message() + "; restore sessions/" + id + " from a copy or capture again");
+}
+
+PixelHash HashOf(const FrameRecord& r, std::span<const uint16_t> samples, const SecretKey* key) {
+  return HashPixels(r.format, samples, key);
+}
+PixelHash HashOf(const FrameRecord&, std::span<const uint8_t> samples, const SecretKey* key) {
+  return HashPixels(samples, key);
 }
 
 FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
@@ -80,6 +88,7 @@ struct SessionWriter::Impl {
     commit_in_doubt |= !status.ok();
     return status.ok() ? status : Fail(status);
   }
+  [[nodiscard]] const SecretKey* key() const { return sealer ? &sealer->key() : nullptr; }
   Status NextSegment() {
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
     SLX_ASSIGN_OR_RETURN(auto next, SegmentWriter::Create(folder / SegmentName(segments + 1), info.id, sealer.get()));
@@ -112,15 +121,16 @@ struct SessionWriter::Impl {
       return Status::Usage(name + ": pixels do not have the record's size");
     const std::span<const T> samples = pixels.pixels();
     SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
-    return Append(record, encoded);
+    return Append(record, encoded, HashOf(record, samples, key()));
   }
-  Status Append(const FrameRecord& record, const EncodedFrame& encoded) {
+  Status Append(const FrameRecord& record, const EncodedFrame& encoded, const PixelHash& pixel_hash) {
     if (!segment || segment->bytes() > options.max_segment_bytes) {
       SLX_RETURN_IF_ERROR(Flush());
       if (Status s = NextSegment(); !s.ok()) return Fail(s);
     }
-    auto frame =
-        segment->Append(MakeFrameHeader(record, frames, record.pattern.ToString()), encoded.codec, encoded.bytes);
+    FrameHeader header = MakeFrameHeader(record, frames, record.pattern.ToString());
+    SetPixelHash(header, pixel_hash);
+    auto frame = segment->Append(header, encoded.codec, encoded.bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
     if (pending.empty()) pending_since = options.now();
@@ -167,7 +177,9 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   record.height = pixels.height();
   record.channels = pixels.channels();
   const auto bytes = std::span(reinterpret_cast<const uint8_t*>(pixels.data()), pixels.size() * sizeof(float));
-  const auto frame = impl_->truth->Append(MakeFrameHeader(record, impl_->truth_maps++, name), Codec::kF32, bytes);
+  FrameHeader header = MakeFrameHeader(record, impl_->truth_maps++, name);
+  SetPixelHash(header, HashPixels(bytes, impl_->key()));
+  const auto frame = impl_->truth->Append(header, Codec::kF32, bytes);
   return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
 }
 
@@ -195,7 +207,8 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   w.info.finished_wall = WallNow();
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
-  if (Status s = WriteManifest(w.folder, w.info, w.frames, names); !s.ok()) return w.Fail(s);
+  const auto signature = w.options.signing == Signing::kRigKey ? EndingSignature::kByRigKey : EndingSignature::kNone;
+  if (Status s = WriteEnding(w.store, w.info, w.frames, names, signature); !s.ok()) return w.Fail(s);
   return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
 }
 
@@ -225,6 +238,8 @@ std::filesystem::path SessionStore::FitFolder(const std::string& id, const std::
 
 Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterOptions& options) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  // Before the rig moves: a session that was to be signed and cannot be has failed.
+  if (options.signing == Signing::kRigKey) SLX_RETURN_IF_ERROR(RigKey::Read(impl_->folder).status());
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
   info.id.clear();
@@ -260,23 +275,21 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   return SessionWriter(std::move(writer));
 }
 
-Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessionsOf(const std::string& visitor) const {
+  return impl_->index.SessionsOf(visitor);
+}
 
 Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
-  SLX_ASSIGN_OR_RETURN(const auto rows, ListSessions());
-  std::vector<const SessionRow*> found;
-  for (const SessionRow& row : rows) {
-    if (selector == "latest" && row.frames > 0) return row;
-    if (row.info.id == selector) return row;
-    if (row.info.id.starts_with(selector)) found.push_back(&row);
-  }
-  if (selector.empty() || found.empty())
+  SLX_ASSIGN_OR_RETURN(const auto numbers, impl_->index.Select(selector));
+  if (numbers.empty())
     return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
                             " (`stratalux-db ls` lists them)");
-  if (found.size() > 1)
-    return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
-                         (found.size() > 2 ? ", ..." : "") + "; give more of the id");
-  return *found[0];
+  SLX_ASSIGN_OR_RETURN(SessionRow first, impl_->index.Session(numbers[0]));
+  if (numbers.size() == 1) return first;
+  SLX_ASSIGN_OR_RETURN(const SessionRow second, impl_->index.Session(numbers[1]));
+  return Status::Usage("'" + selector + "' is ambiguous: " + first.info.id + ", " + second.info.id +
+                       (numbers.size() > 2 ? ", ..." : "") + "; give more of the id");
 }
 
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
@@ -308,6 +321,7 @@ Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& 
     row.offset = p.offset;
     row.stored_bytes = p.bytes;
     row.hash = HashText(header.payload_hash);
+    if (HasPixelHash(header)) row.pixel_hash = HashText(header.pixel_hash);
     rows.push_back(std::move(row));
   }
   return rows;
@@ -329,20 +343,16 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   }
   SLX_ASSIGN_OR_RETURN(const auto bytes,
                        opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));
-  return decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where);
+  SLX_ASSIGN_OR_RETURN(
+      auto image,
+      decoder.Decode(stratalux::db::ShapeOf(header), static_cast<Codec>(header.codec), bytes).WithContext(where));
+  SLX_ASSIGN_OR_RETURN(const SecretKey* key, opener.KeyOf(reader.session_id(), header));
+  SLX_RETURN_IF_ERROR(CheckPixels(header, image, key).WithContext(where));
+  return image;
 }
 
-Status SessionStore::RegisterFit(FitRow fit) {
-  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
-  // Its files first: a fit that is listed is whole.
-  const auto folder = FitFolder(fit.session, fit.id);
-  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
-  fit.calibration_json = calibration.value_or("");
-  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
-  SLX_RETURN_IF_ERROR(SyncTree(folder));
-  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
-  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
-  return impl_->index.UpsertFit(number, fit);
+Status SessionStore::RegisterFit(const FitRow& fit, const RegisterOptions& options) {
+  return stratalux::db::RegisterFit(impl_->folder, fit, options);
 }
 
 Result<std::vector<FitRow>> SessionStore::ListFits(const std::string& id) const {

@@ -51,7 +51,7 @@ Result<CrateReader> CrateReader::Open(const fs::path& crate, Logger& logger) {
     return Status::NotFound(crate.string() + " is no folder; name the folder of a crate");
   SLX_RETURN_IF_ERROR(reader.ReadFormat());
   SLX_ASSIGN_OR_RETURN(const CrateFiles present, ListCrateFiles(crate));
-  SLX_ASSIGN_OR_RETURN(reader.files_, ReadManifestText(crate, present));
+  SLX_ASSIGN_OR_RETURN(reader.files_, ReadCrateManifest(crate, present));
   SLX_RETURN_IF_ERROR(VerifyChecksums(crate, reader.files_, logger));
   SLX_RETURN_IF_ERROR(CheckCrateMetadata(crate / kCrateMetadataFile, reader.files_));
   return reader;

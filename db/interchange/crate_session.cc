@@ -9,6 +9,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -87,6 +88,10 @@ Status MayLeave(const std::filesystem::path& store, const SessionInfo& info, Cra
                          "answer with `stratalux-db consent give --scope fit," + ToString(scope) + "`");
   };
   if (info.visitor.empty()) return refuse("it names no visitor whose consent could be asked");
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));  // it outlives the index
+  if (const auto withdrawn = ledger.WithdrawnAt(info.id))
+    return Status::Usage("session " + info.id + ": the consent that it was made under was withdrawn on " +
+                         ToIso8601(*withdrawn) + "; it cannot leave the store any more");
   SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(store, info.visitor));
   if (consents.empty()) return refuse("no consent of its visitor is recorded");
   for (const ConsentRow& row : consents)

@@ -77,7 +77,8 @@ Status WipeJournal(const std::filesystem::path& store) {
 Status Insert(const std::filesystem::path& store, const SessionKey& key) {
   {
     SLX_ASSIGN_OR_RETURN(auto connection, OpenToWrite(store));
-    SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT OR IGNORE INTO keys VALUES (?1, ?2, ?3)"));
+    SLX_ASSIGN_OR_RETURN(
+        auto insert, connection.Prepare("INSERT OR IGNORE INTO keys (id, key, created_wall_ns) VALUES (?1, ?2, ?3)"));
     insert.Bind(1, std::span<const uint8_t>(key.id)).Bind(2, std::span<const uint8_t>(key.key->bytes));
     SLX_RETURN_IF_ERROR(insert.Bind(3, WallNow().ns).Run());
   }

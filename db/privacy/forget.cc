@@ -149,7 +149,9 @@ Status Forgetting::RemoveRows(SessionIndex& index) {
   SLX_ASSIGN_OR_RETURN(auto access,
                        connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
                                           " session_id = ?1 AND ?2 <> ''"));
-  SLX_ASSIGN_OR_RETURN(auto tombstone, connection.Prepare("INSERT OR IGNORE INTO deletions VALUES (?1, ?2, ?3, '{}')"));
+  SLX_ASSIGN_OR_RETURN(auto tombstone,
+                       connection.Prepare("INSERT OR IGNORE INTO deletions (session_id, deleted_wall_ns, reason,"
+                                          " certificate_json) VALUES (?1, ?2, ?3, '{}')"));
   SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
                                                         " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
   for (const ForgetIntent& intent : intents_) {

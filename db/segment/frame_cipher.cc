@@ -77,20 +77,26 @@ Result<std::vector<uint8_t>> FrameOpener::Open(const std::string& session_id, co
   if (header.cipher != kCipherXChaCha20Poly1305)
     return Status(StatusCode::kNewerSchema, frame + ": cipher " + std::to_string(header.cipher) +
                                                 " is newer than this program; use a newer stratalux");
+  SLX_ASSIGN_OR_RETURN(const SecretKey* key, KeyOf(session_id, header));
+  const AssociatedData data = DataOf(session_id, header);
+  unsigned long long bytes = 0;
+  if (stored.size() < kCipherTagBytes ||
+      crypto_aead_xchacha20poly1305_ietf_decrypt(stored.data(), &bytes, nullptr, stored.data(), stored.size(),
+                                                 BytesOf(data), sizeof data, header.nonce, key->bytes.data()) != 0)
+    return Status::Integrity(frame + " does not open with its key: the frame or its header was changed after capture");
+  stored.resize(bytes);
+  return stored;
+}
+
+Result<const SecretKey*> FrameOpener::KeyOf(const std::string& session_id, const FrameHeader& header) {
+  if (header.cipher == 0) return static_cast<const SecretKey*>(nullptr);
   const KeyId id = KeyIdOf(header);
   if (key_.key == nullptr || key_.id != id) {
     auto found = FindKey(store_, id);
     if (!found.ok()) return WithoutKey(found.status(), session_id);
     key_ = std::move(found).value();
   }
-  const AssociatedData data = DataOf(session_id, header);
-  unsigned long long bytes = 0;
-  if (stored.size() < kCipherTagBytes ||
-      crypto_aead_xchacha20poly1305_ietf_decrypt(stored.data(), &bytes, nullptr, stored.data(), stored.size(),
-                                                 BytesOf(data), sizeof data, header.nonce, key_.key->bytes.data()) != 0)
-    return Status::Integrity(frame + " does not open with its key: the frame or its header was changed after capture");
-  stored.resize(bytes);
-  return stored;
+  return key_.key.get();
 }
 
 }  // namespace stratalux::db

@@ -32,6 +32,7 @@ class FrameSealer {
   // Fills cipher, key id, nonce and payload_bytes of `header`, whose other fields must be final but for the hashes.
   [[nodiscard]] Result<std::vector<uint8_t>> Seal(FrameHeader& header, std::span<const uint8_t> plain);
   [[nodiscard]] const KeyId& key_id() const { return key_.id; }
+  [[nodiscard]] const SecretKey& key() const { return *key_.key; }
 
  private:
   std::string session_id_;
@@ -48,6 +49,8 @@ class FrameOpener {
   // the frame or its header is not what was sealed, kNewerSchema for a cipher of a later version.
   [[nodiscard]] Result<std::vector<uint8_t>> Open(const std::string& session_id, const FrameHeader& header,
                                                   std::vector<uint8_t> stored);
+  // The key of the frame's session, until the next call; null where the frame is not encrypted. kNotFound, as above.
+  [[nodiscard]] Result<const SecretKey*> KeyOf(const std::string& session_id, const FrameHeader& header);
 
  private:
   std::filesystem::path store_;

@@ -34,8 +34,8 @@ struct FrameHeader {
   uint64_t payload_bytes;
   uint8_t payload_hash[16];  // XXH3-128, canonical
   char retake_cause[32];     // zero-padded; all zero before version 0.2
-  uint8_t reserved[16];
-  uint64_t header_hash;  // XXH3-64 of all before it
+  uint8_t pixel_hash[16];    // of the decoded samples (db/segment/pixel_hash.h); all zero: not recorded
+  uint64_t header_hash;      // XXH3-64 of all before it
 };
 static_assert(sizeof(FrameHeader) == 320);
 
@@ -62,7 +62,8 @@ class SegmentWriter {
   SegmentWriter(SegmentWriter&&) noexcept;
   SegmentWriter& operator=(SegmentWriter&&) noexcept;
 
-  // Fills codec, payload size and hashes; returns the header's offset. Data reach the disk with Sync().
+  // Fills codec, payload size, payload and header hash, and what the sealer fills; returns the header's offset. Data
+  // reach the disk with Sync().
   Result<SegmentFrame> Append(FrameHeader header, Codec codec, std::span<const uint8_t> payload);
   Status Sync();  // an error is final: the bytes since the last good one are lost
   // Footer with all headers, trailer, sync.
@@ -99,6 +100,8 @@ class SegmentReader {
   [[nodiscard]] std::optional<int64_t> SealedFrames() const;
   // All frames out of that footer, in one read; nullopt also where its headers are no unbroken row up to it.
   [[nodiscard]] std::optional<std::vector<SegmentFrame>> Footer() const;
+  // Footer and trailer as they lie there, where they are intact: what the manifest's hash of a segment is of.
+  [[nodiscard]] std::optional<std::vector<uint8_t>> SealedTail() const;
   // Where the records end and the footer begins; only where SealedFrames() is.
   [[nodiscard]] int64_t frames_end() const;
   // Behind the last record of an unbroken row of intact ones, from the first on.
@@ -107,6 +110,7 @@ class SegmentReader {
   // truncated, or the footer of a sealed segment disagrees.
   Result<std::vector<SegmentFrame>> Walk(bool payloads, bool* sealed) const;
   [[nodiscard]] const std::string& session_id() const { return session_id_; }
+  [[nodiscard]] const std::string& file() const { return file_; }
   [[nodiscard]] int64_t size() const { return size_; }
 
  private:

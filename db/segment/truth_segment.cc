@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "db/segment/frame_cipher.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
 namespace stratalux::db {
@@ -41,6 +42,9 @@ Result<Image<float>> TruthSegment::Read(const std::string& name) const {
     Image<float> map(h.width, h.height, h.channels);
     if (bytes.size() != map.size() * sizeof(float))
       return Status::Integrity(file_.string() + ": map '" + name + "' has the wrong length");
+    SLX_ASSIGN_OR_RETURN(const SecretKey* key, opener.KeyOf(reader.session_id(), h));
+    if (HasPixelHash(h) && HashPixels(bytes, key) != PixelHashOf(h))
+      return Status::Integrity(file_.string() + ": map '" + name + "' does not match its pixel hash");
     std::memcpy(map.data(), bytes.data(), bytes.size());
     return map;
   }

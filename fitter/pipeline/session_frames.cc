@@ -4,6 +4,7 @@
 #include <cmath>
 #include <set>
 
+#include "db/catalogue/pixel_digest.h"
 #include "fitter/calibration/dark_frame.h"
 #include "fitter/pipeline/content_hash.h"
 
@@ -135,9 +136,10 @@ Result<Image<float>> SessionFrames::MeanWhite(int projector, int& count) const {
   return MeanOf(projector, PatternKind::kWhite, 0, count);
 }
 
-std::string SessionFrames::ContentHash() const {
-  std::string all = info().id + info().plan_json + info().calibration_json;
-  for (const db::FrameRow& row : rows_) all += row.hash + row.record.pattern.ToString();
+Result<std::string> SessionFrames::ContentHash() const {
+  SLX_ASSIGN_OR_RETURN(const std::string pixels, db::PixelDigest(store_, session_, rows_));
+  std::string all = info().id + info().plan_json + info().calibration_json + pixels;
+  for (const db::FrameRow& row : rows_) all += row.record.pattern.ToString();
   return ContentHashOf(all);
 }
 

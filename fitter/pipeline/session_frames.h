@@ -53,8 +53,8 @@ class SessionFrames {
   // Mean of the projector's white frames (reference and motion checks); NaN where a site was saturated. `count`
   // receives their number.
   [[nodiscard]] Result<Image<float>> MeanWhite(int projector, int& count) const;
-  // Hash over all frame hashes: the session's content.
-  [[nodiscard]] std::string ContentHash() const;
+  // Hash of the session's plan, calibration, patterns and pixels: its content, however the frames are coded.
+  [[nodiscard]] Result<std::string> ContentHash() const;
 
  private:
   [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int bracket, int& count) const;

@@ -10,6 +10,9 @@
 #include <unistd.h>
 
 #include "db/care/verify.h"
+#include "db/catalogue/pixel_digest.h"
+#include "db/segment/pixel_hash.h"
+#include "tests/db/forged_segment.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -101,6 +104,39 @@ TEST_F(TranscodeTest, KeepsPixelsAndProofsThereAndBack) {
   EXPECT_THAT(*store.ListFrames(id), Each(Field(&FrameRow::codec, "raw12")));
   EXPECT_EQ(SegmentFiles(id).size(), 3U);
   EXPECT_FALSE(HasJournal());
+}
+
+TEST_F(TranscodeTest, LeavesTheNameByWhichFitsKnowTheSession) {
+  const std::string id = Store(StoreCodec::kRaw12);
+  const SessionStore store = OpenStore();
+  auto digest = [&] { return *PixelDigest(store, *store.FindSession(id), *store.ListFrames(id)); };
+  auto pixel_hashes = [&] {
+    std::vector<std::string> hashes;
+    for (const FrameRow& row : *store.ListFrames(id)) hashes.push_back(row.pixel_hash);
+    return hashes;
+  };
+  const auto before = digest();
+  const auto hashes = pixel_hashes();
+  ASSERT_TRUE(Transcode(store, id, {.codec = StoreCodec::kDelta}).ok());
+  EXPECT_EQ(pixel_hashes(), hashes);
+  EXPECT_EQ(digest(), before);
+}
+
+TEST_F(TranscodeTest, RecordsThePixelHashesThatASessionOfBeforeLacks) {
+  const std::string id = Store(StoreCodec::kRaw12);
+  const SessionStore store = OpenStore();
+  auto digest = [&] { return *PixelDigest(store, *store.FindSession(id), *store.ListFrames(id)); };
+  std::vector<std::string> hashes;
+  for (const FrameRow& row : *store.ListFrames(id)) hashes.push_back(row.pixel_hash);
+  for (int segment = 1; segment <= 3; ++segment)
+    ForgeHeaders(Segment(id, segment), [](FrameHeader& h) { SetPixelHash(h, {}); });
+  ASSERT_EQ((*store.ListFrames(id))[0].pixel_hash, "");
+  const auto before = digest();
+  ASSERT_TRUE(Transcode(store, id, {.codec = StoreCodec::kDelta}).ok());
+  ExpectWhole(store, id);
+  const auto rows = *store.ListFrames(id);
+  for (size_t i = 0; i < rows.size(); ++i) EXPECT_EQ(rows[i].pixel_hash, hashes[i]);
+  EXPECT_EQ(digest(), before) << "a fit of the session as it was is found again";
 }
 
 TEST_F(TranscodeTest, StoppedAnywhereLeavesASessionThatReadsWholeAndIsSettledAtTheNextOpening) {

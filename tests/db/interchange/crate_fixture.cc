@@ -160,7 +160,7 @@ void CrateTest::Reseal() {
     }
   if (document.is_object()) WriteText(crate_ / kCrateMetadataFile, document.dump(1));
   (*files)[kCrateMetadataFile] = *ChecksumOf(crate_ / kCrateMetadataFile);
-  WriteText(crate_ / kCrateManifestFile, ManifestText(*files));
+  WriteText(crate_ / kCrateManifestFile, CrateManifestText(*files));
 }
 
 std::string CrateTest::RowsOf(const fs::path& store, const std::string& id) {
@@ -168,7 +168,7 @@ std::string CrateTest::RowsOf(const fs::path& store, const std::string& id) {
   EXPECT_TRUE(index.ok()) << index.status().message();
   Connection& connection = index->connection();
   std::string rows;
-  for (const std::string table : {"sessions", "frames", "fits", "metrics", "consents", "calibrations"}) {
+  for (const std::string table : {"sessions", "frames", "proofs", "fits", "metrics", "consents", "calibrations"}) {
     auto columns = connection.Prepare(
         "SELECT group_concat('quote(\"' || name || '\")', ' || ''|'' || ') FROM"
         " pragma_table_info(?1) WHERE name NOT IN ('number', 'session', 'since_session')");

@@ -7,6 +7,7 @@
 
 #include "db/segment/delta_planes.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 #include "shared/image/raw12.h"
 #include "tests/db/store_fixture.h"
@@ -66,7 +67,8 @@ std::vector<uint8_t> ExampleSegment(const std::filesystem::path& file) {
   PackRaw12Row(pixels + 3, 3, payload.data() + Raw12RowBytes(3));
   auto writer = SegmentWriter::Create(file, "s000017-0badcafe");
   EXPECT_TRUE(writer.ok()) << writer.status().message();
-  const auto header = MakeFrameHeader(record, 0, record.pattern.ToString());
+  FrameHeader header = MakeFrameHeader(record, 0, record.pattern.ToString());
+  SetPixelHash(header, HashPixels(record.format, pixels, nullptr));
   EXPECT_TRUE(writer->Append(header, Codec::kRaw12, payload).ok());
   EXPECT_TRUE(writer->Seal().ok());
   return ReadBytes(file);
