@@ -11,7 +11,6 @@
 #include "db/apps/display_text.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
-#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
 #include "shared/config/store_config.h"
@@ -116,8 +115,9 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
                                 " session(s) for ever; --dry-run shows them, --yes does it"));
   if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
       UnfinishedForgets(common.store).empty()) {
-    std::fprintf(stderr, "stratalux-db: session %s is forgotten already (%s)\n", flags.session.c_str(),
-                 CertificateFile(common.store, flags.session).c_str());
+    std::fprintf(stderr,
+                 "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
+                 flags.session.c_str());
     return 0;
   }
   return Finish(common, flags, std::move(request).value(), {});

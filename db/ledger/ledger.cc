@@ -173,6 +173,31 @@ Result<Ledger> Ledger::ReadFolder(const fs::path& folder) {
   return std::move(reader).Finish();
 }
 
+Result<LedgerNews> ReadLedgerNews(const fs::path& store, const std::map<std::string, int64_t>& heads) {
+  LedgerNews news;
+  for (const ChainFile& chain : ListChains(LedgerFolder(store))) {
+    const std::string name = chain.path.filename().string();
+    std::error_code error;
+    if (!fs::is_regular_file(fs::symlink_status(chain.path, error))) continue;  // Read() names it
+    const auto size = static_cast<int64_t>(fs::file_size(chain.path, error));
+    const auto head = heads.find(name);
+    int64_t from = head == heads.end() ? 0 : head->second;
+    news.heads[name] = from;
+    if (from == size && !error) continue;
+    if (from > size) from = 0;
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(chain.path));
+    const auto lines = SplitLines(std::string_view(bytes).substr(std::min(bytes.size(), static_cast<size_t>(from))));
+    for (const std::string_view text : lines.ended) {
+      LedgerLine line = ParseLine(text);
+      if (line.state == LineState::kNewer) return Newer(chain.path, line.n);
+      if (line.entry) news.entries.push_back(std::move(*line.entry));
+    }
+    news.heads[name] = static_cast<int64_t>(bytes.size() - lines.torn.size());
+  }
+  news.changed = news.heads != heads;
+  return news;
+}
+
 bool Ledger::IsForgotten(const std::string& session_id) const { return forgotten_.contains(session_id); }
 
 std::optional<WallNs> Ledger::WithdrawnAt(const std::string& session_id) const {

@@ -8,6 +8,7 @@
 // last session: from then on nothing in here leads to a person.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -65,6 +66,17 @@ class Ledger {
   std::vector<LedgerEntry> entries_;
   std::vector<std::string> problems_;
 };
+
+// What was appended to the chains of a store since somebody last read them.
+struct LedgerNews {
+  std::vector<LedgerEntry> entries;
+  std::map<std::string, int64_t> heads;  // chain's file name -> bytes read of it, whole lines
+  bool changed = false;                  // `heads` differ from those asked with
+};
+// From `heads` on; a chain that is shorter than its head is read from its start. Looks at sizes alone where nothing was
+// appended. kNewerSchema as Read().
+[[nodiscard]] Result<LedgerNews> ReadLedgerNews(const std::filesystem::path& store,
+                                                const std::map<std::string, int64_t>& heads);
 
 // Appends to the store's own chain (made with a fresh random store id where there is none); on the disk when this
 // returns. Takes the ledger's own lock: captures, withdrawals and forgettings may meet; kBusy after ten seconds. A torn

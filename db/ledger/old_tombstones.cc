@@ -58,6 +58,8 @@ Status MoveIntent(const fs::path& store, const fs::path& file) {
   return SyncFolder(LedgerFolder(store));
 }
 
+bool IsStray(const fs::path& file) { return file.extension() == ".new" || file.extension() == ".wiping"; }
+
 // What was being written or wiped when the program of then was killed holds hashes and a pseudonym.
 Status EmptyFolder(const fs::path& store, const fs::path& folder) {
   std::error_code error;
@@ -65,7 +67,7 @@ Status EmptyFolder(const fs::path& store, const fs::path& folder) {
     const std::string extension = file.extension().string();
     if (extension == ".forgetting") {
       SLX_RETURN_IF_ERROR(MoveIntent(store, file));
-    } else if (extension == ".new" || extension == ".wiping") {
+    } else if (IsStray(file)) {
       SLX_RETURN_IF_ERROR(WipeFile(file));
     } else if (extension == ".json" && !fs::remove(file, error) && error) {
       return Status::Failed("cannot remove " + file.string() + ": " + error.message());
@@ -74,6 +76,11 @@ Status EmptyFolder(const fs::path& store, const fs::path& folder) {
   SLX_RETURN_IF_ERROR(SyncFolder(folder));
   fs::remove(folder, error);  // stays where it holds what is none of ours
   return SyncFolder(store);
+}
+
+bool HasStrays(const fs::path& folder) {
+  const auto files = FilesIn(folder);
+  return std::any_of(files.begin(), files.end(), IsStray);
 }
 
 }  // namespace
@@ -91,7 +98,11 @@ std::vector<OldTombstone> ReadOldTombstones(const fs::path& store) {
 Status TakeOverOldTombstones(const fs::path& store) {
   const fs::path folder = store / "deletions";
   std::error_code error;
-  if (!fs::is_directory(folder, error) || fs::is_empty(folder, error)) return Status::Ok();
+  if (!fs::is_directory(folder, error)) return Status::Ok();
+  if (ReadOldTombstones(store).empty() && !HasStrays(folder)) {
+    fs::remove(folder, error);  // an empty one
+    return Status::Ok();
+  }
   SLX_ASSIGN_OR_RETURN(const auto lock, LockLedger(store));
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::ReadFolder(LedgerFolder(store)));
   std::vector<LedgerEntry> fresh;

@@ -397,3 +397,10 @@ CREATE VIEW calibration_overview AS
                      coalesce(CASE WHEN json_valid(record_json) THEN json_extract(record_json, '$.source') END, '') AS source
               FROM calibrations) c
         LEFT JOIN calibration_versions v ON v.id = c.id) o;
+
+-- How far the index has followed each chain of ledger/ (db/catalogue/ledger_follow.h): bytes of it whose withdrawals and
+-- forgettings stand in consents and deletions.
+CREATE TABLE ledger_heads (
+  chain             TEXT    PRIMARY KEY,                 -- file name in ledger/; '': withdrawals of before were taken over
+  bytes             INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
