@@ -34,7 +34,9 @@ Result<Consent> ReadConsent(const Json& json) {
 
 Result<CrateSession> FromJson(const Json& json) {
   if (json.at("format") != "stratalux-crate-session") return Status::Integrity("no session of a Stratalux crate");
-  if (json.at("schema").get<int64_t>() > kSessionSchema)
+  if (!json.at("schema").is_number_unsigned() || json.at("schema") == 0)
+    return Status::Integrity("schema " + json.at("schema").dump() + " does not exist");
+  if (json.at("schema").get<uint64_t>() > kSessionSchema)
     return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
                                                 std::to_string(kSessionSchema) +
                                                 "); a newer Stratalux wrote it: update this one");

@@ -87,7 +87,7 @@ std::string CrateTest::Visit() {
   WriteText(fit / "index.html", std::string("<h1>Visitor ") + kVisitor + "</h1>");
   WriteText(fit.parent_path() / "normal.exr", "v/1\x01 not really");
   WriteText(fit.parent_path() / "named.bin", std::string("raw ") + kVisitor + " bytes");
-  const std::string metrics = R"({"fit": {"tau": 2.5}, "who": "anna-7"})";
+  const std::string metrics = R"({"fit": {"tau": 2.5}, "who": "v-77ab3f"})";
   WriteText(fit.parent_path() / "metrics.json", metrics);
   EXPECT_TRUE(store.RegisterFit({"0badcafe", id, "{\"a\":1}", metrics, {1'791'300'000'000'000'000}}).ok());
   return id;

@@ -14,7 +14,7 @@
 
 namespace stratalux::db {
 
-inline constexpr const char* kVisitor = "anna-7";
+inline constexpr const char* kVisitor = "v-77ab3f";
 
 class CrateTest : public StoreTest {
  protected:

@@ -242,7 +242,7 @@ TEST_F(HostileCrates, MutantsNeverCrashNorLeaveHalfASession) {
   for (const auto& [path, sum] : files)
     if (sum.bytes > 0) paths.push_back(path);
   int refused = 0, taken = 0;
-  for (int i = 0; i < 300; ++i) {
+  for (int i = 0; i < 200; ++i) {
     const std::string path = paths[random() % paths.size()];
     auto bytes = ReadBytes(crate_ / path);
     for (unsigned changes = 1 + random() % 3; changes > 0; --changes) {
@@ -258,7 +258,8 @@ TEST_F(HostileCrates, MutantsNeverCrashNorLeaveHalfASession) {
     if (report.ok()) {
       ++taken;
       const auto store = SessionStore::Open(other_, AccessMode::kReadWrite);
-      for (const SessionRow& row : *store->ListSessions()) EXPECT_EQ(row.frames, 6) << path;
+      const auto rows = store->ListSessions();
+      for (const auto& row : *rows) EXPECT_EQ(row.frames, 6) << path;
       fs::remove_all(other_);
       ASSERT_TRUE(SessionStore::Create(other_).ok());
     } else {
@@ -267,7 +268,7 @@ TEST_F(HostileCrates, MutantsNeverCrashNorLeaveHalfASession) {
     }
     fs::copy(base_ / "sound", crate_, fs::copy_options::recursive | fs::copy_options::overwrite_existing);
   }
-  EXPECT_GT(refused, 100);
+  EXPECT_GT(refused, 60);
   EXPECT_GT(taken, 0);
 }
 

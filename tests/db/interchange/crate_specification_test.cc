@@ -169,7 +169,7 @@ TEST_F(CrateSpecification, DataEntitiesAreOnTheDiskAndAllFilesAreDataEntities) {
 TEST_F(CrateSpecification, TheCaptureIsAnActionOfTheRigAndCarriesItsConsent) {
   const json& capture = entities_.at("#capture-" + ids_[0]);
   EXPECT_EQ(capture["@type"], "CreateAction");
-  EXPECT_EQ(capture["startTime"], "2026-10-04T22:42:47Z");
+  EXPECT_EQ(capture["startTime"], "2026-10-05T21:09:27Z");
   EXPECT_TRUE(capture.contains("endTime"));
   EXPECT_EQ(entities_.at(capture["agent"]["@id"])["@type"], "SoftwareApplication");
   EXPECT_EQ(entities_.at(capture["agent"]["@id"])["version"], "0.9-test");

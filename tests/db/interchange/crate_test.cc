@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sessions leave as a crate and come back the same, only where consent allows, and whole or not at all.
-#include <set>
+#include <chrono>
+#include <random>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
@@ -233,12 +234,14 @@ TEST_F(Crates, AFullDiskLeavesNoHalfCrate) {
   info.kind = SessionKind::kFlat;
   auto writer = store.BeginSession(info);
   const FrameRecord record = RecordFor(1, PixelFormat::kMono16, 1200, 1000);
-  const auto image = PixelsFor(record);
-  ASSERT_TRUE(writer->Append(record, image.view()).ok());
+  Image<uint16_t> image(record.width, record.height);  // noise, which no file makes smaller
+  std::mt19937 random(1);
+  for (uint16_t& v : image.pixels()) v = static_cast<uint16_t>(random());
+  ASSERT_TRUE(writer->Append(record, std::as_const(image).view()).ok());
   ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
   for (const char* format : {"tiff16", "png16"}) {
     const Outcome full =
-        Shell("trap '' XFSZ; ulimit -f 600; STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR +
+        Shell("trap '' XFSZ; ulimit -f 2000; STRATALUX_STORE=" + folder_.string() + " " + STRATALUX_BIN_DIR +
               "/stratalux-db export latest --crate " + crate_.string() + " --frames " + format + " 2>&1");
     EXPECT_EQ(full.code, 1) << full.out;
     EXPECT_THAT(full.out, HasSubstr(crate_.string()));
@@ -250,12 +253,17 @@ TEST_F(Crates, AFullDiskLeavesNoHalfCrate) {
 TEST_F(Crates, KilledExportsAndImportsLeaveNothingHalf) {
   const std::string id = StoreSession(60);
   const std::string program = std::string(STRATALUX_BIN_DIR) + "/stratalux-db ";
+  const std::string exporting = program + "export latest --scope research --store " + folder_.string() + " --crate ";
+  const std::string importing = program + "import --crate " + crate_.string() + " --store " + other_.string();
+  const auto begun = std::chrono::steady_clock::now();
+  ASSERT_EQ(Shell(exporting + (base_ / "first").string() + " 2>/dev/null").code, 0);
+  const std::chrono::duration<double> whole = std::chrono::steady_clock::now() - begun;
+  const auto broken_off = [&](const char* signal, int part) {
+    return std::string("timeout -s ") + signal + " " + std::to_string(whole.count() * part / 12) + " ";
+  };
   int broken = 0;
   for (int i = 1; i <= 12; ++i) {
-    const std::string signal = i % 2 == 0 ? "KILL" : "INT";
-    const std::string after = "timeout -s " + signal + " 0.0" + std::to_string(i * 7 + 10) + " ";
-    (void)Shell(after + program + "export latest --scope research --store " + folder_.string() + " --crate " +
-                crate_.string() + " 2>/dev/null");
+    (void)Shell(broken_off(i % 2 == 0 ? "KILL" : "INT", i) + exporting + crate_.string() + " 2>/dev/null");
     broken += fs::exists(crate_.string() + ".partial") ? 1 : 0;
     if (fs::exists(crate_)) {
       ASSERT_TRUE(fs::exists(crate_ / kCrateManifestFile));
@@ -267,13 +275,12 @@ TEST_F(Crates, KilledExportsAndImportsLeaveNothingHalf) {
   ASSERT_TRUE(report.ok()) << report.status().message();
   EXPECT_FALSE(fs::exists(crate_.string() + ".partial")) << "the remains are gone";
   for (int i = 1; i <= 12; ++i) {
-    (void)Shell("timeout -s KILL 0.0" + std::to_string(i * 7 + 10) + " " + program + "import --crate " +
-                crate_.string() + " --store " + other_.string() + " 2>/dev/null");
+    (void)Shell(broken_off("KILL", i) + importing + " 2>/dev/null");
     const auto store = SessionStore::Open(other_, AccessMode::kReadWrite);
     ASSERT_TRUE(store.ok()) << store.status().message();
     const auto rows = store->ListSessions();
     ASSERT_TRUE(rows.ok());
-    for (const SessionRow& row : *rows) EXPECT_EQ(row.frames, 60) << "listed means whole";
+    for (const auto& row : *rows) EXPECT_EQ(row.frames, 60) << "listed means whole";
   }
   ASSERT_TRUE(Import().ok());
   EXPECT_EQ(RowsOf(other_, id), RowsOf(folder_, id));
