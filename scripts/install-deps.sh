@@ -25,6 +25,7 @@ libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
+libmicrohttpd-dev    rig  the HTTP server of the kiosk's page and of stratalux-db serve
 libdrm-dev           rig  projectors that are displays (KMS)
 libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
 libgpiod-dev         rig  the rig's digital lines
@@ -37,6 +38,10 @@ libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 clang-format         test the format check
+chromium             test the store's page in a real browser (label web)
+chromium-driver      test drives it
+python3-selenium     test drives it
+nodejs               test accessibility checks of the page (axe-core, fetched by npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest
 cpio                 vm   the guest's first file system

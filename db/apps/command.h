@@ -47,6 +47,7 @@ void AddPrivacyCommands(Commands& commands);   // consent, access, key
 void AddForgetCommands(Commands& commands);    // forget, purge, deletions
 void AddTransferCommands(Commands& commands);  // import
 void AddTranscodeCommand(Commands& commands);
+void AddServeCommand(Commands& commands);
 
 // The store of --store; what opening it mended or could not goes to stderr as warnings.
 Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode);

@@ -28,6 +28,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db purge --dry-run --now 2027-01-31
   stratalux-db access s000017
   stratalux-db key export s000017 --out s000017.key
+  stratalux-db serve --store store
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
 Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
@@ -45,6 +46,7 @@ int Main(int argc, char** argv) {
   AddTranscodeCommand(commands);
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
+  AddServeCommand(commands);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
