@@ -24,12 +24,14 @@ constexpr int64_t kMostListed = 1000;
 Result<SessionFilter> FilterOf(const Request& request) {
   SessionFilter filter;
   if (const std::string text = request.Query("status"); !text.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto status, ParseSessionStatus(text));
-    filter.statuses.push_back(status);
+    const auto status = ParseSessionStatus(text);
+    if (!status.ok()) return Status::Usage("status must be recording, complete, degraded or failed");
+    filter.statuses.push_back(*status);
   }
   if (const std::string text = request.Query("kind"); !text.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto kind, ParseSessionKind(text));
-    filter.kinds.push_back(kind);
+    const auto kind = ParseSessionKind(text);
+    if (!kind.ok()) return Status::Usage("kind must be visitor, calibration, dark, flat or response");
+    filter.kinds.push_back(*kind);
   }
   if (const std::string text = request.Query("rig"); !text.empty()) filter.rigs.push_back(text);
   if (const std::string text = request.Query("visitor"); !text.empty()) filter.visitors.push_back(text);
@@ -124,10 +126,16 @@ Result<std::string> List(Site& site, const Request& request) {
          (more && limit < kMostListed ? MoreLink(request, limit) : "");
 }
 
+// A line may break behind a comma.
+std::string WithBlanks(std::string list) {
+  for (size_t at = 0; (at = list.find(',', at)) != std::string::npos; at += 2) list.replace(at, 1, ", ");
+  return list;
+}
+
 std::string ConsentText(const Consent& consent) {
   if (consent.text_version.empty()) return "none";
   return "text " + consent.text_version + (consent.language.empty() ? "" : " (" + consent.language + ")") + ": " +
-         ScopeText(consent);
+         WithBlanks(ScopeText(consent));
 }
 
 std::string FactsOf(const ServedSession& session) {
