@@ -90,52 +90,102 @@ Status TakeOver(SessionIndex& index) {
   return transaction.Commit();
 }
 
-void CutTails(const RebuiltSession& session, ReindexReport& report) {
-  for (const auto& tail : session.tails)
-    if (const Status cut = CutFile(tail.file, tail.keep); !cut.ok()) report.problems.push_back(cut.message());
+// What the old index says of a session's frames; nothing where it cannot be asked.
+std::vector<KnownFrame> KnownFrames(SessionIndex& index, const std::string& id) {
+  std::vector<KnownFrame> known;
+  auto select = index.connection().Prepare(
+      "SELECT f.segment, f.step, f.frame, f.offset, f.stored_bytes, f.hash FROM old.frames f"
+      " JOIN old.sessions s ON s.number = f.session WHERE s.id = ?1 AND f.frame BETWEEN 0 AND 1000000000000"
+      " ORDER BY f.frame");
+  if (!select.ok()) return known;
+  select->Bind(1, id);
+  while (true) {
+    const auto more = select->Step();
+    if (!more.ok() || !*more) return known;  // damaged: what it said up to here may still be true
+    known.push_back({select->Integer(0),
+                     static_cast<int>(select->Integer(1)),
+                     {select->Integer(2), select->Integer(3), select->Integer(4), select->Blob(5)}});
+  }
 }
 
-Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders, Logger& logger,
-                      ReindexReport& report) {
-  Progress progress(logger, "reindex", static_cast<int64_t>(folders.size()));
-  std::set<int64_t> taken;
-  std::vector<RebuiltSession> late;  // whose number is unknown or taken: behind all others
-  auto insert = [&](const RebuiltSession& session, std::optional<int64_t> number) -> Status {
-    SLX_ASSIGN_OR_RETURN(const int64_t given, InsertRebuilt(index, session, number));
-    taken.insert(given);
-    ++report.sessions;
-    report.frames += static_cast<int64_t>(session.frames.size());
-    report.fits += static_cast<int64_t>(session.fits.size());
+class Lister {
+ public:
+  Lister(SessionIndex& index, const fs::path& store, ReindexReport& report)
+      : index_(index), store_(store), report_(report) {}
+
+  Status Add(const fs::path& folder, bool has_old_index) {
+    const std::string id = folder.filename().string();
+    highest_ = std::max(highest_, PlaceOf(folder).value_or(0));
+    if (HasTombstone(store_, id)) {
+      report_.notes.push_back("session " + id + " was forgotten; what is left of it in " + folder.string() +
+                              " was not listed");
+      return Status::Ok();
+    }
+    auto session = RebuildSession(folder, has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>());
+    if (!session.ok()) return SetAside(folder, session.status());
+    report_.notes.insert(report_.notes.end(), session->notes.begin(), session->notes.end());
+    report_.problems.insert(report_.problems.end(), session->problems.begin(), session->problems.end());
+    if (session->number && !taken_.contains(*session->number)) return Insert(*session, *session->number).status();
+    late_.push_back(std::move(session).value());
     return Status::Ok();
-  };
+  }
+
+  // Those whose number is unknown or taken: behind all others.
+  Status AddLate() {
+    for (const RebuiltSession& session : late_) {
+      const int64_t number = highest_ + 1;
+      SLX_ASSIGN_OR_RETURN(const bool inserted, Insert(session, number));
+      if (!inserted) continue;
+      report_.notes.push_back("session " + session.info.id + ": its number is taken or unknown; listed as number " +
+                              std::to_string(number));
+      SLX_RETURN_IF_ERROR(WritePlace(store_ / "sessions" / session.info.id, {number, "reindex"}));
+    }
+    return Status::Ok();
+  }
+  // Ever given, also to what could not be listed.
+  [[nodiscard]] int64_t highest() const { return highest_; }
+
+ private:
+  // What keeps one session out, and no other. A full disk keeps out all.
+  Status SetAside(const fs::path& folder, const Status& status) {
+    if (status.code() == StatusCode::kFailed || status.code() == StatusCode::kBusy) return status;
+    report_.newer |= status.code() == StatusCode::kNewerSchema;
+    report_.problems.push_back(status.message() + "; " + folder.string() + " is not listed");
+    return Status::Ok();
+  }
+
+  Result<bool> Insert(const RebuiltSession& session, int64_t wanted) {
+    const auto given = InsertRebuilt(index_, session, wanted);
+    if (!given.ok()) {
+      SLX_RETURN_IF_ERROR(SetAside(store_ / "sessions" / session.info.id, given.status()));
+      return false;
+    }
+    taken_.insert(*given);
+    highest_ = std::max(highest_, *given);
+    ++report_.sessions;
+    report_.frames += static_cast<int64_t>(session.frames.size());
+    report_.fits += static_cast<int64_t>(session.fits.size());
+    return true;
+  }
+
+  SessionIndex& index_;
+  const fs::path& store_;
+  ReindexReport& report_;
+  std::set<int64_t> taken_;
+  int64_t highest_ = 0;
+  std::vector<RebuiltSession> late_;
+};
+
+Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders,
+                      bool has_old_index, Logger& logger, ReindexReport& report) {
+  Progress progress(logger, "reindex", static_cast<int64_t>(folders.size()));
+  Lister lister(index, store, report);
   for (const fs::path& folder : folders) {
     progress.Advance();
-    if (HasTombstone(store, folder.filename().string())) {
-      report.notes.push_back("session " + folder.filename().string() + " was forgotten; what is left of it in " +
-                             folder.string() + " was not listed");
-      continue;
-    }
-    auto session = RebuildSession(folder);
-    if (!session.ok()) {
-      report.problems.push_back(session.status().message());
-      continue;
-    }
-    CutTails(*session, report);
-    report.notes.insert(report.notes.end(), session->notes.begin(), session->notes.end());
-    if (!session->number || taken.contains(*session->number)) {
-      late.push_back(std::move(session).value());
-      continue;
-    }
-    SLX_RETURN_IF_ERROR(insert(*session, session->number));
+    SLX_RETURN_IF_ERROR(lister.Add(folder, has_old_index));
   }
-  for (const RebuiltSession& session : late) {
-    const int64_t number = taken.empty() ? 1 : *taken.rbegin() + 1;
-    report.notes.push_back("session " + session.info.id + ": its number is taken or unknown; listed as number " +
-                           std::to_string(number));
-    SLX_RETURN_IF_ERROR(insert(session, number));
-    SLX_RETURN_IF_ERROR(WritePlace(store / "sessions" / session.info.id, {number, "reindex"}));
-  }
-  return RaiseSequence(index, store, taken.empty() ? 0 : *taken.rbegin());
+  SLX_RETURN_IF_ERROR(lister.AddLate());
+  return RaiseSequence(index, store, lister.highest());
 }
 
 Status Build(const fs::path& store, const fs::path& work, Logger& logger, ReindexReport& report) {
@@ -154,7 +204,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
     attached = connection.Execute("ATTACH " + Quoted(store / "index.sqlite") + " AS old").ok();
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, logger, report));
+    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, attached, logger, report));
     SLX_RETURN_IF_ERROR(InsertTombstones(index, store, report));
     const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
     if (!taken.ok())
