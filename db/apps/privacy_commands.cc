@@ -8,6 +8,7 @@
 
 #include "db/apps/command.h"
 #include "db/catalogue/consent.h"
+#include "db/keys/rig_key.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/key_file.h"
 
@@ -80,6 +81,9 @@ void AddConsent(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* consent = commands.Add("consent", "What visitors agreed to: give, withdraw, show",
                                    [&common, flags] { return RunConsent(common, *flags); });
+  consent->footer(
+      Examples({"consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research",
+                "consent withdraw --visitor v-5f3a91c2", "consent show", "consent show --visitor v-5f3a91c2 --json"}));
   consent->require_subcommand(1);
   // --store and --json may stand behind the last word, too.
   consent->fallthrough();
@@ -125,12 +129,13 @@ void AddAccess(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* access = commands.Add("access", "List who took what out of the store, oldest first",
                                   [&common, session] { return RunAccess(common, *session); });
+  access->footer(Examples({"access", "access s000017", "access latest --json"}));
   access->add_option("SESSION", *session, "id or prefix, also of a forgotten session, or latest (default: all)");
 }
 
 struct KeyFlags {
   std::string session, file;
-  CLI::App *take_out = nullptr, *put_in = nullptr;
+  CLI::App *take_out = nullptr, *put_in = nullptr, *make_signer = nullptr;
 };
 
 int ExportKey(const CommonFlags& common, const KeyFlags& flags) {
@@ -151,12 +156,28 @@ int ImportKey(const CommonFlags& common, const KeyFlags& flags) {
   return Print(common.json ? TextOf(json) : "session " + *session + " can be read here; delete " + flags.file + "\n");
 }
 
+// The rig's key: made, or its public half printed.
+int PrintRigKey(const CommonFlags& common, const Result<RigKey>& key) {
+  if (!key.ok()) return Report(key.status());
+  const Json json = {{"public_key", ToHex(key->public_key())}, {"fingerprint", Fingerprint(key->public_key())}};
+  return Print(common.json ? TextOf(json) : ToHex(key->public_key()) + "\n");
+}
+
+int RunRigKey(const CommonFlags& common, const KeyFlags& flags) {
+  // Where there is no store, there is nothing to sign.
+  if (const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly); !store.ok())
+    return Report(store.status());
+  return PrintRigKey(common, flags.make_signer->parsed() ? RigKey::Create(common.store) : RigKey::Read(common.store));
+}
+
 void AddKey(Commands& commands) {
   const auto flags = std::make_shared<KeyFlags>();
   const CommonFlags& common = commands.flags();
-  CLI::App* key = commands.Add("key", "Take the key of an encrypted session to another machine", [&common, flags] {
-    return flags->take_out->parsed() ? ExportKey(common, *flags) : ImportKey(common, *flags);
+  CLI::App* key = commands.Add("key", "Keys of encrypted sessions; the key that signs this rig's", [&common, flags] {
+    if (flags->take_out->parsed()) return ExportKey(common, *flags);
+    return flags->put_in->parsed() ? ImportKey(common, *flags) : RunRigKey(common, *flags);
   });
+  key->footer(Examples({"key export s000017 --out s000017.key", "key import s000017.key"}));
   key->require_subcommand(1);
   key->fallthrough();
   flags->take_out = key->add_subcommand("export", "Write the key to a file that only you can read; logged");
@@ -164,7 +185,9 @@ void AddKey(Commands& commands) {
   flags->take_out->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   flags->take_out->add_option("--out", flags->file, "file to write")->required();
   flags->put_in->add_option("FILE", flags->file, "as `key export` wrote it")->required();
-  for (CLI::App* verb : {flags->take_out, flags->put_in}) verb->fallthrough();
+  flags->make_signer = key->add_subcommand("sign-init", "Make the key that signs sessions; print its public half");
+  CLI::App* shown = key->add_subcommand("public", "Print the public half of that key, for auditors");
+  for (CLI::App* verb : {flags->take_out, flags->put_in, flags->make_signer, shown}) verb->fallthrough();
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // `stratalux-db init|show|frames|verify`.
+#include <filesystem>
 #include <memory>
 #include <optional>
 
@@ -8,17 +9,43 @@
 #include "db/apps/command.h"
 #include "db/apps/extract.h"
 #include "db/apps/session_views.h"
+#include "db/catalogue/deletions.h"
 
 namespace stratalux::db {
 namespace {
 
 struct ViewFlags {
-  std::string session, phase, extract;
+  std::string session, phase, extract, public_key;
   std::optional<int> projector;
   bool deep = false;
 };
 
+// What file systems and desktops put into a folder by themselves.
+bool IsOfTheFileSystem(const std::string& name) {
+  if (name == "lost+found" || name == ".snapshot" || name == ".snapshots" || name == ".zfs") return true;
+  return name.starts_with(".Trash") || name.starts_with(".nfs");
+}
+
+// A store takes a folder for itself: in one that holds other things it would be lost, and be cleaned away with them.
+Status RefuseForeignFolder(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::directory_iterator entries(folder, error);
+  if (error) return Status::Ok();  // not there yet, or no folder: making it says why
+  for (const char* own : {"index.sqlite", "sessions"})
+    if (std::filesystem::exists(folder / own, error)) return Status::Ok();
+  for (; entries != std::filesystem::directory_iterator(); entries.increment(error)) {
+    const std::string name = entries->path().filename().string();
+    if (!IsOfTheFileSystem(name))
+      return Status::Usage(folder.string() + " holds other things ('" + name + "'" +
+                           "); a store needs a folder of its own, such as `stratalux-db init --store " +
+                           (folder / "store").string() + "`");
+    if (error) return Status::Failed("cannot read folder " + folder.string() + ": " + error.message());
+  }
+  return Status::Ok();
+}
+
 int RunInit(const CommonFlags& common) {
+  if (const Status own = RefuseForeignFolder(common.store); !own.ok()) return Report(own);
   const Status status = SessionStore::Create(common.store);
   if (!status.ok()) return Report(status);
   const nlohmann::ordered_json json = {{"store", common.store}, {"schema", kSchemaVersion}};
@@ -26,10 +53,22 @@ int RunInit(const CommonFlags& common) {
                            : "store " + common.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
 }
 
+// What is left of a session that was forgotten; empty where `selector` was none.
+std::string Forgotten(const CommonFlags& common, const std::string& selector) {
+  const auto deletions = ListDeletions(common.store);
+  if (!deletions.ok() || selector.empty()) return {};
+  for (const Deletion& deletion : *deletions)
+    if (deletion.session.starts_with(selector))
+      return "session " + deletion.session + " was forgotten; `stratalux-db deletions` has its certificate";
+  return {};
+}
+
 int RunShow(const CommonFlags& common, const ViewFlags& flags) {
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto details = LoadDetails(*store, flags.session);
+  if (details.status().code() == StatusCode::kNotFound)
+    if (const std::string when = Forgotten(common, flags.session); !when.empty()) return Report(Status::NotFound(when));
   if (!details.ok()) return Report(details.status());
   return Print((common.json ? DetailsAsJson : DetailsAsText)(*details));
 }
@@ -57,9 +96,15 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
 }
 
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
+  VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders};
+  if (!flags.public_key.empty()) {
+    const auto key = ParsePublicKey(flags.public_key);
+    if (!key.ok()) return Report(key.status().WithContext("--public-key"));
+    options.signed_by = *key;
+  }
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
-  std::vector<SessionRow> sessions;
+  std::vector<SessionSummary> sessions;
   if (flags.session.empty()) {
     auto all = store->ListSessions();
     if (!all.ok()) return Report(all.status());
@@ -71,12 +116,12 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   }
   Logger logger;
   int64_t frames = 0;
-  for (const SessionRow& session : sessions) frames += session.frames;
+  for (const SessionSummary& session : sessions) frames += session.frames;
   Verified verified;
   bool sound = true;
   {
     Progress progress(logger, "verify", frames);
-    const VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders, &progress};
+    options.progress = &progress;
     auto add = [&](const std::string& name, Result<VerifyReport> report) {
       sound = sound && report->problems.empty();
       verified.emplace_back(name, std::move(report).value());
@@ -86,8 +131,10 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       if (!report.ok()) return Report(report.status());
       if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
     }
-    for (const SessionRow& session : sessions) {
-      auto report = VerifySession(*store, session, options);
+    for (const SessionSummary& session : sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return Report(row.status());
+      auto report = VerifySession(*store, *row, options);
       if (!report.ok()) return Report(report.status());
       add(session.info.id, std::move(report));
     }
@@ -101,17 +148,29 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
 void AddViewCommands(Commands& commands) {
   const auto flags = std::make_shared<ViewFlags>();
   const CommonFlags& common = commands.flags();
-  commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
+  CLI::App* init =
+      commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
+  init->footer(
+      Examples({"init --store store"},
+               "The folder is new, empty or a store; of other things only lost+found, .Trash*, .nfs*, .snapshot,\n"
+               ".snapshots and .zfs may lie there."));
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
   CLI::App* verify =
-      commands.Add("verify", "Hold index, segments, manifests and proofs against each other; --deep reads every byte",
+      commands.Add("verify", "Rebuild each session in memory and compare it with the index; --deep decodes every frame",
                    [&common, flags] { return RunVerify(common, *flags); });
+  show->footer(Examples({"show latest", "show s000017 --json"}));
+  frames->footer(Examples({"frames latest --phase sweep --projector 2",
+                           "frames latest --phase reference --extract pictures", "frames s000017 --json"}));
+  verify->footer(Examples({"verify", "verify --deep", "verify latest --deep --json"},
+                          "Exit code 6: something is damaged; each problem is named."));
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
-  verify->add_flag("--deep", flags->deep, "read every payload, too, and compare complementary patterns");
+  verify->add_flag("--deep", flags->deep, "decode every frame, too: its pixel hash, complementary patterns, signature");
+  verify->add_option("--public-key", flags->public_key,
+                     "each session must be signed by this key: 64 hex digits, or a file that holds them");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");
   frames->add_option("--projector", flags->projector, "this projector only; -1: frames lit by all of them");
   frames->add_option("--extract", flags->extract, "write the frames to this folder as PNG (12-bit values << 4)");

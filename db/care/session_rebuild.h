@@ -31,6 +31,8 @@ struct RebuiltSession {
     std::string what;
   };
   std::vector<Aside> asides;
+  std::vector<std::string> segments;  // files that are there
+  bool ended_here = false;            // its manifest says `recording`
 };
 
 // What an index that is there still knows of a session's frames.

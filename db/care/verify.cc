@@ -6,40 +6,44 @@
 #include <set>
 
 #include "db/care/complementary_pairs.h"
+#include "db/care/row_comparison.h"
+#include "db/care/verify_payloads.h"
 #include "db/catalogue/manifest.h"
+#include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/segment/segment.h"
-#include "shared/base/parallel.h"
+#include "db/segment/segment_scan.h"
 
 namespace stratalux::db {
 namespace {
 
-// Hashes every payload; each thread reads frames of its own into a buffer of its own.
-void CheckPayloads(const SegmentReader& reader, const std::vector<SegmentFrame>& frames, VerifyReport& report) {
-  std::vector<Status> results(frames.size());
-  ParallelFor(static_cast<int64_t>(frames.size()), 8, [&](int64_t begin, int64_t end) {
-    std::vector<uint8_t> buffer;
-    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i)
-      results[i] = reader.ReadPayload(frames[i].offset, frames[i].header, buffer);
-  });
-  for (const Status& result : results)
-    if (!result.ok()) report.problems.push_back(result.message());
+// The frames of a segment whose writer was stopped in the middle of a record, which nobody cuts; nullopt where the file
+// is damaged otherwise.
+std::optional<std::vector<SegmentFrame>> FramesBeforeOpenTail(const SegmentReader& reader, VerifyReport& report) {
+  SegmentScan scan = ScanSegment(reader, {});
+  if (!scan.findings.empty() || !scan.lost.empty() || scan.asides.size() != 1 || scan.asides[0].end != reader.size())
+    return std::nullopt;
+  report.notes.push_back(reader.file() + ": bytes " + std::to_string(scan.asides[0].begin) + " to " +
+                         std::to_string(scan.asides[0].end) + " hold a record that was never finished");
+  return std::move(scan.frames);
 }
 
-void CheckSegment(const std::filesystem::path& file, const SessionRow& session, const VerifyOptions& options,
-                  VerifyReport& report, int64_t& stored_frames) {
+void CheckSegment(const SessionStore& store, const std::filesystem::path& file, const SessionRow& session,
+                  const VerifyOptions& options, VerifyReport& report, int64_t& stored_frames) {
   const auto reader = SegmentReader::Open(file);
   if (!reader.ok()) return report.problems.push_back(reader.status().message());
   if (reader->session_id() != session.info.id)
     report.problems.push_back(file.string() + " belongs to session " + reader->session_id());
   bool sealed = false;
-  const auto frames = reader->Walk(false, &sealed);
+  auto frames = reader->Walk(false, &sealed);
+  if (!frames.ok() && session.info.status == SessionStatus::kFailed)
+    if (auto whole = FramesBeforeOpenTail(*reader, report)) frames = *std::move(whole);
   if (!frames.ok()) {
     // A live writer's last record may be half written: its rows say what counts.
     const bool live = session.info.status == SessionStatus::kRecording;
     return (live ? report.notes : report.problems).push_back(frames.status().message());
   }
-  if (options.depth == VerifyDepth::kDeep) CheckPayloads(*reader, *frames, report);
+  if (options.depth == VerifyDepth::kDeep) CheckPayloads(store.folder(), *reader, *frames, report);
   if (options.progress != nullptr && file.filename() != "truth.seg")
     options.progress->Advance(static_cast<int64_t>(frames->size()));
   if (file.filename() != "truth.seg") stored_frames += static_cast<int64_t>(frames->size());
@@ -113,14 +117,45 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
       if (std::find(segments.begin(), segments.end(), name) == segments.end())
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
-               name != "place.json" && name != "fits" && name != "previews") {
+               name != "place.json" && name != "signature.json" && name != "fits" && name != "previews") {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }
 }
 
+// What the manifest says of each file, against the file. Segments of failed sessions may have no footer.
+void CheckFiles(const std::filesystem::path& folder, const ManifestContents& contents, VerifyReport& report) {
+  if (contents.schema < 3) return;
+  const std::string manifest = (folder / "manifest.json").string();
+  std::set<std::string> listed;
+  for (const auto& file : contents.files) {
+    listed.insert(file.name);
+    if (file.name.find('/') != std::string::npos) {
+      report.problems.push_back(manifest + " names '" + file.name + "', which is no file of its folder");
+      continue;
+    }
+    const auto there = DescribeFile(folder, file.name);
+    if (!there.ok())
+      report.problems.push_back(there.status().message());
+    else if (there->bytes != file.bytes || there->hash != file.hash)
+      report.problems.push_back((folder / file.name).string() + " is not the file that the manifest speaks of (" +
+                                std::to_string(there->bytes) + " bytes, " + std::to_string(file.bytes) +
+                                " in the manifest)");
+  }
+  std::set<std::string> wanted(contents.segments.begin(), contents.segments.end());
+  std::error_code error;
+  for (const char* name : {"truth.seg", "truth_calibration.json"})
+    if (std::filesystem::exists(folder / name, error)) wanted.insert(name);
+  for (const std::string& name : wanted)
+    if (!listed.contains(name)) report.problems.push_back(manifest + " says nothing of what " + name + " holds");
+}
+
 void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
   const auto manifest = ReadManifest(folder);
+  if (manifest.ok() && manifest->status == SessionStatus::kRecording && session.info.status == SessionStatus::kFailed) {
+    // Its disk was full; CompareSession looks at what the index says of it.
+    return report.notes.push_back((folder / "manifest.json").string() + " still speaks of a session being recorded");
+  }
   if (!manifest.ok()) return report.problems.push_back(manifest.status().message());
   const auto contents = ReadManifestContents(folder);
   if (!contents.ok()) return report.problems.push_back(contents.status().message());
@@ -138,6 +173,20 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
       report.problems.push_back(file + " names " + name + ", which is not there");
   }
   CheckNames(folder, contents->segments, report);
+  CheckFiles(folder, *contents, report);
+}
+
+void CheckSigner(const std::filesystem::path& folder, const SessionRow& session, const VerifyOptions& options,
+                 VerifyReport& report) {
+  const auto depth = options.depth == VerifyDepth::kDeep ? SignatureDepth::kPixels : SignatureDepth::kHeaders;
+  const SignatureReport found = CheckSignature(folder, depth);
+  report.problems.insert(report.problems.end(), found.problems.begin(), found.problems.end());
+  if (found.signed_by && found.problems.empty()) report.signed_by = found.signed_by;
+  if (!options.signed_by || found.signed_by == options.signed_by) return;
+  report.problems.push_back("session " + session.info.id +
+                            (found.signed_by ? " is signed with another key, " + Fingerprint(*found.signed_by)
+                                             : std::string(" is not signed")) +
+                            ": key " + Fingerprint(*options.signed_by) + " was asked for");
 }
 
 // Segments of a transcode under way or interrupted that the index does not name (or names no longer).
@@ -175,7 +224,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   int64_t stored_frames = 0;
   const auto frames = store.ListFrames(session.info.id);
   const bool transcoding = frames.ok() && SetAsideTranscoded(store, session, *frames, segments, report);
-  for (const auto& file : segments) CheckSegment(file, session, options, report, stored_frames);
+  for (const auto& file : segments) CheckSegment(store, file, session, options, report, stored_frames);
   if (!frames.ok()) {
     report.problems.push_back(frames.status().message());
   } else {
@@ -187,10 +236,13 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
       report.problems.push_back(folder.string() + ": segments hold " + std::to_string(stored_frames) +
                                 " frames, the index " + std::to_string(indexed));
   }
-  // While segments are being replaced, the manifest names the old ones.
-  if (!transcoding &&
-      (session.info.status == SessionStatus::kComplete || session.info.status == SessionStatus::kDegraded))
-    CheckManifest(folder, session, report);
+  if (error && never_began) return report;
+  // While segments are being replaced, manifest and rows may speak of the old ones and of the new.
+  if (transcoding) return report;
+  const bool recording = session.info.status == SessionStatus::kRecording;
+  if (!recording) CheckManifest(folder, session, report);
+  for (std::string& line : CompareSession(store.folder(), session)) report.problems.push_back(std::move(line));
+  if (!recording) CheckSigner(folder, session, options, report);
   return report;
 }
 

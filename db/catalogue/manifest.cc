@@ -7,6 +7,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/own_hash.h"
+#include "db/segment/segment.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -20,8 +22,31 @@ std::string TextOf(const Json& json, int indent) {
   return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
-constexpr uint64_t kManifestSchema = 2;
+constexpr uint64_t kManifestSchema = 3;
 constexpr uint64_t kMostFrames = 1'000'000'000'000;
+
+// Those that lie there; a segment that is named and missing is for `verify` to find.
+Json FilesOf(const std::filesystem::path& folder, std::vector<std::string> names) {
+  std::error_code error;
+  for (const char* name : {"truth.seg", "truth_calibration.json"})
+    if (std::filesystem::exists(folder / name, error)) names.emplace_back(name);
+  Json files = Json::array();
+  for (const std::string& name : names) {
+    const auto file = DescribeFile(folder, name);
+    if (!file.ok()) continue;
+    files.push_back({{"name", name}, {"bytes", file->bytes}, {"hash", file->hash.empty() ? Json() : Json(file->hash)}});
+  }
+  return files;
+}
+
+// Every file of schema 3 has its hash; one that has it although it says to be older was changed.
+Status CheckHash(const Json& json, const std::string& text) {
+  const OwnHash hash = CheckOwnHash(text);
+  if (hash == OwnHash::kRight) return Status::Ok();
+  const Json& schema = json.at("schema");
+  if (hash == OwnHash::kNone && schema.is_number_integer() && schema < 3) return Status::Ok();
+  return Status::Integrity("is not what its own hash says; restore it from a copy");
+}
 
 Json JsonOf(const Consent& consent) {
   if (consent.text_version.empty()) return nullptr;
@@ -96,12 +121,16 @@ Result<T> Known(Result<T> parsed) {
   return Status(StatusCode::kNewerSchema, parsed.status().message() + "; a newer stratalux may know it");
 }
 
-Result<SessionInfo> InfoFrom(const Json& json) {
+Status CheckSchema(const Json& json) {
   if (!json.is_object()) return Status::Integrity("not a JSON object");
-  if (!json.at("schema").is_number_unsigned()) return Status::Integrity("'schema' is no number");
-  if (json.at("schema").get<uint64_t>() > kManifestSchema)
-    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
-                                                std::to_string(kManifestSchema) + ")");
+  const Json& schema = json.at("schema");
+  if (!schema.is_number_unsigned()) return Status::Integrity("'schema' is no number");
+  if (schema.get<uint64_t>() <= kManifestSchema) return Status::Ok();
+  return Status(StatusCode::kNewerSchema,
+                "schema " + schema.dump() + " is newer than this program (" + std::to_string(kManifestSchema) + ")");
+}
+
+Result<SessionInfo> InfoFrom(const Json& json) {
   SLX_RETURN_IF_ERROR(CheckTypes(json));
   SessionInfo info;
   json.at("session").get_to(info.id);
@@ -149,8 +178,8 @@ std::vector<std::string> ReasonsFromJson(const std::string& text) {
   return reasons;
 }
 
-Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
-                     const std::vector<std::string>& segments) {
+std::string ManifestText(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
+                         const std::vector<std::string>& segments) {
   const Json json = {
       {"schema", kManifestSchema},
       {"session", info.id},
@@ -169,9 +198,37 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
       {"plan", info.plan_json.empty() ? Json() : Json::parse(info.plan_json, nullptr, false)},
       {"calibration", info.calibration_json.empty() ? Json() : Json::parse(info.calibration_json, nullptr, false)},
       {"frames", frames},
-      {"segments", segments}};
-  const std::string text = TextOf(json, 1) + "\n";
-  return ReplaceFile(folder / "manifest.json", text);
+      {"segments", segments},
+      {"files", FilesOf(folder, segments)}};
+  return WithOwnHash(TextOf(json, 1));
+}
+
+Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
+                     const std::vector<std::string>& segments) {
+  return ReplaceFile(folder / "manifest.json", ManifestText(folder, info, frames, segments));
+}
+
+std::string LastingFacts(const std::string& manifest_text) {
+  Json json = Json::parse(manifest_text, nullptr, false);
+  if (!json.is_object()) return "";
+  for (const char* key : {"schema", "segments", "files", "hash"}) json.erase(key);
+  return TextOf(json, -1);
+}
+
+Result<ManifestContents::File> DescribeFile(const std::filesystem::path& folder, const std::string& name) {
+  const std::filesystem::path file = folder / name;
+  std::error_code error;
+  const auto bytes = std::filesystem::file_size(file, error);
+  if (error) return Status::Integrity(file.string() + ": " + error.message());
+  ManifestContents::File described{name, static_cast<int64_t>(bytes), ""};
+  if (file.extension() == ".seg") {
+    SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(file));
+    if (const auto tail = reader.SealedTail()) described.hash = HashHex(*tail);
+    return described;
+  }
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  described.hash = HashHex(text);
+  return described;
 }
 
 Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folder) {
@@ -179,9 +236,19 @@ Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folde
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
     const Json json = Json::parse(text);
-    if (const Status typed = json.is_object() ? CheckTypes(json) : Status::Integrity("not a JSON object"); !typed.ok())
-      return typed.WithContext(file.string());
-    return ManifestContents{json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>()};
+    SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));
+    SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
+    SLX_RETURN_IF_ERROR(CheckTypes(json).WithContext(file.string()));
+    ManifestContents contents{
+        json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>(), {}, 0};
+    json.at("schema").get_to(contents.schema);
+    if (contents.schema < 3) return contents;
+    for (const Json& entry : json.at("files")) {
+      const Json& hash = entry.at("hash");
+      contents.files.push_back({entry.at("name").get<std::string>(), entry.at("bytes").get<int64_t>(),
+                                hash.is_null() ? std::string() : hash.get<std::string>()});
+    }
+    return contents;
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
   }
@@ -194,14 +261,21 @@ Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<st
   Json json = Json::parse(text, nullptr, false);
   if (!json.is_object()) return Status::Integrity(file.string() + ": not a JSON object");
   json["segments"] = segments;
-  return ReplaceFile(file, TextOf(json, 1) + "\n");
+  json.erase("hash");
+  json["schema"] = kManifestSchema;  // raises an older one
+  json["files"] = FilesOf(folder, segments);
+  return ReplaceFile(file, WithOwnHash(TextOf(json, 1)));
 }
 
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
-    auto info = InfoFrom(Json::parse(text));
+    const Json json = Json::parse(text);
+    SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));
+    // Before anything is said about its words: those of a later version are right, those of damage are not.
+    SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
+    auto info = InfoFrom(json);
     return std::move(info).WithContext(file.string());
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());

@@ -21,8 +21,21 @@ Status ReplaceSegments(const std::filesystem::path& session_folder, const std::v
 struct ManifestContents {
   int64_t frames = 0;
   std::vector<std::string> segments;
+  struct File {
+    std::string name;
+    int64_t bytes = 0;
+    std::string hash;  // of a sealed segment's footer and trailer, of all bytes of other files; empty: not sealed
+  };
+  std::vector<File> files;  // of schema 3: segments, truth.seg, truth_calibration.json
+  int schema = 0;
 };
 Result<ManifestContents> ReadManifestContents(const std::filesystem::path& session_folder);
+// The same of a file as it lies in the folder now.
+Result<ManifestContents::File> DescribeFile(const std::filesystem::path& session_folder, const std::string& name);
+// What of the manifest a transcode leaves as it is, in one line: what a signature covers (db/catalogue/signature.h).
+[[nodiscard]] std::string LastingFacts(const std::string& manifest_text);
+[[nodiscard]] std::string ManifestText(const std::filesystem::path& session_folder, const SessionInfo& info,
+                                       int64_t frames, const std::vector<std::string>& segments);
 
 // {"text_version", "language", "scope": ["fit", "research", "publication"], "given_wall_ns"}; "" for no consent.
 [[nodiscard]] std::string ConsentToJson(const Consent& consent);

@@ -106,6 +106,8 @@ class SegmentReader {
   [[nodiscard]] std::optional<int64_t> FooterEnd(int64_t offset) const;
   // The first whole header at or behind `offset`. Such bytes may also be a copy or a picture of one.
   [[nodiscard]] std::optional<SegmentFrame> FindHeader(int64_t offset) const;
+  // Footer and trailer as they lie there, where they are intact: what the manifest's hash of a segment is of.
+  [[nodiscard]] std::optional<std::vector<uint8_t>> SealedTail() const;
   // Where the records end and the footer begins; only where SealedFrames() is.
   [[nodiscard]] int64_t frames_end() const;
   // Behind the last record of an unbroken row of intact ones, from the first on.
@@ -114,6 +116,7 @@ class SegmentReader {
   // truncated, or the footer of a sealed segment disagrees.
   Result<std::vector<SegmentFrame>> Walk(bool payloads, bool* sealed) const;
   [[nodiscard]] const std::string& session_id() const { return session_id_; }
+  [[nodiscard]] const std::string& file() const { return file_; }
   [[nodiscard]] int64_t size() const { return size_; }
 
  private:

@@ -162,6 +162,16 @@ std::optional<std::vector<uint8_t>> SegmentReader::FooterBytes() const {
   return footer;
 }
 
+std::optional<std::vector<uint8_t>> SegmentReader::SealedTail() const {
+  auto tail = FooterBytes();
+  if (!tail) return std::nullopt;
+  const size_t footer = tail->size();
+  tail->resize(footer + sizeof(Trailer));
+  if (!ReadAt(size_ - static_cast<int64_t>(sizeof(Trailer)), tail->data() + footer, sizeof(Trailer)).ok())
+    return std::nullopt;
+  return tail;
+}
+
 std::optional<int64_t> SegmentReader::FooterEnd(int64_t offset) const {
   FooterStart start{};
   if (size_ - offset < static_cast<int64_t>(sizeof start + sizeof(Trailer)) ||

@@ -98,6 +98,7 @@ db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
   db::WriterOptions options;
   options.codec = config.codec;
   options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
+  options.signing = config.sign ? db::Signing::kRigKey : db::Signing::kNone;
   return options;
 }
 

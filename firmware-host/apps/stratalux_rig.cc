@@ -23,6 +23,8 @@
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "shared/base/mistyped_command.h"
+#include "shared/base/printable.h"
 #include "shared/base/version.h"
 
 namespace stratalux::rig {
@@ -71,12 +73,13 @@ struct Flags {
   bool no_scattering = false;
   bool no_noise = false;
   bool encrypt = false;
+  bool sign = false;
   bool json = false;
   bool verbose = false;
 };
 
 int Report(const Status& status) {
-  std::fprintf(stderr, "stratalux-rig: %s\n", status.message().c_str());
+  std::fprintf(stderr, "stratalux-rig: %s\n", PrintableLines(status.message()).c_str());
   return status.exit_code();
 }
 
@@ -175,6 +178,7 @@ Result<CaptureOptions> CaptureFrom(const Flags& flags) {
   SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
   SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) options.config.store.encrypt = true;
+  if (flags.sign) options.config.store.sign = true;
   if (!flags.scene.empty()) {
     SLX_ASSIGN_OR_RETURN(options.simulated, SimulationFrom(flags, options.config));
   }
@@ -330,6 +334,7 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   capture->add_option("--consent-language", flags.consent_language, "in which it was shown, such as de");
   capture->add_option("--retention", flags.retention, "how long it is kept: short, standard, long, keep")
       ->capture_default_str();
+  capture->add_flag("--sign", flags.sign, "with the rig's key, `stratalux-db key sign-init` (default: [store] sign)");
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
   capture
@@ -377,6 +382,8 @@ int Main(int argc, char** argv) {
   render->add_option("--out", flags.out, "folder")->required();
   CLI::App* safe = app.add_subcommand("safe", "Drive every ENABLE line off, as a unit's ExecStopPost does");
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
+  if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
+    return Report(Status::Usage(mistyped));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

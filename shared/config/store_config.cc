@@ -11,6 +11,7 @@ Result<StoreConfig> ReadStoreConfig(TomlTable& root) {
   rig.Get("name", config.rig);
   rig.Get("store", config.folder);
   if (store.Has("encrypt")) store.Get("encrypt", config.encrypt.emplace());
+  store.Get("sign", config.sign);
   std::string codec = ToString(config.codec);
   store.Get("codec", codec);
   SLX_ASSIGN_OR_RETURN(config.codec, ParseStoreCodec(codec).WithContext(store.Where("codec")));

@@ -19,6 +19,7 @@ struct StoreConfig {
   std::string rig = "rig";      // the rig's name, kept with each session
   std::string folder;           // empty: not set here
   std::optional<bool> encrypt;  // frames; unset: a kiosk does, a capture by hand does not
+  bool sign = false;            // sessions, with STORE/rig.key (`stratalux-db key sign-init`)
   RetentionDays retention;      // of `stratalux-db purge`
   StoreCodec codec = StoreCodec::kDelta;
 };

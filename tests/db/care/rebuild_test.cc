@@ -198,7 +198,11 @@ TEST_F(RebuildTest, AManifestWithAnyMistypedFieldIsDamageAndNoAbort) {
   const std::string id = StoreSession(2), other = StoreSession(1);
   const fs::path file = folder_ / "sessions" / id / "manifest.json";
   const auto bytes = ReadBytes(file);
-  const auto json = nlohmann::ordered_json::parse(bytes);
+  // Of schema 2, which has no hash of its own: every value reaches the reader.
+  auto json = nlohmann::ordered_json::parse(bytes);
+  json.erase("hash");
+  json.erase("files");
+  json["schema"] = 2;
   for (const auto& item : json.items()) {
     for (const char* wrong : {"null", "true", "-1", "1e300", "18446744073709551615", "\"word\"", "[1]", "{\"a\": 1}"}) {
       SCOPED_TRACE(item.key() + " = " + wrong);
@@ -274,8 +278,7 @@ TEST_F(RebuildTest, AfterAnySingleDamageNoSegmentIsWrittenAndNoOtherFrameLost) {
     return options;
   }());
   const std::string killed = Killed(6);
-  LoseIndex();
-  EXPECT_EQ(Rebuild().frames, 12);  // from here on the killed one is `failed`: its open tail is nobody's
+  EXPECT_EQ(Rebuild().frames, 12);  // from here on the killed one is `failed`, and its manifest says six frames
   const auto whole = Segments();
   std::mt19937 random(20261122);
   for (int round = 0; round < 120; ++round) {
@@ -302,7 +305,7 @@ TEST_F(RebuildTest, AfterAnySingleDamageNoSegmentIsWrittenAndNoOtherFrameLost) {
     const int64_t most_lost = cut || file_header ? (victim->first.find(killed) != std::string::npos ? 6 : 3) : 2;
     EXPECT_GE(report->frames, 12 - most_lost);
     if (report->frames < 12) {
-      EXPECT_FALSE(report->problems.empty() && report->notes.empty());
+      EXPECT_FALSE(report->problems.empty());
       EXPECT_NE(InfoOf(victim->first.find(killed) != std::string::npos ? killed : sealed).status,
                 SessionStatus::kComplete);
     }

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// One random change of a store.
+#pragma once
+
+#include <filesystem>
+#include <random>
+#include <string>
+
+#include "tests/db/mutants/sample_stores.h"
+
+namespace stratalux::db {
+
+using Random = std::mt19937_64;
+
+struct Mutant {
+  std::string what;  // for people: which file, which field, from what to what
+  // A hash that is stored somewhere no longer fits: then every command must refuse, say, or not care.
+  bool leaves_hash = false;
+  // Every hash and every row was made anew, so that nothing disagrees: only a signature or a cipher can tell.
+  bool consistent = false;
+};
+
+// Changes the store in `folder`, a copy of `sample`.
+[[nodiscard]] Mutant Mutate(const SampleStore& sample, const std::filesystem::path& folder, Random& random);
+
+}  // namespace stratalux::db

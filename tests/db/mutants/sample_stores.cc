@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tests/db/mutants/sample_stores.h"
+
+#include <cstdio>
+#include <cstdlib>
+
+#include "db/care/transcode.h"
+#include "db/catalogue/consent.h"
+#include "db/privacy/forget.h"
+#include "shared/capture/rig_calibration.h"
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+
+void Must(const Status& status) {
+  if (status.ok()) return;
+  std::fprintf(stderr, "sample stores: %s\n", status.message().c_str());
+  std::abort();
+}
+template <typename T>
+T Must(Result<T> result) {
+  Must(result.status());
+  return std::move(result).value();
+}
+
+// 8 x 6, smooth enough for `delta` to shrink some.
+Status Append(SessionWriter& writer, int step, int width = 8, int height = 6) {
+  FrameRecord record = RecordFor(step, PixelFormat::kMono12, width, height);
+  record.pattern = *Pattern::Parse(step % 2 == 0 ? "gray rows bit=3/10" : "gray rows bit=4/10 inverse");
+  if (step == 2) record.retake_cause = "wrong level";
+  Image<uint16_t> pixels(width, height);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) pixels.row(y)[x] = static_cast<uint16_t>(200 + 10 * step + x + y);
+  return writer.Append(record, std::as_const(pixels).view());
+}
+
+SessionInfo Visit(const std::string& visitor, int64_t started) {
+  SessionInfo info = SimulatedVisit();
+  info.visitor = visitor;
+  info.rig = "bench";
+  info.seed = 7;
+  info.started_wall = {started};
+  return info;
+}
+
+std::string Capture(const fs::path& folder, SessionInfo info, int frames, const WriterOptions& options = {},
+                    SessionStatus status = SessionStatus::kComplete, std::vector<std::string> reasons = {}) {
+  SessionStore store = Must(SessionStore::Open(folder, AccessMode::kReadWrite));
+  SessionWriter writer = Must(store.BeginSession(std::move(info), options));
+  for (int i = 0; i < frames; ++i) Must(Append(writer, i));
+  Must(writer.Finish(status, std::move(reasons)));
+  return writer.info().id;
+}
+
+void Agree(const fs::path& folder, const std::string& visitor, int64_t given) {
+  Consent consent;
+  consent.text_version = "2026-03";
+  consent.language = "de";
+  consent.fit = consent.research = true;
+  consent.given_wall = {given};
+  Must(GiveConsent(folder, visitor, consent));
+}
+
+SampleStore New(const fs::path& root, const std::string& name) {
+  SampleStore sample{name, root / name, {}, false};
+  Must(SessionStore::Create(sample.folder));
+  return sample;
+}
+
+SampleStore Plain(const fs::path& root) {
+  SampleStore sample = New(root, "plain");
+  Agree(sample.folder, "v-anna", 4'000);
+  Capture(sample.folder, Visit("v-anna", 5'000), 4, {.max_segment_bytes = 900});
+  Capture(sample.folder, Visit("v-anna", 6'000), 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
+  return sample;
+}
+
+SampleStore Killed(const fs::path& root) {
+  SampleStore sample = New(root, "killed");
+  {
+    SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
+    SessionWriter writer = Must(store.BeginSession(Visit("v-ben", 7'000), {.group_frames = 2}));
+    for (int i = 0; i < 5; ++i) Must(Append(writer, i));
+  }
+  Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite).status());
+  SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
+  SessionWriter writer = Must(store.BeginSession(Visit("v-ben", 8'000)));
+  Must(Append(writer, 0));
+  const Image<float> map(4, 3, 1, 2.0F);
+  Must(writer.AppendTruth("depth", map.view()));
+  Must(writer.KeepTruthCalibration("{\"schema\":1}"));
+  Must(writer.Finish(SessionStatus::kComplete));
+  return sample;
+}
+
+SampleStore Encrypted(const fs::path& root) {
+  SampleStore sample = New(root, "encrypted");
+  sample.encrypted = true;
+  for (const int64_t started : {9'000, 10'000})
+    Capture(sample.folder, Visit("v-carla", started), 3, {.encryption = Encryption::kPerSession});
+  return sample;
+}
+
+SampleStore Signed(const fs::path& root) {
+  SampleStore sample = New(root, "signed");
+  sample.signed_by = Must(RigKey::Create(sample.folder)).public_key();
+  Agree(sample.folder, "v-dora", 10'500);
+  Capture(sample.folder, Visit("v-dora", 11'000), 4, {.max_segment_bytes = 900, .signing = Signing::kRigKey});
+  const std::string id = Capture(sample.folder, Visit("v-dora", 12'000), 3, {.signing = Signing::kRigKey});
+  const SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
+  Logger logger(LogLevel::kError);
+  Progress progress(logger, "transcode", 6);
+  Must(TranscodeSession(store, Must(store.FindSession(id)), {.codec = StoreCodec::kRaw12}, progress).status());
+  return sample;
+}
+
+RigCalibration CalibrationRecord() {
+  RigCalibration record;
+  record.source = "calibration session";
+  record.camera.model = {64, 48, 100, 100, 31.5, 23.5, {}};
+  record.projectors.emplace_back();
+  record.projectors[0].name = "projector 0";
+  record.projectors[0].model = {32, 24, 90, 90, 15.5, 11.5, {}};
+  record.projectors[0].white_dn_mm2_per_ms = {1, 1, 1};
+  record.made_wall.ns = 13'000;
+  record.valid_until_wall.ns = 99'000;
+  return record;
+}
+
+SampleStore Fitted(const fs::path& root) {
+  SampleStore sample = New(root, "fitted");
+  SessionInfo board = Visit("", 13'000);
+  board.kind = SessionKind::kCalibration;
+  const std::string calibration = Capture(sample.folder, board, 2);
+  SessionInfo visit = Visit("v-emil", 14'000);
+  visit.calibration_json = CalibrationRecord().ToJson();
+  const std::string fitted = Capture(sample.folder, visit, 3, {.max_segment_bytes = 700});
+  const std::string gone = Capture(sample.folder, Visit("v-fred", 15'000), 2);
+  SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
+  fs::create_directories(store.FitFolder(calibration, "c1"));
+  WriteText(store.FitFolder(calibration, "c1") / "calibration.json", CalibrationRecord().ToJson() + "\n");
+  Must(store.RegisterFit({"c1", calibration, R"({"stage":"calibrate"})", "{}", {16'000}, ""}));
+  fs::create_directories(store.FitFolder(fitted, "f1"));
+  WriteText(store.FitFolder(fitted, "f1") / "mesh.ply", "ply\n");
+  Must(store.RegisterFit({"f1", fitted, R"({"eta":1.4})", R"({"fit": {"divergence": 0.5, "pixels": 9}})", {17'000}}));
+  Logger logger(LogLevel::kError);
+  Progress progress(logger, "transcode", 6);
+  Must(TranscodeSession(store, Must(store.FindSession(fitted)), {.codec = StoreCodec::kRaw12}, progress).status());
+  ForgetRequest request;
+  request.sessions = {gone};
+  request.visitors = {"v-fred"};
+  {
+    SessionStore closed = std::move(store);
+  }
+  Must(Forget(sample.folder, request, logger).status());
+  return sample;
+}
+
+}  // namespace
+
+std::vector<SampleStore> MakeSampleStores(const fs::path& folder) {
+  return {Plain(folder), Killed(folder), Encrypted(folder), Signed(folder), Fitted(folder)};
+}
+
+}  // namespace stratalux::db
