@@ -101,7 +101,9 @@ void Look(const fs::path& folder, const fs::path& scratch) {
       (void)(DetailsAsText(*details) + DetailsAsJson(*details)).size();
     if (const auto frames = store->ListFrames(row.info.id); frames.ok())
       (void)(FramesAsText(*frames) + FramesAsJson(*frames)).size();
-    (void)ExportSession(*store, row, {.out = scratch / ("export-" + std::to_string(i))}, logger).ok();
+    ExportOptions options;
+    options.out = scratch / ("export-" + std::to_string(i));
+    (void)ExportSession(*store, row, options, logger).ok();
   }
   if (auto index = ReadOnlyIndex::Open(folder); index.ok())
     for (const NamedQuery& query : NamedQueries())
