@@ -173,6 +173,7 @@ Verdict Judge(const SampleStore& sample, const Expected& expected, const Mutant&
   Look(folder, folder.string() + "-scratch");
   const Picture picture = PictureOf(folder);
   Verdict verdict = Verdict::kFound;
+  if (!complaints.empty()) why = complaints[0];
   if (complaints.empty()) {
     // Only a signature tells a forgery in which nothing disagrees; a cipher tells one of frames.
     const bool tellable = !mutant.consistent || sample.signed_by.has_value();
