@@ -35,3 +35,11 @@ function(stratalux_tests name)
   target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${ARG_TIMEOUT})
 endfunction()
+
+# stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds): the whole number of a law whose sample runs
+# with the other tests. Only `ctest -C night` (scripts/test.sh --night) runs it.
+function(stratalux_night part)
+  cmake_parse_arguments(ARG "" "TIMEOUT" "COMMAND;ENVIRONMENT" ${ARGN})
+  add_test(NAME night.${part} CONFIGURATIONS night COMMAND ${ARG_COMMAND})
+  set_tests_properties(night.${part} PROPERTIES LABELS night TIMEOUT ${ARG_TIMEOUT} ENVIRONMENT "${ARG_ENVIRONMENT}")
+endfunction()

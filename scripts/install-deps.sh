@@ -36,6 +36,7 @@ libopencv-contrib-dev fit ChArUco boards
 libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
+sqlite3              test the views and named queries in a shell that knows nothing of ours
 clang-format         test the format check
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest

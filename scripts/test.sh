@@ -5,14 +5,17 @@ set -euo pipefail
 usage() {
   cat <<'HELP'
 usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy] [--no-install] [-j N] [-R REGEX]
+       scripts/test.sh --night [PART ...]
   --unit, --integration, --style   only these tests (ctest labels)
   --asan                           with address and undefined-behaviour sanitizers
   --tidy                           clang-tidy over the whole tree instead of tests
+  --night [PART ...]               the whole numbers behind the tests' samples, all parts or those named (docs/night.md);
+                                   STRATALUX_SEED=N chooses the draws; without it the date
   --no-install                     do not look for missing Debian packages
 HELP
 }
 root=$(cd "$(dirname "$0")/.." && pwd)
-install=1 preset=release tidy=0 jobs=$(nproc) select=()
+install=1 preset=release tidy=0 jobs=$(nproc) select=() night=0 parts=()
 while [ $# -gt 0 ]; do
   case "$1" in
     --unit|--integration|--style) select+=(-L "${1#--}"); shift ;;
@@ -22,6 +25,7 @@ while [ $# -gt 0 ]; do
     --no-install) install=0; shift ;;
     -j) jobs=${2:?-j needs a number}; shift 2 ;;
     -R) select+=(-R "${2:?-R needs a regular expression}"); shift 2 ;;
+    --night) night=1; shift; while [ $# -gt 0 ] && [ "${1#-}" = "$1" ]; do parts+=("$1"); shift; done ;;
     -h|--help) usage; exit 0 ;;
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
@@ -35,6 +39,16 @@ if [ $tidy -eq 1 ]; then
   exit 0
 fi
 cmake --build --preset "$preset" -j "$jobs"
+if [ $night -eq 1 ]; then
+  export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
+  echo "seed $STRATALUX_SEED" >&2
+  known=$(ctest --test-dir "build/$preset" -C night -L night -N | sed -n 's/.*: night\.//p')
+  for part in "${parts[@]}"; do
+    grep -qx "$part" <<<"$known" || { echo "error: no part '$part' of the night; parts: $(tr '\n' ' ' <<<"$known")" >&2; exit 2; }
+  done
+  [ ${#parts[@]} -eq 0 ] || select+=(-R "^night\.($(IFS='|'; echo "${parts[*]}"))\$")
+  exec ctest --test-dir "build/$preset" -C night -L night --output-on-failure -V -j "$jobs" "${select[@]}"
+fi
 rm -f "build/$preset"/rig-vm/*/cases
 status=0
 ctest --test-dir "build/$preset" --output-on-failure -j "$jobs" "${select[@]}" || status=$?

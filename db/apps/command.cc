@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/apps/display_text.h"
 #include "shared/base/log.h"
 
 namespace stratalux::db {
@@ -15,7 +16,6 @@ CLI::App* Commands::Add(const std::string& name, const std::string& description,
   CLI::App* command = app_.add_subcommand(name, description);
   command->add_option("--store", flags_.store, "folder of the store (default: $STRATALUX_STORE)");
   command->add_flag("--json", flags_.json, "print JSON");
-  command->footer(app_.get_footer());
   entries_.push_back({command, std::move(run)});
   return command;
 }
@@ -37,18 +37,26 @@ Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode) {
   return store;
 }
 
+std::string Examples(const std::vector<std::string>& commands, const std::string& notes) {
+  std::string text = "Examples:";
+  for (const std::string& command : commands) text += "\n  stratalux-db " + command;
+  return notes.empty() ? text : text + "\n" + notes;
+}
+
 int Report(const Status& status) {
-  std::fprintf(stderr, "stratalux-db: %s\n", status.message().c_str());
+  std::fprintf(stderr, "stratalux-db: %s\n", PrintableLines(status.message()).c_str());
   return status.exit_code();
 }
 
-int Print(const std::string& text) {
-  if (std::fwrite(text.data(), 1, text.size(), stdout) == text.size() && std::fflush(stdout) == 0) return 0;
+int Print(const std::string& text) { return PrintBytes(PrintableLines(text)); }
+
+int PrintBytes(const std::string& bytes) {
+  if (std::fwrite(bytes.data(), 1, bytes.size(), stdout) == bytes.size() && std::fflush(stdout) == 0) return 0;
   return Report(Status::Failed("cannot write the output"));
 }
 
 std::string TextOf(const nlohmann::ordered_json& json) {
-  return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+  return PrintableJson(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace)) + "\n";
 }
 
 }  // namespace stratalux::db

@@ -23,7 +23,7 @@ class Commands {
  public:
   explicit Commands(CLI::App& app) : app_(app) {}
 
-  // A command with --store and --json; `run` gives the exit code.
+  // A command with --store and --json; `run` gives the exit code. Give it examples of its own: Examples().
   CLI::App* Add(const std::string& name, const std::string& description, std::function<int()> run);
   [[nodiscard]] const CommonFlags& flags() const { return flags_; }
   // Of the command that was parsed.
@@ -51,11 +51,17 @@ void AddTranscodeCommand(Commands& commands);
 // The store of --store; what opening it mended or could not goes to stderr as warnings.
 Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode);
 
-// Prints to stderr; the status's exit code.
+// The end of a command's --help: "Examples:", each behind "stratalux-db ", then `notes` on lines of their own.
+[[nodiscard]] std::string Examples(const std::vector<std::string>& commands, const std::string& notes = "");
+
+// Prints to stderr, with what would steer a terminal written out; the status's exit code.
 int Report(const Status& status);
-// Data go to stdout; a full pipe or disk must not pass for success.
+// Data go to stdout; a full pipe or disk must not pass for success. What would steer a terminal is written out (JSON of
+// TextOf holds nothing of the kind).
 int Print(const std::string& text);
-// Two spaces of indent and a newline; what is no UTF-8 is replaced.
+// Byte by byte: CSV.
+int PrintBytes(const std::string& bytes);
+// Two spaces of indent and a newline; what is no UTF-8 is replaced, what would steer a terminal escaped.
 [[nodiscard]] std::string TextOf(const nlohmann::ordered_json& json);
 
 }  // namespace stratalux::db

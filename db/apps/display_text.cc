@@ -9,28 +9,6 @@
 namespace stratalux::db {
 namespace {
 
-struct Decoded {
-  char32_t character = 0;
-  size_t bytes = 0;  // 0: not UTF-8 here
-};
-
-// Strict: no overlong forms, no surrogates, nothing above U+10FFFF (RFC 3629).
-Decoded Decode(std::string_view text) {
-  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned lead = byte(0);
-  if (lead < 0x80) return {lead, 1};
-  const size_t length = lead >= 0xf0 ? 4 : lead >= 0xe0 ? 3 : 2;
-  if (lead < 0xc2 || lead > 0xf4 || text.size() < length) return {};
-  char32_t character = lead & (0xffU >> (length + 1));
-  for (size_t i = 1; i < length; ++i) {
-    if ((byte(i) & 0xc0U) != 0x80) return {};
-    character = (character << 6U) | (byte(i) & 0x3fU);
-  }
-  constexpr std::array<char32_t, 5> kLeast = {0, 0, 0x80, 0x800, 0x10000};
-  if (character < kLeast[length] || character > 0x10ffff || (character >= 0xd800 && character <= 0xdfff)) return {};
-  return {character, length};
-}
-
 struct Range {
   char32_t first, last;
 };
@@ -70,52 +48,39 @@ constexpr std::array<Range, 12> kWide = {{{0x1100, 0x115f},
                                           {0xfe30, 0xfe6f},
                                           {0xff00, 0xff60},
                                           {0x1f300, 0x1faff}}};
-// Controls, and what changes the direction or is not seen.
-constexpr std::array<Range, 8> kHidden = {{{0x0, 0x1f},
-                                           {0x7f, 0x9f},
-                                           {0xad, 0xad},
-                                           {0x200b, 0x200f},
-                                           {0x2028, 0x202e},
-                                           {0x2060, 0x2069},
-                                           {0xfeff, 0xfeff},
-                                           {0xe0000, 0xe007f}}};
-
-std::string Escaped(const char* format, unsigned value) {
-  char text[16];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
-std::string Shown(char32_t character, std::string_view bytes) {
-  if (!Contains(kHidden, character)) return std::string(bytes);
-  if (character == '\n') return "\\n";
-  if (character == '\t') return "\\t";
-  if (character == '\r') return "\\r";
-  return Escaped(character < 0x80 ? "\\x%02x" : "\\u%04x", static_cast<unsigned>(character));
-}
-
 }  // namespace
-
-std::string Printable(std::string_view text) {
-  std::string out;
-  while (!text.empty()) {
-    const Decoded next = Decode(text);
-    const size_t bytes = std::max<size_t>(next.bytes, 1);
-    out += next.bytes == 0 ? Escaped("\\x%02x", static_cast<unsigned char>(text[0]))
-                           : Shown(next.character, text.substr(0, bytes));
-    text.remove_prefix(bytes);
-  }
-  return out;
-}
 
 int DisplayWidth(std::string_view text) {
   int width = 0;
   while (!text.empty()) {
-    const Decoded next = Decode(text);
+    const DecodedUtf8 next = DecodeUtf8(text);
     if (!Contains(kCombining, next.character)) width += Contains(kWide, next.character) ? 2 : 1;
     text.remove_prefix(std::max<size_t>(next.bytes, 1));
   }
   return width;
+}
+
+std::string Wrapped(std::string_view text, int columns, const std::string& indent) {
+  std::string out;
+  int used = 0;
+  while (!text.empty()) {
+    // A word with the blanks before it; what led to a break is dropped.
+    const size_t start = std::min(text.find_first_not_of(' '), text.size());
+    const size_t end = std::min(text.find(' ', start), text.size());
+    const std::string_view blanks = text.substr(0, start), word = text.substr(start, end - start);
+    const int width = DisplayWidth(word);
+    if (used > 0 && used + static_cast<int>(blanks.size()) + width > columns) {
+      out += "\n" + indent;
+      used = 0;
+    } else {
+      out += blanks;
+      used += static_cast<int>(blanks.size());
+    }
+    out += word;
+    used += width;
+    text.remove_prefix(end);
+  }
+  return out;
 }
 
 std::string SizeText(int64_t bytes) {

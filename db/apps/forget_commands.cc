@@ -8,9 +8,9 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/apps/display_text.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
-#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
 #include "shared/config/store_config.h"
@@ -87,9 +87,8 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
   SLX_ASSIGN_OR_RETURN(const auto store, SessionStore::Open(common.store, AccessMode::kReadOnly));
   if (flags.resume) return request;
   if (!flags.visitor.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
-    for (const SessionRow& row : rows)
-      if (row.info.visitor == flags.visitor) request.sessions.push_back(row.info.id);
+    SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessionsOf(flags.visitor));
+    for (const SessionSummary& row : rows) request.sessions.push_back(row.info.id);
     SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
     if (request.sessions.empty() && consents.empty())
       return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);
@@ -116,8 +115,9 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
                                 " session(s) for ever; --dry-run shows them, --yes does it"));
   if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
       UnfinishedForgets(common.store).empty()) {
-    std::fprintf(stderr, "stratalux-db: session %s is forgotten already (%s)\n", flags.session.c_str(),
-                 CertificateFile(common.store, flags.session).c_str());
+    std::fprintf(stderr,
+                 "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
+                 flags.session.c_str());
     return 0;
   }
   return Finish(common, flags, std::move(request).value(), {});
@@ -160,6 +160,28 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   return Finish(common, flags, std::move(request), *due);
 }
 
+// Of a certificate that somebody may have edited: a value of another type counts as none.
+std::string TextIn(const Json& json, const char* key) {
+  const auto found = json.find(key);
+  return found != json.end() && found->is_string() ? found->get<std::string>() : std::string("?");
+}
+long long NumberIn(const Json& json, const char* key) {
+  const auto found = json.find(key);
+  return found != json.end() && found->is_number_integer() ? found->get<long long>() : 0;
+}
+
+std::string DeletionLine(const std::string& session, const Json& certificate) {
+  const Json& proof = certificate["verification"];
+  const auto clean = proof.find("clean");
+  const bool is_clean = clean != proof.end() && clean->is_boolean() && clean->get<bool>();
+  char line[200];
+  std::snprintf(line, sizeof line, "%-16.64s  %-20.20s  %-7.16s  %6lld  %-5s  %7lld  %lld\n", session.c_str(),
+                Printable(TextIn(certificate, "deleted")).c_str(), Printable(TextIn(certificate, "reason")).c_str(),
+                NumberIn(certificate, "frames"), is_clean ? "yes" : "NO", NumberIn(proof, "markers"),
+                NumberIn(proof, "files_read"));
+  return line;
+}
+
 int RunDeletions(const CommonFlags& common) {
   const auto deletions = ListDeletions(common.store);
   if (!deletions.ok()) return Report(deletions.status());
@@ -167,19 +189,13 @@ int RunDeletions(const CommonFlags& common) {
   std::string text = "session           deleted               reason   frames  clean  markers  files read\n";
   for (const Deletion& deletion : *deletions) {
     const Json json = Json::parse(deletion.certificate_json, nullptr, false);
-    if (!json.is_object() || !json.contains("verification")) {
+    if (!json.is_object() || !json.contains("verification") || !json["verification"].is_object()) {
       all.push_back({{"session", deletion.session}, {"unfinished", true}});
       text += deletion.session + "  begun and not finished: `stratalux-db forget --resume`\n";
       continue;
     }
     all.push_back(json);
-    const Json& proof = json["verification"];
-    char line[200];
-    std::snprintf(line, sizeof line, "%-16s  %-20s  %-7s  %6lld  %-5s  %7lld  %lld\n", deletion.session.c_str(),
-                  json.value("deleted", "").c_str(), json.value("reason", "").c_str(), json.value("frames", 0LL),
-                  proof.value("clean", false) ? "yes" : "NO", proof.value("markers", 0LL),
-                  proof.value("files_read", 0LL));
-    text += line;
+    text += DeletionLine(deletion.session, json);
   }
   return Print(common.json ? TextOf(all) : text);
 }
@@ -195,6 +211,9 @@ void AddForgetCommands(Commands& commands) {
   forget->add_option("--visitor", flags->visitor, "all sessions and consents of this pseudonym");
   forget->add_flag("--resume", flags->resume, "only finish what broke off");
   forget->add_flag("--yes", flags->yes, "do it");
+  forget->footer(Examples(
+      {"forget s000017 --dry-run", "forget s000017 --yes", "forget --visitor v-5f3a91c2 --yes", "forget --resume"},
+      "Exit code 3: something of it was found after all; the report says where."));
   CLI::App* purge = commands.Add("purge", "Forget visitors' sessions past their class, or whose consent was withdrawn",
                                  [&common, flags] { return RunPurge(common, *flags); });
   purge->add_option("--config", flags->config, "TOML file with [retention] (docs/examples/rig.toml)");
@@ -204,9 +223,12 @@ void AddForgetCommands(Commands& commands) {
   purge->add_option("--now", flags->now, "as if today were this date, such as 2027-01-31 (UTC)");
   for (CLI::App* command : {forget, purge})
     command->add_flag("--dry-run", flags->dry_run, "show what would go; change nothing");
+  purge->footer(Examples({"purge --dry-run", "purge --dry-run --now 2027-01-31", "purge --config rig.toml"}));
   for (const char* name : {"--short-days", "--standard-days", "--long-days"})
     purge->get_option(name)->check(CLI::Range(0, 100000));
-  commands.Add("deletions", "List the certificates of what was forgotten", [&common] { return RunDeletions(common); });
+  CLI::App* deletions = commands.Add("deletions", "List the certificates of what was forgotten",
+                                     [&common] { return RunDeletions(common); });
+  deletions->footer(Examples({"deletions", "deletions --json"}));
 }
 
 }  // namespace stratalux::db

@@ -81,6 +81,9 @@ void AddConsent(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* consent = commands.Add("consent", "What visitors agreed to: give, withdraw, show",
                                    [&common, flags] { return RunConsent(common, *flags); });
+  consent->footer(
+      Examples({"consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research",
+                "consent withdraw --visitor v-5f3a91c2", "consent show", "consent show --visitor v-5f3a91c2 --json"}));
   consent->require_subcommand(1);
   // --store and --json may stand behind the last word, too.
   consent->fallthrough();
@@ -126,6 +129,7 @@ void AddAccess(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* access = commands.Add("access", "List who took what out of the store, oldest first",
                                   [&common, session] { return RunAccess(common, *session); });
+  access->footer(Examples({"access", "access s000017", "access latest --json"}));
   access->add_option("SESSION", *session, "id or prefix, also of a forgotten session, or latest (default: all)");
 }
 
@@ -173,6 +177,7 @@ void AddKey(Commands& commands) {
     if (flags->take_out->parsed()) return ExportKey(common, *flags);
     return flags->put_in->parsed() ? ImportKey(common, *flags) : RunRigKey(common, *flags);
   });
+  key->footer(Examples({"key export s000017 --out s000017.key", "key import s000017.key"}));
   key->require_subcommand(1);
   key->fallthrough();
   flags->take_out = key->add_subcommand("export", "Write the key to a file that only you can read; logged");

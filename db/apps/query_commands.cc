@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdio>
 #include <iostream>
-#include <iterator>
 #include <memory>
 #include <optional>
 #include <sstream>
@@ -11,6 +10,7 @@
 #include "db/apps/command.h"
 #include "db/apps/moment.h"
 #include "db/apps/table_output.h"
+#include "db/apps/watchdog.h"
 #include "db/catalogue/named_query.h"
 #include "db/catalogue/session_filter.h"
 
@@ -33,7 +33,8 @@ struct QueryFlags {
 };
 
 int PrintTable(const CommonFlags& common, const QueryFlags& flags, const ResultTable& table) {
-  return Print(flags.csv ? TableAsCsv(table) : common.json ? TableAsJson(table) : TableAsText(table));
+  if (flags.csv) return PrintBytes(TableAsCsv(table));
+  return Print(common.json ? TableAsJson(table) : TableAsText(table));
 }
 
 Status CheckFlags(const CommonFlags& common, const QueryFlags& flags) {
@@ -194,18 +195,33 @@ int RunNamed(const CommonFlags& common, const QueryFlags& flags) {
   return table.ok() ? PrintTable(common, flags, *table) : Report(table.status());
 }
 
+// A byte more than any statement may have shows that there is too much.
+std::string StatementFromInput() {
+  std::string statement((size_t{1} << 20) + 1, '\0');
+  std::cin.read(statement.data(), static_cast<std::streamsize>(statement.size()));
+  statement.resize(static_cast<size_t>(std::cin.gcount()));
+  return statement;
+}
+
 int RunSql(const CommonFlags& common, const QueryFlags& flags) {
   if (const Status status = CheckFlags(common, flags); !status.ok()) return Report(status);
   if (!(flags.seconds > 0.0 && flags.seconds <= 86400.0))
     return Report(Status::Usage("--seconds must be above 0 and at most 86400"));
   std::string statement = flags.statement;
-  if (statement == "-") statement.assign(std::istreambuf_iterator<char>(std::cin), {});
+  if (statement == "-") statement = StatementFromInput();
   auto index = ReadOnlyIndex::Open(common.store);
   if (!index.ok()) return Report(index.status());
   QueryLimits limits;
   limits.time = std::chrono::milliseconds(static_cast<int64_t>(flags.seconds * 1000.0));
   limits.rows = flags.limit.value_or(kDefaultRows);
-  const auto table = index->Run(statement, {{"now_ns", WallNow().ns}}, limits);
+  const auto run = [&] {
+    // The limit of time is looked at between the steps of SQLite's machine; a step may take its time.
+    const Watchdog watchdog(limits.time + std::chrono::seconds(1),
+                            "stratalux-db: stopped after " + std::to_string(limits.time.count()) +
+                                " ms within one function; ask for less, or of shorter values");
+    return index->Run(statement, {{"now_ns", WallNow().ns}}, limits);
+  };
+  const auto table = run();
   if (!table.ok()) return Report(table.status());
   const int printed = PrintTable(common, flags, *table);
   if (printed != 0 || !table->truncated) return printed;

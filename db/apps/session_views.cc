@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/apps/session_views.h"
 
+#include <algorithm>
 #include <cstdio>
 
 #include <nlohmann/json.hpp>
@@ -15,7 +16,9 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 // Names of files and visitors may be no UTF-8, which JSON is.
-std::string TextOf(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
+std::string TextOf(const Json& json) {
+  return PrintableJson(json.dump(2, ' ', false, Json::error_handler_t::replace)) + "\n";
+}
 
 Json ParsedOrNull(const std::string& text) { return text.empty() ? Json() : Json::parse(text, nullptr, false); }
 
@@ -30,18 +33,6 @@ Json SessionJson(const SessionRow& row) {
           {"simulated", row.info.simulated},
           {"frames", row.frames},
           {"bytes", row.bytes}};
-}
-
-Result<std::vector<PhaseCount>> CountPhases(const SessionStore& store, const std::string& session) {
-  SLX_ASSIGN_OR_RETURN(auto index, ReadOnlyIndex::Open(store.folder()));
-  SLX_ASSIGN_OR_RETURN(const auto table,
-                       index.Run("SELECT f.phase, f.projector, count(*) FROM sessions s JOIN frames f ON f.session ="
-                                 " s.number WHERE s.id = :session GROUP BY f.phase, f.projector ORDER BY min(f.step)",
-                                 {{"session", session}}));
-  std::vector<PhaseCount> counts;
-  for (const auto& row : table.rows)
-    counts.push_back({std::get<std::string>(row[0]), std::get<int64_t>(row[1]), std::get<int64_t>(row[2])});
-  return counts;
 }
 
 const char* ToString(LevelCheck check) {
@@ -102,24 +93,62 @@ Json FrameJson(const FrameRow& f) {
           {"hash", f.hash}};
 }
 
+constexpr size_t kValueColumn = 18;
+constexpr int kLineColumns = 100;
+
+// Name and value, which goes on below itself where it is long.
 std::string Line(const std::string& name, const std::string& value) {
+  if (value.empty()) return {};
   std::string line = name;
-  line.resize(18, ' ');
-  return value.empty() ? std::string() : line + value + "\n";
+  line.resize(std::max(kValueColumn, name.size() + 2), ' ');
+  return line +
+         Wrapped(Printable(value), kLineColumns - static_cast<int>(kValueColumn), std::string(kValueColumn, ' ')) +
+         "\n";
 }
 
-}  // namespace
-
-namespace {
-
-std::string ConsentAsText(const Consent& consent) {
-  if (consent.text_version.empty()) return "none";
+// "text 3 (de): fit, research; withdrawn 2026-11-21T11:08:06Z".
+std::string ConsentAsText(const std::string& consent_json) {
+  const Json consent = ParsedOrNull(consent_json);
+  if (!consent.is_object()) return "none";
+  const auto text = [&consent](const char* key) {
+    const auto found = consent.find(key);
+    return found != consent.end() && found->is_string() ? found->get<std::string>() : std::string();
+  };
   std::string scope;
-  if (consent.fit) scope += " fit";
-  if (consent.research) scope += " research";
-  if (consent.publication) scope += " publication";
-  return "text " + consent.text_version + (consent.language.empty() ? "" : " (" + consent.language + ")") + ":" +
-         (scope.empty() ? " nothing" : scope);
+  if (const auto found = consent.find("scope"); found != consent.end() && found->is_array())
+    for (const Json& word : *found)
+      if (word.is_string()) scope += (scope.empty() ? "" : ", ") + word.get<std::string>();
+  const std::string language = text("language"), withdrawn = text("withdrawn");
+  return "text " + text("text_version") + (language.empty() ? "" : " (" + language + ")") + ": " +
+         (scope.empty() ? "nothing" : scope) + (withdrawn.empty() ? "" : "; WITHDRAWN " + withdrawn);
+}
+
+// What views say of the session beyond its row.
+Status LoadFromViews(const SessionStore& store, SessionDetails& details) {
+  SLX_ASSIGN_OR_RETURN(auto index, ReadOnlyIndex::Open(store.folder()));
+  const QueryParameters session{{"session", details.row.info.id}};
+  SLX_ASSIGN_OR_RETURN(const auto phases,
+                       index.Run("SELECT f.phase, f.projector, count(*) FROM sessions s JOIN frames f ON f.session ="
+                                 " s.number WHERE s.id = :session GROUP BY f.phase, f.projector ORDER BY min(f.step)",
+                                 session));
+  for (const auto& row : phases.rows)
+    details.phases.push_back({std::get<std::string>(row[0]), std::get<int64_t>(row[1]), std::get<int64_t>(row[2])});
+  SLX_ASSIGN_OR_RETURN(const auto facts, index.Run("SELECT coalesce(o.consent, ''), coalesce(e.due, ''),"
+                                                   " coalesce(e.reason, '') FROM session_overview o LEFT JOIN"
+                                                   " retention_ends e ON e.session = o.number WHERE o.id = :session",
+                                                   session));
+  if (facts.rows.empty()) return Status::NotFound("session " + details.row.info.id + " is gone");
+  details.consent_json = std::get<std::string>(facts.rows[0][0]);
+  details.due = std::get<std::string>(facts.rows[0][1]);
+  details.due_reason = std::get<std::string>(facts.rows[0][2]);
+  return Status::Ok();
+}
+
+std::string RetentionAsText(const SessionDetails& details) {
+  const std::string retention = stratalux::ToString(details.row.info.retention);
+  if (details.due.empty()) return retention;
+  const bool withdrawn = details.due_reason == "consent withdrawn";
+  return retention + (withdrawn ? "; `stratalux-db purge` removes it: consent withdrawn" : "; due " + details.due);
 }
 
 }  // namespace
@@ -127,7 +156,7 @@ std::string ConsentAsText(const Consent& consent) {
 Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector) {
   SessionDetails details;
   SLX_ASSIGN_OR_RETURN(details.row, store.FindSession(selector));
-  SLX_ASSIGN_OR_RETURN(details.phases, CountPhases(store, details.row.info.id));
+  SLX_RETURN_IF_ERROR(LoadFromViews(store, details));
   SLX_ASSIGN_OR_RETURN(details.fits, store.ListFits(details.row.info.id));
   return details;
 }
@@ -136,9 +165,8 @@ std::string DetailsAsText(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   std::string text = Line("session", info.id) + Line("started", ToIso8601(info.started_wall)) +
                      Line("kind", stratalux::ToString(info.kind)) + Line("rig", info.rig) +
-                     Line("visitor", info.visitor) + Line("consent", ConsentAsText(info.consent)) +
-                     Line("retention", stratalux::ToString(info.retention)) +
-                     Line("status", stratalux::ToString(info.status));
+                     Line("visitor", info.visitor) + Line("consent", ConsentAsText(details.consent_json)) +
+                     Line("retention", RetentionAsText(details)) + Line("status", stratalux::ToString(info.status));
   for (const std::string& reason : info.reasons) text += Line("  reason", reason);
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
   text += Line("program", info.program_version) +
@@ -158,8 +186,9 @@ std::string DetailsAsText(const SessionDetails& details) {
 std::string DetailsAsJson(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   Json json = SessionJson(details.row);
-  json["consent"] = ParsedOrNull(ConsentToJson(info.consent));
+  json["consent"] = ParsedOrNull(details.consent_json);
   json["retention"] = stratalux::ToString(info.retention);
+  json["due"] = details.due.empty() ? Json() : Json(details.due);
   json["seed"] = info.seed;
   json["program_version"] = info.program_version;
   json["plan"] = ParsedOrNull(info.plan_json);

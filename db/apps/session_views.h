@@ -20,6 +20,8 @@ struct PhaseCount {
 
 struct SessionDetails {
   SessionRow row;
+  std::string consent_json;        // as in the view session_overview; empty: none
+  std::string due, due_reason;     // when `purge` takes it, ISO 8601, and why; empty: it stays
   std::vector<PhaseCount> phases;  // in the order of the plan
   std::vector<FitRow> fits;
 };
@@ -27,7 +29,7 @@ struct SessionDetails {
 [[nodiscard]] Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector);
 [[nodiscard]] std::string DetailsAsText(const SessionDetails& details);
 // {"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "consent",
-// "seed", "program_version", "plan", "calibration", "phases", "fits" as objects}.
+// "retention", "due", "seed", "program_version", "plan", "calibration", "phases", "fits" as objects}.
 [[nodiscard]] std::string DetailsAsJson(const SessionDetails& details);
 
 struct FrameFilter {

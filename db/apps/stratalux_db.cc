@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // stratalux-db: the store's command line.
+#include <cstdio>
+#include <sstream>
 #include <string>
 
 #include "db/apps/command.h"
+#include "db/apps/display_text.h"
+#include "shared/base/mistyped_command.h"
 #include "shared/base/version.h"
 
 namespace stratalux::db {
@@ -14,20 +18,14 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db ls --since 12h --status degraded,failed
   stratalux-db query last-night
   stratalux-db show latest --json
-  stratalux-db frames s000017 --phase sweep --projector 2
-  stratalux-db frames latest --phase reference --extract pictures
+  stratalux-db frames latest --phase sweep --projector 2
   stratalux-db verify --deep
   stratalux-db export latest --out pictures --format tiff
   stratalux-db backup --store store --to /media/disk/store-backup
   stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
-  stratalux-db import --manifest procam_gray_kamino.toml --root captures --pose 2
-  stratalux-db transcode --all --codec delta
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
-  stratalux-db forget --visitor v-5f3a91c2 --yes
-  stratalux-db purge --dry-run --now 2027-01-31
-  stratalux-db access s000017
-  stratalux-db key export s000017 --out s000017.key
+Each command has more of its own: stratalux-db forget --help
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
 Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
@@ -45,11 +43,17 @@ int Main(int argc, char** argv) {
   AddTranscodeCommand(commands);
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
+  if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
+    return Report(Status::Usage(mistyped));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    // CLI11's own codes are not ours: any wrong flag is a usage error.
-    return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
+    // CLI11's own codes are not ours: any wrong flag is a usage error. What it prints may quote what was typed.
+    std::ostringstream out, complaint;
+    const bool help = app.exit(error, out, complaint) == 0;
+    if (help) return Print(out.str());
+    std::fputs(PrintableLines(complaint.str()).c_str(), stderr);
+    return static_cast<int>(StatusCode::kUsage);
   }
   return commands.Run();
 }

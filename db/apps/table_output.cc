@@ -109,6 +109,8 @@ struct TextColumn {
   bool right = false;
 };
 
+constexpr int kWidest = 120;
+
 TextColumn TextColumnOf(const ResultTable& table, size_t c) {
   TextColumn out;
   out.cells.push_back(Printable(table.columns[c].name));
@@ -119,7 +121,8 @@ TextColumn TextColumnOf(const ResultTable& table, size_t c) {
     if (std::holds_alternative<std::monostate>(row[c])) continue;
     (IsNumber(row[c]) && kind != ColumnKind::kWallTime ? numbers : others) = true;
   }
-  for (const std::string& cell : out.cells) out.width = std::max(out.width, DisplayWidth(cell));
+  // One long text must not make every row as wide: it stands out instead.
+  for (const std::string& cell : out.cells) out.width = std::max(out.width, std::min(DisplayWidth(cell), kWidest));
   out.right = numbers && !others;
   return out;
 }
@@ -135,7 +138,7 @@ std::string TableAsText(const ResultTable& table) {
     std::string line;
     for (const TextColumn& column : columns) {
       const std::string& cell = column.cells[r];
-      const std::string padding(static_cast<size_t>(column.width - DisplayWidth(cell)), ' ');
+      const std::string padding(static_cast<size_t>(std::max(0, column.width - DisplayWidth(cell))), ' ');
       line += (line.empty() ? "" : "  ") + (column.right ? padding + cell : cell + padding);
     }
     line.erase(line.find_last_not_of(' ') + 1);
@@ -152,7 +155,7 @@ std::string TableAsJson(const ResultTable& table) {
     for (size_t c = 0; c < row.size(); ++c) object[names[c]] = ForPrograms(row[c], table.columns[c].kind);
     json.push_back(std::move(object));
   }
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return PrintableJson(json.dump(2, ' ', false, Json::error_handler_t::replace)) + "\n";
 }
 
 std::string TableAsCsv(const ResultTable& table) {

@@ -23,11 +23,11 @@ struct Transcoded {
   TranscodeReport report;
 };
 
-Result<std::vector<SessionRow>> Selected(const SessionStore& store, const TranscodeFlags& flags) {
+Result<std::vector<SessionSummary>> Selected(const SessionStore& store, const TranscodeFlags& flags) {
   if (flags.all == !flags.session.empty()) return Status::Usage("give a SESSION or --all");
   if (flags.all) return store.ListSessions();
   SLX_ASSIGN_OR_RETURN(auto row, store.FindSession(flags.session));
-  return std::vector<SessionRow>{std::move(row)};
+  return std::vector<SessionSummary>{std::move(row)};
 }
 
 std::string AsText(const std::vector<Transcoded>& done) {
@@ -65,14 +65,16 @@ int RunTranscode(const CommonFlags& common, const TranscodeFlags& flags) {
   const auto sessions = Selected(*store, flags);
   if (!sessions.ok()) return Report(sessions.status());
   int64_t steps = 0;
-  for (const SessionRow& session : *sessions) steps += 2 * session.frames;  // written, then compared
+  for (const SessionSummary& session : *sessions) steps += 2 * session.frames;  // written, then compared
   std::vector<Transcoded> done;
   int exit_code = 0;
   {
     Logger logger;
     Progress progress(logger, "transcode", steps);
-    for (const SessionRow& session : *sessions) {
-      const auto report = TranscodeSession(*store, session, options, progress);
+    for (const SessionSummary& session : *sessions) {
+      const auto row = store->FindSession(session.info.id);
+      const auto report =
+          row.ok() ? TranscodeSession(*store, *row, options, progress) : Result<TranscodeReport>(row.status());
       if (report.ok()) {
         done.push_back({session.info.id, *report});
       } else if (const int code = Report(report.status()); exit_code == 0) {
@@ -91,6 +93,7 @@ void AddTranscodeCommand(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* transcode = commands.Add("transcode", "Code the frames of finished sessions anew; pixels stay as they are",
                                      [&common, flags] { return RunTranscode(common, *flags); });
+  transcode->footer(Examples({"transcode latest --codec delta", "transcode --all --codec raw12"}));
   transcode->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   transcode->add_flag("--all", flags->all, "all sessions; those that cannot be transcoded are named and left alone");
   transcode->add_option("--codec", flags->codec, "delta (less than half the bytes) or raw12 (packed)")->required();

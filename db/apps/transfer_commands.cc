@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/command.h"
+#include "db/apps/crate_command.h"
 #include "db/care/reindex.h"
 #include "db/interchange/export.h"
 #include "db/interchange/import.h"
@@ -18,15 +19,22 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 struct TransferFlags {
-  std::string manifest, root;                           // import
-  std::optional<int> pose;                              // import
-  std::string session, visitor, phase, format = "png";  // export
+  std::string manifest, root, crate;           // import
+  std::optional<int> pose;                     // import
+  std::vector<std::string> sessions;           // export
+  std::string visitor, phase, format = "png";  // export
+  CrateFlags crate_export;
   std::optional<int> projector;
   std::string out, to, keys, from;
-  bool merge = false, dry_run = false;
+  std::string scrub = "turn", ledger;  // backup; restore
+  int timeout_s = 60;                  // pull
+  bool merge = false, dry_run = false, obey = false;
 };
 
 int RunImport(const CommonFlags& common, const TransferFlags& flags) {
+  if (!flags.crate.empty()) return RunCrateImport(common, flags.crate);
+  if (flags.manifest.empty())
+    return Report(Status::Usage("import needs --manifest FILE (image files) or --crate DIR (an RO-Crate)"));
   auto store = OpenStore(common, AccessMode::kReadWrite);
   if (!store.ok()) return Report(store.status());
   Logger logger;
@@ -38,8 +46,11 @@ int RunImport(const CommonFlags& common, const TransferFlags& flags) {
 }
 
 int RunExport(const CommonFlags& common, const TransferFlags& flags) {
-  if (flags.session.empty() == flags.visitor.empty())
+  if (!flags.crate_export.crate.empty()) return RunCrateExport(common, flags.sessions, flags.crate_export);
+  if (flags.sessions.empty() == flags.visitor.empty())
     return Report(Status::Usage("export needs either SESSION or --visitor"));
+  if (flags.sessions.size() > 1) return Report(Status::Usage("several sessions are exported with --crate only"));
+  if (flags.out.empty()) return Report(Status::Usage("export needs --out DIR, or --crate DIR for an RO-Crate"));
   ExportOptions options{
       flags.out, flags.format == "tiff" ? ExportFormat::kTiff : ExportFormat::kPng, {}, flags.projector};
   if (!flags.phase.empty()) {
@@ -52,7 +63,7 @@ int RunExport(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
   Result<ExportReport> report = Status::Ok();
   if (flags.visitor.empty()) {
-    const auto session = store->FindSession(flags.session);
+    const auto session = store->FindSession(flags.sessions[0]);
     if (!session.ok()) return Report(session.status());
     report = ExportSession(*store, *session, options, logger);
   } else {
@@ -88,63 +99,88 @@ int RunReindex(const CommonFlags& common) {
   return report->problems.empty() ? printed : static_cast<int>(StatusCode::kIntegrity);
 }
 
+// What is partly done says so: the list names what is missing.
+int Ending(int printed, const std::vector<std::string>& problems) {
+  return problems.empty() || printed != 0 ? printed : static_cast<int>(StatusCode::kDegraded);
+}
+
 int RunBackup(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
-  const auto report = Backup(common.store, {flags.to, flags.keys}, logger);
+  const auto report = Backup(
+      common.store, {flags.to, flags.keys, flags.scrub == "all" ? ScrubShare::kAll : ScrubShare::kInTurn}, logger);
   if (!report.ok()) return Report(report.status());
   const Json json = {{"to", flags.to},
                      {"sessions", report->sessions},
                      {"files_copied", report->files_copied},
                      {"bytes_copied", report->bytes_copied},
                      {"files_kept", report->files_kept},
+                     {"files_continued", report->files_continued},
                      {"files_removed", report->files_removed},
-                     {"left_out", report->left_out}};
-  return Print(common.json
-                   ? TextOf(json)
-                   : std::to_string(report->sessions) + " sessions in " + flags.to + ": " +
-                         std::to_string(report->files_copied) + " files copied (" +
-                         std::to_string(report->bytes_copied / 1000) + " kB), " + std::to_string(report->files_kept) +
-                         " unchanged, " + std::to_string(report->files_removed) + " removed\n" +
-                         Lines("still being written, left out", report->left_out));
+                     {"files_reread", report->files_reread},
+                     {"mended", report->mended},
+                     {"left_out", report->left_out},
+                     {"problems", report->problems}};
+  const std::string text = std::to_string(report->sessions) + " sessions in " + flags.to + ": " +
+                           std::to_string(report->files_copied) + " files copied (" +
+                           std::to_string(report->bytes_copied / 1000) + " kB), " +
+                           std::to_string(report->files_kept + report->files_continued) + " unchanged, " +
+                           std::to_string(report->files_removed) + " removed, " + std::to_string(report->files_reread) +
+                           " copies reread\n" + Lines("still being written, left out", report->left_out) +
+                           Lines("rotten copy made again", report->mended) + Lines("problem", report->problems);
+  return Ending(Print(common.json ? TextOf(json) : text), report->problems);
 }
 
 int RunRestore(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
-  const auto report =
-      Restore(flags.from, common.store, flags.merge ? RestoreInto::kMerge : RestoreInto::kNewStore, logger);
+  const auto report = Restore(flags.from, common.store,
+                              {flags.merge ? RestoreInto::kMerge : RestoreInto::kNewStore, flags.ledger}, logger);
   if (!report.ok()) return Report(report.status());
-  const Json json = {{"sessions", report->sessions},
-                     {"files", report->files},
-                     {"bytes", report->bytes},
-                     {"forgotten", report->forgotten},
-                     {"present", report->present}};
-  return Print(common.json ? TextOf(json)
-                           : std::to_string(report->sessions) + " sessions restored (" + std::to_string(report->files) +
-                                 " files, " + std::to_string(report->bytes / 1000) + " kB), " +
-                                 std::to_string(report->present) + " there already, " +
-                                 std::to_string(report->forgotten) + " forgotten ones left out\n");
+  const Json json = {{"sessions", report->sessions}, {"files", report->files},
+                     {"bytes", report->bytes},       {"forgotten", report->forgotten},
+                     {"present", report->present},   {"withdrawals", report->withdrawals},
+                     {"notes", report->notes},       {"problems", report->problems}};
+  const std::string text = std::to_string(report->sessions) + " sessions restored (" + std::to_string(report->files) +
+                           " files, " + std::to_string(report->bytes / 1000) + " kB), " +
+                           std::to_string(report->present) + " there already, " + std::to_string(report->forgotten) +
+                           " forgotten ones left out, " + std::to_string(report->withdrawals) +
+                           " consents withdrawn\n" + Lines("note", report->notes) + Lines("problem", report->problems);
+  return Ending(Print(common.json ? TextOf(json) : text), report->problems);
+}
+
+std::string PullText(const PullReport& report, bool dry_run) {
+  std::string text = std::to_string(report.sessions.size()) + (dry_run ? " sessions to pull, " : " sessions pulled, ") +
+                     std::to_string(report.fits.size()) + " later fits, " + std::to_string(report.present) +
+                     " here already, " + std::to_string(report.unfinished) + " unfinished or failed, " +
+                     std::to_string(report.forgotten) + " forgotten\n";
+  for (const std::string& id : report.sessions) text += "  " + id + "\n";
+  if (report.withdrawals != 0)
+    text += "  " + std::to_string(report.withdrawals) + " consents withdrawn, as the source's ledger says\n";
+  return text + Lines("fit", report.fits) + Lines("forgotten as at the source", report.obeyed) +
+         Lines("wiped", report.wiped) + Lines("note", report.notes) + Lines("problem", report.problems);
 }
 
 int RunPull(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
-  const auto report = Pull(common.store, flags.from, flags.dry_run ? PullMode::kDryRun : PullMode::kCopy, logger);
+  const PullOptions options{flags.dry_run ? PullMode::kDryRun : PullMode::kCopy,
+                            flags.obey ? ForgottenElsewhere::kForget : ForgottenElsewhere::kName,
+                            std::chrono::seconds(flags.timeout_s)};
+  const auto report = Pull(common.store, flags.from, options, logger);
   if (!report.ok()) return Report(report.status());
   const Json json = {{"from", flags.from},
                      {"dry_run", flags.dry_run},
                      {"sessions", report->sessions},
+                     {"fits", report->fits},
                      {"frames", report->frames},
                      {"present", report->present},
                      {"unfinished", report->unfinished},
                      {"forgotten", report->forgotten},
+                     {"ledger_entries", report->ledger_entries},
+                     {"withdrawals", report->withdrawals},
+                     {"obeyed", report->obeyed},
+                     {"wiped", report->wiped},
+                     {"notes", report->notes},
                      {"problems", report->problems}};
-  std::string text = std::to_string(report->sessions.size()) +
-                     (flags.dry_run ? " sessions to pull, " : " sessions pulled, ") + std::to_string(report->present) +
-                     " here already, " + std::to_string(report->unfinished) + " unfinished or failed, " +
-                     std::to_string(report->forgotten) + " forgotten\n";
-  for (const std::string& id : report->sessions) text += "  " + id + "\n";
-  text += Lines("problem", report->problems);
-  const int printed = Print(common.json ? TextOf(json) : text);
-  return report->problems.empty() ? printed : static_cast<int>(StatusCode::kIntegrity);
+  return Ending(Print(common.json ? TextOf(json) : PullText(*report, flags.dry_run)), report->problems);
 }
 
 }  // namespace
@@ -152,35 +188,63 @@ int RunPull(const CommonFlags& common, const TransferFlags& flags) {
 void AddTransferCommands(Commands& commands) {
   const auto flags = std::make_shared<TransferFlags>();
   const CommonFlags& common = commands.flags();
-  CLI::App* import = commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM)",
-                                  [&common, flags] { return RunImport(common, *flags); });
-  import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)")->required();
+  CLI::App* import =
+      commands.Add("import", "Store image files of another rig as a session (PNG, TIFF, TGA, PGM/PPM); or an RO-Crate",
+                   [&common, flags] { return RunImport(common, *flags); });
+  import->footer(Examples({"import --manifest procam_gray_kamino.toml --root captures --pose 2",
+                           "import --manifest export/import.toml", "import --crate crate"},
+                          "A manifest has 16 MiB at most, a picture 1 GiB and 268435456 pixels."));
+  CLI::Option* manifest = import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)");
+  import->add_option("--crate", flags->crate, "an RO-Crate that `export --crate` wrote")->excludes(manifest);
   import->add_option("--root", flags->root, "folder of the image files (default: the manifest's)");
   import->add_option("--pose", flags->pose, "this pose only (default: all)");
 
-  CLI::App* exported = commands.Add("export", "Write a session, or all of one visitor, as image files with their proof",
-                                    [&common, flags] { return RunExport(common, *flags); });
-  exported->add_option("SESSION", flags->session, "id, unique prefix, or latest");
-  exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym");
-  exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export")->required();
-  exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"}));
-  exported->add_option("--phase", flags->phase, "this phase only");
-  exported->add_option("--projector", flags->projector, "this projector only");
+  CLI::App* exported =
+      commands.Add("export", "Write a session, or all of one visitor, as image files with their proof; or an RO-Crate",
+                   [&common, flags] { return RunExport(common, *flags); });
+  exported->footer(Examples({"export latest --out pictures --format tiff", "export s000017 --out sweep --phase sweep",
+                             "export --visitor v-5f3a91c2 --out for-v-5f3a91c2",
+                             "export s000017 s000018 --crate crate --scope research"}));
+  exported->add_option("SESSION", flags->sessions, "id, unique prefix, or latest; several with --crate");
+  const std::vector<CLI::Option*> plain = {
+      exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym"),
+      exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export"),
+      exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"})),
+      exported->add_option("--phase", flags->phase, "this phase only"),
+      exported->add_option("--projector", flags->projector, "this projector only")};
+  AddCrateExportFlags(exported, plain, flags->crate_export);
 
-  commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
-               [&common] { return RunReindex(common); });
+  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
+                                   [&common] { return RunReindex(common); });
+  reindex->footer(Examples({"reindex", "reindex --json"}));
   CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",
                                   [&common, flags] { return RunBackup(common, *flags); });
+  backup->footer(Examples({"backup --to /media/disk/store-backup",
+                           "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
   backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
   backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, apart from the backup");
+  backup
+      ->add_option("--scrub", flags->scrub,
+                   "copies of earlier backups to reread: turn (an eighth, the longest unread; default) or all")
+      ->check(CLI::IsMember({"turn", "all"}));
   CLI::App* restore = commands.Add("restore", "Make a store from a backup, every file checked against its hash",
                                    [&common, flags] { return RunRestore(common, *flags); });
+  restore->footer(Examples({"restore --from /media/disk/store-backup --store new-store --ledger store",
+                            "restore --from /media/disk/store-backup --merge"}));
   restore->add_option("--from", flags->from, "folder of the backup")->required();
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
+  restore->add_option("--ledger", flags->ledger,
+                      "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
+  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux",
+                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux --dry-run",
+                         "pull --from kiosk@rig-1:/var/lib/stratalux --obey"}));
   pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
+  pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");
+  pull->add_option("--timeout", flags->timeout_s, "seconds without a byte after which the source counts as gone")
+      ->check(CLI::Range(1, 86400));
 }
 
 }  // namespace stratalux::db

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // `stratalux-db init|show|frames|verify`.
+#include <filesystem>
 #include <memory>
 #include <optional>
 
@@ -8,6 +9,7 @@
 #include "db/apps/command.h"
 #include "db/apps/extract.h"
 #include "db/apps/session_views.h"
+#include "db/catalogue/deletions.h"
 
 namespace stratalux::db {
 namespace {
@@ -18,7 +20,32 @@ struct ViewFlags {
   bool deep = false;
 };
 
+// What file systems and desktops put into a folder by themselves.
+bool IsOfTheFileSystem(const std::string& name) {
+  if (name == "lost+found" || name == ".snapshot" || name == ".snapshots" || name == ".zfs") return true;
+  return name.starts_with(".Trash") || name.starts_with(".nfs");
+}
+
+// A store takes a folder for itself: in one that holds other things it would be lost, and be cleaned away with them.
+Status RefuseForeignFolder(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::directory_iterator entries(folder, error);
+  if (error) return Status::Ok();  // not there yet, or no folder: making it says why
+  for (const char* own : {"index.sqlite", "sessions"})
+    if (std::filesystem::exists(folder / own, error)) return Status::Ok();
+  for (; entries != std::filesystem::directory_iterator(); entries.increment(error)) {
+    const std::string name = entries->path().filename().string();
+    if (!IsOfTheFileSystem(name))
+      return Status::Usage(folder.string() + " holds other things ('" + name + "'" +
+                           "); a store needs a folder of its own, such as `stratalux-db init --store " +
+                           (folder / "store").string() + "`");
+    if (error) return Status::Failed("cannot read folder " + folder.string() + ": " + error.message());
+  }
+  return Status::Ok();
+}
+
 int RunInit(const CommonFlags& common) {
+  if (const Status own = RefuseForeignFolder(common.store); !own.ok()) return Report(own);
   const Status status = SessionStore::Create(common.store);
   if (!status.ok()) return Report(status);
   const nlohmann::ordered_json json = {{"store", common.store}, {"schema", kSchemaVersion}};
@@ -26,10 +53,22 @@ int RunInit(const CommonFlags& common) {
                            : "store " + common.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
 }
 
+// What is left of a session that was forgotten; empty where `selector` was none.
+std::string Forgotten(const CommonFlags& common, const std::string& selector) {
+  const auto deletions = ListDeletions(common.store);
+  if (!deletions.ok() || selector.empty()) return {};
+  for (const Deletion& deletion : *deletions)
+    if (deletion.session.starts_with(selector))
+      return "session " + deletion.session + " was forgotten; `stratalux-db deletions` has its certificate";
+  return {};
+}
+
 int RunShow(const CommonFlags& common, const ViewFlags& flags) {
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto details = LoadDetails(*store, flags.session);
+  if (details.status().code() == StatusCode::kNotFound)
+    if (const std::string when = Forgotten(common, flags.session); !when.empty()) return Report(Status::NotFound(when));
   if (!details.ok()) return Report(details.status());
   return Print((common.json ? DetailsAsJson : DetailsAsText)(*details));
 }
@@ -65,7 +104,7 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   }
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
-  std::vector<SessionRow> sessions;
+  std::vector<SessionSummary> sessions;
   if (flags.session.empty()) {
     auto all = store->ListSessions();
     if (!all.ok()) return Report(all.status());
@@ -77,7 +116,7 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   }
   Logger logger;
   int64_t frames = 0;
-  for (const SessionRow& session : sessions) frames += session.frames;
+  for (const SessionSummary& session : sessions) frames += session.frames;
   Verified verified;
   bool sound = true;
   {
@@ -92,8 +131,10 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       if (!report.ok()) return Report(report.status());
       if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
     }
-    for (const SessionRow& session : sessions) {
-      auto report = VerifySession(*store, session, options);
+    for (const SessionSummary& session : sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return Report(row.status());
+      auto report = VerifySession(*store, *row, options);
       if (!report.ok()) return Report(report.status());
       add(session.info.id, std::move(report));
     }
@@ -107,13 +148,23 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
 void AddViewCommands(Commands& commands) {
   const auto flags = std::make_shared<ViewFlags>();
   const CommonFlags& common = commands.flags();
-  commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
+  CLI::App* init =
+      commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
+  init->footer(
+      Examples({"init --store store"},
+               "The folder is new, empty or a store; of other things only lost+found, .Trash*, .nfs*, .snapshot,\n"
+               ".snapshots and .zfs may lie there."));
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
   CLI::App* verify =
       commands.Add("verify", "Rebuild each session in memory and compare it with the index; --deep decodes every frame",
                    [&common, flags] { return RunVerify(common, *flags); });
+  show->footer(Examples({"show latest", "show s000017 --json"}));
+  frames->footer(Examples({"frames latest --phase sweep --projector 2",
+                           "frames latest --phase reference --extract pictures", "frames s000017 --json"}));
+  verify->footer(Examples({"verify", "verify --deep", "verify latest --deep --json"},
+                          "Exit code 6: something is damaged; each problem is named."));
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");

@@ -10,9 +10,20 @@
 #include <unistd.h>
 
 namespace stratalux::db {
+namespace {
+
+thread_local StatementWork work_of_this_thread;
+
+}  // namespace
 
 void Connection::Closer::operator()(sqlite3* handle) const { sqlite3_close(handle); }
-void Statement::Finalizer::operator()(sqlite3_stmt* handle) const { sqlite3_finalize(handle); }
+void Statement::Finalizer::operator()(sqlite3_stmt* handle) const {
+  work_of_this_thread.scanned_rows += sqlite3_stmt_status(handle, SQLITE_STMTSTATUS_FULLSCAN_STEP, 0);
+  work_of_this_thread.steps += sqlite3_stmt_status(handle, SQLITE_STMTSTATUS_VM_STEP, 0);
+  sqlite3_finalize(handle);
+}
+
+StatementWork WorkOfThisThread() { return work_of_this_thread; }
 
 Status Connection::Error(const std::string& what) const {
   const int code = handle_ ? sqlite3_errcode(handle_.get()) & 0xff : SQLITE_CANTOPEN;
@@ -98,6 +109,16 @@ Result<int64_t> Connection::QueryInteger(const std::string& sql) {
   SLX_ASSIGN_OR_RETURN(auto statement, Prepare(sql));
   SLX_ASSIGN_OR_RETURN(const bool row, statement.Step());
   return row ? statement.Integer(0) : int64_t{0};
+}
+
+Status Connection::Attach(const std::filesystem::path& file, const std::string& name) {
+  SLX_ASSIGN_OR_RETURN(auto attach, Prepare("ATTACH ?1 AS " + name));
+  return attach.Bind(1, file.string()).Run();
+}
+
+Status Connection::CopyInto(const std::filesystem::path& to) {
+  SLX_ASSIGN_OR_RETURN(auto copy, Prepare("VACUUM INTO ?1"));
+  return copy.Bind(1, to.string()).Run();
 }
 
 int64_t Connection::LastInsertId() const { return sqlite3_last_insert_rowid(handle_.get()); }

@@ -29,6 +29,10 @@ class Connection {
   Result<Statement> Prepare(const std::string& sql);
   // First column of the first row.
   Result<int64_t> QueryInteger(const std::string& sql);
+  // Another database as schema `name`; its file's name may hold any character.
+  Status Attach(const std::filesystem::path& file, const std::string& name);
+  // The whole database, as one transaction sees it, as the new file `to`.
+  Status CopyInto(const std::filesystem::path& to);
   [[nodiscard]] int64_t LastInsertId() const;
   // Status of a failed call, naming the file.
   [[nodiscard]] Status Error(const std::string& what) const;
@@ -44,6 +48,13 @@ class Connection {
   std::unique_ptr<sqlite3, Closer> handle_;
   std::string file_;
 };
+
+// What finished statements of this thread have done so far, for tests of what a question costs: rows that scans without
+// an index visited, and steps of SQLite's machine.
+struct StatementWork {
+  int64_t scanned_rows = 0, steps = 0;
+};
+[[nodiscard]] StatementWork WorkOfThisThread();
 
 class Statement {
  public:

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// STORE/write.lock: one session is written at a time. The kernel drops the lock with its process.
+// STORE/write.lock: one session is written at a time.
 #pragma once
 
 #include <filesystem>
 
-#include "shared/base/result.h"
+#include "db/base/file_lock.h"
 
 namespace stratalux::db {
 
@@ -18,12 +18,9 @@ class WriteLock {
   [[nodiscard]] static bool IsHeld(const std::filesystem::path& store);
 
   WriteLock() = default;
-  ~WriteLock();
-  WriteLock(WriteLock&& other) noexcept;
-  WriteLock& operator=(WriteLock&& other) noexcept;
 
  private:
-  int fd_ = -1;
+  FileLock lock_;
 };
 
 }  // namespace stratalux::db

@@ -5,14 +5,12 @@
 #include <optional>
 #include <set>
 
-#include <nlohmann/json.hpp>
-
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/care/index_swap.h"
 #include "db/care/session_rebuild.h"
-#include "db/ledger/tombstone.h"
-#include "shared/base/read_file.h"
+#include "db/catalogue/ledger_follow.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -32,38 +30,9 @@ Result<std::vector<fs::path>> SessionFolders(const fs::path& store) {
   return folders;
 }
 
-// A name within SQL's quotes.
-std::string Quoted(const fs::path& file) {
-  std::string text = "'";
-  for (char c : file.string()) text += c == '\'' ? std::string("''") : std::string(1, c);
-  return text + "'";
-}
-
-Status InsertTombstones(SessionIndex& index, const fs::path& store, ReindexReport& report) {
-  SLX_ASSIGN_OR_RETURN(auto insert,
-                       index.connection().Prepare("INSERT OR REPLACE INTO deletions VALUES (?1, ?2, ?3, ?4)"));
-  for (const fs::path& file : ListTombstones(store)) {
-    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-    const auto json = nlohmann::ordered_json::parse(text, nullptr, false);
-    // A damaged tombstone still keeps its session away: its name tells which.
-    const bool whole = json.is_object();
-    auto number = [&](const char* key) {
-      return whole && json.contains(key) && json[key].is_number_integer() ? json[key].get<int64_t>() : int64_t{0};
-    };
-    const bool has_reason = whole && json.contains("reason") && json["reason"].is_string();
-    if (!whole) report.problems.push_back(file.string() + ": no JSON; its session stays forgotten");
-    insert.Bind(1, file.stem().string()).Bind(2, number("deleted_wall_ns"));
-    insert.Bind(3, has_reason ? json["reason"].get<std::string>() : std::string("forget")).Bind(4, text);
-    SLX_RETURN_IF_ERROR(insert.Run());
-    ++report.forgotten;
-  }
-  return Status::Ok();
-}
-
 // Numbers of forgotten sessions are not given again.
-Status RaiseSequence(SessionIndex& index, const fs::path& store, int64_t highest) {
-  for (const fs::path& file : ListTombstones(store))
-    highest = std::max(highest, NumberOfId(file.stem().string()).value_or(0));
+Status RaiseSequence(SessionIndex& index, const Ledger& ledger, int64_t highest) {
+  for (const auto& [id, certificate] : ledger.forgotten()) highest = std::max(highest, NumberOfId(id).value_or(0));
   Connection& connection = index.connection();
   SLX_RETURN_IF_ERROR(connection.Execute("DELETE FROM sqlite_sequence WHERE name = 'sessions'"));
   SLX_ASSIGN_OR_RETURN(auto insert,
@@ -79,14 +48,34 @@ Status TakeOver(SessionIndex& index) {
   if (version != own) return Status::Failed("it has schema " + std::to_string(version));
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   SLX_RETURN_IF_ERROR(connection.Execute(
-      "INSERT INTO main.visitors SELECT * FROM old.visitors WHERE true"
+      "INSERT INTO main.visitors (id, created_wall_ns) SELECT id, created_wall_ns FROM old.visitors WHERE true"
       " ON CONFLICT (id) DO UPDATE SET created_wall_ns = excluded.created_wall_ns;"
+      // What sessions were made under stands in their manifests; consents that no session was made under, and
+      // withdrawals of the time before the ledger, stood here alone. Numbers in the order in which they were given.
+      "CREATE TEMP TABLE every AS SELECT * FROM main.consents;"
+      "INSERT INTO temp.every SELECT * FROM old.consents o WHERE visitor IN (SELECT id FROM main.visitors) AND NOT "
+      "EXISTS"
+      " (SELECT 1 FROM main.consents m WHERE m.visitor = o.visitor AND m.given_wall_ns = o.given_wall_ns"
+      " AND m.text_version = o.text_version);"
+      "UPDATE temp.every SET withdrawn_wall_ns = (SELECT min(o.withdrawn_wall_ns) FROM old.consents o WHERE o.visitor ="
+      " every.visitor AND o.given_wall_ns = every.given_wall_ns AND o.text_version = every.text_version);"
       "DELETE FROM main.consents;"
-      "INSERT INTO main.consents SELECT * FROM old.consents WHERE visitor IN (SELECT id FROM main.visitors);"
-      "INSERT INTO main.access_log SELECT * FROM old.access_log;"
-      "INSERT INTO main.jobs SELECT j.* FROM old.jobs j JOIN old.sessions o ON o.number = j.session"
-      " JOIN main.sessions n ON n.number = o.number AND n.id = o.id;"
-      "INSERT OR IGNORE INTO main.deletions SELECT * FROM old.deletions"));
+      "INSERT INTO main.consents (visitor, text_version, language, fit, research, publication, given_wall_ns,"
+      " withdrawn_wall_ns) SELECT visitor, text_version, language, fit, research, publication, given_wall_ns,"
+      " withdrawn_wall_ns FROM temp.every ORDER BY given_wall_ns;"
+      "DROP TABLE temp.every;"
+      "INSERT INTO main.access_log (number, at_wall_ns, who, action, session_id, detail)"
+      " SELECT number, at_wall_ns, who, action, session_id, detail FROM old.access_log;"
+      "INSERT INTO main.jobs (id, key, session, kind, state, priority, options_json, created_wall_ns,"
+      " not_before_wall_ns, attempts, max_attempts, owner, fence, boot, until_boot_ns, last_error, finished_wall_ns)"
+      " SELECT j.id, j.key, j.session, j.kind, j.state, j.priority, j.options_json, j.created_wall_ns,"
+      " j.not_before_wall_ns, j.attempts, j.max_attempts, j.owner, j.fence, j.boot, j.until_boot_ns, j.last_error,"
+      " j.finished_wall_ns FROM old.jobs j LEFT JOIN old.sessions o ON o.number = j.session"
+      " LEFT JOIN main.sessions n ON n.number = o.number AND n.id = o.id"
+      " WHERE j.session IS NULL OR n.number IS NOT NULL;"
+      "UPDATE main.job_fence SET last = (SELECT last FROM old.job_fence);"
+      "INSERT OR IGNORE INTO main.deletions (session_id, deleted_wall_ns, reason, certificate_json)"
+      " SELECT session_id, deleted_wall_ns, reason, certificate_json FROM old.deletions"));
   return transaction.Commit();
 }
 
@@ -95,8 +84,8 @@ void CutTails(const RebuiltSession& session, ReindexReport& report) {
     if (const Status cut = CutFile(tail.file, tail.keep); !cut.ok()) report.problems.push_back(cut.message());
 }
 
-Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders, Logger& logger,
-                      ReindexReport& report) {
+Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders,
+                      const Ledger& ledger, Logger& logger, ReindexReport& report) {
   Progress progress(logger, "reindex", static_cast<int64_t>(folders.size()));
   std::set<int64_t> taken;
   std::vector<RebuiltSession> late;  // whose number is unknown or taken: behind all others
@@ -110,7 +99,7 @@ Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vec
   };
   for (const fs::path& folder : folders) {
     progress.Advance();
-    if (HasTombstone(store, folder.filename().string())) {
+    if (ledger.IsForgotten(folder.filename().string())) {
       report.notes.push_back("session " + folder.filename().string() + " was forgotten; what is left of it in " +
                              folder.string() + " was not listed");
       continue;
@@ -135,10 +124,13 @@ Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vec
     SLX_RETURN_IF_ERROR(insert(session, number));
     SLX_RETURN_IF_ERROR(WritePlace(store / "sessions" / session.info.id, {number, "reindex"}));
   }
-  return RaiseSequence(index, store, taken.empty() ? 0 : *taken.rbegin());
+  return RaiseSequence(index, ledger, taken.empty() ? 0 : *taken.rbegin());
 }
 
 Status Build(const fs::path& store, const fs::path& work, Logger& logger, ReindexReport& report) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  report.forgotten = static_cast<int64_t>(ledger.forgotten().size());
+  report.problems.insert(report.problems.end(), ledger.problems().begin(), ledger.problems().end());
   SLX_ASSIGN_OR_RETURN(const auto folders, SessionFolders(store));
   std::error_code error;
   fs::remove_all(work, error);
@@ -150,16 +142,16 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
       connection.Execute("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;"
                          "PRAGMA cache_size = -65536"));
   bool attached = false;
-  if (fs::exists(store / "index.sqlite", error))
-    attached = connection.Execute("ATTACH " + Quoted(store / "index.sqlite") + " AS old").ok();
+  if (fs::exists(store / "index.sqlite", error)) attached = connection.Attach(store / "index.sqlite", "old").ok();
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, logger, report));
-    SLX_RETURN_IF_ERROR(InsertTombstones(index, store, report));
+    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, ledger, logger, report));
     const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
     if (!taken.ok())
-      report.notes.push_back("access log, jobs and withdrawals of consent were not taken over from the old index: " +
-                             taken.message());
+      report.notes.push_back(
+          "access log, jobs and consents without a session were not taken over from the old index: " + taken.message());
+    // Whatever the old index said, or nobody any more: withdrawn stays withdrawn, forgotten stays forgotten.
+    SLX_RETURN_IF_ERROR(FollowLedger(index, store));
     SLX_RETURN_IF_ERROR(transaction.Commit());
   }
   if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));

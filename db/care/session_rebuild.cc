@@ -9,6 +9,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/calibration_store.h"
+#include "db/catalogue/consent_rows.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "shared/base/read_file.h"
@@ -168,20 +169,6 @@ Result<RebuiltSession> RebuildSession(const fs::path& folder) {
 
 namespace {
 
-Status InsertConsent(Connection& connection, const SessionInfo& info) {
-  const Consent& c = info.consent;
-  if (info.visitor.empty() || c.text_version.empty() || c.given_wall.ns == 0) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(auto person, connection.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
-  SLX_RETURN_IF_ERROR(person.Bind(1, info.visitor).Bind(2, c.given_wall.ns).Run());
-  SLX_ASSIGN_OR_RETURN(
-      auto insert,
-      connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
-                         " given_wall_ns) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS (SELECT 1 FROM consents"
-                         " WHERE visitor = ?1 AND text_version = ?2 AND given_wall_ns = ?7)"));
-  insert.Bind(1, info.visitor).Bind(2, c.text_version).Bind(3, c.language).Bind(4, int64_t{c.fit});
-  return insert.Bind(5, int64_t{c.research}).Bind(6, int64_t{c.publication}).Bind(7, c.given_wall.ns).Run();
-}
-
 Status SetEnding(Connection& connection, int64_t number, const RebuiltSession& session) {
   SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE sessions SET finished_wall_ns = ?2, key_id = ?3"
                                                        " WHERE number = ?1"));
@@ -198,7 +185,8 @@ Result<int64_t> InsertRebuilt(SessionIndex& index, const RebuiltSession& session
   Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   SessionInfo info = session.info;
-  SLX_RETURN_IF_ERROR(InsertConsent(connection, info));
+  if (!info.visitor.empty() && !info.consent.text_version.empty() && info.consent.given_wall.ns != 0)
+    SLX_RETURN_IF_ERROR(InsertConsent(connection, info.visitor, info.consent, ConsentSource::kOfSession));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info, wanted));
   SLX_RETURN_IF_ERROR(index.InsertFrames(number, session.frames));
   SLX_RETURN_IF_ERROR(SetEnding(connection, number, session));

@@ -6,7 +6,7 @@
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/session_index.h"
-#include "db/ledger/tombstone.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -33,23 +33,63 @@ Status CheckDatabase(const SessionStore& store, VerifyDepth depth, VerifyReport&
   return Status::Ok();
 }
 
+// The ledger as a file, and that the index says of withdrawals and forgettings what it says.
+Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport& report) {
+  report.problems.insert(report.problems.end(), ledger.problems().begin(), ledger.problems().end());
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store.folder(), AccessMode::kReadOnly));
+  Connection& connection = index.connection();
+  const std::string folder = (store.folder() / "ledger").string();
+  SLX_ASSIGN_OR_RETURN(auto heads, connection.Prepare("SELECT chain, bytes FROM ledger_heads WHERE chain <> ''"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, heads.Step());
+    if (!more) break;
+    std::error_code error;
+    const auto size = fs::file_size(folder + "/" + heads.Text(0), error);
+    if (error || static_cast<int64_t>(size) < heads.Integer(1))
+      report.problems.push_back(folder + "/" + heads.Text(0) + " was " + std::to_string(heads.Integer(1)) +
+                                " bytes long and " + (error ? "is gone" : "is " + std::to_string(size) + " now") +
+                                ": restore it from a backup (`stratalux-db restore --merge`)");
+  }
+  SLX_ASSIGN_OR_RETURN(auto deletions, connection.Prepare("SELECT session_id FROM deletions"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, deletions.Step());
+    if (!more) break;
+    if (!ledger.IsForgotten(deletions.Text(0)))
+      report.problems.push_back("session " + deletions.Text(0) + " was forgotten, but no entry of " + folder +
+                                " says so: restore the ledger from a backup");
+  }
+  SLX_ASSIGN_OR_RETURN(auto holding,
+                       connection.Prepare("SELECT 1 FROM consents c JOIN sessions s ON s.visitor = c.visitor"
+                                          " WHERE s.id = ?1 AND s.visitor <> '' AND c.withdrawn_wall_ns IS"
+                                          " NULL AND c.given_wall_ns <= ?2"));
+  for (const auto& [session, at] : ledger.withdrawn()) {
+    SLX_ASSIGN_OR_RETURN(const bool holds, holding.Bind(1, session).Bind(2, at.ns).Step());
+    if (holds)
+      report.problems.push_back("session " + session +
+                                ": its visitor has withdrawn consent, which the index does not"
+                                " know: `stratalux-db reindex`");
+    holding.Reset();
+  }
+  return Status::Ok();
+}
+
 bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
-      "index.sqlite",  "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
-      "deletions",     "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",
-      "incoming.lock", "reindex.new",      "lost+found",       "backup.json",
-      "rig.key",       "transcode.json",   "ledger"};
+      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",        "deletions",
+      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",        "incoming.lock",
+      "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 
-void CheckFolders(const SessionStore& store, const std::set<std::string>& known, VerifyReport& report) {
+void CheckFolders(const SessionStore& store, const std::set<std::string>& known, const Ledger& ledger,
+                  VerifyReport& report) {
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(store.folder(), error))
     if (!IsOurs(entry.path().filename().string()))
       report.notes.push_back(entry.path().string() + " is no file of a store");
   for (const auto& entry : fs::directory_iterator(store.folder() / "sessions", error)) {
     const std::string id = entry.path().filename().string();
-    if (HasTombstone(store.folder(), id)) {
+    if (ledger.IsForgotten(id)) {
       report.problems.push_back(entry.path().string() + " is of a session that was forgotten; `stratalux-db forget " +
                                 id + "` again");
     } else if (!known.contains(id)) {
@@ -64,14 +104,16 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
 Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions& options) {
   VerifyReport report;
   SLX_RETURN_IF_ERROR(CheckDatabase(store, options.depth, report));
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store.folder()));
+  SLX_RETURN_IF_ERROR(CheckLedger(store, ledger, report));
   SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
   std::set<std::string> known;
-  for (const SessionRow& row : sessions) {
+  for (const SessionSummary& row : sessions) {
     known.insert(row.info.id);
-    if (HasTombstone(store.folder(), row.info.id))
+    if (ledger.IsForgotten(row.info.id))
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
   }
-  CheckFolders(store, known, report);
+  CheckFolders(store, known, ledger, report);
   SLX_ASSIGN_OR_RETURN(const auto rows, CompareStore(store.folder()));
   report.problems.insert(report.problems.end(), rows.begin(), rows.end());
   SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));

@@ -107,8 +107,9 @@ Status EnterCalibration(Connection& connection, int64_t session, const FitRow& f
                                           " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (id) DO UPDATE"
                                           " SET rig = excluded.rig, made_wall_ns = excluded.made_wall_ns"));
   SLX_RETURN_IF_ERROR(insert.Bind(1, id).Bind(2, fit.calibration_json).Bind(3, rig).Bind(4, made).Run());
-  SLX_ASSIGN_OR_RETURN(auto accept,
-                       connection.Prepare("INSERT INTO accepted_calibrations VALUES (?1, ?2, ?3, ?4, ?5)"));
+  SLX_ASSIGN_OR_RETURN(
+      auto accept, connection.Prepare("INSERT INTO accepted_calibrations (session, fit, calibration_id, made_wall_ns,"
+                                      " valid_until_wall_ns) VALUES (?1, ?2, ?3, ?4, ?5)"));
   return accept.Bind(1, session).Bind(2, fit.id).Bind(3, id).Bind(4, made).Bind(5, valid_until).Run();
 }
 

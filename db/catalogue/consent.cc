@@ -1,11 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/consent.h"
 
+#include <algorithm>
+#include <cctype>
+#include <cstdio>
+#include <random>
 #include <sstream>
 
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/consent_rows.h"
 #include "db/catalogue/session_index.h"
+#include "db/keys/key_store.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -25,18 +32,56 @@ Status Missing(const std::filesystem::path& store, const std::string& visitor, c
                        " --text-version VERSION --language LANGUAGE --scope fit`");
 }
 
-Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent) {
-  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(auto person, connection.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
-  SLX_RETURN_IF_ERROR(person.Bind(1, visitor).Bind(2, consent.given_wall.ns).Run());
-  SLX_ASSIGN_OR_RETURN(
-      auto insert,
-      connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
-                         " given_wall_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"));
-  insert.Bind(1, visitor).Bind(2, consent.text_version).Bind(3, consent.language);
-  insert.Bind(4, int64_t{consent.fit}).Bind(5, int64_t{consent.research}).Bind(6, int64_t{consent.publication});
-  SLX_RETURN_IF_ERROR(insert.Bind(7, consent.given_wall.ns).Run());
-  return transaction.Commit();
+// Bytes of other alphabets are taken for letters.
+bool IsLetter(unsigned char c) { return std::isalpha(c) != 0 || c >= 0x80; }
+bool IsDigit(unsigned char c) { return std::isdigit(c) != 0; }
+
+bool HasCapitalisedWord(const std::string& text) {
+  std::istringstream words(text);
+  for (std::string word; words >> word;)
+    if (std::isupper(static_cast<unsigned char>(word[0])) != 0 && std::all_of(word.begin(), word.end(), IsLetter))
+      return true;
+  return false;
+}
+
+// 1987-05-12, 12.5.1987, 12/05/87: three groups of digits, one mark between each two, the year in front or at the end.
+bool IsDate(const std::string& text) {
+  std::vector<size_t> groups(1);
+  for (const char c : text) {
+    if (IsDigit(static_cast<unsigned char>(c))) {
+      ++groups.back();
+    } else if (std::string_view("-./ ").find(c) != std::string_view::npos) {
+      groups.push_back(0);
+    } else {
+      return false;
+    }
+  }
+  if (groups.size() != 3) return false;
+  auto is_short = [](size_t digits) { return digits == 1 || digits == 2; };
+  return is_short(groups[1]) &&
+         ((groups[0] == 4 && is_short(groups[2])) || (is_short(groups[0]) && (groups[2] == 4 || groups[2] == 2)));
+}
+
+// What a text looks like that names a person; null where it does not.
+const char* LooksLike(const std::string& text) {
+  if (text == kSimulatedVisitor) return nullptr;
+  const auto digits = std::count_if(text.begin(), text.end(), IsDigit);
+  if (text.find('@') != std::string::npos) return "an e-mail address";
+  if (IsDate(text)) return "a date";
+  if (digits >= 6 && text.find_first_not_of("0123456789+-/(). ") == std::string::npos) return "a telephone number";
+  if (digits == 0) return "a name";
+  return text.find(' ') != std::string::npos && HasCapitalisedWord(text) ? "a name" : nullptr;
+}
+
+Result<std::vector<std::string>> SessionsOf(Connection& connection, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id FROM sessions WHERE visitor = ?1 ORDER BY number"));
+  select.Bind(1, visitor);
+  std::vector<std::string> ids;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return ids;
+    ids.push_back(select.Text(0));
+  }
 }
 
 }  // namespace
@@ -51,6 +96,17 @@ Status CheckPseudonym(const std::string& visitor) {
   for (const unsigned char c : visitor)
     if (c < 0x20 || c == 0x7f) return Status::Usage("--visitor " + shown + ": the pseudonym has control characters");
   return Status::Ok();
+}
+
+Status CheckNewPseudonym(const std::string& visitor) {
+  SLX_RETURN_IF_ERROR(CheckPseudonym(visitor));
+  const char* like = LooksLike(visitor);
+  if (like == nullptr) return Status::Ok();
+  std::random_device random;
+  char instead[16];
+  std::snprintf(instead, sizeof instead, "v-%08x", random());
+  return Status::Usage("--visitor " + Quoted(visitor) + ": looks like " + like +
+                       ", which must not stand in a store; take a pseudonym that tells nothing, such as " + instead);
 }
 
 Status SetScope(const std::string& text, Consent& consent) {
@@ -77,25 +133,41 @@ std::string ScopeText(const Consent& consent) {
 }
 
 Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent) {
-  SLX_RETURN_IF_ERROR(CheckPseudonym(visitor));
+  SLX_RETURN_IF_ERROR(CheckNewPseudonym(visitor));
   if (consent.text_version.empty() || consent.language.empty())
     return Status::Usage("a consent names the version of the text that was shown and its language");
   if (ScopeText(consent).empty()) return SetScope("", consent);
   if (consent.given_wall.ns == 0) consent.given_wall = WallNow();
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  return InsertConsent(index.connection(), visitor, consent);
+  return InsertConsent(index.connection(), visitor, consent, ConsentSource::kGiven);
 }
 
-Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor) {
+Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor,
+                       const std::function<void(WithdrawStep)>& after_step) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(auto count, index.connection().Prepare("SELECT count(*) FROM consents WHERE visitor = ?1 AND"
-                                                              " withdrawn_wall_ns IS NULL"));
-  count.Bind(1, visitor);
-  SLX_RETURN_IF_ERROR(count.Step().status());
+  Connection& connection = index.connection();
+  // No session of the visitor begins meanwhile: its row waits for this transaction.
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(auto count, connection.Prepare("SELECT count(*) FROM consents WHERE visitor = ?1 AND"
+                                                      " withdrawn_wall_ns IS NULL"));
+  SLX_RETURN_IF_ERROR(count.Bind(1, visitor).Step().status());
   if (count.Integer(0) == 0) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that holds");
-  SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
-                                                               " visitor = ?1 AND withdrawn_wall_ns IS NULL"));
-  return update.Bind(1, visitor).Bind(2, WallNow().ns).Run();
+  count.Reset();
+  LedgerEntry entry;
+  entry.kind = LedgerKind::kWithdrawal;
+  entry.at = WallNow();
+  SLX_ASSIGN_OR_RETURN(entry.sessions, SessionsOf(connection, visitor));
+  const auto name = FindVisitorName(store, visitor);  // none where no session was made here
+  if (!name.ok() && name.status().code() != StatusCode::kNotFound) return name.status();
+  entry.visitor_hmac = name.ok() ? *name : "";
+  if (!entry.sessions.empty()) SLX_RETURN_IF_ERROR(AppendToLedger(store, entry));
+  if (after_step) after_step(WithdrawStep::kLedger);
+  SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
+                                                       " visitor = ?1 AND withdrawn_wall_ns IS NULL"));
+  SLX_RETURN_IF_ERROR(update.Bind(1, visitor).Bind(2, entry.at.ns).Run());
+  SLX_RETURN_IF_ERROR(transaction.Commit());
+  if (after_step) after_step(WithdrawStep::kIndex);
+  return Status::Ok();
 }
 
 Result<std::vector<ConsentRow>> ListConsents(const std::filesystem::path& store, const std::string& visitor) {

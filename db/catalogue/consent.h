@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -23,14 +24,20 @@ struct ConsentRow {
 
 // Pseudonyms are text that every list and JSON file can show: UTF-8, no control characters, not empty. kUsage.
 Status CheckPseudonym(const std::string& visitor);
+// kUsage, with a pseudonym to take instead, for what looks like a name, an e-mail address, a telephone number or a date
+// of birth. Asked where a pseudonym is new: older ones stay good.
+Status CheckNewPseudonym(const std::string& visitor);
 // Sets the scopes from "fit,research,publication" (any of them); kUsage for others and for none.
 Status SetScope(const std::string& text, Consent& consent);
 [[nodiscard]] std::string ScopeText(const Consent& consent);
 
 // Records a new consent; given_wall is now when it is 0. kUsage without text version, language or scope.
 Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent);
-// Marks all that the visitor gave as withdrawn. kNotFound where none holds.
-Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor);
+enum class WithdrawStep { kLedger, kIndex };
+// Marks all that the visitor gave as withdrawn: first in the ledger, naming the visitor's sessions, then in the index,
+// which follows the ledger where it is cut off in between. kNotFound where none holds.
+Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor,
+                       const std::function<void(WithdrawStep)>& after_step = {});
 // In the order in which they were given; all visitors for an empty pseudonym.
 [[nodiscard]] Result<std::vector<ConsentRow>> ListConsents(const std::filesystem::path& store,
                                                            const std::string& visitor);

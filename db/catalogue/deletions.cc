@@ -4,8 +4,7 @@
 #include <map>
 
 #include "db/catalogue/session_index.h"
-#include "db/ledger/tombstone.h"
-#include "shared/base/read_file.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 
@@ -13,7 +12,8 @@ namespace fs = std::filesystem;
 
 Result<bool> IsForgotten(const fs::path& store, const std::string& session_id) {
   if (session_id.empty() || session_id.find('/') != std::string::npos) return false;
-  if (HasTombstone(store, session_id)) return true;
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  if (ledger.IsForgotten(session_id)) return true;
   std::error_code error;
   if (!fs::exists(store / "index.sqlite", error)) return false;
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
@@ -25,8 +25,8 @@ Result<bool> IsForgotten(const fs::path& store, const std::string& session_id) {
 Status RefuseForgotten(const fs::path& store, const std::string& session_id) {
   SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(store, session_id));
   if (!forgotten) return Status::Ok();
-  return Status::Usage("session " + session_id + " was forgotten and cannot return (" +
-                       CertificateFile(store, session_id).string() + ")");
+  return Status::Usage("session " + session_id + " was forgotten and cannot return (" + (store / "ledger").string() +
+                       "; `stratalux-db deletions` shows its certificate)");
 }
 
 Result<std::vector<Deletion>> ListDeletions(const fs::path& store) {
@@ -38,9 +38,8 @@ Result<std::vector<Deletion>> ListDeletions(const fs::path& store) {
     if (!more) break;
     found[select.Text(0)] = select.Text(1);
   }
-  for (const fs::path& file : ListTombstones(store)) {
-    SLX_ASSIGN_OR_RETURN(found[file.stem().string()], ReadFile(file));
-  }
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  for (const auto& [session, certificate] : ledger.forgotten()) found[session] = certificate;
   std::vector<Deletion> deletions;
   for (auto& [session, certificate] : found) deletions.push_back({session, certificate});
   return deletions;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What was forgotten, by files (db/ledger/tombstone.h) and index. Import, key import and pull ask here before they take
+// What was forgotten, by ledger (db/ledger/ledger.h) and index. Import, key import and pull ask here before they take
 // a session in.
 #pragma once
 
@@ -16,13 +16,13 @@ struct Deletion {
   std::string certificate_json;
 };
 
-// True from the moment a `forget` of the session has begun. The files decide; the index is asked where it is there, so
-// that one of the two may be lost.
+// True from the moment a `forget` of the session has begun. The ledger decides; the index is asked where it is there,
+// so that one of the two may be lost.
 [[nodiscard]] Result<bool> IsForgotten(const std::filesystem::path& store, const std::string& session_id);
 // kUsage naming the certificate, for programs that were told to take the session in.
 Status RefuseForgotten(const std::filesystem::path& store, const std::string& session_id);
 
-// The certificates, by session id, from files and index.
+// The certificates, by session id, from ledger and index; "" or "{}" while there is none.
 [[nodiscard]] Result<std::vector<Deletion>> ListDeletions(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

@@ -1,26 +1,119 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/fit_record.h"
 
+#include <algorithm>
+#include <fstream>
+#include <memory>
+#include <vector>
+
 #include <nlohmann/json.hpp>
 #include <sys/stat.h>
+#include <xxhash.h>
 
-#include "db/base/durable_file.h"
+#include "db/segment/segment.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-Status WriteFitRecord(const std::filesystem::path& folder, const FitRow& fit) {
-  SLX_RETURN_IF_ERROR(MakeFolder(folder));
+namespace {
+
+// XXH3-128 of a file's bytes, 32 hex digits.
+Result<std::string> HashOf(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  if (!in) return Status::Failed("cannot read " + file.string());
+  const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(), XXH3_freeState);
+  XXH3_128bits_reset(state.get());
+  std::vector<char> buffer(1 << 20);
+  while (in.read(buffer.data(), static_cast<std::streamsize>(buffer.size())) || in.gcount() > 0)
+    XXH3_128bits_update(state.get(), buffer.data(), static_cast<size_t>(in.gcount()));
+  if (in.bad()) return Status::Failed("cannot read " + file.string());
+  XXH128_canonical_t canonical;
+  XXH128_canonicalFromHash(&canonical, XXH3_128bits_digest(state.get()));
+  return HashText(canonical.digest);
+}
+
+// Regular files at and below the folder, by their names within it, sorted; fit.json is not one of its own files.
+Result<std::vector<std::string>> FilesOf(const fs::path& folder) {
+  std::vector<std::string> names;
+  std::error_code error;
+  for (auto entry = fs::recursive_directory_iterator(folder, error); !error && entry != fs::end(entry);
+       entry.increment(error)) {
+    const std::string name = entry->path().lexically_relative(folder).string();
+    if (fs::is_regular_file(entry->symlink_status(error)) && name != kFitRecordFile &&
+        name != std::string(kFitRecordFile) + ".new")
+      names.push_back(name);
+  }
+  if (error) return Status::Failed("cannot read " + folder.string() + ": " + error.message());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+bool StaysWithin(const fs::path& name) {
+  if (name.empty() || name.is_absolute()) return false;
+  return std::none_of(name.begin(), name.end(), [](const fs::path& part) { return part == ".." || part == "."; });
+}
+
+// No part of the name may be a link: it could lead out of the folder.
+Status CheckFile(const fs::path& folder, const std::string& name, int64_t bytes, const std::string& hash) {
+  if (!StaysWithin(name))
+    return Status::Integrity((folder / kFitRecordFile).string() + ": '" + name + "' is no file of the fit");
+  const fs::path file = folder / name;
+  std::error_code error;
+  fs::path at = folder;
+  for (const fs::path& part : fs::path(name)) {
+    at /= part;
+    const auto type = fs::symlink_status(at, error).type();
+    if (type == fs::file_type::not_found) return Status::Integrity(file.string() + " of the fit is missing");
+    if (type != fs::file_type::directory && type != fs::file_type::regular)
+      return Status::Integrity(at.string() + " is a link or no regular file");
+  }
+  const auto size = fs::file_size(file, error);
+  if (error || static_cast<int64_t>(size) != bytes)
+    return Status::Integrity(file.string() + " has " + (error ? "no" : std::to_string(size)) + " bytes, " +
+                             kFitRecordFile + " says " + std::to_string(bytes));
+  SLX_ASSIGN_OR_RETURN(const std::string found, HashOf(file));
+  if (found != hash) return Status::Integrity(file.string() + " is not the file that " + kFitRecordFile + " names");
+  return Status::Ok();
+}
+
+}  // namespace
+
+Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
   // Options and metrics as texts: the index holds them byte for byte.
-  const Json json = {{"schema", 1},
-                     {"fit", fit.id},
-                     {"session", fit.session},
-                     {"created_wall_ns", fit.created_wall.ns},
-                     {"options_json", fit.options_json},
-                     {"metrics_json", fit.metrics_json}};
-  return ReplaceFile(folder / "fit.json", json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+  Json json = {{"schema", 1},
+               {"fit", fit.id},
+               {"session", fit.session},
+               {"created_wall_ns", fit.created_wall.ns},
+               {"options_json", fit.options_json},
+               {"metrics_json", fit.metrics_json},
+               {"files", Json::array()}};
+  SLX_ASSIGN_OR_RETURN(const auto names, FilesOf(folder));
+  for (const std::string& name : names) {
+    std::error_code error;
+    const auto bytes = fs::file_size(folder / name, error);
+    if (error) return Status::Failed("cannot read " + (folder / name).string() + ": " + error.message());
+    SLX_ASSIGN_OR_RETURN(const std::string hash, HashOf(folder / name));
+    json["files"].push_back({{"name", name}, {"bytes", bytes}, {"xxh3_128", hash}});
+  }
+  return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+Status CheckFitFiles(const fs::path& folder) {
+  const fs::path file = folder / kFitRecordFile;
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    const Json json = Json::parse(text);
+    if (!json.contains("files")) return Status::Ok();
+    for (const Json& entry : json.at("files"))
+      SLX_RETURN_IF_ERROR(CheckFile(folder, entry.at("name").get<std::string>(), entry.at("bytes").get<int64_t>(),
+                                    entry.at("xxh3_128").get<std::string>()));
+    return Status::Ok();
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
 }
 
 namespace {
@@ -40,11 +133,14 @@ Result<FitRow> FromMetrics(const std::filesystem::path& folder, const std::strin
 }  // namespace
 
 Result<FitRow> ReadFitRecord(const std::filesystem::path& folder, const std::string& session) {
-  const auto file = folder / "fit.json";
+  const auto file = folder / kFitRecordFile;
   if (std::error_code error; !std::filesystem::exists(file, error)) return FromMetrics(folder, session);
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
     const Json json = Json::parse(text);
+    if (const auto schema = json.at("schema").get<int64_t>(); schema != 1)
+      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
+                                                  " is newer than this program's 1; use a newer stratalux");
     FitRow fit;
     json.at("fit").get_to(fit.id);
     json.at("session").get_to(fit.session);

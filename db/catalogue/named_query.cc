@@ -5,6 +5,7 @@
 #include <sstream>
 
 #include "db/queries.h"
+#include "shared/base/nearest.h"
 
 namespace stratalux::db {
 namespace {
@@ -77,12 +78,12 @@ const std::vector<NamedQuery>& NamedQueries() {
 }
 
 Result<const NamedQuery*> FindQuery(const std::string& name) {
-  std::string names;
+  std::vector<std::string> names;
   for (const NamedQuery& query : NamedQueries()) {
     if (query.name == name) return &query;
-    names += (names.empty() ? "" : ", ") + query.name;
+    names.push_back(query.name);
   }
-  return Status::NotFound("no query '" + name + "'; there are: " + names);
+  return Status::NotFound(UnknownName("query", name, names));
 }
 
 Result<ResultTable> RunQuery(ReadOnlyIndex& index, const NamedQuery& query, const QueryParameters& parameters,

@@ -31,7 +31,7 @@ struct NamedQuery {
 
 // By name. Parsed once.
 [[nodiscard]] const std::vector<NamedQuery>& NamedQueries();
-// kNotFound names the queries there are.
+// kNotFound: says which one was meant, or which there are.
 [[nodiscard]] Result<const NamedQuery*> FindQuery(const std::string& name);
 // kFailed: the head is not as above.
 [[nodiscard]] Result<NamedQuery> ParseQuery(const std::string& name, const std::string& text);

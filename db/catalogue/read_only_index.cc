@@ -4,13 +4,19 @@
 #include <sqlite3.h>
 
 #include "db/base/sqlite.h"
-#include "db/catalogue/query_functions.h"
 #include "db/catalogue/session_index.h"
 
 namespace stratalux::db {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
+// The progress handler looks at the clock between two steps of SQLite's machine, never within one: these keep a step
+// short. The longest text of a store, a calibration record or the metrics of a fit, has some hundred kilobytes.
+constexpr int kLongestValue_bytes = 16 << 20;
+constexpr int kLongestStatement_bytes = 1 << 20;
+// Sorting and materialised subqueries, too, as temporary tables stay in memory. Of the whole process.
+constexpr int64_t kMostMemory_bytes = int64_t{512} << 20;
 
 // What the callbacks of one connection see and leave behind.
 struct Guard {
@@ -137,7 +143,12 @@ Status ReadOnlyIndex::Impl::ErrorOf(int code, const QueryLimits& limits) const {
     case SQLITE_READONLY:
       return Status::Usage("this only reads: the statement writes");
     case SQLITE_TOOBIG:
-      return Status::Usage("a value or the statement is too long for a query");
+      return Status::Usage("a value or the statement is too long for a query; allowed: values of " +
+                           std::to_string(kLongestValue_bytes) + " bytes, statements of " +
+                           std::to_string(kLongestStatement_bytes));
+    case SQLITE_NOMEM:
+      return Status::Failed("stopped: it needs more than " + std::to_string(kMostMemory_bytes >> 20) +
+                            " MiB of memory; ask for less (a WHERE, a LIMIT, fewer columns)");
     case SQLITE_ERROR:
     case SQLITE_MISMATCH:
     case SQLITE_RANGE:
@@ -189,15 +200,19 @@ Result<ReadOnlyIndex> ReadOnlyIndex::Open(const std::filesystem::path& folder) {
   // Says what is wrong with a store, and migrates an old one.
   SLX_RETURN_IF_ERROR(SessionIndex::Open(folder, AccessMode::kReadOnly).status());
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(folder / "index.sqlite", Connection::Mode::kReadOnly));
-  SLX_RETURN_IF_ERROR(RegisterQueryFunctions(connection));
   // SQLite declares a table-valued function at its first use, and asks the authorizer as if it wrote the schema.
   for (const char* function : {"json_each", "json_tree"})
     SLX_RETURN_IF_ERROR(connection.QueryInteger("SELECT count(*) FROM " + std::string(function) + "('[]')").status());
-  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA query_only = ON"));
+  SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA query_only = ON; PRAGMA temp_store = MEMORY"));
+  sqlite3_hard_heap_limit64(kMostMemory_bytes);
   std::unique_ptr<Impl> impl(new Impl{std::move(connection), {}});
   sqlite3* handle = impl->connection.handle();
   sqlite3_limit(handle, SQLITE_LIMIT_ATTACHED, 0);
-  sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, 64 << 20);  // zeroblob(1e9) is no question
+  sqlite3_limit(handle, SQLITE_LIMIT_LENGTH, kLongestValue_bytes);
+  sqlite3_limit(handle, SQLITE_LIMIT_SQL_LENGTH, kLongestStatement_bytes);
+  sqlite3_limit(handle, SQLITE_LIMIT_EXPR_DEPTH, 200);
+  sqlite3_limit(handle, SQLITE_LIMIT_COMPOUND_SELECT, 100);
+  sqlite3_limit(handle, SQLITE_LIMIT_COLUMN, 500);
   sqlite3_limit(handle, SQLITE_LIMIT_LIKE_PATTERN_LENGTH, 1000);
   sqlite3_db_config(handle, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
   sqlite3_db_config(handle, SQLITE_DBCONFIG_ENABLE_LOAD_EXTENSION, 0, nullptr);

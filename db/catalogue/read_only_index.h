@@ -17,17 +17,15 @@ namespace stratalux::db {
 struct QueryLimits {
   std::chrono::milliseconds time{10'000};  // an endless recursion ends here
   int64_t rows = 100'000;
-  int64_t bytes = int64_t{256} << 20;  // of text and blobs in the answer
+  int64_t bytes = int64_t{32} << 20;  // of text and blobs in the answer
 };
 
 // Name without its colon -> value. A parameter of the statement that is not given is NULL.
 using QueryParameters = std::map<std::string, Cell>;
 
-// Functions that SQL run here may call besides SQLite's own:
-//   planned_steps(plan_json)     steps of the capture plan; NULL where the text is no plan
-//   missing_steps(step)          aggregate: what lies between 0 and the largest step and is not among them, "1-2, 4"
-//   reason_class(text)           the text with every number as N, so that equal failures meet in one group
-//   retention_days(retention)    days a session of that class is kept; NULL: for ever
+// Values are at most 16 MiB long, statements 1 MiB, and SQLite takes at most 512 MiB of memory. A single call of a
+// function on values that long may nevertheless outlast the time limit (instr, replace and their like take the product
+// of two lengths): who runs what others wrote ends its process then, as `stratalux-db sql` does (db/apps/watchdog.h).
 class ReadOnlyIndex {
  public:
   // Migrates an older store first. kNotFound, kNewerSchema, kIntegrity, kBusy as SessionStore::Open.

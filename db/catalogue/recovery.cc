@@ -145,12 +145,6 @@ Status RecoverOne(SessionIndex& index, const fs::path& store, const SessionRow& 
   return Status::Ok();
 }
 
-Result<std::vector<SessionRow>> Unfinished(SessionIndex& index) {
-  SLX_ASSIGN_OR_RETURN(auto sessions, index.Sessions());
-  std::erase_if(sessions, [](const SessionRow& row) { return row.info.status != SessionStatus::kRecording; });
-  return sessions;
-}
-
 }  // namespace
 
 Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionRow& session, const std::string& reason,
@@ -185,7 +179,7 @@ Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const fs::path& store
   // A writer that died between writing the log and syncing it leaves frames that the index lists in memory alone. What
   // follows is made durable on their word.
   SLX_RETURN_IF_ERROR(SyncFile(store / "index.sqlite-wal"));
-  SLX_ASSIGN_OR_RETURN(const auto sessions, Unfinished(index));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, index.Recording());
   for (const SessionRow& session : sessions)
     if (const Status ended = RecoverOne(index, store, session, notes); !ended.ok())
       notes.push_back("session " + session.info.id +
@@ -197,7 +191,7 @@ Result<RecoveryNotes> FindUnfinished(SessionIndex& index, const fs::path& store)
   RecoveryNotes notes;
   SLX_ASSIGN_OR_RETURN(const bool any, index.HasUnfinished());
   if (!any || WriteLock::IsHeld(store)) return notes;
-  SLX_ASSIGN_OR_RETURN(const auto sessions, Unfinished(index));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, index.Recording());
   for (const SessionRow& session : sessions) {
     const std::string& id = session.info.id;
     notes.push_back("session " + id + ": its writer is gone; the next program that writes to the store ends it");

@@ -11,7 +11,8 @@ constexpr const char* kSelect = R"(
 WITH calibration AS MATERIALIZED (SELECT id, since_wall_ns FROM calibration_overview),
 listed AS (
   SELECT s.number, s.id AS session, s.started_wall_ns AS started, s.kind, s.rig, s.visitor, s.status,
-         s.frame_count AS frames, s.stored_bytes AS bytes, s.reasons_json AS reasons, s.simulated, s.retention, s.consent,
+         s.frame_count AS frames, s.stored_bytes AS bytes, s.reasons_json AS reasons, s.simulated, s.retention,
+         (SELECT o.consent FROM session_overview o WHERE o.number = s.number) AS consent,
          s.calibration_id AS calibration, s.finished_wall_ns AS finished,
          (SELECT count(*) FROM fits f WHERE f.session = s.number) AS fits,
          (SELECT f.id FROM fits f WHERE f.session = s.number ORDER BY f.created_wall_ns DESC, f.id DESC LIMIT 1)
@@ -146,7 +147,7 @@ Result<ResultTable> ListSessions(ReadOnlyIndex& index, const SessionFilter& filt
     if (column.name == "bytes") column.kind = ColumnKind::kBytes;
     if (column.name == "calibration_age_days") column.kind = ColumnKind::kDays;
     if (column.name == "simulated") column.kind = ColumnKind::kBoolean;
-    if (column.name == "reasons") column.kind = ColumnKind::kJson;
+    if (column.name == "reasons" || column.name == "consent") column.kind = ColumnKind::kJson;
   }
   for (size_t c = 11; c < table.columns.size(); ++c) table.columns[c].place = ColumnPlace::kDetail;
   return table;

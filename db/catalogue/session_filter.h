@@ -51,7 +51,7 @@ struct SessionQuery {
 
 // Columns: session, started, kind, rig, visitor, status, frames, bytes, fits, nrmse, calibration_age_days and, as
 // details, reasons, simulated, retention, consent, calibration, finished, newest_fit. The age is that at the session's
-// start.
+// start; consent as in the view session_overview.
 Result<ResultTable> ListSessions(ReadOnlyIndex& index, const SessionFilter& filter);
 
 }  // namespace stratalux::db

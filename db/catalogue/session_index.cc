@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <random>
+#include <set>
 
 #include <sqlite3.h>
 
@@ -17,6 +18,7 @@
 #include "db/migration_0004.h"
 #include "db/migration_0005.h"
 #include "db/segment/pixel_hash.h"
+#include "shared/capture/plan.h"
 
 namespace stratalux::db {
 namespace {
@@ -67,7 +69,8 @@ Status LostIndex(const std::filesystem::path& folder) {
 Status WriteMetrics(Connection& connection, int64_t number, const std::string& fit, const std::string& metrics_json) {
   SLX_ASSIGN_OR_RETURN(auto clear, connection.Prepare("DELETE FROM metrics WHERE session = ?1 AND fit = ?2"));
   SLX_RETURN_IF_ERROR(clear.Bind(1, number).Bind(2, fit).Run());
-  SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT INTO metrics VALUES (?1, ?2, ?3, ?4)"));
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       connection.Prepare("INSERT INTO metrics (session, fit, name, value) VALUES (?1, ?2, ?3, ?4)"));
   for (const auto& [name, value] : FlattenMetrics(metrics_json))
     SLX_RETURN_IF_ERROR(insert.Bind(1, number).Bind(2, fit).Bind(3, name).Bind(4, value).Run());
   return Status::Ok();
@@ -81,6 +84,30 @@ Status WriteMetricsOfAllFits(Connection& connection) {
     if (!more) return Status::Ok();
     SLX_RETURN_IF_ERROR(WriteMetrics(connection, select.Integer(0), select.Text(1), select.Text(2)));
   }
+}
+
+// Of the plan that PlanOptionsToJson wrote; nullopt where the text is no plan, or one of another version.
+std::optional<int64_t> PlannedSteps(const std::string& plan_json) {
+  const auto options = PlanOptionsFromJson(plan_json);
+  if (!options.ok()) return std::nullopt;
+  const auto plan = BuildPlan(*options);
+  if (!plan.ok()) return std::nullopt;
+  return static_cast<int64_t>(plan->steps.size());
+}
+
+// Sessions of before schema 5. Those of a rig share a few plans: each is built once.
+Status WritePlannedStepsOfAllSessions(Connection& connection) {
+  std::set<std::string> plans;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT DISTINCT plan_json FROM sessions"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    plans.insert(select.Text(0));
+  }
+  SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE sessions SET planned_steps = ?1 WHERE plan_json = ?2"));
+  for (const std::string& plan : plans)
+    if (const auto steps = PlannedSteps(plan)) SLX_RETURN_IF_ERROR(update.Bind(1, *steps).Bind(2, plan).Run());
+  return Status::Ok();
 }
 
 }  // namespace
@@ -123,7 +150,10 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(WriteMetricsOfAllFits(connection));
   }
   if (version < 4) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0004));
-  if (version < 5) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+  if (version < 5) {
+    SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
+    SLX_RETURN_IF_ERROR(WritePlannedStepsOfAllSessions(connection));
+  }
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -202,15 +232,16 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
                             .Run());
   }
   if (!info.visitor.empty()) {
-    SLX_ASSIGN_OR_RETURN(auto visitor, connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, ?2)"));
+    SLX_ASSIGN_OR_RETURN(auto visitor,
+                         connection_.Prepare("INSERT OR IGNORE INTO visitors (id, created_wall_ns) VALUES (?1, ?2)"));
     SLX_RETURN_IF_ERROR(visitor.Bind(1, info.visitor).Bind(2, info.started_wall.ns).Run());
   }
   SLX_ASSIGN_OR_RETURN(
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number, planned_steps)"
+          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
@@ -229,6 +260,7 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
   if (!info.calibration_json.empty()) insert.Bind(13, CalibrationId(info.calibration_json));
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   if (known_number) insert.Bind(16, *known_number);
+  if (const auto steps = PlannedSteps(info.plan_json)) insert.Bind(17, *steps);
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
   if (named) {
@@ -271,9 +303,11 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
                                            "step, projector, phase, pattern, retry,"
                                            " level_check, pixel_hash) VALUES"
                                            " (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, nullif(?13, ?14))"));
-  SLX_ASSIGN_OR_RETURN(
-      auto proof,
-      connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)"));
+  SLX_ASSIGN_OR_RETURN(auto proof,
+                       connection_.Prepare("INSERT INTO proofs (session, frame, bracket, pose, trigger_number, "
+                                           "trigger_ns, sync_ns, driver_sequence, frame_ns,"
+                                           " frame_clock, exposure_ms, gain, mean_dn, retake_cause)"
+                                           " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)"));
   int64_t bytes = 0;
   for (const auto& [segment, f] : frames) {
     const FrameHeader& h = f.header;
@@ -316,47 +350,127 @@ Status SessionIndex::MoveFrames(int64_t number, const std::vector<std::pair<int6
   return transaction.Commit();
 }
 
-Result<std::vector<SessionRow>> SessionIndex::Sessions() {
-  SLX_ASSIGN_OR_RETURN(
-      auto select,
-      connection_.Prepare(
-          "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
-          " s.reasons_json, s.program_version, s.plan_json, coalesce(c.record_json, ''), s.frame_count, s.stored_bytes,"
-          " s.retention, coalesce(s.finished_wall_ns, 0), s.consent, lower(hex(s.key_id)) FROM sessions s LEFT JOIN "
-          "calibrations c ON c.id = "
-          "s.calibration_id ORDER BY s.number DESC"));
+namespace {
+
+// What a summary has; the plan and the calibration follow in whole rows.
+constexpr const char* kSummaryColumns =
+    "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
+    " s.reasons_json, s.program_version, s.frame_count, s.stored_bytes, s.retention, coalesce(s.finished_wall_ns, 0),"
+    " s.consent, lower(hex(s.key_id))";
+constexpr int kPlanColumn = 17, kCalibrationColumn = 18;
+
+Status ReadSummary(const Statement& select, SessionSummary& row) {
+  row.info.id = select.Text(0);
+  SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
+  row.info.rig = select.Text(2);
+  row.info.visitor = select.Text(3);
+  row.info.consent = ConsentFromJson(select.Text(4));
+  if (row.info.consent.text_version.empty()) row.info.consent.text_version = select.Text(15);  // schema 1
+  row.info.simulated = select.Integer(5) != 0;
+  row.info.seed = static_cast<uint64_t>(select.Integer(6));
+  row.info.started_wall.ns = select.Integer(7);
+  SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)));
+  row.info.reasons = ReasonsFromJson(select.Text(9));
+  row.info.program_version = select.Text(10);
+  row.frames = select.Integer(11);
+  row.bytes = select.Integer(12);
+  SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(13)));
+  row.info.finished_wall.ns = select.Integer(14);
+  row.key_id = select.Text(16);
+  return Status::Ok();
+}
+
+Result<std::vector<SessionSummary>> ReadSummaries(Statement& select) {
+  std::vector<SessionSummary> rows;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return rows;
+    SLX_RETURN_IF_ERROR(ReadSummary(select, rows.emplace_back()));
+  }
+}
+
+Result<std::vector<SessionRow>> ReadRows(Statement& select) {
   std::vector<SessionRow> rows;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return rows;
-    SessionRow row;
-    row.info.id = select.Text(0);
-    SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
-    row.info.rig = select.Text(2);
-    row.info.visitor = select.Text(3);
-    row.info.consent = ConsentFromJson(select.Text(4));
-    if (row.info.consent.text_version.empty()) row.info.consent.text_version = select.Text(17);  // schema 1
-    row.info.simulated = select.Integer(5) != 0;
-    row.info.seed = static_cast<uint64_t>(select.Integer(6));
-    row.info.started_wall.ns = select.Integer(7);
-    SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)));
-    row.info.reasons = ReasonsFromJson(select.Text(9));
-    row.info.program_version = select.Text(10);
-    row.info.plan_json = select.Text(11);
-    row.info.calibration_json = select.Text(12);
-    row.frames = select.Integer(13);
-    row.bytes = select.Integer(14);
-    SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(15)));
-    row.info.finished_wall.ns = select.Integer(16);
-    row.key_id = select.Text(18);
-    rows.push_back(std::move(row));
+    SessionRow& row = rows.emplace_back();
+    SLX_RETURN_IF_ERROR(ReadSummary(select, row));
+    row.info.plan_json = select.Text(kPlanColumn);
+    row.info.calibration_json = select.Text(kCalibrationColumn);
   }
 }
 
+std::string WholeRows(const std::string& where) {
+  return std::string(kSummaryColumns) +
+         ", s.plan_json, coalesce(c.record_json, '') FROM sessions s LEFT JOIN calibrations c ON c.id ="
+         " s.calibration_id WHERE " +
+         where;
+}
+
+// The first text behind all that begin with `prefix`; empty: there is none.
+std::string EndOfPrefix(std::string prefix) {
+  while (!prefix.empty() && static_cast<unsigned char>(prefix.back()) == 0xff) prefix.pop_back();
+  if (!prefix.empty()) ++prefix.back();
+  return prefix;
+}
+
+}  // namespace
+
+Result<std::vector<SessionSummary>> SessionIndex::Sessions() {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection_.Prepare(std::string(kSummaryColumns) + " FROM sessions s ORDER BY s.number DESC"));
+  return ReadSummaries(select);
+}
+
+Result<std::vector<SessionSummary>> SessionIndex::SessionsOf(const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection_.Prepare(std::string(kSummaryColumns) +
+                                           " FROM sessions s WHERE s.visitor = ?1 ORDER BY s.number DESC"));
+  select.Bind(1, visitor);
+  return ReadSummaries(select);
+}
+
+Result<SessionRow> SessionIndex::Session(int64_t number) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare(WholeRows("s.number = ?1")));
+  select.Bind(1, number);
+  SLX_ASSIGN_OR_RETURN(auto rows, ReadRows(select));
+  if (rows.empty()) return Status::NotFound("no session number " + std::to_string(number));
+  return std::move(rows.front());
+}
+
+Result<std::vector<SessionRow>> SessionIndex::Recording() {
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare(WholeRows("s.status = 'recording' ORDER BY s.number DESC")));
+  return ReadRows(select);
+}
+
 Result<bool> SessionIndex::HasUnfinished() {
-  SLX_ASSIGN_OR_RETURN(const int64_t count,
-                       connection_.QueryInteger("SELECT count(*) FROM sessions WHERE status = 'recording'"));
-  return count > 0;
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT 1 FROM sessions WHERE status = 'recording' LIMIT 1"));
+  return select.Step();
+}
+
+Result<std::vector<int64_t>> SessionIndex::Select(const std::string& selector) {
+  std::vector<int64_t> numbers;
+  if (selector.empty()) return numbers;
+  if (selector == "latest") {
+    // The newest session that has a frame owns the last row of `frames`.
+    SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT max(session) FROM frames"));
+    SLX_RETURN_IF_ERROR(select.Step().status());
+    if (select.Integer(0) > 0) return std::vector<int64_t>{select.Integer(0)};
+  }
+  if (const auto number = NumberOf(selector); number.ok()) return std::vector<int64_t>{*number};
+  const std::string end = EndOfPrefix(selector);
+  SLX_ASSIGN_OR_RETURN(
+      auto select, connection_.Prepare(end.empty() ? "SELECT number FROM sessions WHERE id >= ?1 ORDER BY id LIMIT 3"
+                                                   : "SELECT number FROM sessions WHERE id >= ?1 AND id < ?2"
+                                                     " ORDER BY id LIMIT 3"));
+  select.Bind(1, selector);
+  if (!end.empty()) select.Bind(2, end);
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return numbers;
+    numbers.push_back(select.Integer(0));
+  }
 }
 
 Result<int64_t> SessionIndex::NumberOf(const std::string& id) {
@@ -381,7 +495,9 @@ Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
 
 Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
-  SLX_ASSIGN_OR_RETURN(auto insert, connection_.Prepare("INSERT OR REPLACE INTO fits VALUES (?1, ?2, ?3, ?4, ?5)"));
+  SLX_ASSIGN_OR_RETURN(auto insert,
+                       connection_.Prepare("INSERT OR REPLACE INTO fits (id, session, options_json, metrics_json,"
+                                           " created_wall_ns) VALUES (?1, ?2, ?3, ?4, ?5)"));
   insert.Bind(1, fit.id).Bind(2, number).Bind(3, fit.options_json).Bind(4, fit.metrics_json);
   SLX_RETURN_IF_ERROR(insert.Bind(5, fit.created_wall.ns).Run());
   SLX_RETURN_IF_ERROR(WriteMetrics(connection_, number, fit.id, fit.metrics_json));

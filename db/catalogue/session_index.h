@@ -37,8 +37,15 @@ class SessionIndex {
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   // Gives frames that are there already another place, size and hash, in one transaction.
   Status MoveFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
-  Result<std::vector<SessionRow>> Sessions();
+  // Newest first; the second: of one visitor.
+  Result<std::vector<SessionSummary>> Sessions();
+  Result<std::vector<SessionSummary>> SessionsOf(const std::string& visitor);
+  // Whole rows: of one session; of the sessions that are recorded, newest first.
+  Result<SessionRow> Session(int64_t number);
+  Result<std::vector<SessionRow>> Recording();
   Result<bool> HasUnfinished();
+  // Numbers of the sessions that `selector` (SessionStore::FindSession) may mean: three at most, none where none does.
+  Result<std::vector<int64_t>> Select(const std::string& selector);
   Result<int64_t> NumberOf(const std::string& id);
   struct Place {
     int64_t frame, segment, offset, bytes;

@@ -7,14 +7,16 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
-#include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
-#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
 #include "db/catalogue/session_index.h"
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
+#include "db/keys/key_store.h"
+#include "db/ledger/ledger.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
 #include "db/segment/pixel_hash.h"
@@ -37,6 +39,19 @@ PixelHash HashOf(const FrameRecord&, std::span<const uint8_t> samples, const Sec
 }
 
 FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
+
+// Asks for the consent again. None for sessions that show nobody.
+Result<std::optional<LedgerEntry>> ConsentEntry(const std::filesystem::path& store, const SessionInfo& info) {
+  if (info.kind != SessionKind::kVisitor) return std::optional<LedgerEntry>();
+  SLX_RETURN_IF_ERROR(ValidConsent(store, info.visitor).status());
+  LedgerEntry entry;
+  entry.kind = LedgerKind::kConsent;
+  entry.at = info.started_wall.ns != 0 ? info.started_wall : WallNow();
+  entry.sessions = {info.id};
+  SLX_ASSIGN_OR_RETURN(entry.visitor_hmac, NameVisitor(store, info.visitor));
+  entry.detail_json = ConsentToJson(info.consent);
+  return std::optional(std::move(entry));
+}
 
 }  // namespace
 
@@ -63,6 +78,8 @@ struct SessionWriter::Impl {
   std::optional<SegmentWriter> segment, truth;
   int64_t segments = 0, frames = 0, acknowledged = 0, truth_maps = 0;
   bool commit_in_doubt = false;  // one failed, but may lie in SQLite's log
+  // What the ledger is told before the first frame is acknowledged; nothing for sessions that show nobody.
+  std::optional<LedgerEntry> consent;
   std::vector<std::pair<int64_t, SegmentFrame>> pending;
   std::chrono::steady_clock::time_point pending_since;
   Status failure;  // the first one; every later call repeats it
@@ -102,6 +119,10 @@ struct SessionWriter::Impl {
     if (pending.empty()) return Status::Ok();
     // Bytes on disk first, then the rows that speak of them, then the caller hears of it.
     if (Status s = segment->Sync(); !s.ok()) return Fail(s);
+    if (consent) {
+      if (Status s = AppendToLedger(store, *consent); !s.ok()) return Fail(s);
+      consent.reset();
+    }
     SLX_RETURN_IF_ERROR(Committed(index.InsertFrames(number, pending)));
     acknowledged += static_cast<int64_t>(pending.size());
     pending.clear();
@@ -218,13 +239,20 @@ SessionStore::SessionStore(SessionStore&&) noexcept = default;
 SessionStore& SessionStore::operator=(SessionStore&&) noexcept = default;
 SessionStore::~SessionStore() = default;
 
-Status SessionStore::Create(const std::filesystem::path& folder) { return SessionIndex::CreateNew(folder); }
+Status SessionStore::Create(const std::filesystem::path& folder) {
+  SLX_RETURN_IF_ERROR(SessionIndex::CreateNew(folder));
+  return MakeStoreId(folder);
+}
 
 Result<SessionStore> SessionStore::Open(const std::filesystem::path& folder, AccessMode mode) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(folder, mode));
   const bool write = mode == AccessMode::kReadWrite;
+  const Status ledger = write ? BringLedgerUp(index, folder) : Status::Ok();
+  if (ledger.code() == StatusCode::kNewerSchema) return ledger;
   if (write) SLX_RETURN_IF_ERROR(EndInterruptedTranscode(index, folder));
   SLX_ASSIGN_OR_RETURN(auto notes, write ? RecoverSessions(index, folder) : FindUnfinished(index, folder));
+  // As on a disk that cannot be written: the next opening tries again, and a capture needs the ledger before that.
+  if (!ledger.ok()) notes.push_back("the ledger could not be followed: " + ledger.message());
   return SessionStore(std::unique_ptr<Impl>(new Impl{folder, std::move(index), std::move(notes), FrameOpener(folder)}));
 }
 
@@ -253,6 +281,9 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     return status;
   };
   if (const Status made = MakeFolder(folder); !made.ok()) return fail(made);
+  // Withdrawn while the session began: the withdrawal did not see it, so that this must see the withdrawal.
+  auto consent = ConsentEntry(impl_->folder, info);
+  if (!consent.ok()) return fail(consent.status());
   std::unique_ptr<FrameSealer> sealer;
   if (options.encryption == Encryption::kPerSession) {
     auto key = CreateKey(impl_->folder);
@@ -273,26 +304,25 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   writer->number = number;
   writer->options = options;
   writer->sealer = std::move(sealer);
+  writer->consent = std::move(consent).value();
   return SessionWriter(std::move(writer));
 }
 
-Result<std::vector<SessionRow>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessions() const { return impl_->index.Sessions(); }
+Result<std::vector<SessionSummary>> SessionStore::ListSessionsOf(const std::string& visitor) const {
+  return impl_->index.SessionsOf(visitor);
+}
 
 Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
-  SLX_ASSIGN_OR_RETURN(const auto rows, ListSessions());
-  std::vector<const SessionRow*> found;
-  for (const SessionRow& row : rows) {
-    if (selector == "latest" && row.frames > 0) return row;
-    if (row.info.id == selector) return row;
-    if (row.info.id.starts_with(selector)) found.push_back(&row);
-  }
-  if (selector.empty() || found.empty())
+  SLX_ASSIGN_OR_RETURN(const auto numbers, impl_->index.Select(selector));
+  if (numbers.empty())
     return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
                             " (`stratalux-db ls` lists them)");
-  if (found.size() > 1)
-    return Status::Usage("'" + selector + "' is ambiguous: " + found[0]->info.id + ", " + found[1]->info.id +
-                         (found.size() > 2 ? ", ..." : "") + "; give more of the id");
-  return *found[0];
+  SLX_ASSIGN_OR_RETURN(SessionRow first, impl_->index.Session(numbers[0]));
+  if (numbers.size() == 1) return first;
+  SLX_ASSIGN_OR_RETURN(const SessionRow second, impl_->index.Session(numbers[1]));
+  return Status::Usage("'" + selector + "' is ambiguous: " + first.info.id + ", " + second.info.id +
+                       (numbers.size() > 2 ? ", ..." : "") + "; give more of the id");
 }
 
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
@@ -354,17 +384,8 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   return image;
 }
 
-Status SessionStore::RegisterFit(FitRow fit) {
-  SLX_ASSIGN_OR_RETURN(const int64_t number, impl_->index.NumberOf(fit.session));
-  // Its files first: a fit that is listed is whole.
-  const auto folder = FitFolder(fit.session, fit.id);
-  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
-  fit.calibration_json = calibration.value_or("");
-  SLX_RETURN_IF_ERROR(WriteFitRecord(folder, fit));
-  SLX_RETURN_IF_ERROR(SyncTree(folder));
-  SLX_RETURN_IF_ERROR(SyncFolder(folder.parent_path()));
-  SLX_RETURN_IF_ERROR(SyncFolder(SessionFolder(fit.session)));
-  return impl_->index.UpsertFit(number, fit);
+Status SessionStore::RegisterFit(const FitRow& fit, const RegisterOptions& options) {
+  return stratalux::db::RegisterFit(impl_->folder, fit, options);
 }
 
 Result<std::vector<FitRow>> SessionStore::ListFits(const std::string& id) const {

@@ -26,12 +26,16 @@ namespace stratalux::db {
 
 inline constexpr int kSchemaVersion = 5;
 
-struct SessionRow {
-  SessionInfo info;
+// A session without what only its own work needs: a list of a hundred thousand carries no plan and no calibration.
+struct SessionSummary {
+  SessionInfo info;  // plan_json and calibration_json empty
   int64_t frames = 0;
   int64_t bytes = 0;   // payload bytes on disk
   std::string key_id;  // 32 hex digits; empty: not encrypted
 };
+
+// The whole of one session.
+struct SessionRow : SessionSummary {};
 
 struct FrameRow {
   int64_t id = 0;  // position of the frame in the session, 0-based
@@ -52,6 +56,14 @@ struct FitRow {
   WallNs created_wall;
   std::string calibration_json =
       {};  // record of its folder's calibration.json, if it has one (db/catalogue/calibration_store.h)
+};
+
+struct RegisterOptions {
+  // Token of the lease under which it was fitted: the row is entered only while that lease stands
+  // (db/catalogue/job_store.h).
+  std::optional<int64_t> job_token = {};
+  // How long to ask again while other programs write the index.
+  std::chrono::milliseconds patience{60'000};
 };
 
 enum class AccessMode { kReadOnly, kReadWrite };
@@ -132,9 +144,11 @@ class SessionStore {
   // kind visitor takes its consent from the store (db/catalogue/consent.h): kUsage with the remedy where none holds.
   Result<SessionWriter> BeginSession(SessionInfo info, const WriterOptions& options = {});
 
-  // Newest first.
-  Result<std::vector<SessionRow>> ListSessions() const;
-  // `selector`: an id, a unique prefix of one, or "latest". kNotFound, or kUsage when ambiguous.
+  // Newest first; FindSession(info.id) has the rest of one. The second: of one visitor.
+  Result<std::vector<SessionSummary>> ListSessions() const;
+  Result<std::vector<SessionSummary>> ListSessionsOf(const std::string& visitor) const;
+  // `selector`: an id, a unique prefix of one, or "latest" (that has frames). kNotFound, or kUsage when ambiguous. As
+  // fast in a store of a hundred thousand sessions as in one of ten.
   Result<SessionRow> FindSession(const std::string& selector) const;
   Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
   // Decoded pixels; 8-bit frames are widened. Every read checks the hashes of payload and pixels: kIntegrity names
@@ -146,7 +160,8 @@ class SessionStore {
   // Folder for a fit's outputs, registered once complete (which syncs it); replaces an equal id. A folder with
   // calibration.json becomes a calibration of the session's rig, too (db/catalogue/calibration_store.h).
   [[nodiscard]] std::filesystem::path FitFolder(const std::string& session_id, const std::string& fit_id) const;
-  Status RegisterFit(FitRow fit);
+  // db/catalogue/fit_store.h says when a fit is refused.
+  Status RegisterFit(const FitRow& fit, const RegisterOptions& options = {});
   Result<std::vector<FitRow>> ListFits(const std::string& session_id) const;
 
  private:

@@ -69,7 +69,7 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     progress.Advance();
   }
   for (const fs::path& file : fit_files) {
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file));
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file, kAnyFileSize));
     SLX_RETURN_IF_ERROR(MakeFolder((options.out / "fits" / file).parent_path()));
     SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "fits" / file, bytes).status());
   }
@@ -90,7 +90,7 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
 }
 
 Result<Json> VisitorJson(const SessionStore& store, const std::string& visitor,
-                         const std::vector<SessionRow>& sessions) {
+                         const std::vector<SessionSummary>& sessions) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store.folder(), AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(auto select,
                        index.connection().Prepare("SELECT text_version, language, fit, research, publication,"
@@ -110,7 +110,7 @@ Result<Json> VisitorJson(const SessionStore& store, const std::string& visitor,
                         {"withdrawn", select.Integer(6) != 0 ? Json(ToIso8601(WallNs{select.Integer(7)})) : Json()}});
   }
   Json json = {{"pseudonym", visitor}, {"consents", consents}, {"sessions", Json::array()}};
-  for (const SessionRow& row : sessions)
+  for (const SessionSummary& row : sessions)
     json["sessions"].push_back({{"session", row.info.id},
                                 {"started", ToIso8601(row.info.started_wall)},
                                 {"status", ToString(row.info.status)},
@@ -121,7 +121,7 @@ Result<Json> VisitorJson(const SessionStore& store, const std::string& visitor,
   return json;
 }
 
-std::string ReadmeFor(const std::string& visitor, const std::vector<SessionRow>& sessions, ExportFormat format) {
+std::string ReadmeFor(const std::string& visitor, const std::vector<SessionSummary>& sessions, ExportFormat format) {
   std::string text =
       "Your data\n=========\n\nThis folder holds everything that was recorded of you under the name '" + visitor +
       "', which stands for you\nin place of your own.\n\n"
@@ -133,7 +133,7 @@ std::string ReadmeFor(const std::string& visitor, const std::vector<SessionRow>&
       "<visit>/session.json the visit: when, with which device, under which consent, how it was planned\n"
       "<visit>/fits/       what was computed from the pictures: shape, skin, and report/index.html to look at\n"
       "<visit>/import.toml for programs\n\nYour visits:\n";
-  for (const SessionRow& row : sessions)
+  for (const SessionSummary& row : sessions)
     text += "  " + row.info.id + "  " + ToIso8601(row.info.started_wall) + "  " + std::to_string(row.frames) +
             " pictures\n";
   return text +
@@ -151,8 +151,7 @@ Result<ExportReport> ExportSession(const SessionStore& store, const SessionRow& 
 
 Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string& visitor, const ExportOptions& options,
                                    Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(auto sessions, store.ListSessions());
-  std::erase_if(sessions, [&visitor](const SessionRow& row) { return row.info.visitor != visitor; });
+  SLX_ASSIGN_OR_RETURN(auto sessions, store.ListSessionsOf(visitor));
   std::reverse(sessions.begin(), sessions.end());
   SLX_ASSIGN_OR_RETURN(const Json json, VisitorJson(store, visitor, sessions));
   if (visitor.empty() || (sessions.empty() && json["consents"].empty()))
@@ -165,10 +164,11 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());
   SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "README.txt", ReadmeFor(visitor, sessions, options.format)).status());
   ExportReport total;
-  for (const SessionRow& session : sessions) {
+  for (const SessionSummary& session : sessions) {
     ExportOptions one = options;
     one.out = options.out / session.info.id;
-    SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, session, one, Fits::kIncluded, logger));
+    SLX_ASSIGN_OR_RETURN(const SessionRow row, store.FindSession(session.info.id));
+    SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, row, one, Fits::kIncluded, logger));
     total.sessions += report.sessions;
     total.written += report.written;
     total.kept += report.kept;

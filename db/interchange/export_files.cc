@@ -61,7 +61,7 @@ Result<Written> WriteFrameOnce(const fs::path& file, ExportFormat format, PixelF
 Result<Written> WriteTextOnce(const fs::path& file, const std::string& text) {
   std::error_code error;
   if (fs::exists(file, error)) {
-    const auto there = ReadFile(file);
+    const auto there = ReadFile(file, kAnyFileSize);
     if (there.ok() && *there == text) return Written::kBefore;
     return Status::Integrity(file.string() + " is there and differs; choose another folder");
   }

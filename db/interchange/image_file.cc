@@ -18,8 +18,14 @@ bool IsTga(const std::filesystem::path& file) {
 
 }  // namespace
 
+Status CheckPixelCount(uint64_t width, uint64_t height, const std::string& file) {
+  if (width == 0 || height == 0 || width <= kMostImagePixels / height) return Status::Ok();
+  return Status::Usage(file + ": " + std::to_string(width) + "x" + std::to_string(height) + " pixels, at most " +
+                       std::to_string(kMostImagePixels) + " are read");
+}
+
 Result<ImageFile> ReadImageFile(const std::filesystem::path& file) {
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kMostPictureBytes));
   const auto bytes = std::span(reinterpret_cast<const uint8_t*>(text.data()), text.size());
   const std::string name = file.string();
   if (text.empty()) return Status::Integrity(name + ": empty, 0 bytes");

@@ -22,8 +22,10 @@ struct ImageFile {
 // damaged or truncated.
 [[nodiscard]] Result<ImageFile> ReadImageFile(const std::filesystem::path& file);
 
-// The decoders behind it; `file` is for messages. Sizes up to 65536 x 65536, and never more pixels than the bytes can
-// hold.
+// The decoders behind it; `file` is for messages. Sides up to 65536, at most kMostImagePixels (shared/image/png.h), and
+// never more pixels than the bytes can hold: a header that lies is given no memory.
+// kUsage naming file, size and limit where there are more pixels than are read.
+[[nodiscard]] Status CheckPixelCount(uint64_t width, uint64_t height, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodeTga(std::span<const uint8_t> bytes, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodePnm(std::span<const uint8_t> bytes, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodeTiff(std::span<const uint8_t> bytes, const std::string& file);

@@ -137,6 +137,7 @@ std::string Numbered(const std::string& sequence, int number) {
 
 Status AddShot(const TomlTable& table, const std::string& key, const std::string& file, const std::string& pattern,
                const std::string& phase, const Projectors& projectors, Shot shot, std::vector<Shot>& shots) {
+  if (file.find('\0') != std::string::npos) return At(table, key, "a file's name holds no zero byte");
   const auto parsed = Pattern::Parse(pattern);
   if (!parsed.ok()) return At(table, key, parsed.status().message());
   const Status fits = parsed->Validate(projectors.width, projectors.height);

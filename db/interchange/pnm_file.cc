@@ -84,6 +84,7 @@ Result<ImageFile> DecodePnm(std::span<const uint8_t> bytes, const std::string& f
   SLX_ASSIGN_OR_RETURN(const int64_t width, reader.Number("the width", 1, kLargestSide));
   SLX_ASSIGN_OR_RETURN(const int64_t height, reader.Number("the height", 1, kLargestSide));
   SLX_ASSIGN_OR_RETURN(const int64_t top, reader.Number("the maximum", 1, 65535));
+  SLX_RETURN_IF_ERROR(CheckPixelCount(static_cast<uint64_t>(width), static_cast<uint64_t>(height), file));
   const int channels = kind == '2' || kind == '5' ? 1 : 3;
   const bool text = kind == '2' || kind == '3';
   const int bits = top > 255 ? 16 : 8;

@@ -33,6 +33,7 @@ Result<Layout> ReadLayout(std::span<const uint8_t> b, const std::string& file) {
   layout.width = word(12);
   layout.height = word(14);
   if (layout.width == 0 || layout.height == 0) return Damaged(file, 12, "size 0");
+  SLX_RETURN_IF_ERROR(CheckPixelCount(static_cast<uint64_t>(layout.width), static_cast<uint64_t>(layout.height), file));
   layout.sample_bytes = static_cast<size_t>(depth / 8);
   layout.runs = type >= 10;
   layout.top_first = (b[17] & 0x20) != 0;

@@ -103,7 +103,9 @@ Result<Layout> ReadLayout(TIFF* tiff, const Memory& memory, const std::string& f
     return Status::Usage(file + ": TIFF with " + std::to_string(l.samples) + " samples of " + std::to_string(l.bits) +
                          " bits; grey (0 = black) and RGB of 8 or 16 bits unsigned, in strips, are read");
   if (l.width == 0 || l.height == 0 || l.width > kLargestSide || l.height > kLargestSide)
-    return Status::Integrity(file + ": impossible size " + std::to_string(l.width) + "x" + std::to_string(l.height));
+    return Status::Integrity(file + ": impossible size " + std::to_string(l.width) + "x" + std::to_string(l.height) +
+                             ", allowed: 1 .. " + std::to_string(kLargestSide) + " a side");
+  SLX_RETURN_IF_ERROR(CheckPixelCount(l.width, l.height, file));
   return l;
 }
 

@@ -18,10 +18,13 @@ namespace stratalux::db {
 namespace {
 
 constexpr int64_t kApplicationId = 0x534c584b;  // "SLXK"
-constexpr int64_t kKeySchema = 1;
-constexpr const char* kSchema =
+constexpr int64_t kKeySchema = 2;
+constexpr const char* kSchema1 =
     "CREATE TABLE keys (id BLOB PRIMARY KEY, key BLOB NOT NULL, created_wall_ns INTEGER NOT NULL) STRICT, WITHOUT "
     "ROWID";
+constexpr const char* kSchema2 =
+    "CREATE TABLE visitor_keys (pseudonym TEXT PRIMARY KEY, key BLOB NOT NULL, created_wall_ns INTEGER NOT NULL) "
+    "STRICT, WITHOUT ROWID";
 
 // The journal is kept (PERSIST) instead of unlinked, so that we can overwrite it. VACUUM's copy stays in memory.
 constexpr const char* kPragmas =
@@ -34,8 +37,9 @@ Result<Connection> Checked(const std::filesystem::path& file, Connection::Mode m
   if (identity != kApplicationId && !(identity == 0 && version == 0))
     return Status::Integrity(file.string() + " is no key file of a Stratalux store");
   if (version > kKeySchema)
-    return Status(StatusCode::kNewerSchema,
-                  file.string() + ": schema " + std::to_string(version) + " is newer than this program's 1");
+    return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
+                                                " is newer than this program's " + std::to_string(kKeySchema) +
+                                                "; use a newer stratalux");
   return connection;
 }
 
@@ -52,7 +56,8 @@ Result<Connection> OpenToWrite(const std::filesystem::path& store) {
   SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (version == kKeySchema) return connection;
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_RETURN_IF_ERROR(connection.Execute(kSchema));
+  if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kSchema1));
+  SLX_RETURN_IF_ERROR(connection.Execute(kSchema2));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kKeySchema)));
   SLX_RETURN_IF_ERROR(transaction.Commit());
@@ -77,21 +82,43 @@ Status WipeJournal(const std::filesystem::path& store) {
 Status Insert(const std::filesystem::path& store, const SessionKey& key) {
   {
     SLX_ASSIGN_OR_RETURN(auto connection, OpenToWrite(store));
-    SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT OR IGNORE INTO keys VALUES (?1, ?2, ?3)"));
+    SLX_ASSIGN_OR_RETURN(
+        auto insert, connection.Prepare("INSERT OR IGNORE INTO keys (id, key, created_wall_ns) VALUES (?1, ?2, ?3)"));
     insert.Bind(1, std::span<const uint8_t>(key.id)).Bind(2, std::span<const uint8_t>(key.key->bytes));
     SLX_RETURN_IF_ERROR(insert.Bind(3, WallNow().ns).Run());
   }
   return WipeJournal(store);
 }
 
+std::string ToHex(std::span<const uint8_t> bytes) {
+  std::string text(2 * bytes.size() + 1, '\0');
+  sodium_bin2hex(text.data(), text.size(), bytes.data(), bytes.size());
+  text.pop_back();
+  return text;
+}
+
+std::string NameUnder(const SecretKey& key, const std::string& pseudonym) {
+  static_assert(sizeof key.bytes == crypto_auth_hmacsha512256_KEYBYTES);
+  std::array<uint8_t, crypto_auth_hmacsha512256_BYTES> name{};
+  crypto_auth_hmacsha512256(name.data(), reinterpret_cast<const uint8_t*>(pseudonym.data()), pseudonym.size(),
+                            key.bytes.data());
+  return ToHex(name);
+}
+
+// kIntegrity for bytes that are no key; they are overwritten.
+Status TakeSecret(std::vector<uint8_t> bytes, const std::filesystem::path& store, const std::string& whose,
+                  SecretKey& key) {
+  const bool whole = bytes.size() == key.bytes.size();
+  if (whole) std::copy(bytes.begin(), bytes.end(), key.bytes.begin());
+  sodium_memzero(bytes.data(), bytes.size());
+  return whole ? Status::Ok() : Status::Integrity(KeyFile(store).string() + ": " + whose + " has the wrong length");
+}
+
 }  // namespace
 
 SecretKey::~SecretKey() { sodium_memzero(bytes.data(), bytes.size()); }
 
-std::string ToHex(const KeyId& id) {
-  char text[2 * sizeof(KeyId) + 1];
-  return sodium_bin2hex(text, sizeof text, id.data(), id.size());
-}
+std::string ToHex(const KeyId& id) { return ToHex(std::span<const uint8_t>(id)); }
 
 std::filesystem::path KeyFile(const std::filesystem::path& store) { return store / "keys.sqlite"; }
 
@@ -112,12 +139,8 @@ Result<SessionKey> FindKey(const std::filesystem::path& store, const KeyId& id) 
   select.Bind(1, std::span<const uint8_t>(id));
   SLX_ASSIGN_OR_RETURN(const bool found, select.Step());
   if (!found) return Status::NotFound(KeyFile(store).string() + " has no key " + ToHex(id));
-  auto bytes = select.Blob(0);
   auto secret = std::make_shared<SecretKey>();
-  if (bytes.size() != secret->bytes.size())
-    return Status::Integrity(KeyFile(store).string() + ": key " + ToHex(id) + " has the wrong length");
-  std::copy(bytes.begin(), bytes.end(), secret->bytes.begin());
-  sodium_memzero(bytes.data(), bytes.size());
+  SLX_RETURN_IF_ERROR(TakeSecret(select.Blob(0), store, "key " + ToHex(id), *secret));
   return SessionKey{id, std::move(secret)};
 }
 
@@ -132,6 +155,52 @@ Status DestroyKey(const std::filesystem::path& store, const KeyId& id) {
     SLX_RETURN_IF_ERROR(overwrite.Bind(1, std::span<const uint8_t>(id)).Run());
     SLX_ASSIGN_OR_RETURN(auto remove, connection.Prepare("DELETE FROM keys WHERE id = ?1"));
     SLX_RETURN_IF_ERROR(remove.Bind(1, std::span<const uint8_t>(id)).Run());
+    SLX_RETURN_IF_ERROR(connection.Execute("VACUUM"));
+  }
+  return WipeJournal(store);
+}
+
+Result<std::string> NameVisitor(const std::filesystem::path& store, const std::string& pseudonym) {
+  auto known = FindVisitorName(store, pseudonym);
+  if (known.status().code() != StatusCode::kNotFound) return known;
+  if (sodium_init() < 0) return Status::Failed("libsodium finds no source of random numbers");
+  SecretKey key;
+  randombytes_buf(key.bytes.data(), key.bytes.size());
+  {
+    SLX_ASSIGN_OR_RETURN(auto connection, OpenToWrite(store));
+    SLX_ASSIGN_OR_RETURN(
+        auto insert,
+        connection.Prepare("INSERT INTO visitor_keys (pseudonym, key, created_wall_ns) VALUES (?1, ?2, ?3)"));
+    insert.Bind(1, pseudonym).Bind(2, std::span<const uint8_t>(key.bytes)).Bind(3, WallNow().ns);
+    SLX_RETURN_IF_ERROR(insert.Run());
+  }
+  SLX_RETURN_IF_ERROR(WipeJournal(store));
+  return NameUnder(key, pseudonym);
+}
+
+Result<std::string> FindVisitorName(const std::filesystem::path& store, const std::string& pseudonym) {
+  SLX_ASSIGN_OR_RETURN(auto connection, OpenToRead(store));
+  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  const Status missing = Status::NotFound(KeyFile(store).string() + " has no key of this visitor");
+  if (version < kKeySchema) return missing;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT key FROM visitor_keys WHERE pseudonym = ?1"));
+  select.Bind(1, pseudonym);
+  SLX_ASSIGN_OR_RETURN(const bool found, select.Step());
+  if (!found) return missing;
+  SecretKey key;
+  SLX_RETURN_IF_ERROR(TakeSecret(select.Blob(0), store, "a visitor's key", key));
+  return NameUnder(key, pseudonym);
+}
+
+Status DestroyVisitorKey(const std::filesystem::path& store, const std::string& pseudonym) {
+  if (access(KeyFile(store).c_str(), F_OK) != 0) return Status::Ok();
+  {
+    SLX_ASSIGN_OR_RETURN(auto connection, OpenToWrite(store));
+    for (const char* sql : {"UPDATE visitor_keys SET key = zeroblob(32) WHERE pseudonym = ?1",
+                            "DELETE FROM visitor_keys WHERE pseudonym = ?1"}) {
+      SLX_ASSIGN_OR_RETURN(auto statement, connection.Prepare(sql));
+      SLX_RETURN_IF_ERROR(statement.Bind(1, pseudonym).Run());
+    }
     SLX_RETURN_IF_ERROR(connection.Execute("VACUUM"));
   }
   return WipeJournal(store);

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// STORE/keys.sqlite: one random key for each encrypted session, in a file of its own (mode 0600), so that it stays out
-// of manifests, pulls and backups and so that destroying a key destroys what was written with it.
+// STORE/keys.sqlite: one random key for each encrypted session, and one for each visitor with a session, by which the
+// ledger names visitors; in a file of its own (mode 0600), so that it stays out of manifests, pulls and backups and so
+// that destroying a key destroys what was written with it.
 //
 // Every write is followed by a wipe of SQLite's journal, which holds the page as it was before. Callers of CreateKey,
-// ImportKey and DestroyKey hold the store's write lock: nobody else then has a journal there.
+// ImportKey, DestroyKey, NameVisitor and DestroyVisitorKey hold the store's write lock: nobody else then has a journal
+// there.
 #pragma once
 
 #include <array>
@@ -45,5 +47,13 @@ Status ImportKey(const std::filesystem::path& store, const SessionKey& key);
 // Overwrites and removes the key; kOk when it is not there.
 Status DestroyKey(const std::filesystem::path& store, const KeyId& id);
 [[nodiscard]] Result<std::vector<KeyId>> ListKeys(const std::filesystem::path& store);
+
+// HMAC-SHA512-256 of the pseudonym under the visitor's own random key, 64 hex digits: the name that a visitor has in
+// the ledger. Without the key nobody can tell whose it was, nor try pseudonyms against it. The first makes the key
+// where there is none, the second has none (kNotFound).
+[[nodiscard]] Result<std::string> NameVisitor(const std::filesystem::path& store, const std::string& pseudonym);
+[[nodiscard]] Result<std::string> FindVisitorName(const std::filesystem::path& store, const std::string& pseudonym);
+// Overwrites and removes the key, and the pseudonym with it; kOk when it is not there.
+Status DestroyVisitorKey(const std::filesystem::path& store, const std::string& pseudonym);
 
 }  // namespace stratalux::db

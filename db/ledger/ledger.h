@@ -8,6 +8,7 @@
 // last session: from then on nothing in here leads to a person.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -23,7 +24,8 @@ enum class LedgerKind {
   kConsent,     // with the first frame of a session: what it was made under
   kWithdrawal,  // of the visitor who made `sessions`
   kForgetting,  // begun: from here on the sessions cannot come back
-  kForgotten    // done: with the certificate
+  kForgotten,   // done: with the certificate
+  kNote         // what befell the store itself, such as a restore without a newer ledger; binds nothing
 };
 [[nodiscard]] const char* ToString(LedgerKind kind);
 
@@ -58,22 +60,38 @@ class Ledger {
   [[nodiscard]] const std::vector<std::string>& problems() const { return problems_; }
 
  private:
+  friend class LedgerReader;
   std::map<std::string, std::string> forgotten_;
   std::map<std::string, WallNs> withdrawn_;
   std::vector<LedgerEntry> entries_;
   std::vector<std::string> problems_;
 };
 
+// What was appended to the chains of a store since somebody last read them.
+struct LedgerNews {
+  std::vector<LedgerEntry> entries;
+  std::map<std::string, int64_t> heads;  // chain's file name -> bytes read of it, whole lines
+  bool changed = false;                  // `heads` differ from those asked with
+};
+// From `heads` on; a chain that is shorter than its head is read from its start. Looks at sizes alone where nothing was
+// appended. kNewerSchema as Read().
+[[nodiscard]] Result<LedgerNews> ReadLedgerNews(const std::filesystem::path& store,
+                                                const std::map<std::string, int64_t>& heads);
+
 // Appends to the store's own chain (made with a fresh random store id where there is none); on the disk when this
-// returns. Takes the ledger's own lock: captures, withdrawals and forgettings may meet. A torn last line, which no
-// append ever acknowledged, is cut.
+// returns. Takes the ledger's own lock: captures, withdrawals and forgettings may meet; kBusy after ten seconds. A torn
+// last line, which no append ever acknowledged, is cut. An entry that could not be written whole is taken back.
 Status AppendToLedger(const std::filesystem::path& store, const LedgerEntry& entry);
 
 // Takes over every chain of `folder` that is longer than what is here, and keeps a fork of a chain beside it under a
-// name of its own. Merging twice changes nothing. A chain never gets shorter.
+// name of its own. Merging twice changes nothing. A chain never gets shorter. kNewerSchema, with the chains that this
+// program understands taken over, where one is of a later version. The tombstones of a store before the ledger lie in
+// no such folder: Ledger::Read(that store) has them.
 [[nodiscard]] Result<LedgerMerge> MergeLedger(const std::filesystem::path& store, const std::filesystem::path& folder);
 
 // 32 hex digits; made with the store, the same for ever. kNotFound where the store has no chain of its own yet.
 [[nodiscard]] Result<std::string> StoreId(const std::filesystem::path& store);
+// Makes it where there is none.
+Status MakeStoreId(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

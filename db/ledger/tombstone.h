@@ -10,9 +10,6 @@
 
 namespace stratalux::db {
 
-[[nodiscard]] std::filesystem::path CertificateFile(const std::filesystem::path& store, const std::string& session_id);
-[[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
-
 // True once a `forget` of the session has begun.
 [[nodiscard]] bool HasTombstone(const std::filesystem::path& store, const std::string& session_id);
 // The certificate files, sorted by session id.

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/paths.h"
 #include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
 
@@ -19,11 +20,6 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 constexpr std::string_view kPrefix = ".stratalux-export-", kSuffix = ".json";
 constexpr uintmax_t kOverwritten = 4096;  // bytes
-
-bool StaysInside(const fs::path& name) {
-  if (name.empty() || name.is_absolute()) return false;
-  return std::none_of(name.begin(), name.end(), [](const fs::path& part) { return part == ".."; });
-}
 
 Result<std::vector<std::string>> ReadMarker(const fs::path& file, const std::string& session_id) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));

@@ -8,7 +8,10 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
-#include "db/ledger/tombstone.h"
+#include "db/care/incoming.h"
+#include "db/keys/key_store.h"
+#include "db/ledger/ledger.h"
+#include "db/ledger/old_tombstones.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/store_scan.h"
@@ -29,11 +32,17 @@ class Forgetting {
 
  private:
   Status WriteIntents();
+  Status EnterForgettings();
+  Status Remove();
+  Status RemoveIncoming();
   Status DestroyKeys();
   void RemoveExports();
   Status RemoveFolders();
   Status RemoveRows(SessionIndex& index);
+  Status RemoveVisitorKeys(SessionIndex& index);
   Status Compact(SessionIndex& index);
+  Status Scan();
+  Status RewriteIndex(const ScanPlan& plan);
   Status Certify(SessionIndex& index);
   Status FindGoneVisitors(SessionIndex& index);
   [[nodiscard]] std::string CertificateFor(const ForgetIntent& intent, const ForgottenSession& session) const;
@@ -82,7 +91,7 @@ Status Checkpoint(Connection& connection) {
 
 Status Forgetting::WriteIntents() {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
-  SLX_RETURN_IF_ERROR(TidyDeletions(store_));
+  SLX_RETURN_IF_ERROR(TidyIntents(store_));
   SLX_ASSIGN_OR_RETURN(intents_, ReadIntents(store_));
   std::vector<std::string> fresh;
   for (const std::string& id : request_.sessions)
@@ -96,6 +105,54 @@ Status Forgetting::WriteIntents() {
     intents_.push_back(std::move(intent));
   }
   for (const ForgetIntent& intent : intents_) report_.sessions.push_back(SessionOf(intent));
+  return Status::Ok();
+}
+
+// An intent that was written before a power cut may have no entry yet.
+Status Forgetting::EnterForgettings() {
+  if (intents_.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  for (const ForgetIntent& intent : intents_) {
+    if (ledger.IsForgotten(intent.session)) continue;
+    const Json detail = {{"reason", intent.reason}};
+    SLX_RETURN_IF_ERROR(
+        AppendToLedger(store_, {LedgerKind::kForgetting, intent.began, {intent.session}, "", detail.dump()}));
+    Done(ForgetStep::kEntered);
+  }
+  return Status::Ok();
+}
+
+Status Forgetting::RemoveIncoming() {
+  std::vector<std::string> ids;
+  for (const ForgetIntent& intent : intents_) ids.push_back(intent.session);
+  SLX_RETURN_IF_ERROR(WipeIncoming(store_, ids, request_.visitors).status());
+  Done(ForgetStep::kIncoming);
+  return Status::Ok();
+}
+
+// Of visitors whose last session this is. Before the rows go: broken off behind it, the next call finds the visitors
+// again.
+Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
+  std::set<std::string> names(request_.visitors.begin(), request_.visitors.end()), ids;
+  for (const ForgetIntent& intent : intents_) {
+    names.insert(intent.visitor);
+    ids.insert(intent.session);
+  }
+  names.erase("");
+  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT id FROM sessions WHERE visitor = ?1"));
+  for (const std::string& name : names) {
+    bool others = false;
+    select.Bind(1, name);
+    while (true) {
+      SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+      if (!more) break;
+      others |= !ids.contains(select.Text(0));
+    }
+    select.Reset();
+    if (others) continue;
+    SLX_RETURN_IF_ERROR(DestroyVisitorKey(store_, name));
+    Done(ForgetStep::kVisitorKey);
+  }
   return Status::Ok();
 }
 
@@ -119,7 +176,7 @@ void Forgetting::RemoveExports() {
       // A folder we may not write keeps no frame alive: it is named, and the next call tries again.
       if (!state.ok())
         kept_exports_.push_back(
-            {intents_[i].session, intents_[i].visitor, "export " + place + ": " + state.status().message()});
+            {intents_[i].session, intents_[i].visitor, "export " + place + ": " + state.status().message(), {}});
       Done(ForgetStep::kExport);
     }
 }
@@ -149,7 +206,9 @@ Status Forgetting::RemoveRows(SessionIndex& index) {
   SLX_ASSIGN_OR_RETURN(auto access,
                        connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
                                           " session_id = ?1 AND ?2 <> ''"));
-  SLX_ASSIGN_OR_RETURN(auto tombstone, connection.Prepare("INSERT OR IGNORE INTO deletions VALUES (?1, ?2, ?3, '{}')"));
+  SLX_ASSIGN_OR_RETURN(auto tombstone,
+                       connection.Prepare("INSERT OR IGNORE INTO deletions (session_id, deleted_wall_ns, reason,"
+                                          " certificate_json) VALUES (?1, ?2, ?3, '{}')"));
   SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
                                                         " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
   for (const ForgetIntent& intent : intents_) {
@@ -171,8 +230,6 @@ Status Forgetting::Compact(SessionIndex& index) {
     SLX_ASSIGN_OR_RETURN(const bool holds, HoldsMarker(entry.path(), intents_));
     if (holds) SLX_RETURN_IF_ERROR(WipeFile(entry.path()));
   }
-  // secure_delete has zeroed the rows; VACUUM leaves no page that ever held them, and the log is cut to nothing.
-  SLX_RETURN_IF_ERROR(index.connection().Execute("VACUUM"));
   return Checkpoint(index.connection());
 }
 
@@ -226,14 +283,16 @@ std::string Forgetting::CertificateFor(const ForgetIntent& intent, const Forgott
   return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+// Of the ledger first, which the index follows. Two forgets that finish the same session certify it twice.
 Status Forgetting::Certify(SessionIndex& index) {
   SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE deletions SET certificate_json = ?2,"
                                                                " deleted_wall_ns = ?3 WHERE session_id = ?1"));
   for (size_t i = 0; i < intents_.size(); ++i) {
     const std::string certificate = CertificateFor(intents_[i], report_.sessions[i]);
-    SLX_RETURN_IF_ERROR(ReplaceFile(CertificateFile(store_, intents_[i].session), certificate));
-    update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, WallNow().ns);
-    SLX_RETURN_IF_ERROR(update.Run());
+    const WallNs now = WallNow();
+    SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kForgotten, now, {intents_[i].session}, "", certificate}));
+    Done(ForgetStep::kEntry);
+    SLX_RETURN_IF_ERROR(update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, now.ns).Run());
     Done(ForgetStep::kCertified);
   }
   // What is not clean stays begun, so that the next call looks again.
@@ -243,29 +302,62 @@ Status Forgetting::Certify(SessionIndex& index) {
       continue;
     SLX_RETURN_IF_ERROR(WipeIntent(store_, intent.session));
   }
-  if (!intents_.empty()) SLX_RETURN_IF_ERROR(SyncFolder(store_ / "deletions"));
+  return Status::Ok();
+}
+
+// All that happens under the lock.
+Status Forgetting::Remove() {
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
+  SLX_RETURN_IF_ERROR(TakeOverOldTombstones(store_));
+  SLX_RETURN_IF_ERROR(WriteIntents());
+  SLX_RETURN_IF_ERROR(EnterForgettings());
+  SLX_RETURN_IF_ERROR(DestroyKeys());
+  RemoveExports();
+  SLX_RETURN_IF_ERROR(RemoveFolders());
+  SLX_RETURN_IF_ERROR(RemoveIncoming());
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
+  SLX_RETURN_IF_ERROR(RemoveVisitorKeys(index));
+  SLX_RETURN_IF_ERROR(RemoveRows(index));
+  Done(ForgetStep::kRows);
+  SLX_RETURN_IF_ERROR(Compact(index));
+  Done(ForgetStep::kCompacted);
+  return FindGoneVisitors(index);
+}
+
+// A page still holds what it once moved elsewhere: written anew, no page ever held it.
+Status Forgetting::RewriteIndex(const ScanPlan& plan) {
+  {
+    SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
+    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
+    SLX_RETURN_IF_ERROR(index.connection().Execute("VACUUM"));
+    SLX_RETURN_IF_ERROR(Checkpoint(index.connection()));
+  }
+  SLX_ASSIGN_OR_RETURN(const auto again, ScanIndex(store_, intents_, plan));
+  std::erase_if(scan_.leftovers, [](const auto& leftover) { return IsOfIndex(leftover.file); });
+  scan_.leftovers.insert(scan_.leftovers.end(), again.leftovers.begin(), again.leftovers.end());
+  return Status::Ok();
+}
+
+// Index closed: it is read as a file, and closing that drops the locks of this process on it.
+Status Forgetting::Scan() {
+  ScanPlan plan;
+  {
+    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
+    SLX_ASSIGN_OR_RETURN(plan, PlanScan(index, intents_, gone_visitors_));
+  }
+  SLX_ASSIGN_OR_RETURN(scan_, ScanStore(store_, intents_, plan, logger_));
+  if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),
+                  [](const auto& leftover) { return IsOfIndex(leftover.file); }))
+    SLX_RETURN_IF_ERROR(RewriteIndex(plan));
+  scan_.leftovers.insert(scan_.leftovers.end(), kept_exports_.begin(), kept_exports_.end());
+  Done(ForgetStep::kScanned);
   return Status::Ok();
 }
 
 Result<ForgetReport> Forgetting::Run() {
-  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
-  SLX_RETURN_IF_ERROR(WriteIntents());
-  SLX_RETURN_IF_ERROR(DestroyKeys());
-  RemoveExports();
-  SLX_RETURN_IF_ERROR(RemoveFolders());
-  ScanPlan plan;
-  {
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
-    SLX_RETURN_IF_ERROR(RemoveRows(index));
-    Done(ForgetStep::kRows);
-    SLX_RETURN_IF_ERROR(Compact(index));
-    Done(ForgetStep::kCompacted);
-    SLX_RETURN_IF_ERROR(FindGoneVisitors(index));
-    SLX_ASSIGN_OR_RETURN(plan, PlanScan(index, intents_, gone_visitors_));
-  }
-  SLX_ASSIGN_OR_RETURN(scan_, ScanStore(store_, intents_, plan, logger_));
-  scan_.leftovers.insert(scan_.leftovers.end(), kept_exports_.begin(), kept_exports_.end());
-  Done(ForgetStep::kScanned);
+  SLX_RETURN_IF_ERROR(Remove());
+  Done(ForgetStep::kUnlocked);
+  SLX_RETURN_IF_ERROR(Scan());
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(Certify(index));
   (void)Checkpoint(index.connection()).ok();  // of the certificate alone: a reader may keep that in the log

@@ -1,9 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Removes sessions from a store so that nothing of them is left in it, and proves it.
 //
-// In this order: an intent that outlives a power cut (from here on the session cannot come back: tombstone.h), the key,
-// logged exports on this machine, the session's folder, the rows with VACUUM and a truncated log, a scan of every file
-// of the store for what would give the session away, the certificate. Broken off anywhere, the next call finishes it.
+// In this order: an intent that outlives a power cut and an entry in the ledger (from here on the session cannot come
+// back), the key, logged exports on this machine, the session's folder, what a broken-off transfer left of it in
+// incoming/, the rows, the visitor's key with the last session. So far under the store's write lock, within a second:
+// captures start again. Then, beside them, a scan of every file of the store for what would give the session away, and
+// the certificate into the ledger. Broken off anywhere, the next call finishes it.
+//
+// The rows go without VACUUM, which would rewrite the whole index: SQLite zeroes deleted cells and freed pages
+// (secure_delete), and the log is cut to nothing. What a page may keep of a row that it once moved elsewhere, the scan
+// finds; then, and only then, VACUUM runs, under the lock, and the index is scanned again.
+//
 // The scan looks for: the session's id, its key id, the first 8 bytes of each payload hash (not of frames that a
 // remaining session shares, such as black ones without noise), and the pseudonym once no session of the visitor is
 // left.
@@ -24,14 +31,31 @@ namespace stratalux::db {
 enum class ForgetReason { kForget, kPurge };
 [[nodiscard]] const char* ToString(ForgetReason reason);
 
-enum class ForgetStep { kIntent, kKey, kExport, kFile, kRows, kCompacted, kScanned, kCertified, kDone };
+enum class ForgetStep {
+  kIntent,   // written; the session is not yet forgotten
+  kEntered,  // in the ledger: from here on it is
+  kKey,
+  kExport,
+  kFile,
+  kIncoming,
+  kVisitorKey,
+  kRows,
+  kCompacted,
+  kUnlocked,  // captures start again
+  kScanned,
+  kEntry,      // certificates stand in the ledger
+  kCertified,  // and in the index
+  kDone
+};
 
 struct ForgetRequest {
   std::vector<std::string> sessions;  // ids
   std::vector<std::string>
       visitors;  // removed with their consents, also without a session; their sessions must be listed
   ForgetReason reason = ForgetReason::kForget;
-  std::function<void(ForgetStep)> after_step;  // may be empty; kKey .. kFile come once for each key, export and file
+  // May be empty; kIntent, kEntered, kKey .. kFile, kVisitorKey, kEntry, kCertified come once for each session, key,
+  // export, file, visitor.
+  std::function<void(ForgetStep)> after_step;
 };
 
 struct ForgottenExport {
@@ -59,9 +83,9 @@ struct ForgetReport {
 // What Forget would do; changes no byte. The state of an export on this machine is kDeleted where it would be.
 [[nodiscard]] Result<ForgetReport> PlanForget(const std::filesystem::path& store, const ForgetRequest& request);
 
-// Also finishes what an earlier call began. kBusy while a session is written or another program reads the index (then
-// the files are gone already; call again). Leftovers are no error: they stand in the report and in the certificate, and
-// the next call looks again.
+// Also finishes what an earlier call began. kBusy while a session is written (call again when it is finished) or
+// another program reads the index (then the files are gone already; call again). Leftovers are no error: they stand in
+// the report and in the certificate, and the next call looks again.
 [[nodiscard]] Result<ForgetReport> Forget(const std::filesystem::path& store, const ForgetRequest& request,
                                           Logger& logger);
 

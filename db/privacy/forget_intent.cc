@@ -9,7 +9,6 @@
 #include <sodium.h>
 
 #include "db/base/durable_file.h"
-#include "db/ledger/tombstone.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 
@@ -19,6 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 constexpr size_t kHashBytes = 8;
+constexpr const char* kIntent = ".forgetting";
 constexpr const char* kWiping = ".wiping";
 
 std::string Hex(std::span<const uint8_t> bytes) {
@@ -158,10 +158,12 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
   return intents;
 }
 
+fs::path IntentFile(const fs::path& store, const std::string& session_id) {
+  return store / "ledger" / (session_id + kIntent);
+}
+
 Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
-  std::error_code error;
-  if (fs::create_directories(store / "deletions", error)) SLX_RETURN_IF_ERROR(SyncFolder(store));
-  if (error) return Status::Failed("cannot create " + (store / "deletions").string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(MakeFolder(IntentFile(store, intent.session).parent_path()));
   const Json json = {{"session", intent.session}, {"visitor", intent.visitor}, {"reason", intent.reason},
                      {"key_id", intent.key_id},   {"frames", intent.frames},   {"began_wall_ns", intent.began.ns},
                      {"fits", intent.fits},       {"files", intent.files},     {"bytes", intent.bytes},
@@ -174,16 +176,21 @@ Status WipeIntent(const fs::path& store, const std::string& session_id) {
   const fs::path file = IntentFile(store, session_id), wiped = file.string() + kWiping;
   std::error_code error;
   fs::rename(file, wiped, error);
-  if (error) return Status::Failed("cannot rename " + file.string() + ": " + error.message());
-  SLX_RETURN_IF_ERROR(SyncFolder(store / "deletions"));
-  return WipeFile(wiped);
+  if (error && error != std::errc::no_such_file_or_directory)
+    return Status::Failed("cannot rename " + file.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(SyncFolder(file.parent_path()));
+  SLX_RETURN_IF_ERROR(WipeFile(wiped));
+  return SyncFolder(file.parent_path());
 }
 
-Status TidyDeletions(const fs::path& store) {
+Status TidyIntents(const fs::path& store) {
   std::vector<fs::path> strays;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
-    if (entry.path().extension() == ".new" || entry.path().extension() == kWiping) strays.push_back(entry.path());
+  for (const auto& entry : fs::directory_iterator(store / "ledger", error)) {
+    const fs::path extension = entry.path().extension();
+    if ((extension == ".new" || extension == kWiping) && entry.path().stem().extension() == kIntent)
+      strays.push_back(entry.path());
+  }
   for (const fs::path& stray : strays) SLX_RETURN_IF_ERROR(WipeFile(stray));
   return Status::Ok();
 }
@@ -192,7 +199,10 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
   std::vector<ForgetIntent> intents;
   for (const std::string& id : UnfinishedForgets(store)) {
     const fs::path file = IntentFile(store, id);
-    SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+    const auto read = ReadFile(file);
+    if (read.status().code() == StatusCode::kNotFound) continue;  // another forget has finished it meanwhile
+    if (!read.ok()) return read.status();
+    const std::string& text = *read;
     try {
       intents.push_back(IntentFrom(Json::parse(text)));
     } catch (const nlohmann::json::exception& error) {
@@ -205,8 +215,8 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
 std::vector<std::string> UnfinishedForgets(const fs::path& store) {
   std::vector<std::string> ids;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "deletions", error))
-    if (entry.path().extension() == ".forgetting") ids.push_back(entry.path().stem().string());
+  for (const auto& entry : fs::directory_iterator(store / "ledger", error))
+    if (entry.path().extension() == kIntent) ids.push_back(entry.path().stem().string());
   std::sort(ids.begin(), ids.end());
   return ids;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// STORE/deletions/<id>.forgetting: what a broken-off `forget` must still remove and look for. Wiped at the end.
+// STORE/ledger/<id>.forgetting: what a broken-off `forget` must still remove and look for. Wiped at the end.
 // Internal to db/privacy.
 #pragma once
 
@@ -29,11 +29,12 @@ struct ForgetIntent {
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
                                                                const std::vector<std::string>& ids);
 
+[[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
 Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);
-// Renamed first: a half-wiped intent must not be taken for one.
+// Renamed first: a half-wiped intent must not be taken for one. kOk where another forget has wiped it.
 Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);
-// Wipes what a program that was killed in the midst of a write or a wipe left in STORE/deletions. Under the write lock.
-Status TidyDeletions(const std::filesystem::path& store);
+// Wipes what a program that was killed in the midst of a write or a wipe left of intents. Under the write lock.
+Status TidyIntents(const std::filesystem::path& store);
 [[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

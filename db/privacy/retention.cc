@@ -1,66 +1,75 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/privacy/retention.h"
 
-#include <algorithm>
-#include <optional>
+#include <limits>
+#include <map>
 
-#include "db/catalogue/consent.h"
-#include "db/catalogue/session_store.h"
+#include "db/catalogue/consent_rows.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/session_index.h"
 
 namespace stratalux::db {
 namespace {
 
 constexpr int64_t kNsPerDay = int64_t{24} * 3600 * 1'000'000'000;
+// As the index sessions_by_end has it.
+constexpr const char* kEnd = "CASE WHEN finished_wall_ns > 0 THEN finished_wall_ns ELSE started_wall_ns END";
 
-std::optional<int> DaysOf(Retention retention, const RetentionDays& days) {
-  switch (retention) {
-    case Retention::kShort:
-      return days.short_days;
-    case Retention::kStandard:
-      return days.standard_days;
-    case Retention::kLong:
-      return days.long_days;
-    case Retention::kKeep:
-      break;
-  }
-  return std::nullopt;
+using DueByNumber = std::map<int64_t, DueSession>;
+
+// The newest end that is due: so many days back, and never of the future.
+int64_t DueUntil(int days, WallNs now) {
+  int64_t kept = 0, until = 0;
+  if (__builtin_mul_overflow(static_cast<int64_t>(days), kNsPerDay, &kept) ||
+      __builtin_sub_overflow(now.ns, kept, &until))
+    return std::numeric_limits<int64_t>::min();
+  return std::min(until, now.ns);
 }
 
-std::optional<WallNs> WithdrawnOn(const SessionInfo& info, const std::vector<ConsentRow>& consents) {
-  const ConsentRow* newest = nullptr;
-  for (const ConsentRow& row : consents) {
-    if (row.visitor != info.visitor) continue;
-    if (row.consent.given_wall == info.consent.given_wall) return row.withdrawn;
-    newest = &row;
+Status AddPastTheirDays(Connection& connection, Retention retention, int days, WallNs now, DueByNumber& due) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT number, id, " + std::string(kEnd) +
+                                                       " FROM sessions WHERE kind = 'visitor' AND retention = ?1 AND " +
+                                                       kEnd + " <= ?2"));
+  select.Bind(1, std::string(ToString(retention))).Bind(2, DueUntil(days, now));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    const int64_t age = (now.ns - select.Integer(2)) / kNsPerDay;
+    due[select.Integer(0)] = {select.Text(1), std::string(ToString(retention)) + ": " + std::to_string(age) +
+                                                  " days old, kept for " + std::to_string(days)};
   }
-  return newest == nullptr ? std::nullopt : newest->withdrawn;
 }
 
-std::string ReasonOf(const SessionInfo& info, const std::vector<ConsentRow>& consents, const RetentionDays& days,
-                     WallNs now) {
-  if (const auto withdrawn = WithdrawnOn(info, consents)) return "consent withdrawn on " + ToIso8601(*withdrawn);
-  const auto kept = DaysOf(info.retention, days);
-  const WallNs end = info.finished_wall.ns > 0 ? info.finished_wall : info.started_wall;
-  const int64_t age = now.ns > end.ns ? (now.ns - end.ns) / kNsPerDay : 0;
-  if (!kept || age < *kept || now < end) return "";
-  return std::string(ToString(info.retention)) + ": " + std::to_string(age) + " days old, kept for " +
-         std::to_string(*kept);
+// Of the visitors who withdrew one; what they gave anew holds for new sessions.
+Status AddWithdrawn(Connection& connection, DueByNumber& due) {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection.Prepare("SELECT s.number, s.id, s.visitor, s.consent_json FROM (SELECT DISTINCT visitor FROM consents"
+                         " WHERE withdrawn_wall_ns IS NOT NULL) w CROSS JOIN sessions s ON s.visitor = w.visitor"
+                         " WHERE s.kind = 'visitor'"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    SLX_ASSIGN_OR_RETURN(const auto withdrawn,
+                         WithdrawnOn(connection, select.Text(2), ConsentFromJson(select.Text(3)).given_wall));
+    if (withdrawn) due[select.Integer(0)] = {select.Text(1), "consent withdrawn on " + ToIso8601(*withdrawn)};
+  }
 }
 
 }  // namespace
 
 Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, const RetentionDays& days, WallNs now) {
-  SLX_ASSIGN_OR_RETURN(const auto opened, SessionStore::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto rows, opened.ListSessions());
-  SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(store, ""));
-  std::vector<DueSession> due;
-  for (const SessionRow& row : rows) {
-    if (row.info.kind != SessionKind::kVisitor) continue;
-    if (std::string reason = ReasonOf(row.info, consents, days, now); !reason.empty())
-      due.push_back({row.info.id, std::move(reason)});
-  }
-  std::reverse(due.begin(), due.end());
-  return due;
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+  Connection& connection = index.connection();
+  DueByNumber due;
+  for (const auto& [retention, kept] :
+       {std::pair(Retention::kShort, days.short_days), std::pair(Retention::kStandard, days.standard_days),
+        std::pair(Retention::kLong, days.long_days)})
+    SLX_RETURN_IF_ERROR(AddPastTheirDays(connection, retention, kept, now, due));
+  SLX_RETURN_IF_ERROR(AddWithdrawn(connection, due));
+  std::vector<DueSession> sessions;
+  for (auto& [number, session] : due) sessions.push_back(std::move(session));
+  return sessions;
 }
 
 }  // namespace stratalux::db

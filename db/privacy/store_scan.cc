@@ -6,7 +6,6 @@
 #include <map>
 
 #include "db/catalogue/consent.h"
-#include "db/ledger/tombstone.h"
 #include "db/privacy/marker_scan.h"
 
 namespace stratalux::db {
@@ -80,6 +79,10 @@ Result<int64_t> AllowedInIndex(SessionIndex& index, const std::string& id) {
   return select.Integer(0);
 }
 
+bool IsChain(const fs::path& store, const fs::path& file) {
+  return file.parent_path() == store / "ledger" && file.extension() == ".jsonl";
+}
+
 // The first hit that must not be, if any.
 const MarkerScan::Hit* Forbidden(const fs::path& store, const fs::path& file, const Markers& markers,
                                  const ScanPlan& plan, const std::vector<MarkerScan::Hit>& hits) {
@@ -87,7 +90,7 @@ const MarkerScan::Hit* Forbidden(const fs::path& store, const fs::path& file, co
   const bool is_index = file == store / "index.sqlite";
   for (const MarkerScan::Hit& hit : hits) {
     const Marker& marker = markers[hit.marker];
-    if (marker.kind == Kind::kId && file == CertificateFile(store, marker.session)) continue;
+    if (marker.kind == Kind::kId && (IsChain(store, file) || file == store / "index.sqlite-wal")) continue;
     if (marker.kind == Kind::kId && is_index) {
       const auto allowed = plan.ids_in_index.find(marker.session);
       if (allowed != plan.ids_in_index.end() && ++ids[marker.session] <= allowed->second) continue;
@@ -98,7 +101,7 @@ const MarkerScan::Hit* Forbidden(const fs::path& store, const fs::path& file, co
 }
 
 void AddLeftover(StoreScanResult& result, const Marker& marker, const std::string& file, const std::string& where) {
-  result.leftovers.push_back({marker.session, marker.visitor, file + where + ": " + ToString(marker.kind)});
+  result.leftovers.push_back({marker.session, marker.visitor, file + where + ": " + ToString(marker.kind), file});
 }
 
 Status ScanOne(const fs::path& store, const fs::path& file, const Markers& markers, const ScanPlan& plan,
@@ -147,31 +150,74 @@ Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& 
   return plan;
 }
 
-Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
-                                  Logger& logger) {
-  Markers markers;
-  std::vector<std::pair<std::string, Marker>> names;  // what a file's name may tell
+bool IsOfIndex(const fs::path& file) { return file == "index.sqlite" || file == "index.sqlite-wal"; }
+
+namespace {
+
+struct SoughtNames {
+  std::string text;
+  Marker marker;
+};
+
+Status AddMarkers(const std::vector<ForgetIntent>& intents, const ScanPlan& plan, Markers& markers,
+                  std::vector<SoughtNames>& names) {
   for (const ForgetIntent& intent : intents) {
     SLX_RETURN_IF_ERROR(markers.Add(intent));
-    names.emplace_back(intent.session, Marker{Kind::kId, intent.session, intent.visitor});
+    names.push_back({intent.session, {Kind::kId, intent.session, intent.visitor}});
   }
   for (const std::string& visitor : plan.pseudonyms) {
     markers.AddText(visitor, {Kind::kVisitor, "", visitor});
-    names.emplace_back(visitor, Marker{Kind::kVisitor, "", visitor});
+    names.push_back({visitor, {Kind::kVisitor, "", visitor}});
   }
+  return Status::Ok();
+}
+
+// Files and folders below `folder`, but intents. What goes away meanwhile is passed over.
+Status ListAll(const fs::path& store, const fs::path& folder, std::vector<fs::path>& files,
+               std::vector<fs::path>& all) {
+  std::error_code error;
+  auto entry = fs::directory_iterator(folder, error);
+  for (; !error && entry != fs::directory_iterator(); entry.increment(error)) {
+    const fs::path& path = entry->path();
+    if (path.parent_path() == store / "ledger" && path.extension() == ".forgetting") continue;
+    all.push_back(path);
+    std::error_code ignored;
+    if (entry->is_symlink(ignored)) continue;
+    if (entry->is_regular_file(ignored)) files.push_back(path);
+    if (entry->is_directory(ignored)) SLX_RETURN_IF_ERROR(ListAll(store, path, files, all));
+  }
+  if (error && (error != std::errc::no_such_file_or_directory || folder == store))
+    return Status::Failed("cannot list " + folder.string() + ": " + error.message());
+  return Status::Ok();
+}
+
+}  // namespace
+
+Result<StoreScanResult> ScanIndex(const fs::path& store, const std::vector<ForgetIntent>& intents,
+                                  const ScanPlan& plan) {
+  Markers markers;
+  std::vector<SoughtNames> names;
+  SLX_RETURN_IF_ERROR(AddMarkers(intents, plan, markers, names));
   StoreScanResult result;
   result.markers = static_cast<int64_t>(markers.scan().size());
-  std::vector<fs::path> files;
-  std::error_code error;
-  for (const auto& entry : fs::recursive_directory_iterator(store, error)) {
-    const fs::path& path = entry.path();
-    if (path.parent_path() == store / "deletions" && path.extension() == ".forgetting") continue;
-    if (entry.is_regular_file(error)) files.push_back(path);
+  for (const char* file : {"index.sqlite", "index.sqlite-wal"})
+    SLX_RETURN_IF_ERROR(ScanOne(store, store / file, markers, plan, result));
+  return result;
+}
+
+Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
+                                  Logger& logger) {
+  Markers markers;
+  std::vector<SoughtNames> names;  // what a file's name may tell, too
+  SLX_RETURN_IF_ERROR(AddMarkers(intents, plan, markers, names));
+  StoreScanResult result;
+  result.markers = static_cast<int64_t>(markers.scan().size());
+  std::vector<fs::path> files, all;
+  SLX_RETURN_IF_ERROR(ListAll(store, store, files, all));
+  for (const fs::path& path : all)
     for (const auto& [text, marker] : names)
-      if (path.filename().string().find(text) != std::string::npos && path != CertificateFile(store, marker.session))
+      if (path.filename().string().find(text) != std::string::npos)
         AddLeftover(result, marker, path.lexically_relative(store).string(), " (its name)");
-  }
-  if (error) return Status::Failed("cannot list " + store.string() + ": " + error.message());
   Progress progress(logger, "scan", static_cast<int64_t>(files.size()));
   for (const fs::path& file : files) {
     SLX_RETURN_IF_ERROR(ScanOne(store, file, markers, plan, result));

@@ -18,6 +18,7 @@ struct StoreScanResult {
   struct Leftover {
     std::string session, visitor;  // whose; a pseudonym has no session
     std::string text;              // "sessions/x/y.json, offset 12: session id"
+    std::filesystem::path file;    // within the store; empty for others
   };
   std::vector<Leftover> leftovers;
 };
@@ -34,11 +35,17 @@ struct ScanPlan {
 [[nodiscard]] Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& intents,
                                         const std::vector<std::string>& gone_visitors);
 
-// The intents' own files are left out: they go next. A session's id may stand in its certificate and, as often as the
-// plan says, in the index.
+// The intents' own files are left out: they go next. A session's id may stand in the chains of the ledger and, as often
+// as the plan says, in the index. Others may write to the store meanwhile: what they remove is passed over, and
+// SQLite's log, whose pages are copies of the index's, may hold ids as often as it likes.
 [[nodiscard]] Result<StoreScanResult> ScanStore(const std::filesystem::path& store,
                                                 const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
                                                 Logger& logger);
+
+// The same of the index and its log alone, without a progress bar.
+[[nodiscard]] Result<StoreScanResult> ScanIndex(const std::filesystem::path& store,
+                                                const std::vector<ForgetIntent>& intents, const ScanPlan& plan);
+[[nodiscard]] bool IsOfIndex(const std::filesystem::path& file);
 
 // True where a file holds any marker of the intents.
 [[nodiscard]] Result<bool> HoldsMarker(const std::filesystem::path& file, const std::vector<ForgetIntent>& intents);

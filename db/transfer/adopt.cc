@@ -1,18 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/adopt.h"
 
-#include <cerrno>
-#include <cstring>
-#include <utility>
-
-#include <fcntl.h>
-#include <sys/file.h>
-#include <unistd.h>
-
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/manifest.h"
+#include "db/ledger/ledger.h"
 #include "db/ledger/tombstone.h"
 
 namespace stratalux::db {
@@ -25,6 +18,12 @@ Result<int64_t> NextNumber(SessionIndex& index) {
                        index.connection().QueryInteger("SELECT coalesce(max(seq), 0) FROM sqlite_sequence"
                                                        " WHERE name = 'sessions'"));
   return last + 1;
+}
+
+// No link, which would name bytes that are not the session's.
+bool IsPlainFile(const fs::path& file) {
+  std::error_code error;
+  return fs::is_regular_file(fs::symlink_status(file, error));
 }
 
 Status VerifySegment(const fs::path& file, const SessionInfo& info, int64_t& frames) {
@@ -42,25 +41,6 @@ Status VerifySegment(const fs::path& file, const SessionInfo& info, int64_t& fra
 
 }  // namespace
 
-Result<IncomingLock> IncomingLock::Take(const fs::path& store) {
-  IncomingLock lock;
-  const fs::path file = store / "incoming.lock";
-  lock.fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0640);
-  if (lock.fd_ < 0) return Status::Failed("cannot write store " + store.string() + ": " + std::strerror(errno));
-  if (flock(lock.fd_, LOCK_EX | LOCK_NB) != 0)
-    return Status::Busy("another pull or restore into " + store.string() +
-                        " is running; try again when it has finished");
-  return lock;
-}
-IncomingLock::IncomingLock(IncomingLock&& o) noexcept : fd_(std::exchange(o.fd_, -1)) {}
-IncomingLock& IncomingLock::operator=(IncomingLock&& o) noexcept {
-  std::swap(fd_, o.fd_);
-  return *this;
-}
-IncomingLock::~IncomingLock() {
-  if (fd_ >= 0) close(fd_);
-}
-
 Result<int64_t> VerifyFolder(const fs::path& folder) {
   SLX_ASSIGN_OR_RETURN(const SessionInfo info, ReadManifest(folder));
   SLX_ASSIGN_OR_RETURN(const ManifestContents contents, ReadManifestContents(folder));
@@ -69,7 +49,7 @@ Result<int64_t> VerifyFolder(const fs::path& folder) {
   int64_t frames = 0;
   std::error_code error;
   for (const std::string& name : contents.segments) {
-    if (name.empty() || name.find('/') != std::string::npos || !fs::exists(folder / name, error))
+    if (name.empty() || name.find('/') != std::string::npos || !IsPlainFile(folder / name))
       return Status::Integrity((folder / "manifest.json").string() + " names " + name + ", which is not there");
     SLX_RETURN_IF_ERROR(VerifySegment(folder / name, info, frames));
   }
@@ -80,12 +60,48 @@ Result<int64_t> VerifyFolder(const fs::path& folder) {
   return frames;
 }
 
+Result<int64_t> CheckFolder(const fs::path& folder) {
+  auto checked = [&]() -> Result<int64_t> {
+    SLX_ASSIGN_OR_RETURN(const int64_t frames, VerifyFolder(folder));
+    SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(folder));
+    if (static_cast<int64_t>(session.frames.size()) != frames)
+      return Status::Integrity(folder.string() + " holds " + std::to_string(frames) + " frames, of which " +
+                               std::to_string(session.frames.size()) + " can be listed");
+    return frames;
+  }();
+  if (checked.status().code() == StatusCode::kFailed || checked.status().code() == StatusCode::kNotFound)
+    return Status::Integrity(checked.status().message());
+  return checked;
+}
+
+namespace {
+
+// The caller holds the write lock.
+Status InsertAdopted(const fs::path& store, const std::string& id, const std::string& from) {
+  const fs::path folder = store / "sessions" / id;
+  SLX_ASSIGN_OR_RETURN(const auto session, RebuildSession(folder));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(const int64_t number, NextNumber(index));
+  SLX_RETURN_IF_ERROR(WritePlace(folder, {number, from}));
+  return InsertRebuilt(index, session, number).status();
+}
+
+// Asked under the write lock, which a forgetting takes as well: none can begin between the answer and the move.
+Status RefuseTombstone(const fs::path& store, const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  if (!ledger.IsForgotten(id) && !HasTombstone(store, id)) return Status::Ok();
+  return Status::Usage("session " + id + " was forgotten and cannot return");
+}
+
+}  // namespace
+
 Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::string& from) {
   SLX_ASSIGN_OR_RETURN(const SessionInfo info, ReadManifest(folder));
   const fs::path target = store / "sessions" / info.id;
   if (info.id.empty() || info.id.find('/') != std::string::npos || info.id.starts_with('.'))
     return Status::Integrity((folder / "manifest.json").string() + ": '" + info.id + "' is no session id");
-  if (HasTombstone(store, info.id)) return Status::Usage("session " + info.id + " was forgotten and cannot return");
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));  // a reindex would not see the new row
+  SLX_RETURN_IF_ERROR(RefuseTombstone(store, info.id));
   std::error_code error;
   if (fs::exists(target, error)) return Status::Usage("session " + info.id + " is in " + store.string() + " already");
   SLX_RETURN_IF_ERROR(SyncTree(folder));
@@ -93,17 +109,30 @@ Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::str
   if (error)
     return Status::Failed("cannot move " + folder.string() + " to " + target.string() + ": " + error.message());
   SLX_RETURN_IF_ERROR(SyncFolder(target.parent_path()));
-  return ListAdopted(store, info.id, from);
+  return InsertAdopted(store, info.id, from);
 }
 
 Status ListAdopted(const fs::path& store, const std::string& id, const std::string& from) {
-  const fs::path folder = store / "sessions" / id;
-  SLX_ASSIGN_OR_RETURN(const auto session, RebuildSession(folder));
-  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));  // a reindex would not see the new row
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(const int64_t number, NextNumber(index));
-  SLX_RETURN_IF_ERROR(WritePlace(folder, {number, from}));
-  return InsertRebuilt(index, session, number).status();
+  SLX_RETURN_IF_ERROR(CheckFolder(store / "sessions" / id).status());
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
+  SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
+  return InsertAdopted(store, id, from);
+}
+
+Result<std::set<std::string>> ListedSessions(const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT id FROM sessions"));
+  std::set<std::string> ids;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return ids;
+    ids.insert(select.Text(0));
+  }
+}
+
+bool IsTroubleOfAll(const Status& status) {
+  return status.code() == StatusCode::kFailed || status.code() == StatusCode::kBusy ||
+         status.code() == StatusCode::kTryAgain;
 }
 
 }  // namespace stratalux::db

@@ -3,36 +3,35 @@
 #pragma once
 
 #include <filesystem>
+#include <set>
 #include <string>
 
 #include "shared/base/result.h"
 
 namespace stratalux::db {
 
-// One transfer into a store at a time; the kernel drops it with the process.
-class IncomingLock {
- public:
-  // kBusy while another pull or restore runs.
-  static Result<IncomingLock> Take(const std::filesystem::path& store);
-  IncomingLock() = default;
-  ~IncomingLock();
-  IncomingLock(IncomingLock&& other) noexcept;
-  IncomingLock& operator=(IncomingLock&& other) noexcept;
-
- private:
-  int fd_ = -1;
-};
-
 // Every byte of a finished session's folder: manifest, each segment it names whole (and sealed, unless the session
 // failed), each payload against its hash. kIntegrity names file and offset. Returns the number of frames.
 [[nodiscard]] Result<int64_t> VerifyFolder(const std::filesystem::path& session_folder);
 
-// Moves `folder` (on the same disk, verified) to STORE/sessions/<id> and inserts its rows. Its number is the next one
-// of this store: sessions of elsewhere come behind those that are here, in the order in which they are adopted; no
-// clock decides. place.json keeps the number for `reindex`. kUsage for a forgotten session, and for one that is there.
+// VerifyFolder, and whether the index can take its rows: kNewerSchema for values of a later version, though their
+// hashes be right. `folder` is named as the session. Whatever is wrong is the session's own trouble: never kFailed.
+[[nodiscard]] Result<int64_t> CheckFolder(const std::filesystem::path& folder);
+
+// Moves `folder` (on the same disk, checked) to STORE/sessions/<id> and inserts its rows. Its number is the next one of
+// this store: sessions of elsewhere come behind those that are here, in the order in which they are adopted; no clock
+// decides. place.json keeps the number for `reindex`. kUsage for a forgotten session, and for one that is there. kBusy,
+// with nothing moved, while a session is written.
 Status AdoptFolder(const std::filesystem::path& store, const std::filesystem::path& folder, const std::string& from);
 
-// The rows of a folder that an earlier adoption moved, but could not list.
+// The rows of a folder that an earlier adoption moved, but could not list. The same check comes first.
 Status ListAdopted(const std::filesystem::path& store, const std::string& session_id, const std::string& from);
+
+// Ids of all sessions that the index lists.
+[[nodiscard]] Result<std::set<std::string>> ListedSessions(const std::filesystem::path& store);
+
+// What stops a transfer as a whole (this store cannot be written, or another program writes it); all else is the
+// trouble of one session, which is named, and the others go on.
+[[nodiscard]] bool IsTroubleOfAll(const Status& status);
 
 }  // namespace stratalux::db

@@ -1,35 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/backup.h"
 
-#include <algorithm>
 #include <set>
 
 #include <sys/stat.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/paths.h"
 #include "db/catalogue/session_index.h"
+#include "db/ledger/ledger.h"
 #include "db/ledger/tombstone.h"
-#include "db/transfer/adopt.h"
-#include "db/transfer/file_copy.h"
-#include "db/transfer/file_list.h"
-#include "shared/base/version.h"
+#include "db/transfer/backup_folder.h"
 
 namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::string Quoted(const fs::path& file) {
-  std::string text = "'";
-  for (char c : file.string()) text += c == '\'' ? std::string("''") : std::string(1, c);
-  return text + "'";
-}
-
-bool LiesIn(const fs::path& file, const fs::path& folder) {
-  std::error_code error;
-  const fs::path inside = fs::weakly_canonical(file, error), outside = fs::weakly_canonical(folder, error);
-  return std::mismatch(outside.begin(), outside.end(), inside.begin(), inside.end()).first == outside.end();
-}
+constexpr const char* kLockName = "backup.lock";
 
 // One transaction's view of the whole database, in a file of its own.
 Status Snapshot(const fs::path& database, const fs::path& to) {
@@ -37,12 +24,9 @@ Status Snapshot(const fs::path& database, const fs::path& to) {
   const fs::path part = to.string() + ".part";
   fs::remove(part, error);
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(database, Connection::Mode::kReadOnly));
-  SLX_RETURN_IF_ERROR(connection.Execute("VACUUM INTO " + Quoted(part)));
+  SLX_RETURN_IF_ERROR(connection.CopyInto(part));
   if (chmod(part.c_str(), 0600) != 0) return Status::Failed("cannot protect " + part.string());
-  fs::rename(part, to, error);
-  if (error) return Status::Failed("cannot move " + part.string() + ": " + error.message());
-  SLX_RETURN_IF_ERROR(SyncTree(to.parent_path().empty() ? fs::path(".") : to.parent_path()));
-  return Status::Ok();
+  return KeepFile(part, to);
 }
 
 Status CopyKeys(const fs::path& store, const BackupOptions& options) {
@@ -58,125 +42,134 @@ Status CopyKeys(const fs::path& store, const BackupOptions& options) {
   return Snapshot(store / "keys.sqlite", options.keys);
 }
 
-class Copier {
- public:
-  Copier(fs::path store, fs::path to, BackupReport& report)
-      : store_(std::move(store)), to_(std::move(to)), report_(report) {
-    if (auto earlier = ReadFileList(to_); earlier.ok()) earlier_ = std::move(earlier).value();
-  }
-
-  [[nodiscard]] bool Unchanged(const fs::path& path) const {
-    const auto known = earlier_.files.find(path.string());
-    if (known == earlier_.files.end()) return false;
-    std::error_code error;
-    const auto time = ModifiedNs(store_ / path);
-    return time.ok() && *time == known->second.source_mtime_ns &&
-           static_cast<int64_t>(fs::file_size(store_ / path, error)) == known->second.bytes &&
-           static_cast<int64_t>(fs::file_size(to_ / path, error)) == known->second.bytes;
-  }
-
-  Status Copy(const fs::path& path) {
-    std::error_code error;
-    if (Unchanged(path)) {
-      list_.files[path.string()] = earlier_.files.at(path.string());
-      ++report_.files_kept;
-      return Status::Ok();
-    }
-    ListedFile file;
-    SLX_ASSIGN_OR_RETURN(file.source_mtime_ns, ModifiedNs(store_ / path));
-    SLX_ASSIGN_OR_RETURN(file.hash, CopyFileHashed(store_ / path, to_ / path, ""));
-    file.bytes = static_cast<int64_t>(fs::file_size(to_ / path, error));
-    list_.files[path.string()] = file;
-    ++report_.files_copied;
-    report_.bytes_copied += file.bytes;
-    return Status::Ok();
-  }
-
-  // A file that was made in the backup itself.
-  Status List(const fs::path& path) {
-    ListedFile file;
-    std::error_code error;
-    SLX_ASSIGN_OR_RETURN(file.hash, HashFile(to_ / path));
-    file.bytes = static_cast<int64_t>(fs::file_size(to_ / path, error));
-    list_.files[path.string()] = file;
-    return Status::Ok();
-  }
-
-  Status CopySession(const std::string& id) {
-    const fs::path folder = fs::path("sessions") / id;
-    std::vector<fs::path> files;
-    std::error_code error;
-    for (auto entry = fs::recursive_directory_iterator(store_ / folder, error);
-         !error && entry != fs::recursive_directory_iterator(); entry.increment(error)) {
-      if (entry->path().extension() == ".partial") {
-        entry.disable_recursion_pending();  // a fit that is being made
-      } else if (entry->is_regular_file(error)) {
-        files.push_back(entry->path().lexically_relative(store_));
-      }
-    }
-    if (error) return Status::Failed("cannot read " + (store_ / folder).string() + ": " + error.message());
-    std::sort(files.begin(), files.end());
-    const bool fresh = std::any_of(files.begin(), files.end(), [this](const fs::path& file) {
-      return file.extension() == ".seg" && !Unchanged(file);
-    });
-    if (fresh) SLX_RETURN_IF_ERROR(VerifyFolder(store_ / folder).status());
-    for (const fs::path& file : files) SLX_RETURN_IF_ERROR(Copy(file));
-    return Status::Ok();
-  }
-
-  // What an earlier backup holds and this one does not: forgotten sessions must not outlive their deletion here.
-  Status RemoveOthers() {
-    std::error_code error;
-    std::set<fs::path> keep;
-    for (const auto& [path, file] : list_.files) keep.insert(to_ / path);
-    std::vector<fs::path> gone;
-    for (const char* part : {"sessions", "deletions"})
-      for (auto entry = fs::recursive_directory_iterator(to_ / part, error);
-           !error && entry != fs::recursive_directory_iterator(); entry.increment(error))
-        if (entry->is_regular_file(error) && !keep.contains(entry->path())) gone.push_back(entry->path());
-    for (const fs::path& file : gone) {
-      if (!fs::remove(file, error)) return Status::Failed("cannot remove " + file.string() + ": " + error.message());
-      ++report_.files_removed;
-      for (fs::path up = file.parent_path(); up != to_ && fs::is_empty(up, error); up = up.parent_path())
-        fs::remove(up, error);
-    }
-    return Status::Ok();
-  }
-
-  Status WriteList() {
-    list_.made_wall = WallNow();
-    list_.program_version = kVersion;
-    return WriteFileList(to_, list_);
-  }
-
- private:
-  fs::path store_, to_;
-  BackupReport& report_;
-  FileList earlier_, list_;
-};
-
-// In the copy: only sessions whose files are in the backup.
-Status DropUnfinished(const fs::path& to, BackupReport& report, std::vector<std::string>& ids) {
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(to, AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
-  for (const SessionRow& row : sessions) {
-    if (row.info.status == SessionStatus::kRecording) {
-      report.left_out.push_back(row.info.id);
-    } else {
-      ids.push_back(row.info.id);
-    }
-  }
-  SLX_RETURN_IF_ERROR(index.connection().Execute("DELETE FROM sessions WHERE status = 'recording'"));
-  return index.connection().Execute("PRAGMA journal_mode = DELETE");
-}
-
 Status CheckTarget(const fs::path& store, const fs::path& to) {
   std::error_code error;
   if (LiesIn(to, store)) return Status::Usage("--to " + to.string() + " lies within the store; choose another disk");
-  const bool used = fs::exists(to, error) && !fs::is_empty(to, error);
-  if (used && !fs::exists(to / "backup.json", error) && !fs::exists(to / "backup.unfinished", error))
-    return Status::Usage(to.string() + " is neither empty nor an earlier backup; choose a folder of its own");
+  if (fs::exists(to / "backup.json", error) || fs::exists(to / "backup.unfinished", error)) return Status::Ok();
+  for (const auto& entry : fs::directory_iterator(to, error))
+    if (entry.path().filename() != kLockName)
+      return Status::Usage(to.string() + " is neither empty nor an earlier backup; choose a folder of its own");
   return Status::Ok();
+}
+
+// The steps of one backup.
+class BackupRun {
+ public:
+  BackupRun(fs::path store, fs::path to, BackupReport& report, Logger& logger)
+      : store_(std::move(store)), to_(std::move(to)), fresh_(to_ / "index.new"), report_(report), logger_(logger) {}
+  Status Run(ScrubShare share);
+
+ private:
+  Status ReadIndex();
+  Status CopySessions(BackupFolder& folder);
+  Status KeepLost(BackupFolder& folder);
+  Status CopyTombstones(BackupFolder& folder);
+  Status DropForgotten(BackupFolder& folder);
+
+  const fs::path store_, to_, fresh_;
+  BackupReport& report_;
+  Logger& logger_;
+  std::vector<std::string> ids_;     // finished sessions, in the order of their numbers
+  std::set<std::string> recording_;  // in this snapshot
+};
+
+Status BackupRun::ReadIndex() {
+  SLX_RETURN_IF_ERROR(MakeFolder(fresh_));
+  SLX_RETURN_IF_ERROR(Snapshot(store_ / "index.sqlite", fresh_ / "index.sqlite"));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT id, status FROM sessions ORDER BY number"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    if (select.Text(1) == "recording") {
+      report_.left_out.push_back(select.Text(0));
+      recording_.insert(select.Text(0));
+    } else {
+      ids_.push_back(select.Text(0));
+    }
+  }
+}
+
+Status BackupRun::CopySessions(BackupFolder& folder) {
+  Progress progress(logger_, "backup", static_cast<int64_t>(ids_.size()));
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  for (const std::string& id : ids_) {
+    progress.Advance();
+    if (ledger.IsForgotten(id)) continue;
+    const Status copied = folder.CopySession(id);
+    if (copied.code() == StatusCode::kFailed) return copied;
+    if (copied.ok()) {
+      ++report_.sessions;
+      continue;
+    }
+    // A forgetting may have begun while it was copied.
+    SLX_ASSIGN_OR_RETURN(const Ledger now, Ledger::Read(store_));
+    if (!now.IsForgotten(id))
+      report_.problems.push_back(
+          "session " + id + ": " + copied.message() +
+          (folder.KeepSession(id) ? "; its last good copy stays in the backup" : "; the backup has no copy of it"));
+  }
+  return Status::Ok();
+}
+
+// Sessions of the earlier backup that the index no longer lists, though nobody forgot them.
+Status BackupRun::KeepLost(BackupFolder& folder) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  const std::set<std::string> listed(ids_.begin(), ids_.end());
+  for (const std::string& id : folder.EarlierSessions()) {
+    if (listed.contains(id) || ledger.IsForgotten(id)) continue;
+    folder.KeepSession(id);
+    if (!recording_.contains(id))
+      report_.problems.push_back("session " + id +
+                                 " is no longer in the store, and nobody forgot it: its last good copy stays in the"
+                                 " backup; `stratalux-db restore --merge` brings it back");
+  }
+  return Status::Ok();
+}
+
+// Chains only ever grow, in the backup too, and verify themselves. A store before the ledger has its certificates.
+Status BackupRun::CopyTombstones(BackupFolder& folder) {
+  const auto merged = MergeLedger(to_, store_ / "ledger");
+  if (merged.status().code() == StatusCode::kNewerSchema) {
+    report_.problems.push_back("ledger: " + merged.status().message());
+  } else if (!merged.ok()) {
+    return merged.status();
+  }
+  for (const std::string& problem : merged.ok() ? merged->problems : std::vector<std::string>())
+    report_.problems.push_back("ledger: " + problem);
+  for (const fs::path& tombstone : ListTombstones(store_))
+    SLX_RETURN_IF_ERROR(folder.CopyFile(tombstone.lexically_relative(store_).string()));
+  return Status::Ok();
+}
+
+// A session that was forgotten meanwhile leaves neither files nor rows.
+Status BackupRun::DropForgotten(BackupFolder& folder) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));
+  SLX_RETURN_IF_ERROR(index.connection().Execute("DELETE FROM sessions WHERE status = 'recording'"));
+  {
+    SLX_ASSIGN_OR_RETURN(auto remove, index.connection().Prepare("DELETE FROM sessions WHERE id = ?1"));
+    for (const auto& [id, certificate] : ledger.forgotten()) {
+      folder.DropSession(id);
+      SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
+    }
+  }
+  return index.connection().Execute("PRAGMA journal_mode = DELETE");
+}
+
+Status BackupRun::Run(ScrubShare share) {
+  SLX_ASSIGN_OR_RETURN(auto folder, BackupFolder::Open(store_, to_, report_));
+  // The files it lists are there and final when it says so; hence the index first.
+  SLX_RETURN_IF_ERROR(ReadIndex());
+  SLX_RETURN_IF_ERROR(CopySessions(folder));
+  SLX_RETURN_IF_ERROR(KeepLost(folder));
+  SLX_RETURN_IF_ERROR(folder.Scrub(share));
+  SLX_RETURN_IF_ERROR(CopyTombstones(folder));
+  SLX_RETURN_IF_ERROR(DropForgotten(folder));
+  SLX_RETURN_IF_ERROR(folder.PlaceFile(fresh_ / "index.sqlite", "index.sqlite"));
+  std::error_code error;
+  fs::remove_all(fresh_, error);
+  return folder.Finish();
 }
 
 }  // namespace
@@ -184,36 +177,17 @@ Status CheckTarget(const fs::path& store, const fs::path& to) {
 Result<BackupReport> Backup(const fs::path& store, const BackupOptions& options, Logger& logger) {
   SLX_RETURN_IF_ERROR(SessionIndex::Open(store, AccessMode::kReadOnly).status());
   SLX_RETURN_IF_ERROR(CheckTarget(store, options.to));
-  BackupReport report;
   SLX_RETURN_IF_ERROR(MakeFolder(options.to));
+  SLX_ASSIGN_OR_RETURN(const auto lock,
+                       FileLock::TryTake(options.to / kLockName, "another backup to " + options.to.string() +
+                                                                     " is running; try again when it has"
+                                                                     " finished"));
   SLX_RETURN_IF_ERROR(CopyKeys(store, options));
-  SLX_RETURN_IF_ERROR(ReplaceFile(options.to / "backup.unfinished", "a backup is being made, or was interrupted\n"));
-  // The files it lists are there and final when it says so; hence the index first.
-  SLX_RETURN_IF_ERROR(MakeFolder(options.to / "index.new"));
-  SLX_RETURN_IF_ERROR(Snapshot(store / "index.sqlite", options.to / "index.new" / "index.sqlite"));
-  std::vector<std::string> ids;
-  SLX_RETURN_IF_ERROR(DropUnfinished(options.to / "index.new", report, ids));
-  Copier copier(store, options.to, report);
-  {
-    Progress progress(logger, "backup", static_cast<int64_t>(ids.size()));
-    for (const std::string& id : ids) {
-      if (!HasTombstone(store, id)) {
-        SLX_RETURN_IF_ERROR(copier.CopySession(id).WithContext("session " + id));
-        ++report.sessions;
-      }
-      progress.Advance();
-    }
-  }
-  for (const fs::path& tombstone : ListTombstones(store))
-    SLX_RETURN_IF_ERROR(copier.Copy(tombstone.lexically_relative(store)));
-  std::error_code error;
-  fs::rename(options.to / "index.new" / "index.sqlite", options.to / "index.sqlite", error);
-  if (error) return Status::Failed("cannot move the index into " + options.to.string() + ": " + error.message());
-  fs::remove_all(options.to / "index.new", error);
-  SLX_RETURN_IF_ERROR(copier.List("index.sqlite"));
-  SLX_RETURN_IF_ERROR(copier.WriteList());
-  SLX_RETURN_IF_ERROR(copier.RemoveOthers());
-  fs::remove(options.to / "backup.unfinished", error);
+  BackupReport report;
+  const Status made = BackupRun(store, options.to, report, logger).Run(options.scrub);
+  if (!made.ok())
+    return made.WithContext("the backup was not finished; what was in " + options.to.string() +
+                            " before stays valid, and the next run goes on");
   return report;
 }
 

@@ -27,16 +27,22 @@ Status Trouble(const char* what, const fs::path& file) {
   return Status::Failed(std::string("cannot ") + what + " " + file.string() + ": " + std::strerror(errno));
 }
 
+Status Unreadable(const fs::path& file) {
+  if (errno == ENOENT) return Status::NotFound(file.string() + " is not there");
+  return Status::Integrity("cannot read " + file.string() + ": " + std::strerror(errno) +
+                           "; look at its disk and permissions");
+}
+
 Result<std::string> HashAndHand(const fs::path& file, const std::function<Status(std::span<const uint8_t>)>& hand) {
   const UniqueFd in = OpenDescriptor(file, O_RDONLY);
-  if (in.get() < 0) return Trouble("open", file);
+  if (in.get() < 0) return Unreadable(file);
   const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(), &XXH3_freeState);
   XXH3_128bits_reset(state.get());
   std::vector<uint8_t> block(kBlock);
   while (true) {
     const ssize_t got = read(in.get(), block.data(), block.size());
     if (got < 0 && errno == EINTR) continue;
-    if (got < 0) return Trouble("read", file);
+    if (got < 0) return Unreadable(file);
     if (got == 0) break;
     XXH3_128bits_update(state.get(), block.data(), static_cast<size_t>(got));
     SLX_RETURN_IF_ERROR(hand(std::span(block).first(static_cast<size_t>(got))));
@@ -56,7 +62,7 @@ Result<std::string> HashFile(const fs::path& file) {
 
 Result<int64_t> ModifiedNs(const fs::path& file) {
   struct stat info {};
-  if (stat(file.c_str(), &info) != 0) return Trouble("read", file);
+  if (stat(file.c_str(), &info) != 0) return Unreadable(file);
   return int64_t{info.st_mtim.tv_sec} * 1'000'000'000 + info.st_mtim.tv_nsec;
 }
 

@@ -10,6 +10,9 @@
 
 namespace stratalux::db {
 
+// Which side failed decides what follows: a source that cannot be read is kNotFound or kIntegrity and the trouble of
+// one session; a target that cannot be written is kFailed and the trouble of all.
+
 // XXH3-128 of all bytes, 32 hex digits.
 [[nodiscard]] Result<std::string> HashFile(const std::filesystem::path& file);
 [[nodiscard]] Result<int64_t> ModifiedNs(const std::filesystem::path& file);

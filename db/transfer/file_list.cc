@@ -1,41 +1,56 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/file_list.h"
 
-#include <algorithm>
-
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/paths.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
 namespace {
 
 using Json = nlohmann::ordered_json;
-constexpr int kListSchema = 1;
+constexpr int kListSchema = 2;
 
-bool StaysInside(const std::filesystem::path& path) {
-  return !path.empty() && path.is_relative() &&
-         std::none_of(path.begin(), path.end(), [](const auto& part) { return part == ".."; });
+Json JsonOf(const std::string& path, const ListedFile& file) {
+  return {{"path", path},
+          {"bytes", file.bytes},
+          {"source_mtime_ns", file.source_mtime_ns},
+          {"xxh3_128", file.hash},
+          {"checked_wall_ns", file.checked_wall.ns}};
+}
+
+// Throws nlohmann's exceptions.
+std::pair<std::string, ListedFile> FileOf(const Json& entry) {
+  ListedFile file{entry.at("bytes").get<int64_t>(),
+                  entry.at("source_mtime_ns").get<int64_t>(),
+                  entry.at("xxh3_128").get<std::string>(),
+                  {entry.value("checked_wall_ns", int64_t{0})}};
+  return {entry.at("path").get<std::string>(), std::move(file)};
 }
 
 }  // namespace
 
 Status WriteFileList(const std::filesystem::path& folder, const FileList& list) {
   Json files = Json::array();
-  for (const auto& [path, file] : list.files)
-    files.push_back(
-        {{"path", path}, {"bytes", file.bytes}, {"source_mtime_ns", file.source_mtime_ns}, {"xxh3_128", file.hash}});
-  const Json json = {{"schema", kListSchema},
-                     {"made_wall_ns", list.made_wall.ns},
-                     {"program_version", list.program_version},
-                     {"files", files}};
+  for (const auto& [path, file] : list.files) files.push_back(JsonOf(path, file));
+  const Json json = {
+      {"schema", kListSchema},         {"made_wall_ns", list.made_wall.ns}, {"program_version", list.program_version},
+      {"scrub_runs", list.scrub_runs}, {"problems", list.problems},         {"files", files}};
   return ReplaceFile(folder / "backup.json", json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 Result<FileList> ReadFileList(const std::filesystem::path& folder) {
   const auto file = folder / "backup.json";
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  std::error_code error;
+  if (!std::filesystem::exists(file, error))
+    return Status::NotFound(std::filesystem::exists(folder / "backup.unfinished", error)
+                                ? folder.string() +
+                                      " holds a backup that was never finished; run `stratalux-db backup"
+                                      " --to` once more"
+                                : folder.string() + " is no backup (it has no backup.json)");
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));  // a line a file of the store
   try {
     const Json json = Json::parse(text);
     if (json.at("schema").get<int>() > kListSchema)
@@ -44,16 +59,37 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
     FileList list;
     json.at("made_wall_ns").get_to(list.made_wall.ns);
     json.at("program_version").get_to(list.program_version);
+    list.scrub_runs = json.value("scrub_runs", int64_t{0});
+    list.problems = json.value("problems", std::vector<std::string>());
     for (const Json& entry : json.at("files")) {
-      const auto path = entry.at("path").get<std::string>();
+      auto [path, listed] = FileOf(entry);
       if (!StaysInside(path)) return Status::Integrity(file.string() + ": path '" + path + "' leaves the backup");
-      list.files[path] = {entry.at("bytes").get<int64_t>(), entry.at("source_mtime_ns").get<int64_t>(),
-                          entry.at("xxh3_128").get<std::string>()};
+      list.files[path] = std::move(listed);
     }
     return list;
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
   }
+}
+
+std::string ListedFileLine(const std::string& path, const ListedFile& file) {
+  return JsonOf(path, file).dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+std::optional<std::pair<std::string, ListedFile>> ParseListedFileLine(const std::string& line) {
+  try {
+    auto parsed = FileOf(Json::parse(line));
+    if (StaysInside(parsed.first)) return parsed;
+  } catch (const nlohmann::json::exception&) {  // torn, or no line of ours: that file is copied again
+  }
+  return std::nullopt;
+}
+
+std::string SessionOfPath(const std::string& path) {
+  constexpr std::string_view kSessions = "sessions/";
+  if (!path.starts_with(kSessions)) return {};
+  const size_t slash = path.find('/', kSessions.size());
+  return slash == std::string::npos ? std::string() : path.substr(kSessions.size(), slash - kSessions.size());
 }
 
 }  // namespace stratalux::db

@@ -3,15 +3,14 @@
 
 #include <array>
 #include <cerrno>
+#include <csignal>
 #include <cstring>
 
 #include <fcntl.h>
 #include <poll.h>
-#include <spawn.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
-
-extern char** environ;
 
 namespace stratalux::db {
 namespace {
@@ -51,31 +50,43 @@ void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
   }
 }
 
+// In the child, between fork and exec: only what is allowed in a signal handler. The program ends with us: should we be
+// killed, it must not go on writing behind the back of whoever comes next.
+[[noreturn]] void Become(char** argv, pid_t parent, const Pipe& out, const Pipe& err, const Pipe& trouble) {
+  const int nothing = open("/dev/null", O_RDONLY);
+  const bool ready = nothing >= 0 && dup2(nothing, 0) >= 0 && dup2(out.ends[1], 1) >= 0 && dup2(err.ends[1], 2) >= 0 &&
+                     prctl(PR_SET_PDEATHSIG, SIGTERM) == 0 && getppid() == parent;
+  if (ready) execvp(argv[0], argv);
+  const int reason = errno;
+  if (write(trouble.ends[1], &reason, sizeof reason) < 0) _exit(126);
+  _exit(127);
+}
+
 }  // namespace
 
 Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments) {
-  Pipe out, err;
-  if (out.ends[0] < 0 || err.ends[0] < 0) return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
-  posix_spawn_file_actions_t actions;
-  posix_spawn_file_actions_init(&actions);
-  posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
-  posix_spawn_file_actions_adddup2(&actions, out.ends[1], 1);
-  posix_spawn_file_actions_adddup2(&actions, err.ends[1], 2);
+  Pipe out, err, trouble;
+  if (out.ends[0] < 0 || err.ends[0] < 0 || trouble.ends[0] < 0)
+    return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
   std::vector<char*> argv;
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);
-  pid_t child = 0;
-  const int failed = posix_spawnp(&child, argv[0], &actions, nullptr, argv.data(), environ);
-  posix_spawn_file_actions_destroy(&actions);
-  if (failed == ENOENT) return Status::NotFound("there is no program '" + arguments[0] + "'");
-  if (failed != 0) return Status::Failed("cannot run " + arguments[0] + ": " + std::strerror(failed));
+  const pid_t parent = getpid();
+  const pid_t child = fork();
+  if (child < 0) return Status::Failed("cannot run " + arguments[0] + ": " + std::strerror(errno));
+  if (child == 0) Become(argv.data(), parent, out, err, trouble);
   out.CloseEnd(1);
   err.CloseEnd(1);
+  trouble.CloseEnd(1);
   ProgramOutcome outcome;
   Drain(out, err, outcome);
   int status = 0;
   while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
+  int reason = 0;
+  if (read(trouble.ends[0], &reason, sizeof reason) == static_cast<ssize_t>(sizeof reason))
+    return reason == ENOENT ? Status::NotFound("there is no program '" + arguments[0] + "'")
+                            : Status::Failed("cannot run " + arguments[0] + ": " + std::strerror(reason));
   outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return outcome;
 }

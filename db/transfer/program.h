@@ -14,7 +14,8 @@ struct ProgramOutcome {
   std::string output, errors;
 };
 
-// arguments[0] is looked up in PATH; stdin is empty. kNotFound where there is no such program.
+// arguments[0] is looked up in PATH; stdin is empty. It is ended when the calling thread ends, also by SIGKILL.
+// kNotFound where there is no such program.
 [[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments);
 
 }  // namespace stratalux::db

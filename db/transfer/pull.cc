@@ -1,184 +1,222 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/pull.h"
 
-#include <algorithm>
+#include <set>
 
 #include "db/base/durable_file.h"
-#include "db/care/session_rebuild.h"
-#include "db/catalogue/manifest.h"
+#include "db/care/incoming.h"
+#include "db/catalogue/fit_store.h"
 #include "db/catalogue/session_index.h"
-#include "db/ledger/tombstone.h"
+#include "db/privacy/forget.h"
 #include "db/transfer/adopt.h"
-#include "db/transfer/program.h"
+#include "db/transfer/foreign_ledger.h"
+#include "db/transfer/source_catalogue.h"
 
 namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
 
-Result<std::string> Rsync(const std::vector<std::string>& options, const std::string& source, const fs::path& target) {
-  // -s: names reach the other side as they are. Deltas also between local folders, so that a cut copy is continued.
-  std::vector<std::string> arguments = {"rsync", "-rts", "--no-whole-file", "--partial"};
-  arguments.insert(arguments.end(), options.begin(), options.end());
-  arguments.insert(arguments.end(), {"--", source, target.string() + "/"});
-  auto outcome = RunProgram(arguments);
-  if (outcome.status().code() == StatusCode::kNotFound)
-    return Status::NotFound("pull needs rsync, which is not installed here; apt-get install rsync");
-  if (!outcome.ok()) return outcome.status();
-  if (outcome->code == 0) return outcome->output;
-  std::string reason = outcome->errors.substr(0, outcome->errors.find("\nrsync error"));
-  std::replace(reason.begin(), reason.end(), '\n', ' ');
-  return Status::Failed("rsync from " + source + " failed (" + std::to_string(outcome->code) + "): " + reason +
-                        "; run pull again to go on");
-}
-
-// Manifests and tombstones of the source: small, and all that is needed to decide.
-Status FetchCatalogue(const std::string& from, const fs::path& catalogue) {
-  std::error_code error;
-  fs::remove_all(catalogue, error);
-  SLX_RETURN_IF_ERROR(MakeFolder(catalogue));
-  SLX_RETURN_IF_ERROR(Rsync({"--include=/sessions/", "--include=/sessions/*/", "--include=/sessions/*/manifest.json",
-                             "--include=/sessions/*/place.json", "--include=/deletions/", "--include=/deletions/*.json",
-                             "--include=/deletions/*.forgetting", "--exclude=*"},
-                            from + "/", catalogue)
-                          .status());
-  if (!fs::is_directory(catalogue / "sessions", error))
-    return Status::NotFound("no store in " + from + " (it has no folder 'sessions')");
-  return Status::Ok();
-}
-
-struct Offer {
-  std::string id;
-  int64_t number = 0;  // in the source
-};
-
-// In the order of the source: its numbers, which no clock decides.
-std::vector<Offer> Offers(const fs::path& catalogue, PullReport& report) {
-  std::vector<Offer> offers;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(catalogue / "sessions", error)) {
-    const std::string id = entry.path().filename().string();
-    const auto manifest = ReadManifest(entry.path());
-    if (manifest.status().code() == StatusCode::kNotFound) {
-      ++report.unfinished;
-    } else if (!manifest.ok() || manifest->id != id) {
-      report.problems.push_back("session " + id + ": " +
-                                (manifest.ok() ? "its manifest names " + manifest->id : manifest.status().message()));
-    } else if (manifest->status != SessionStatus::kComplete && manifest->status != SessionStatus::kDegraded) {
-      ++report.unfinished;
-    } else {
-      offers.push_back({id, PlaceOf(entry.path()).value_or(0)});
-    }
-  }
-  std::sort(offers.begin(), offers.end(),
-            [](const Offer& a, const Offer& b) { return a.number != b.number ? a.number < b.number : a.id < b.id; });
-  return offers;
-}
-
-Status Fetch(const std::string& from, const std::string& id, const fs::path& incoming) {
-  SLX_RETURN_IF_ERROR(MakeFolder(incoming));
-  const std::string source = from + "/sessions/" + id + "/";
-  SLX_RETURN_IF_ERROR(Rsync({"--delete", "--exclude=*.partial", "--exclude=/place.json"}, source, incoming).status());
-  // Segments carry their hashes; the others are compared with the source once more.
-  SLX_ASSIGN_OR_RETURN(const std::string different,
-                       Rsync({"--dry-run", "--checksum", "--out-format=%n", "--exclude=*.partial",
-                              "--exclude=/place.json", "--exclude=*.seg", "--omit-dir-times"},
-                             source, incoming));
-  if (different.find_first_not_of("./\n") != std::string::npos)
-    return Status::Integrity("session " + id + " changed at the source while it was copied: " +
-                             different.substr(0, different.find('\n')) + "; run pull again");
-  return VerifyFolder(incoming).status();
+std::set<std::string> ForgottenIn(const Ledger& ledger) {
+  std::set<std::string> ids;
+  for (const auto& [id, certificate] : ledger.forgotten()) ids.insert(id);
+  return ids;
 }
 
 class Puller {
  public:
-  Puller(const fs::path& store, const std::string& from, PullMode mode, PullReport& report)
-      : store_(store), from_(from), mode_(mode), report_(report) {}
-
-  Status Take(const std::string& id) {
-    const fs::path catalogue = store_ / "incoming" / ".catalogue";
-    SLX_ASSIGN_OR_RETURN(const bool here, IsHere(id));
-    if (HasTombstone(catalogue, id) || HasTombstone(store_, id)) {
-      ++report_.forgotten;
-      return Status::Ok();
-    }
-    if (here) {
-      ++report_.present;
-      return Status::Ok();
-    }
-    if (mode_ == PullMode::kDryRun) {
-      report_.sessions.push_back(id);
-      return Status::Ok();
-    }
-    std::error_code error;
-    if (fs::exists(store_ / "sessions" / id, error)) {  // moved by a pull that was cut before it could list
-      SLX_RETURN_IF_ERROR(ListAdopted(store_, id, from_));
-    } else {
-      const fs::path incoming = store_ / "incoming" / id;
-      const Status fetched = Fetch(from_, id, incoming);
-      if (fetched.code() == StatusCode::kIntegrity) {
-        fs::remove_all(incoming, error);  // else rsync would take the damaged copy, same size and time, for good
-        report_.problems.push_back("session " + id + " was not taken: " + fetched.message());
-        return Status::Ok();
-      }
-      SLX_RETURN_IF_ERROR(fetched);
-      SLX_ASSIGN_OR_RETURN(const auto contents, ReadManifestContents(incoming));
-      report_.frames += contents.frames;
-      SLX_RETURN_IF_ERROR(AdoptFolder(store_, incoming, from_));
-    }
-    report_.sessions.push_back(id);
-    return Status::Ok();
-  }
-
-  // The source's tombstones hold here, too; a session that is here is for `forget` to remove.
-  Status ObeyTombstones() {
-    const fs::path catalogue = store_ / "incoming" / ".catalogue";
-    for (const fs::path& tombstone : ListTombstones(catalogue)) {
-      const std::string id = tombstone.stem().string();
-      SLX_ASSIGN_OR_RETURN(const bool here, IsHere(id));
-      if (here && !HasTombstone(store_, id))
-        report_.problems.push_back("session " + id +
-                                   " was forgotten at the source, but is here: `stratalux-db forget " + id + "`");
-    }
-    return Status::Ok();
-  }
+  Puller(fs::path store, std::string from, const PullOptions& options, Logger& logger, PullReport& report)
+      : store_(std::move(store)),
+        from_(std::move(from)),
+        options_(options),
+        logger_(logger),
+        report_(report),
+        catalogue_(store_, from_, options.timeout) {}
+  Status Run();
 
  private:
-  Result<bool> IsHere(const std::string& id) {
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
-    const auto number = index.NumberOf(id);
-    if (number.ok()) return true;
-    return number.status().code() == StatusCode::kNotFound ? Result<bool>(false) : Result<bool>(number.status());
-  }
+  [[nodiscard]] bool dry() const { return options_.mode == PullMode::kDryRun; }
+  Status TakeLedger();
+  Status Obey();
+  Status Reconcile(const SourceOffers& offers);
+  Status Wipe(const fs::path& place, const std::string& why);
+  Status TakeSession(const Offer& offer);
+  Status FetchSession(const std::string& id);
+  Status TakeFits(const Offer& offer);
+  Status TakeFit(const std::string& session, const std::string& fit);
 
-  const fs::path& store_;
-  const std::string& from_;
-  PullMode mode_;
+  const fs::path store_;
+  const std::string from_;
+  const PullOptions& options_;
+  Logger& logger_;
   PullReport& report_;
+  SourceCatalogue catalogue_;
+  std::set<std::string> forgotten_;  // by either side
+  std::set<std::string> here_;       // listed when the pull began
 };
+
+Status Puller::TakeLedger() {
+  SLX_ASSIGN_OR_RETURN(const Ledger ours, Ledger::Read(store_));
+  forgotten_ = ForgottenIn(ours);
+  SLX_RETURN_IF_ERROR(catalogue_.Fetch(forgotten_, report_.problems));
+  SLX_ASSIGN_OR_RETURN(const Ledger theirs, Ledger::Read(catalogue_.folder()));
+  forgotten_.merge(ForgottenIn(theirs));
+  if (dry()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const LedgerMerge merge, AdoptLedger(store_, catalogue_.folder()));
+  report_.ledger_entries = merge.entries;
+  for (const std::string& problem : merge.problems) report_.problems.push_back("ledger of the source: " + problem);
+  SLX_ASSIGN_OR_RETURN(report_.withdrawals, ApplyWithdrawals(store_));
+  return Status::Ok();
+}
+
+// Sessions that are here and that a ledger forgets. Deleting them for another store's word is for people to decide.
+Status Puller::Obey() {
+  std::vector<std::string> still_here;
+  for (const std::string& id : forgotten_)
+    if (here_.contains(id)) still_here.push_back(id);
+  if (still_here.empty()) return Status::Ok();
+  if (options_.forgotten == ForgottenElsewhere::kName || dry()) {
+    for (const std::string& id : still_here)
+      report_.problems.push_back("session " + id + " was forgotten at the source, but is here: `stratalux-db forget " +
+                                 id + "`, or `pull --obey` for all of them");
+    return Status::Ok();
+  }
+  ForgetRequest request;
+  request.sessions = still_here;
+  SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));
+  report_.obeyed = still_here;
+  for (const std::string& leftover : gone.leftovers) report_.problems.push_back("forgotten, but left: " + leftover);
+  for (const std::string& id : still_here) here_.erase(id);
+  return Status::Ok();
+}
+
+Status Puller::Wipe(const fs::path& place, const std::string& why) {
+  SLX_RETURN_IF_ERROR(WipeFolder(place));
+  report_.wiped.push_back(place.lexically_relative(store_).string() + ": " + why);
+  return Status::Ok();
+}
+
+// What broken-off pulls left, held against what both sides say now.
+Status Puller::Reconcile(const SourceOffers& offers) {
+  for (const IncomingSession& session : ListIncoming(store_)) {
+    const bool offered = offers.folders.contains(session.id) || catalogue_.OthersHave(session.id);
+    for (const fs::path& place : session.places) {
+      const bool of_fits = place == IncomingFits(store_, session.id);
+      if (forgotten_.contains(session.id)) {
+        SLX_RETURN_IF_ERROR(Wipe(place, "the session was forgotten"));
+      } else if (!offered) {
+        SLX_RETURN_IF_ERROR(Wipe(place, "the source no longer offers the session"));
+      } else if (here_.contains(session.id) != of_fits) {
+        SLX_RETURN_IF_ERROR(Wipe(place, of_fits ? "its session is not here" : "the session is here already"));
+      }
+    }
+  }
+  // Manifests of forgotten sessions in the kept catalogues.
+  return WipeIncoming(store_, {forgotten_.begin(), forgotten_.end()}).status();
+}
+
+Status Puller::FetchSession(const std::string& id) {
+  std::error_code error;
+  if (fs::exists(store_ / "sessions" / id, error))  // moved by a pull that was cut before it could list
+    return ListAdopted(store_, id, from_);
+  const fs::path incoming = IncomingFolder(store_, id);
+  SLX_RETURN_IF_ERROR(catalogue_.Copy("sessions/" + id, incoming));
+  SLX_ASSIGN_OR_RETURN(const int64_t frames, CheckFolder(incoming));
+  SLX_RETURN_IF_ERROR(AdoptFolder(store_, incoming, from_));
+  report_.frames += frames;
+  return Status::Ok();
+}
+
+Status Puller::TakeSession(const Offer& offer) {
+  if (here_.contains(offer.id)) {
+    ++report_.present;
+    return TakeFits(offer);
+  }
+  if (dry()) {
+    report_.sessions.push_back(offer.id);
+    return Status::Ok();
+  }
+  const Status taken = FetchSession(offer.id);
+  if (IsTroubleOfAll(taken)) return taken;
+  if (taken.ok()) {
+    report_.sessions.push_back(offer.id);
+    return Status::Ok();
+  }
+  // A damaged copy would look finished to rsync for good. One of a later version waits for a later program.
+  if (taken.code() != StatusCode::kNewerSchema) SLX_RETURN_IF_ERROR(WipeFolder(IncomingFolder(store_, offer.id)));
+  report_.problems.push_back("session " + offer.id + " was not taken: " + taken.message());
+  return Status::Ok();
+}
+
+Status Puller::TakeFit(const std::string& session, const std::string& fit) {
+  const fs::path incoming = IncomingFits(store_, session) / fit;
+  SLX_RETURN_IF_ERROR(catalogue_.Copy("sessions/" + session + "/fits/" + fit, incoming));
+  return AdoptFit(store_, session, incoming).status();
+}
+
+// Fits and calibrations that were made at the source after the session had come here.
+Status Puller::TakeFits(const Offer& offer) {
+  std::error_code error;
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  for (const std::string& fit : offer.fits) {
+    if (fs::exists(store_ / "sessions" / offer.id / "fits" / fit / "fit.json", error)) continue;
+    if (ledger.WithdrawnAt(offer.id)) continue;  // nothing more is made of it
+    const std::string name = offer.id + "/" + fit;
+    if (dry()) {
+      report_.fits.push_back(name);
+      continue;
+    }
+    const Status taken = TakeFit(offer.id, fit);
+    if (IsTroubleOfAll(taken)) return taken;
+    if (taken.ok()) {
+      report_.fits.push_back(name);
+    } else if (taken.code() == StatusCode::kUsage) {  // consent
+      report_.notes.push_back("fit " + name + " was not taken: " + taken.message());
+    } else {
+      report_.problems.push_back("fit " + name + " was not taken: " + taken.message());
+    }
+  }
+  return dry() ? Status::Ok() : WipeFolder(IncomingFits(store_, offer.id));
+}
+
+Status Puller::Run() {
+  SLX_ASSIGN_OR_RETURN(here_, ListedSessions(store_));
+  SLX_RETURN_IF_ERROR(TakeLedger());
+  SLX_RETURN_IF_ERROR(Obey());
+  SourceOffers offers = catalogue_.Read();
+  report_.problems.insert(report_.problems.end(), offers.problems.begin(), offers.problems.end());
+  if (!dry()) SLX_RETURN_IF_ERROR(Reconcile(offers));
+  for (const std::string& id : offers.folders)
+    if (forgotten_.contains(id)) ++report_.forgotten;
+  report_.unfinished = offers.unfinished;
+  Progress progress(logger_, "pull", static_cast<int64_t>(offers.sessions.size()));
+  for (const Offer& offer : offers.sessions) {
+    if (!forgotten_.contains(offer.id)) SLX_RETURN_IF_ERROR(TakeSession(offer));
+    progress.Advance();
+  }
+  if (dry()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const int64_t late, ApplyWithdrawals(store_));  // of sessions that came just now
+  report_.withdrawals += late;
+  return Status::Ok();
+}
+
+Status CheckSource(const std::string& from) {
+  if (from.empty()) return Status::Usage("--from is empty; give user@host:/path/of/the/store or a local folder");
+  if (from.starts_with('-')) return Status::Usage("--from " + from + ": a source begins with no dash");
+  return Status::Ok();
+}
 
 }  // namespace
 
-Result<PullReport> Pull(const fs::path& store, const std::string& source, PullMode mode, Logger& logger) {
+Result<PullReport> Pull(const fs::path& store, const std::string& source, const PullOptions& options, Logger& logger) {
   std::string from = source;
   while (from.size() > 1 && from.ends_with('/')) from.pop_back();
+  SLX_RETURN_IF_ERROR(CheckSource(from));
   SLX_RETURN_IF_ERROR(SessionIndex::Open(store, AccessMode::kReadWrite).status());
   SLX_ASSIGN_OR_RETURN(const auto lock, IncomingLock::Take(store));
-  const fs::path catalogue = store / "incoming" / ".catalogue";
-  SLX_RETURN_IF_ERROR(FetchCatalogue(from, catalogue));
+  SLX_RETURN_IF_ERROR(WipeFolder(store / "incoming" / ".catalogue"));  // of an older program
   PullReport report;
-  const auto offers = Offers(catalogue, report);
-  Puller puller(store, from, mode, report);
-  {
-    Progress progress(logger, "pull", static_cast<int64_t>(offers.size()));
-    for (const Offer& offer : offers) {
-      SLX_RETURN_IF_ERROR(puller.Take(offer.id));
-      progress.Advance();
-    }
-  }
-  SLX_RETURN_IF_ERROR(puller.ObeyTombstones());
-  std::error_code error;
-  fs::remove_all(catalogue, error);
+  SLX_RETURN_IF_ERROR(Puller(store, from, options, logger, report).Run());
   return report;
 }
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finished sessions of another store, over rsync and ssh. The other side's SQLite is never opened: its manifests say
-// what there is.
+// what there is, its ledger what must not be.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -14,21 +15,37 @@
 namespace stratalux::db {
 
 enum class PullMode { kCopy, kDryRun };
+// Sessions that are here and were forgotten at the source: named with the command that forgets them, or forgotten.
+enum class ForgottenElsewhere { kName, kForget };
+
+struct PullOptions {
+  PullMode mode = PullMode::kCopy;
+  ForgottenElsewhere forgotten = ForgottenElsewhere::kName;
+  std::chrono::seconds timeout{60};  // of the network, without a byte
+};
 
 struct PullReport {
   std::vector<std::string> sessions;  // pulled, or to be pulled (kDryRun), in the order of the source
+  std::vector<std::string> fits;      // session/fit: new fits and calibrations of sessions that were here
   int64_t frames = 0;                 // of those that were pulled
   int64_t present = 0;                // here already
   int64_t unfinished = 0;             // recording or failed there: left there
-  int64_t forgotten = 0;              // kept away by a tombstone of either side
-  std::vector<std::string> problems;  // sessions that arrived damaged, or that only the source has forgotten
+  int64_t forgotten = 0;              // offered, and kept away by the ledger of either side
+  int64_t ledger_entries = 0;         // of the source's ledger that were new here
+  int64_t withdrawals = 0;            // consents that they withdrew here
+  std::vector<std::string> wiped;     // leftovers of broken-off pulls, and why they went
+  std::vector<std::string> obeyed;    // sessions forgotten here, because they were at the source (kForget)
+  std::vector<std::string> notes;
+  std::vector<std::string> problems;  // one a session that was not taken, or that only the source has forgotten
 };
 
-// `from`: user@host:/path/of/the/store or a local path. Each session is copied to STORE/incoming/<id> (an interrupted
-// copy goes on from there), verified frame by frame, the other files against rsync's checksums, and only then moved
-// into place and listed. Sessions that are here are left alone. kNotFound where rsync is missing, with the package's
-// name.
-[[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from, PullMode mode,
-                                      Logger& logger);
+// `from`: user@host:/path/of/the/store or a local path. The source's ledger is taken over first: what either side has
+// forgotten is not fetched, and what lies of it in STORE/incoming is wiped, as is what the source no longer offers.
+// Each session is copied to STORE/incoming/<id> (an interrupted copy goes on from there), checked frame by frame, the
+// other files against rsync's checksums, and only then moved into place and listed; later fits of sessions that are
+// here follow. A session that fails is a problem of its own; the others come. kNotFound: no store there, no rsync here;
+// kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
+[[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from,
+                                      const PullOptions& options, Logger& logger);
 
 }  // namespace stratalux::db

@@ -1,183 +1,241 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <map>
+#include <set>
 #include <vector>
 
 #include "db/base/durable_file.h"
+#include "db/base/paths.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/session_index.h"
-#include "db/ledger/tombstone.h"
+#include "db/privacy/access_log.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/backup.h"
+#include "db/transfer/backup_folder.h"
 #include "db/transfer/file_copy.h"
-#include "db/transfer/file_list.h"
+#include "db/transfer/foreign_ledger.h"
+#include "db/transfer/restored_index.h"
 
 namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
+constexpr const char* kUnfinished = "restore.unfinished";
 
 // session id -> paths within the backup.
 std::map<std::string, std::vector<std::string>> BySession(const FileList& list) {
   std::map<std::string, std::vector<std::string>> sessions;
-  for (const auto& [path, file] : list.files) {
-    if (!path.starts_with("sessions/")) continue;
-    const size_t slash = path.find('/', 9);
-    if (slash != std::string::npos) sessions[path.substr(9, slash - 9)].push_back(path);
-  }
+  for (const auto& [path, file] : list.files)
+    if (const std::string id = SessionOfPath(path); !id.empty()) sessions[id].push_back(path);
   return sessions;
+}
+
+// A store, a backup, or a folder of chains.
+enum class LedgerPlace { kNone, kStore, kChains };
+LedgerPlace PlaceOfLedger(const fs::path& folder) {
+  std::error_code error;
+  for (const char* name : {"ledger", "deletions", "index.sqlite"})
+    if (fs::exists(folder / name, error)) return LedgerPlace::kStore;
+  for (const auto& entry : fs::directory_iterator(folder, error))
+    if (entry.path().extension() == ".jsonl") return LedgerPlace::kChains;
+  return LedgerPlace::kNone;
+}
+
+Status CheckLedger(const fs::path& from, const RestoreOptions& options) {
+  if (options.ledger == kNoLedger) return Status::Ok();
+  if (options.ledger.empty() && options.into == RestoreInto::kMerge) return Status::Ok();  // the store has its own
+  if (options.ledger.empty())
+    return Status::Usage(
+        "a restore into a new store needs the newest ledger, so that nobody returns who was forgotten after the backup"
+        " was made: --ledger PATH (the old store, its ledger folder, another store that pulled from it, or a newer"
+        " backup), or --ledger none where none is left, which is logged");
+  if (LiesIn(options.ledger, from))
+    return Status::Usage("--ledger " + options.ledger +
+                         " is the backup that is restored; name a newer ledger, or none where there is none");
+  if (PlaceOfLedger(options.ledger) == LedgerPlace::kNone)
+    return Status::Usage("--ledger " + options.ledger + ": neither a store, nor a backup, nor a folder of chains");
+  return Status::Ok();
+}
+
+// Leaves alone what is no interrupted restore.
+Status CheckEmpty(const fs::path& store) {
+  std::error_code error;
+  if (fs::exists(store / kUnfinished, error)) return Status::Ok();
+  for (const auto& entry : fs::directory_iterator(store, error))
+    if (entry.path().filename() != "incoming.lock")
+      return Status::Usage(store.string() + " is not empty; choose a new folder, or --merge to add what it lacks");
+  return Status::Ok();
 }
 
 class Restorer {
  public:
-  Restorer(const fs::path& from, const fs::path& store, const FileList& list, RestoreReport& report)
-      : from_(from), store_(store), list_(list), report_(report) {}
+  Restorer(fs::path from, fs::path store, const FileList& list, RestoreReport& report)
+      : from_(std::move(from)), store_(std::move(store)), list_(list), report_(report) {}
 
-  // A file that is there with the right hash (of an interrupted restore) is not copied again.
-  Status Copy(const std::string& path, const fs::path& to) {
-    const ListedFile& file = list_.files.at(path);
-    std::error_code error;
-    if (fs::exists(to, error) && static_cast<int64_t>(fs::file_size(to, error)) == file.bytes) {
-      const auto hash = HashFile(to);
-      if (hash.ok() && *hash == file.hash) return Status::Ok();
-    }
-    SLX_RETURN_IF_ERROR(CopyFileHashed(from_ / path, to, file.hash).status());
-    ++report_.files;
-    report_.bytes += file.bytes;
-    return Status::Ok();
-  }
-
-  Status CopyTombstones() {
-    for (const auto& [path, file] : list_.files)
-      if (path.starts_with("deletions/")) SLX_RETURN_IF_ERROR(Copy(path, store_ / path));
-    return Status::Ok();
-  }
-
-  [[nodiscard]] bool Forgotten(const std::string& id) const {
-    return HasTombstone(from_, id) || HasTombstone(store_, id);
-  }
-
-  // Into STORE/incoming/<id>, verified as a session.
-  Status Fetch(const std::string& id, const std::vector<std::string>& paths) {
-    const std::string prefix = "sessions/" + id + "/";
-    for (const std::string& path : paths) SLX_RETURN_IF_ERROR(Copy(path, Incoming(id) / path.substr(prefix.size())));
-    return VerifyFolder(Incoming(id)).status();
-  }
-
-  [[nodiscard]] fs::path Incoming(const std::string& id) const { return store_ / "incoming" / id; }
+  Status TakeLedgers(const RestoreOptions& options);
+  Status TakeSessions(RestoreInto into, Logger& logger);
+  Status PlaceIndex(Logger& logger);
+  Status Bind(const RestoreOptions& options);
 
  private:
-  const fs::path& from_;
-  const fs::path& store_;
+  void AddProblems(const std::string& where, const Result<LedgerMerge>& merge);
+  Status Copy(const std::string& path, const fs::path& to);
+  Status Fetch(const std::string& id, const std::vector<std::string>& paths);
+  Status TakeNew(const std::string& id, const std::vector<std::string>& paths);
+  Status TakeMerged(const std::string& id, const std::vector<std::string>& paths);
+
+  const fs::path from_, store_;
   const FileList& list_;
   RestoreReport& report_;
 };
 
-Status CheckEmpty(const fs::path& store) {
+void Restorer::AddProblems(const std::string& where, const Result<LedgerMerge>& merge) {
+  if (!merge.ok()) return;
+  for (const std::string& problem : merge->problems) report_.problems.push_back(where + ": " + problem);
+}
+
+// Before any session: what they forget is not even copied.
+Status Restorer::TakeLedgers(const RestoreOptions& options) {
+  const auto own = AdoptLedger(store_, from_);
+  AddProblems("ledger of the backup", own);
+  SLX_RETURN_IF_ERROR(own.status());
+  if (options.ledger.empty() || options.ledger == kNoLedger) return Status::Ok();
+  const auto newest = PlaceOfLedger(options.ledger) == LedgerPlace::kChains ? MergeLedger(store_, options.ledger)
+                                                                            : AdoptLedger(store_, options.ledger);
+  AddProblems("--ledger", newest);
+  return newest.status().WithContext("--ledger " + options.ledger);
+}
+
+// A file that is there with the right hash (of an interrupted restore) is not copied again.
+Status Restorer::Copy(const std::string& path, const fs::path& to) {
+  const ListedFile& file = list_.files.at(path);
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store, error)) {
-    const auto name = entry.path().filename();
-    const bool interrupted = fs::exists(store / "restore.unfinished", error);
-    if (!interrupted || name == "index.sqlite")
-      return Status::Usage(store.string() + " is not empty; choose a new folder, or --merge to add what it lacks");
+  if (fs::exists(to, error) && static_cast<int64_t>(fs::file_size(to, error)) == file.bytes) {
+    const auto hash = HashFile(to);
+    if (hash.ok() && *hash == file.hash) return Status::Ok();
   }
+  auto copied = CopyFileHashed(from_ / path, to, file.hash);
+  // Of a backup that was broken off behind its list.
+  if (const fs::path waiting = WaitingFile(from_ / path); !copied.ok() && fs::exists(waiting, error))
+    copied = CopyFileHashed(waiting, to, file.hash);
+  SLX_RETURN_IF_ERROR(copied.status());
+  ++report_.files;
+  report_.bytes += file.bytes;
   return Status::Ok();
 }
 
-// The backup's index without what tombstones of either side forbid.
-Status PlaceIndex(Restorer& restorer, const fs::path& store) {
-  const fs::path work = store / "incoming" / "index";
-  SLX_RETURN_IF_ERROR(restorer.Copy("index.sqlite", work / "index.sqlite"));
-  {
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
-    SLX_ASSIGN_OR_RETURN(auto remove, index.connection().Prepare("DELETE FROM sessions WHERE id = ?1"));
-    SLX_ASSIGN_OR_RETURN(const auto sessions, index.Sessions());
-    for (const SessionRow& row : sessions)
-      if (restorer.Forgotten(row.info.id)) SLX_RETURN_IF_ERROR(remove.Bind(1, row.info.id).Run());
-    SLX_RETURN_IF_ERROR(index.connection().Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)"));
-  }
-  SLX_RETURN_IF_ERROR(SyncTree(work));
-  std::error_code error;
-  fs::rename(work / "index.sqlite", store / "index.sqlite", error);
-  if (error) return Status::Failed("cannot move the index into " + store.string() + ": " + error.message());
-  return SyncFolder(store);
+// Into STORE/incoming/<id>, verified as a session.
+Status Restorer::Fetch(const std::string& id, const std::vector<std::string>& paths) {
+  const std::string prefix = "sessions/" + id + "/";
+  for (const std::string& path : paths)
+    SLX_RETURN_IF_ERROR(Copy(path, IncomingFolder(store_, id) / path.substr(prefix.size())));
+  return CheckFolder(IncomingFolder(store_, id)).status();
 }
 
-Status RestoreNew(Restorer& restorer, const FileList& list, const fs::path& store, Logger& logger,
-                  RestoreReport& report) {
-  SLX_RETURN_IF_ERROR(CheckEmpty(store));
-  SLX_RETURN_IF_ERROR(MakeFolder(store / "sessions"));
-  SLX_RETURN_IF_ERROR(ReplaceFile(store / "restore.unfinished", "a restore is running, or was interrupted\n"));
-  SLX_RETURN_IF_ERROR(restorer.CopyTombstones());
-  const auto sessions = BySession(list);
+Status Restorer::TakeNew(const std::string& id, const std::vector<std::string>& paths) {
+  const fs::path target = store_ / "sessions" / id;
+  std::error_code error;
+  if (fs::exists(target, error)) return Status::Ok();  // moved by an interrupted restore
+  SLX_RETURN_IF_ERROR(Fetch(id, paths));
+  SLX_RETURN_IF_ERROR(SyncTree(IncomingFolder(store_, id)));
+  fs::rename(IncomingFolder(store_, id), target, error);
+  return error ? Status::Failed("cannot move to " + target.string() + ": " + error.message()) : Status::Ok();
+}
+
+Status Restorer::TakeMerged(const std::string& id, const std::vector<std::string>& paths) {
+  std::error_code error;
+  if (fs::exists(store_ / "sessions" / id, error)) return ListAdopted(store_, id, "backup " + from_.string());
+  SLX_RETURN_IF_ERROR(Fetch(id, paths));
+  fs::remove(IncomingFolder(store_, id) / "place.json", error);  // its place in another store
+  return AdoptFolder(store_, IncomingFolder(store_, id), "backup " + from_.string());
+}
+
+Status Restorer::TakeSessions(RestoreInto into, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  std::set<std::string> here;
+  if (into == RestoreInto::kMerge) SLX_ASSIGN_OR_RETURN(here, ListedSessions(store_));
+  const auto sessions = BySession(list_);
   Progress progress(logger, "restore", static_cast<int64_t>(sessions.size()));
   for (const auto& [id, paths] : sessions) {
     progress.Advance();
-    if (restorer.Forgotten(id)) {
-      ++report.forgotten;
+    if (ledger.IsForgotten(id)) {
+      ++report_.forgotten;
+      SLX_RETURN_IF_ERROR(WipeIncoming(store_, {id}).status());
       continue;
     }
-    ++report.sessions;
-    std::error_code error;
-    const fs::path target = store / "sessions" / id;
-    if (fs::exists(target, error)) continue;  // moved by an interrupted restore
-    SLX_RETURN_IF_ERROR(restorer.Fetch(id, paths).WithContext("session " + id));
-    fs::rename(restorer.Incoming(id), target, error);
-    if (error) return Status::Failed("cannot move to " + target.string() + ": " + error.message());
-  }
-  SLX_RETURN_IF_ERROR(SyncFolder(store / "sessions"));
-  SLX_RETURN_IF_ERROR(PlaceIndex(restorer, store));
-  std::error_code error;
-  fs::remove_all(store / "incoming", error);
-  fs::remove(store / "restore.unfinished", error);
-  return Status::Ok();
-}
-
-Status RestoreMerged(Restorer& restorer, const FileList& list, const fs::path& from, const fs::path& store,
-                     Logger& logger, RestoreReport& report) {
-  const auto sessions = BySession(list);
-  Progress progress(logger, "restore", static_cast<int64_t>(sessions.size()));
-  for (const auto& [id, paths] : sessions) {
-    progress.Advance();
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-    std::error_code error;
-    if (restorer.Forgotten(id)) {
-      ++report.forgotten;
-    } else if (index.NumberOf(id).ok()) {
-      ++report.present;
-    } else if (fs::exists(store / "sessions" / id, error)) {
-      SLX_RETURN_IF_ERROR(ListAdopted(store, id, "backup " + from.string()));
-      ++report.sessions;
+    if (here.contains(id)) {
+      ++report_.present;
+      continue;
+    }
+    const Status taken = into == RestoreInto::kMerge ? TakeMerged(id, paths) : TakeNew(id, paths);
+    if (IsTroubleOfAll(taken)) return taken.WithContext("session " + id);
+    if (!taken.ok()) {
+      report_.problems.push_back("session " + id + " was not restored: " + taken.message());
+      SLX_RETURN_IF_ERROR(WipeIncoming(store_, {id}).status());
     } else {
-      SLX_RETURN_IF_ERROR(restorer.Fetch(id, paths).WithContext("session " + id));
-      fs::remove(restorer.Incoming(id) / "place.json", error);  // its place in another store
-      SLX_RETURN_IF_ERROR(AdoptFolder(store, restorer.Incoming(id), "backup " + from.string()));
-      ++report.sessions;
+      ++report_.sessions;
     }
   }
-  // A tombstone of a session that is here is for `forget` to bring about, not for a restore.
-  for (const auto& [path, file] : list.files) {
-    const std::string id = fs::path(path).stem().string();
-    std::error_code error;
-    if (path.starts_with("deletions/") && !fs::exists(store / "sessions" / id, error))
-      SLX_RETURN_IF_ERROR(restorer.Copy(path, store / path));
-  }
-  return Status::Ok();
+  return SyncFolder(store_ / "sessions");
+}
+
+Status Restorer::PlaceIndex(Logger& logger) {
+  const fs::path work = store_ / "restore.index";
+  std::error_code error;
+  fs::remove_all(work, error);
+  Status copied = list_.files.contains("index.sqlite") ? Copy("index.sqlite", work / "index.sqlite")
+                                                       : Status::Integrity("the backup lists no index.sqlite");
+  if (IsTroubleOfAll(copied)) return copied;
+  if (copied.ok()) copied = PrepareIndex(store_, work);
+  const Status placed = copied.ok() ? KeepFile(work / "index.sqlite", store_ / "index.sqlite")
+                                    : RebuildIndex(store_, copied, logger, report_);
+  fs::remove_all(work, error);
+  SLX_RETURN_IF_ERROR(placed);
+  return copied.ok() ? ListUnlisted(store_, "backup " + from_.string(), report_) : Status::Ok();
+}
+
+// What the ledgers say comes to hold in the index, and that this store was restored stays known.
+Status Restorer::Bind(const RestoreOptions& options) {
+  SLX_ASSIGN_OR_RETURN(report_.withdrawals, ApplyWithdrawals(store_));
+  SLX_ASSIGN_OR_RETURN(const auto forgotten, ForgottenButHere(store_));
+  for (const std::string& id : forgotten)
+    report_.problems.push_back("session " + id + " was forgotten elsewhere, but is here: `stratalux-db forget " + id +
+                               "`");
+  const std::string ledger = options.ledger.empty() ? "its own" : options.ledger;
+  SLX_RETURN_IF_ERROR(LogAccess(store_, "restore", "", "backup " + from_.string() + ", ledger: " + ledger));
+  if (options.ledger != kNoLedger) return Status::Ok();
+  report_.notes.push_back(
+      "restored without a newer ledger: whoever was forgotten after the backup was made may have returned");
+  LedgerEntry note;
+  note.kind = LedgerKind::kNote;
+  note.at = WallNow();
+  note.detail_json = R"({"restored": "without a newer ledger"})";
+  return AppendToLedger(store_, note);
 }
 
 }  // namespace
 
-Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, RestoreInto into, Logger& logger) {
+Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, const RestoreOptions& options,
+                              Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const FileList list, ReadFileList(from));
-  if (!list.files.contains("index.sqlite"))
-    return Status::Integrity((from / "backup.json").string() + " names no index.sqlite");
+  SLX_RETURN_IF_ERROR(CheckLedger(from, options));
   RestoreReport report;
   Restorer restorer(from, store, list, report);
-  if (into == RestoreInto::kMerge) {
+  const bool merge = options.into == RestoreInto::kMerge;
+  if (merge) {
     SLX_RETURN_IF_ERROR(SessionIndex::Open(store, AccessMode::kReadWrite).status());
-    SLX_ASSIGN_OR_RETURN(const auto lock, IncomingLock::Take(store));
-    SLX_RETURN_IF_ERROR(RestoreMerged(restorer, list, from, store, logger, report));
-    return report;
+  } else {
+    SLX_RETURN_IF_ERROR(CheckEmpty(store));
+    SLX_RETURN_IF_ERROR(MakeFolder(store / "sessions"));
+    SLX_RETURN_IF_ERROR(ReplaceFile(store / kUnfinished, "a restore is running, or was interrupted\n"));
   }
-  SLX_RETURN_IF_ERROR(RestoreNew(restorer, list, store, logger, report));
+  SLX_ASSIGN_OR_RETURN(const auto lock, IncomingLock::Take(store));
+  SLX_RETURN_IF_ERROR(restorer.TakeLedgers(options));
+  SLX_RETURN_IF_ERROR(restorer.TakeSessions(options.into, logger));
+  if (!merge) SLX_RETURN_IF_ERROR(restorer.PlaceIndex(logger));
+  SLX_RETURN_IF_ERROR(restorer.Bind(options));
+  std::error_code error;
+  if (!merge) fs::remove_all(store / "incoming", error);
+  fs::remove(store / kUnfinished, error);
   return report;
 }
 

@@ -23,6 +23,8 @@
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "shared/base/mistyped_command.h"
+#include "shared/base/printable.h"
 #include "shared/base/version.h"
 
 namespace stratalux::rig {
@@ -77,7 +79,7 @@ struct Flags {
 };
 
 int Report(const Status& status) {
-  std::fprintf(stderr, "stratalux-rig: %s\n", status.message().c_str());
+  std::fprintf(stderr, "stratalux-rig: %s\n", PrintableLines(status.message()).c_str());
   return status.exit_code();
 }
 
@@ -380,6 +382,8 @@ int Main(int argc, char** argv) {
   render->add_option("--out", flags.out, "folder")->required();
   CLI::App* safe = app.add_subcommand("safe", "Drive every ENABLE line off, as a unit's ExecStopPost does");
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
+  if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
+    return Report(Status::Usage(mistyped));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

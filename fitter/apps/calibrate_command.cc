@@ -80,7 +80,7 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
   SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
   std::vector<std::string> chosen;
   int poses = 0;
-  for (const db::SessionRow& row : rows) {
+  for (const db::SessionSummary& row : rows) {
     if (row.info.kind == SessionKind::kVisitor || row.info.status == SessionStatus::kFailed || poses == f.last)
       continue;
     poses += row.info.kind == SessionKind::kCalibration;

@@ -1,8 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // stratalux-fit: from a stored session to a face under new light.
+#include <cstdio>
+#include <string>
+
 #include <CLI/CLI.hpp>
 
 #include "fitter/apps/run_command.h"
+#include "shared/base/mistyped_command.h"
+#include "shared/base/printable.h"
 #include "shared/base/version.h"
 
 int main(int argc, char** argv) {
@@ -22,6 +27,10 @@ int main(int argc, char** argv) {
   stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
+  if (const std::string mistyped = stratalux::MistypedCommand(app, argc, argv); !mistyped.empty()) {
+    std::fprintf(stderr, "stratalux-fit: %s\n", stratalux::PrintableLines(mistyped).c_str());
+    return 2;
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -9,6 +9,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/deletions.h"
+#include "db/catalogue/fit_store.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/ablations.h"
 #include "fitter/pipeline/content_hash.h"
@@ -372,6 +374,44 @@ Result<bool> IsListed(const db::SessionStore& store, const RunOutcome& outcome) 
   return std::any_of(fits.begin(), fits.end(), [&outcome](const db::FitRow& fit) { return fit.id == outcome.fit; });
 }
 
+// The stages, and for a whole fit its report, its name and its row.
+Status Finish(Work& w, const RunOptions& options, const RunOutcome& outcome, const std::filesystem::path& folder) {
+  if (const Status status = RunStages(w, folder); !status.ok()) {
+    const std::string session = "session " + outcome.session;
+    return status.message().starts_with(session) ? status : status.WithContext(session);
+  }
+  SLX_RETURN_IF_ERROR(db::LogAccess(options.store, "fit", outcome.session, "fit " + outcome.fit));
+  if (options.until != Stage::kReport) return Status::Ok();
+  w.metrics.session = outcome.session;
+  w.metrics.fit = outcome.fit;
+  w.metrics.program_version = kVersion;
+  w.metrics.options_json = options.ToJson();
+  w.pictures.frames = &w.frames;
+  w.pictures.face = &w.face;
+  w.pictures.surface = &w.surface;
+  w.pictures.heldout = options.heldout;
+  w.clock.Stop();
+  for (const StageTime& s : w.clock.stages())
+    w.metrics.stages.push_back({s.name, s.seconds, s.cpu_seconds, s.peak_rss_bytes});
+  SLX_RETURN_IF_ERROR(WriteReport(folder, w.pictures, w.metrics));
+  SLX_RETURN_IF_ERROR(WriteText(folder / "metrics.json", w.metrics.ToJson()));
+  std::error_code error;
+  std::filesystem::remove_all(outcome.folder, error);
+  std::filesystem::rename(folder, outcome.folder, error);
+  if (error) return Status::Failed("cannot move " + folder.string() + ": " + error.message());
+  return w.frames.store().RegisterFit({outcome.fit, outcome.session, options.ToJson(), w.metrics.ToJson(), WallNow()});
+}
+
+// Nothing stays of a whole fit that failed, nor of any work on a session that was forgotten meanwhile: folders that
+// the stages made anew would bring back what a visitor had removed. That it was forgotten is then what is said.
+Status AfterFinish(const Status& finished, const RunOptions& options, const RunOutcome& outcome,
+                   const std::filesystem::path& folder) {
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, db::IsForgotten(options.store, outcome.session));
+  if (!forgotten && (finished.ok() || options.until != Stage::kReport)) return finished;
+  const Status discarded = db::DiscardFit(options.store, outcome.session, folder);
+  return forgotten ? discarded : finished;
+}
+
 }  // namespace
 
 Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
@@ -416,32 +456,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   if (w.frames.info().simulated && !w.truth)
     logger.Warning("session " + outcome.session +
                    " is simulated but has no truth.seg: nothing is compared with the truth");
-  if (Status status = RunStages(w, folder); !status.ok()) {
-    if (options.until == Stage::kReport) std::filesystem::remove_all(folder, error);  // the partial fit
-    const std::string session = "session " + outcome.session;
-    return status.message().starts_with(session) ? status : status.WithContext(session);
-  }
-  SLX_RETURN_IF_ERROR(db::LogAccess(options.store, "fit", outcome.session, "fit " + outcome.fit));
-  if (options.until == Stage::kReport) {
-    w.metrics.session = outcome.session;
-    w.metrics.fit = outcome.fit;
-    w.metrics.program_version = kVersion;
-    w.metrics.options_json = options.ToJson();
-    w.pictures.frames = &w.frames;
-    w.pictures.face = &w.face;
-    w.pictures.surface = &w.surface;
-    w.pictures.heldout = options.heldout;
-    w.clock.Stop();
-    for (const StageTime& s : w.clock.stages())
-      w.metrics.stages.push_back({s.name, s.seconds, s.cpu_seconds, s.peak_rss_bytes});
-    SLX_RETURN_IF_ERROR(WriteReport(folder, w.pictures, w.metrics));
-    SLX_RETURN_IF_ERROR(WriteText(folder / "metrics.json", w.metrics.ToJson()));
-    std::filesystem::remove_all(outcome.folder, error);
-    std::filesystem::rename(folder, outcome.folder, error);
-    if (error) return Status::Failed("cannot move " + folder.string() + ": " + error.message());
-    SLX_RETURN_IF_ERROR(
-        w.frames.store().RegisterFit({outcome.fit, outcome.session, options.ToJson(), w.metrics.ToJson(), WallNow()}));
-  }
+  SLX_RETURN_IF_ERROR(AfterFinish(Finish(w, options, outcome, folder), options, outcome, folder));
   w.clock.Stop();
   outcome.metrics = w.metrics;
   return outcome;

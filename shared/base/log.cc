@@ -5,13 +5,15 @@
 
 #include <unistd.h>
 
+#include "shared/base/printable.h"
+
 namespace stratalux {
 
 void Logger::Write(LogLevel level, const std::string& message) {
   static constexpr const char* kNames[] = {"debug", "info", "warning", "error"};
   if (!Shows(level)) return;
   const std::lock_guard lock(mutex_);
-  std::fprintf(stream_, "%s: %s\n", kNames[static_cast<int>(level)], message.c_str());
+  std::fprintf(stream_, "%s: %s\n", kNames[static_cast<int>(level)], PrintableLines(message).c_str());
   std::fflush(stream_);
 }
 

@@ -12,7 +12,8 @@ namespace stratalux {
 
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
 
-// Writes "level: message" lines to a stream. Thread-safe. Passed to whoever decides, never global.
+// Writes "level: message" lines to a stream, with what would steer a terminal written out (PrintableLines).
+// Thread-safe. Passed to whoever decides, never global.
 class Logger {
  public:
   explicit Logger(LogLevel threshold = LogLevel::kInfo, std::FILE* stream = stderr)

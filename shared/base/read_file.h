@@ -2,15 +2,25 @@
 // A whole file at once.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <string>
 
 #include "shared/base/result.h"
 
 namespace stratalux {
 
-// The bytes of `file`. kNotFound where it cannot be opened, kFailed where it cannot be read (a folder, a broken disk);
-// the message names file and reason.
-[[nodiscard]] Result<std::string> ReadFile(const std::filesystem::path& file);
+// Records, manifests, lists: what people and programs write as text. None comes near it.
+inline constexpr int64_t kMostRecordBytes = int64_t{64} << 20;
+// Of a picture: 268 million samples of 16 bits, uncompressed.
+inline constexpr int64_t kMostPictureBytes = int64_t{1} << 30;
+// For what is copied, whatever its size.
+inline constexpr int64_t kAnyFileSize = std::numeric_limits<int64_t>::max();
+
+// The bytes of `file`. kNotFound where it cannot be opened; kFailed where it cannot be read (a broken disk), is no
+// regular file (a folder, a device, a pipe: none of them is waited for) or holds more than `most_bytes`, of which then
+// nothing is read. The message names file, size and limit, or the reason.
+[[nodiscard]] Result<std::string> ReadFile(const std::filesystem::path& file, int64_t most_bytes = kMostRecordBytes);
 
 }  // namespace stratalux

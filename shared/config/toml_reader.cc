@@ -31,6 +31,9 @@ std::string Text(const toml::node& node) {
   return text.str();
 }
 
+// Written by hand, or an import of some ten thousand entries.
+constexpr int64_t kMostTomlBytes = int64_t{16} << 20;
+
 std::string Number(double v) {
   std::ostringstream text;
   text << v;
@@ -43,7 +46,7 @@ TomlTable::TomlTable(std::shared_ptr<Document> document, std::shared_ptr<Node> n
     : document_(std::move(document)), node_(std::move(node)) {}
 
 Result<TomlTable> TomlTable::ParseFile(const std::filesystem::path& file) {
-  const auto text = ReadFile(file);
+  const auto text = ReadFile(file, kMostTomlBytes);
   if (!text.ok()) return Status::Usage(text.status().message());
   return ParseText(*text, file.string());
 }

@@ -81,6 +81,9 @@ bool Decode(Reader& reader, Image<uint16_t>& image, std::vector<uint8_t>& raw, s
   png_read_info(reader.png, reader.info);
   const size_t stored = png_get_rowbytes(reader.png, reader.info) * png_get_image_height(reader.png, reader.info);
   if (stored / kDeflateAtMost > reader.bytes->size()) png_error(reader.png, "file is truncated");
+  if (uint64_t{png_get_image_width(reader.png, reader.info)} * png_get_image_height(reader.png, reader.info) >
+      kMostImagePixels)
+    png_error(reader.png, "more pixels than the 268435456 that are read");
   png_set_expand(reader.png);
   png_set_strip_alpha(reader.png);
   depth = png_get_bit_depth(reader.png, reader.info) == 16 ? 16 : 8;
@@ -101,7 +104,7 @@ bool Decode(Reader& reader, Image<uint16_t>& image, std::vector<uint8_t>& raw, s
 }  // namespace
 
 Result<Image<uint16_t>> ReadPng(const std::filesystem::path& file, int* bit_depth) {
-  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(file, kMostPictureBytes));
   if (bytes.size() < 8 || png_sig_cmp(reinterpret_cast<png_const_bytep>(bytes.data()), 0, 8) != 0)
     return Status::Usage(file.string() + ": not a PNG file");
   Reader reader;

@@ -11,8 +11,12 @@
 
 namespace stratalux {
 
+// A file of a few megabytes can claim a thousand times that; no camera makes as many.
+inline constexpr uint64_t kMostImagePixels = uint64_t{1} << 28;
+
 // Gray (1 channel) or colour (3 channels), 8 or 16 bit; palettes are expanded, alpha is dropped. `bit_depth` (may be
-// null) receives 8 or 16. kNotFound: no such file; kUsage: not a PNG file; kIntegrity: damaged or truncated.
+// null) receives 8 or 16. kNotFound: no such file; kUsage: not a PNG file; kIntegrity: damaged, truncated or of more
+// than kMostImagePixels.
 [[nodiscard]] Result<Image<uint16_t>> ReadPng(const std::filesystem::path& file, int* bit_depth);
 
 // 1 or 3 channels.

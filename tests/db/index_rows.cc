@@ -160,21 +160,24 @@ class RowWriter {
     }
     auto insert = Must(connection_.Prepare(
         "INSERT INTO sessions (number, id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-        " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, finished_wall_ns)"
-        " VALUES (?1, ?2, ?3, ?4, ?5, '3', 0, 0, ?6, ?7, ?8, '0.1.0', ?9, ?10, ?11, 'long', ?12)"));
+        " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, finished_wall_ns,"
+        " planned_steps) VALUES (?1, ?2, ?3, ?4, ?5, '3', 0, 0, ?6, ?7, ?8, '0.1.0', ?9, ?10, ?11, 'long', ?12, ?13)"));
     insert.Bind(1, int64_t{number}).Bind(2, info.id).Bind(3, std::string(ToString(info.kind))).Bind(4, info.rig);
     insert.Bind(5, info.visitor).Bind(6, info.started_wall.ns).Bind(7, std::string(ToString(info.status)));
     insert.Bind(8, std::string(info.status == SessionStatus::kComplete ? "[]" : "[\"no proven frame for step 7\"]"));
     insert.Bind(9, plan_json_);
     if (!s.calibration.empty()) insert.Bind(10, s.calibration);
     insert.Bind(11, std::string(R"({"text_version":"3","language":"de","scope":["fit"],"given_wall_ns":0})"));
-    Must(insert.Bind(12, info.started_wall.ns + 33'000'000'000).Run());
+    insert.Bind(12, info.started_wall.ns + 33'000'000'000).Bind(13, int64_t{PlannedStepsOfRows()});
+    Must(insert.Run());
   }
 
   void WriteFrames(int number, RowsOfSession& s) {
     if (!frame_) {
       frame_.emplace(
-          Must(connection_.Prepare("INSERT INTO frames VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)")));
+          Must(connection_.Prepare("INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, step,"
+                                   " projector, phase, pattern, retry, level_check)"
+                                   " VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)")));
       proof_.emplace(Must(
           connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, 0, -1, ?3, ?4, ?5, ?6, ?7, 1, 16.0, 1.0, ?8, ?9)")));
     }

@@ -34,12 +34,12 @@ Result<bool> ShowsItsPattern(const Image<uint16_t>& pixels, const FrameRecord& r
 
 Result<int> Judge(const std::string& folder) {
   SLX_ASSIGN_OR_RETURN(const db::SessionStore store, db::SessionStore::Open(folder, db::AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const std::vector<db::SessionRow> sessions, store.ListSessions());
+  SLX_ASSIGN_OR_RETURN(const std::vector<db::SessionSummary> sessions, store.ListSessions());
   if (sessions.empty()) {  // a capture that ended before its first frame leaves none
     std::cout << "0 0\n";
     return 0;
   }
-  const db::SessionRow& session = sessions.front();
+  SLX_ASSIGN_OR_RETURN(const db::SessionRow session, store.FindSession(sessions.front().info.id));
   SLX_ASSIGN_OR_RETURN(const PlanOptions plan, PlanOptionsFromJson(session.info.plan_json));
   SLX_ASSIGN_OR_RETURN(const std::vector<db::FrameRow> rows, store.ListFrames(session.info.id));
   std::map<int, const db::FrameRow*> last;  // by step

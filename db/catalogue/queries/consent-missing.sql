@@ -8,26 +8,19 @@
 -- column problem      text   none kept, withdrawn, or fitted without that scope
 -- column fits         number
 WITH visits AS (
-  SELECT s.*, (SELECT count(*) FROM fits f WHERE f.session = s.number) AS fits,
-         CASE WHEN json_valid(s.consent_json) THEN json_extract(s.consent_json, '$.given_wall_ns') END AS given_wall_ns
-  FROM sessions s
+  SELECT s.*, (SELECT count(*) FROM fits f WHERE f.session = s.number) AS fits, c.withdrawn_wall_ns
+  FROM sessions s JOIN session_consents c ON c.session = s.number
   WHERE s.kind = 'visitor' AND s.simulated = 0
     AND s.started_wall_ns >= coalesce(:since_ns, -9223372036854775808)
     AND s.started_wall_ns < coalesce(:until_ns, 9223372036854775807)
     AND (:rig IS NULL OR s.rig = :rig)),
--- Of the consent the session was made under; of the visitor's newest where that one is not known here.
-asked AS (
-  SELECT v.*, (SELECT c.withdrawn_wall_ns FROM consents c WHERE c.number = coalesce(
-                 (SELECT max(m.number) FROM consents m WHERE m.visitor = v.visitor AND m.given_wall_ns = v.given_wall_ns),
-                 (SELECT max(m.number) FROM consents m WHERE m.visitor = v.visitor))) AS withdrawn_wall_ns
-  FROM visits v),
 judged AS (
   SELECT *, CASE WHEN withdrawn_wall_ns IS NOT NULL THEN 'withdrawn'
                  WHEN consent = '' AND NOT json_valid(consent_json) THEN 'none kept'
                  WHEN fits > 0 AND json_valid(consent_json) AND NOT EXISTS (
                    SELECT 1 FROM json_each(consent_json, '$.scope') scope WHERE scope.value = 'fit')
                  THEN 'fitted without that scope' END AS problem
-  FROM asked)
+  FROM visits)
 SELECT id AS session, started_wall_ns AS started, rig, visitor, problem, fits
 FROM judged
 WHERE problem IS NOT NULL

@@ -35,7 +35,7 @@ std::vector<std::string> BoardSessions(const std::string& store) {
   const auto rows = opened->ListSessions();
   SLX_CHECK(rows.ok());
   std::vector<std::string> sessions;
-  for (const db::SessionRow& row : *rows)
+  for (const db::SessionSummary& row : *rows)
     if (row.info.kind == SessionKind::kCalibration) sessions.push_back(row.info.id);
   return sessions;
 }

@@ -41,7 +41,7 @@ const std::map<std::string, std::string> kPeers = {
      "SELECT s.rig, p.retake_cause, count(*), count(DISTINCT s.number) FROM proofs p"
      " JOIN sessions s ON s.number = p.session WHERE +p.retake_cause <> '' GROUP BY 1, 2"},
     {"missing-frames",
-     "SELECT s.id, planned_steps(s.plan_json) AS planned, count(DISTINCT f.step) AS good FROM sessions s"
+     "SELECT s.id, s.planned_steps AS planned, count(DISTINCT f.step) AS good FROM sessions s"
      " LEFT JOIN frames f NOT INDEXED ON f.session = s.number AND f.level_check <> 2"
      " GROUP BY s.number HAVING good < planned"},
 };

@@ -120,8 +120,8 @@ void VerifyDeep(benchmark::State& state) {
   SLX_CHECK(store.ok());
   const auto sessions = store->ListSessions();
   for (auto _ : state)
-    for (const db::SessionRow& session : *sessions) {
-      const auto report = db::VerifySession(*store, session, {db::VerifyDepth::kDeep});
+    for (const db::SessionSummary& session : *sessions) {
+      const auto report = db::VerifySession(*store, *store->FindSession(session.info.id), {db::VerifyDepth::kDeep});
       SLX_CHECK(report.ok());
       benchmark::DoNotOptimize(report->frames);
     }

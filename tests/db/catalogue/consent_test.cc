@@ -4,6 +4,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/base/sqlite.h"
 #include "db/catalogue/manifest.h"
 #include "tests/db/store_fixture.h"
 
@@ -103,6 +104,39 @@ TEST_F(ConsentTest, SessionsThatShowNobodyNeedNone) {
     info.kind = kind;
     EXPECT_TRUE(store.BeginSession(info).ok()) << ToString(kind);
   }
+}
+
+TEST_F(ConsentTest, RefusesPseudonymsThatTellWhoItIs) {
+  const std::pair<const char*, const char*> telling[] = {{"Anna", "a name"},
+                                                         {"anna", "a name"},
+                                                         {"anna.schmidt", "a name"},
+                                                         {"Anna Schmidt", "a name"},
+                                                         {"Müller", "a name"},
+                                                         {"O'Neill-Schmidt", "a name"},
+                                                         {"Anna 2", "a name"},
+                                                         {"anna@example.org", "an e-mail address"},
+                                                         {"v-7@x", "an e-mail address"},
+                                                         {"+49 30 1234567", "a telephone number"},
+                                                         {"0301234567", "a telephone number"},
+                                                         {"1987-05-12", "a date"},
+                                                         {"12.5.1987", "a date"},
+                                                         {"12/05/87", "a date"}};
+  for (const auto& [name, like] : telling) {
+    const Status refused = GiveConsent(folder_, name, ConsentTo("fit"));
+    EXPECT_EQ(refused.code(), StatusCode::kUsage) << name;
+    EXPECT_THAT(refused.message(), AllOf(HasSubstr(like), ::testing::ContainsRegex("such as v-[0-9a-f]{8}"))) << name;
+  }
+  for (const char* good : {"v-5f3a91c2", "v-1", "p-0417", "loop-1", "visitor 17", "simulated", "2026-11-kiosk-3"})
+    EXPECT_TRUE(GiveConsent(folder_, good, ConsentTo("fit")).ok()) << good;
+}
+
+TEST_F(ConsentTest, AStoreThatHasSuchANameAlreadyStillOpens) {
+  ASSERT_TRUE(GiveConsent(folder_, "v-1", ConsentTo("fit")).ok());
+  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
+                  ->Execute("INSERT INTO visitors VALUES ('Anna', 1); UPDATE consents SET visitor = 'Anna'")
+                  .ok());
+  EXPECT_TRUE(OpenStore().BeginSession(VisitOf("Anna")).ok());
+  EXPECT_TRUE(WithdrawConsent(folder_, "Anna").ok());
 }
 
 TEST_F(ConsentTest, RefusesWhatIsNoConsent) {

@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// A store of schema 1, as version 0.1 left it, opens for ever.
+// Stores of schema 1, as version 0.1 left them, and of schema 4 open for ever.
+#include <cstdlib>
 #include <fstream>
+#include <iterator>
 #include <sstream>
 
 #include <gmock/gmock.h>
 
 #include "db/base/sqlite.h"
+#include "db/care/verify.h"
+#include "db/catalogue/consent.h"
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/read_only_index.h"
 #include "db/catalogue/session_store.h"
 #include "tests/db/store_fixture.h"
@@ -62,13 +67,17 @@ class MigrationTest : public StoreTest {
   // Every cell of the columns that schema 1 has, as one text.
   static std::string Contents(Connection& connection) {
     std::string all;
+    // Schema 5 calls what a job says last an error.
+    const bool old = Integer(connection, "PRAGMA user_version") < 5;
+    const char* columns_of_jobs = old ? "id, session, kind, state, options_json, message FROM jobs"
+                                      : "id, session, kind, state, options_json, last_error FROM jobs";
     for (const char* columns :
          {"id, record_json FROM calibrations",
           "session, frame, segment, offset, stored_bytes, hex(hash), step, projector,"
           " phase, pattern, retry, level_check FROM frames",
           "id, session, options_json, metrics_json, created_wall_ns FROM"
           " fits",
-          "id, session, kind, state, options_json, message FROM jobs",
+          columns_of_jobs,
           "number, id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status, reasons_json,"
           " program_version, plan_json, calibration_id FROM sessions"}) {
       auto select = connection.Prepare("SELECT " + std::string(columns) + " ORDER BY 1, 2");
@@ -111,6 +120,22 @@ TEST_F(MigrationTest, FillsWhatTheNewSchemaAdds) {
       << "made by the session its source names";
 }
 
+TEST_F(MigrationTest, CountsTheStepsOfOldPlans) {
+  PlanOptions options;
+  options.guards = 3;
+  const auto steps = static_cast<int64_t>(BuildPlan(options)->steps.size());
+  {
+    Connection old = Open(Connection::Mode::kReadWrite);
+    ASSERT_TRUE(old.Execute("UPDATE sessions SET plan_json = '" + PlanOptionsToJson(options) +
+                            "' WHERE number = 1; UPDATE sessions SET plan_json = 'no plan' WHERE number = 2")
+                    .ok());
+  }
+  ASSERT_TRUE(SessionStore::Open(folder_, AccessMode::kReadWrite).ok());
+  Connection now = Open(Connection::Mode::kReadOnly);
+  EXPECT_EQ(Integer(now, "SELECT planned_steps FROM sessions WHERE number = 1"), steps);
+  EXPECT_EQ(Integer(now, "SELECT planned_steps IS NULL FROM sessions WHERE number = 2"), 1);
+}
+
 TEST_F(MigrationTest, MakesABackupOfTheOldIndexFirst) {
   std::string before;
   {
@@ -148,6 +173,94 @@ TEST_F(MigrationTest, RefusesANewerSchema) {
   ASSERT_TRUE(Open(Connection::Mode::kReadWrite).Execute("PRAGMA user_version = 99").ok());
   EXPECT_EQ(SessionStore::Open(folder_, AccessMode::kReadOnly).status().code(), StatusCode::kNewerSchema);
   EXPECT_EQ(ReadOnlyIndex::Open(folder_).status().exit_code(), 7);
+}
+
+// A store that a program of schema 4 left, packed with what it said of itself: rows of every table, the samples of
+// every frame, the verdict of `verify --deep` (tests/db/samples/README.md).
+class SchemaFourTest : public StoreTest {
+ protected:
+  void SetUp() override {
+    StoreTest::SetUp();
+    const std::string unpack =
+        "tar -xzf " STRATALUX_SOURCE_DIR "/tests/db/samples/store-schema4.tar.gz -C " + folder_.string();
+    ASSERT_EQ(std::system(unpack.c_str()), 0);
+    store_ = folder_ / "store-schema4";
+    std::ifstream expected(folder_ / "expected.txt");
+    for (std::string line; std::getline(expected, line);) expected_.push_back(line);
+    ASSERT_GT(expected_.size(), 80U);
+  }
+  // Lines that begin with this word, without it.
+  [[nodiscard]] std::vector<std::string> Expected(const std::string& word) const {
+    std::vector<std::string> lines;
+    for (const std::string& line : expected_)
+      if (line.starts_with(word + " ")) lines.push_back(line.substr(word.size() + 1));
+    return lines;
+  }
+  static std::string OneLine(std::string text) {
+    for (size_t at = 0; (at = text.find('\n', at)) != std::string::npos;) text.replace(at, 1, "\\n");
+    return text;
+  }
+
+  std::filesystem::path store_;
+  std::vector<std::string> expected_;
+};
+
+TEST_F(SchemaFourTest, KeepsEveryRow) {
+  ASSERT_TRUE(SessionStore::Open(store_, AccessMode::kReadWrite).ok());
+  auto connection = Connection::Open(store_ / "index.sqlite", Connection::Mode::kReadOnly);
+  ASSERT_TRUE(connection.ok());
+  EXPECT_EQ(*connection->QueryInteger("PRAGMA user_version"), kSchemaVersion);
+  EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM pragma_foreign_key_check"), 0);
+  std::vector<std::string> found;
+  for (const std::string& line : expected_) {
+    if (!line.starts_with("? ")) continue;
+    found.push_back(line);
+    auto select = connection->Prepare(line.substr(2));
+    ASSERT_TRUE(select.ok()) << select.status().message();
+    while (*select->Step()) found.push_back("= " + OneLine(select->Text(0)));
+  }
+  std::vector<std::string> said;
+  for (const std::string& line : expected_)
+    if (line.starts_with("? ") || line.starts_with("= ")) said.push_back(line);
+  EXPECT_EQ(found, said);
+}
+
+TEST_F(SchemaFourTest, KeepsEveryFrameAndEveryVerdict) {
+  const auto store = SessionStore::Open(store_, AccessMode::kReadOnly);
+  ASSERT_TRUE(store.ok()) << store.status().message();
+  EXPECT_TRUE(store->notes().empty());
+  int frames = 0;
+  for (const std::string& line : Expected("pixels")) {
+    std::istringstream in(line);
+    std::string session;
+    size_t frame = 0;
+    in >> session >> frame;
+    const std::vector<uint16_t> samples{std::istream_iterator<uint16_t>(in), {}};
+    const auto rows = store->ListFrames(session);
+    ASSERT_TRUE(rows.ok() && frame < rows->size()) << rows.status().message();
+    const auto image = store->ReadFrame(session, (*rows)[frame]);
+    ASSERT_TRUE(image.ok()) << image.status().message();
+    EXPECT_TRUE(std::equal(samples.begin(), samples.end(), image->pixels().begin(), image->pixels().end()))
+        << session << " frame " << frame;
+    ++frames;
+  }
+  EXPECT_EQ(frames, 17);
+  const auto verdicts = Expected("verdict");
+  EXPECT_EQ(verdicts.size(), 4U);
+  for (const std::string& verdict : verdicts) {
+    ASSERT_THAT(verdict, HasSubstr("\"problems\": []"));
+    const size_t at = verdict.find(": \"") + 3;
+    const auto row = store->FindSession(verdict.substr(at, verdict.find('"', at) - at));
+    ASSERT_TRUE(row.ok()) << row.status().message();
+    EXPECT_THAT(VerifySession(*store, *row, {VerifyDepth::kDeep})->problems, ::testing::IsEmpty());
+  }
+  const std::string forgotten = Expected("forgotten").at(0);
+  EXPECT_TRUE(*IsForgotten(store_, forgotten));
+  EXPECT_EQ(store->FindSession(forgotten).status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(store->ListFits(store->FindSession("s000001")->info.id)->size(), 2U);
+  const auto consents = ListConsents(store_, "v-2b");
+  ASSERT_TRUE(consents.ok());
+  EXPECT_TRUE(consents->at(0).withdrawn);
 }
 
 }  // namespace

@@ -181,14 +181,18 @@ TEST_F(NamedQueryTest, MissingFramesNamesTheSteps) {
   Insert({1, kNow_ns, "a", "degraded"});
   Insert({2, kNow_ns, "a", "failed"});
   Insert({3, kNow_ns, "a", "complete"});
-  Execute("UPDATE sessions SET plan_json = '" + PlanOptionsToJson(options) + "'");
+  Execute("UPDATE sessions SET plan_json = '" + PlanOptionsToJson(options) +
+          "', planned_steps = " + std::to_string(planned));
   std::string inserts;
   for (int step = 0, frame = 0; step < planned; ++step) {
     const bool absent = step == 0 || (step >= 10 && step <= 12);
     const int check = step == 20 ? 2 : step == 21 ? 0 : 1;  // 20 failed its check, 21 was not checked
     if (!absent)
-      inserts += ("INSERT INTO frames VALUES (1, " + std::to_string(frame++) + ", 1, 64, 1, x'', " +
-                  std::to_string(step) + ", 0, 'sweep', 'white', 0, " + std::to_string(check) + ");");
+      inserts +=
+          ("INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, step, projector, phase,"
+           " pattern, retry, level_check) VALUES (1, " +
+           std::to_string(frame++) + ", 1, 64, 1, x'', " + std::to_string(step) + ", 0, 'sweep', 'white', 0, " +
+           std::to_string(check) + ");");
   }
   Execute(inserts);
   const auto rows = Rows("missing-frames");

@@ -3,6 +3,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/base/sqlite.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -115,22 +116,56 @@ TEST_F(ReadOnlyIndexTest, KeepsTypesAndBytes) {
   EXPECT_EQ(table->rows[0], expected);
 }
 
-TEST_F(ReadOnlyIndexTest, CountsTheStepsOfThePlan) {
+TEST_F(ReadOnlyIndexTest, NoValueOrStatementIsLongEnoughToHoldItUp) {
   ReadOnlyIndex index = OpenIndex();
-  PlanOptions options;
-  options.guards = 3;
-  const auto steps = BuildPlan(options)->steps.size();
-  const auto table = index.Run("SELECT planned_steps(:plan), planned_steps('{}x'), planned_steps(NULL)",
-                               {{"plan", PlanOptionsToJson(options)}});
-  ASSERT_TRUE(table.ok()) << table.status().message();
-  EXPECT_EQ(table->rows[0], (std::vector<Cell>{static_cast<int64_t>(steps), std::monostate(), std::monostate()}));
+  QueryLimits limits;
+  limits.time = std::chrono::seconds(2);
+  const auto code = [&](const std::string& sql) { return index.Run(sql, {}, limits).status().code(); };
+  for (const char* sql :
+       {"SELECT zeroblob(20000000)", "SELECT hex(zeroblob(10000000))", "SELECT randomblob(20000000)",
+        "SELECT printf('%020000000d', 1)", "SELECT replace(hex(zeroblob(4000)), '0', hex(zeroblob(9000)))"})
+    EXPECT_EQ(code(sql), StatusCode::kUsage) << sql;
+  EXPECT_EQ(code("SELECT " + std::string(2 << 20, '1')), StatusCode::kUsage) << "the statement itself";
+  const auto start = std::chrono::steady_clock::now();
+  for (const char* sql :
+       {"WITH RECURSIVE c (x) AS (SELECT randomblob(1000000) UNION ALL SELECT randomblob(1000000) FROM c)"
+        " SELECT count(*) FROM c",
+        "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT sum(length(hex(zeroblob(1000000)))) "
+        "FROM c"})
+    EXPECT_EQ(code(sql), StatusCode::kFailed) << sql;
+  EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(10));
 }
 
-TEST_F(ReadOnlyIndexTest, GroupsReasonsThatDifferInNumbers) {
+TEST_F(ReadOnlyIndexTest, MemoryEndsWhereItsLimitIs) {
   ReadOnlyIndex index = OpenIndex();
-  const auto table = index.Run("SELECT reason_class('no frame for steps 3, 17 and 12.5 % of 1/2.'), reason_class('')");
-  EXPECT_EQ(std::get<std::string>(table->rows[0][0]), "no frame for steps N, N and N % of N.");
-  EXPECT_EQ(std::get<std::string>(table->rows[0][1]), "");
+  QueryLimits limits;
+  limits.time = std::chrono::seconds(60);
+  // Sorted, hence kept: 100 GB if it could.
+  const auto sorted = index.Run(
+      "WITH RECURSIVE c (n, x) AS (SELECT 1, zeroblob(1000000) UNION ALL SELECT n + 1, zeroblob(1000000) FROM c WHERE "
+      "n <"
+      " 100000) SELECT length(x) FROM c ORDER BY n DESC, x",
+      {}, limits);
+  EXPECT_EQ(sorted.status().code(), StatusCode::kFailed);
+  EXPECT_NE(sorted.status().message().find("512 MiB"), std::string::npos) << sorted.status().message();
+  std::string wide = "SELECT 1";
+  for (int i = 0; i < 200; ++i) wide += ", zeroblob(10000000 + " + std::to_string(i) + ")";
+  EXPECT_EQ(index.Run(wide, {}, limits).status().code(), StatusCode::kFailed) << "a single row of 2 GB";
+  EXPECT_TRUE(index.Run("SELECT 1").ok()) << "the next question is answered";
+}
+
+// reason_class of the view session_reasons, with nothing but replace().
+TEST_F(ReadOnlyIndexTest, GroupsReasonsThatDifferInNumbers) {
+  StoreSession(1);
+  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
+                  ->Execute("UPDATE sessions SET status = 'degraded', reasons_json = '[\"no frame for steps 3, 17 and"
+                            " 12.5 % of 1/2.\", \"1.2.3 4..5 /6/ 007\", \"\", \"none\"]'")
+                  .ok());
+  ReadOnlyIndex index = OpenIndex();
+  const auto table = index.Run("SELECT DISTINCT reason_class FROM session_reasons");
+  std::vector<std::string> classes;
+  for (const auto& row : table->rows) classes.push_back(std::get<std::string>(row[0]));
+  EXPECT_EQ(classes, (std::vector<std::string>{"no frame for steps N, N and N % of N.", "N N..N /N/ N", "", "none"}));
 }
 
 }  // namespace

@@ -306,7 +306,7 @@ TEST_F(SessionStoreTest, AKilledProcessLosesNothingThatWasAcknowledged) {
     ASSERT_EQ(waitpid(child, &status, 0), child);
     ASSERT_EQ(status, 0);
     const SessionStore store = OpenStore(AccessMode::kReadWrite);
-    const SessionRow row = (*store.ListSessions())[0];
+    const SessionRow row = *store.FindSession((*store.ListSessions())[0].info.id);
     EXPECT_EQ(row.info.status, SessionStatus::kFailed);
     EXPECT_EQ(row.frames, frames / 2 * 2);
     EXPECT_THAT(VerifySession(store, row)->problems, IsEmpty());

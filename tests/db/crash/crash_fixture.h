@@ -30,9 +30,9 @@ class CrashTest : public ::testing::Test {
   [[nodiscard]] std::filesystem::path Remains() const { return folder_ / "remains"; }
 
   // A night without faults.
-  WorkloadReport Record(DiskLog& log) {
+  WorkloadReport Record(DiskLog& log, Encryption encryption = Encryption::kNone) {
     StartRecording(Store());
-    WorkloadReport report = RunWorkload(Store());
+    WorkloadReport report = RunWorkload(Store(), encryption);
     log = StopRecording();
     for (const Status& failure : report.failures) ADD_FAILURE() << failure.message();
     return report;

@@ -89,6 +89,7 @@ ssize_t WriteBy(int fd, const void* data, size_t size, int64_t offset, F&& real)
 
 template <typename F>
 int SyncBy(int fd, F&& real) {
+  MayDie(fd);
   if (Refuse(SyncRefusalOf(fd))) return -1;
   const int result = SyncIsSkipped() ? 0 : real();
   const KeepErrno keep;
@@ -217,8 +218,26 @@ int rename(const char* from, const char* to) noexcept {
   if (result == 0) NoteRename(from, to);
   return result;
 }
+int link(const char* from, const char* to) noexcept {
+  SLX_REAL(link);
+  if (Refuse(RefusalOf(to))) return -1;
+  const int result = real(from, to);
+  const KeepErrno keep;
+  if (result == 0) NoteHardLink(from, to);
+  return result;
+}
+int linkat(int from_folder, const char* from, int to_folder, const char* to, int flags) noexcept {
+  SLX_REAL(linkat);
+  const std::string source = PathAt(from_folder, from), target = PathAt(to_folder, to);
+  if (Refuse(RefusalOf(target.c_str()))) return -1;
+  const int result = real(from_folder, from, to_folder, to, flags);
+  const KeepErrno keep;
+  if (result == 0) NoteHardLink(source.c_str(), target.c_str());
+  return result;
+}
 int unlink(const char* path) noexcept {
   SLX_REAL(unlink);
+  MayDie(path);
   const int result = real(path);
   const KeepErrno keep;
   if (result == 0) NoteUnlink(path);
@@ -227,6 +246,7 @@ int unlink(const char* path) noexcept {
 int unlinkat(int folder, const char* path, int flags) noexcept {
   SLX_REAL(unlinkat);
   const std::string full = PathAt(folder, path);
+  MayDie(full.c_str());
   const int result = real(folder, path, flags);
   const KeepErrno keep;
   if (result == 0) NoteUnlink(full.c_str());
@@ -234,6 +254,7 @@ int unlinkat(int folder, const char* path, int flags) noexcept {
 }
 int remove(const char* path) noexcept {
   SLX_REAL(remove);
+  MayDie(path);
   const int result = real(path);
   const KeepErrno keep;
   if (result == 0) NoteUnlink(path);

@@ -16,6 +16,9 @@ int RefusalOf(int fd);
 // Of `size` bytes, those that still fit: a disk that fills up takes half of them first, then none.
 size_t SpaceFor(int fd, size_t size);
 int SyncRefusalOf(int fd);
+// Calls that a full disk does not refuse (removals, syncs), but before which a process may die as well.
+void MayDie(const char* path);
+void MayDie(int fd);
 bool SyncIsSkipped();
 [[nodiscard]] bool IsRecorded(int fd);
 
@@ -27,6 +30,7 @@ void NoteTruncate(int fd, int64_t size);
 void NoteTruncate(const char* path, int64_t size);
 void NoteSync(int fd);
 void NoteRename(const char* from, const char* to);
+void NoteHardLink(const char* from, const char* to);
 void NoteUnlink(const char* path);
 void NoteMakeFolder(const char* path);
 // "/absolute/path" of a name relative to a folder's descriptor.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/db/crash/disk_recorder.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <csignal>
 #include <cstdlib>
@@ -79,6 +80,32 @@ void Link(const std::string& path, bool folder) {
   recording->log.calls.push_back(call);
 }
 
+void Note(Kind kind, Inode inode, int64_t offset, const void* data = nullptr, size_t size = 0);
+
+// What another program (rsync) made below the root is written down when this one first meets it: as new, none of it
+// synced.
+void Discover(const std::string& path) {
+  if (path.empty() || recording->names.contains(path)) return;
+  const size_t slash = path.rfind('/');
+  if (slash != std::string::npos) Discover(path.substr(0, slash));
+  const fs::path file = fs::path(recording->root) / path;
+  std::error_code error;
+  const auto type = fs::symlink_status(file, error).type();
+  if (type != fs::file_type::regular && type != fs::file_type::directory) return;
+  Link(path, type == fs::file_type::directory);
+  if (type == fs::file_type::directory) {
+    std::vector<std::string> inside;
+    for (const auto& entry : fs::directory_iterator(file, error))
+      inside.push_back(path + "/" + entry.path().filename().string());
+    std::sort(inside.begin(), inside.end());
+    for (const std::string& name : inside) Discover(name);
+    return;
+  }
+  std::ifstream in(file, std::ios::binary);
+  const std::vector<char> bytes{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  if (!bytes.empty()) Note(Kind::kWrite, recording->names[path], 0, bytes.data(), bytes.size());
+}
+
 std::optional<Inode> InodeOf(int fd) {
   if (recording == nullptr) return std::nullopt;
   const auto found = recording->open_files.find(fd);
@@ -86,7 +113,7 @@ std::optional<Inode> InodeOf(int fd) {
   return found->second;
 }
 
-void Note(Kind kind, Inode inode, int64_t offset, const void* data = nullptr, size_t size = 0) {
+void Note(Kind kind, Inode inode, int64_t offset, const void* data, size_t size) {
   DiskCall call;
   call.kind = kind;
   call.file = inode;
@@ -144,7 +171,8 @@ DiskLog StopRecording() {
 }
 
 int64_t CallsThatCanFail(DiskFault::Kind kind) {
-  return kind == DiskFault::Kind::kNoSpace ? recording->space_calls : recording->sync_calls;
+  if (recording == nullptr) return 0;
+  return kind == DiskFault::Kind::kSyncError ? recording->sync_calls : recording->space_calls;
 }
 int64_t CallsThatFailed() { return recording->failed; }
 void SkipSyncs() { skip_syncs = true; }
@@ -200,6 +228,15 @@ size_t SpaceFor(int fd, size_t size) {
   return 0;
 }
 
+void MayDie(const char* path) {
+  const Lock lock(Mutex());
+  if (Relative(path) && recording->fault.kind == DiskFault::Kind::kDeath) (void)SpaceRefusal();
+}
+void MayDie(int fd) {
+  const Lock lock(Mutex());
+  if (InodeOf(fd) && recording->fault.kind == DiskFault::Kind::kDeath) (void)SpaceRefusal();
+}
+
 int SyncRefusalOf(int fd) {
   const Lock lock(Mutex());
   const auto inode = InodeOf(fd);
@@ -221,7 +258,11 @@ void NoteOpen(int fd, const char* path, int flags) {
   recording->open_files.erase(fd);  // closed where no hook sees it, as fclose does
   const auto name = Relative(path);
   if (!name) return;
-  if ((flags & (O_CREAT | O_EXCL)) == (O_CREAT | O_EXCL)) Link(*name, false);
+  if ((flags & (O_CREAT | O_EXCL)) == (O_CREAT | O_EXCL)) {
+    Link(*name, false);
+  } else {
+    Discover(*name);
+  }
   const auto known = recording->names.find(*name);
   if (known == recording->names.end()) return;
   recording->open_files[fd] = known->second;
@@ -258,6 +299,11 @@ void NoteRename(const char* from, const char* to) {
   const Lock lock(Mutex());
   const auto old_name = Relative(from), name = Relative(to);
   if (!old_name || !name) return;
+  if (!recording->names.contains(*old_name)) {
+    // Made elsewhere and moved within the root by now: it is known under its new name.
+    recording->names.erase(*name);
+    return Discover(*name);
+  }
   DiskCall call;
   call.kind = Kind::kLink;
   call.file = recording->names[*old_name];
@@ -282,6 +328,18 @@ void NoteUnlink(const char* path) {
   std::tie(call.folder, call.name) = Split(*name);
   recording->log.calls.push_back(call);
   recording->names.erase(*name);
+}
+
+void NoteHardLink(const char* from, const char* to) {
+  const Lock lock(Mutex());
+  const auto old_name = Relative(from), name = Relative(to);
+  if (!old_name || !name || !recording->names.contains(*old_name)) return;
+  DiskCall call;
+  call.kind = Kind::kLink;
+  call.file = recording->names[*old_name];
+  std::tie(call.folder, call.name) = Split(*name);
+  recording->names[*name] = call.file;
+  recording->log.calls.push_back(call);
 }
 
 void NoteMakeFolder(const char* path) {

@@ -45,7 +45,13 @@ struct DiskLog {
 
 // What the disk refuses.
 struct DiskFault {
-  enum class Kind { kNone, kNoSpace, kSyncError, kDeath };  // kDeath: SIGKILL where kNoSpace would refuse
+  enum class Kind {
+    kNone,
+    kNoSpace,
+    kSyncError,
+    kDeath
+  };  // kDeath: SIGKILL where kNoSpace would refuse, and before
+      // removals and syncs
   enum class Extent { kOnce, kFromThenOn };
   Kind kind = Kind::kNone;
   int64_t at = 0;  // 0-based, counted over the calls that can fail so

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/db/crash/enumeration.h"
 
+#include <algorithm>
 #include <cstdio>
+#include <cstdlib>
 #include <set>
 
 #include <xxhash.h>
@@ -16,6 +18,11 @@ uint64_t HashOf(const DiskImage& image, int64_t promise) {
     hash = XXH3_64bits_withSeed(bytes.data(), bytes.size(), hash);
   }
   return hash;
+}
+
+uint64_t SeedOf() {
+  const char* text = std::getenv("STRATALUX_SEED");
+  return text == nullptr ? 4 : std::strtoull(text, nullptr, 10);
 }
 
 std::string Describe(const DiskCall& call) {
@@ -42,20 +49,28 @@ std::string Describe(const DiskCall& call) {
 
 EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& promises,
                             const std::filesystem::path& folder, const EnumerationOptions& options) {
+  const CheckFunction check = [&promises](const std::filesystem::path& remains, int64_t mark, CheckCounts& counts) {
+    return CheckStore(remains, promises[static_cast<size_t>(mark)], counts);
+  };
+  return Enumerate(log, check, folder, options);
+}
+
+EnumerationReport Enumerate(const DiskLog& log, const CheckFunction& check, const std::filesystem::path& folder,
+                            const EnumerationOptions& options) {
   EnumerationReport report;
   Disk disk(log);
   std::set<uint64_t> seen;
-  std::mt19937_64 random(4);
+  std::mt19937_64 random(SeedOf());
+  const size_t offset = random() % static_cast<size_t>(options.stride);
   int64_t promise = 0;
   for (size_t i = 0; i < log.calls.size(); ++i) {
     const DiskCall& call = log.calls[i];
     disk.Apply(call);
-    if (call.kind == DiskCall::Kind::kMark) {
-      promise = call.offset;
-    } else if (i >= options.from_call) {
-      ++report.points;
-    }
-    if (i < options.from_call) continue;
+    if (call.kind == DiskCall::Kind::kMark) promise = call.offset;
+    // What is promised is always looked at: the first moment of each mark is the hardest.
+    const bool drawn = i % static_cast<size_t>(options.stride) == offset || call.kind == DiskCall::Kind::kMark;
+    if (i < options.from_call || !drawn) continue;
+    if (call.kind != DiskCall::Kind::kMark) ++report.points;
     for (const PowerCut cut : {PowerCut::kKeepsAll, PowerCut::kDropsAll, PowerCut::kDropsNames, PowerCut::kDropsBytes,
                                PowerCut::kTearsLastWrite, PowerCut::kKeepsSomeBlocks}) {
       const bool draws = cut == PowerCut::kKeepsSomeBlocks || cut == PowerCut::kTearsLastWrite;
@@ -64,7 +79,7 @@ EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& prom
         const DiskImage image = disk.After(cut, random);
         if (!seen.insert(HashOf(image, promise)).second) continue;
         WriteImage(image, folder);
-        for (const std::string& broken : CheckStore(folder, promises[promise], report.checked)) {
+        for (const std::string& broken : check(folder, promise, report.checked)) {
           if (++report.violations > 20) break;
           report.first_violations.push_back("call " + std::to_string(i) + " (" + Describe(call) + "), the disk " +
                                             ToString(cut) + ": " + broken);
@@ -74,6 +89,11 @@ EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& prom
     }
   }
   return report;
+}
+
+int SampledStride() {
+  const char* text = std::getenv("STRATALUX_CRASH_STRIDE");
+  return text == nullptr ? 6 : std::max(1, std::atoi(text));
 }
 
 void Add(const EnumerationReport& more, EnumerationReport& sum) {

@@ -13,7 +13,7 @@
 namespace stratalux::db::crash {
 
 struct EnumerationReport {
-  int64_t points = 0;   // calls that change or sync something
+  int64_t points = 0;   // calls that change or sync something, after which the power was cut
   int64_t cuts = 0;     // points x ways of cutting
   CheckCounts checked;  // distinct states of a disk, each with what was promised by then
   int64_t violations = 0;
@@ -24,11 +24,22 @@ struct EnumerationOptions {
   int random_cuts = 3;  // of each kind that draws
   bool until_first_violation = false;
   size_t from_call = 0;  // earlier ones are made, but not cut after
+  int stride = 1;        // cuts after every stride-th call, from a drawn one on
 };
 
+// What is broken in the store that a power cut left in `folder`, for people; `mark` is the last that was recorded by
+// then (0 before the first). Empty: nothing is.
+using CheckFunction =
+    std::function<std::vector<std::string>(const std::filesystem::path& folder, int64_t mark, CheckCounts& counts)>;
+
 // `folder` is used for one store after the other.
+EnumerationReport Enumerate(const DiskLog& log, const CheckFunction& check, const std::filesystem::path& folder,
+                            const EnumerationOptions& options = {});
+// The promises of a workload, by marks.
 EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& promises,
                             const std::filesystem::path& folder, const EnumerationOptions& options = {});
+// STRATALUX_CRASH_STRIDE: 1 at night (every call), a sample without it.
+[[nodiscard]] int SampledStride();
 void Add(const EnumerationReport& more, EnumerationReport& sum);
 void Print(const std::string& title, const EnumerationReport& report);
 

@@ -74,12 +74,14 @@ class Checker {
     const auto rows = store.ListSessions();
     if (!Ok("list", rows.status())) return;
     std::set<std::string> ids;
-    for (const SessionRow& row : *rows) {
+    for (const SessionSummary& row : *rows) {
       ids.insert(row.info.id);
       ++counts_.sessions;
       Expect(row.info.status != SessionStatus::kRecording, row.info.id + " is still recording");
       CheckFrames(store, row);
-      const auto report = VerifySession(store, row);
+      const auto whole = store.FindSession(row.info.id);
+      if (!Ok("find", whole.status())) continue;
+      const auto report = VerifySession(store, *whole);
       if (!Ok("verify", report.status())) continue;
       for (const std::string& problem : report->problems) broken_.push_back("verify: " + problem);
     }
@@ -95,7 +97,7 @@ class Checker {
   }
 
   // Frames are numbered without a gap, so that the acknowledged ones are the first ones.
-  void CheckFrames(const SessionStore& store, const SessionRow& row) {
+  void CheckFrames(const SessionStore& store, const SessionSummary& row) {
     const auto frames = store.ListFrames(row.info.id);
     if (!Ok("frames", frames.status())) return;
     for (size_t i = 0; i < frames->size(); ++i) {

@@ -13,11 +13,17 @@ namespace stratalux::db::crash {
 namespace {
 
 // Some five frames a segment and three groups to two segments: ends of groups, segments and 4 KiB blocks differ.
-const WriterOptions kOptions = {.group_frames = 3, .group_window = std::chrono::hours(1), .max_segment_bytes = 20'000};
+WriterOptions OptionsWith(Encryption encryption) {
+  return {
+      .group_frames = 3, .group_window = std::chrono::hours(1), .max_segment_bytes = 20'000, .encryption = encryption};
+}
 
 class Workload {
  public:
-  explicit Workload(std::filesystem::path folder) : folder_(std::move(folder)) { Promised(); }
+  Workload(std::filesystem::path folder, Encryption encryption)
+      : folder_(std::move(folder)), options_(OptionsWith(encryption)) {
+    Promised();
+  }
 
   WorkloadReport Run() {
     if (!Note(SessionStore::Create(folder_))) return report_;
@@ -61,7 +67,7 @@ class Workload {
     info.simulated = true;
     info.visitor = "v-" + std::to_string(first_step);
     if (!Note(GiveConsent(folder_, info.visitor, {"2026-01", "de", true, false, false, {1}}))) return;
-    auto writer = store.BeginSession(info, kOptions);
+    auto writer = store.BeginSession(info, options_);
     if (!Note(writer.status())) return;
     now_.sessions.push_back({writer->info().id, 0, {}, {}});
     SessionPromise& promise = now_.sessions.back();
@@ -107,12 +113,13 @@ class Workload {
     const auto rows = store.ListSessions();
     if (!Note(rows.status())) return;
     for (SessionPromise& promise : now_.sessions)
-      for (const SessionRow& row : *rows)
+      for (const SessionSummary& row : *rows)
         if (row.info.id == promise.id && row.info.status != SessionStatus::kRecording) promise.ended = row.info.status;
     Promised();
   }
 
   std::filesystem::path folder_;
+  WriterOptions options_;
   Promise now_;
   WorkloadReport report_;
 };
@@ -121,7 +128,9 @@ FrameRecord RecordOf(int step) { return RecordFor(step, PixelFormat::kMono12, 64
 
 }  // namespace
 
-WorkloadReport RunWorkload(const std::filesystem::path& folder) { return Workload(folder).Run(); }
+WorkloadReport RunWorkload(const std::filesystem::path& folder, Encryption encryption) {
+  return Workload(folder, encryption).Run();
+}
 
 Status AppendFrame(SessionWriter& writer, int step) {
   const FrameRecord record = RecordOf(step);

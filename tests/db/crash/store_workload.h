@@ -33,7 +33,7 @@ struct WorkloadReport {
 // Runs below `folder` (which exists and is empty), recording marks: creates the store; a session over several segments
 // and groups with a truth map, finished, with a fit; one that its writer abandons, with a checkpoint in its midst; an
 // opening that recovers it; one finished as degraded. Goes on after failures as far as the calls allow.
-WorkloadReport RunWorkload(const std::filesystem::path& folder);
+WorkloadReport RunWorkload(const std::filesystem::path& folder, Encryption encryption = Encryption::kNone);
 
 // A frame of the workload. Its step tells its pixels.
 Status AppendFrame(SessionWriter& writer, int step);

@@ -19,7 +19,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/interchange/import.h"
 #include "db/keys/key_store.h"
-#include "db/ledger/tombstone.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/key_file.h"
 #include "db/segment/segment.h"
@@ -103,7 +103,12 @@ class ForgetTest : public StoreTest {
     request.sessions = sessions;
     return Forget(folder_, request, quiet);
   }
-  // Nothing but the id where it must be: the certificate, and in the index the tombstone and the access log.
+  [[nodiscard]] nlohmann::json CertificateOf(const std::string& id) const {
+    const auto ledger = Ledger::Read(folder_);
+    EXPECT_TRUE(ledger.ok() && ledger->IsForgotten(id));
+    return nlohmann::json::parse(ledger->forgotten().at(id));
+  }
+  // Nothing but the id where it must be: the ledger, and in the index the tombstone and the access log.
   void ExpectGone(const Traces& traces, const std::string& visitor) const {
     int64_t rows = 0;
     {
@@ -112,7 +117,6 @@ class ForgetTest : public StoreTest {
       // certificate once, and once for the export it names.
       rows =
           *connection->QueryInteger("SELECT 3 * count(*) FROM access_log WHERE session_id = '" + traces.id + "'") + 4;
-      EXPECT_EQ(*connection->QueryInteger("PRAGMA freelist_count"), 0);
       EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM sessions WHERE id = '" + traces.id + "'"), 0);
     }
     const RawFiles raw = ReadRaw(folder_);
@@ -122,7 +126,7 @@ class ForgetTest : public StoreTest {
       EXPECT_THAT(FilesWith(raw, traces.key), IsEmpty()) << "key";
     }
     EXPECT_THAT(FilesWith(raw, visitor), IsEmpty()) << "pseudonym";
-    std::map<std::string, int> expected = {{"deletions/" + traces.id + ".json", 1}};
+    std::map<std::string, int> expected = {{"ledger/" + *StoreId(folder_) + ".jsonl", 1}};
     auto found = FilesWith(raw, traces.id);
     EXPECT_LE(found["index.sqlite"], rows);
     found.erase("index.sqlite");
@@ -235,7 +239,7 @@ TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
     ASSERT_TRUE(WIFEXITED(status) && (WEXITSTATUS(status) == 9 || WEXITSTATUS(status) == 0)) << status;
     finished = WEXITSTATUS(status) == 0;
     SCOPED_TRACE("point " + std::to_string(points));
-    EXPECT_TRUE(*IsForgotten(folder_, id)) << "from the first step on";
+    EXPECT_EQ(*IsForgotten(folder_, id), points > 0) << "from the entry on, which follows the note of what must go";
     { const SessionStore reopened = OpenStore(); }  // recovery must not bring it back
     const auto again = ForgetNow({});
     ASSERT_TRUE(again.ok()) << again.status().message();
@@ -280,10 +284,9 @@ TEST_F(ForgetTest, FinishesAfterAWriteOrAWipeThatWasTorn) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kNone);
   const Traces traces = TracesOf(id);
   ASSERT_TRUE(ForgetNow({id}).ok());
-  const fs::path deletions = folder_ / "deletions";
-  WriteText(deletions / (id + ".json.new"), "{ \"session\": \"" + id);
-  WriteText(deletions / (id + ".forgetting.wiping"), std::string(40, '\0') + kVisitor + traces.hashes[0]);
-  WriteText(deletions / (other + ".forgetting.new"), "{ \"session\": \"" + other);
+  const fs::path ledger = folder_ / "ledger";
+  WriteText(ledger / (id + ".forgetting.wiping"), std::string(40, '\0') + kVisitor + traces.hashes[0]);
+  WriteText(ledger / (other + ".forgetting.new"), "{ \"session\": \"" + other);
   EXPECT_FALSE(*IsForgotten(folder_, other)) << "not begun";
   const auto again = ForgetNow({});
   ASSERT_TRUE(again.ok()) << again.status().message();
@@ -296,7 +299,7 @@ TEST_F(ForgetTest, CertifiesWithoutPixelsAndWithoutThePseudonym) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
   const Traces traces = TracesOf(id);
   ASSERT_TRUE(ForgetNow({id}).ok());
-  const auto json = nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)));
+  const auto json = CertificateOf(id);
   EXPECT_EQ(json["session"], id);
   EXPECT_EQ(json["reason"], "forget");
   EXPECT_EQ(json["frames"], 6);
@@ -323,11 +326,11 @@ TEST_F(ForgetTest, NamesWhatItCouldNotRemoveUntilItIsGone) {
   ASSERT_TRUE(report.ok());
   EXPECT_THAT(report->leftovers, ::testing::ElementsAre("notes.txt, offset 13: session id"));
   EXPECT_TRUE(*IsForgotten(folder_, id));
-  EXPECT_EQ(nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)))["verification"]["clean"], false);
+  EXPECT_EQ(CertificateOf(id)["verification"]["clean"], false);
   EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
   fs::remove(folder_ / "notes.txt");
   EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
-  EXPECT_EQ(nlohmann::json::parse(*ReadFile(CertificateFile(folder_, id)))["verification"]["clean"], true);
+  EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
   ExpectGone(traces, kVisitor);
 }
 
@@ -391,7 +394,7 @@ pattern = "white"
   Logger quiet(LogLevel::kError);
   const auto imported = ImportSession(store, {copy / "m.toml", "", {}}, quiet);
   EXPECT_EQ(imported.status().code(), StatusCode::kUsage);
-  EXPECT_THAT(imported.status().message(), HasSubstr("deletions/" + id + ".json"));
+  EXPECT_THAT(imported.status().message(), HasSubstr("`stratalux-db deletions`"));
   fs::remove(ExportMarker(copy, id));
   EXPECT_TRUE(ImportSession(store, {copy / "m.toml", "", {}}, quiet).ok()) << "the marker alone was in its way";
 
@@ -407,11 +410,11 @@ TEST_F(ForgetTest, EitherTombstoneIsEnough) {
   EXPECT_FALSE(*IsForgotten(folder_, id));
   ASSERT_TRUE(ForgetNow({id}).ok());
   EXPECT_TRUE(*IsForgotten(folder_, id));
-  fs::rename(folder_ / "deletions", folder_ / "lost");
+  fs::rename(folder_ / "ledger", folder_ / "lost");
   EXPECT_TRUE(*IsForgotten(folder_, id)) << "by the index";
-  fs::rename(folder_ / "lost", folder_ / "deletions");
+  fs::rename(folder_ / "lost", folder_ / "ledger");
   fs::remove(folder_ / "index.sqlite");
-  EXPECT_TRUE(*IsForgotten(folder_, id)) << "by the file";
+  EXPECT_TRUE(*IsForgotten(folder_, id)) << "by the ledger";
   EXPECT_FALSE(*IsForgotten(folder_, "../index"));
 }
 
@@ -451,6 +454,119 @@ TEST_F(ForgetTest, WaitsForWritersAndReaders) {
     EXPECT_THAT(status.message(), HasSubstr("forget --resume"));
   }
   ASSERT_TRUE(ForgetNow({}).ok());
+  ExpectGone(traces, kVisitor);
+}
+
+// The bytes of the key by which the ledger names the visitor.
+std::string VisitorKey(const fs::path& store, const std::string& visitor) {
+  auto connection = Connection::Open(KeyFile(store), Connection::Mode::kReadOnly);
+  auto select = connection->Prepare("SELECT key FROM visitor_keys WHERE pseudonym = ?1");
+  select->Bind(1, visitor);
+  if (!*select->Step()) return "";
+  const auto bytes = select->Blob(0);
+  return {bytes.begin(), bytes.end()};
+}
+
+TEST_F(ForgetTest, TheLedgersNameOfAVisitorDiesWithTheLastSession) {
+  const std::string first = Visit(kVisitor, 1, Encryption::kNone), second = Visit(kVisitor, 2, Encryption::kNone);
+  Visit(kOther, 3, Encryption::kNone);
+  const std::string key = VisitorKey(folder_, kVisitor), name = *FindVisitorName(folder_, kVisitor);
+  ASSERT_EQ(key.size(), 32U);
+  ASSERT_TRUE(ForgetNow({first}).ok());
+  EXPECT_EQ(*FindVisitorName(folder_, kVisitor), name) << "a session is left";
+  ASSERT_TRUE(ForgetNow({second}).ok());
+  EXPECT_EQ(FindVisitorName(folder_, kVisitor).status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(VisitorKey(folder_, kOther).size(), 32U);
+  const RawFiles raw = ReadRaw(folder_);
+  EXPECT_THAT(FilesWith(raw, key), IsEmpty());
+  EXPECT_THAT(FilesWith(raw, kVisitor), IsEmpty());
+  // The same pseudonym, given again, has another name: nobody can tell that it is the same.
+  ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
+  Visit(kVisitor, 4, Encryption::kNone);
+  EXPECT_NE(*FindVisitorName(folder_, kVisitor), name);
+}
+
+TEST_F(ForgetTest, CleansWhatABrokenOffPullLeft) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  fs::create_directories(folder_ / "incoming");
+  fs::copy(folder_ / "sessions" / id, folder_ / "incoming" / id, fs::copy_options::recursive);
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_THAT(report->leftovers, IsEmpty());
+  ExpectGone(traces, kVisitor);
+}
+
+// The scan of a large store takes minutes; the next visitor does not wait for it.
+TEST_F(ForgetTest, ACaptureBeginsWhileTheScanReads) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
+  const Traces traces = TracesOf(id);
+  int unlocked[2], captured[2];
+  ASSERT_EQ(pipe(unlocked) + pipe(captured), 0);
+  const pid_t child = fork();
+  if (child == 0) {
+    Logger quiet(LogLevel::kError);
+    ForgetRequest request;
+    request.sessions = {id};
+    char go = 'u';
+    request.after_step = [&](ForgetStep step) {
+      if (step == ForgetStep::kUnlocked)
+        if (write(unlocked[1], &go, 1) != 1 || read(captured[0], &go, 1) != 1) _exit(2);
+    };
+    const auto report = Forget(folder_, request, quiet);
+    _exit(report.ok() && report->leftovers.empty() ? 0 : 1);
+  }
+  char go = 0;
+  ASSERT_EQ(read(unlocked[0], &go, 1), 1);
+  EXPECT_TRUE(*IsForgotten(folder_, id));
+  std::string next;
+  {
+    const auto began = std::chrono::steady_clock::now();
+    SessionStore store = OpenStore();
+    SessionInfo info;
+    info.visitor = kOther;
+    auto writer = store.BeginSession(info, {.group_frames = 1});
+    const std::chrono::duration<double> waited = std::chrono::steady_clock::now() - began;
+    ASSERT_TRUE(writer.ok()) << writer.status().message();
+    EXPECT_LT(waited.count(), 0.2) << "seconds";
+    for (int i = 0; i < 6; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
+    // The forget goes on, scans and certifies while the session is being written.
+    ASSERT_EQ(write(captured[1], &go, 1), 1);
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_EQ(status, 0);
+    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    next = writer->info().id;
+  }
+  EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
+  EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+  {  // what SQLite's log still holds of the certificate goes into the index
+    auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_EQ(*connection->QueryInteger("PRAGMA wal_checkpoint(TRUNCATE)"), 0);
+  }
+  ExpectGone(traces, kVisitor);
+  EXPECT_EQ(OpenStore(AccessMode::kReadOnly).ListFrames(next)->size(), 6U);
+}
+
+// A page of the index may keep a copy of a row that it once moved elsewhere.
+TEST_F(ForgetTest, RewritesAnIndexThatStillHoldsSomething) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  {
+    // Stands for it: a row of nobody's that holds a payload hash, deleted without zeroing.
+    auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_TRUE(connection->Execute("PRAGMA secure_delete = OFF; CREATE TABLE stale (bytes BLOB)").ok());
+    auto insert = connection->Prepare("INSERT INTO stale VALUES (?1)");
+    const std::string& hash = traces.hashes[0];
+    insert->Bind(1, std::span(reinterpret_cast<const uint8_t*>(hash.data()), hash.size()));
+    ASSERT_TRUE(insert->Run().ok());
+    ASSERT_TRUE(connection->Execute("DELETE FROM stale").ok());
+    ASSERT_EQ(*connection->QueryInteger("PRAGMA wal_checkpoint(TRUNCATE)"), 0);
+  }
+  ASSERT_EQ(FilesWith(ReadRaw(folder_), traces.hashes[0])["index.sqlite"], 2) << "the frame's row and the stale copy";
+  const auto report = ForgetNow({id});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_THAT(report->leftovers, IsEmpty());
   ExpectGone(traces, kVisitor);
 }
 

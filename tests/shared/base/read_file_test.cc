@@ -3,7 +3,8 @@
 
 #include <fstream>
 
-#include <gtest/gtest.h>
+#include <gmock/gmock.h>
+#include <sys/stat.h>
 
 namespace stratalux {
 namespace {
@@ -30,6 +31,31 @@ TEST(ReadFile, NamesWhatIsNoFile) {
   EXPECT_NE(missing.message().find("stratalux_none: No such file"), std::string::npos) << missing.message();
   EXPECT_EQ(directory.code(), StatusCode::kFailed);
   EXPECT_NE(directory.message().find(folder.string()), std::string::npos) << directory.message();
+}
+
+TEST(ReadFile, WaitsForNobodyAndReadsNoMoreThanItMay) {
+  const fs::path folder = fs::path(::testing::TempDir()) / "stratalux_read_limits";
+  fs::remove_all(folder);
+  fs::create_directories(folder);
+  ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
+  std::ofstream(folder / "sparse").put('x');
+  fs::resize_file(folder / "sparse", uintmax_t{10} << 30);
+  std::ofstream(folder / "ten") << "0123456789";
+  const auto message = [](const Result<std::string>& read) {
+    EXPECT_EQ(read.status().code(), StatusCode::kFailed);
+    return read.status().message();
+  };
+  using ::testing::HasSubstr;
+  EXPECT_THAT(message(ReadFile("/dev/zero")), HasSubstr("/dev/zero: it is a device, not a file"));
+  EXPECT_THAT(message(ReadFile(folder / "pipe")), HasSubstr("a pipe"));
+  EXPECT_THAT(message(ReadFile(folder)), HasSubstr("a folder"));
+  EXPECT_THAT(message(ReadFile(folder / "sparse")),
+              HasSubstr("sparse: it has 10737418240 bytes, at most " + std::to_string(kMostRecordBytes)));
+  EXPECT_EQ(*ReadFile(folder / "ten", 10), "0123456789");
+  EXPECT_THAT(message(ReadFile(folder / "ten", 9)), HasSubstr("it has 10 bytes, at most 9 are read"));
+  EXPECT_FALSE(ReadFile("/proc/self/maps")->empty()) << "a file whose size is said to be 0";
+  EXPECT_EQ(ReadFile(fs::path(std::string("/etc/passwd\0.png", 16))).status().code(), StatusCode::kNotFound);
+  fs::remove_all(folder);
 }
 
 }  // namespace

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/consent_rows.h"
+
+namespace stratalux::db {
+
+Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent, ConsentSource source) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(auto person,
+                       connection.Prepare("INSERT OR IGNORE INTO visitors (id, created_wall_ns) VALUES (?1, ?2)"));
+  SLX_RETURN_IF_ERROR(person.Bind(1, visitor).Bind(2, consent.given_wall.ns).Run());
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection.Prepare("INSERT INTO consents (visitor, text_version, language, fit, research, publication,"
+                         " given_wall_ns) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE ?8 OR NOT EXISTS (SELECT 1 FROM"
+                         " consents WHERE visitor = ?1 AND text_version = ?2 AND given_wall_ns = ?7)"));
+  insert.Bind(1, visitor).Bind(2, consent.text_version).Bind(3, consent.language);
+  insert.Bind(4, int64_t{consent.fit}).Bind(5, int64_t{consent.research}).Bind(6, int64_t{consent.publication});
+  insert.Bind(7, consent.given_wall.ns).Bind(8, int64_t{source == ConsentSource::kGiven});
+  SLX_RETURN_IF_ERROR(insert.Run());
+  return transaction.Commit();
+}
+
+Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, const std::string& visitor, WallNs given) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection.Prepare("SELECT withdrawn_wall_ns IS NOT NULL, withdrawn_wall_ns FROM consents WHERE"
+                                          " visitor = ?1 ORDER BY given_wall_ns = ?2 DESC,"
+                                          " CASE WHEN given_wall_ns = ?2 THEN number ELSE -number END LIMIT 1"));
+  SLX_ASSIGN_OR_RETURN(const bool any, select.Bind(1, visitor).Bind(2, given.ns).Step());
+  if (!any || select.Integer(0) == 0) return std::optional<WallNs>();
+  return std::optional(WallNs{select.Integer(1)});
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/catalogue/ledger_follow.h"
+
+#include <map>
+
+#include <nlohmann/json.hpp>
+
+#include "db/ledger/ledger.h"
+#include "db/ledger/old_tombstones.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+
+Result<std::map<std::string, int64_t>> ReadHeads(Connection& connection) {
+  std::map<std::string, int64_t> heads;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT chain, bytes FROM ledger_heads WHERE chain <> ''"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return heads;
+    heads[select.Text(0)] = select.Integer(1);
+  }
+}
+
+Status WriteHeads(Connection& connection, const std::map<std::string, int64_t>& heads) {
+  SLX_RETURN_IF_ERROR(connection.Execute("DELETE FROM ledger_heads WHERE chain <> ''"));
+  SLX_ASSIGN_OR_RETURN(auto insert, connection.Prepare("INSERT INTO ledger_heads (chain, bytes) VALUES (?1, ?2)"));
+  for (const auto& [chain, bytes] : heads) SLX_RETURN_IF_ERROR(insert.Bind(1, chain).Bind(2, bytes).Run());
+  return Status::Ok();
+}
+
+// All that the visitor of one of these sessions had given by then, and what the sessions were made under, should a
+// clock have gone back in between.
+Status Withdraw(Connection& connection, const LedgerEntry& entry) {
+  SLX_ASSIGN_OR_RETURN(
+      auto update,
+      connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE withdrawn_wall_ns IS NULL AND visitor ="
+                         " (SELECT visitor FROM sessions WHERE id = ?1 AND visitor <> '') AND (given_wall_ns <= ?2 OR"
+                         " given_wall_ns = (SELECT CASE WHEN json_valid(consent_json) THEN"
+                         " json_extract(consent_json, '$.given_wall_ns') END FROM sessions WHERE id = ?1))"));
+  for (const std::string& session : entry.sessions)
+    SLX_RETURN_IF_ERROR(update.Bind(1, session).Bind(2, entry.at.ns).Run());
+  return Status::Ok();
+}
+
+std::string ReasonOf(const std::string& detail) {
+  const auto json = nlohmann::ordered_json::parse(detail, nullptr, false);
+  const bool has = json.is_object() && json.contains("reason") && json["reason"].is_string();
+  return has ? json["reason"].get<std::string>() : "forget";
+}
+
+// '{}' while there is no certificate.
+Status NoteDeletion(Connection& connection, const LedgerEntry& entry) {
+  const bool done = entry.kind == LedgerKind::kForgotten;
+  SLX_ASSIGN_OR_RETURN(
+      auto insert,
+      connection.Prepare("INSERT INTO deletions (session_id, deleted_wall_ns, reason, certificate_json)"
+                         " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (session_id) DO UPDATE SET deleted_wall_ns ="
+                         " excluded.deleted_wall_ns, certificate_json = excluded.certificate_json WHERE ?5"));
+  for (const std::string& session : entry.sessions) {
+    insert.Bind(1, session).Bind(2, entry.at.ns).Bind(3, ReasonOf(entry.detail_json));
+    insert.Bind(4, done ? entry.detail_json : std::string("{}")).Bind(5, int64_t{done});
+    SLX_RETURN_IF_ERROR(insert.Run());
+  }
+  return Status::Ok();
+}
+
+// Withdrawals of the time before the ledger, which only the index knew: one entry a visitor. Row '' of ledger_heads
+// says that it is done; saying a thing twice would change nothing.
+Status RecordOldWithdrawals(Connection& connection, const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const int64_t done,
+                       connection.QueryInteger("SELECT count(*) FROM ledger_heads WHERE chain = ''"));
+  if (done != 0) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_ASSIGN_OR_RETURN(
+      auto select, connection.Prepare("SELECT c.visitor, max(c.withdrawn_wall_ns), s.id FROM consents c"
+                                      " JOIN sessions s ON s.visitor = c.visitor AND s.kind = 'visitor'"
+                                      " WHERE c.withdrawn_wall_ns IS NOT NULL"
+                                      " AND s.started_wall_ns <= c.withdrawn_wall_ns GROUP BY s.number ORDER BY 1"));
+  std::map<std::string, LedgerEntry> entries;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    if (ledger.WithdrawnAt(select.Text(2))) continue;
+    LedgerEntry& entry = entries[select.Text(0)];
+    entry.kind = LedgerKind::kWithdrawal;
+    entry.at.ns = select.Integer(1);
+    entry.sessions.push_back(select.Text(2));
+  }
+  for (const auto& [visitor, entry] : entries) SLX_RETURN_IF_ERROR(AppendToLedger(store, entry));
+  return connection.Execute("INSERT INTO ledger_heads (chain, bytes) VALUES ('', 0)");
+}
+
+}  // namespace
+
+Status FollowLedger(SessionIndex& index, const fs::path& store) {
+  Connection& connection = index.connection();
+  SLX_ASSIGN_OR_RETURN(const auto heads, ReadHeads(connection));
+  SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
+  if (!news.changed) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  for (const LedgerEntry& entry : news.entries) {
+    if (entry.kind == LedgerKind::kWithdrawal) SLX_RETURN_IF_ERROR(Withdraw(connection, entry));
+    if (entry.kind == LedgerKind::kForgetting || entry.kind == LedgerKind::kForgotten)
+      SLX_RETURN_IF_ERROR(NoteDeletion(connection, entry));
+  }
+  SLX_RETURN_IF_ERROR(WriteHeads(connection, news.heads));
+  return transaction.Commit();
+}
+
+Status BringLedgerUp(SessionIndex& index, const fs::path& store) {
+  SLX_RETURN_IF_ERROR(TakeOverOldTombstones(store));
+  SLX_RETURN_IF_ERROR(MakeStoreId(store));
+  SLX_RETURN_IF_ERROR(RecordOldWithdrawals(index.connection(), store));
+  return FollowLedger(index, store);
+}
+
+}  // namespace stratalux::db

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// STORE/ledger as files: its lock, which chains it holds, the end of a chain. Internal to db/ledger.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "db/ledger/ledger_line.h"
+#include "shared/base/unique_fd.h"
+
+namespace stratalux::db {
+
+[[nodiscard]] std::filesystem::path LedgerFolder(const std::filesystem::path& store);
+
+// LEDGER/lock, held while this lives; the folder is made. Waits ten seconds for others (an append takes milliseconds),
+// then kBusy.
+[[nodiscard]] Result<UniqueFd> LockLedger(const std::filesystem::path& store);
+
+// A chain's file: <store id>.jsonl, or <store id>.fork-<16 digits>.jsonl.
+struct ChainFile {
+  std::filesystem::path path;
+  std::string store_id;
+};
+// By name. Other names are none of ours.
+[[nodiscard]] std::vector<ChainFile> ListChains(const std::filesystem::path& folder);
+
+// What LEDGER/store.id says. kNotFound where there is none, kIntegrity for other bytes.
+[[nodiscard]] Result<std::string> StoreIdIn(const std::filesystem::path& folder);
+// Under the lock: the id in LEDGER/store.id, made where there is none. A damaged one is replaced by a fresh id: the
+// chain it named stays, and binds.
+[[nodiscard]] Result<std::string> OwnStoreId(const std::filesystem::path& store);
+
+// Under the lock: all of them with one write and one sync, or none.
+Status AppendLocked(const std::filesystem::path& store, const std::vector<LedgerEntry>& entries);
+
+}  // namespace stratalux::db

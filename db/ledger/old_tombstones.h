@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// STORE/deletions of stores before the ledger (schema 4): <id>.json, the certificate of a forgotten session, and
+// <id>.forgetting, the intent of a forgetting that had begun. Read wherever they lie; taken over into the ledger by the
+// first opening that may write. Internal to db/.
+#pragma once
+
+#include <filesystem>
+#include <vector>
+
+#include "db/ledger/ledger.h"
+
+namespace stratalux::db {
+
+struct OldTombstone {
+  LedgerEntry entry;
+  std::filesystem::path file;
+};
+// Certificates by session id, then intents. A damaged one still keeps its session away: its name tells which.
+[[nodiscard]] std::vector<OldTombstone> ReadOldTombstones(const std::filesystem::path& store);
+
+// Entries first, then the files go: a certificate into its entry, an intent into STORE/ledger. Broken off anywhere, the
+// next call goes on. kOk where there is no such folder.
+Status TakeOverOldTombstones(const std::filesystem::path& store);
+
+}  // namespace stratalux::db

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/transfer/restored_index.h"
+
+#include <algorithm>
+#include <vector>
+
+#include "db/care/reindex.h"
+#include "db/catalogue/session_index.h"
+#include "db/ledger/ledger.h"
+#include "db/transfer/adopt.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct IndexedSession {
+  std::string id, visitor;
+};
+Result<std::vector<IndexedSession>> SessionsOfIndex(Connection& connection) {
+  std::vector<IndexedSession> sessions;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id, visitor FROM sessions ORDER BY number"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return sessions;
+    sessions.push_back({select.Text(0), select.Text(1)});
+  }
+}
+
+// As a forgetting leaves it: no row of the session, no pseudonym of a visitor without another one.
+Status ForgetRows(Connection& connection, const std::vector<IndexedSession>& forgotten) {
+  SLX_ASSIGN_OR_RETURN(auto access,
+                       connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
+                                          " session_id = ?1 AND ?2 <> ''"));
+  SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
+                                                        " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
+  for (const IndexedSession& session : forgotten) {
+    SLX_RETURN_IF_ERROR(access.Bind(1, session.id).Bind(2, session.visitor).Run());
+    SLX_RETURN_IF_ERROR(visitor.Bind(1, session.visitor).Run());
+  }
+  return forgotten.empty() ? Status::Ok() : connection.Execute("VACUUM");
+}
+
+}  // namespace
+
+Status PrepareIndex(const fs::path& store, const fs::path& work) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
+  Connection& connection = index.connection();
+  SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsOfIndex(connection));
+  std::vector<IndexedSession> forgotten;
+  {
+    SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+    SLX_ASSIGN_OR_RETURN(auto remove, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
+    for (const IndexedSession& session : sessions) {
+      std::error_code error;
+      if (ledger.IsForgotten(session.id)) forgotten.push_back(session);
+      if (!ledger.IsForgotten(session.id) && fs::exists(store / "sessions" / session.id, error)) continue;
+      SLX_RETURN_IF_ERROR(remove.Bind(1, session.id).Run());
+    }
+    SLX_RETURN_IF_ERROR(transaction.Commit());
+  }
+  SLX_RETURN_IF_ERROR(ForgetRows(connection, forgotten));
+  return connection.Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)");
+}
+
+Status RebuildIndex(const fs::path& store, const Status& why, Logger& logger, RestoreReport& report) {
+  SLX_ASSIGN_OR_RETURN(const ReindexReport built, Reindex(store, logger));
+  report.notes.push_back("the index of the backup could not be used (" + why.message() +
+                         "): it was built again from the folders; access log and jobs are in none of them");
+  report.notes.insert(report.notes.end(), built.notes.begin(), built.notes.end());
+  report.problems.insert(report.problems.end(), built.problems.begin(), built.problems.end());
+  return Status::Ok();
+}
+
+Status ListUnlisted(const fs::path& store, const std::string& from, RestoreReport& report) {
+  std::error_code error;
+  std::vector<std::string> ids;
+  for (const auto& entry : fs::directory_iterator(store / "sessions", error))
+    ids.push_back(entry.path().filename().string());
+  std::sort(ids.begin(), ids.end());
+  SLX_ASSIGN_OR_RETURN(const auto listed, ListedSessions(store));
+  for (const std::string& id : ids) {
+    if (listed.contains(id)) continue;
+    const Status added = ListAdopted(store, id, from);
+    if (IsTroubleOfAll(added)) return added;
+    if (!added.ok()) report.problems.push_back("session " + id + " is not listed: " + added.message());
+  }
+  return Status::Ok();
+}
+
+}  // namespace stratalux::db

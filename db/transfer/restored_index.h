@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// The index of a store that is being restored: the backup's own where it is whole, else built from the folders.
+// Internal to db/transfer.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "db/transfer/backup.h"
+
+namespace stratalux::db {
+
+// `work`/index.sqlite, a copy, brought to this schema and without the rows of sessions whose folder is not in `store`;
+// of those that the store's ledger forgets, nothing of their visitors stays either. Not ok(): it is no index to use.
+Status PrepareIndex(const std::filesystem::path& store, const std::filesystem::path& work);
+// From the folders; `why` is noted.
+Status RebuildIndex(const std::filesystem::path& store, const Status& why, Logger& logger, RestoreReport& report);
+// Folders that the index in place does not list: sessions that the backup kept after their store had lost them.
+Status ListUnlisted(const std::filesystem::path& store, const std::string& from, RestoreReport& report);
+
+}  // namespace stratalux::db
