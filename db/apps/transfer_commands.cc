@@ -96,6 +96,7 @@ int RunReindex(const CommonFlags& common) {
   if (!report->kept.empty()) text += "the old index is kept as " + report->kept.string() + "\n";
   text += Lines("note", report->notes) + Lines("problem", report->problems);
   const int printed = Print(common.json ? TextOf(json) : text);
+  if (report->newer) return static_cast<int>(StatusCode::kNewerSchema);
   return report->problems.empty() ? printed : static_cast<int>(StatusCode::kIntegrity);
 }
 

@@ -35,6 +35,8 @@ Status Connection::Error(const std::string& what) const {
   if (code == SQLITE_BUSY || code == SQLITE_LOCKED) return Status::Busy(message);
   if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB)
     return Status::Integrity(message + "; restore it from a copy (the frames in sessions/ are not touched)");
+  // A row that the schema refuses is the fault of what it was made from.
+  if (code == SQLITE_CONSTRAINT) return Status::Integrity(message);
   if (code == SQLITE_READONLY)
     return Status::Failed(message + "; its disk is mounted read-only, or its permissions forbid writing");
   if (code == SQLITE_CANTOPEN)

@@ -10,6 +10,7 @@
 #include "db/care/index_swap.h"
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/ledger_follow.h"
+#include "db/catalogue/manifest.h"
 #include "db/ledger/ledger.h"
 
 namespace stratalux::db {
@@ -79,55 +80,112 @@ Status TakeOver(SessionIndex& index) {
   return transaction.Commit();
 }
 
-void CutTails(const RebuiltSession& session, ReindexReport& report) {
-  for (const auto& tail : session.tails)
-    if (const Status cut = CutFile(tail.file, tail.keep); !cut.ok()) report.problems.push_back(cut.message());
+// What the old index says of a session's frames; nothing where it cannot be asked.
+std::vector<KnownFrame> KnownFrames(SessionIndex& index, const std::string& id) {
+  std::vector<KnownFrame> known;
+  auto select = index.connection().Prepare(
+      "SELECT f.segment, f.step, f.frame, f.offset, f.stored_bytes, f.hash FROM old.frames f"
+      " JOIN old.sessions s ON s.number = f.session WHERE s.id = ?1 AND f.frame BETWEEN 0 AND 1000000000000"
+      " ORDER BY f.frame");
+  if (!select.ok()) return known;
+  select->Bind(1, id);
+  while (true) {
+    const auto more = select->Step();
+    if (!more.ok() || !*more) return known;  // damaged: what it said up to here may still be true
+    known.push_back({select->Integer(0),
+                     static_cast<int>(select->Integer(1)),
+                     {select->Integer(2), select->Integer(3), select->Integer(4), select->Blob(5)}});
+  }
 }
+
+class Lister {
+ public:
+  Lister(SessionIndex& index, const fs::path& store, const Ledger& ledger, ReindexReport& report)
+      : index_(index), store_(store), ledger_(ledger), report_(report) {}
+
+  Status Add(const fs::path& folder, bool has_old_index) {
+    const std::string id = folder.filename().string();
+    highest_ = std::max(highest_, PlaceOf(folder).value_or(0));
+    if (ledger_.IsForgotten(id)) {
+      report_.notes.push_back("session " + id + " was forgotten; what is left of it in " + folder.string() +
+                              " was not listed");
+      return Status::Ok();
+    }
+    auto session = RebuildSession(folder, has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>());
+    if (!session.ok()) return SetAside(folder, session.status());
+    report_.notes.insert(report_.notes.end(), session->notes.begin(), session->notes.end());
+    report_.problems.insert(report_.problems.end(), session->problems.begin(), session->problems.end());
+    if (session->number && !taken_.contains(*session->number)) return Insert(*session, *session->number).status();
+    late_.push_back(std::move(session).value());
+    return Status::Ok();
+  }
+
+  // Those whose number is unknown or taken: behind all others.
+  Status AddLate() {
+    for (const RebuiltSession& session : late_) {
+      const int64_t number = highest_ + 1;
+      SLX_ASSIGN_OR_RETURN(const bool inserted, Insert(session, number));
+      if (!inserted) continue;
+      report_.notes.push_back("session " + session.info.id + ": its number is taken or unknown; listed as number " +
+                              std::to_string(number));
+      SLX_RETURN_IF_ERROR(WritePlace(store_ / "sessions" / session.info.id, {number, "reindex"}));
+    }
+    return Status::Ok();
+  }
+  // Sessions whose manifests do not say yet how they ended.
+  [[nodiscard]] std::vector<RebuiltSession> TakeEnded() { return std::move(ended_); }
+  // Ever given, also to what could not be listed.
+  [[nodiscard]] int64_t highest() const { return highest_; }
+
+ private:
+  // What keeps one session out, and no other. A full disk keeps out all.
+  Status SetAside(const fs::path& folder, const Status& status) {
+    if (status.code() == StatusCode::kFailed || status.code() == StatusCode::kBusy) return status;
+    report_.newer |= status.code() == StatusCode::kNewerSchema;
+    report_.problems.push_back(status.message() + "; " + folder.string() + " is not listed");
+    return Status::Ok();
+  }
+
+  Result<bool> Insert(const RebuiltSession& session, int64_t wanted) {
+    const auto given = InsertRebuilt(index_, session, wanted);
+    if (!given.ok()) {
+      SLX_RETURN_IF_ERROR(SetAside(store_ / "sessions" / session.info.id, given.status()));
+      return false;
+    }
+    taken_.insert(*given);
+    highest_ = std::max(highest_, *given);
+    ++report_.sessions;
+    report_.frames += static_cast<int64_t>(session.frames.size());
+    report_.fits += static_cast<int64_t>(session.fits.size());
+    if (session.ended_here) ended_.push_back(session);
+    return true;
+  }
+
+  SessionIndex& index_;
+  const fs::path& store_;
+  const Ledger& ledger_;
+  ReindexReport& report_;
+  std::set<int64_t> taken_;
+  int64_t highest_ = 0;
+  std::vector<RebuiltSession> late_, ended_;
+};
 
 Status InsertSessions(SessionIndex& index, const fs::path& store, const std::vector<fs::path>& folders,
-                      const Ledger& ledger, Logger& logger, ReindexReport& report) {
+                      bool has_old_index, const Ledger& ledger, Logger& logger, ReindexReport& report,
+                      std::vector<RebuiltSession>& ended) {
   Progress progress(logger, "reindex", static_cast<int64_t>(folders.size()));
-  std::set<int64_t> taken;
-  std::vector<RebuiltSession> late;  // whose number is unknown or taken: behind all others
-  auto insert = [&](const RebuiltSession& session, std::optional<int64_t> number) -> Status {
-    SLX_ASSIGN_OR_RETURN(const int64_t given, InsertRebuilt(index, session, number));
-    taken.insert(given);
-    ++report.sessions;
-    report.frames += static_cast<int64_t>(session.frames.size());
-    report.fits += static_cast<int64_t>(session.fits.size());
-    return Status::Ok();
-  };
+  Lister lister(index, store, ledger, report);
   for (const fs::path& folder : folders) {
     progress.Advance();
-    if (ledger.IsForgotten(folder.filename().string())) {
-      report.notes.push_back("session " + folder.filename().string() + " was forgotten; what is left of it in " +
-                             folder.string() + " was not listed");
-      continue;
-    }
-    auto session = RebuildSession(folder);
-    if (!session.ok()) {
-      report.problems.push_back(session.status().message());
-      continue;
-    }
-    CutTails(*session, report);
-    report.notes.insert(report.notes.end(), session->notes.begin(), session->notes.end());
-    if (!session->number || taken.contains(*session->number)) {
-      late.push_back(std::move(session).value());
-      continue;
-    }
-    SLX_RETURN_IF_ERROR(insert(*session, session->number));
+    SLX_RETURN_IF_ERROR(lister.Add(folder, has_old_index));
   }
-  for (const RebuiltSession& session : late) {
-    const int64_t number = taken.empty() ? 1 : *taken.rbegin() + 1;
-    report.notes.push_back("session " + session.info.id + ": its number is taken or unknown; listed as number " +
-                           std::to_string(number));
-    SLX_RETURN_IF_ERROR(insert(session, number));
-    SLX_RETURN_IF_ERROR(WritePlace(store / "sessions" / session.info.id, {number, "reindex"}));
-  }
-  return RaiseSequence(index, ledger, taken.empty() ? 0 : *taken.rbegin());
+  SLX_RETURN_IF_ERROR(lister.AddLate());
+  ended = lister.TakeEnded();
+  return RaiseSequence(index, ledger, lister.highest());
 }
 
-Status Build(const fs::path& store, const fs::path& work, Logger& logger, ReindexReport& report) {
+Status Build(const fs::path& store, const fs::path& work, Logger& logger, ReindexReport& report,
+             std::vector<RebuiltSession>& ended) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   report.forgotten = static_cast<int64_t>(ledger.forgotten().size());
   report.problems.insert(report.problems.end(), ledger.problems().begin(), ledger.problems().end());
@@ -145,7 +203,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
   if (fs::exists(store / "index.sqlite", error)) attached = connection.Attach(store / "index.sqlite", "old").ok();
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, ledger, logger, report));
+    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, attached, ledger, logger, report, ended));
     const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
     if (!taken.ok())
       report.notes.push_back(
@@ -173,7 +231,8 @@ Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
   SLX_RETURN_IF_ERROR(ReleaseIndex(store));
   ReindexReport report;
   const fs::path work = store / kWorkFolder;
-  Status built = Build(store, work, logger, report);
+  std::vector<RebuiltSession> ended;
+  Status built = Build(store, work, logger, report, ended);
   if (built.ok()) {
     auto kept = SwapIndex(store, work / "index.sqlite");
     if (kept.ok()) report.kept = *kept;
@@ -183,6 +242,12 @@ Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
   if (!built.ok()) {
     (void)ResumeIndex(store).ok();  // a damaged one cannot
     return built.WithContext("the old index stays as it was");
+  }
+  // As a recovery would: manifest and index say the same of how a session ended, and the next rebuild, too.
+  for (const RebuiltSession& session : ended) {
+    const Status said = WriteManifest(store / "sessions" / session.info.id, session.info,
+                                      static_cast<int64_t>(session.frames.size()), session.segments);
+    if (!said.ok()) report.problems.push_back(said.message());
   }
   return report;
 }

@@ -159,8 +159,7 @@ Result<std::vector<std::string>> CompareRows(Connection& index, Connection& rebu
   for (const auto& [key, row] : there)
     if (rule.extent != Extent::kIndexHasMore && !expected.contains(key))
       say(std::string(rule.table) + " has the row " + Shown(key) + ", which the session's files do not hold");
-  if (unsaid > 0)
-    lines.push_back(file + ": " + rule.table + " differs in " + std::to_string(unsaid) + " more places");
+  if (unsaid > 0) lines.push_back(file + ": " + rule.table + " differs in " + std::to_string(unsaid) + " more places");
   return lines;
 }
 
@@ -187,10 +186,11 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
     } else if (table == "sessions" && session.info.status == SessionStatus::kFailed &&
                (!manifest.ok() || manifest->status == SessionStatus::kRecording)) {
       // It failed on a disk that could not even take its manifest: the reason is the index's alone.
-      rule = With(rule, manifest.ok() ? "reasons_json, finished_wall_ns, key_id"
-                                      : "kind, rig, visitor, consent, simulated, seed, started_wall_ns, reasons_json,"
-                                        " program_version, plan_json, calibration_id, consent_json, retention,"
-                                        " finished_wall_ns, key_id",
+      rule = With(rule,
+                  manifest.ok() ? "reasons_json, finished_wall_ns, key_id"
+                                : "kind, rig, visitor, consent, simulated, seed, started_wall_ns, reasons_json,"
+                                  " program_version, plan_json, calibration_id, consent_json, retention,"
+                                  " finished_wall_ns, key_id",
                   Extent::kSame);
     } else if (table == "sessions" && session.frames == 0) {
       rule = With(rule, "key_id", Extent::kSame);  // known by its frames

@@ -35,8 +35,9 @@ struct StoreTable {
 
 // What differs, one line each: file, table.column, row, both values; at most 20 lines a table. `number` is the
 // session's in both indexes.
-[[nodiscard]] Result<std::vector<std::string>> CompareRows(Connection& index, Connection& rebuilt, const TableRule& rule,
-                                                           int64_t number, const std::string& file);
+[[nodiscard]] Result<std::vector<std::string>> CompareRows(Connection& index, Connection& rebuilt,
+                                                           const TableRule& rule, int64_t number,
+                                                           const std::string& file);
 
 // Tables, views, indexes and triggers that are not those of the schema.
 [[nodiscard]] Result<std::vector<std::string>> CompareSchemas(Connection& index, const std::string& file);

@@ -4,10 +4,13 @@
 #include <algorithm>
 #include <charconv>
 #include <map>
+#include <set>
 
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/care/session_gate.h"
+#include "db/care/session_loss.h"
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent_rows.h"
 #include "db/catalogue/fit_record.h"
@@ -36,66 +39,117 @@ std::optional<int64_t> SegmentNumber(const fs::path& file) {
   int64_t number = 0;
   const char* end = name.data() + name.size() - 4;
   const auto parsed = std::from_chars(name.data() + 7, end, number);
-  return parsed.ec == std::errc() && parsed.ptr == end ? std::optional(number) : std::nullopt;
+  const bool is_number = parsed.ec == std::errc() && parsed.ptr == end && number > 0;
+  return is_number && name == SegmentName(number) ? std::optional(number) : std::nullopt;
 }
 
-// Where a footer is missing or damaged: frame by frame. A damaged payload in the middle keeps its row, so that `verify`
-// names it; behind the last whole frame nothing counts.
-std::vector<SegmentFrame> WalkWhole(const SegmentReader& reader, int64_t& end) {
-  std::vector<SegmentFrame> frames;
-  std::vector<uint8_t> buffer;
-  size_t whole = 0;
-  int64_t offset = end = kSegmentStart;
-  while (offset < reader.size()) {
-    const auto header = reader.ReadHeader(offset);
-    if (!header.ok() || header->payload_bytes > static_cast<uint64_t>(reader.size())) break;
-    const int64_t next = offset + static_cast<int64_t>(sizeof(FrameHeader) + header->payload_bytes);
-    if (next > reader.size()) break;
-    frames.push_back({*header, offset});
-    if (reader.ReadPayload(offset, *header, buffer).ok()) {
-      whole = frames.size();
-      end = next;
+// Collects a session out of its segments.
+class Rebuilder {
+ public:
+  Rebuilder(fs::path folder, RebuiltSession& session, LossWitnesses& witnesses)
+      : folder_(std::move(folder)), session_(session), witnesses_(witnesses) {}
+
+  void AddSegments() {
+    std::vector<std::pair<int64_t, fs::path>> later;
+    for (const fs::path& file : Sorted(folder_)) {
+      const auto number = SegmentNumber(file);
+      if (!number) continue;
+      if (IsNamed(file))
+        AddSegment(file, *number);
+      else
+        later.emplace_back(*number, file);
     }
-    offset = next;
+    const size_t named = session_.frames.size();
+    for (const auto& [number, file] : later) AddSegment(file, number);
+    SortFrames(named);
   }
-  frames.resize(whole);
-  return frames;
-}
+  [[nodiscard]] const std::vector<std::string>& segments() const { return segments_; }
 
-void AddSegment(const fs::path& file, int64_t number, RebuiltSession& session) {
-  const auto reader = SegmentReader::Open(file);
-  if (!reader.ok()) return session.notes.push_back(reader.status().message());
-  if (reader->session_id() != session.info.id)
-    return session.notes.push_back(file.string() + " belongs to session " + reader->session_id() + "; left out");
-  auto frames = reader->Footer();
-  if (!frames) {
-    int64_t end = 0;
-    frames = WalkWhole(*reader, end);
-    if (end < reader->size()) {
-      session.tails.push_back({file, end});
-      session.notes.push_back(file.string() + ": no intact footer, " + std::to_string(frames->size()) +
-                              " whole frames up to byte " + std::to_string(end) + " of " +
-                              std::to_string(reader->size()));
+ private:
+  // By the manifest of a finished session; before that all count.
+  bool IsNamed(const fs::path& file) const {
+    if (!witnesses_.manifest) return true;
+    const auto& names = witnesses_.manifest->segments;
+    return std::find(names.begin(), names.end(), file.filename().string()) != names.end();
+  }
+
+  void AddSegment(const fs::path& file, int64_t number) {
+    Status header;
+    const auto reader = SegmentReader::OpenDamaged(file, &header);
+    if (!reader.ok()) return session_.problems.push_back(reader.status().message());
+    if (header.ok() && reader->session_id() != session_.info.id)
+      return session_.problems.push_back(file.string() + " belongs to session " + reader->session_id() + "; left out");
+    std::vector<KnownPlace> places;
+    for (const KnownFrame& k : witnesses_.known)
+      if (k.segment == number) places.push_back(k.place);
+    const SegmentScan scan = ScanSegment(*reader, places);
+    segments_.push_back(file.filename().string());
+    for (const std::string& text : scan.findings) session_.problems.push_back(file.string() + ": " + text);
+    for (const auto& lost : scan.lost) {
+      session_.problems.push_back(file.string() + ": " + lost.why);
+      witnesses_.steps.emplace(lost.frame, lost.step);
     }
+    if (!header.ok()) return LeaveOut(file, scan, header);
+    AddAsides(file, scan, reader->size());
+    for (const SegmentFrame& frame : scan.frames) session_.frames.emplace_back(number, frame);
   }
-  for (const SegmentFrame& frame : *frames) session.frames.emplace_back(number, frame);
-}
 
-// Frame numbers count from 0 without a gap and only once; a damaged segment in the middle leaves one.
-void CheckNumbers(RebuiltSession& session) {
-  auto frame_of = [](const auto& f) { return f.second.header.frame; };
-  std::stable_sort(session.frames.begin(), session.frames.end(),
-                   [&](const auto& a, const auto& b) { return frame_of(a) < frame_of(b); });
-  const auto twice = std::unique(session.frames.begin(), session.frames.end(),
-                                 [&](const auto& a, const auto& b) { return frame_of(a) == frame_of(b); });
-  if (twice != session.frames.end())
-    session.notes.push_back("session " + session.info.id + ": " + std::to_string(session.frames.end() - twice) +
-                            " frames are there twice; the first of each was taken");
-  session.frames.erase(twice, session.frames.end());
-  for (size_t i = 0; i < session.frames.size(); ++i)
-    if (frame_of(session.frames[i]) != static_cast<int64_t>(i))
-      return session.notes.push_back("session " + session.info.id + ": frame " + std::to_string(i) + " is missing");
-}
+  // Reading goes through the file header: what cannot be read is not listed.
+  void LeaveOut(const fs::path& file, const SegmentScan& scan, const Status& header) {
+    session_.problems.push_back(header.message() + "; " + std::to_string(scan.frames.size()) +
+                                " frames stay in the file and are not listed: restore it from a copy");
+    for (const SegmentFrame& f : scan.frames) witnesses_.steps.emplace(f.header.frame, f.header.step);
+    session_.asides.push_back({file, 0, kSegmentStart, "a damaged file header"});
+  }
+
+  void AddAsides(const fs::path& file, const SegmentScan& scan, int64_t size) {
+    const SessionStatus status = session_.info.status;
+    const bool finished = IsNamed(file) && (status == SessionStatus::kComplete || status == SessionStatus::kDegraded);
+    for (const auto& aside : scan.asides) {
+      session_.asides.push_back({file, aside.begin, aside.end, aside.what});
+      const std::string text = file.string() + ": bytes " + std::to_string(aside.begin) + " to " +
+                               std::to_string(aside.end) + " hold " + aside.what + "; set aside, not changed";
+      // The end of what a writer never finished is as it must be.
+      const bool open_tail = !finished && aside.end == size;
+      (open_tail ? session_.notes : session_.problems).push_back(text);
+    }
+    if (finished && !scan.sealed && scan.asides.empty())
+      session_.problems.push_back(file.string() + ": a finished session's segment must end with a footer");
+  }
+
+  // By number, each once. Of two the one stays whose segment the manifest names, else the first.
+  void SortFrames(size_t named) {
+    auto& frames = session_.frames;
+    auto frame_of = [](const auto& f) { return f.second.header.frame; };
+    std::set<int64_t> numbers;
+    int64_t twice = 0, left = 0, unnamed = 0;
+    std::vector<std::pair<int64_t, SegmentFrame>> once;
+    for (size_t i = 0; i < frames.size(); ++i) {
+      const bool fresh = numbers.insert(frame_of(frames[i])).second;
+      if (fresh) once.push_back(frames[i]);
+      if (i >= named) ++(fresh ? unnamed : left);
+      if (i < named && !fresh) ++twice;
+    }
+    const std::string where = "session " + session_.info.id + ": ";
+    if (twice > 0)
+      session_.problems.push_back(where + std::to_string(twice) +
+                                  " frames are there twice; the first of each was taken");
+    if (unnamed > 0)
+      session_.problems.push_back(where + std::to_string(unnamed) +
+                                  " frames were found only in segments that the manifest does not name");
+    // A transcode that was stopped leaves both its own segments and those before: the manifest says which count.
+    if (left > 0)
+      session_.notes.push_back(where + std::to_string(left) +
+                               " frames lie in segments that the manifest does not name as well; left out");
+    std::sort(once.begin(), once.end(), [&](const auto& a, const auto& b) { return frame_of(a) < frame_of(b); });
+    frames = std::move(once);
+  }
+
+  fs::path folder_;
+  RebuiltSession& session_;
+  LossWitnesses& witnesses_;
+  std::vector<std::string> segments_;  // that are there and of this session
+};
 
 void AddFits(const fs::path& folder, RebuiltSession& session) {
   for (const fs::path& fit : Sorted(folder / "fits")) {
@@ -103,15 +157,63 @@ void AddFits(const fs::path& folder, RebuiltSession& session) {
     auto record = ReadFitRecord(fit, session.info.id);
     if (record.ok()) {
       auto calibration = ReadFitCalibration(fit);
-      if (!calibration.ok()) session.notes.push_back(calibration.status().message());
+      if (!calibration.ok()) session.problems.push_back(calibration.status().message());
       if (calibration.ok()) record->calibration_json = calibration->value_or("");
       session.fits.push_back(std::move(record).value());
     } else if (record.status().code() != StatusCode::kNotFound) {
-      session.notes.push_back(record.status().message());
+      session.problems.push_back(record.status().message());
     }
   }
 }
 
+// What the manifest says, and what becomes of a session without one.
+Status ReadInfo(const fs::path& folder, RebuiltSession& session, LossWitnesses& witnesses, Status& manifest_status) {
+  auto manifest = ReadManifest(folder);
+  manifest_status = manifest.status();
+  if (manifest_status.code() == StatusCode::kNewerSchema) return manifest_status;
+  if (!manifest.ok()) return Status::Ok();
+  if (manifest->id != session.info.id)
+    return Status::Integrity((folder / "manifest.json").string() + " is of session " + manifest->id);
+  session.info = std::move(manifest).value();
+  auto contents = ReadManifestContents(folder);
+  if (!contents.ok())
+    manifest_status = contents.status();
+  else if (session.info.status != SessionStatus::kRecording)
+    witnesses.manifest = std::move(contents).value();
+  return Status::Ok();
+}
+
+void EndAsFailed(RebuiltSession& session, const Status& manifest) {
+  if (!manifest.ok()) {
+    session.info.status = SessionStatus::kFailed;
+    session.info.reasons = {"its manifest was lost"};
+    session.problems.push_back(manifest.message() + "; the session is listed as failed");
+  }
+  if (session.info.status != SessionStatus::kRecording) return;
+  session.ended_here = true;
+  session.info.status = SessionStatus::kFailed;
+  session.info.reasons = {"the writer stopped before the session was finished; " +
+                          std::to_string(session.frames.size()) + " whole frames kept"};
+  session.info.finished_wall = WallNow();
+  session.notes.push_back("session " + session.info.id + ": ended as failed: " + session.info.reasons[0]);
+}
+
+void SayLoss(RebuiltSession& session, const std::vector<std::string>& segments, const LossWitnesses& witnesses) {
+  session.loss = FindLoss(session, segments, witnesses);
+  for (const std::string& line : session.loss) {
+    session.problems.push_back("session " + session.info.id + ": " + line);
+    auto& reasons = session.info.reasons;
+    if (std::find(reasons.begin(), reasons.end(), line) == reasons.end()) reasons.push_back(line);
+  }
+  if (!session.loss.empty() && session.info.status == SessionStatus::kComplete)
+    session.info.status = SessionStatus::kDegraded;
+}
+
+}  // namespace
+
+namespace {
+// No store counts so far; a number beyond would leave none for the next session.
+bool IsNumber(int64_t number) { return number >= 1 && number <= 1'000'000'000'000; }
 }  // namespace
 
 std::optional<int64_t> NumberOfId(const std::string& id) {
@@ -119,7 +221,7 @@ std::optional<int64_t> NumberOfId(const std::string& id) {
   if (!id.starts_with('s') || dash == std::string::npos) return std::nullopt;
   int64_t number = 0;
   const auto parsed = std::from_chars(id.data() + 1, id.data() + dash, number);
-  if (parsed.ec != std::errc() || parsed.ptr != id.data() + dash || number < 1) return std::nullopt;
+  if (parsed.ec != std::errc() || parsed.ptr != id.data() + dash || !IsNumber(number)) return std::nullopt;
   return number;
 }
 
@@ -131,38 +233,27 @@ Status WritePlace(const fs::path& folder, const SessionPlace& place) {
 std::optional<int64_t> PlaceOf(const fs::path& folder) {
   const auto text = ReadFile(folder / "place.json");
   const Json json = text.ok() ? Json::parse(*text, nullptr, false) : Json();
-  if (json.is_object() && json.contains("number") && json["number"].is_number_integer())
+  if (json.is_object() && json.contains("number") && json["number"].is_number_integer() &&
+      IsNumber(json["number"].get<int64_t>()))
     return json["number"].get<int64_t>();
   return NumberOfId(folder.filename().string());
 }
 
-Result<RebuiltSession> RebuildSession(const fs::path& folder) {
+Result<RebuiltSession> RebuildSession(const fs::path& folder, const std::vector<KnownFrame>& known) {
   RebuiltSession session;
-  const std::string id = folder.filename().string();
-  auto manifest = ReadManifest(folder);
-  if (manifest.status().code() == StatusCode::kNewerSchema) return manifest.status();
-  if (manifest.ok() && manifest->id != id)
-    return Status::Integrity((folder / "manifest.json").string() + " is of session " + manifest->id);
-  if (manifest.ok()) session.info = std::move(manifest).value();
-  session.info.id = id;
-  for (const fs::path& file : Sorted(folder))
-    if (const auto number = SegmentNumber(file)) AddSegment(file, *number, session);
-  CheckNumbers(session);
-  if (!manifest.ok()) {
-    if (session.frames.empty()) return manifest.status();
-    session.info.status = SessionStatus::kFailed;
-    session.info.reasons = {"its manifest was lost: " + manifest.status().message()};
-    session.notes.push_back(manifest.status().message() + "; the session is listed as failed");
-  }
-  if (session.info.status == SessionStatus::kRecording) {
-    session.info.status = SessionStatus::kFailed;
-    session.info.reasons = {"the writer stopped before the session was finished; " +
-                            std::to_string(session.frames.size()) + " whole frames kept"};
-    session.info.finished_wall = WallNow();
-    session.notes.push_back("session " + id + ": ended as failed: " + session.info.reasons[0]);
-  }
-  if (session.info.status != SessionStatus::kFailed) session.tails.clear();  // damage, not a writer's tail: left to see
+  session.info.id = folder.filename().string();
+  LossWitnesses witnesses;
+  witnesses.known = known;
+  Status manifest;
+  SLX_RETURN_IF_ERROR(ReadInfo(folder, session, witnesses, manifest));
+  Rebuilder rebuilder(folder, session, witnesses);
+  rebuilder.AddSegments();
+  if (!manifest.ok() && session.frames.empty()) return manifest;
+  EndAsFailed(session, manifest);
   AddFits(folder, session);
+  SLX_RETURN_IF_ERROR(CheckSession(session));
+  session.segments = rebuilder.segments();
+  SayLoss(session, session.segments, witnesses);
   session.number = PlaceOf(folder);
   return session;
 }

@@ -10,7 +10,7 @@
 
 #include "db/catalogue/session_index.h"
 #include "db/catalogue/session_store.h"
-#include "db/segment/segment.h"
+#include "db/segment/segment_scan.h"
 
 namespace stratalux::db {
 
@@ -19,18 +19,35 @@ struct RebuiltSession {
   std::optional<int64_t> number;  // its place in the order of the store, where the folder or the id tells it
   std::vector<std::pair<int64_t, SegmentFrame>> frames;  // segment number, frame; by frame
   std::vector<FitRow> fits;
-  std::vector<std::string> notes;  // what was damaged or cut off, for people
-  struct Tail {
+  std::vector<std::string> notes;     // no damage: a record that its writer never finished, a number not known
+  std::vector<std::string> problems;  // damage and contradictions, naming file and offset
+  // What the session lacks (db/care/session_loss.h), without paths. Also among its reasons, and then it is not
+  // complete.
+  std::vector<std::string> loss;
+  // Bytes of segments that belong to no listed frame. They stay where they are.
+  struct Aside {
     std::filesystem::path file;
-    int64_t keep = 0;  // bytes up to the last whole frame
+    int64_t begin = 0, end = 0;
+    std::string what;
   };
-  std::vector<Tail> tails;  // of segments without a footer, where bytes lie behind the last whole frame
+  std::vector<Aside> asides;
+  std::vector<std::string> segments;  // files that are there
+  bool ended_here = false;            // its manifest says `recording`
 };
 
-// Sealed segments by their footer alone; others are walked, every payload hashed, up to the last whole frame. A damaged
-// footer: walked as well. A session still `recording` becomes `failed` with the reason. kIntegrity where the manifest
-// is missing or damaged and the frames do not say enough; writes nothing.
-[[nodiscard]] Result<RebuiltSession> RebuildSession(const std::filesystem::path& session_folder);
+// What an index that is there still knows of a session's frames.
+struct KnownFrame {
+  int64_t segment = 0;
+  int step = 0;
+  KnownPlace place;
+};
+
+// Reads all that is whole (ScanSegment), also behind damage, and where `known` says that a frame lies; listed is what
+// can be read. A session still `recording` becomes `failed` with the reason, a `complete` one that lacks frames
+// `degraded`. Writes nothing, no segment least of all. kIntegrity where the manifest is missing or damaged and the
+// frames do not say enough, and what CheckSession (db/care/session_gate.h) refuses.
+[[nodiscard]] Result<RebuiltSession> RebuildSession(const std::filesystem::path& session_folder,
+                                                    const std::vector<KnownFrame>& known = {});
 
 // Rows of the session in one transaction: the visitor, its consent and the calibration as well. The number is `number`,
 // else the next one.
@@ -42,7 +59,7 @@ struct SessionPlace {
   std::string from;
 };
 Status WritePlace(const std::filesystem::path& session_folder, const SessionPlace& place);
-// The session's number in the store it lies in: of place.json, else of the id.
+// The session's number in the store it lies in: of place.json, else of the id. None for a number that no store gives.
 [[nodiscard]] std::optional<int64_t> PlaceOf(const std::filesystem::path& session_folder);
 // s000017-0badcafe -> 17.
 [[nodiscard]] std::optional<int64_t> NumberOfId(const std::string& session_id);

@@ -25,16 +25,19 @@ Status Ask(Connection& connection, const std::string& file, const char* question
 }
 
 constexpr const char* kComplaints[] = {
-    "SELECT 'sqlite_sequence.seq of sessions is ' || quote(q.seq) || ', but the number ' || max(s.number) || ' was given'"
+    "SELECT 'sqlite_sequence.seq of sessions is ' || quote(q.seq) || ', but the number ' || max(s.number) || ' was "
+    "given'"
     " FROM sessions s LEFT JOIN sqlite_sequence q ON q.name = 'sessions' GROUP BY q.name"
     " HAVING q.seq IS NULL OR typeof(q.seq) <> 'integer' OR q.seq < max(s.number)",
     // A record's rig is that of a session that names it or accepted it.
-    "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that rig'"
+    "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that "
+    "rig'"
     " FROM calibrations c WHERE c.rig <> '' AND EXISTS (SELECT 1 FROM sessions u WHERE u.calibration_id = c.id)"
     " AND NOT EXISTS (SELECT 1 FROM sessions s WHERE s.calibration_id = c.id AND s.rig = c.rig)"
     " AND NOT EXISTS (SELECT 1 FROM accepted_calibrations a JOIN sessions s ON s.number = a.session"
     "                 WHERE a.calibration_id = c.id AND s.rig = c.rig)",
-    "SELECT 'calibrations.made_wall_ns of ' || c.id || ' is ' || quote(c.made_wall_ns) || '; the fit that made it says '"
+    "SELECT 'calibrations.made_wall_ns of ' || c.id || ' is ' || quote(c.made_wall_ns) || '; the fit that made it says "
+    "'"
     " || max(a.made_wall_ns) FROM calibrations c JOIN accepted_calibrations a ON a.calibration_id = c.id GROUP BY c.id"
     " HAVING c.made_wall_ns IS NULL OR sum(a.made_wall_ns = c.made_wall_ns) = 0",
     "SELECT 'calibrations.made_wall_ns of ' || id || ' is ' || made_wall_ns || '; its record does not say so'"
@@ -100,8 +103,9 @@ Result<std::vector<std::string>> CompareSchemas(Connection& index, const std::st
   SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::InMemory());
   // Tables of SQLite's own (sqlite_stat1 after ANALYZE) are nobody's schema.
   const auto read = [](Connection& connection) -> Result<std::map<std::string, std::string>> {
-    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT type || ' ' || name, coalesce(sql, '') FROM"
-                                                         " sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"));
+    SLX_ASSIGN_OR_RETURN(auto select,
+                         connection.Prepare("SELECT type || ' ' || name, coalesce(sql, '') FROM"
+                                            " sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"));
     std::map<std::string, std::string> objects;
     while (true) {
       SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

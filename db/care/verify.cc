@@ -12,9 +12,21 @@
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/segment/segment.h"
+#include "db/segment/segment_scan.h"
 
 namespace stratalux::db {
 namespace {
+
+// The frames of a segment whose writer was stopped in the middle of a record, which nobody cuts; nullopt where the file
+// is damaged otherwise.
+std::optional<std::vector<SegmentFrame>> FramesBeforeOpenTail(const SegmentReader& reader, VerifyReport& report) {
+  SegmentScan scan = ScanSegment(reader, {});
+  if (!scan.findings.empty() || !scan.lost.empty() || scan.asides.size() != 1 || scan.asides[0].end != reader.size())
+    return std::nullopt;
+  report.notes.push_back(reader.file() + ": bytes " + std::to_string(scan.asides[0].begin) + " to " +
+                         std::to_string(scan.asides[0].end) + " hold a record that was never finished");
+  return std::move(scan.frames);
+}
 
 void CheckSegment(const SessionStore& store, const std::filesystem::path& file, const SessionRow& session,
                   const VerifyOptions& options, VerifyReport& report, int64_t& stored_frames) {
@@ -23,7 +35,9 @@ void CheckSegment(const SessionStore& store, const std::filesystem::path& file, 
   if (reader->session_id() != session.info.id)
     report.problems.push_back(file.string() + " belongs to session " + reader->session_id());
   bool sealed = false;
-  const auto frames = reader->Walk(false, &sealed);
+  auto frames = reader->Walk(false, &sealed);
+  if (!frames.ok() && session.info.status == SessionStatus::kFailed)
+    if (auto whole = FramesBeforeOpenTail(*reader, report)) frames = *std::move(whole);
   if (!frames.ok()) {
     // A live writer's last record may be half written: its rows say what counts.
     const bool live = session.info.status == SessionStatus::kRecording;
@@ -138,8 +152,7 @@ void CheckFiles(const std::filesystem::path& folder, const ManifestContents& con
 
 void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
   const auto manifest = ReadManifest(folder);
-  if (manifest.ok() && manifest->status == SessionStatus::kRecording &&
-      session.info.status == SessionStatus::kFailed) {
+  if (manifest.ok() && manifest->status == SessionStatus::kRecording && session.info.status == SessionStatus::kFailed) {
     // Its disk was full; CompareSession looks at what the index says of it.
     return report.notes.push_back((folder / "manifest.json").string() + " still speaks of a session being recorded");
   }

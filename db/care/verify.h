@@ -13,10 +13,10 @@
 namespace stratalux::db {
 
 struct VerifyReport {
-  int64_t frames = 0;                 // and maps
-  int64_t bytes = 0;                  // of their payloads; read only with kDeep
-  std::vector<std::string> problems;  // damage: each names file and offset, or step
-  std::vector<std::string> notes;     // not damage: unsealed segment of a failed session, steps without a good frame
+  int64_t frames = 0;                  // and maps
+  int64_t bytes = 0;                   // of their payloads; read only with kDeep
+  std::vector<std::string> problems;   // damage: each names file and offset, or step
+  std::vector<std::string> notes;      // not damage: unsealed segment of a failed session, steps without a good frame
   std::optional<PublicKey> signed_by;  // by a valid signature
 };
 
@@ -27,7 +27,7 @@ enum class VerifyDepth {
 
 struct VerifyOptions {
   VerifyDepth depth = VerifyDepth::kDeep;
-  Progress* progress = nullptr;          // advanced by the frames of each segment
+  Progress* progress = nullptr;             // advanced by the frames of each segment
   std::optional<PublicKey> signed_by = {};  // who must have signed; nothing: a signature that is there must be valid
 };
 
@@ -37,9 +37,8 @@ struct VerifyOptions {
 [[nodiscard]] Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& session,
                                                  const VerifyOptions& options = {});
 
-// What belongs to no session: the index as a database (kDeep: each of its pages), its schema, its rows that belong to no
-// session, folders without a row, folders of
-// forgotten sessions, files that no program of ours makes (notes).
+// What belongs to no session: the index as a database (kDeep: each of its pages), its schema, its rows that belong to
+// no session, folders without a row, folders of forgotten sessions, files that no program of ours makes (notes).
 [[nodiscard]] Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions& options = {});
 
 }  // namespace stratalux::db

@@ -22,8 +22,8 @@ class PayloadChecker {
     std::vector<uint8_t> opened;
     const std::string where = reader_.file() + ", offset " + std::to_string(frame.offset);
     if (header.cipher != 0) {
-      SLX_ASSIGN_OR_RETURN(opened, opener_.Open(reader_.session_id(), header, {payload.begin(), payload.end()})
-                                       .WithContext(where));
+      SLX_ASSIGN_OR_RETURN(
+          opened, opener_.Open(reader_.session_id(), header, {payload.begin(), payload.end()}).WithContext(where));
       payload = opened;
     }
     SLX_ASSIGN_OR_RETURN(const SecretKey* key, opener_.KeyOf(reader_.session_id(), header));

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/manifest.h"
 
+#include <algorithm>
+#include <cstdint>
+
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
@@ -19,7 +22,8 @@ std::string TextOf(const Json& json, int indent) {
   return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
-constexpr int kManifestSchema = 3;
+constexpr uint64_t kManifestSchema = 3;
+constexpr uint64_t kMostFrames = 1'000'000'000'000;
 
 // Those that lie there; a segment that is named and missing is for `verify` to find.
 Json FilesOf(const std::filesystem::path& folder, std::vector<std::string> names) {
@@ -71,24 +75,77 @@ Consent ConsentOf(const Json& json) {
   return consent;
 }
 
+// nlohmann converts numbers silently: what is no whole number of that range would become another.
+Status CheckTypes(const Json& json) {
+  auto is_text = [](const Json& j) { return j.is_string(); };
+  auto is_time = [](const Json& j) {
+    return j.is_number_integer() && (j.is_number_unsigned() ? j.get<uint64_t>() <= uint64_t{INT64_MAX} : true);
+  };
+  auto is_count = [](const Json& j) { return j.is_number_unsigned() && j.get<uint64_t>() <= kMostFrames; };
+  auto is_texts = [&](const Json& j) { return j.is_array() && std::all_of(j.begin(), j.end(), is_text); };
+  struct Field {
+    const char* key;
+    bool fits;
+  };
+  auto value = [&](const char* key) { return json.contains(key) ? json.at(key) : Json(); };
+  const Json consent = value("consent");
+  const Field fields[] = {
+      {"consent",
+       consent.is_null() || consent.is_string() ||
+           (consent.is_object() && consent.contains("given_wall_ns") && is_time(consent.at("given_wall_ns")))},
+      {"session", is_text(value("session"))},
+      {"kind", is_text(value("kind"))},
+      {"rig", is_text(value("rig"))},
+      {"visitor", is_text(value("visitor"))},
+      {"status", is_text(value("status"))},
+      {"program_version", is_text(value("program_version"))},
+      {"simulated", value("simulated").is_boolean()},
+      {"seed", value("seed").is_number_unsigned()},
+      {"started_wall_ns", is_time(value("started_wall_ns"))},
+      {"finished_wall_ns", !json.contains("finished_wall_ns") || is_time(value("finished_wall_ns"))},
+      {"reasons", is_texts(value("reasons"))},
+      {"plan", json.contains("plan") && (value("plan").is_null() || value("plan").is_object())},
+      {"calibration",
+       json.contains("calibration") && (value("calibration").is_null() || value("calibration").is_object())},
+      {"frames", is_count(value("frames"))},
+      {"segments", is_texts(value("segments"))}};
+  for (const Field& field : fields)
+    if (!field.fits) return Status::Integrity(std::string("'") + field.key + "' is not what a manifest holds there");
+  return Status::Ok();
+}
+
+// Words of the next version are not damage.
+template <typename T>
+Result<T> Known(Result<T> parsed) {
+  if (parsed.ok()) return parsed;
+  return Status(StatusCode::kNewerSchema, parsed.status().message() + "; a newer stratalux may know it");
+}
+
+Status CheckSchema(const Json& json) {
+  if (!json.is_object()) return Status::Integrity("not a JSON object");
+  const Json& schema = json.at("schema");
+  if (!schema.is_number_unsigned()) return Status::Integrity("'schema' is no number");
+  if (schema.get<uint64_t>() <= kManifestSchema) return Status::Ok();
+  return Status(StatusCode::kNewerSchema,
+                "schema " + schema.dump() + " is newer than this program (" + std::to_string(kManifestSchema) + ")");
+}
+
 Result<SessionInfo> InfoFrom(const Json& json) {
-  if (json.at("schema").get<int>() > kManifestSchema)
-    return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
-                                                std::to_string(kManifestSchema) + ")");
+  SLX_RETURN_IF_ERROR(CheckTypes(json));
   SessionInfo info;
   json.at("session").get_to(info.id);
-  SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(info.kind, Known(ParseSessionKind(json.at("kind").get<std::string>())));
   json.at("rig").get_to(info.rig);
   json.at("visitor").get_to(info.visitor);
   info.consent = ConsentOf(json.at("consent"));
   if (json.contains("retention")) {
-    SLX_ASSIGN_OR_RETURN(info.retention, ParseRetention(json.at("retention").get<std::string>()));
+    SLX_ASSIGN_OR_RETURN(info.retention, Known(ParseRetention(json.at("retention").get<std::string>())));
   }
   info.finished_wall.ns = json.value("finished_wall_ns", int64_t{0});
   json.at("simulated").get_to(info.simulated);
   json.at("seed").get_to(info.seed);
   info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
-  SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(info.status, Known(ParseSessionStatus(json.at("status").get<std::string>())));
   json.at("reasons").get_to(info.reasons);
   json.at("program_version").get_to(info.program_version);
   if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
@@ -179,10 +236,12 @@ Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folde
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
     const Json json = Json::parse(text);
+    SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));
+    SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
+    SLX_RETURN_IF_ERROR(CheckTypes(json).WithContext(file.string()));
     ManifestContents contents{
         json.at("frames").get<int64_t>(), json.at("segments").get<std::vector<std::string>>(), {}, 0};
     json.at("schema").get_to(contents.schema);
-    SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
     if (contents.schema < 3) return contents;
     for (const Json& entry : json.at("files")) {
       const Json& hash = entry.at("hash");
@@ -213,11 +272,10 @@ Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
     const Json json = Json::parse(text);
+    SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));
+    // Before anything is said about its words: those of a later version are right, those of damage are not.
+    SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
     auto info = InfoFrom(json);
-    if (info.ok()) SLX_RETURN_IF_ERROR(CheckHash(json, text).WithContext(file.string()));
-    // What no version writes is damage, not somebody's wrong flag.
-    if (info.status().code() == StatusCode::kUsage)
-      return Status::Integrity(file.string() + ": " + info.status().message());
     return std::move(info).WithContext(file.string());
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <cstring>
 #include <random>
 #include <set>
 
@@ -25,6 +26,11 @@ namespace {
 
 constexpr int64_t kApplicationId = 0x534c5831;  // "SLX1"
 constexpr PixelHash kNotRecorded{};
+
+template <size_t N>
+std::string TextOf(const char (&text)[N]) {
+  return {text, strnlen(text, N)};
+}
 
 // An index whose creation was cut short: no table yet, and nobody else's mark.
 bool IsUnborn(const std::filesystem::path& file) {
@@ -314,14 +320,14 @@ Status SessionIndex::InsertFrames(int64_t number, const std::vector<std::pair<in
     insert.Bind(1, number).Bind(2, h.frame).Bind(3, segment).Bind(4, f.offset);
     insert.Bind(5, static_cast<int64_t>(h.payload_bytes)).Bind(6, std::span<const uint8_t>(h.payload_hash));
     insert.Bind(7, int64_t{h.step}).Bind(8, int64_t{h.projector});
-    insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, std::string(h.pattern));
+    insert.Bind(9, std::string(ToString(static_cast<CapturePhase>(h.phase)))).Bind(10, TextOf(h.pattern));
     insert.Bind(11, int64_t{h.retry}).Bind(12, int64_t{h.level_check});
     insert.Bind(13, std::span<const uint8_t>(h.pixel_hash)).Bind(14, std::span<const uint8_t>(kNotRecorded));
     SLX_RETURN_IF_ERROR(insert.Run());
     proof.Bind(1, number).Bind(2, h.frame).Bind(3, int64_t{h.bracket}).Bind(4, int64_t{h.pose});
     proof.Bind(5, h.trigger_number).Bind(6, h.trigger_ns).Bind(7, h.sync_ns).Bind(8, h.driver_sequence);
     proof.Bind(9, h.frame_ns).Bind(10, int64_t{h.frame_clock});
-    proof.Bind(11, h.exposure_ms).Bind(12, h.gain).Bind(13, h.mean_dn).Bind(14, std::string(h.retake_cause));
+    proof.Bind(11, h.exposure_ms).Bind(12, h.gain).Bind(13, h.mean_dn).Bind(14, TextOf(h.retake_cause));
     SLX_RETURN_IF_ERROR(proof.Run());
     bytes += static_cast<int64_t>(h.payload_bytes);
   }

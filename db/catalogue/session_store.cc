@@ -2,6 +2,7 @@
 #include "db/catalogue/session_store.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <map>
 
@@ -36,6 +37,14 @@ PixelHash HashOf(const FrameRecord& r, std::span<const uint16_t> samples, const 
 }
 PixelHash HashOf(const FrameRecord&, std::span<const uint8_t> samples, const SecretKey* key) {
   return HashPixels(samples, key);
+}
+
+// A camera's word that is no number would keep the whole session out of every index that is built again.
+Status CheckNumbers(const FrameRecord& r) {
+  for (const auto& [what, value] : {std::pair{"exposure", r.exposure_ms}, {"gain", r.gain}, {"mean level", r.mean_dn}})
+    if (!std::isfinite(value)) return Status::Usage(std::string(what) + " is no finite number");
+  if (r.exposure_ms < 0.0) return Status::Usage("exposure " + std::to_string(r.exposure_ms) + " ms is negative");
+  return Status::Ok();
 }
 
 FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
@@ -141,6 +150,7 @@ struct SessionWriter::Impl {
     if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
         pixels.channels() != record.channels)
       return Status::Usage(name + ": pixels do not have the record's size");
+    SLX_RETURN_IF_ERROR(CheckNumbers(record).WithContext(name));
     const std::span<const T> samples = pixels.pixels();
     SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
     return Append(record, encoded, HashOf(record, samples, key()));

@@ -54,6 +54,8 @@ void Raw(const FrameShape&, std::span<const uint8_t> samples, std::vector<uint8_
   out.assign(samples.begin(), samples.end());
 }
 
+}  // namespace
+
 Status CheckShape(const FrameShape& s) {
   const bool sane = s.width > 0 && s.height > 0 && s.channels > 0 && s.width <= kLargestSide &&
                     s.height <= kLargestSide && s.channels <= kMostChannels && s.samples() <= kMostSamples;
@@ -61,8 +63,6 @@ Status CheckShape(const FrameShape& s) {
   return Status::Integrity("impossible size " + std::to_string(s.width) + " x " + std::to_string(s.height) + " x " +
                            std::to_string(s.channels));
 }
-
-}  // namespace
 
 struct FrameEncoder::Impl {
   struct Closer {

@@ -19,6 +19,9 @@ struct EncodedFrame {
   std::span<const uint8_t> bytes;  // the encoder's, until its next call
 };
 
+// kIntegrity for sizes that no camera's frame has, but damage may name.
+[[nodiscard]] Status CheckShape(const FrameShape& shape);
+
 // Thread-bound. Buffers grow to the largest frame and stay: no allocation per frame after the first.
 class FrameEncoder {
  public:

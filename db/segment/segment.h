@@ -45,7 +45,7 @@ struct SegmentFrame {
 };
 
 [[nodiscard]] FrameHeader MakeFrameHeader(const FrameRecord& record, int64_t frame, const std::string& text);
-// kIntegrity for texts and enumerations that no writer of ours makes.
+// Refuses what CheckHeader (db/segment/header_check.h) refuses.
 [[nodiscard]] Result<FrameRecord> RecordOf(const FrameHeader& header);
 [[nodiscard]] FrameShape ShapeOf(const FrameHeader& header);
 [[nodiscard]] std::string HashText(const uint8_t (&hash)[16]);
@@ -86,11 +86,13 @@ class SegmentWriter {
 class SegmentReader {
  public:
   static Result<SegmentReader> Open(const std::filesystem::path& file);
+  // For looking at what is left of a file: a damaged file header is told in `header`, and session_id() is then empty.
+  static Result<SegmentReader> OpenDamaged(const std::filesystem::path& file, Status* header);
   ~SegmentReader();
   SegmentReader(SegmentReader&&) noexcept;
   SegmentReader& operator=(SegmentReader&&) = delete;
 
-  // The header at `offset`, checked against its hash.
+  // The header at `offset`, checked against its hash; its payload lies within the file.
   Result<FrameHeader> ReadHeader(int64_t offset) const;
   // Header and payload at `offset`, both checked against their hashes.
   Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
@@ -100,6 +102,10 @@ class SegmentReader {
   [[nodiscard]] std::optional<int64_t> SealedFrames() const;
   // All frames out of that footer, in one read; nullopt also where its headers are no unbroken row up to it.
   [[nodiscard]] std::optional<std::vector<SegmentFrame>> Footer() const;
+  // Behind trailer, where an intact footer begins at `offset`, wherever its frames lie and whatever follows.
+  [[nodiscard]] std::optional<int64_t> FooterEnd(int64_t offset) const;
+  // The first whole header at or behind `offset`. Such bytes may also be a copy or a picture of one.
+  [[nodiscard]] std::optional<SegmentFrame> FindHeader(int64_t offset) const;
   // Footer and trailer as they lie there, where they are intact: what the manifest's hash of a segment is of.
   [[nodiscard]] std::optional<std::vector<uint8_t>> SealedTail() const;
   // Where the records end and the footer begins; only where SealedFrames() is.

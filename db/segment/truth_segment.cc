@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "db/segment/frame_cipher.h"
+#include "db/segment/header_check.h"
 #include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
@@ -17,9 +18,11 @@ Result<TruthSegment> TruthSegment::Open(const std::filesystem::path& file) {
   SLX_ASSIGN_OR_RETURN(const auto frames, reader.Walk(false, &sealed));
   TruthSegment truth;
   truth.file_ = file;
-  for (const SegmentFrame& f : frames)
+  for (const SegmentFrame& f : frames) {
+    SLX_RETURN_IF_ERROR(CheckHeader(f.header, RecordKind::kTruthMap).WithContext(file.string()));
     truth.entries_.push_back(
         {std::string(f.header.pattern, strnlen(f.header.pattern, sizeof f.header.pattern)), f.offset});
+  }
   return truth;
 }
 

@@ -77,9 +77,8 @@ Result<int64_t> CheckFolder(const fs::path& folder) {
 namespace {
 
 // The caller holds the write lock.
-Status InsertAdopted(const fs::path& store, const std::string& id, const std::string& from) {
-  const fs::path folder = store / "sessions" / id;
-  SLX_ASSIGN_OR_RETURN(const auto session, RebuildSession(folder));
+Status InsertAdopted(const fs::path& store, const RebuiltSession& session, const std::string& from) {
+  const fs::path folder = store / "sessions" / session.info.id;
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
   SLX_ASSIGN_OR_RETURN(const int64_t number, NextNumber(index));
   SLX_RETURN_IF_ERROR(WritePlace(folder, {number, from}));
@@ -104,19 +103,22 @@ Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::str
   SLX_RETURN_IF_ERROR(RefuseTombstone(store, info.id));
   std::error_code error;
   if (fs::exists(target, error)) return Status::Usage("session " + info.id + " is in " + store.string() + " already");
+  // What no index takes is not moved: there it would keep out every later one.
+  SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(folder));
   SLX_RETURN_IF_ERROR(SyncTree(folder));
   fs::rename(folder, target, error);
   if (error)
     return Status::Failed("cannot move " + folder.string() + " to " + target.string() + ": " + error.message());
   SLX_RETURN_IF_ERROR(SyncFolder(target.parent_path()));
-  return InsertAdopted(store, info.id, from);
+  return InsertAdopted(store, session, from);
 }
 
 Status ListAdopted(const fs::path& store, const std::string& id, const std::string& from) {
   SLX_RETURN_IF_ERROR(CheckFolder(store / "sessions" / id).status());
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
   SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
-  return InsertAdopted(store, id, from);
+  SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(store / "sessions" / id));
+  return InsertAdopted(store, session, from);
 }
 
 Result<std::set<std::string>> ListedSessions(const fs::path& store) {

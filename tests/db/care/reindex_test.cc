@@ -115,10 +115,15 @@ TEST_F(ReindexTest, AWriterThatDiedLeavesAFailedSessionWithItsWholeFrames) {
     EXPECT_EQ(Reindex(folder_, logger_).status().code(), StatusCode::kBusy) << "a live writer";
   }
   std::ofstream(Segment(id), std::ios::app | std::ios::binary) << "FRM1 half a record";
-  const auto size = std::filesystem::file_size(Segment(id));
+  const auto before = ReadBytes(Segment(id));
   LoseIndex();
-  EXPECT_EQ(Rebuild().frames, 3);
-  EXPECT_EQ(std::filesystem::file_size(Segment(id)), size - 18);
+  const ReindexReport report = Rebuild();
+  EXPECT_EQ(report.frames, 3);
+  EXPECT_THAT(report.problems, IsEmpty()) << "what a writer never finished is no damage";
+  EXPECT_THAT(report.notes, Contains(AllOf(HasSubstr("frames-0001.seg: bytes " + std::to_string(before.size() - 18) +
+                                                     " to " + std::to_string(before.size())),
+                                           HasSubstr("set aside"))));
+  EXPECT_EQ(ReadBytes(Segment(id)), before) << "a rebuild writes to no segment";
   const auto row = *OpenStore(AccessMode::kReadOnly).FindSession(id);
   EXPECT_EQ(row.info.status, SessionStatus::kFailed);
   EXPECT_THAT(row.info.reasons, Contains(HasSubstr("3 whole frames")));
@@ -132,11 +137,15 @@ TEST_F(ReindexTest, AnyFlippedByteOfASegmentLosesNoOtherFrame) {
     LoseIndex();
     const auto report = Reindex(folder_, logger_);
     ASSERT_TRUE(report.ok()) << report.status().message();
-    // The footer knows all frames; without it (or behind it) the walk finds those before the damage.
-    if (at >= 64 && at < bytes.size() - 24) {
-      EXPECT_EQ(report->frames, 3) << "byte " << at;
-    }
+    // Without the file's own header nothing can be read; a damaged frame header costs its frame.
+    const bool in_header = at >= 64 && at < 64 + 3 * (320 + 36) && (at - 64) % (320 + 36) < 320;
+    const bool in_payload = at >= 64 && at < 64 + 3 * (320 + 36) && !in_header;
+    EXPECT_EQ(report->frames, at < 64 ? 0 : in_header ? 2 : 3) << "byte " << at;
+    EXPECT_EQ(report->problems.empty(), in_payload) << "byte " << at;  // `verify --deep` hashes those
+    const auto row = OpenStore(AccessMode::kReadOnly).FindSession(id);
+    EXPECT_EQ(row->info.status, at < 64 || in_header ? SessionStatus::kDegraded : SessionStatus::kComplete);
     FlipBits(Segment(id), at, 0x21);
+    EXPECT_EQ(ReadBytes(Segment(id)), bytes) << "byte " << at;
   }
 }
 

@@ -112,7 +112,8 @@ TEST_F(TranscodeTest, LeavesTheNameByWhichFitsKnowTheSession) {
   auto digest = [&] { return *PixelDigest(store, *store.FindSession(id), *store.ListFrames(id)); };
   auto pixel_hashes = [&] {
     std::vector<std::string> hashes;
-    for (const FrameRow& row : *store.ListFrames(id)) hashes.push_back(row.pixel_hash);
+    const auto rows = *store.ListFrames(id);
+    for (const FrameRow& row : rows) hashes.push_back(row.pixel_hash);
     return hashes;
   };
   const auto before = digest();
@@ -127,7 +128,8 @@ TEST_F(TranscodeTest, RecordsThePixelHashesThatASessionOfBeforeLacks) {
   const SessionStore store = OpenStore();
   auto digest = [&] { return *PixelDigest(store, *store.FindSession(id), *store.ListFrames(id)); };
   std::vector<std::string> hashes;
-  for (const FrameRow& row : *store.ListFrames(id)) hashes.push_back(row.pixel_hash);
+  const auto frames = *store.ListFrames(id);
+  for (const FrameRow& row : frames) hashes.push_back(row.pixel_hash);
   for (int segment = 1; segment <= 3; ++segment)
     ForgeHeaders(Segment(id, segment), [](FrameHeader& h) { SetPixelHash(h, {}); });
   ASSERT_EQ((*store.ListFrames(id))[0].pixel_hash, "");
