@@ -71,8 +71,10 @@ class TruthTest : public StoreTest {
     all = whole->problems;
     const auto sessions = store->ListSessions();
     if (!sessions.ok()) return {sessions.status().message()};
-    for (const SessionRow& row : *sessions) {
-      const auto report = VerifySession(*store, row, {depth});
+    for (const SessionSummary& session : *sessions) {
+      const auto row = store->FindSession(session.info.id);
+      if (!row.ok()) return {row.status().message()};
+      const auto report = VerifySession(*store, *row, {depth});
       if (!report.ok()) return {report.status().message()};
       all.insert(all.end(), report->problems.begin(), report->problems.end());
     }
@@ -180,6 +182,8 @@ TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
                             "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("s000009-0badcafe")));
+  ASSERT_TRUE(index.Execute("DELETE FROM deletions; UPDATE consents SET withdrawn_wall_ns = 7000").ok());
+  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-anna' is 7000")));
 }
 
 TEST_F(TruthTest, AFlippedBitAnywhereInAManifestIsRefused) {

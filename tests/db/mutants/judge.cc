@@ -23,14 +23,14 @@ constexpr const char* kRefused = "refused ";
 // Columns that no file tells and no hash covers: the order of consents is the index's own, the first visit of a visitor
 // may have been forgotten since.
 bool IsLeftOut(const std::string& table, const std::string& column) {
-  return (table == "consents" && (column == "number" || column == "withdrawn_wall_ns")) ||
+  return (table == "consents" && column == "number") || table == "ledger_heads" ||
          (table == "visitors" && column == "created_wall_ns");
 }
 
 Status AddRows(Connection& connection, Picture& picture) {
   SLX_ASSIGN_OR_RETURN(auto tables, connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
                                                        "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
-                                                       " AND m.name NOT IN ('jobs', 'access_log') ORDER BY 1, c.cid"));
+                                                       " AND m.name NOT IN ('jobs', 'job_fence', 'access_log') ORDER BY 1, c.cid"));
   std::map<std::string, std::string> columns;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, tables.Step());
@@ -85,7 +85,13 @@ std::vector<std::string> Complaints(const SampleStore& sample, const fs::path& f
   add(VerifyStore(*store, options));
   const auto sessions = store->ListSessions();
   if (!sessions.ok()) all.push_back(sessions.status().message());
-  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) add(VerifySession(*store, (*sessions)[i], options));
+  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
+    const auto row = store->FindSession((*sessions)[i].info.id);
+    if (row.ok())
+      add(VerifySession(*store, *row, options));
+    else
+      all.push_back(row.status().message());
+  }
   return all;
 }
 
@@ -96,19 +102,21 @@ void Look(const fs::path& folder, const fs::path& scratch) {
   if (!store.ok()) return;
   const auto sessions = store->ListSessions();
   for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
-    const SessionRow& row = (*sessions)[i];
-    if (const auto details = LoadDetails(*store, row.info.id); details.ok())
+    const std::string& id = (*sessions)[i].info.id;
+    const auto row = store->FindSession(id);
+    if (!row.ok()) continue;
+    if (const auto details = LoadDetails(*store, id); details.ok())
       (void)(DetailsAsText(*details) + DetailsAsJson(*details)).size();
-    if (const auto frames = store->ListFrames(row.info.id); frames.ok())
+    if (const auto frames = store->ListFrames(id); frames.ok())
       (void)(FramesAsText(*frames) + FramesAsJson(*frames)).size();
     ExportOptions options;
     options.out = scratch / ("export-" + std::to_string(i));
-    (void)ExportSession(*store, row, options, logger).ok();
+    (void)ExportSession(*store, *row, options, logger).ok();
   }
   if (auto index = ReadOnlyIndex::Open(folder); index.ok())
     for (const NamedQuery& query : NamedQueries())
       (void)RunQuery(*index, query, {{"now_ns", Cell(int64_t{20'000})}}, {std::chrono::milliseconds(2'000)}).ok();
-  (void)Backup(folder, {scratch / "backup", {}}, logger).ok();
+  (void)Backup(folder, {scratch / "backup", {}, ScrubShare::kAll}, logger).ok();
 }
 
 std::map<std::string, std::string> Segments(const fs::path& folder) {

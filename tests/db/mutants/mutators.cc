@@ -399,7 +399,7 @@ Mutant ChangeIndex(const fs::path& folder, Random& random) {
   }
   const auto tables = Column(*connection,
                              "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite\\_%' ESCAPE"
-                             " '\\' AND name NOT IN ('jobs', 'access_log')");
+                             " '\\' AND name NOT IN ('jobs', 'job_fence', 'access_log')");
   for (int attempt = 0; attempt < 50; ++attempt) {
     const std::string table = OneOf(tables, random);
     const auto columns = Column(*connection, "SELECT name FROM pragma_table_info('" + table + "')");
