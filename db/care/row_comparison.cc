@@ -112,18 +112,18 @@ const std::vector<TableRule>& SessionTables() {
        "when the visitor first came may be before the first session that is left", Extent::kIndexHasMore},
       {"consents", "visitor = (SELECT visitor FROM sessions WHERE number = ?1)",
        "visitor, text_version, language, fit, research, publication, given_wall_ns", "number, withdrawn_wall_ns",
-       "the order of consents is the index's own; a withdrawal is the ledger's", Extent::kIndexHasMore},
+       "the order of consents is the index's own; a withdrawal is the ledger's (CompareStore)", Extent::kIndexHasMore},
   };
   return kTables;
 }
 
 const std::vector<StoreTable>& StoreTables() {
   static const std::vector<StoreTable> kTables = {
-      {"deletions", "of sessions that are gone; CompareStore holds them against their certificates"},
+      {"deletions", "of sessions that are gone; CompareStore holds them against the ledger"},
+      {"ledger_heads", "how far the index has read; what it read is compared"},
+      {"retention_classes", "the schema's own; CompareStore"},
       {"jobs", "what is to be done, not what was captured"},
-      {"job_fence", "the newest token of jobs"},
-      {"retention_classes", "the days of each class, for people who ask the views"},
-      {"ledger_heads", "how far the index has followed the ledger"},
+      {"job_fence", "the last token given to a job"},
       {"access_log", "outlives the sessions it speaks of"},
       {"sqlite_sequence", "CompareStore: no lower than any number given"},
   };
@@ -211,6 +211,7 @@ Result<std::vector<std::string>> CompareSessionRows(const fs::path& store, const
   const std::string prefix = "session " + session.info.id + ": ";
   std::vector<std::string> lines;
   SLX_ASSIGN_OR_RETURN(const auto rebuilt, RebuildSession(folder));
+  lines = rebuilt.problems;
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(session.info.id));
   if (rebuilt.number && *rebuilt.number != number)

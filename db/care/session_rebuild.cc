@@ -84,6 +84,7 @@ class Rebuilder {
       if (k.segment == number) places.push_back(k.place);
     const SegmentScan scan = ScanSegment(*reader, places);
     segments_.push_back(file.filename().string());
+    CheckListed(file);
     for (const std::string& text : scan.findings) session_.problems.push_back(file.string() + ": " + text);
     for (const auto& lost : scan.lost) {
       session_.problems.push_back(file.string() + ": " + lost.why);
@@ -92,6 +93,18 @@ class Rebuilder {
     if (!header.ok()) return LeaveOut(file, scan, header);
     AddAsides(file, scan, reader->size());
     for (const SegmentFrame& frame : scan.frames) session_.frames.emplace_back(number, frame);
+  }
+
+  // A segment that was sealed anew is whole, and not the one that the manifest speaks of.
+  void CheckListed(const fs::path& file) {
+    if (!witnesses_.manifest) return;
+    const std::string name = file.filename().string();
+    for (const auto& listed : witnesses_.manifest->files) {
+      if (listed.name != name) continue;
+      const auto there = DescribeFile(folder_, name);
+      if (there.ok() && (there->bytes != listed.bytes || there->hash != listed.hash))
+        session_.problems.push_back(file.string() + " is not the file that the manifest speaks of");
+    }
   }
 
   // Reading goes through the file header: what cannot be read is not listed.

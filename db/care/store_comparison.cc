@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <map>
-
-#include <nlohmann/json.hpp>
+#include <set>
 
 #include "db/care/row_comparison.h"
 #include "db/catalogue/ledger_follow.h"
@@ -11,7 +10,6 @@ namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
 using Lines = std::vector<std::string>;
 
 // A question whose every row is a complaint: what, and of which row.
@@ -53,47 +51,55 @@ constexpr const char* kComplaints[] = {
     " AND NOT EXISTS (SELECT 1 FROM sessions WHERE visitor = v.id AND started_wall_ns = v.created_wall_ns)",
 };
 
-// What `reindex` would make of a certificate. While there is none, the row holds '{}'.
-Lines CompareDeletion(const std::string& id, const std::string& certificate, Statement& row, const std::string& file) {
-  Lines lines;
-  const Json json = Json::parse(certificate.empty() ? "{}" : certificate, nullptr, false);
-  if (!json.is_object()) return {"the certificate of " + id + " in the ledger is no JSON object; it stays forgotten"};
-  const auto differs = [&](const char* column, const std::string& there, const std::string& said) {
-    lines.push_back(file + ": deletions." + column + " of " + id + " is " + there + "; its certificate in the ledger" +
-                    " says " + said);
-  };
-  const Json at = json.value("deleted_wall_ns", Json()), reason = json.value("reason", Json());
-  if (at.is_number_integer() && at != row.Integer(0)) differs("deleted_wall_ns", row.Text(0), at.dump());
-  if (reason.is_string() && reason != row.Text(1)) differs("reason", row.Text(1), reason.dump());
-  if (Json::parse(row.Text(2), nullptr, false) != json) differs("certificate_json", "another text", "what lies there");
-  return lines;
-}
+// Rows that other files or the schema itself tell; no session is asked, whatever ?1 is. A forgetting that has not
+// finished stands in CheckLedger's hands.
+constexpr TableRule kRules[] = {
+    {"deletions", "?1 = ?1 AND certificate_json <> '{}'", "session_id", "", ""},
+    {"retention_classes", "?1 = ?1", "retention", "", ""},
+};
 
-Status CompareDeletions(const fs::path& store, SessionIndex& index, const std::string& file, Lines& lines) {
-  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  SLX_ASSIGN_OR_RETURN(const bool follows, FollowsLedger(index, store));
-  std::map<std::string, std::string> certificates = ledger.forgotten();
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       index.connection().Prepare("SELECT deleted_wall_ns, reason, certificate_json, session_id"
-                                                  " FROM deletions"));
+// The ledger is written first: a program that was stopped then leaves its rows to the next opening for writing.
+Result<bool> LagsBehind(const fs::path& store, Connection& connection) {
+  std::map<std::string, int64_t> heads;
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT chain, bytes FROM ledger_heads WHERE chain <> ''"));
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) break;
-    const std::string id = select.Text(3);
-    const auto found = certificates.find(id);
-    if (found == certificates.end()) {
-      lines.push_back(file + ": deletions has the row " + id + ", but no entry of " + (store / "ledger").string() +
-                      " says that it was forgotten: bring the ledger back from a backup (`restore --merge`)");
-      continue;
-    }
-    if (follows)
-      for (std::string& line : CompareDeletion(id, found->second, select, file)) lines.push_back(std::move(line));
-    certificates.erase(found);
+    heads[select.Text(0)] = select.Integer(1);
   }
-  if (!follows) return Status::Ok();  // the next opening for writing brings the rows
-  for (const auto& [id, certificate] : certificates)
-    lines.push_back(file + ": deletions lacks the row " + id + " of the ledger");
+  SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
+  return !news.entries.empty();
+}
+
+Status CompareTables(const fs::path& store, Connection& connection, const std::string& file, Lines& lines) {
+  SLX_ASSIGN_OR_RETURN(const bool lags, LagsBehind(store, connection));
+  SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::InMemory());
+  SLX_RETURN_IF_ERROR(FollowLedger(expected, store));
+  for (TableRule rule : kRules) {
+    if (lags) rule.extent = TableRule::Extent::kRebuildHasMore;
+    SLX_ASSIGN_OR_RETURN(const auto differing, CompareRows(connection, expected.connection(), rule, 1, file));
+    lines.insert(lines.end(), differing.begin(), differing.end());
+  }
   return Status::Ok();
+}
+
+// A withdrawal of somebody who was captured stands in the ledger.
+Status CompareWithdrawals(const Ledger& ledger, Connection& connection, const std::string& file, Lines& lines) {
+  std::set<int64_t> moments;
+  for (const LedgerEntry& entry : ledger.entries())
+    if (entry.kind == LedgerKind::kWithdrawal) moments.insert(entry.at.ns);
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection.Prepare("SELECT withdrawn_wall_ns, quote(visitor) FROM consents c WHERE withdrawn_wall_ns"
+                         " IS NOT NULL AND EXISTS (SELECT 1 FROM sessions s WHERE s.visitor = c.visitor AND"
+                         " s.kind = 'visitor' AND s.started_wall_ns <= c.withdrawn_wall_ns)"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    if (!moments.contains(select.Integer(0)))
+      lines.push_back(file + ": consents.withdrawn_wall_ns of " + select.Text(1) + " is " + select.Text(0) +
+                      "; no entry of the ledger is of that moment");
+  }
 }
 
 }  // namespace
@@ -133,7 +139,9 @@ Result<std::vector<std::string>> CompareStore(const fs::path& store) {
   const std::string file = (store / "index.sqlite").string();
   SLX_ASSIGN_OR_RETURN(Lines lines, CompareSchemas(connection, file));
   for (const char* complaint : kComplaints) SLX_RETURN_IF_ERROR(Ask(connection, file, complaint, lines));
-  SLX_RETURN_IF_ERROR(CompareDeletions(store, index, file, lines));
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_RETURN_IF_ERROR(CompareTables(store, connection, file, lines));
+  SLX_RETURN_IF_ERROR(CompareWithdrawals(ledger, connection, file, lines));
   return lines;
 }
 

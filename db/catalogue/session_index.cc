@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/session_index.h"
 
+#include <algorithm>
 #include <cstdio>
 #include <cstring>
 #include <random>
 #include <set>
+
+#include <sqlite3.h>
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/calibration_store.h"
@@ -200,8 +203,26 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
 }
 
 Result<SessionIndex> SessionIndex::InMemory() {
+  // Migrated once a process: `verify` makes one for each session.
+  static const auto kEmpty = []() -> Result<std::vector<unsigned char>> {
+    SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+    SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+    sqlite3_int64 size = 0;
+    unsigned char* bytes = sqlite3_serialize(connection.handle(), "main", &size, 0);
+    if (bytes == nullptr) return Status::Failed("no memory for an index");
+    std::vector<unsigned char> image(bytes, bytes + size);
+    sqlite3_free(bytes);
+    return image;
+  }();
+  if (!kEmpty.ok()) return kEmpty.status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
-  SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+  const auto size = static_cast<sqlite3_int64>(kEmpty->size());
+  auto* copy = static_cast<unsigned char*>(sqlite3_malloc64(kEmpty->size()));
+  if (copy == nullptr) return Status::Failed("no memory for an index");
+  std::copy(kEmpty->begin(), kEmpty->end(), copy);
+  constexpr unsigned kFlags = SQLITE_DESERIALIZE_FREEONCLOSE | SQLITE_DESERIALIZE_RESIZEABLE;
+  if (sqlite3_deserialize(connection.handle(), "main", copy, size, size, kFlags) != SQLITE_OK)
+    return connection.Error("deserialize");
   return SessionIndex(std::move(connection));
 }
 

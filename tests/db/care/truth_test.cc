@@ -185,6 +185,8 @@ TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
                            "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("s000009-0badcafe")));
+  ASSERT_TRUE(index.Execute("DELETE FROM deletions; UPDATE consents SET withdrawn_wall_ns = 7000").ok());
+  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-anna' is 7000")));
 }
 
 TEST_F(TruthTest, AFlippedBitAnywhereInAManifestIsRefused) {

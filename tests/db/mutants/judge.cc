@@ -23,15 +23,15 @@ constexpr const char* kRefused = "refused ";
 // Columns that no file tells and no hash covers: the order of consents is the index's own, the first visit of a visitor
 // may have been forgotten since.
 bool IsLeftOut(const std::string& table, const std::string& column) {
-  return (table == "consents" && (column == "number" || column == "withdrawn_wall_ns")) ||
+  return (table == "consents" && column == "number") || table == "ledger_heads" ||
          (table == "visitors" && column == "created_wall_ns");
 }
 
 Status AddRows(Connection& connection, Picture& picture) {
-  SLX_ASSIGN_OR_RETURN(auto tables, connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
-                                                       "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
-                                                       " AND m.name NOT IN ('jobs', 'job_fence', 'access_log')"
-                                                       " ORDER BY 1, c.cid"));
+  SLX_ASSIGN_OR_RETURN(auto tables,
+                       connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
+                                          "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
+                                          " AND m.name NOT IN ('jobs', 'job_fence', 'access_log') ORDER BY 1, c.cid"));
   std::map<std::string, std::string> columns;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, tables.Step());
@@ -89,7 +89,10 @@ std::vector<std::string> Complaints(const SampleStore& sample, const fs::path& f
   if (!sessions.ok()) all.push_back(sessions.status().message());
   for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
     const auto row = store->FindSession((*sessions)[i].info.id);
-    add(row.ok() ? VerifySession(*store, *row, options) : row.status());
+    if (row.ok())
+      add(VerifySession(*store, *row, options));
+    else
+      all.push_back(row.status().message());
   }
   return all;
 }
@@ -102,18 +105,20 @@ void Look(const fs::path& folder, const fs::path& scratch) {
   const auto sessions = store->ListSessions();
   for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
     const std::string& id = (*sessions)[i].info.id;
+    const auto row = store->FindSession(id);
+    if (!row.ok()) continue;
     if (const auto details = LoadDetails(*store, id); details.ok())
       (void)(DetailsAsText(*details) + DetailsAsJson(*details)).size();
     if (const auto frames = store->ListFrames(id); frames.ok())
       (void)(FramesAsText(*frames) + FramesAsJson(*frames)).size();
-    const auto row = store->FindSession(id);
-    if (!row.ok()) continue;
-    (void)ExportSession(*store, *row, {.out = scratch / ("export-" + std::to_string(i))}, logger).ok();
+    ExportOptions options;
+    options.out = scratch / ("export-" + std::to_string(i));
+    (void)ExportSession(*store, *row, options, logger).ok();
   }
   if (auto index = ReadOnlyIndex::Open(folder); index.ok())
     for (const NamedQuery& query : NamedQueries())
       (void)RunQuery(*index, query, {{"now_ns", Cell(int64_t{20'000})}}, {std::chrono::milliseconds(2'000)}).ok();
-  (void)Backup(folder, {scratch / "backup", {}}, logger).ok();
+  (void)Backup(folder, {scratch / "backup", {}, ScrubShare::kAll}, logger).ok();
 }
 
 std::map<std::string, std::string> Segments(const fs::path& folder) {
@@ -177,6 +182,7 @@ Verdict Judge(const SampleStore& sample, const Expected& expected, const Mutant&
   Look(folder, folder.string() + "-scratch");
   const Picture picture = PictureOf(folder);
   Verdict verdict = Verdict::kFound;
+  if (!complaints.empty()) why = complaints[0];
   if (complaints.empty()) {
     // Only a signature tells a forgery in which nothing disagrees; a cipher tells one of frames.
     const bool tellable = !mutant.consistent || sample.signed_by.has_value();

@@ -56,7 +56,8 @@ std::vector<fs::path> FilesOf(const fs::path& folder, const std::string& ending)
 // A hash of its own, or one in the manifest beside it.
 bool HasHash(const fs::path& file) {
   const std::string name = file.filename();
-  return name == "manifest.json" || name.ends_with(".seg") || name == "truth_calibration.json";
+  return name == "manifest.json" || name.ends_with(".seg") || name == "truth_calibration.json" ||
+         name.ends_with(".jsonl");
 }
 
 std::string Short(const fs::path& folder, const fs::path& file) { return file.lexically_relative(folder).string(); }
@@ -340,7 +341,49 @@ std::string ChangeMember(Json& json, Random& random) {
   return "/";
 }
 
+// A line of the ledger: changed, gone, twice or with another.
+Mutant ChangeLedger(const fs::path& folder, Random& random) {
+  const auto files = FilesOf(folder, ".jsonl");
+  if (files.empty()) return ChangeBytes(folder, random);
+  const fs::path file = OneOf(files, random);
+  const Bytes bytes = ReadBytes(file);
+  std::vector<std::string> lines(1);
+  for (const uint8_t byte : bytes) {
+    lines.back() += static_cast<char>(byte);
+    if (byte == '\n') lines.emplace_back();
+  }
+  lines.pop_back();
+  if (lines.empty()) return ChangeBytes(folder, random);
+  const size_t at = Below(random, lines.size()), other = Below(random, lines.size());
+  std::string what = "line " + std::to_string(at + 1) + " of " + Short(folder, file);
+  switch (Below(random, 5)) {
+    case 0:
+      lines.erase(lines.begin() + static_cast<std::ptrdiff_t>(at));
+      what += " deleted";
+      break;
+    case 1:
+      lines.insert(lines.begin() + static_cast<std::ptrdiff_t>(other), std::string(lines[at]));
+      what += " twice";
+      break;
+    case 2:
+      std::swap(lines[at], lines[other]);
+      what += " and line " + std::to_string(other + 1) + " swapped";
+      break;
+    default: {
+      Json json = Json::parse(lines[at], nullptr, false);
+      if (!json.is_structured()) return ChangeBytes(folder, random);
+      what += ", " + ChangeMember(json, random);
+      lines[at] = json.dump() + "\n";
+    }
+  }
+  std::string text;
+  for (const std::string& line : lines) text += line;
+  WriteText(file, text);
+  return {what, text != std::string(bytes.begin(), bytes.end())};
+}
+
 Mutant ChangeJson(const fs::path& folder, Random& random) {
+  if (Below(random, 5) == 0) return ChangeLedger(folder, random);
   auto files = FilesOf(folder, ".json");
   if (Below(random, 2) == 0) files = FilesOf(folder, "manifest.json");
   if (files.empty()) return ChangeBytes(folder, random);

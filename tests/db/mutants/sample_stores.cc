@@ -80,6 +80,7 @@ SampleStore Plain(const fs::path& root) {
 
 SampleStore Killed(const fs::path& root) {
   SampleStore sample = New(root, "killed");
+  Agree(sample.folder, "v-ben", 6'500);
   {
     SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
     SessionWriter writer = Must(store.BeginSession(Visit("v-ben", 7'000), {.group_frames = 2}));
@@ -99,6 +100,7 @@ SampleStore Killed(const fs::path& root) {
 SampleStore Encrypted(const fs::path& root) {
   SampleStore sample = New(root, "encrypted");
   sample.encrypted = true;
+  Agree(sample.folder, "v-carla", 8'500);
   for (const int64_t started : {9'000, 10'000})
     Capture(sample.folder, Visit("v-carla", started), 3, {.encryption = Encryption::kPerSession});
   return sample;
@@ -132,6 +134,8 @@ RigCalibration CalibrationRecord() {
 
 SampleStore Fitted(const fs::path& root) {
   SampleStore sample = New(root, "fitted");
+  Agree(sample.folder, "v-emil", 12'500);
+  Agree(sample.folder, "v-fred", 12'600);
   SessionInfo board = Visit("", 13'000);
   board.kind = SessionKind::kCalibration;
   const std::string calibration = Capture(sample.folder, board, 2);
