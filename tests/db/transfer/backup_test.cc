@@ -99,7 +99,8 @@ TEST_F(BackupTest, WhatIsDamagedOrGoneInTheStoreKeepsItsLastGoodCopy) {
   std::filesystem::remove(Segment(cut));
   WriteText(folder_ / "sessions" / broken / "manifest.json", "{");
   std::filesystem::remove_all(folder_ / "sessions" / lost);
-  ASSERT_TRUE(Reindex(folder_, logger_).ok());
+  const auto index = Reindex(folder_, logger_);
+  ASSERT_TRUE(index.ok()) << index.status().message();
   const std::string fresh = StoreSession(1);
   for (int i = 0; i < 3; ++i) {
     const auto made = BackUp(ScrubShare::kAll);
@@ -217,17 +218,11 @@ TEST_F(BackupTest, KilledAnywhereItIsWholeAndGoesOn) {
 TEST_F(BackupTest, WhatAnInterruptedRunCopiedIsNotCopiedAgain) {
   const std::string id = StoreSession(2);
   ASSERT_TRUE(BackUp().ok());
-  std::filesystem::remove(backup_ / "backup.json");  // as if broken off before the list
-  std::string journal = "a backup is being made, or was interrupted\n";
-  const auto file = Segment(id);
-  struct stat info {};
-  ASSERT_EQ(stat(file.c_str(), &info), 0);
-  const auto made_before = BackUp();
-  ASSERT_TRUE(made_before.ok());
   nlohmann::json entry;
   for (const auto& listed : List()["files"])
     if (listed["path"] == "sessions/" + id + "/frames-0001.seg") entry = listed;
-  std::filesystem::remove(backup_ / "backup.json");
+  std::filesystem::remove(backup_ / "backup.json");  // as if broken off before the list
+  const std::string journal = "a backup is being made, or was interrupted\n";
   WriteText(backup_ / "backup.unfinished", journal + entry.dump() + "\n{\"path\": \"torn");
   const auto made = BackUp();
   ASSERT_TRUE(made.ok()) << made.status().message();

@@ -129,8 +129,9 @@ TEST_F(PullTest, NothingOfAForgottenFaceStaysInIncoming) {
   EXPECT_EQ(Ids(other_), std::vector{stays});
   for (const auto& entry : std::filesystem::recursive_directory_iterator(other_ / "incoming")) {
     EXPECT_NE(entry.path().extension(), ".seg") << entry.path();
-    if (entry.is_regular_file() && entry.path().filename() == "manifest.json")
+    if (entry.is_regular_file() && entry.path().filename() == "manifest.json") {
       EXPECT_EQ(entry.path().parent_path().filename(), stays) << entry.path();
+    }
   }
 }
 

@@ -197,7 +197,9 @@ TEST_F(RestoreTest, KilledAnywhereItGoesOn) {
                  : 0;
     const auto restored = RestoreNew();
     // One that was killed behind its last step has left a whole store.
-    if (!restored.ok()) EXPECT_EQ(restored.status().code(), StatusCode::kUsage) << restored.status().message();
+    if (!restored.ok()) {
+      EXPECT_EQ(restored.status().code(), StatusCode::kUsage) << restored.status().message();
+    }
     EXPECT_EQ(Ids(other_), ids) << i;
     EXPECT_FALSE(std::filesystem::exists(other_ / "restore.unfinished"));
   }
