@@ -33,7 +33,7 @@ struct AccessOptions {
   std::string token;  // empty: everybody may ask
   LinkUse link_use = LinkUse::kOnce;
   std::vector<std::string> host_names = {};  // beside localhost and addresses, which no foreign name can stand for
-  int wrong_tokens_per_minute = 20;     // of one peer; then 429
+  int wrong_tokens_per_minute = 20;          // of one peer; then 429
   std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 };
 
