@@ -215,7 +215,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
   if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));
   return connection.Execute(
       "PRAGMA synchronous = FULL; PRAGMA journal_mode = WAL;"
-      "PRAGMA wal_checkpoint(TRUNCATE)");
+      "PRAGMA main.wal_checkpoint(TRUNCATE)");
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "db/base/durable_file.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/session_index.h"
+#include "db/catalogue/shortfall.h"
 #include "db/interchange/export_files.h"
 #include "db/privacy/export_marker.h"
 #include "shared/base/read_file.h"
@@ -44,6 +45,7 @@ enum class Fits { kLeftOut, kIncluded };
 Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& session, const ExportOptions& options,
                                Fits fits, Logger& logger) {
   const std::string& id = session.info.id;
+  if (const std::string text = Shortfall(session.info); !text.empty()) logger.Warning(text);
   SLX_ASSIGN_OR_RETURN(auto all, store.ListFrames(id));
   const auto frames = Chosen(std::move(all), options);
   const auto fit_files = fits == Fits::kIncluded ? FitFiles(store.SessionFolder(id) / "fits") : std::vector<fs::path>();

@@ -27,6 +27,8 @@ class Scanner {
       LookAtKnown();
       CheckPayloads();
       NameAsides(footer);
+      if (footer_.second == reader_.size() && scan_.findings.empty() && scan_.asides.empty())
+        scan_.findings.push_back("the trailer does not say where the footer begins" + At(footer_.first));
     }
     return std::move(scan_);
   }

@@ -11,6 +11,7 @@
 
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/fit_store.h"
+#include "db/catalogue/shortfall.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/ablations.h"
 #include "fitter/pipeline/content_hash.h"
@@ -418,6 +419,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, options.session));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
+  if (const std::string text = db::Shortfall(frames.info()); !text.empty()) logger.Warning(text);
   SLX_RETURN_IF_ERROR(RequireFittable(frames));
   if (options.heldout >= static_cast<int>(frames.calibration()->projectors.size()))
     return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
