@@ -214,8 +214,8 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
   }
   if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));
   return connection.Execute(
-      "PRAGMA synchronous = FULL; PRAGMA journal_mode = WAL;"
-      "PRAGMA wal_checkpoint(TRUNCATE)");
+      "PRAGMA main.synchronous = FULL; PRAGMA main.journal_mode = WAL;"
+      "PRAGMA main.wal_checkpoint(TRUNCATE)");
 }
 
 }  // namespace

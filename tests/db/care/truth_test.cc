@@ -36,9 +36,9 @@ class TruthTest : public StoreTest {
     consent.language = "de";
     consent.fit = true;
     consent.given_wall = {4'000};
-    ASSERT_TRUE(GiveConsent(folder_, "v-anna", consent).ok());
+    ASSERT_TRUE(GiveConsent(folder_, "v-5f3a91a1", consent).ok());
     SessionInfo info = SimulatedVisit();
-    info.visitor = "v-anna";
+    info.visitor = "v-5f3a91a1";
     info.rig = "bench";
     info.started_wall = {5'000};
     info.calibration_json = Record().ToJson();
@@ -170,20 +170,23 @@ TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
   Connection index = Index();
   ASSERT_TRUE(index.Execute("UPDATE sqlite_sequence SET seq = 0 WHERE name = 'sessions'").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("sqlite_sequence.seq of sessions is 0, but the number 1 was given")));
-  ASSERT_TRUE(index.Execute("UPDATE sqlite_sequence SET seq = 1 WHERE name = 'sessions';"
-                            "UPDATE calibrations SET rig = 'another'")
+  ASSERT_TRUE(index
+                  .Execute("UPDATE sqlite_sequence SET seq = 1 WHERE name = 'sessions';"
+                           "UPDATE calibrations SET rig = 'another'")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("calibrations.rig")));
   ASSERT_TRUE(index.Execute("UPDATE calibrations SET rig = 'bench', made_wall_ns = 7").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("calibrations.made_wall_ns")));
-  ASSERT_TRUE(index.Execute("UPDATE calibrations SET made_wall_ns = 5500; UPDATE visitors SET created_wall_ns = 9").ok());
+  ASSERT_TRUE(
+      index.Execute("UPDATE calibrations SET made_wall_ns = 5500; UPDATE visitors SET created_wall_ns = 9").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("visitors.created_wall_ns")));
-  ASSERT_TRUE(index.Execute("UPDATE visitors SET created_wall_ns = 4000;"
-                            "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
+  ASSERT_TRUE(index
+                  .Execute("UPDATE visitors SET created_wall_ns = 4000;"
+                           "INSERT INTO deletions VALUES ('s000009-0badcafe', 5, 'forget', '{}')")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("s000009-0badcafe")));
   ASSERT_TRUE(index.Execute("DELETE FROM deletions; UPDATE consents SET withdrawn_wall_ns = 7000").ok());
-  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-anna' is 7000")));
+  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-5f3a91a1' is 7000")));
 }
 
 TEST_F(TruthTest, AFlippedBitAnywhereInAManifestIsRefused) {

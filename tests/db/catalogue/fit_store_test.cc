@@ -166,8 +166,7 @@ TEST_F(FitStoreTest, AListedFitStaysWhereANewerOneOfItsIdIsRefused) {
 
 TEST_F(FitStoreTest, AConsentThatDoesNotCoverFittingRefusesIt) {
   auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
-  ASSERT_TRUE(
-      connection->Execute("UPDATE sessions SET consent_json = replace(consent_json, '\"fit\",', '')").ok());
+  ASSERT_TRUE(connection->Execute("UPDATE sessions SET consent_json = replace(consent_json, '\"fit\",', '')").ok());
   WriteFiles(Folder("f1"));
   EXPECT_THAT(RegisterFit(folder_, Row("f1")).message(), HasSubstr("does not cover"));
 }

@@ -28,9 +28,10 @@ bool IsLeftOut(const std::string& table, const std::string& column) {
 }
 
 Status AddRows(Connection& connection, Picture& picture) {
-  SLX_ASSIGN_OR_RETURN(auto tables, connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
-                                                       "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
-                                                       " AND m.name NOT IN ('jobs', 'job_fence', 'access_log') ORDER BY 1, c.cid"));
+  SLX_ASSIGN_OR_RETURN(auto tables,
+                       connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
+                                          "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
+                                          " AND m.name NOT IN ('jobs', 'job_fence', 'access_log') ORDER BY 1, c.cid"));
   std::map<std::string, std::string> columns;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, tables.Step());
@@ -66,8 +67,9 @@ void AddFrames(const SessionStore& store, const std::string& id, Picture& pictur
       continue;
     }
     const auto samples = std::as_const(*image).pixels();
-    picture.push_back(name + " " + HashHex(std::span(reinterpret_cast<const uint8_t*>(samples.data()),
-                                                     samples.size() * sizeof(uint16_t))));
+    picture.push_back(
+        name + " " +
+        HashHex(std::span(reinterpret_cast<const uint8_t*>(samples.data()), samples.size() * sizeof(uint16_t))));
   }
 }
 
@@ -153,8 +155,7 @@ Picture PictureOf(const fs::path& folder) {
   Picture picture;
   auto index = SessionIndex::Open(folder, AccessMode::kReadOnly);
   if (!index.ok()) return {Refusal("index", index.status())};
-  if (const Status rows = AddRows(index->connection(), picture); !rows.ok())
-    picture.push_back(Refusal("rows", rows));
+  if (const Status rows = AddRows(index->connection(), picture); !rows.ok()) picture.push_back(Refusal("rows", rows));
   const auto store = SessionStore::Open(folder, AccessMode::kReadOnly);
   const auto sessions = store.ok() ? store->ListSessions() : store.status();
   if (!sessions.ok()) picture.push_back(Refusal("sessions", sessions.status()));
@@ -185,9 +186,7 @@ Verdict Judge(const SampleStore& sample, const Expected& expected, const Mutant&
   if (complaints.empty()) {
     // Only a signature tells a forgery in which nothing disagrees; a cipher tells one of frames.
     const bool tellable = !mutant.consistent || sample.signed_by.has_value();
-    verdict = picture == expected.as_it_is ? Verdict::kHarmless
-              : tellable                   ? Verdict::kSilent
-                                           : Verdict::kRightlyTaken;
+    verdict = picture == expected.as_it_is ? Verdict::kHarmless : tellable ? Verdict::kSilent : Verdict::kRightlyTaken;
     if (IsWrong(verdict)) why = "verify --deep says nothing\n   " + FirstDifference(expected.as_it_is, picture);
   }
   if (IsWrong(verdict)) return verdict;
