@@ -9,7 +9,7 @@ planted=()
 fresh() {
   planted=()
   rm -rf "${tree:?}"/*
-  mkdir -p "$tree"/{shared/{base,image,pattern},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
+  mkdir -p "$tree"/{shared/{base,image,pattern,config,http},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
 }
 write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
 plant() {                             # FILE LINE: the check must complain of this line
@@ -90,6 +90,18 @@ for ((i = 0; i < ${#adapters[@]}; i += 2)); do
   grep -q "two\.cc   <- .* more than one adapter" <<<"$log" || { echo "two adapters are not named"; exit 1; }
   fresh
 done
+
+# The HTTP server's library.
+for file in shared/http/server.h shared/base/a.cc db/base/a.cc firmware-host/apps/a.cc; do plant "$file" '#include <microhttpd.h>'; done
+expect_all_found
+write shared/http/microhttpd_server.cc '#include <microhttpd.h>'
+expect_clean
+for name in one two; do write "shared/http/$name.cc" '#include <microhttpd.h>'; done
+log=$("$check" "$tree") && { echo "not found: microhttpd in two adapters"; exit 1; }
+grep -q "two\.cc   <- .* more than one adapter" <<<"$log" || { echo "two HTTP adapters are not named"; exit 1; }
+fresh
+plant shared/config/a.h '#include "shared/http/server.h"'
+expect_all_found
 
 # Headers of db and firmware-host.
 for file in db/base/a.h firmware-host/gpio/gpiod_a.h; do

@@ -25,6 +25,7 @@ libcli11-dev         rig  command lines
 libxxhash-dev        rig  XXH3-128 hashes of frames
 libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
+libmicrohttpd-dev    rig  the HTTP server of the kiosk's page and of stratalux-db serve
 libdrm-dev           rig  projectors that are displays (KMS)
 libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
 libgpiod-dev         rig  the rig's digital lines
@@ -38,6 +39,10 @@ libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
 clang-format         test the format check
+chromium             test the store's page in a real browser (label web)
+chromium-driver      test drives it
+python3-selenium     test drives it
+npm                  test fetches axe-core, the accessibility checks of the page (npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest
 cpio                 vm   the guest's first file system
@@ -59,6 +64,8 @@ esac
 
 missing=()
 for package in $wanted; do
+  # Node's own packages bring npm themselves and exclude Debian's.
+  [ "$package" != npm ] || ! command -v npm >/dev/null || continue
   dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
 done
 if [ ${#missing[@]} -eq 0 ]; then exit 0; fi

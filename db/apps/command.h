@@ -47,6 +47,10 @@ void AddPrivacyCommands(Commands& commands);   // consent, access, key
 void AddForgetCommands(Commands& commands);    // forget, purge, deletions
 void AddTransferCommands(Commands& commands);  // import
 void AddTranscodeCommand(Commands& commands);
+// --crate and what belongs to it; `others` are the options of an export into plain files, which exclude it.
+struct CrateFlags;
+void AddCrateExportFlags(CLI::App* command, const std::vector<CLI::Option*>& others, CrateFlags& flags);
+void AddServeCommand(Commands& commands);
 
 // The store of --store; what opening it mended or could not goes to stderr as warnings.
 Result<SessionStore> OpenStore(const CommonFlags& flags, AccessMode mode);

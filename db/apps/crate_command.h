@@ -15,9 +15,6 @@ struct CrateFlags {
   bool keep_pseudonym = false;
 };
 
-// --crate and what belongs to it; `others` are the options of an export into plain files, which exclude it.
-void AddCrateExportFlags(CLI::App* command, const std::vector<CLI::Option*>& others, CrateFlags& flags);
-
 // 0; 2: nothing was written; 3: some sessions were refused, the others are in the crate.
 int RunCrateExport(const CommonFlags& common, const std::vector<std::string>& sessions, const CrateFlags& flags);
 // 0; 2: all sessions were forgotten here; 3: some of them.

@@ -2,6 +2,7 @@
 // `stratalux-db forget|purge|deletions`.
 #include <cstdio>
 #include <ctime>
+#include <map>
 #include <memory>
 #include <optional>
 
@@ -28,7 +29,9 @@ struct ForgetFlags {
   std::optional<int> short_days, standard_days, long_days;
 };
 
-Json JsonOf(const ForgetReport& report, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+using Reasons = std::map<std::string, std::string>;  // session id -> why it is due
+
+Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   Json sessions = Json::array();
   for (const ForgottenSession& s : report.sessions) {
     Json exports = Json::array();
@@ -36,8 +39,7 @@ Json JsonOf(const ForgetReport& report, const std::vector<DueSession>& due, cons
     Json json = {
         {"session", s.id},  {"frames", s.frames},       {"fits", s.fits},     {"files", s.files},
         {"bytes", s.bytes}, {"encrypted", s.encrypted}, {"exports", exports}, {"visitor_removed", s.visitor_removed}};
-    for (const DueSession& d : due)
-      if (d.id == s.id) json["due"] = d.reason;
+    if (const auto reason = due.find(s.id); reason != due.end()) json["due"] = reason->second;
     sessions.push_back(std::move(json));
   }
   return {{"dry_run", flags.dry_run},           {"sessions", sessions},
@@ -45,13 +47,12 @@ Json JsonOf(const ForgetReport& report, const std::vector<DueSession>& due, cons
           {"bytes_read", report.scanned_bytes}, {"leftovers", report.leftovers}};
 }
 
-std::string SessionText(const ForgottenSession& s, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+std::string SessionText(const ForgottenSession& s, const Reasons& due, const ForgetFlags& flags) {
   std::string text = s.id + (flags.dry_run ? ": would go: " : ": gone: ") + std::to_string(s.frames) + " frames, " +
                      std::to_string(s.fits) + " fits, " + std::to_string(s.files) + " files, " +
                      std::to_string(s.bytes) + " bytes" + (s.encrypted ? ", its key" : "") +
                      (s.visitor_removed ? ", the visitor and its consents" : "");
-  for (const DueSession& d : due)
-    if (d.id == s.id) text += " (" + d.reason + ")";
+  if (const auto reason = due.find(s.id); reason != due.end()) text += " (" + reason->second + ")";
   text += "\n";
   for (const ForgottenExport& e : s.exports)
     text += "  export " + e.place + ": " +
@@ -59,7 +60,7 @@ std::string SessionText(const ForgottenSession& s, const std::vector<DueSession>
   return text;
 }
 
-std::string ReportAsText(const ForgetReport& report, const std::vector<DueSession>& due, const ForgetFlags& flags) {
+std::string ReportAsText(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   std::string text;
   for (const ForgottenSession& s : report.sessions) text += SessionText(s, due, flags);
   if (report.sessions.empty()) text += "no session\n";
@@ -72,8 +73,7 @@ std::string ReportAsText(const ForgetReport& report, const std::vector<DueSessio
   return text;
 }
 
-int Finish(const CommonFlags& common, const ForgetFlags& flags, ForgetRequest request,
-           const std::vector<DueSession>& due) {
+int Finish(const CommonFlags& common, const ForgetFlags& flags, ForgetRequest request, const Reasons& due) {
   Logger logger;
   const auto report = flags.dry_run ? PlanForget(common.store, request) : Forget(common.store, request, logger);
   if (!report.ok()) return Report(report.status());
@@ -154,10 +154,14 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   if (!due.ok()) return Report(due.status());
   ForgetRequest request;
   request.reason = ForgetReason::kPurge;
-  for (const DueSession& session : *due) request.sessions.push_back(session.id);
+  Reasons reasons;
+  for (const DueSession& session : *due) {
+    request.sessions.push_back(session.id);
+    reasons[session.id] = session.reason;
+  }
   if (!flags.dry_run && due->empty() && UnfinishedForgets(common.store).empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
-  return Finish(common, flags, std::move(request), *due);
+  return Finish(common, flags, std::move(request), reasons);
 }
 
 // Of a certificate that somebody may have edited: a value of another type counts as none.

@@ -177,7 +177,8 @@ void AddKey(Commands& commands) {
     if (flags->take_out->parsed()) return ExportKey(common, *flags);
     return flags->put_in->parsed() ? ImportKey(common, *flags) : RunRigKey(common, *flags);
   });
-  key->footer(Examples({"key export s000017 --out s000017.key", "key import s000017.key"}));
+  key->footer(
+      Examples({"key export s000017 --out s000017.key", "key import s000017.key", "key sign-init > rig-1.pub"}));
   key->require_subcommand(1);
   key->fallthrough();
   flags->take_out = key->add_subcommand("export", "Write the key to a file that only you can read; logged");

@@ -20,7 +20,11 @@ std::string TextOf(const Json& json) {
   return PrintableJson(json.dump(2, ' ', false, Json::error_handler_t::replace)) + "\n";
 }
 
-Json ParsedOrNull(const std::string& text) { return text.empty() ? Json() : Json::parse(text, nullptr, false); }
+// What is no JSON is null, bytes in it that are no UTF-8 become U+FFFD.
+Json ParsedOrNull(const std::string& text) {
+  Json json = Json::parse(PrintableJson(text), nullptr, false);
+  return json.is_discarded() ? Json() : json;
+}
 
 Json SessionJson(const SessionRow& row) {
   return {{"session", row.info.id},

@@ -25,6 +25,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
+  stratalux-db serve --store store
 Each command has more of its own: stratalux-db forget --help
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
@@ -43,6 +44,7 @@ int Main(int argc, char** argv) {
   AddTranscodeCommand(commands);
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
+  AddServeCommand(commands);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));
   try {

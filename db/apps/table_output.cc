@@ -44,21 +44,6 @@ std::string RoundedText(const char* format, double value) {
   return text;
 }
 
-std::string ForPeople(const Cell& cell, ColumnKind kind) {
-  if (std::holds_alternative<std::monostate>(cell)) return "-";
-  if (const auto* integer = std::get_if<int64_t>(&cell)) {
-    if (kind == ColumnKind::kWallTime) return ToIso8601({*integer});
-    if (kind == ColumnKind::kBytes) return SizeText(*integer);
-    if (kind == ColumnKind::kBoolean) return *integer != 0 ? "yes" : "no";
-    return std::to_string(*integer);
-  }
-  if (const auto* real = std::get_if<double>(&cell))
-    return RoundedText(kind == ColumnKind::kDays ? "%.1f" : "%.6g", *real);
-  if (const auto* bytes = std::get_if<Blob>(&cell)) return HexOf(*bytes);
-  const auto& text = std::get<std::string>(cell);
-  return text.empty() ? "-" : Printable(text);
-}
-
 Json ForPrograms(const Cell& cell, ColumnKind kind) {
   if (std::holds_alternative<std::monostate>(cell)) return nullptr;
   if (const auto* integer = std::get_if<int64_t>(&cell)) {
@@ -70,7 +55,7 @@ Json ForPrograms(const Cell& cell, ColumnKind kind) {
   if (const auto* bytes = std::get_if<Blob>(&cell)) return HexOf(*bytes);
   const auto& text = std::get<std::string>(cell);
   if (kind != ColumnKind::kJson) return text;
-  const Json nested = Json::parse(text, nullptr, false);
+  const Json nested = Json::parse(PrintableJson(text), nullptr, false);
   return nested.is_discarded() ? Json(text) : nested;
 }
 
@@ -117,7 +102,7 @@ TextColumn TextColumnOf(const ResultTable& table, size_t c) {
   const ColumnKind kind = table.columns[c].kind;
   bool numbers = false, others = false;
   for (const auto& row : table.rows) {
-    out.cells.push_back(ForPeople(row[c], kind));
+    out.cells.push_back(CellForPeople(row[c], kind));
     if (std::holds_alternative<std::monostate>(row[c])) continue;
     (IsNumber(row[c]) && kind != ColumnKind::kWallTime ? numbers : others) = true;
   }
@@ -128,6 +113,21 @@ TextColumn TextColumnOf(const ResultTable& table, size_t c) {
 }
 
 }  // namespace
+
+std::string CellForPeople(const Cell& cell, ColumnKind kind) {
+  if (std::holds_alternative<std::monostate>(cell)) return "-";
+  if (const auto* integer = std::get_if<int64_t>(&cell)) {
+    if (kind == ColumnKind::kWallTime) return ToIso8601({*integer});
+    if (kind == ColumnKind::kBytes) return SizeText(*integer);
+    if (kind == ColumnKind::kBoolean) return *integer != 0 ? "yes" : "no";
+    return std::to_string(*integer);
+  }
+  if (const auto* real = std::get_if<double>(&cell))
+    return RoundedText(kind == ColumnKind::kDays ? "%.1f" : "%.6g", *real);
+  if (const auto* bytes = std::get_if<Blob>(&cell)) return HexOf(*bytes);
+  const auto& text = std::get<std::string>(cell);
+  return text.empty() ? "-" : Printable(text);
+}
 
 std::string TableAsText(const ResultTable& table) {
   std::vector<TextColumn> columns;

@@ -8,6 +8,8 @@
 
 namespace stratalux::db {
 
+// One cell of that table.
+[[nodiscard]] std::string CellForPeople(const Cell& cell, ColumnKind kind);
 // For people: columns aligned by what a terminal shows, numbers to the right, nothing that steers the terminal, sizes
 // as "1.5 GiB", times as ISO 8601, six digits of a real number; '-' for NULL, "(none)" below a table without rows.
 // Detail columns are left out.

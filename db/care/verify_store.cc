@@ -2,9 +2,11 @@
 #include <set>
 #include <system_error>
 
+#include "db/care/incoming.h"
 #include "db/care/row_comparison.h"
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
 
@@ -50,14 +52,8 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
                                 " bytes long and " + (error ? "is gone" : "is " + std::to_string(size) + " now") +
                                 ": restore it from a backup (`stratalux-db restore --merge`)");
   }
-  SLX_ASSIGN_OR_RETURN(auto deletions, connection.Prepare("SELECT session_id FROM deletions"));
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, deletions.Step());
-    if (!more) break;
-    if (!ledger.IsForgotten(deletions.Text(0)))
-      report.problems.push_back("session " + deletions.Text(0) + " was forgotten, but no entry of " + folder +
-                                " says so: restore the ledger from a backup");
-  }
+  SLX_ASSIGN_OR_RETURN(const bool follows, FollowsLedger(index, store.folder()));
+  if (!follows) return Status::Ok();  // the next opening for writing tells the index
   SLX_ASSIGN_OR_RETURN(auto holding,
                        connection.Prepare("SELECT 1 FROM consents c JOIN sessions s ON s.visitor = c.visitor"
                                           " WHERE s.id = ?1 AND s.visitor <> '' AND c.withdrawn_wall_ns IS"
@@ -99,6 +95,21 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
   }
 }
 
+// What a pull or restore that was broken off left. While one runs, it is at work there.
+void CheckIncoming(const SessionStore& store, const Ledger& ledger, VerifyReport& report) {
+  const bool at_work = IncomingLock::IsHeld(store.folder());
+  for (const IncomingSession& session : ListIncoming(store.folder()))
+    for (const fs::path& place : session.places) {
+      if (ledger.IsForgotten(session.id)) {
+        report.problems.push_back(place.string() + " is of a session that was forgotten; `stratalux-db forget " +
+                                  session.id + "` again, or the next pull, wipes it");
+      } else if (!at_work) {
+        report.notes.push_back(place.string() +
+                               " was left by a pull or restore that was broken off: the next one goes on or wipes it");
+      }
+    }
+}
+
 }  // namespace
 
 Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions& options) {
@@ -114,6 +125,7 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
       report.problems.push_back("session " + row.info.id + " was forgotten, but the index lists it");
   }
   CheckFolders(store, known, ledger, report);
+  CheckIncoming(store, ledger, report);
   SLX_ASSIGN_OR_RETURN(const auto rows, CompareStore(store.folder()));
   report.problems.insert(report.problems.end(), rows.begin(), rows.end());
   SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));

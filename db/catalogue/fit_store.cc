@@ -16,6 +16,7 @@
 #include "db/catalogue/job_store.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/session_index.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -54,6 +55,11 @@ Result<int64_t> CheckFit(SessionIndex& index, const fs::path& store, const std::
   if (forgotten) return Forgotten(session);
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(session));
   SLX_RETURN_IF_ERROR(CheckConsent(index.connection(), number));
+  // What a pull brought may stand in the ledger alone.
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  if (const auto withdrawn = ledger.WithdrawnAt(session))
+    return Status::Usage("session " + session + " must not be fitted: its visitor's consent was withdrawn on " +
+                         ToIso8601(*withdrawn));
   if (options.job_token) SLX_RETURN_IF_ERROR(CheckLease(index.connection(), *options.job_token));
   return number;
 }

@@ -38,7 +38,7 @@ enum class JobState {
 struct JobRequest {
   std::string key;  // unique in the store, such as "fit s000012-0badcafe 7f3a"
   std::string kind;
-  std::string session;  // id; empty: a job of no session alone. With its session the job goes, too
+  std::string session = {};  // id; empty: a job of no session alone. With its session the job goes, too
   std::string options_json = "{}";
   int priority = 0;  // higher first; among equals the oldest first
   WallNs not_before = {};

@@ -109,6 +109,12 @@ Status FollowLedger(SessionIndex& index, const fs::path& store) {
   return transaction.Commit();
 }
 
+Result<bool> FollowsLedger(SessionIndex& index, const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const auto heads, ReadHeads(index.connection()));
+  SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
+  return news.entries.empty();
+}
+
 Status BringLedgerUp(SessionIndex& index, const fs::path& store) {
   SLX_RETURN_IF_ERROR(TakeOverOldTombstones(store));
   SLX_RETURN_IF_ERROR(MakeStoreId(store));

@@ -12,6 +12,8 @@ namespace stratalux::db {
 
 // Reads what was appended since the last time. kNewerSchema for a chain of a later version.
 Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
+// False where something was appended since. Reads no more than it must to know.
+[[nodiscard]] Result<bool> FollowsLedger(SessionIndex& index, const std::filesystem::path& store);
 
 // What the first opening for writing of an older store does, and every later one finds done: the store id, the
 // tombstones of deletions/, withdrawals that stand in the index alone; then FollowLedger().

@@ -118,7 +118,7 @@ class CrateWriter {
     SLX_RETURN_IF_ERROR(Count(kCrateMetadataFile));
     report_.files = static_cast<int64_t>(files_.size()) + 1;
     for (const auto& [path, sum] : files_) report_.bytes += sum.bytes;
-    return ReplaceFile(staging_.folder() / kCrateManifestFile, ManifestText(files_));
+    return ReplaceFile(staging_.folder() / kCrateManifestFile, CrateManifestText(files_));
   }
 
  private:

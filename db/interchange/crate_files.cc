@@ -182,7 +182,7 @@ Status CheckNesting(std::string_view json) {
   return Status::Ok();
 }
 
-std::string ManifestText(const CrateFiles& files) {
+std::string CrateManifestText(const CrateFiles& files) {
   std::string text;
   for (const auto& [path, sum] : files) text += sum.sha256 + "  " + path + "\n";
   return text;
@@ -210,7 +210,7 @@ Result<CrateFiles> ListCrateFiles(const fs::path& crate) {
   return files;
 }
 
-Result<CrateFiles> ReadManifestText(const fs::path& crate, const CrateFiles& present) {
+Result<CrateFiles> ReadCrateManifest(const fs::path& crate, const CrateFiles& present) {
   const std::string file = (crate / kCrateManifestFile).string();
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(file, kManifestLimit));
   CrateFiles listed;

@@ -42,12 +42,12 @@ using CrateFiles = std::map<std::string, CrateChecksum>;
 [[nodiscard]] Status CheckNesting(std::string_view json);
 
 // "<sha256>  <path>" a line, sorted; the manifest itself is in none.
-[[nodiscard]] std::string ManifestText(const CrateFiles& files);
+[[nodiscard]] std::string CrateManifestText(const CrateFiles& files);
 // The files that lie in the crate, with their sizes and no checksum. kIntegrity for links, devices and names that are
 // no crate paths. Our own marks of exports (db/privacy/export_marker.h) are no part of a crate and left out.
 [[nodiscard]] Result<CrateFiles> ListCrateFiles(const std::filesystem::path& crate);
 // The checksums of the manifest: kIntegrity for a line that is none, a name twice, a listed file that is not in
 // `present`, or one of `present` that is not listed.
-[[nodiscard]] Result<CrateFiles> ReadManifestText(const std::filesystem::path& crate, const CrateFiles& present);
+[[nodiscard]] Result<CrateFiles> ReadCrateManifest(const std::filesystem::path& crate, const CrateFiles& present);
 
 }  // namespace stratalux::db

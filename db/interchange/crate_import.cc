@@ -8,6 +8,7 @@
 #include <set>
 
 #include "db/base/durable_file.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/session_index.h"
@@ -16,6 +17,7 @@
 #include "db/interchange/crate_reader.h"
 #include "db/interchange/crate_truth.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 #include "db/transfer/adopt.h"
 
@@ -72,8 +74,9 @@ class FolderWriter {
     SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, narrow.empty()
                                                          ? encoder.Encode(shape, image.pixels())
                                                          : encoder.Encode(shape, std::span<const uint8_t>(narrow)));
-    return segment_->Append(MakeFrameHeader(r, frame.row.id, r.pattern.ToString()), encoded.codec, encoded.bytes)
-        .status();
+    FrameHeader header = MakeFrameHeader(r, frame.row.id, r.pattern.ToString());
+    SetPixelHash(header, HashPixels(r.format, image.pixels(), nullptr));
+    return segment_->Append(header, encoded.codec, encoded.bytes).status();
   }
   Status WriteTruth() {
     const fs::path from = crate_.SessionFolder(id_);
@@ -92,7 +95,9 @@ class FolderWriter {
       record.height = map.height();
       record.channels = map.channels();
       const auto bytes = std::span(reinterpret_cast<const uint8_t*>(map.data()), map.size() * sizeof(float));
-      SLX_RETURN_IF_ERROR(segment->Append(MakeFrameHeader(record, number++, entry.name), Codec::kF32, bytes).status());
+      FrameHeader header = MakeFrameHeader(record, number++, entry.name);
+      SetPixelHash(header, HashPixels(bytes, nullptr));
+      SLX_RETURN_IF_ERROR(segment->Append(header, Codec::kF32, bytes).status());
     }
     if (segment) SLX_RETURN_IF_ERROR(segment->Seal());
     const auto record = ReadCrateFile(from / "truth/truth_calibration.json", int64_t{16} << 20);
@@ -130,14 +135,14 @@ Status Take(const fs::path& store, const CrateReader& crate, const CrateSession&
   const std::string& id = session.info.id;
   std::error_code error;
   if (fs::exists(store / "sessions" / id, error)) return ListAdopted(store, id, from);  // moved, then cut off
-  const fs::path incoming = store / "incoming" / id;
-  fs::remove_all(incoming, error);
-  if (error) return Status::Failed("cannot remove " + incoming.string() + ": " + error.message());
+  const fs::path incoming = IncomingFolder(store, id);
+  SLX_RETURN_IF_ERROR(WipeFolder(incoming));
   SLX_RETURN_IF_ERROR(MakeFolder(incoming));
   Status taken = FolderWriter(crate, id, incoming).Write(session, progress, report);
-  if (taken.ok()) taken = VerifyFolder(incoming).status();
-  if (taken.ok()) return AdoptFolder(store, incoming, from);
-  fs::remove_all(incoming, error);  // the reason is worth more than what is left
+  if (taken.ok()) taken = CheckFolder(incoming).status();
+  if (taken.ok()) taken = AdoptFolder(store, incoming, from);
+  if (taken.ok()) return taken;
+  (void)WipeFolder(incoming).ok();  // the reason is worth more than what is left
   return taken.WithContext("session " + id);
 }
 

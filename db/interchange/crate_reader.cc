@@ -51,7 +51,7 @@ Result<CrateReader> CrateReader::Open(const fs::path& crate, Logger& logger) {
     return Status::NotFound(crate.string() + " is no folder; name the folder of a crate");
   SLX_RETURN_IF_ERROR(reader.ReadFormat());
   SLX_ASSIGN_OR_RETURN(const CrateFiles present, ListCrateFiles(crate));
-  SLX_ASSIGN_OR_RETURN(reader.files_, ReadManifestText(crate, present));
+  SLX_ASSIGN_OR_RETURN(reader.files_, ReadCrateManifest(crate, present));
   SLX_RETURN_IF_ERROR(VerifyChecksums(crate, reader.files_, logger));
   SLX_RETURN_IF_ERROR(CheckCrateMetadata(crate / kCrateMetadataFile, reader.files_));
   return reader;
@@ -69,13 +69,13 @@ Status CrateReader::ReadFormat() {
   try {
     const Json json = Json::parse(*text);
     if (json.at("format") != "stratalux-crate") return Status::Integrity(file.string() + ": not a Stratalux crate");
-    const auto version = json.at("version").get<int64_t>();
-    if (version > kCrateFormatVersion)
-      return Status(StatusCode::kNewerSchema, file.string() + ": version " + std::to_string(version) +
+    const Json& version = json.at("version");
+    if (!version.is_number_unsigned() || version == 0)
+      return Status::Integrity(file.string() + ": version " + version.dump() + " does not exist");
+    if (version.get<uint64_t>() > kCrateFormatVersion)
+      return Status(StatusCode::kNewerSchema, file.string() + ": version " + version.dump() +
                                                   " is newer than this program (" +
                                                   std::to_string(kCrateFormatVersion) + "); update it");
-    if (version < 1 || !json.at("version").is_number_integer())
-      return Status::Integrity(file.string() + ": version " + json.at("version").dump() + " does not exist");
     json.at("sessions").get_to(sessions_);
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());

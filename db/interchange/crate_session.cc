@@ -9,6 +9,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -33,7 +34,9 @@ Result<Consent> ReadConsent(const Json& json) {
 
 Result<CrateSession> FromJson(const Json& json) {
   if (json.at("format") != "stratalux-crate-session") return Status::Integrity("no session of a Stratalux crate");
-  if (json.at("schema").get<int64_t>() > kSessionSchema)
+  if (!json.at("schema").is_number_unsigned() || json.at("schema") == 0)
+    return Status::Integrity("schema " + json.at("schema").dump() + " does not exist");
+  if (json.at("schema").get<uint64_t>() > kSessionSchema)
     return Status(StatusCode::kNewerSchema, "schema " + json.at("schema").dump() + " is newer than this program (" +
                                                 std::to_string(kSessionSchema) +
                                                 "); a newer Stratalux wrote it: update this one");
@@ -87,6 +90,10 @@ Status MayLeave(const std::filesystem::path& store, const SessionInfo& info, Cra
                          "answer with `stratalux-db consent give --scope fit," + ToString(scope) + "`");
   };
   if (info.visitor.empty()) return refuse("it names no visitor whose consent could be asked");
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));  // it outlives the index
+  if (const auto withdrawn = ledger.WithdrawnAt(info.id))
+    return Status::Usage("session " + info.id + ": the consent that it was made under was withdrawn on " +
+                         ToIso8601(*withdrawn) + "; it cannot leave the store any more");
   SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(store, info.visitor));
   if (consents.empty()) return refuse("no consent of its visitor is recorded");
   for (const ConsentRow& row : consents)

@@ -45,7 +45,8 @@ class Forgetting {
   Status RewriteIndex(const ScanPlan& plan);
   Status Certify(SessionIndex& index);
   Status FindGoneVisitors(SessionIndex& index);
-  [[nodiscard]] std::string CertificateFor(const ForgetIntent& intent, const ForgottenSession& session) const;
+  [[nodiscard]] std::string CertificateFor(const ForgetIntent& intent, const ForgottenSession& session,
+                                           WallNs now) const;
   [[nodiscard]] bool Concerns(const StoreScanResult::Leftover& leftover, const ForgetIntent& intent) const;
   void Done(ForgetStep step) const {
     if (request_.after_step) request_.after_step(step);
@@ -97,7 +98,7 @@ Status Forgetting::WriteIntents() {
   for (const std::string& id : request_.sessions)
     if (std::none_of(intents_.begin(), intents_.end(), [&id](const ForgetIntent& i) { return i.session == id; }))
       fresh.push_back(id);
-  SLX_ASSIGN_OR_RETURN(auto collected, CollectIntents(index, store_, fresh));
+  SLX_ASSIGN_OR_RETURN(auto collected, CollectIntents(index, store_, fresh, IntentHashes::kCollected));
   for (ForgetIntent& intent : collected) {
     intent.reason = ToString(request_.reason);
     SLX_RETURN_IF_ERROR(WriteIntent(store_, intent));
@@ -253,13 +254,12 @@ bool Forgetting::Concerns(const StoreScanResult::Leftover& leftover, const Forge
   return leftover.session.empty() ? leftover.visitor == intent.visitor : leftover.session == intent.session;
 }
 
-std::string Forgetting::CertificateFor(const ForgetIntent& intent, const ForgottenSession& session) const {
+std::string Forgetting::CertificateFor(const ForgetIntent& intent, const ForgottenSession& session, WallNs now) const {
   Json exports = Json::array(), leftovers = Json::array();
   for (const ForgottenExport& e : session.exports)
     exports.push_back({{"place", Without(e.place, intent.visitor)}, {"state", ToString(e.state)}});
   for (const auto& leftover : scan_.leftovers)
     if (Concerns(leftover, intent)) leftovers.push_back(Without(leftover.text, intent.visitor));
-  const WallNs now = WallNow();
   const Json json = {{"schema", 1},
                      {"session", intent.session},
                      {"reason", intent.reason},
@@ -288,8 +288,8 @@ Status Forgetting::Certify(SessionIndex& index) {
   SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE deletions SET certificate_json = ?2,"
                                                                " deleted_wall_ns = ?3 WHERE session_id = ?1"));
   for (size_t i = 0; i < intents_.size(); ++i) {
-    const std::string certificate = CertificateFor(intents_[i], report_.sessions[i]);
     const WallNs now = WallNow();
+    const std::string certificate = CertificateFor(intents_[i], report_.sessions[i], now);
     SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kForgotten, now, {intents_[i].session}, "", certificate}));
     Done(ForgetStep::kEntry);
     SLX_RETURN_IF_ERROR(update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, now.ns).Run());
@@ -375,7 +375,7 @@ const char* ToString(ForgetReason reason) { return reason == ForgetReason::kPurg
 
 Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions));
+  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions, IntentHashes::kLeftOut));
   ForgetReport report;
   for (const ForgetIntent& intent : intents) {
     ForgottenSession session = SessionOf(intent);

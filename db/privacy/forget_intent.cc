@@ -72,7 +72,8 @@ Status CollectExports(Connection& connection, ForgetIntent& intent) {
   }
 }
 
-Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const std::string& id, int64_t number) {
+Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const std::string& id, int64_t number,
+                             IntentHashes hashes) {
   ForgetIntent intent;
   intent.session = id;
   intent.began = WallNow();
@@ -86,8 +87,9 @@ Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const s
   intent.key_id = select.Text(1);
   intent.frames = select.Integer(2);
   intent.fits = select.Integer(3);
-  SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
-  if (!intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
+  const bool wanted = hashes == IntentHashes::kCollected;
+  if (wanted) SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
+  if (wanted && !intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
   SLX_RETURN_IF_ERROR(CollectExports(connection, intent));
   MeasureFolder(store / "sessions" / id, intent);
   return intent;
@@ -145,16 +147,17 @@ Result<std::vector<uint8_t>> FromHex(const std::string& text) {
 }
 
 Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::path& store,
-                                                 const std::vector<std::string>& ids) {
+                                                 const std::vector<std::string>& ids, IntentHashes hashes) {
   std::vector<ForgetIntent> intents;
   std::vector<int64_t> numbers;
   for (const std::string& id : ids) {
     SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
-    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number));
+    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number, hashes));
     numbers.push_back(number);
     intents.push_back(std::move(intent));
   }
-  if (!intents.empty()) SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
+  if (hashes == IntentHashes::kCollected && !intents.empty())
+    SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
   return intents;
 }
 

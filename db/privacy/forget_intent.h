@@ -25,9 +25,13 @@ struct ForgetIntent {
 // The 16 bytes of a key id, or of the first part of a hash, from hexadecimal text; kIntegrity for other text.
 [[nodiscard]] Result<std::vector<uint8_t>> FromHex(const std::string& text);
 
+// A plan needs no hashes; to leave out those that other sessions share, every frame of the store is looked at.
+enum class IntentHashes { kCollected, kLeftOut };
+
 // From index and files, without the hashes that other sessions share. kNotFound names the first unknown id.
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
-                                                               const std::vector<std::string>& ids);
+                                                               const std::vector<std::string>& ids,
+                                                               IntentHashes hashes);
 
 [[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
 Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);

@@ -6,10 +6,11 @@
 #include <sys/stat.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/file_lock.h"
 #include "db/base/paths.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
-#include "db/ledger/tombstone.h"
+#include "db/ledger/old_tombstones.h"
 #include "db/transfer/backup_folder.h"
 
 namespace stratalux::db {
@@ -137,8 +138,9 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
   }
   for (const std::string& problem : merged.ok() ? merged->problems : std::vector<std::string>())
     report_.problems.push_back("ledger: " + problem);
-  for (const fs::path& tombstone : ListTombstones(store_))
-    SLX_RETURN_IF_ERROR(folder.CopyFile(tombstone.lexically_relative(store_).string()));
+  for (const OldTombstone& old : ReadOldTombstones(store_))
+    if (old.entry.kind == LedgerKind::kForgotten)
+      SLX_RETURN_IF_ERROR(folder.CopyFile(old.file.lexically_relative(store_).string()));
   return Status::Ok();
 }
 

@@ -67,8 +67,8 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
       list.files[path] = std::move(listed);
     }
     return list;
-  } catch (const nlohmann::json::exception& error) {
-    return Status::Integrity(file.string() + ": " + error.what());
+  } catch (const nlohmann::json::exception& damage) {
+    return Status::Integrity(file.string() + ": " + damage.what());
   }
 }
 

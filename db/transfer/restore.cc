@@ -152,7 +152,9 @@ Status Restorer::TakeMerged(const std::string& id, const std::vector<std::string
 Status Restorer::TakeSessions(RestoreInto into, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
   std::set<std::string> here;
-  if (into == RestoreInto::kMerge) SLX_ASSIGN_OR_RETURN(here, ListedSessions(store_));
+  if (into == RestoreInto::kMerge) {
+    SLX_ASSIGN_OR_RETURN(here, ListedSessions(store_));
+  }
   const auto sessions = BySession(list_);
   Progress progress(logger, "restore", static_cast<int64_t>(sessions.size()));
   for (const auto& [id, paths] : sessions) {

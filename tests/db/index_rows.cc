@@ -102,7 +102,8 @@ class RowWriter {
   }
 
   void WriteCalibrations() {
-    auto insert = Must(connection_.Prepare("INSERT INTO calibrations VALUES (?1, ?2, ?3, ?4)"));
+    auto insert = Must(
+        connection_.Prepare("INSERT INTO calibrations (id, record_json, rig, made_wall_ns) VALUES (?1, ?2, ?3, ?4)"));
     for (int c = 0; c <= CalibrationOf(options_.sessions); ++c) {
       const std::string record = "{\"source\": \"simulation (exact)\", \"filler\": \"" + std::string(2000, 'x') + "\"}";
       insert.Bind(1, CalibrationId(c)).Bind(2, record).Bind(3, std::string("kiosk-0"));
@@ -138,9 +139,10 @@ class RowWriter {
 
   void WriteFit(int number, const RowsOfSession::Fit& fit) {
     const std::string json = options_.fits == IndexRowsOptions::Fits::kReal ? RealMetrics(fit) : FewMetrics(fit);
-    auto insert = Must(connection_.Prepare("INSERT INTO fits VALUES (?1, ?2, '{}', ?3, ?4)"));
+    auto insert = Must(connection_.Prepare(
+        "INSERT INTO fits (id, session, options_json, metrics_json, created_wall_ns) VALUES (?1, ?2, '{}', ?3, ?4)"));
     Must(insert.Bind(1, fit.id).Bind(2, int64_t{number}).Bind(3, json).Bind(4, fit.created.ns).Run());
-    auto figure = Must(connection_.Prepare("INSERT INTO metrics VALUES (?1, ?2, ?3, ?4)"));
+    auto figure = Must(connection_.Prepare("INSERT INTO metrics (session, fit, name, value) VALUES (?1, ?2, ?3, ?4)"));
     for (const auto& [name, value] : FlattenMetrics(json))
       Must(figure.Bind(1, int64_t{number}).Bind(2, fit.id).Bind(3, name).Bind(4, value).Run());
   }
@@ -155,7 +157,7 @@ class RowWriter {
   void InsertSession(int number, const RowsOfSession& s) {
     const SessionInfo& info = s.row.info;
     if (!info.visitor.empty()) {
-      auto visitor = Must(connection_.Prepare("INSERT OR IGNORE INTO visitors VALUES (?1, 0)"));
+      auto visitor = Must(connection_.Prepare("INSERT OR IGNORE INTO visitors (id, created_wall_ns) VALUES (?1, 0)"));
       Must(visitor.Bind(1, info.visitor).Run());
     }
     auto insert = Must(connection_.Prepare(
@@ -174,12 +176,13 @@ class RowWriter {
 
   void WriteFrames(int number, RowsOfSession& s) {
     if (!frame_) {
-      frame_.emplace(
-          Must(connection_.Prepare("INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, step,"
-                                   " projector, phase, pattern, retry, level_check)"
-                                   " VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)")));
-      proof_.emplace(Must(
-          connection_.Prepare("INSERT INTO proofs VALUES (?1, ?2, 0, -1, ?3, ?4, ?5, ?6, ?7, 1, 16.0, 1.0, ?8, ?9)")));
+      frame_.emplace(Must(connection_.Prepare(
+          "INSERT INTO frames (session, frame, segment, offset, stored_bytes, hash, step, projector,"
+          " phase, pattern, retry, level_check) VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)")));
+      proof_.emplace(Must(connection_.Prepare(
+          "INSERT INTO proofs (session, frame, bracket, pose, trigger_number, trigger_ns, sync_ns, driver_sequence,"
+          " frame_ns, frame_clock, exposure_ms, gain, mean_dn, retake_cause) VALUES (?1, ?2, 0, -1, ?3, ?4, ?5, ?6, "
+          "?7, 1, 16.0, 1.0, ?8, ?9)")));
     }
     const int steps = std::min(options_.frames_per_session, PlannedStepsOfRows());
     const int last = s.row.info.status == SessionStatus::kFailed ? steps / 2 : steps;

@@ -148,7 +148,7 @@ CREATE TABLE jobs (
   state             TEXT    NOT NULL CHECK (state IN ('queued', 'running', 'done', 'failed', 'set-aside', 'cancelled')),
   priority          INTEGER NOT NULL,                    -- higher first
   options_json      TEXT    NOT NULL,                    -- of the kind; names no visitor and no session
-  created_wall_ns   INTEGER NOT NULL,
+  created_wall_ns   INTEGER NOT NULL,                    -- ns since 1970 UTC
   not_before_wall_ns INTEGER NOT NULL,                   -- 0: at once
   attempts          INTEGER NOT NULL,                    -- leases so far, but those given back
   max_attempts      INTEGER NOT NULL CHECK (max_attempts >= 1),   -- then it is set aside, with last_error
@@ -156,7 +156,7 @@ CREATE TABLE jobs (
   fence             INTEGER NOT NULL,                    -- token of its newest lease; 0 before
   boot              TEXT    NOT NULL,                    -- boot id of the machine that until_boot_ns counts from; '' for none
   until_boot_ns     INTEGER NOT NULL,                    -- CLOCK_BOOTTIME; running: end of the lease; queued: of the back-off
-  last_error        TEXT    NOT NULL,
+  last_error        TEXT    NOT NULL,                    -- why the newest attempt failed; empty: none did
   finished_wall_ns  INTEGER                              -- NULL while queued or running
 ) STRICT;
 INSERT INTO jobs (id, key, session, kind, state, priority, options_json, created_wall_ns, not_before_wall_ns, attempts,
@@ -172,8 +172,8 @@ CREATE INDEX jobs_by_session ON jobs (session) WHERE session IS NOT NULL;   -- a
 -- The newest token of all leases. It starts anywhere, so that tokens of an index that was lost fit no lease of the one
 -- that took its place, and only grows.
 CREATE TABLE job_fence (
-  one               INTEGER PRIMARY KEY CHECK (one = 1),
-  last              INTEGER NOT NULL
+  one               INTEGER PRIMARY KEY CHECK (one = 1),   -- the table has one row
+  last              INTEGER NOT NULL                     -- token of the newest lease
 ) STRICT;
 INSERT INTO job_fence (one, last) VALUES (1, (random() & 0xfffffff) * 1000000);
 
@@ -402,5 +402,5 @@ CREATE VIEW calibration_overview AS
 -- forgettings stand in consents and deletions.
 CREATE TABLE ledger_heads (
   chain             TEXT    PRIMARY KEY,                 -- file name in ledger/; '': withdrawals of before were taken over
-  bytes             INTEGER NOT NULL
+  bytes             INTEGER NOT NULL                     -- of it that the index has followed
 ) STRICT, WITHOUT ROWID;

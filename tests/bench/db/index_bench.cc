@@ -2,7 +2,10 @@
 // How long an operator waits on an index of 1,000 sessions x 1,000 frames: every named query, `ls` and `show`, inside
 // one process and through the program, beside the same question asked without schema 2's totals and schema 3's indexes.
 //
+// With --sessions=100000 --frames=10: what a selector costs in a store of a hundred thousand.
+//
 //   build/bench/bin/index_bench [--sessions=N] [--frames=N] [Google Benchmark's flags]
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -13,12 +16,15 @@
 
 #include <benchmark/benchmark.h>
 #include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "db/apps/session_views.h"
 #include "db/apps/table_output.h"
 #include "db/catalogue/named_query.h"
 #include "db/catalogue/session_filter.h"
 #include "tests/db/index_rows.h"
+#include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
 namespace {
@@ -98,22 +104,42 @@ void RunShow(benchmark::State& state, const std::filesystem::path& folder) {
   }
 }
 
-// Processor time of all children so far, ms.
-double ChildrenMs() {
+double Ms(const timeval& t) { return static_cast<double>(t.tv_sec) * 1e3 + static_cast<double>(t.tv_usec) / 1e3; }
+
+// What one program used.
+rusage RunChild(const std::string& command) {
+  const pid_t child = fork();
+  if (child == 0) {
+    execl("/bin/sh", "sh", "-c", ("exec " + command).c_str(), nullptr);
+    _exit(127);
+  }
+  int status = 0;
   rusage usage{};
-  getrusage(RUSAGE_CHILDREN, &usage);
-  const auto ms = [](const timeval& t) {
-    return static_cast<double>(t.tv_sec) * 1e3 + static_cast<double>(t.tv_usec) / 1e3;
-  };
-  return ms(usage.ru_utime) + ms(usage.ru_stime);
+  if (child < 0 || wait4(child, &status, 0, &usage) != child || status != 0) Check(Status::Failed(command));
+  return usage;
 }
 
 void RunProgram(benchmark::State& state, const std::string& arguments) {
   const std::string command = std::string(STRATALUX_BIN_DIR) + "/stratalux-db " + arguments + " > /dev/null";
-  const double before = ChildrenMs();
-  for (auto _ : state)
-    if (std::system(command.c_str()) != 0) Check(Status::Failed(command));
-  state.counters["children_ms"] = (ChildrenMs() - before) / static_cast<double>(state.iterations());
+  double ms = 0.0, mib = 0.0;
+  for (auto _ : state) {
+    const rusage usage = RunChild(command);
+    ms += Ms(usage.ru_utime) + Ms(usage.ru_stime);
+    mib = std::max(mib, static_cast<double>(usage.ru_maxrss) / 1024.0);
+  }
+  state.counters["children_ms"] = ms / static_cast<double>(state.iterations());
+  state.counters["children_mib"] = mib;
+}
+
+// A session with its files behind the rows, of a thousand small frames: `frames` and `verify` read them.
+std::string StoreRealSession(const std::filesystem::path& folder) {
+  auto store = SessionStore::Open(folder, AccessMode::kReadWrite);
+  Check(store.status());
+  auto writer = store->BeginSession(SimulatedVisit());
+  Check(writer.status());
+  for (int i = 0; i < 1000; ++i) Check(AppendTo(*writer, i));
+  Check(writer->Finish(SessionStatus::kComplete));
+  return writer->info().id;
 }
 
 // Keeps what it prints, for the table at the end.
@@ -127,10 +153,13 @@ class Collector : public benchmark::ConsoleReporter {
       const auto children = run.counters.find("children_ms");
       cpu_ms_[run.run_name.function_name] =
           children == run.counters.end() ? run.GetAdjustedCPUTime() : children->second.value;
+      if (const auto mib = run.counters.find("children_mib"); mib != run.counters.end())
+        mib_[run.run_name.function_name] = mib->second.value;
     }
   }
   [[nodiscard]] Cell Wall(const std::string& name) const { return Of(wall_ms_, name); }
   [[nodiscard]] Cell Cpu(const std::string& name) const { return Of(cpu_ms_, name); }
+  [[nodiscard]] Cell Memory(const std::string& name) const { return Of(mib_, name); }
 
  private:
   using Times = std::map<std::string, double>;
@@ -138,7 +167,7 @@ class Collector : public benchmark::ConsoleReporter {
     const auto found = times.find(name);
     return found == times.end() ? Cell() : Cell(std::round(found->second * 100.0) / 100.0);
   }
-  Times wall_ms_, cpu_ms_;
+  Times wall_ms_, cpu_ms_, mib_;
 };
 
 template <typename Function>
@@ -157,15 +186,18 @@ int Option(int argc, char** argv, const std::string& name, int otherwise) {
 // Wall time is what an operator waits; on a busy machine the processor time says what the question costs.
 ResultTable Summary(const Collector& results, const std::vector<std::string>& names) {
   ResultTable table;
-  table.columns = {{"question"},    {"in process, ms"}, {"its CPU, ms"},  {"program, ms"},
-                   {"its CPU, ms"}, {"at most, ms"},    {"peer CPU, ms"}, {"peer / ours"}};
+  table.columns = {{"question"}, {"in process, ms"}, {"its CPU, ms"},  {"program, ms"}, {"its CPU, ms"},
+                   {"its MiB"},  {"at most, ms"},    {"peer CPU, ms"}, {"peer / ours"}};
+  const std::map<std::string, int64_t> targets = {
+      {"show", 20}, {"frames", 20}, {"verify ID", 20}, {"purge --dry-run", 500}};
   for (const std::string& name : names) {
     const Cell ours = results.Cpu(name), peer = results.Cpu("peer/" + name);
     Cell ratio;
     if (std::holds_alternative<double>(ours) && std::holds_alternative<double>(peer))
       ratio = std::round(std::get<double>(peer) / std::get<double>(ours) * 10.0) / 10.0;
     table.rows.push_back({name, results.Wall(name), ours, results.Wall("program/" + name),
-                          results.Cpu("program/" + name), int64_t{name == "show" ? 20 : 100}, peer, ratio});
+                          results.Cpu("program/" + name), results.Memory("program/" + name),
+                          targets.contains(name) ? targets.at(name) : int64_t{100}, peer, ratio});
   }
   return table;
 }
@@ -185,11 +217,18 @@ int Main(int argc, char** argv) {
 
   const std::string store = " --store " + folder.path.string();
   const std::string now = " --now " + ToIso8601(options.now);
-  std::vector<std::string> names = {"ls", "show"};
+  const std::string real = StoreRealSession(folder.path);
+  std::vector<std::string> names = {"ls", "show", "frames", "verify ID", "purge --dry-run"};
   Register("ls", [&](auto& state) { RunList(state, folder.path); });
   Register("program/ls", [&](auto& state) { RunProgram(state, "ls" + store); });
   Register("show", [&](auto& state) { RunShow(state, folder.path); });
   Register("program/show", [&](auto& state) { RunProgram(state, "show latest" + store); });
+  Register("program/frames", [&](auto& state) { RunProgram(state, "frames " + real + store); });
+  Register("program/verify ID", [&](auto& state) { RunProgram(state, "verify " + real + store); });
+  // As every night: what became due within a day or two. The rows are of three sessions a day.
+  const std::string days = std::to_string(options.sessions / 3 - 3);
+  Register("program/purge --dry-run",
+           [&](auto& state) { RunProgram(state, "purge --dry-run --long-days " + days + now + store); });
   for (const NamedQuery& query : NamedQueries()) {
     names.push_back(query.name);
     Register(query.name, [&](auto& state) { RunNamed(state, folder.path, query, options.now); });

@@ -7,6 +7,7 @@
 //   store                                  the store, beside the folder the commands run in (STRATALUX_STORE too)
 //   /media/...                             a folder of the test
 //   kiosk@rig-1:/var/lib/stratalux         another store, on this machine
+//   archive, copy-of-the-store             stores without sessions: what was pulled, what is all signed
 //   a command with "# exit N" behind it    ends with that code; 0 otherwise
 // Commands run in the order of the page, in a folder of their own.
 #include <fstream>
@@ -15,7 +16,6 @@
 
 #include <gmock/gmock.h>
 
-#include "db/catalogue/consent.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/run_program.h"
 
@@ -62,9 +62,13 @@ class Guide : public StoreTest {
       ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
       for (const char* visitor : {"p-0417", "v-5f3a91c2"}) Store(place_ / name, visitor);
     }
-    ASSERT_TRUE(SessionStore::Create(place_ / "archive").ok());
+    for (const char* name : {"archive", "copy-of-the-store"}) ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
   }
   void Store(const std::filesystem::path& folder, const std::string& visitor) {
+    ASSERT_EQ(Execute("stratalux-db consent give --store " + folder.string() + " --visitor " + visitor +
+                      " --text-version 3 --language de --scope fit")
+                  .code,
+              0);
     SessionStore store = *SessionStore::Open(folder, AccessMode::kReadWrite);
     SessionInfo info = SimulatedVisit();
     info.rig = "kiosk";

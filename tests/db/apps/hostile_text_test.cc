@@ -8,7 +8,6 @@
 
 #include "db/apps/display_text.h"
 #include "db/base/sqlite.h"
-#include "db/ledger/tombstone.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/run_program.h"
 
@@ -89,7 +88,9 @@ TEST_F(HostileText, NeverReachesTheTerminal) {
     const Outcome outcome = Db(command);
     EXPECT_FALSE(Steers(outcome.out)) << command << ":\n" << Printable(outcome.out);
     EXPECT_NE(outcome.code, -1) << command;
-    if (command.ends_with("--json")) EXPECT_FALSE(Json::parse(outcome.out, nullptr, false).is_discarded()) << command;
+    if (command.ends_with("--json")) {
+      EXPECT_FALSE(Json::parse(outcome.out, nullptr, false).is_discarded()) << command;
+    }
   }
   EXPECT_THAT(Db("show latest").out, HasSubstr("\\x1b[31mred"));
 }
@@ -188,6 +189,15 @@ TEST_F(HostileText, ConsentHasOneShape) {
   EXPECT_EQ(Json::parse(Db("ls --json --sort session").out)[1]["consent"], old);
   EXPECT_THAT(Db("show " + with).out, HasSubstr("text 3 (de): fit; WITHDRAWN 2023-11-14T22:13:20"));
   EXPECT_THAT(Db("show " + with).out, HasSubstr("purge"));
+}
+
+TEST_F(HostileText, AForgottenSessionIsCalledSo) {
+  const std::string id = StoreSession(1);
+  ASSERT_EQ(Db("forget " + id + " --yes").code, 0);
+  const Outcome outcome = Db("show " + id);
+  EXPECT_EQ(outcome.code, 4);
+  EXPECT_THAT(outcome.out, HasSubstr("session " + id + " was forgotten"));
+  EXPECT_THAT(Db("show s999999").out, Not(HasSubstr("forgotten")));
 }
 
 TEST_F(HostileText, LongReasonsAreWrapped) {

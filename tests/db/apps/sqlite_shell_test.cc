@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // The index in the hands of other programs: what `stratalux-db` answers, sqlite3's own shell answers too.
+#include <algorithm>
 #include <cmath>
-#include <fstream>
+#include <map>
+#include <sstream>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
@@ -15,8 +17,6 @@
 namespace stratalux::db {
 namespace {
 
-using ::testing::IsEmpty;
-using ::testing::Not;
 using Json = nlohmann::ordered_json;
 
 class SqliteShell : public StoreTest {
@@ -88,12 +88,13 @@ TEST_F(SqliteShell, GivesTheSameRowsOfEveryView) {
 
 // Their integers are our times; both print reals in their own number of digits.
 void ExpectEqualCells(const Json& theirs, const Json& ours, const QueryColumn& column, const std::string& where) {
-  if (column.kind == "time" && theirs.is_number())
+  if (column.kind == "time" && theirs.is_number()) {
     EXPECT_EQ(ToIso8601({theirs.get<int64_t>()}), ours.get<std::string>()) << where;
-  else if (theirs.is_number_float() || ours.is_number_float())
+  } else if (theirs.is_number_float() || ours.is_number_float()) {
     EXPECT_NEAR(theirs.get<double>(), ours.get<double>(), 1e-12 * std::abs(ours.get<double>()) + 1e-15) << where;
-  else
+  } else {
     EXPECT_EQ(theirs, ours) << where;
+  }
 }
 
 TEST_F(SqliteShell, GivesTheSameAnswerToEveryNamedQuery) {
@@ -122,7 +123,7 @@ TEST_F(SqliteShell, GivesTheSameAnswerToEveryNamedQuery) {
       const Json their_rows = theirs.out.empty() ? Json::array() : Json::parse(theirs.out);
       const Json our_rows = Json::parse(ours.out);
       ASSERT_EQ(their_rows.size(), our_rows.size()) << query.name;
-      if (!narrowed) EXPECT_THAT(our_rows, Not(IsEmpty())) << query.name << " answers nothing: the test is empty";
+      EXPECT_TRUE(narrowed || !our_rows.empty()) << query.name << " answers nothing: the test is empty";
       for (size_t r = 0; r < our_rows.size(); ++r)
         for (const QueryColumn& column : query.columns)
           ExpectEqualCells(their_rows[r].at(column.name), our_rows[r].at(column.name), column,
@@ -130,10 +131,10 @@ TEST_F(SqliteShell, GivesTheSameAnswerToEveryNamedQuery) {
     }
 }
 
-// Other programs distrust the schema of a file that they were given.
-TEST_F(SqliteShell, ViewsNeedNoTrust) {
+// In which the shell calls nothing that reaches beyond the file.
+TEST_F(SqliteShell, ViewsWorkInSafeMode) {
   for (const std::string& view : Views()) {
-    const Outcome outcome = Theirs("-safe", "PRAGMA trusted_schema = OFF;\nSELECT count(*) FROM " + view + ";\n");
+    const Outcome outcome = Theirs("-safe", "SELECT count(*) FROM " + view + ";\n");
     EXPECT_EQ(outcome.code, 0) << view << ": " << outcome.out;
   }
 }

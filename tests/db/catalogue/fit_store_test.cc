@@ -14,6 +14,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 #include "tests/db/store_fixture.h"
@@ -99,8 +100,7 @@ TEST_F(FitStoreTest, ASessionForgottenWhileItIsFittedIsSaidToBeAndDoesNotComeBac
 TEST_F(FitStoreTest, AForgettingThatHasBegunRefusesTheFitThoughTheRowsAreThere) {
   WriteFiles(Folder("f1"));
   WriteFiles(Folder("other"));
-  fs::create_directories(folder_ / "deletions");
-  WriteText(folder_ / "deletions" / (session_ + ".forgetting"), "{}");
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kForgetting, {1}, {session_}, "", ""}).ok());
   EXPECT_THAT(RegisterFit(folder_, Row("f1")).message(), HasSubstr("was forgotten"));
   EXPECT_FALSE(fs::exists(Folder("f1")));
   EXPECT_TRUE(fs::exists(Folder("other"))) << "removes nothing of others";
@@ -110,7 +110,10 @@ TEST_F(FitStoreTest, AForgettingThatHasBegunRefusesTheFitThoughTheRowsAreThere) 
 TEST_F(FitStoreTest, RegistrationsAgainstAForgettingLeaveNothing) {
   // Whenever the forgetting comes, no folder and no row remains of the session.
   for (int round = 0; round < 12; ++round) {
-    if (round > 0) session_ = Visit();
+    if (round > 0) {  // the visitor went with the last session
+      ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
+      session_ = Visit();
+    }
     std::atomic<bool> stop = false;
     std::thread fitter([&] {
       for (int i = 0; !stop; ++i) {
@@ -153,6 +156,14 @@ TEST_F(FitStoreTest, AWithdrawnConsentRefusesTheFit) {
   // A new consent is for new sessions.
   ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-04", "de", true, false, false, {}}).ok());
   EXPECT_EQ(RegisterFit(folder_, Row("f1")).code(), StatusCode::kUsage);
+}
+
+TEST_F(FitStoreTest, AWithdrawalThatTheLedgerAloneKnowsRefusesTheFit) {
+  WriteFiles(Folder("f1"));
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, {1}, {session_}, std::string(64, 'a'), ""}).ok());
+  const Status status = RegisterFit(folder_, Row("f1"));
+  EXPECT_EQ(status.code(), StatusCode::kUsage);
+  EXPECT_THAT(status.message(), HasSubstr("withdrawn"));
 }
 
 TEST_F(FitStoreTest, AListedFitStaysWhereANewerOneOfItsIdIsRefused) {

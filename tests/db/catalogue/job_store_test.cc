@@ -312,7 +312,7 @@ void Note(const std::filesystem::path& log, const std::string& line) {
       usleep(2000);
       continue;
     }
-    usleep(random() % 4000);
+    usleep(static_cast<useconds_t>(random() % 4000));
     if (random() % 8 == 0) usleep(200'000);  // longer than the lease: somebody takes over
     if (jobs->Complete((*job)->token).ok())
       Note(store / "log", "end " + std::to_string((*job)->token) + " " + std::to_string((*job)->id) + "\n");
@@ -320,7 +320,7 @@ void Note(const std::filesystem::path& log, const std::string& line) {
 }
 
 TEST_F(JobStoreTest, KilledWorkersLoseNothingAndDoNothingTwice) {
-  constexpr int kJobs = 60;
+  constexpr int kJobs = 150;
   {
     auto jobs = JobStore::Open(folder_);
     for (int i = 0; i < kJobs; ++i)

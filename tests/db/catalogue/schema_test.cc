@@ -68,7 +68,7 @@ class Definitions {
         at_ = end + 1;
         continue;
       }
-      if (c == '\n') behind_comma = false;
+      if (c != ' ') behind_comma = false;
       depth += c == '(' ? 1 : c == ')' ? -1 : 0;
       if (depth < 0) break;
       if (c == ',' && depth == 0) {
@@ -141,8 +141,8 @@ TEST_F(SchemaTest, NewCommentsLeaveColumnsAndKeysOfSchemaFourAsTheyWere) {
            " FROM pragma_foreign_key_list('" +
            table + "') ORDER BY 1";
   };
-  for (const std::string& table : {"sessions", "calibrations", "frames", "fits", "metrics", "visitors", "consents",
-                                   "proofs", "accepted_calibrations"}) {
+  for (const std::string table : {"sessions", "calibrations", "frames", "fits", "metrics", "visitors", "consents",
+                                  "proofs", "accepted_calibrations"}) {
     const auto before = Texts(old, columns(table)), after = Texts(now, columns(table));
     ASSERT_GE(after.size(), before.size()) << table;
     EXPECT_TRUE(std::equal(before.begin(), before.end(), after.begin())) << table;

@@ -49,17 +49,19 @@ class SelectorTest : public StoreTest {
 
 TEST_F(SelectorTest, CostsTheSameInALargeStore) {
   std::map<std::string, StatementWork> small, large;
-  for (const int sessions : {100, 2000}) {
+  for (const int sessions : {100, 600}) {
     const std::string id = Fill(sessions);
     auto& work = sessions == 100 ? small : large;
     const auto open = [this] { return OpenStore(AccessMode::kReadOnly); };
-    work["open"] = WorkOf([&] { open(); });
-    work["open to write"] = WorkOf([&] { OpenStore(); });
+    work["open"] = WorkOf([&] { (void)open(); });
+    work["open to write"] = WorkOf([&] { (void)OpenStore(); });
     for (const std::string& selector : {id, id.substr(0, 9), std::string("latest"), std::string("nobody")})
       work["find " + selector.substr(0, 1)] = WorkOf([&] {
         const auto row = open().FindSession(selector);
         EXPECT_EQ(row.ok(), selector != "nobody");
-        if (row.ok()) EXPECT_EQ(row->info.id, id);
+        if (row.ok()) {
+          EXPECT_EQ(row->info.id, id);
+        }
       });
     work["ambiguous"] = WorkOf([&] { EXPECT_EQ(open().FindSession("s").status().code(), StatusCode::kUsage); });
     work["show"] = WorkOf([&] { EXPECT_TRUE(LoadDetails(open(), "latest").ok()); });
@@ -77,7 +79,7 @@ TEST_F(SelectorTest, CostsTheSameInALargeStore) {
     // A search goes a level deeper at most, which SQLite does not count as a step.
     EXPECT_LE(work.steps, small[name].steps + 20) << name;
   }
-  EXPECT_GT(WorkOf([&] { OpenStore().ListSessions(); }).steps, 10'000) << "the measure measures";
+  EXPECT_GT(WorkOf([&] { (void)OpenStore().ListSessions().ok(); }).steps, 5'000) << "the measure measures";
 }
 
 int Collect(unsigned, void* queries, void* statement, void*) {
@@ -131,7 +133,9 @@ TEST_F(SelectorTest, FindsWhatItAlwaysFound) {
         std::count_if(all.begin(), all.end(), [&](const auto& row) { return row.info.id.starts_with(prefix); });
     const auto found = store.FindSession(prefix);
     EXPECT_EQ(found.ok(), matches == 1) << prefix;
-    if (!found.ok()) EXPECT_EQ(found.status().code(), StatusCode::kUsage) << prefix;
+    if (!found.ok()) {
+      EXPECT_EQ(found.status().code(), StatusCode::kUsage) << prefix;
+    }
   }
   for (const char* nobody : {"", "t", "s999999", "\xff\xff", "%", "s%", "_"})
     EXPECT_EQ(store.FindSession(nobody).status().code(), StatusCode::kNotFound) << nobody;

@@ -203,7 +203,7 @@ TEST_F(LedgerStoryTest, VerifyFindsAChainThatWasCutOrTakenAway) {
   WriteBytes(chain, {bytes.begin(), first});
   const auto problems = VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems;
   EXPECT_THAT(problems, Contains(HasSubstr("bytes long")));
-  EXPECT_THAT(problems, Contains(HasSubstr(id + " was forgotten, but no entry")));
+  EXPECT_THAT(problems, Contains(HasSubstr("deletions has the row " + id)));
   fs::remove(chain);
   EXPECT_THAT(VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems, Contains(HasSubstr("is gone")));
 }

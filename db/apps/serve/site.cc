@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/apps/serve/site.h"
+
+#include "db/catalogue/deletions.h"
+#include "db/catalogue/manifest.h"
+#include "db/catalogue/schema_check.h"
+#include "db/privacy/access_log.h"
+#include "db/serve_style.h"
+
+namespace stratalux::db {
+namespace {
+
+// The moment of withdrawal is that of the consent the session was made under; of the visitor's newest where that one is
+// not known here (as db/privacy/retention.h).
+constexpr const char* kSession = R"(
+WITH asked AS (
+  SELECT s.*, CASE WHEN json_valid(s.consent_json) THEN json_extract(s.consent_json, '$.given_wall_ns') END AS given
+  FROM sessions s WHERE s.id = :session)
+SELECT number, id, kind, rig, visitor, consent_json, retention, simulated, seed, started_wall_ns,
+       coalesce(finished_wall_ns, 0), status, reasons_json, program_version, frame_count, stored_bytes,
+       key_id IS NOT NULL, coalesce(calibration_id, ''),
+       (SELECT c.withdrawn_wall_ns FROM consents c WHERE c.number = coalesce(
+          (SELECT max(m.number) FROM consents m WHERE m.visitor = asked.visitor AND m.given_wall_ns = asked.given),
+          (SELECT max(m.number) FROM consents m WHERE m.visitor = asked.visitor)))
+FROM asked)";
+
+constexpr const char* kIcon =
+    R"(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 16 16"><rect width="16" height="16" rx="3" fill="#1f5f6b"/>)"
+    R"(<path d="M3 5h10M3 8h10M3 11h10" stroke="#fff" stroke-width="1.5"/></svg>)";
+
+std::string WhyWithheld(const ServedSession& session, const Cell& withdrawn) {
+  if (session.info.kind != SessionKind::kVisitor) return "";
+  if (std::holds_alternative<int64_t>(withdrawn))
+    return "the visitor's consent was withdrawn on " + ToIso8601({IntegerOf(withdrawn)});
+  return session.info.consent.fit ? "" : "no consent of the visitor covers looking at them (scope fit)";
+}
+
+Result<ServedSession> SessionOf(const std::vector<Cell>& row) {
+  ServedSession session;
+  SessionInfo& info = session.info;
+  session.number = IntegerOf(row[0]);
+  info.id = TextOf(row[1]);
+  SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(TextOf(row[2])));
+  info.rig = TextOf(row[3]);
+  info.visitor = TextOf(row[4]);
+  info.consent = ConsentFromJson(TextOf(row[5]));
+  SLX_ASSIGN_OR_RETURN(info.retention, ParseRetention(TextOf(row[6])));
+  info.simulated = IntegerOf(row[7]) != 0;
+  info.seed = static_cast<uint64_t>(IntegerOf(row[8]));
+  info.started_wall.ns = IntegerOf(row[9]);
+  info.finished_wall.ns = IntegerOf(row[10]);
+  SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(TextOf(row[11])));
+  info.reasons = ReasonsFromJson(TextOf(row[12]));
+  info.program_version = TextOf(row[13]);
+  session.frames = IntegerOf(row[14]);
+  session.bytes = IntegerOf(row[15]);
+  session.encrypted = IntegerOf(row[16]) != 0;
+  session.calibration = TextOf(row[17]);
+  session.withheld = WhyWithheld(session, row[18]);
+  return session;
+}
+
+}  // namespace
+
+int64_t IntegerOf(const Cell& cell) {
+  const auto* value = std::get_if<int64_t>(&cell);
+  return value == nullptr ? 0 : *value;
+}
+double RealOf(const Cell& cell) {
+  const auto* value = std::get_if<double>(&cell);
+  return value == nullptr ? static_cast<double>(IntegerOf(cell)) : *value;
+}
+std::string TextOf(const Cell& cell) {
+  const auto* value = std::get_if<std::string>(&cell);
+  return value == nullptr ? "" : *value;
+}
+
+Result<ReadOnlyIndex> Site::OpenIndex() const {
+  SLX_RETURN_IF_ERROR(RequireCurrentSchema(store_));
+  return ReadOnlyIndex::Open(store_);
+}
+
+Result<ServedSession> Site::Find(ReadOnlyIndex& index, const std::string& id) const {
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(store_, id));
+  if (forgotten) return Status::NotFound("session '" + id + "' was forgotten; its certificate is among the deletions");
+  SLX_ASSIGN_OR_RETURN(const auto table, index.Run(kSession, {{"session", id}}));
+  if (table.rows.empty()) return Status::NotFound("no session '" + id + "' in this store");
+  return SessionOf(table.rows.front());
+}
+
+Result<ServedSession> Site::Disclose(const std::string& id, const std::string& what, const std::string& peer) {
+  SLX_ASSIGN_OR_RETURN(auto index, OpenIndex());
+  SLX_ASSIGN_OR_RETURN(auto session, Find(index, id));
+  if (!session.withheld.empty()) return Status::Usage("pictures and reports are not shown: " + session.withheld);
+  SLX_RETURN_IF_ERROR(Log(id, what, peer));
+  return session;
+}
+
+Status Site::Log(const std::string& id, const std::string& what, const std::string& peer) {
+  const std::lock_guard lock(mutex_);
+  if (logged_.count(id + "\n" + what) != 0) return Status::Ok();
+  // Before the bytes leave; an entry that cannot be written keeps them here.
+  SLX_RETURN_IF_ERROR(LogAccess(store_, "serve", id, what + ", to " + peer));
+  logged_.insert(id + "\n" + what);
+  return Status::Ok();
+}
+
+http::Router RoutesOf(Site& site) {
+  http::Router router;
+  const auto open = http::Audience::kEverybody;
+  router.Add(
+      http::Method::kGet, "/style.css",
+      [](const http::Request&) { return http::Response::Of("text/css; charset=utf-8", kServeStyle); }, open);
+  router.Add(
+      http::Method::kGet, "/icon.svg", [](const http::Request&) { return http::Response::Of("image/svg+xml", kIcon); },
+      open);
+  AddStorePages(site, router);
+  AddSessionPages(site, router);
+  AddFramePages(site, router);
+  AddFitPages(site, router);
+  AddQueryPages(site, router);
+  return router;
+}
+
+}  // namespace stratalux::db

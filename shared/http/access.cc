@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/http/access.h"
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <utility>
+
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <sys/random.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "shared/http/target.h"
+
+namespace stratalux::http {
+namespace {
+
+constexpr size_t kMostSessions = 32;  // browsers at once; the oldest must take the link again
+constexpr size_t kMostPeers = 256;    // whose wrong tokens are remembered
+
+std::string Lower(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](char c) { return static_cast<char>(std::tolower(static_cast<unsigned char>(c))); });
+  return text;
+}
+
+// "127.0.0.1:8080" and "[::1]:8080" without the port; nullopt where the port is another.
+std::optional<std::string> HostOf(const std::string& authority, int port) {
+  std::string host = Lower(authority), tail;
+  const size_t bracket = host.rfind(']');
+  const size_t colon = host.find(':', bracket == std::string::npos ? 0 : bracket);
+  if (colon != std::string::npos) {
+    tail = host.substr(colon + 1);
+    host.resize(colon);
+  }
+  if (tail != std::to_string(port) && !(tail.empty() && port == 80)) return std::nullopt;
+  return host;
+}
+
+bool IsAddress(const std::string& host) {
+  std::array<unsigned char, 16> bytes{};
+  if (inet_pton(AF_INET, host.c_str(), bytes.data()) == 1) return true;
+  const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
+  return bracketed && inet_pton(AF_INET6, host.substr(1, host.size() - 2).c_str(), bytes.data()) == 1;
+}
+
+// The value of a cookie, "" without it.
+std::string Cookie(const std::string& header, const std::string& name) {
+  for (size_t at = 0; at < header.size();) {
+    at = std::min(header.find_first_not_of(" ;,", at), header.size());
+    const size_t end = std::min(header.find_first_of(";,", at), header.size());
+    const std::string pair = header.substr(at, end - at);
+    if (pair.starts_with(name + "=")) return pair.substr(name.size() + 1);
+    at = end;
+  }
+  return "";
+}
+
+std::string WithoutToken(const Request& request) {
+  std::string place, separator = "?";
+  for (size_t at = 0; at < request.path.size(); ++at)
+    place += request.path[at] == '/' ? "/" : PercentEncode(request.path.substr(at, 1));
+  for (const auto& [name, value] : request.query) {
+    if (name == "token") continue;
+    place += separator + PercentEncode(name) + "=" + PercentEncode(value);
+    separator = "&";
+  }
+  return place;
+}
+
+}  // namespace
+
+bool SameSecret(std::string_view given, std::string_view secret) {
+  if (secret.empty()) return false;
+  // The length of what was given is known to who gave it; the secret's own must not show.
+  volatile unsigned char difference = given.size() == secret.size() ? 0 : 1;
+  for (size_t i = 0; i < given.size(); ++i)
+    difference = static_cast<unsigned char>(difference | (given[i] ^ secret[i % secret.size()]));
+  return difference == 0;
+}
+
+Result<std::string> RandomToken() {
+  std::array<unsigned char, 32> bytes{};
+  if (getrandom(bytes.data(), bytes.size(), 0) != static_cast<ssize_t>(bytes.size()))
+    return Status::Failed(std::string("no random bytes: ") + std::strerror(errno));
+  std::string token;
+  char pair[3];
+  for (const unsigned char byte : bytes) {
+    std::snprintf(pair, sizeof pair, "%02x", byte);
+    token += pair;
+  }
+  return token;
+}
+
+Result<std::string> ReadTokenFile(const std::string& file) {
+  const UniqueFd fd(open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+  struct stat facts {};
+  if (!fd.ok() || fstat(fd.get(), &facts) != 0)
+    return Status::Usage("token file " + file + ": " + std::strerror(errno) +
+                         "; make one: (umask 077; openssl rand -hex 32 > " + file + ")");
+  if (!S_ISREG(facts.st_mode)) return Status::Usage("token file " + file + " is no regular file");
+  if ((facts.st_mode & 077) != 0)
+    return Status::Usage("token file " + file + " can be read by others; chmod 600 " + file);
+  char text[513];
+  const ssize_t bytes = read(fd.get(), text, sizeof text);
+  if (bytes < 0) return Status::Usage("token file " + file + ": " + std::strerror(errno));
+  std::string token(text, static_cast<size_t>(bytes));
+  token.resize(std::min(token.find_first_of("\r\n"), token.size()));
+  const bool plain = std::all_of(token.begin(), token.end(), [](char c) { return c > 0x20 && c < 0x7f; });
+  if (token.size() < 16 || token.size() > 512 || !plain)
+    return Status::Usage("token file " + file +
+                         ": its first line must be 16 to 512 printable characters without blanks;"
+                         " make one: (umask 077; openssl rand -hex 32 > " +
+                         file + ")");
+  return token;
+}
+
+AccessGuard::AccessGuard(AccessOptions options, int port)
+    : options_(std::move(options)), port_(port), cookie_name_("stratalux_" + std::to_string(port)) {
+  for (std::string& name : options_.host_names) name = Lower(name);
+}
+
+std::optional<Response> AccessGuard::CheckHost(const Request& request) const {
+  const auto found = request.headers.find("host");
+  if (found == request.headers.end()) return Response::Text(400, "the request names no host");
+  const auto host = HostOf(found->second, port_);
+  const auto& names = options_.host_names;
+  if (host && (*host == "localhost" || IsAddress(*host) || std::find(names.begin(), names.end(), *host) != names.end()))
+    return std::nullopt;
+  return Response::Text(421, "this server is not known by that name");
+}
+
+std::optional<Response> AccessGuard::CheckOrigin(const Request& request) const {
+  if (request.method == Method::kGet || request.method == Method::kHead || HasBearer(request)) return std::nullopt;
+  const std::string origin = request.Header("origin"), site = request.Header("sec-fetch-site");
+  const std::string host = Lower(request.Header("host"));
+  const bool ours = Lower(origin) == "http://" + host || Lower(origin) == "https://" + host;
+  if (!site.empty() && site != "same-origin") return Response::Text(403, "this can be asked from our own pages alone");
+  if (ours || (origin.empty() && site == "same-origin")) return std::nullopt;
+  return Response::Text(403, "this can be asked from our own pages alone");
+}
+
+bool AccessGuard::HasBearer(const Request& request) const {
+  const std::string header = request.Header("authorization");
+  return Lower(header.substr(0, 7)) == "bearer " && SameSecret(std::string_view(header).substr(7), options_.token);
+}
+
+bool AccessGuard::HasSession(const Request& request) const {
+  const std::string given = Cookie(request.Header("cookie"), cookie_name_);
+  if (given.empty()) return false;
+  const std::lock_guard lock(mutex_);
+  bool known = false;
+  for (const std::string& session : sessions_) known |= SameSecret(given, session);
+  return known;
+}
+
+bool AccessGuard::TooManyWrong(const std::string& peer) {
+  const std::lock_guard lock(mutex_);
+  const auto found = wrong_.find(peer);
+  if (found == wrong_.end()) return false;
+  auto& moments = found->second;
+  while (!moments.empty() && options_.now() - moments.front() > std::chrono::minutes(1)) moments.pop_front();
+  if (moments.empty()) wrong_.erase(found);
+  return static_cast<int>(wrong_.count(peer) != 0 ? wrong_[peer].size() : 0) >= options_.wrong_tokens_per_minute;
+}
+
+void AccessGuard::NoteWrong(const std::string& peer) {
+  const std::lock_guard lock(mutex_);
+  if (wrong_.size() >= kMostPeers && wrong_.count(peer) == 0) wrong_.erase(wrong_.begin());
+  wrong_[peer].push_back(options_.now());
+}
+
+Response AccessGuard::Enter(const Request& request) {
+  auto session = RandomToken();
+  if (!session.ok()) return Response::Text(500, session.status().message());
+  Response response = Response::SeeOther(WithoutToken(request));
+  response.With("Set-Cookie", cookie_name_ + "=" + *session + "; Path=/; HttpOnly; SameSite=Strict");
+  const std::lock_guard lock(mutex_);
+  if (options_.link_use == LinkUse::kOnce && std::exchange(link_used_, true))
+    return Response::Text(401, "this link was used already; restart the server for a new one");
+  if (sessions_.size() >= kMostSessions) sessions_.pop_front();
+  sessions_.push_back(std::move(*session));
+  return response;
+}
+
+std::optional<Response> AccessGuard::CheckToken(const Request& request) {
+  if (options_.token.empty()) return std::nullopt;
+  const auto given = request.query.find("token");
+  if (HasSession(request))
+    return given == request.query.end() ? std::nullopt : std::optional(Response::SeeOther(WithoutToken(request)));
+  const bool tries = given != request.query.end() || request.headers.count("authorization") != 0;
+  if (tries && TooManyWrong(request.peer)) return Response::Text(429, "too many wrong tokens; wait a minute");
+  if (HasBearer(request)) return std::nullopt;
+  const bool reads = request.method == Method::kGet || request.method == Method::kHead;
+  if (reads && given != request.query.end() && SameSecret(given->second, options_.token)) {
+    // Programs that look at links before people do (HEAD) must not use them up.
+    if (request.method == Method::kHead) return Response::SeeOther(WithoutToken(request));
+    return Enter(request);
+  }
+  if (tries) NoteWrong(request.peer);
+  Response refusal = Response::Text(401, "open the link that the program printed when it started");
+  return std::move(refusal.With("WWW-Authenticate", "Bearer"));
+}
+
+}  // namespace stratalux::http

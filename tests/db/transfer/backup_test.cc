@@ -1,0 +1,260 @@
+// SPDX-License-Identifier: Apache-2.0
+// Backup: one damaged session is named and the others are copied; copies are reread in turn; a run that is broken off
+// leaves a whole backup and is continued.
+#include <fstream>
+
+#include <nlohmann/json.hpp>
+
+#include "db/care/reindex.h"
+#include "db/ledger/ledger.h"
+#include "shared/base/read_file.h"
+#include "tests/db/transfer/transfer_fixture.h"
+
+namespace stratalux::db {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::IsSupersetOf;
+using ::testing::Not;
+using ::testing::SizeIs;
+
+class BackupTest : public TransferTest {
+ protected:
+  Result<BackupReport> BackUp(ScrubShare scrub = ScrubShare::kInTurn) {
+    return Backup(folder_, {backup_, {}, scrub}, logger_);
+  }
+  [[nodiscard]] nlohmann::json List() const {
+    return nlohmann::json::parse(ReadFile(backup_ / "backup.json").value(), nullptr, false);
+  }
+};
+
+TEST_F(BackupTest, MadeWhileASessionIsWrittenItRestoresEveryFinishedOne) {
+  const std::string first = StoreSession(3), second = StoreSession(2);
+  SessionStore store = OpenStore();
+  auto writer = store.BeginSession(SimulatedVisit());
+  ASSERT_TRUE(AppendTo(*writer, 0).ok());
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_EQ(made->sessions, 2);
+  EXPECT_THAT(made->left_out, SizeIs(1));
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_EQ(Ids(other_), (std::vector{second, first}));
+  EXPECT_EQ(RestoreNew().status().code(), StatusCode::kUsage);
+}
+
+TEST_F(BackupTest, ASecondOneCopiesOnlyWhatIsNewAndDropsWhatWasForgotten) {
+  const std::string first = StoreSession(3);
+  ASSERT_TRUE(BackUp().ok());
+  const std::string second = StoreSession(2);
+  auto again = BackUp();
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(again->files_kept, 2) << "manifest and segment of the first";
+  EXPECT_EQ(again->files_copied, 2);
+  Forget(folder_, first);
+  again = BackUp();
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(again->files_removed, 2);
+  EXPECT_THAT(again->problems, IsEmpty());
+  EXPECT_FALSE(std::filesystem::exists(backup_ / "sessions" / first));
+  ASSERT_TRUE(RestoreNew().ok());
+  EXPECT_EQ(Ids(other_), std::vector{second});
+}
+
+TEST_F(BackupTest, KeysAreNeverInIt) {
+  StoreSession(1);
+  { ASSERT_TRUE(SessionStore::Create(far_ / "k").ok()); }
+  std::filesystem::copy_file(far_ / "k" / "index.sqlite", folder_ / "keys.sqlite",
+                             std::filesystem::copy_options::overwrite_existing);
+  EXPECT_EQ(Backup(folder_, {backup_, backup_ / "keys"}, logger_).status().code(), StatusCode::kUsage);
+  ASSERT_TRUE(Backup(folder_, {backup_, far_ / "keys.copy"}, logger_).ok());
+  EXPECT_TRUE(std::filesystem::exists(far_ / "keys.copy"));
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(backup_))
+    EXPECT_THAT(entry.path().string(), Not(HasSubstr("keys")));
+}
+
+// The issue's case: 7 sessions, one damaged, no backup before.
+TEST_F(BackupTest, OneDamagedSessionOfSevenStopsNobodyNotEvenTheFirstTime) {
+  std::vector<std::string> ids;
+  for (int i = 0; i < 7; ++i) ids.push_back(StoreSession(1));
+  FlipBits(Segment(ids[0]), 64 + 320 + 3, 1);
+  const Outcome outcome = Db("backup --json --store " + folder_.string() + " --to " + backup_.string());
+  EXPECT_EQ(outcome.code, 3) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr("session " + ids[0]));
+  EXPECT_THAT(List()["problems"], SizeIs(1));
+  EXPECT_THAT(List()["problems"][0].get<std::string>(), HasSubstr("has no copy"));
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_EQ(restored->sessions, 6);
+  EXPECT_THAT(Ids(other_), SizeIs(6));
+}
+
+TEST_F(BackupTest, WhatIsDamagedOrGoneInTheStoreKeepsItsLastGoodCopy) {
+  const std::string damaged = StoreSession(2), cut = StoreSession(2), broken = StoreSession(1), lost = StoreSession(1);
+  ASSERT_TRUE(BackUp().ok());
+  const auto good = ReadBytes(Copied(damaged));
+  FlipBits(Segment(damaged), 64 + 320 + 3, 1);
+  std::filesystem::remove(Segment(cut));
+  WriteText(folder_ / "sessions" / broken / "manifest.json", "{");
+  std::filesystem::remove_all(folder_ / "sessions" / lost);
+  ASSERT_TRUE(Reindex(folder_, logger_).ok());
+  const std::string fresh = StoreSession(1);
+  for (int i = 0; i < 3; ++i) {
+    const auto made = BackUp(ScrubShare::kAll);
+    ASSERT_TRUE(made.ok()) << made.status().message();
+    EXPECT_THAT(made->problems, IsSupersetOf({HasSubstr(damaged), HasSubstr(cut), HasSubstr(broken), HasSubstr(lost)}));
+  }
+  EXPECT_EQ(ReadBytes(Copied(damaged)), good);
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_THAT(restored->problems, IsEmpty());
+  EXPECT_THAT(Ids(other_), ::testing::UnorderedElementsAre(damaged, cut, broken, lost, fresh));
+}
+
+TEST_F(BackupTest, ASymbolicLinkBringsNothingOfElsewhereIntoIt) {
+  const std::string id = StoreSession(1);
+  WriteText(far_ / "secret", "secret");
+  std::filesystem::create_symlink(far_ / "secret", folder_ / "sessions" / id / "notes");
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_THAT(made->problems, ElementsAre(HasSubstr("symbolic link")));
+}
+
+TEST_F(BackupTest, EightRunsRereadEveryCopyTheOldestFirst) {
+  for (int i = 0; i < 6; ++i) StoreSession(1);
+  ASSERT_TRUE(BackUp().ok());
+  std::map<std::string, int64_t> first;
+  for (const auto& file : List()["files"]) first[file["path"]] = file["checked_wall_ns"];
+  EXPECT_EQ(List()["scrub_runs"], 8);
+  for (int run = 0; run < 8; ++run) {
+    const auto made = BackUp();
+    ASSERT_TRUE(made.ok()) << made.status().message();
+    EXPECT_EQ(made->files_reread, 2) << "an eighth of twelve, rounded up";
+  }
+  for (const auto& file : List()["files"])
+    EXPECT_GT(file["checked_wall_ns"].get<int64_t>(), first[file["path"]]) << file["path"];
+}
+
+TEST_F(BackupTest, ARottenCopyIsMadeAgainOrNamedUntilItIsGood) {
+  const std::string mendable = StoreSession(2), gone = StoreSession(2);
+  ASSERT_TRUE(BackUp().ok());
+  const auto good = ReadBytes(Copied(mendable));
+  FlipBits(Copied(mendable), 400, 1);
+  FlipBits(Copied(gone), 400, 1);
+  const auto time = std::filesystem::last_write_time(Segment(gone));
+  FlipBits(Segment(gone), 64 + 320 + 3, 1);
+  std::filesystem::last_write_time(Segment(gone), time);  // rotted, too: nobody wrote it
+  const Outcome outcome = Db("backup --scrub all --store " + folder_.string() + " --to " + backup_.string());
+  EXPECT_EQ(outcome.code, 3);
+  EXPECT_THAT(outcome.out, HasSubstr("rotten copy made again: sessions/" + mendable));
+  EXPECT_THAT(outcome.out, HasSubstr("has rotted in the backup, and the store has no good one"));
+  EXPECT_EQ(ReadBytes(Copied(mendable)), good);
+  const auto again = BackUp();  // in turn: what is known to be bad comes first
+  ASSERT_TRUE(again.ok());
+  EXPECT_THAT(again->problems, ElementsAre(HasSubstr(gone)));
+  FlipBits(Segment(gone), 64 + 320 + 3, 1);
+  std::filesystem::last_write_time(Segment(gone), time);
+  const auto healed = BackUp();
+  ASSERT_TRUE(healed.ok());
+  EXPECT_THAT(healed->mended, ElementsAre(HasSubstr(gone)));
+  EXPECT_THAT(healed->problems, IsEmpty());
+}
+
+TEST_F(BackupTest, ACutCopyIsMadeAgainAtOnce) {
+  const std::string id = StoreSession(2);
+  ASSERT_TRUE(BackUp().ok());
+  std::filesystem::resize_file(Copied(id), 100);
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok());
+  EXPECT_THAT(made->mended, SizeIs(1));
+  EXPECT_EQ(ReadBytes(Copied(id)), ReadBytes(Segment(id)));
+}
+
+// A limit of a file's size is the full disk that every machine has.
+TEST_F(BackupTest, AFullDiskIsSaidAndTheEarlierBackupStaysValid) {
+  const std::string first = StoreSession(1);
+  ASSERT_TRUE(BackUp().ok());
+  const auto list = ReadBytes(backup_ / "backup.json");
+  StoreSession(400, Groups(400));
+  const Outcome outcome =
+      Shell("ulimit -f 15; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
+            folder_.string() + " --to " + backup_.string() + " 2>&1");
+  EXPECT_EQ(outcome.code, 1) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run goes on"));
+  EXPECT_EQ(ReadBytes(backup_ / "backup.json"), list);
+  ASSERT_TRUE(RestoreNew().ok());
+  EXPECT_EQ(Ids(other_), std::vector{first});
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_EQ(made->sessions, 2);
+}
+
+TEST_F(BackupTest, KilledAnywhereItIsWholeAndGoesOn) {
+  std::vector<std::string> ids;
+  ids.push_back(StoreSession(2));
+  ASSERT_TRUE(BackUp().ok());
+  for (int i = 0; i < 12; ++i) {
+    ids.insert(ids.begin(), StoreSession(3));
+    WriteText(folder_ / "sessions" / ids.back() / "fits-note.txt", std::to_string(i));  // a listed file that changes
+    RunAndKill({"backup", "--store", folder_.string(), "--to", backup_.string()}, std::chrono::milliseconds(2 + 5 * i));
+    std::filesystem::remove_all(other_);
+    const auto restored = RestoreNew();
+    ASSERT_TRUE(restored.ok()) << restored.status().message();
+    EXPECT_THAT(restored->problems, IsEmpty()) << i;
+    EXPECT_GE(restored->sessions, 1);
+  }
+  const auto made = BackUp(ScrubShare::kAll);
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_THAT(made->problems, IsEmpty());
+  std::filesystem::remove_all(other_);
+  ASSERT_TRUE(RestoreNew().ok());
+  EXPECT_EQ(Ids(other_), ids);
+  EXPECT_FALSE(std::filesystem::exists(backup_ / "backup.unfinished"));
+}
+
+TEST_F(BackupTest, WhatAnInterruptedRunCopiedIsNotCopiedAgain) {
+  const std::string id = StoreSession(2);
+  ASSERT_TRUE(BackUp().ok());
+  std::filesystem::remove(backup_ / "backup.json");  // as if broken off before the list
+  std::string journal = "a backup is being made, or was interrupted\n";
+  const auto file = Segment(id);
+  struct stat info {};
+  ASSERT_EQ(stat(file.c_str(), &info), 0);
+  const auto made_before = BackUp();
+  ASSERT_TRUE(made_before.ok());
+  nlohmann::json entry;
+  for (const auto& listed : List()["files"])
+    if (listed["path"] == "sessions/" + id + "/frames-0001.seg") entry = listed;
+  std::filesystem::remove(backup_ / "backup.json");
+  WriteText(backup_ / "backup.unfinished", journal + entry.dump() + "\n{\"path\": \"torn");
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_EQ(made->files_continued, 1);
+  EXPECT_EQ(made->files_copied, 1) << "the manifest, which the journal does not name";
+}
+
+TEST_F(BackupTest, TheLedgerIsInItAndNeverGetsShorter) {
+  const std::string id = StoreSession(1);
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {id}, std::string(64, 'a'), ""}).ok());
+  ASSERT_TRUE(BackUp().ok());
+  std::filesystem::remove_all(folder_ / "ledger");
+  ASSERT_TRUE(BackUp().ok());
+  const auto ledger = Ledger::Read(backup_);
+  ASSERT_TRUE(ledger.ok()) << ledger.status().message();
+  EXPECT_TRUE(ledger->WithdrawnAt(id).has_value());
+}
+
+TEST_F(BackupTest, ABackupOfALaterVersionIsLeftAlone) {
+  StoreSession(1);
+  ASSERT_TRUE(BackUp().ok());
+  auto list = List();
+  list["schema"] = 99;
+  WriteText(backup_ / "backup.json", list.dump());
+  EXPECT_EQ(BackUp().status().code(), StatusCode::kNewerSchema);
+  EXPECT_EQ(List(), list);
+}
+
+}  // namespace
+}  // namespace stratalux::db

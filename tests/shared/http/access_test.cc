@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "shared/http/access.h"
+
+#include <filesystem>
+#include <fstream>
+
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+namespace stratalux::http {
+namespace {
+
+constexpr int kPort = 8123;
+const std::string kToken = "0123456789abcdef0123456789abcdef";
+
+Request Asked(Method method, std::map<std::string, std::string> headers,
+              std::map<std::string, std::string> query = {}) {
+  Request request;
+  request.method = method;
+  request.path = "/sessions/s 1";
+  request.headers = std::move(headers);
+  request.query = std::move(query);
+  request.peer = "127.0.0.1";
+  return request;
+}
+int StatusOf(const std::optional<Response>& refusal) { return refusal ? refusal->status : 200; }
+std::string HeaderOf(const Response& response, const std::string& name) {
+  for (const auto& [key, value] : response.headers)
+    if (key == name) return value;
+  return "";
+}
+
+TEST(SameSecret, IsTrueForEqualOnesAlone) {
+  EXPECT_TRUE(SameSecret("abc", "abc"));
+  EXPECT_FALSE(SameSecret("abd", "abc"));
+  EXPECT_FALSE(SameSecret("ab", "abc"));
+  EXPECT_FALSE(SameSecret("abcabc", "abc"));
+  EXPECT_FALSE(SameSecret("", "abc"));
+  EXPECT_FALSE(SameSecret("", ""));
+}
+
+TEST(RandomToken, IsNewEachTime) {
+  const auto one = RandomToken(), two = RandomToken();
+  ASSERT_TRUE(one.ok() && two.ok());
+  EXPECT_EQ(one->size(), 64U);
+  EXPECT_NE(*one, *two);
+}
+
+TEST(AccessGuard, KnowsItsNamesAndAddressesAlone) {
+  const AccessGuard guard({.token = "", .host_names = {"Kiosk.local"}}, kPort);
+  for (const char* host :
+       {"127.0.0.1:8123", "localhost:8123", "LOCALHOST:8123", "[::1]:8123", "192.168.7.2:8123", "kiosk.local:8123"})
+    EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {{"host", host}}))), 200) << host;
+  for (const char* host :
+       {"evil.example:8123", "localhost", "localhost:80", "127.0.0.1.evil.example:8123", "",
+        "localhost:8123, evil.example", "[::1]", "[::1:8123", "127.0.0.1:8123:8123", "kiosk.local.:8123"})
+    EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {{"host", host}}))), 421) << host;
+  EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {}))), 400);
+}
+
+TEST(AccessGuard, TakesPostsOfItsOwnPagesAlone) {
+  const AccessGuard guard({.token = kToken}, kPort);
+  const std::string host = "localhost:8123";
+  const auto check = [&](std::map<std::string, std::string> headers) {
+    headers["host"] = host;
+    return StatusOf(guard.CheckOrigin(Asked(Method::kPost, std::move(headers))));
+  };
+  EXPECT_EQ(check({{"origin", "http://localhost:8123"}}), 200);
+  EXPECT_EQ(check({{"sec-fetch-site", "same-origin"}}), 200);
+  EXPECT_EQ(check({{"authorization", "Bearer " + kToken}}), 200);
+  EXPECT_EQ(check({{"origin", "http://localhost:9"}}), 403);
+  EXPECT_EQ(check({{"origin", "null"}}), 403);
+  EXPECT_EQ(check({{"origin", "http://localhost:8123.evil.example"}}), 403);
+  EXPECT_EQ(check({{"origin", "http://localhost:8123"}, {"sec-fetch-site", "cross-site"}}), 403);
+  EXPECT_EQ(check({{"authorization", "Bearer wrong"}}), 403);
+  EXPECT_EQ(check({}), 403);
+  EXPECT_EQ(StatusOf(guard.CheckOrigin(Asked(Method::kGet, {{"origin", "http://evil.example"}}))), 200);
+}
+
+TEST(AccessGuard, ALinkOpensOneSessionOnce) {
+  AccessGuard guard({.token = kToken}, kPort);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}))), 401);
+  // A program that only looks at the link does not use it up.
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kHead, {}, {{"token", kToken}}))), 303);
+  const auto entered = guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}, {"phase", "a&b"}}));
+  ASSERT_EQ(StatusOf(entered), 303);
+  EXPECT_EQ(HeaderOf(*entered, "Location"), "/sessions/s%201?phase=a%26b");
+  const std::string cookie = HeaderOf(*entered, "Set-Cookie");
+  EXPECT_NE(cookie.find("; HttpOnly; SameSite=Strict"), std::string::npos);
+  EXPECT_EQ(cookie.find(kToken), std::string::npos);
+  const std::string session = cookie.substr(0, cookie.find(';'));
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session}}))), 200);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", "other=1; " + session}}))), 200);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session + "0"}}))), 401);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", "x" + session}}))), 401);
+  // Again: from the browser that has the session it leads on, from another it opens nothing.
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session}}, {{"token", kToken}}))), 303);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}}))), 401);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "bearer " + kToken}}))), 200);
+}
+
+TEST(AccessGuard, ATokenOfAFileOpensSeveral) {
+  AccessGuard guard({.token = kToken, .link_use = LinkUse::kAlways}, kPort);
+  for (int i = 0; i < 40; ++i) EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}}))), 303);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kPost, {}, {{"token", kToken}}))), 401);
+}
+
+TEST(AccessGuard, MakesGuessersWait) {
+  auto now = std::chrono::steady_clock::time_point() + std::chrono::hours(1);
+  AccessOptions options{.token = kToken, .wrong_tokens_per_minute = 3};
+  options.now = [&now] { return now; };
+  AccessGuard guard(options, kPort);
+  for (int i = 0; i < 3; ++i)
+    EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer x"}}))), 401);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer " + kToken}}))), 429);
+  // Another peer is not kept waiting for it.
+  Request other = Asked(Method::kGet, {{"authorization", "Bearer " + kToken}});
+  other.peer = "192.168.7.3";
+  EXPECT_EQ(StatusOf(guard.CheckToken(other)), 200);
+  now += std::chrono::seconds(61);
+  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer " + kToken}}))), 200);
+}
+
+class TokenFile : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (std::filesystem::temp_directory_path() / "stratalux-token-XXXXXX").string();
+    const int fd = mkstemp(name.data());
+    ASSERT_GE(fd, 0);
+    UniqueFd closes(fd);
+    file_ = name;
+  }
+  void TearDown() override { std::filesystem::remove(file_); }
+  Result<std::string> Read(const std::string& text, mode_t mode = 0600) const {
+    std::ofstream(file_, std::ios::binary | std::ios::trunc) << text;
+    chmod(file_.c_str(), mode);
+    return ReadTokenFile(file_);
+  }
+  std::string file_;
+};
+
+TEST_F(TokenFile, IsItsFirstLine) {
+  EXPECT_EQ(*Read(kToken + "\n# a note\n"), kToken);
+  EXPECT_EQ(*Read(kToken + "\r\n"), kToken);
+}
+
+TEST_F(TokenFile, ThatOthersReadOrThatIsNoneIsRefused) {
+  EXPECT_NE(Read(kToken, 0640).status().message().find("chmod 600"), std::string::npos);
+  EXPECT_EQ(Read("short\n").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(Read("").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(Read("has a blank in its line\n").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(Read(std::string(600, 'a')).status().code(), StatusCode::kUsage);
+  EXPECT_EQ(ReadTokenFile(file_ + "-not-there").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(ReadTokenFile("/dev/zero").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(ReadTokenFile(std::filesystem::temp_directory_path()).status().code(), StatusCode::kUsage);
+}
+
+}  // namespace
+}  // namespace stratalux::http

@@ -1,0 +1,246 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""stratalux-db serve in headless Chromium: what a person sees, with mouse, with keyboard alone, and by axe's rules."""
+import argparse
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import unittest
+import zlib
+
+SKIPPED = 77
+OPTIONS = None
+
+REPORT = """<!doctype html><html lang="en"><head><title>Report</title><style>p { color: #123 }</style></head><body>
+<h1>Report</h1><p id="said">not run</p><p id="reached">nothing</p><script>
+document.getElementById('said').textContent = 'run';
+fetch('/sessions').then(() => { document.getElementById('reached').textContent = 'the server'; }, () => {});
+try { document.cookie; document.getElementById('reached').textContent = 'cookies'; } catch (error) {}
+</script></body></html>"""
+
+
+def write_png(path, width, height, level):
+    rows = b"".join(b"\0" + bytes((x * level // width + y) % 256 for x in range(width)) for y in range(height))
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    with open(path, "wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)) +
+                   chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+class Store:
+    """Two rigs, a visitor, hostile names, a fit with a report."""
+
+    def __init__(self, folder):
+        self.folder = os.path.join(folder, "store")
+        self.pictures = os.path.join(folder, "pictures")
+        os.makedirs(self.pictures)
+        self.run("init")
+        for number in range(4):
+            write_png(os.path.join(self.pictures, f"g{number}.png"), 64, 48, 60 * number + 40)
+        self.run("consent", "give", "--visitor", "v-5f3a91c2", "--text-version", "2026-03", "--language", "de",
+                 "--scope", "fit,research")
+        self.visit = self.take("visitor", "kiosk-1", 'visitor = "v-5f3a91c2"')
+        self.hostile = self.take("calibration", "<img src=x onerror=alert(1)>")
+        fit = os.path.join(self.folder, "sessions", self.visit, "fits", "f1", "report")
+        os.makedirs(fit)
+        with open(os.path.join(fit, "index.html"), "w", encoding="utf-8") as file:
+            file.write(REPORT)
+        with open(os.path.join(fit, "..", "metrics.json"), "w", encoding="utf-8") as file:
+            file.write('{"fit": {"divergence": 0.5, "pixels": 10}}')
+        self.run("reindex")
+
+    def run(self, *arguments):
+        return subprocess.run([OPTIONS.program, *arguments, "--store", self.folder], check=True, timeout=120,
+                              capture_output=True, text=True).stdout
+
+    def take(self, kind, rig, more=""):
+        manifest = os.path.join(self.pictures, "m.toml")
+        with open(manifest, "w", encoding="utf-8") as file:
+            file.write(f"""[import]
+rig = "{rig}"
+kind = "{kind}"
+{more}
+camera_width = 64
+camera_height = 48
+bit_depth = 8
+projector_width = 64
+projector_height = 48
+[[file]]
+sequence = "g#.png"
+first = 0
+patterns = ["gray columns bit=0/6", "gray columns bit=0/6 inverse", "gray columns bit=1/6", "white"]
+""")
+        self.run("import", "--manifest", manifest)
+        return json.loads(self.run("ls", "--limit", "1", "--json"))[0]["session"]
+
+
+class Pages(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        from selenium import webdriver
+        cls.folder = tempfile.mkdtemp(prefix="stratalux-web-")
+        cls.addClassCleanup(shutil.rmtree, cls.folder)
+        cls.store = Store(cls.folder)
+        cls.server = subprocess.Popen([OPTIONS.program, "serve", "--store", cls.store.folder, "--json", "--no-open"],
+                                      stdout=subprocess.PIPE, text=True)
+        cls.addClassCleanup(cls.end_server)
+        text = ""
+        while not text.rstrip().endswith("}"):
+            line = cls.server.stdout.readline()
+            assert line, "the server ended before it said where it is"
+            text += line
+        cls.link = json.loads(text)["url"]
+        cls.base = cls.link.split("/?")[0]
+        options = webdriver.ChromeOptions()
+        for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+                     "--disable-background-networking", "--window-size=1280,900",
+                     f"--user-data-dir={os.path.join(cls.folder, 'profile')}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        options.binary_location = shutil.which("chromium")
+        service = webdriver.ChromeService(executable_path=shutil.which("chromedriver")) if hasattr(
+            webdriver, "ChromeService") else webdriver.chrome.service.Service(shutil.which("chromedriver"))
+        cls.browser = webdriver.Chrome(service=service, options=options)
+        cls.addClassCleanup(cls.browser.quit)
+        cls.browser.set_page_load_timeout(60)
+        cls.browser.get(cls.link)
+
+    @classmethod
+    def end_server(cls):
+        cls.server.terminate()
+        cls.ended = cls.server.wait(timeout=20)
+        cls.server.stdout.close()
+        assert cls.ended == 0, cls.ended
+
+    def open(self, place):
+        self.browser.get(self.base + place)
+        return self.browser.find_element("tag name", "body").text
+
+    def complaints(self):
+        return [entry for entry in self.browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+
+    def places(self):
+        visit, hostile = self.store.visit, self.store.hostile
+        queries = [name["query"] if "query" in name else name["name"] for name in
+                   json.loads(self.store.run("query", "--list", "--json"))]
+        return ["/", "/sessions", f"/sessions/{visit}", f"/sessions/{hostile}", f"/sessions/{visit}/frames",
+                f"/sessions/{visit}/frames/0", f"/sessions/{visit}/fits/f1", "/queries", "/consent",
+                "/deletions"] + [f"/queries/{name}" for name in queries]
+
+    def test_the_link_leaves_no_token_in_the_address(self):
+        self.open("/")
+        self.assertNotIn("token", self.browser.current_url)
+        self.assertEqual([], [c for c in self.browser.execute_script("return document.cookie").split(";") if c])
+
+    def test_pages_load_without_a_complaint_of_the_browser(self):
+        self.complaints()
+        for place in self.places():
+            self.assertIn("Stratalux store", self.open(place), place)
+            self.assertEqual([], self.complaints(), place)
+
+    def violations(self, axe):
+        self.browser.execute_script(axe)  # by the debugger, which no policy of a page keeps out
+        found = self.browser.execute_async_script(
+            "const done = arguments[arguments.length - 1];"
+            "axe.run(document).then(r => done(r.violations), e => done([{id: String(e), nodes: []}]));")
+        return [f"{v['id']}: {[n.get('html') for n in v['nodes']]}" for v in found]
+
+    def test_axe_finds_nothing(self):
+        with open(OPTIONS.axe, encoding="utf-8") as file:
+            axe = file.read()
+        self.open("/sessions")
+        self.browser.execute_script("document.querySelector('label').remove()")
+        self.assertIn("select-name", "".join(self.violations(axe)), "axe would find nothing anywhere")
+        for scheme in ("light", "dark"):
+            self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia",
+                                         {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+            for place in self.places():
+                self.open(place)
+                self.assertEqual([], self.violations(axe), f"{place}, {scheme}")
+        self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+    def test_filters_choose_sessions(self):
+        from selenium.webdriver.support.ui import Select
+        self.open("/sessions")
+        self.assertEqual(2, len(self.browser.find_elements("css selector", "tbody tr")))
+        Select(self.browser.find_element("id", "kind")).select_by_visible_text("visitor")
+        self.browser.find_element("css selector", "button[type=submit]").click()
+        rows = self.browser.find_elements("css selector", "tbody tr")
+        self.assertEqual(1, len(rows))
+        self.assertIn(self.store.visit, rows[0].text)
+        self.assertEqual("visitor", Select(self.browser.find_element("id", "kind")).first_selected_option.text)
+
+    def test_thumbnails_appear(self):
+        from selenium.webdriver.support.ui import WebDriverWait
+        for place in ("/sessions", f"/sessions/{self.store.visit}/frames", f"/sessions/{self.store.visit}/frames/0"):
+            self.open(place)
+            WebDriverWait(self.browser, 30).until(lambda b: b.execute_script(
+                "const all = [...document.images]; return all.length > 0 && all.every(i => i.complete);"))
+            self.assertTrue(self.browser.execute_script("return [...document.images].every(i => i.naturalWidth >= 32)"),
+                            place)
+
+    def test_hostile_names_are_text(self):
+        text = self.open("/sessions")
+        self.assertIn("<img src=x onerror=alert(1)>", text)
+        self.assertEqual([], self.browser.find_elements("css selector", "img[src=x]"))
+
+    def press_until(self, key, reached, limit=80):
+        from selenium.webdriver.common.action_chains import ActionChains
+        for _ in range(limit):
+            ActionChains(self.browser).send_keys(key).perform()
+            if reached(self.browser.switch_to.active_element):
+                return
+        self.fail("the keyboard does not get there")
+
+    def follow(self, href):
+        from selenium.webdriver.common.action_chains import ActionChains
+        from selenium.webdriver.common.keys import Keys
+        from selenium.webdriver.support.ui import WebDriverWait
+        self.press_until(Keys.TAB, lambda e: (e.get_attribute("href") or "").endswith(href))
+        ActionChains(self.browser).send_keys(Keys.ENTER).perform()
+        WebDriverWait(self.browser, 30).until(lambda b: b.current_url.endswith(href))
+
+    def test_the_keyboard_alone_opens_a_session_and_its_report(self):
+        self.open("/")
+        place = f"/sessions/{self.store.visit}"
+        for href in ("/sessions", place, f"{place}/fits/f1", f"{place}/fits/f1/files/report/index.html"):
+            self.follow(href)
+        self.assertEqual("Report", self.browser.find_element("tag name", "h1").text)
+
+    def test_a_report_runs_by_itself_and_reaches_nothing(self):
+        import time
+        self.open(f"/sessions/{self.store.visit}/fits/f1/files/report/index.html")
+        self.assertEqual("run", self.browser.find_element("id", "said").text)
+        time.sleep(0.5)
+        self.assertEqual("nothing", self.browser.find_element("id", "reached").text)
+        self.complaints()
+
+    def test_a_narrow_window_scrolls_in_one_direction(self):
+        self.browser.set_window_size(500, 900)
+        for place in self.places():
+            self.open(place)
+            wide = self.browser.execute_script(
+                "return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            self.assertLessEqual(wide, 0, place)
+        self.browser.set_window_size(1280, 900)
+
+
+def main():
+    global OPTIONS
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--program", required=True)
+    parser.add_argument("--axe", required=True)
+    OPTIONS, rest = parser.parse_known_args()
+    if shutil.which("chromium") is None:
+        print("skipped: no chromium; scripts/install-deps.sh installs it")
+        return SKIPPED
+    return 0 if unittest.main(argv=[sys.argv[0], *rest], exit=False, verbosity=2).result.wasSuccessful() else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
