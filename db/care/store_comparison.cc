@@ -95,7 +95,8 @@ Status CompareWithdrawals(const Ledger& ledger, Connection& connection, const st
       auto select,
       connection.Prepare("SELECT withdrawn_wall_ns, quote(visitor) FROM consents c WHERE withdrawn_wall_ns"
                          " IS NOT NULL AND EXISTS (SELECT 1 FROM sessions s WHERE s.visitor = c.visitor AND"
-                         " s.kind = 'visitor' AND s.started_wall_ns <= c.withdrawn_wall_ns)"));
+                         " s.kind = 'visitor' AND (s.started_wall_ns <= c.withdrawn_wall_ns OR"
+                         " c.withdrawn_wall_ns < c.given_wall_ns))"));
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return Status::Ok();
