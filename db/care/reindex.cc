@@ -214,7 +214,7 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
   }
   if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));
   return connection.Execute(
-      "PRAGMA synchronous = FULL; PRAGMA journal_mode = WAL;"
+      "PRAGMA main.synchronous = FULL; PRAGMA main.journal_mode = WAL;"
       "PRAGMA main.wal_checkpoint(TRUNCATE)");
 }
 

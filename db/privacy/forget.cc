@@ -9,6 +9,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
@@ -295,6 +296,8 @@ Status Forgetting::Certify(SessionIndex& index) {
     SLX_RETURN_IF_ERROR(update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, now.ns).Run());
     Done(ForgetStep::kCertified);
   }
+  // So that nothing is left to follow, and `verify` can hold every row against its entry.
+  SLX_RETURN_IF_ERROR(FollowLedger(index, store_));
   // What is not clean stays begun, so that the next call looks again.
   for (const ForgetIntent& intent : intents_) {
     if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),

@@ -36,9 +36,9 @@ class TruthTest : public StoreTest {
     consent.language = "de";
     consent.fit = true;
     consent.given_wall = {4'000};
-    ASSERT_TRUE(GiveConsent(folder_, "v-anna", consent).ok());
+    ASSERT_TRUE(GiveConsent(folder_, "v-5f3a91a1", consent).ok());
     SessionInfo info = SimulatedVisit();
-    info.visitor = "v-anna";
+    info.visitor = "v-5f3a91a1";
     info.rig = "bench";
     info.started_wall = {5'000};
     info.calibration_json = Record().ToJson();
@@ -186,7 +186,7 @@ TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("s000009-0badcafe")));
   ASSERT_TRUE(index.Execute("DELETE FROM deletions; UPDATE consents SET withdrawn_wall_ns = 7000").ok());
-  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-anna' is 7000")));
+  EXPECT_THAT(Problems(), Contains(HasSubstr("consents.withdrawn_wall_ns of 'v-5f3a91a1' is 7000")));
 }
 
 TEST_F(TruthTest, AFlippedBitAnywhereInAManifestIsRefused) {

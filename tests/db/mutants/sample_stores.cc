@@ -72,23 +72,23 @@ SampleStore New(const fs::path& root, const std::string& name) {
 
 SampleStore Plain(const fs::path& root) {
   SampleStore sample = New(root, "plain");
-  Agree(sample.folder, "v-anna", 4'000);
-  Capture(sample.folder, Visit("v-anna", 5'000), 4, {.max_segment_bytes = 900});
-  Capture(sample.folder, Visit("v-anna", 6'000), 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
+  Agree(sample.folder, "v-5f3a91a1", 4'000);
+  Capture(sample.folder, Visit("v-5f3a91a1", 5'000), 4, {.max_segment_bytes = 900});
+  Capture(sample.folder, Visit("v-5f3a91a1", 6'000), 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
   return sample;
 }
 
 SampleStore Killed(const fs::path& root) {
   SampleStore sample = New(root, "killed");
-  Agree(sample.folder, "v-ben", 6'500);
+  Agree(sample.folder, "v-5f3a91b2", 6'500);
   {
     SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
-    SessionWriter writer = Must(store.BeginSession(Visit("v-ben", 7'000), {.group_frames = 2}));
+    SessionWriter writer = Must(store.BeginSession(Visit("v-5f3a91b2", 7'000), {.group_frames = 2}));
     for (int i = 0; i < 5; ++i) Must(Append(writer, i));
   }
   Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite).status());
   SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
-  SessionWriter writer = Must(store.BeginSession(Visit("v-ben", 8'000)));
+  SessionWriter writer = Must(store.BeginSession(Visit("v-5f3a91b2", 8'000)));
   Must(Append(writer, 0));
   const Image<float> map(4, 3, 1, 2.0F);
   Must(writer.AppendTruth("depth", map.view()));
@@ -100,18 +100,18 @@ SampleStore Killed(const fs::path& root) {
 SampleStore Encrypted(const fs::path& root) {
   SampleStore sample = New(root, "encrypted");
   sample.encrypted = true;
-  Agree(sample.folder, "v-carla", 8'500);
+  Agree(sample.folder, "v-5f3a91c3", 8'500);
   for (const int64_t started : {9'000, 10'000})
-    Capture(sample.folder, Visit("v-carla", started), 3, {.encryption = Encryption::kPerSession});
+    Capture(sample.folder, Visit("v-5f3a91c3", started), 3, {.encryption = Encryption::kPerSession});
   return sample;
 }
 
 SampleStore Signed(const fs::path& root) {
   SampleStore sample = New(root, "signed");
   sample.signed_by = Must(RigKey::Create(sample.folder)).public_key();
-  Agree(sample.folder, "v-dora", 10'500);
-  Capture(sample.folder, Visit("v-dora", 11'000), 4, {.max_segment_bytes = 900, .signing = Signing::kRigKey});
-  const std::string id = Capture(sample.folder, Visit("v-dora", 12'000), 3, {.signing = Signing::kRigKey});
+  Agree(sample.folder, "v-5f3a91d4", 10'500);
+  Capture(sample.folder, Visit("v-5f3a91d4", 11'000), 4, {.max_segment_bytes = 900, .signing = Signing::kRigKey});
+  const std::string id = Capture(sample.folder, Visit("v-5f3a91d4", 12'000), 3, {.signing = Signing::kRigKey});
   const SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
   Logger logger(LogLevel::kError);
   Progress progress(logger, "transcode", 6);
@@ -134,15 +134,15 @@ RigCalibration CalibrationRecord() {
 
 SampleStore Fitted(const fs::path& root) {
   SampleStore sample = New(root, "fitted");
-  Agree(sample.folder, "v-emil", 12'500);
-  Agree(sample.folder, "v-fred", 12'600);
+  Agree(sample.folder, "v-5f3a91e5", 12'500);
+  Agree(sample.folder, "v-5f3a91f6", 12'600);
   SessionInfo board = Visit("", 13'000);
   board.kind = SessionKind::kCalibration;
   const std::string calibration = Capture(sample.folder, board, 2);
-  SessionInfo visit = Visit("v-emil", 14'000);
+  SessionInfo visit = Visit("v-5f3a91e5", 14'000);
   visit.calibration_json = CalibrationRecord().ToJson();
   const std::string fitted = Capture(sample.folder, visit, 3, {.max_segment_bytes = 700});
-  const std::string gone = Capture(sample.folder, Visit("v-fred", 15'000), 2);
+  const std::string gone = Capture(sample.folder, Visit("v-5f3a91f6", 15'000), 2);
   SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
   fs::create_directories(store.FitFolder(calibration, "c1"));
   WriteText(store.FitFolder(calibration, "c1") / "calibration.json", CalibrationRecord().ToJson() + "\n");
@@ -155,10 +155,8 @@ SampleStore Fitted(const fs::path& root) {
   Must(TranscodeSession(store, Must(store.FindSession(fitted)), {.codec = StoreCodec::kRaw12}, progress).status());
   ForgetRequest request;
   request.sessions = {gone};
-  request.visitors = {"v-fred"};
-  {
-    SessionStore closed = std::move(store);
-  }
+  request.visitors = {"v-5f3a91f6"};
+  { SessionStore closed = std::move(store); }
   Must(Forget(sample.folder, request, logger).status());
   return sample;
 }
