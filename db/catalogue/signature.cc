@@ -44,9 +44,8 @@ Result<Frames> FindFrames(const fs::path& folder, const std::vector<std::string>
     frames.segments.push_back(std::make_unique<SegmentReader>(std::move(reader)));
     for (const SegmentFrame& frame : found) frames.places.push_back({frames.segments.back().get(), frame});
   }
-  std::stable_sort(frames.places.begin(), frames.places.end(), [](const auto& a, const auto& b) {
-    return a.frame.header.frame < b.frame.header.frame;
-  });
+  std::stable_sort(frames.places.begin(), frames.places.end(),
+                   [](const auto& a, const auto& b) { return a.frame.header.frame < b.frame.header.frame; });
   return frames;
 }
 
@@ -56,9 +55,8 @@ Result<Digest> DigestOfFrame(const Frames::Place& place, FrameDecoder& decoder, 
   SLX_RETURN_IF_ERROR(place.segment->ReadPayload(place.frame.offset, header, buffer));
   const auto payload = std::span<const uint8_t>(buffer).first(header.payload_bytes);
   if (header.cipher != 0) return DigestOf(payload);
-  SLX_ASSIGN_OR_RETURN(const auto image,
-                       decoder.Decode(ShapeOf(header), static_cast<Codec>(header.codec), payload)
-                           .WithContext("frame " + std::to_string(header.frame)));
+  SLX_ASSIGN_OR_RETURN(const auto image, decoder.Decode(ShapeOf(header), static_cast<Codec>(header.codec), payload)
+                                             .WithContext("frame " + std::to_string(header.frame)));
   const auto samples = image.pixels();
   if (static_cast<PixelFormat>(header.format) != PixelFormat::kMono8)
     return DigestOf(std::span(reinterpret_cast<const uint8_t*>(samples.data()), samples.size() * sizeof(uint16_t)));
@@ -117,12 +115,8 @@ std::string TextOf(const SessionSignature& s) {
   Json frames = Json::array(), files = Json::object();
   for (const Digest& digest : s.frames) frames.push_back(ToHex(digest));
   for (const auto& [name, digest] : s.files) files[name] = ToHex(digest);
-  const Json json = {{"schema", kSignatureSchema},
-                     {"session", s.session},
-                     {"algorithm", kAlgorithm},
-                     {"public_key", ToHex(s.public_key)},
-                     {"frames", frames},
-                     {"files", files},
+  const Json json = {{"schema", kSignatureSchema},        {"session", s.session}, {"algorithm", kAlgorithm},
+                     {"public_key", ToHex(s.public_key)}, {"frames", frames},     {"files", files},
                      {"signature", ToHex(s.signature)}};
   return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }

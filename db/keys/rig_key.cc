@@ -39,8 +39,9 @@ Status Place(const fs::path& file, const std::string& text) {
   const fs::path beside = file.string() + ".new";
   Status placed = Write(beside, text);
   if (placed.ok() && link(beside.c_str(), file.c_str()) != 0)
-    placed = errno == EEXIST ? Status::Usage(file.string() + " is there already; another key would not be the one that"
-                                                             " the auditor knows")
+    placed = errno == EEXIST ? Status::Usage(file.string() +
+                                             " is there already; another key would not be the one that"
+                                             " the auditor knows")
                              : Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
   unlink(beside.c_str());
   const fs::path folder = file.parent_path();
@@ -86,7 +87,8 @@ Result<RigKey> RigKey::Read(const fs::path& store) {
   if (fd.get() < 0) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
   struct stat info {};
   if (fstat(fd.get(), &info) != 0 || (info.st_mode & 077) != 0)
-    return Status::Failed(file.string() + " can be read by others: `chmod 600`, and think whether it still is a secret");
+    return Status::Failed(file.string() +
+                          " can be read by others: `chmod 600`, and think whether it still is a secret");
   char text[128] = {};
   const ssize_t size = read(fd.get(), text, sizeof text - 1);
   if (size < 0) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));

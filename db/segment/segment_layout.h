@@ -3,12 +3,8 @@
 #pragma once
 
 #include <bit>
-#include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <span>
-
-#include <xxhash.h>
 
 #include "db/segment/segment.h"
 
@@ -38,11 +34,10 @@ struct Trailer {
   uint64_t footer_offset, footer_hash;
 };
 
-inline uint64_t HashOf(const FileHeader& h) { return XXH3_64bits(&h, offsetof(FileHeader, hash)); }
-inline uint64_t HashOf(const FrameHeader& h) { return XXH3_64bits(&h, offsetof(FrameHeader, header_hash)); }
-inline void PayloadHash(std::span<const uint8_t> payload, uint8_t (&out)[16]) {
-  XXH128_canonical_t canonical;
-  XXH128_canonicalFromHash(&canonical, XXH3_128bits(payload.data(), payload.size()));
-  std::memcpy(out, canonical.digest, 16);
-}
+// XXH3-64 of all before the header's own hash.
+[[nodiscard]] uint64_t HashOf(const FileHeader& header);
+[[nodiscard]] uint64_t HashOf(const FrameHeader& header);
+// XXH3-128, canonical.
+void PayloadHash(std::span<const uint8_t> payload, uint8_t (&out)[16]);
+
 }  // namespace stratalux::db

@@ -36,15 +36,15 @@ TEST_F(SigningTest, TheAuditorTellsACopyFromAForgery) {
   const std::string hex = Db("key public").out.substr(0, 64);
   EXPECT_EQ(*ParsePublicKey(hex), *ParsePublicKey(Beside("pub")));
   EXPECT_THAT(Db("verify").out, HasSubstr("signed by " + Fingerprint(*ParsePublicKey(hex))));
-  const auto json = nlohmann::json::parse(Execute("stratalux-db verify --json --store " + folder_.string(), Show::kStdout).out);
+  const auto json =
+      nlohmann::json::parse(Execute("stratalux-db verify --json --store " + folder_.string(), Show::kStdout).out);
   EXPECT_EQ(json[0]["signed_by"], hex);
 
   ASSERT_EQ(Db("backup --to " + Beside("backup").string()).code, 0);
   EXPECT_FALSE(fs::exists(Beside("backup") / "rig.key")) << "the key stays at the rig";
   EXPECT_TRUE(fs::exists(Beside("backup") / "sessions" / id / "signature.json"));
   ASSERT_EQ(Db("export " + id + " --out " + Beside("pictures").string()).code, 0);
-  EXPECT_EQ(ReadBytes(Beside("pictures") / "signature.json"),
-            ReadBytes(folder_ / "sessions" / id / "signature.json"));
+  EXPECT_EQ(ReadBytes(Beside("pictures") / "signature.json"), ReadBytes(folder_ / "sessions" / id / "signature.json"));
 
   fs::copy(folder_, Beside("copy"), fs::copy_options::recursive);
   fs::remove(Beside("copy") / "rig.key");

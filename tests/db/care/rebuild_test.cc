@@ -148,8 +148,9 @@ TEST_F(RebuildTest, APlannedStepWithoutAFrameIsMissed) {
   const Image<uint16_t> pixels(4, 2);
   const auto plan = BuildPlan(options);
   for (const PlanStep& step : plan->steps)
-    if (step.index != 5 && step.index != 6)
+    if (step.index != 5 && step.index != 6) {
       ASSERT_TRUE(writer->Append(RecordFor(step.index, PixelFormat::kMono12, 4, 2), pixels.view()).ok());
+    }
   ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
   const auto session = RebuildSession(store.SessionFolder(writer->info().id));
   ASSERT_TRUE(session.ok()) << session.status().message();

@@ -124,8 +124,9 @@ TEST_F(SignatureTest, AnyChangeOfTheSignatureIsFound) {
     if (std::isspace(intact[i]) != 0) continue;  // a blank more or less says nothing
     FlipBits(file, i, static_cast<uint8_t>(1U << (i % 7)));
     // Hexadecimal digits of either case are the same number.
-    if (std::tolower(ReadBytes(file)[i]) != std::tolower(intact[i]))
+    if (std::tolower(ReadBytes(file)[i]) != std::tolower(intact[i])) {
       EXPECT_FALSE(Problems(id, VerifyDepth::kDeep, key_).empty()) << "byte " << i;
+    }
     FlipBits(file, i, static_cast<uint8_t>(1U << (i % 7)));
   }
   fs::remove(file);

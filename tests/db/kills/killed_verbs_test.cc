@@ -169,7 +169,9 @@ TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
     const Outcome again = Do(std::string("stratalux-db ") + verb.arguments);
     const bool already = std::ranges::find(verb.already, again.code) != verb.already.end();
     EXPECT_TRUE(again.code == 0 || already) << again.code << ": " << again.err;
-    if (already) EXPECT_EQ(Do("stratalux-db forget --resume").code, 0) << "where a forgetting began, it ends";
+    if (already) {
+      EXPECT_EQ(Do("stratalux-db forget --resume").code, 0) << "where a forgetting began, it ends";
+    }
     EXPECT_EQ(Listing(), listing);
     EXPECT_EQ(Do(verb.witness).code, 0) << verb.witness;
     const Outcome verify = Do("stratalux-db verify --deep");

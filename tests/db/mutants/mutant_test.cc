@@ -86,8 +86,7 @@ class Mutants : public ::testing::Test {
     if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) {
       ++tally.wrong;
       if (tally.wrong <= 40)
-        ADD_FAILURE() << "STRATALUX_SEED=" << seed << " STRATALUX_MUTANT=" << number << ": " << verdict << "\n"
-                      << rest;
+        ADD_FAILURE() << "STRATALUX_SEED=" << seed << " STRATALUX_MUTANT=" << number << ": " << verdict << "\n" << rest;
     } else if (Number("STRATALUX_MUTANT", -1) >= 0) {
       std::printf("%s\n%s\n", verdict.c_str(), rest.c_str());
     }
@@ -113,8 +112,7 @@ class Mutants : public ::testing::Test {
     for (int64_t number = from; number < to; ++number) {
       std::fflush(nullptr);
       const pid_t child = fork();
-      if (child == 0)
-        RunOne(seed, number, root_ / std::to_string(number), root_ / ("told-" + std::to_string(number)));
+      if (child == 0) RunOne(seed, number, root_ / std::to_string(number), root_ / ("told-" + std::to_string(number)));
       EXPECT_GT(child, 0);
       running[child] = number;
       if (running.size() >= workers) wait_for_one();
@@ -158,7 +156,8 @@ TEST_F(Mutants, UnchangedStoresAreSound) {
 
 TEST_F(Mutants, AreFoundOrHarmlessAndLoseNoFrame) {
   const int64_t count = Number("STRATALUX_MUTANTS", 500);
-  if (std::getenv("STRATALUX_SEED") != nullptr) return RunAll(static_cast<uint64_t>(Number("STRATALUX_SEED", 0)), count);
+  if (std::getenv("STRATALUX_SEED") != nullptr)
+    return RunAll(static_cast<uint64_t>(Number("STRATALUX_SEED", 0)), count);
   const auto day = std::chrono::duration_cast<std::chrono::hours>(std::chrono::system_clock::now().time_since_epoch());
   RunAll(1, count / 2);
   RunAll(static_cast<uint64_t>(day.count() / 24), count - count / 2);

@@ -199,16 +199,41 @@ struct Field {
   size_t offset, size;
   bool real = false;
 };
-constexpr Field kFields[] = {
-    {"magic", 0, 4},         {"header_bytes", 4, 4},   {"frame", 8, 8},          {"step", 16, 4},
-    {"projector", 20, 4},    {"bracket", 24, 4},       {"pose", 28, 4},          {"retry", 32, 4},
-    {"phase", 36, 4},        {"trigger_number", 40, 8}, {"trigger_ns", 48, 8},   {"sync_ns", 56, 8},
-    {"driver_sequence", 64, 8}, {"frame_ns", 72, 8},   {"exposure_ms", 80, 8, true}, {"gain", 88, 8, true},
-    {"mean_dn", 96, 8, true}, {"frame_clock", 104, 2}, {"level_check", 106, 2},  {"format", 108, 2},
-    {"cfa", 110, 2},         {"codec", 112, 2},        {"cipher", 114, 2},       {"width", 116, 4},
-    {"height", 120, 4},      {"channels", 124, 4},     {"crop_x", 128, 4},       {"crop_y", 132, 4},
-    {"key_id", 136, 16},     {"nonce", 152, 24},       {"pattern", 176, 64},     {"payload_bytes", 240, 8},
-    {"payload_hash", 248, 16}, {"retake_cause", 264, 32}, {"pixel_hash", 296, 16}};
+constexpr Field kFields[] = {{"magic", 0, 4},
+                             {"header_bytes", 4, 4},
+                             {"frame", 8, 8},
+                             {"step", 16, 4},
+                             {"projector", 20, 4},
+                             {"bracket", 24, 4},
+                             {"pose", 28, 4},
+                             {"retry", 32, 4},
+                             {"phase", 36, 4},
+                             {"trigger_number", 40, 8},
+                             {"trigger_ns", 48, 8},
+                             {"sync_ns", 56, 8},
+                             {"driver_sequence", 64, 8},
+                             {"frame_ns", 72, 8},
+                             {"exposure_ms", 80, 8, true},
+                             {"gain", 88, 8, true},
+                             {"mean_dn", 96, 8, true},
+                             {"frame_clock", 104, 2},
+                             {"level_check", 106, 2},
+                             {"format", 108, 2},
+                             {"cfa", 110, 2},
+                             {"codec", 112, 2},
+                             {"cipher", 114, 2},
+                             {"width", 116, 4},
+                             {"height", 120, 4},
+                             {"channels", 124, 4},
+                             {"crop_x", 128, 4},
+                             {"crop_y", 132, 4},
+                             {"key_id", 136, 16},
+                             {"nonce", 152, 24},
+                             {"pattern", 176, 64},
+                             {"payload_bytes", 240, 8},
+                             {"payload_hash", 248, 16},
+                             {"retake_cause", 264, 32},
+                             {"pixel_hash", 296, 16}};
 
 void ChangeField(const Field& field, uint8_t* at, Random& random) {
   if (field.real) {
@@ -223,9 +248,15 @@ void ChangeField(const Field& field, uint8_t* at, Random& random) {
   }
   uint64_t value = 0;
   std::memcpy(&value, at, field.size);
-  const uint64_t values[] = {value + 1,  value - 1,        0, ~uint64_t{0}, uint64_t{0} - 320, uint64_t{1} << 62,
+  const uint64_t values[] = {value + 1,
+                             value - 1,
+                             0,
+                             ~uint64_t{0},
+                             uint64_t{0} - 320,
+                             uint64_t{1} << 62,
                              value ^ (uint64_t{1} << Below(random, 8 * field.size)),
-                             9,          random()};
+                             9,
+                             random()};
   value = values[Below(random, std::size(values))];
   std::memcpy(at, &value, field.size);
 }
@@ -268,9 +299,14 @@ Mutant ChangePayload(const fs::path& folder, Random& random) {
   if (payload.empty()) return ChangeBytes(folder, random);
   const Bytes before(payload.begin(), payload.end());
   switch (Below(random, 3)) {
-    case 0: payload[Below(random, payload.size())] ^= static_cast<uint8_t>(1 + Below(random, 255)); break;
-    case 1: std::generate(payload.begin(), payload.end(), [&] { return static_cast<uint8_t>(random()); }); break;
-    default: std::fill(payload.begin(), payload.end(), uint8_t{0});
+    case 0:
+      payload[Below(random, payload.size())] ^= static_cast<uint8_t>(1 + Below(random, 255));
+      break;
+    case 1:
+      std::generate(payload.begin(), payload.end(), [&] { return static_cast<uint8_t>(random()); });
+      break;
+    default:
+      std::fill(payload.begin(), payload.end(), uint8_t{0});
   }
   const bool changed = !std::equal(before.begin(), before.end(), payload.begin());
   const auto level = static_cast<Level>(Below(random, 5));
@@ -393,7 +429,8 @@ Mutant ChangeJson(const fs::path& folder, Random& random) {
   Json json = Json::parse(before, nullptr, false);
   if (json.is_discarded()) return ChangeBytes(folder, random);
   const Json was = json;
-  const bool is_manifest = file.filename() == "manifest.json", had_hash = is_manifest && CheckOwnHash(before) == OwnHash::kRight;
+  const bool is_manifest = file.filename() == "manifest.json",
+             had_hash = is_manifest && CheckOwnHash(before) == OwnHash::kRight;
   const std::string path = ChangeMember(json, random);
   const bool anew = had_hash && json.is_object() && Below(random, 2) == 0;
   std::string text;
@@ -432,10 +469,15 @@ Mutant ChangeIndex(const fs::path& folder, Random& random) {
   if (!connection.ok() || !connection->Execute("PRAGMA foreign_keys = OFF; PRAGMA ignore_check_constraints = ON").ok())
     return ChangeBytes(folder, random);
   if (Below(random, 20) == 0) {
-    const std::vector<std::string> statements = {
-        "DROP VIEW session_overview",          "DROP INDEX frames_by_step", "PRAGMA user_version = 6",
-        "PRAGMA user_version = 4",             "PRAGMA application_id = 5", "DELETE FROM sqlite_sequence",
-        "ALTER TABLE frames ADD COLUMN x TEXT", "DROP TABLE metrics",       "CREATE VIEW v AS SELECT 1"};
+    const std::vector<std::string> statements = {"DROP VIEW session_overview",
+                                                 "DROP INDEX frames_by_step",
+                                                 "PRAGMA user_version = 6",
+                                                 "PRAGMA user_version = 4",
+                                                 "PRAGMA application_id = 5",
+                                                 "DELETE FROM sqlite_sequence",
+                                                 "ALTER TABLE frames ADD COLUMN x TEXT",
+                                                 "DROP TABLE metrics",
+                                                 "CREATE VIEW v AS SELECT 1"};
     const std::string& statement = OneOf(statements, random);
     (void)connection->Execute(statement).ok();
     return {statement, false};
@@ -450,7 +492,8 @@ Mutant ChangeIndex(const fs::path& folder, Random& random) {
     if (!rows.ok() || *rows == 0 || columns.empty()) continue;
     std::string row, literals;
     for (const std::string& column : columns)
-      literals += (literals.empty() ? "" : " || ' AND ' || ") + ("'\"" + column + "\" IS ' || quote(\"" + column + "\")");
+      literals +=
+          (literals.empty() ? "" : " || ' AND ' || ") + ("'\"" + column + "\" IS ' || quote(\"" + column + "\")");
     const auto found = Column(*connection, "SELECT " + literals + " FROM " + table + " LIMIT 1 OFFSET " +
                                                std::to_string(Below(random, static_cast<size_t>(*rows))));
     if (found.empty()) continue;
@@ -487,16 +530,22 @@ Mutant Mutate(const SampleStore&, const fs::path& folder, Random& random) {
   switch (Below(random, 14)) {
     case 0:
     case 1:
-    case 2: return ChangeBytes(folder, random);
-    case 3: return MoveFiles(folder, random);
+    case 2:
+      return ChangeBytes(folder, random);
+    case 3:
+      return MoveFiles(folder, random);
     case 4:
     case 5:
-    case 6: return ChangeHeader(folder, random);
+    case 6:
+      return ChangeHeader(folder, random);
     case 7:
-    case 8: return ChangePayload(folder, random);
+    case 8:
+      return ChangePayload(folder, random);
     case 9:
-    case 10: return ChangeJson(folder, random);
-    default: return ChangeIndex(folder, random);
+    case 10:
+      return ChangeJson(folder, random);
+    default:
+      return ChangeIndex(folder, random);
   }
 }
 

@@ -127,7 +127,9 @@ TEST_F(SegmentScanTest, CopiesOfHeadersInADamagedFooterAreNoFrames) {
     ASSERT_FALSE(scan.sealed);
     // Of the trailer's pointer alone the footer stays whole.
     ASSERT_NE(scan.asides.empty(), scan.findings.empty());
-    if (!scan.asides.empty()) EXPECT_EQ(scan.asides[0].end, static_cast<int64_t>(size));
+    if (!scan.asides.empty()) {
+      EXPECT_EQ(scan.asides[0].end, static_cast<int64_t>(size));
+    }
     FlipBits(file_, at, 0x40);
   }
 }
