@@ -8,6 +8,7 @@
 
 #include <fcntl.h>
 #include <unistd.h>
+#include <xxhash.h>
 
 #include "db/base/durable_file.h"
 #include "db/segment/frame_cipher.h"

@@ -145,7 +145,8 @@ CREATE TABLE jobs (
   key               TEXT    NOT NULL UNIQUE,             -- the caller's: asking for the same again changes nothing
   session           INTEGER REFERENCES sessions (number) ON DELETE CASCADE,   -- NULL: of none alone
   kind              TEXT    NOT NULL,                    -- such as 'fit', 'calibrate'
-  state             TEXT    NOT NULL CHECK (state IN ('queued', 'running', 'done', 'failed', 'set-aside', 'cancelled')),
+  state             TEXT    NOT NULL                     -- how far it is
+    CHECK (state IN ('queued', 'running', 'done', 'failed', 'set-aside', 'cancelled')),
   priority          INTEGER NOT NULL,                    -- higher first
   options_json      TEXT    NOT NULL,                    -- of the kind; names no visitor and no session
   created_wall_ns   INTEGER NOT NULL,                    -- ns since 1970 UTC

@@ -74,9 +74,9 @@ class ReindexTest : public StoreTest {
 
 TEST_F(ReindexTest, TellsWhatTheLostIndexTold) {
   // Wall clocks that run backwards: the order of the sessions is not theirs.
-  StoreVisit("anna", 9'000);
-  const std::string second = StoreVisit("ben", 5'000);
-  StoreVisit("anna", 1'000);
+  StoreVisit("v-0a11a0a1", 9'000);
+  const std::string second = StoreVisit("v-0be00be0", 5'000);
+  StoreVisit("v-0a11a0a1", 1'000);
   ASSERT_TRUE(OpenStore().RegisterFit({"f1", second, R"({"eta":1.4})", "{\n \"rms\": 0.25\n}\n", {77}}).ok());
   const auto before = Dump(folder_);
   ASSERT_GT(before.size(), 40U);

@@ -222,7 +222,8 @@ TEST_F(SchemaFourTest, KeepsEveryRow) {
   std::vector<std::string> said;
   for (const std::string& line : expected_)
     if (line.starts_with("? ") || line.starts_with("= ")) said.push_back(line);
-  EXPECT_EQ(found, said);
+  ASSERT_EQ(found.size(), said.size());
+  for (size_t i = 0; i < said.size(); ++i) EXPECT_EQ(found[i], said[i]) << "line " << i;
 }
 
 TEST_F(SchemaFourTest, KeepsEveryFrameAndEveryVerdict) {

@@ -57,7 +57,8 @@ class LedgerStoryTest : public StoreTest {
   }
   [[nodiscard]] Ledger ReadLedger() const { return *Ledger::Read(folder_); }
   [[nodiscard]] bool IsDue(const std::string& id) const {
-    for (const DueSession& due : *DueSessions(folder_, {}, WallNow()))
+    const auto all_due = DueSessions(folder_, {}, WallNow());
+    for (const DueSession& due : *all_due)
       if (due.id == id) return true;
     return false;
   }
