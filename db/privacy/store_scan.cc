@@ -5,6 +5,7 @@
 #include <cctype>
 #include <map>
 
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/privacy/marker_scan.h"
 
@@ -79,8 +80,11 @@ Result<int64_t> AllowedInIndex(SessionIndex& index, const std::string& id) {
   return select.Integer(0);
 }
 
+// Of the store, or of a source that it pulls from, whose chains are copied before they are merged.
 bool IsChain(const fs::path& store, const fs::path& file) {
-  return file.parent_path() == store / "ledger" && file.extension() == ".jsonl";
+  const fs::path folder = file.parent_path();
+  return file.extension() == ".jsonl" && folder.filename() == "ledger" &&
+         (folder.parent_path() == store || folder.parent_path().parent_path() == IncomingSources(store));
 }
 
 // The first hit that must not be, if any.

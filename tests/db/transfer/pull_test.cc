@@ -77,7 +77,8 @@ TEST_F(PullTest, ACutOneGoesOnAndADamagedSessionNeverBecomesVisible) {
 // The case: a value of the next version with right hashes, in the middle of three.
 TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome) {
   const std::string first = StoreSession(1), later = StoreSession(2), last = StoreSession(1);
-  const auto good = ReadBytes(Segment(later));
+  const std::filesystem::path manifest = folder_ / "sessions" / later / "manifest.json";
+  const auto good = ReadBytes(Segment(later)), good_manifest = ReadBytes(manifest);
   RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 9; });
   const std::string command = "pull --from " + folder_.string() + " --store " + other_.string();
   for (int i = 0; i < 2; ++i) {
@@ -91,6 +92,7 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   ASSERT_TRUE(index.ok()) << index.status().message();
   EXPECT_THAT(index->problems, IsEmpty());
   WriteBytes(Segment(later), good);
+  WriteBytes(manifest, good_manifest);
   EXPECT_EQ(Db(command).code, 0);
   EXPECT_THAT(Ids(other_), SizeIs(3));
 }
