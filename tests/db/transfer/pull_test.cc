@@ -97,6 +97,17 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   EXPECT_THAT(Ids(other_), SizeIs(3));
 }
 
+// Right hashes all over, but not those of which the manifest speaks.
+TEST_F(PullTest, ASegmentSealedAnewIsNotTheManifestsAndStaysOutside) {
+  const std::string changed = StoreSession(2), good = StoreSession(1);
+  const std::filesystem::path manifest = folder_ / "sessions" / changed / "manifest.json";
+  const auto before = ReadBytes(manifest);
+  RewriteSegment(Segment(changed), [](FrameHeader& header) { header.gain *= 2; });
+  WriteBytes(manifest, before);
+  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest speaks of")));
+  EXPECT_EQ(Ids(other_), std::vector{good});
+}
+
 TEST_F(PullTest, NumbersThatAreNoneAreOneSessionsProblem) {
   const std::string bad = StoreSession(1), good = StoreSession(1);
   RewriteSegment(Segment(bad),
@@ -114,6 +125,9 @@ TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
   EXPECT_EQ(pulled->forgotten, 2);
   EXPECT_EQ(Ids(other_), std::vector{third});
   EXPECT_TRUE(Ledger::Read(other_)->IsForgotten(first)) << "adopted: it holds for those who ask this store";
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(other_ / "incoming")) {
+    EXPECT_THAT(entry.path().filename().string(), ::testing::Not(HasSubstr(first))) << "a tombstone is not kept here";
+  }
   Forget(folder_, third);
   EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("forget " + third)));
 }
@@ -256,7 +270,12 @@ TEST_F(PullTest, KilledAnywhereItGoesOnWithoutLossAndWithoutDoubles) {
                         std::chrono::milliseconds(5 + 40 * i))
                  ? 1
                  : 0;
-    const auto pulled = PullHere();
+    auto pulled = PullHere();
+    // What the killed one had just forked, to become rsync, holds its lock for an instant.
+    for (int wait = 0; wait < 100 && pulled.status().code() == StatusCode::kBusy; ++wait) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      pulled = PullHere();
+    }
     ASSERT_TRUE(pulled.ok()) << pulled.status().message();
     EXPECT_THAT(pulled->problems, IsEmpty()) << i;
     EXPECT_EQ(Ids(other_), ids) << i;
