@@ -191,6 +191,9 @@ CREATE INDEX consents_withdrawn ON consents (visitor) WHERE withdrawn_wall_ns IS
 -- Of the plan in plan_json; what PlannedSteps() of the program counts, as SQL cannot build a plan.
 ALTER TABLE sessions ADD COLUMN planned_steps INTEGER /* steps of the plan; NULL: no plan, or one this program cannot read */;
 
+-- Of a hundred thousand sessions, those that may lack frames: missing_frames reads no other, the newest first.
+CREATE INDEX sessions_incomplete ON sessions (number) WHERE status <> 'complete';
+
 CREATE TABLE retention_classes (
   retention         TEXT    PRIMARY KEY,                 -- sessions.retention
   days              INTEGER                              -- kept after the end of the session; NULL: for ever
