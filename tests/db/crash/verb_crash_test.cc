@@ -234,7 +234,7 @@ class ArrivalCrash : public VerbCrash {
 TEST_F(ArrivalCrash, ARestoreIntoANewStoreIsContinued) {
   MakeBackup();
   const auto restore = [this](const fs::path& into) {
-    return Restore(Copy(), into, RestoreInto::kNewStore, logger_).status();
+    return Restore(Copy(), into, {RestoreInto::kNewStore, kNoLedger}, logger_).status();
   };
   const DiskLog log = RecordVerb([&] { ASSERT_TRUE(restore(Store()).ok()); });
   const CheckFunction check = [&](const fs::path& folder, int64_t mark, CheckCounts& counts) {
@@ -252,7 +252,7 @@ TEST_F(ArrivalCrash, AMergingRestoreIsContinued) {
   ASSERT_TRUE(SessionStore::Create(Store()).ok());
   const Kept own = Write(Store(), "v-4d4d4d4d", 4, 300, Encryption::kNone);
   const auto restore = [this](const fs::path& into) {
-    return Restore(Copy(), into, RestoreInto::kMerge, logger_).status();
+    return Restore(Copy(), into, {RestoreInto::kMerge, ""}, logger_).status();
   };
   const DiskLog log = RecordVerb([&] { ASSERT_TRUE(restore(Store()).ok()); });
   const CheckFunction check = [&](const fs::path& folder, int64_t mark, CheckCounts& counts) {
@@ -269,7 +269,7 @@ TEST_F(ArrivalCrash, APullIsContinued) {
   ASSERT_TRUE(SessionStore::Create(Store()).ok());
   const Kept own = Write(Store(), "v-4d4d4d4d", 4, 300, Encryption::kNone);
   const auto pull = [this](const fs::path& into) {
-    const auto report = Pull(into, Source().string(), PullMode::kCopy, logger_);
+    const auto report = Pull(into, Source().string(), {}, logger_);
     if (!report.ok()) return report.status();
     return report->problems.empty() ? Status::Ok() : Status::Failed(report->problems[0]);
   };
