@@ -56,11 +56,7 @@ std::string Capture(const fs::path& folder, SessionInfo info, int frames, const 
 }
 
 void Agree(const fs::path& folder, const std::string& visitor, int64_t given) {
-  Consent consent;
-  consent.text_version = "2026-03";
-  consent.language = "de";
-  consent.fit = consent.research = true;
-  consent.given_wall = {given};
+  const Consent consent{"2026-03", "de", true, true, false, {given}};
   Must(GiveConsent(folder, visitor, consent));
 }
 
