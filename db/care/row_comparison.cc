@@ -186,21 +186,24 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
       if (table == "sessions")
         rule = With(rule, "status, reasons_json, finished_wall_ns, frame_count, stored_bytes, key_id", Extent::kSame);
       if (table == "frames" || table == "proofs") rule.extent = Extent::kRebuildHasMore;
-    } else if (table == "sessions" && session.info.status == SessionStatus::kFailed &&
-               (!manifest.ok() || manifest->status == SessionStatus::kRecording)) {
-      // It failed on a disk that could not even take its manifest: the reason is the index's alone.
+    } else if (table == "sessions" && !manifest.ok()) {
+      // Lost, or never written by a disk that was full: what only a manifest tells is the index's alone.
       rule = With(rule,
-                  manifest.ok() ? "reasons_json, finished_wall_ns, key_id"
-                                : "kind, rig, visitor, consent, simulated, seed, started_wall_ns, reasons_json,"
-                                  " program_version, plan_json, calibration_id, consent_json, retention,"
-                                  " finished_wall_ns, key_id",
+                  "kind, rig, visitor, consent, simulated, seed, started_wall_ns, status, reasons_json,"
+                  " program_version, plan_json, planned_steps, calibration_id, consent_json, retention,"
+                  " finished_wall_ns, key_id",
                   Extent::kSame);
+    } else if (table == "sessions" && session.info.status == SessionStatus::kFailed &&
+               manifest->status == SessionStatus::kRecording) {
+      // It failed on a disk that took no second manifest: the reason is the index's alone.
+      rule = With(rule, "reasons_json, finished_wall_ns, key_id", Extent::kSame);
     } else if (table == "sessions" && session.frames == 0) {
       rule = With(rule, "key_id", Extent::kSame);  // known by its frames
     } else if (table == "sessions" && contents.ok() && contents->schema == 1) {
       rule = With(rule, "consent_json, finished_wall_ns", Extent::kSame);  // columns that came with schema 2
     }
     if (table == "consents" && contents.ok() && contents->schema == 1) rule.extent = Extent::kIndexHasMore;
+    if (table == "calibrations" && !manifest.ok()) rule.extent = Extent::kIndexHasMore;
   }
   return rules;
 }
@@ -233,7 +236,10 @@ Result<std::vector<std::string>> CompareSessionRows(const fs::path& store, const
   const std::string prefix = "session " + session.info.id + ": ";
   std::vector<std::string> lines;
   SLX_ASSIGN_OR_RETURN(auto rebuilt, RebuildSession(folder));
-  lines = rebuilt.problems;
+  // What became of the manifest is told by whoever reads it.
+  const std::string manifest = (folder / "manifest.json").string();
+  for (const std::string& problem : rebuilt.problems)
+    if (!problem.starts_with(manifest)) lines.push_back(problem);
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(session.info.id));
   if (rebuilt.number && *rebuilt.number != number)

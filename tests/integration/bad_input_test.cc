@@ -103,7 +103,7 @@ TEST_F(WrongConfig, IsNamedWithFileLineKeyValueAndRemedy) {
 TEST_F(WrongConfig, MustBeAFile) {
   ExpectRefused("stratalux-rig plan show --config " + (folder_ / "none.toml").string(), 2,
                 {"none.toml", "No such file"});
-  ExpectRefused("stratalux-rig plan show --config " + folder_.string(), 2, {folder_.string(), "directory"});
+  ExpectRefused("stratalux-rig plan show --config " + folder_.string(), 2, {folder_.string(), "folder, not a file"});
 }
 
 TEST_F(WrongPlan, IsRefusedBeforeTheFirstFrame) {
@@ -192,7 +192,7 @@ TEST_F(WrongPicture, ThatIsNoneIsRefused) {
   fs::remove(picture);
   ExpectImportRefused(manifest, {line, picture, "No such file"});
   fs::create_directory(picture);
-  ExpectImportRefused(manifest, {line, picture, "directory"});
+  ExpectImportRefused(manifest, {line, picture, "folder, not a file"});
   ExpectUnharmed();
 }
 
@@ -202,7 +202,7 @@ TEST_F(WrongPicture, ManifestErrorsCarryTheirLine) {
   ExpectImportRefused(Manifest(depth, "fille = \"w.png\"\n"), {"m.toml:10: unknown key", "fille"});
   ExpectImportRefused(Manifest(""), {"m.toml:1: import.bit_depth: is missing"});
   ExpectImportRefused(File("m.toml", "[import\n"), {"m.toml:1: "});
-  ExpectImportRefused(folder_.string(), {folder_.string(), "directory"});
+  ExpectImportRefused(folder_.string(), {folder_.string(), "folder, not a file"});
   const std::string gray = Manifest(depth);
   WriteText(gray, ReadText(gray) + "[[file]]\nfile = \"w.png\"\npattern = \"gray columns bit=1/11\"\n");
   ExpectImportRefused(gray, {"m.toml:16: pattern", "at most 7 bits"});
