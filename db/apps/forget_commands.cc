@@ -81,7 +81,7 @@ int Finish(const CommonFlags& common, const ForgetFlags& flags, ForgetRequest re
   return report->leftovers.empty() ? printed : static_cast<int>(StatusCode::kDegraded);
 }
 
-// The sessions a forget speaks of. An id that is forgotten already gives none.
+// The sessions a forget speaks of. One that is forgotten already gives none, unless it lies here again.
 Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& flags) {
   ForgetRequest request;
   SLX_ASSIGN_OR_RETURN(const auto store, SessionStore::Open(common.store, AccessMode::kReadOnly));
@@ -100,8 +100,10 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
     request.sessions.push_back(row->info.id);
     return request;
   }
-  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(common.store, flags.session));
-  if (!forgotten) return row.status();
+  SLX_ASSIGN_OR_RETURN(const std::string forgotten, FindForgotten(common.store, flags.session));
+  if (forgotten.empty()) return row.status();
+  SLX_ASSIGN_OR_RETURN(const bool returned, HasReturned(common.store, forgotten));
+  if (returned) request.sessions.push_back(forgotten);
   return request;
 }
 
@@ -110,16 +112,16 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
     return Report(Status::Usage("forget: name a SESSION or --visitor V (or --resume what broke off)"));
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
-  if (!flags.dry_run && !flags.yes && !flags.resume)
-    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
-                                " session(s) for ever; --dry-run shows them, --yes does it"));
-  if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
-      UnfinishedForgets(common.store).empty()) {
+  const bool nothing = request->sessions.empty() && request->visitors.empty();
+  if (!flags.resume && nothing && UnfinishedForgets(common.store).empty()) {
     std::fprintf(stderr,
                  "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
                  flags.session.c_str());
-    return 0;
+    return common.json ? Print(TextOf(JsonOf({}, {}, flags))) : 0;
   }
+  if (!flags.dry_run && !flags.yes && !flags.resume)
+    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
+                                " session(s) for ever; --dry-run shows them, --yes does it"));
   return Finish(common, flags, std::move(request).value(), {});
 }
 

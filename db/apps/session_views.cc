@@ -110,7 +110,13 @@ std::string Line(const std::string& name, const std::string& value) {
          "\n";
 }
 
-// "text 3 (de): fit, research; withdrawn 2026-11-21T11:08:06Z".
+// A moment of a view, which has it to the nanosecond, as the other lines have theirs: to the second.
+std::string ToTheSecond(const std::string& iso8601) {
+  const size_t point = iso8601.find('.');
+  return point == std::string::npos ? iso8601 : iso8601.substr(0, point) + "Z";
+}
+
+// "text 3 (de): fit, research; WITHDRAWN 2026-11-21T11:08:06Z".
 std::string ConsentAsText(const std::string& consent_json) {
   const Json consent = ParsedOrNull(consent_json);
   if (!consent.is_object()) return "none";
@@ -124,7 +130,7 @@ std::string ConsentAsText(const std::string& consent_json) {
       if (word.is_string()) scope += (scope.empty() ? "" : ", ") + word.get<std::string>();
   const std::string language = text("language"), withdrawn = text("withdrawn");
   return "text " + text("text_version") + (language.empty() ? "" : " (" + language + ")") + ": " +
-         (scope.empty() ? "nothing" : scope) + (withdrawn.empty() ? "" : "; WITHDRAWN " + withdrawn);
+         (scope.empty() ? "nothing" : scope) + (withdrawn.empty() ? "" : "; WITHDRAWN " + ToTheSecond(withdrawn));
 }
 
 // What views say of the session beyond its row.
@@ -155,7 +161,8 @@ std::string RetentionAsText(const SessionDetails& details) {
   const std::string retention = stratalux::ToString(details.row.info.retention);
   if (details.due.empty()) return retention;
   const bool withdrawn = details.due_reason == "consent withdrawn";
-  return retention + (withdrawn ? "; `stratalux-db purge` removes it: consent withdrawn" : "; due " + details.due);
+  return retention +
+         (withdrawn ? "; `stratalux-db purge` removes it: consent withdrawn" : "; due " + ToTheSecond(details.due));
 }
 
 }  // namespace
@@ -177,7 +184,8 @@ std::string DetailsAsText(const SessionDetails& details) {
   for (const std::string& reason : info.reasons) text += Line("  reason", reason);
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
   text += Line("program", info.program_version) +
-          Line("frames", std::to_string(details.row.frames) + ", " + SizeText(details.row.bytes));
+          Line("frames", std::to_string(details.row.frames) + ", " + SizeText(details.row.bytes) +
+                             (details.row.key_id.empty() ? "" : ", encrypted"));
   for (const auto& [phase, projector, count] : details.phases) {
     const std::string lit = projector < 0 ? "all projectors" : "projector " + std::to_string(projector);
     text += Line("  " + phase, std::to_string(count) + ", " + lit);
@@ -196,6 +204,7 @@ std::string DetailsAsJson(const SessionDetails& details) {
   json["consent"] = ParsedOrNull(details.consent_json);
   json["retention"] = stratalux::ToString(info.retention);
   json["due"] = details.due.empty() ? Json() : Json(details.due);
+  json["encrypted"] = !details.row.key_id.empty();
   json["seed"] = info.seed;
   json["program_version"] = info.program_version;
   json["plan"] = ParsedOrNull(info.plan_json);
@@ -230,7 +239,7 @@ std::string FramesAsText(const std::vector<FrameRow>& frames) {
                   r.mean_dn, ToString(r.level_check), f.codec.c_str(), r.pattern.ToString().c_str());
     text += line;
   }
-  return text;
+  return frames.empty() ? text + "(none)\n" : text;
 }
 
 std::string FramesAsJson(const std::vector<FrameRow>& frames) {

@@ -77,8 +77,9 @@ int RunTranscode(const CommonFlags& common, const TranscodeFlags& flags) {
           row.ok() ? TranscodeSession(*store, *row, options, progress) : Result<TranscodeReport>(row.status());
       if (report.ok()) {
         done.push_back({session.info.id, *report});
-      } else if (const int code = Report(report.status()); exit_code == 0) {
-        exit_code = code;  // the others are transcoded all the same
+      } else {
+        const int code = Report(report.status());  // the others are transcoded all the same
+        exit_code = flags.all ? static_cast<int>(StatusCode::kDegraded) : code;
       }
     }
   }
@@ -93,7 +94,8 @@ void AddTranscodeCommand(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* transcode = commands.Add("transcode", "Code the frames of finished sessions anew; pixels stay as they are",
                                      [&common, flags] { return RunTranscode(common, *flags); });
-  transcode->footer(Examples({"transcode latest --codec delta", "transcode --all --codec raw12"}));
+  transcode->footer(Examples({"transcode latest --codec delta", "transcode --all --codec raw12"},
+                             "Exit code 3: some sessions of --all could not be transcoded; encrypted ones never can."));
   transcode->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   transcode->add_flag("--all", flags->all, "all sessions; those that cannot be transcoded are named and left alone");
   transcode->add_option("--codec", flags->codec, "delta (less than half the bytes) or raw12 (packed)")->required();

@@ -215,7 +215,7 @@ void AddTransferCommands(Commands& commands) {
       exported->add_option("--projector", flags->projector, "this projector only")};
   AddCrateExportFlags(exported, plain, flags->crate_export);
 
-  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and tombstones",
+  CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and ledger",
                                    [&common] { return RunReindex(common); });
   reindex->footer(Examples({"reindex", "reindex --json"}));
   CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",

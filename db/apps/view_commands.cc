@@ -9,7 +9,6 @@
 #include "db/apps/command.h"
 #include "db/apps/extract.h"
 #include "db/apps/session_views.h"
-#include "db/catalogue/deletions.h"
 
 namespace stratalux::db {
 namespace {
@@ -53,22 +52,10 @@ int RunInit(const CommonFlags& common) {
                            : "store " + common.store + " is ready (schema " + std::to_string(kSchemaVersion) + ")\n");
 }
 
-// What is left of a session that was forgotten; empty where `selector` was none.
-std::string Forgotten(const CommonFlags& common, const std::string& selector) {
-  const auto deletions = ListDeletions(common.store);
-  if (!deletions.ok() || selector.empty()) return {};
-  for (const Deletion& deletion : *deletions)
-    if (deletion.session.starts_with(selector))
-      return "session " + deletion.session + " was forgotten; `stratalux-db deletions` has its certificate";
-  return {};
-}
-
 int RunShow(const CommonFlags& common, const ViewFlags& flags) {
   const auto store = OpenStore(common, AccessMode::kReadOnly);
   if (!store.ok()) return Report(store.status());
   const auto details = LoadDetails(*store, flags.session);
-  if (details.status().code() == StatusCode::kNotFound)
-    if (const std::string when = Forgotten(common, flags.session); !when.empty()) return Report(Status::NotFound(when));
   if (!details.ok()) return Report(details.status());
   return Print((common.json ? DetailsAsJson : DetailsAsText)(*details));
 }
@@ -139,6 +126,7 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       add(session.info.id, std::move(report));
     }
   }
+  if (verified.empty() && !common.json) return Print("store: ok, no sessions\n");
   const int printed = Print((common.json ? VerifiedAsJson : VerifiedAsText)(verified));
   return sound ? printed : static_cast<int>(StatusCode::kIntegrity);
 }

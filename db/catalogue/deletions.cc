@@ -45,4 +45,17 @@ Result<std::vector<Deletion>> ListDeletions(const fs::path& store) {
   return deletions;
 }
 
+Result<std::string> FindForgotten(const fs::path& store, const std::string& selector) {
+  if (selector.empty()) return std::string();
+  SLX_ASSIGN_OR_RETURN(const auto deletions, ListDeletions(store));
+  std::string found;
+  for (const Deletion& deletion : deletions) {
+    if (deletion.session == selector) return selector;
+    if (!deletion.session.starts_with(selector)) continue;
+    if (!found.empty()) return std::string();
+    found = deletion.session;
+  }
+  return found;
+}
+
 }  // namespace stratalux::db

@@ -22,6 +22,9 @@ struct Deletion {
 // kUsage naming the certificate, for programs that were told to take the session in.
 Status RefuseForgotten(const std::filesystem::path& store, const std::string& session_id);
 
+// The forgotten session whose id is or starts so; empty where there is none, or more than one.
+[[nodiscard]] Result<std::string> FindForgotten(const std::filesystem::path& store, const std::string& selector);
+
 // The certificates, by session id, from ledger and index; "" or "{}" while there is none.
 [[nodiscard]] Result<std::vector<Deletion>> ListDeletions(const std::filesystem::path& store);
 

@@ -9,6 +9,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/manifest.h"
@@ -325,9 +326,13 @@ Result<std::vector<SessionSummary>> SessionStore::ListSessionsOf(const std::stri
 
 Result<SessionRow> SessionStore::FindSession(const std::string& selector) const {
   SLX_ASSIGN_OR_RETURN(const auto numbers, impl_->index.Select(selector));
-  if (numbers.empty())
-    return Status::NotFound("no session '" + selector + "' in " + impl_->folder.string() +
-                            " (`stratalux-db ls` lists them)");
+  if (numbers.empty()) {
+    const auto forgotten = FindForgotten(impl_->folder, selector);
+    return Status::NotFound(
+        forgotten.ok() && !forgotten->empty()
+            ? "session " + *forgotten + " was forgotten; `stratalux-db deletions` has its certificate"
+            : "no session '" + selector + "' in " + impl_->folder.string() + " (`stratalux-db ls` lists them)");
+  }
   SLX_ASSIGN_OR_RETURN(SessionRow first, impl_->index.Session(numbers[0]));
   if (numbers.size() == 1) return first;
   SLX_ASSIGN_OR_RETURN(const SessionRow second, impl_->index.Session(numbers[1]));

@@ -89,6 +89,9 @@ struct ForgetReport {
 [[nodiscard]] Result<ForgetReport> Forget(const std::filesystem::path& store, const ForgetRequest& request,
                                           Logger& logger);
 
+// Does a forgotten session lie in the store again, put back by hand or left by a transfer? Forget removes it then.
+[[nodiscard]] Result<bool> HasReturned(const std::filesystem::path& store, const std::string& session_id);
+
 // Sessions whose forgetting was begun and not finished.
 [[nodiscard]] std::vector<std::string> UnfinishedForgets(const std::filesystem::path& store);
 

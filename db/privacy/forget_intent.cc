@@ -7,6 +7,8 @@
 #include <sodium.h>
 
 #include "db/base/durable_file.h"
+#include "db/care/incoming.h"
+#include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
 #include "shared/base/read_file.h"
 
@@ -26,15 +28,16 @@ std::string Hex(std::span<const uint8_t> bytes) {
   return text;
 }
 
-// The index knows the frames; truth maps are known by their segment alone. Without encryption two simulations of one
-// seed share their truth: only a sealed payload is a session's own.
-void AddTruthHashes(const fs::path& folder, std::vector<std::string>& hashes) {
-  const auto reader = SegmentReader::Open(folder / "truth.seg");
-  if (!reader.ok()) return;
+// As far as the segment can be read. Returns how many records it has.
+int64_t AddHashesOf(const fs::path& segment, std::vector<std::string>& hashes) {
+  const auto reader = SegmentReader::Open(segment);
+  if (!reader.ok()) return 0;
   bool sealed = false;
-  const auto maps = reader->Walk(false, &sealed);
-  if (!maps.ok()) return;
-  for (const SegmentFrame& map : *maps) hashes.push_back(Hex(std::span(map.header.payload_hash).first(kHashBytes)));
+  const auto records = reader->Walk(false, &sealed);
+  if (!records.ok()) return 0;
+  for (const SegmentFrame& record : *records)
+    hashes.push_back(Hex(std::span(record.header.payload_hash).first(kHashBytes)));
+  return static_cast<int64_t>(records->size());
 }
 
 void MeasureFolder(const fs::path& folder, ForgetIntent& intent) {
@@ -87,9 +90,28 @@ Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const s
   intent.fits = select.Integer(3);
   const bool wanted = hashes == IntentHashes::kCollected;
   if (wanted) SLX_RETURN_IF_ERROR(CollectHashes(connection, number, intent.hashes));
-  if (wanted && !intent.key_id.empty()) AddTruthHashes(store / "sessions" / id, intent.hashes);
+  // The index knows the frames; truth maps are known by their segment alone. Without encryption two simulations of one
+  // seed share their truth: only a sealed payload is a session's own.
+  if (wanted && !intent.key_id.empty()) AddHashesOf(store / "sessions" / id / "truth.seg", intent.hashes);
   SLX_RETURN_IF_ERROR(CollectExports(connection, intent));
   MeasureFolder(store / "sessions" / id, intent);
+  return intent;
+}
+
+// Its files are all there is to know. The visitor stays out: they may have come again since.
+ForgetIntent CollectReturned(const fs::path& store, const std::string& id) {
+  ForgetIntent intent;
+  intent.session = id;
+  intent.began = WallNow();
+  for (const fs::path& folder : {store / "sessions" / id, IncomingFolder(store, id), IncomingFits(store, id)}) {
+    MeasureFolder(folder, intent);
+    std::error_code error;
+    for (const auto& entry : fs::directory_iterator(folder, error)) {
+      const fs::path& file = entry.path();
+      if (file.extension() == ".seg" && file.filename() != "truth.seg")
+        intent.frames += AddHashesOf(file, intent.hashes);
+    }
+  }
   return intent;
 }
 
@@ -125,11 +147,25 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
                                                  const std::vector<std::string>& ids, IntentHashes hashes) {
   std::vector<ForgetIntent> intents;
   for (const std::string& id : ids) {
-    SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
-    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number, hashes));
+    const auto number = index.NumberOf(id);
+    if (!number.ok()) {
+      SLX_ASSIGN_OR_RETURN(const bool returned, HasReturned(store, id));
+      if (!returned) return number.status();
+      intents.push_back(CollectReturned(store, id));
+      continue;
+    }
+    SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, *number, hashes));
     intents.push_back(std::move(intent));
   }
   return intents;
+}
+
+Result<bool> HasReturned(const fs::path& store, const std::string& session_id) {
+  std::error_code error;
+  for (const fs::path& folder :
+       {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
+    if (fs::exists(folder, error)) return IsForgotten(store, session_id);
+  return false;
 }
 
 fs::path IntentFile(const fs::path& store, const std::string& session_id) {

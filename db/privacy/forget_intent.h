@@ -28,7 +28,8 @@ struct ForgetIntent {
 // A plan needs no hashes.
 enum class IntentHashes { kCollected, kLeftOut };
 
-// From index and files; other sessions may share hashes (ScanPlan). kNotFound names the first unknown id.
+// From index and files; other sessions may share hashes (ScanPlan). Of a forgotten session that lies here again, from
+// its files. kNotFound names the first unknown id.
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
                                                                const std::vector<std::string>& ids,
                                                                IntentHashes hashes);

@@ -54,6 +54,9 @@ Status WritePrivately(const std::filesystem::path& file, const std::string& text
 
 Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& session, const std::filesystem::path& file) {
   if (session.key_id.empty()) return Status::Usage("session " + session.info.id + " is not encrypted");
+  // Before it is logged; opening it asks again.
+  if (std::error_code error; std::filesystem::exists(file, error))
+    return Status::Usage(file.string() + " is there already; remove it first, or choose another name");
   SLX_ASSIGN_OR_RETURN(const KeyId id, KeyIdFrom(session.key_id));
   SLX_ASSIGN_OR_RETURN(const SessionKey key, FindKey(store, id));
   std::string secret(2 * key.key->bytes.size() + 1, '\0');

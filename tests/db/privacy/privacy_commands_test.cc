@@ -72,6 +72,51 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(Db("show " + id).code, 4);
 }
 
+// As a restored home folder, a copy by hand or a broken-off transfer puts it back: `verify` names the command, and it
+// must do what it says.
+TEST_F(PrivacyCommands, ForgetRemovesAForgottenSessionThatLiesHereAgain) {
+  for (const char* place : {"sessions", "incoming"}) {
+    SCOPED_TRACE(place);
+    const std::string id = StoreSession(2);
+    const std::filesystem::path back = folder_ / place / id, copy = folder_.string() + "-by-hand";
+    std::filesystem::copy(folder_ / "sessions" / id, copy, std::filesystem::copy_options::recursive);
+    ASSERT_EQ(Db("forget " + id + " --yes").code, 0);
+    std::filesystem::create_directories(back.parent_path());
+    std::filesystem::rename(copy, back);
+    EXPECT_EQ(Db("verify").code, 6);
+    EXPECT_THAT(Db("verify").out, HasSubstr("`stratalux-db forget " + id + "`"));
+    const Outcome asked = Db("forget " + id);
+    EXPECT_EQ(asked.code, 2);
+    EXPECT_THAT(asked.out, HasSubstr("removes 1 session(s)"));
+    EXPECT_TRUE(std::filesystem::exists(back));
+    const auto done = Json("forget " + id.substr(0, 9) + " --yes");
+    ASSERT_EQ(done["sessions"].size(), 1U);
+    EXPECT_EQ(done["sessions"][0]["frames"], 2);
+    EXPECT_GT(done["markers"], 2);
+    EXPECT_FALSE(std::filesystem::exists(back));
+    EXPECT_EQ(Db("verify").code, 0);
+    EXPECT_THAT(Db("forget " + id + " --yes").out, HasSubstr("forgotten already"));
+  }
+}
+
+TEST_F(PrivacyCommands, EveryCommandSaysOfAForgottenSessionThatItWasForgotten) {
+  const std::string id = StoreSession(1), out = (folder_ / "out").string();
+  ASSERT_EQ(Db("forget " + id + " --yes").code, 0);
+  for (const char* command :
+       {"show SESSION", "frames SESSION", "verify SESSION", "export SESSION --out OUT", "export SESSION --crate OUT",
+        "key export SESSION --out OUT", "transcode SESSION --codec delta"})
+    for (const std::string& selector : {id, id.substr(0, 7)}) {
+      std::string call = command;
+      call.replace(call.find("SESSION"), 7, selector);
+      if (const size_t at = call.find("OUT"); at != std::string::npos) call.replace(at, 3, out);
+      SCOPED_TRACE(call);
+      const Outcome outcome = Db(call);
+      EXPECT_EQ(outcome.code, 4);
+      EXPECT_THAT(outcome.out, HasSubstr("session " + id + " was forgotten; `stratalux-db deletions`"));
+    }
+  EXPECT_THAT(Db("show s9").out, HasSubstr("no session 's9'"));
+}
+
 TEST_F(PrivacyCommands, LeftoversAreDegradedUntilResumed) {
   const std::string id = StoreSession(1);
   WriteText(folder_ / "thumbnail.txt", id);
