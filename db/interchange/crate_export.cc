@@ -293,6 +293,8 @@ Result<CrateReport> ExportCrate(const SessionStore& store, const std::vector<Ses
     }
   }
   if (chosen.empty()) return report;
+  // As they were captured, whatever order they were named in: an import numbers them so.
+  std::sort(chosen.begin(), chosen.end(), [](auto* a, auto* b) { return a->info.id < b->info.id; });
   SLX_ASSIGN_OR_RETURN(CrateStaging staging, CrateStaging::Take(options.out));
   CrateWriter writer(store, options, staging, report);
   {

@@ -158,13 +158,18 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   SLX_ASSIGN_OR_RETURN(const Json json, VisitorJson(store, visitor, sessions));
   if (visitor.empty() || (sessions.empty() && json["consents"].empty()))
     return Status::NotFound("no visitor '" + visitor + "' in " + store.folder().string());
-  const fs::path known = options.out / "visitor.json";
+  const fs::path known = options.out / "visitor.json", readme = options.out / "README.txt";
   std::error_code error;
-  if (fs::exists(options.out, error) && !fs::is_empty(options.out, error) && !fs::exists(known, error))
+  if (fs::exists(options.out, error) && !fs::is_empty(options.out, error) && !fs::exists(known, error) &&
+      ExportsIn(options.out).empty())
     return Status::Usage(options.out.string() + " is not empty and no interrupted export; choose another folder");
   SLX_RETURN_IF_ERROR(MakeFolder(options.out));
+  // Both speak of every session, and name the visitor: they go with whichever is forgotten first, as in a crate.
+  for (const SessionSummary& session : sessions)
+    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session.info.id, options.out,
+                                    {known.filename().string(), readme.filename().string()}));
   SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());
-  SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "README.txt", ReadmeFor(visitor, sessions, options.format)).status());
+  SLX_RETURN_IF_ERROR(WriteTextOnce(readme, ReadmeFor(visitor, sessions, options.format)).status());
   ExportReport total;
   for (const SessionSummary& session : sessions) {
     ExportOptions one = options;

@@ -64,7 +64,9 @@ Status CollectHashes(Connection& connection, int64_t number, std::vector<std::st
 Status CollectExports(Connection& connection, ForgetIntent& intent) {
   SLX_ASSIGN_OR_RETURN(
       auto select,
-      connection.Prepare("SELECT DISTINCT detail FROM access_log WHERE session_id = ?1 AND instr(detail, ':/') > 0"));
+      connection.Prepare(
+          "SELECT DISTINCT detail FROM access_log WHERE session_id = ?1 AND instr(detail, ':/') > 0"
+          " ORDER BY detail DESC"));  // a folder behind those within it, so that it goes when it is empty
   select.Bind(1, intent.session);
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

@@ -58,9 +58,9 @@ TEST_P(BothFormats, GiveTheSamePixelsAndRowsBack) {
   CrateOptions options = ForResearch();
   options.frames = GetParam();
   options.pseudonyms = CratePseudonyms::kKept;
-  const auto exported = Export({visit, flats, simulated}, options);
+  const auto exported = Export({simulated, visit, flats}, options);
   ASSERT_TRUE(exported.ok()) << exported.status().message();
-  EXPECT_THAT(exported->sessions, ElementsAre(visit, flats, simulated));
+  EXPECT_THAT(exported->sessions, ElementsAre(visit, flats, simulated)) << "in the order of capture";
   EXPECT_THAT(exported->notes, IsEmpty());
   const auto imported = Import();
   ASSERT_TRUE(imported.ok()) << imported.status().message();
