@@ -203,6 +203,7 @@ int RunDeletions(const CommonFlags& common) {
     all.push_back(json);
     text += DeletionLine(deletion.session, json);
   }
+  if (deletions->empty()) text += "(none)\n";
   return Print(common.json ? TextOf(all) : text);
 }
 

@@ -47,7 +47,7 @@ std::string ConsentsAsText(const std::vector<ConsentRow>& rows) {
   for (const ConsentRow& row : rows)
     all += format(row.visitor, row.consent.text_version, row.consent.language, ScopeText(row.consent),
                   ToIso8601(row.consent.given_wall), row.withdrawn ? ToIso8601(*row.withdrawn) : "-");
-  return all;
+  return rows.empty() ? all + "(none)\n" : all;
 }
 
 int ShowConsents(const CommonFlags& common, const std::string& visitor) {
@@ -121,6 +121,7 @@ int RunAccess(const CommonFlags& common, const std::string& session) {
                   e.action.c_str(), e.session.c_str());
     text += line + (e.detail.empty() ? "-" : e.detail) + "\n";
   }
+  if (entries->empty()) text += "(none)\n";
   return Print(common.json ? TextOf(json) : text);
 }
 

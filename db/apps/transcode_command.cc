@@ -83,6 +83,7 @@ int RunTranscode(const CommonFlags& common, const TranscodeFlags& flags) {
       }
     }
   }
+  if (done.empty() && exit_code != 0 && !common.json) return exit_code;
   const int printed = Print(common.json ? AsJson(done, flags.codec) : AsText(done));
   return exit_code != 0 ? exit_code : printed;
 }

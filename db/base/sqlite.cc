@@ -32,7 +32,8 @@ Status Connection::Error(const std::string& what) const {
   const int reason = handle_ ? sqlite3_system_errno(handle_.get()) : 0;
   if ((code == SQLITE_CANTOPEN || code == SQLITE_IOERR) && reason != 0 && reason != ENOENT)
     message += std::string(" (") + std::strerror(reason) + ")";
-  if (code == SQLITE_BUSY || code == SQLITE_LOCKED) return Status::Busy(message);
+  if (code == SQLITE_BUSY || code == SQLITE_LOCKED)
+    return Status::Busy(message + "; another program is writing to it, try again");
   if (code == SQLITE_CORRUPT || code == SQLITE_NOTADB)
     return Status::Integrity(message + "; restore it from a copy (the frames in sessions/ are not touched)");
   // A row that the schema refuses is the fault of what it was made from.

@@ -35,7 +35,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store
   stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
   stratalux-rig capture --simulate --store store --no-scattering
-  stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \\
+  stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \
       --consent-text 2026-03 --consent-language de
   stratalux-rig capture --simulate --config rig.toml --kind flat
   stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store

@@ -117,6 +117,38 @@ TEST_F(PrivacyCommands, EveryCommandSaysOfAForgottenSessionThatItWasForgotten) {
   EXPECT_THAT(Db("show s9").out, HasSubstr("no session 's9'"));
 }
 
+TEST_F(PrivacyCommands, EncryptedSessionsAreShownAsSuchAndLeftAloneByATranscodeOfAll) {
+  const std::string plain = StoreSession(2), sealed = StoreSession(2, {.encryption = Encryption::kPerSession});
+  EXPECT_THAT(Db("show " + sealed).out, HasSubstr(", encrypted"));
+  EXPECT_THAT(Db("show " + plain).out, Not(HasSubstr(", encrypted")));
+  EXPECT_EQ(Json("show " + sealed)["encrypted"], true);
+  const Outcome all = Db("transcode --all --codec raw12");
+  EXPECT_EQ(all.code, 3);
+  EXPECT_THAT(all.out, HasSubstr("session " + sealed + " is encrypted"));
+  EXPECT_THAT(all.out, HasSubstr(plain + "       2"));
+  const Outcome one = Db("transcode " + sealed + " --codec raw12");
+  EXPECT_EQ(one.code, 2);
+  EXPECT_THAT(one.out, Not(HasSubstr("rewritten"))) << "no empty table";
+}
+
+TEST_F(PrivacyCommands, AKeyFileThatIsThereStaysAndIsNotLoggedAgain) {
+  const std::string id = StoreSession(1, {.encryption = Encryption::kPerSession});
+  const std::string command = "key export " + id + " --out " + (folder_ / "carried.key").string();
+  ASSERT_EQ(Db(command).code, 0);
+  const Outcome again = Db(command);
+  EXPECT_EQ(again.code, 2);
+  EXPECT_THAT(again.out, HasSubstr("carried.key is there already; remove it first"));
+  EXPECT_EQ(Json("access " + id).size(), 1U);
+}
+
+TEST_F(PrivacyCommands, AnEmptyListSaysThatItIsEmpty) {
+  EXPECT_THAT(Db("verify").out, HasSubstr("store: ok, no sessions"));
+  for (const char* list : {"ls", "access", "deletions", "consent show"}) EXPECT_THAT(Db(list).out, HasSubstr("(none)"));
+  for (const char* list : {"verify", "ls", "access", "deletions", "consent show"}) EXPECT_EQ(Json(list).size(), 0U);
+  const std::string id = StoreSession(1);
+  EXPECT_THAT(Db("frames " + id + " --projector 9").out, HasSubstr("(none)"));
+}
+
 TEST_F(PrivacyCommands, LeftoversAreDegradedUntilResumed) {
   const std::string id = StoreSession(1);
   WriteText(folder_ / "thumbnail.txt", id);
