@@ -82,6 +82,20 @@ int RunFrames(const CommonFlags& common, const ViewFlags& flags) {
   return Print((common.json ? FramesAsJson : FramesAsText)(frames));
 }
 
+// What may have been forgotten since it was listed.
+Result<VerifyReport> VerifyNow(const SessionStore& store, const std::string& id, const VerifyOptions& options) {
+  VerifyReport none;
+  const auto row = store.FindSession(id);
+  if (row.status().code() == StatusCode::kNotFound) {
+    none.notes.push_back(row.status().message());
+    return none;
+  }
+  auto report = row.ok() ? VerifySession(store, *row, options) : Result<VerifyReport>(row.status());
+  if (report.ok()) return report;
+  none.problems.push_back(report.status().message());
+  return none;
+}
+
 int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
   VerifyOptions options{flags.deep ? VerifyDepth::kDeep : VerifyDepth::kHeaders};
   if (!flags.public_key.empty()) {
@@ -118,13 +132,8 @@ int RunVerify(const CommonFlags& common, const ViewFlags& flags) {
       if (!report.ok()) return Report(report.status());
       if (!report->problems.empty() || !report->notes.empty()) add("store", std::move(report));
     }
-    for (const SessionSummary& session : sessions) {
-      const auto row = store->FindSession(session.info.id);
-      if (!row.ok()) return Report(row.status());
-      auto report = VerifySession(*store, *row, options);
-      if (!report.ok()) return Report(report.status());
-      add(session.info.id, std::move(report));
-    }
+    // One that cannot be looked at is a finding among the others'.
+    for (const SessionSummary& session : sessions) add(session.info.id, VerifyNow(*store, session.info.id, options));
   }
   if (verified.empty() && !common.json) return Print("store: ok, no sessions\n");
   const int printed = Print((common.json ? VerifiedAsJson : VerifiedAsText)(verified));
