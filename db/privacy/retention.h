@@ -14,6 +14,10 @@ namespace stratalux::db {
 struct DueSession {
   std::string id;
   std::string reason;  // "standard: 400 days old, kept for 365", "consent withdrawn on 2026-11-21T11:08:06Z"
+  // By the index.
+  int64_t frames = 0, fits = 0;
+  int64_t bytes = 0;  // of the frames' payloads
+  bool encrypted = false;
 };
 
 // Oldest first. The age counts from the end of the session (its start, when it never ended) to `now`; a session of the
