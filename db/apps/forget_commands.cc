@@ -31,14 +31,31 @@ struct ForgetFlags {
 
 using Reasons = std::map<std::string, std::string>;  // session id -> why it is due
 
+Json ExportsAsJson(const std::vector<ForgottenExport>& exports) {
+  Json json = Json::array();
+  for (const ForgottenExport& e : exports) json.push_back({{"place", e.place}, {"state", ToString(e.state)}});
+  return json;
+}
+
+std::string ExportsAsText(const std::vector<ForgottenExport>& exports, const ForgetFlags& flags) {
+  std::string text;
+  for (const ForgottenExport& e : exports)
+    text += "  export " + e.place + ": " +
+            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
+  return text;
+}
+
 Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   Json sessions = Json::array();
   for (const ForgottenSession& s : report.sessions) {
-    Json exports = Json::array();
-    for (const ForgottenExport& e : s.exports) exports.push_back({{"place", e.place}, {"state", ToString(e.state)}});
-    Json json = {
-        {"session", s.id},  {"frames", s.frames},       {"fits", s.fits},     {"files", s.files},
-        {"bytes", s.bytes}, {"encrypted", s.encrypted}, {"exports", exports}, {"visitor_removed", s.visitor_removed}};
+    Json json = {{"session", s.id},
+                 {"frames", s.frames},
+                 {"fits", s.fits},
+                 {"files", s.files},
+                 {"bytes", s.bytes},
+                 {"encrypted", s.encrypted},
+                 {"exports", ExportsAsJson(s.exports)},
+                 {"visitor_removed", s.visitor_removed}};
     if (const auto reason = due.find(s.id); reason != due.end()) json["due"] = reason->second;
     sessions.push_back(std::move(json));
   }
@@ -53,11 +70,7 @@ std::string SessionText(const ForgottenSession& s, const Reasons& due, const For
                      std::to_string(s.bytes) + " bytes" + (s.encrypted ? ", its key" : "") +
                      (s.visitor_removed ? ", the visitor and its consents" : "");
   if (const auto reason = due.find(s.id); reason != due.end()) text += " (" + reason->second + ")";
-  text += "\n";
-  for (const ForgottenExport& e : s.exports)
-    text += "  export " + e.place + ": " +
-            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
-  return text;
+  return text + "\n" + ExportsAsText(s.exports, flags);
 }
 
 std::string ReportAsText(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
@@ -128,7 +141,11 @@ Result<WallNs> ParseDate(const std::string& text) {
   for (const char* format : {"%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d"}) {
     std::tm utc{};
     const char* end = strptime(text.c_str(), format, &utc);
-    if (end != nullptr && *end == '\0') return WallNs{static_cast<int64_t>(timegm(&utc)) * 1'000'000'000};
+    if (end == nullptr || *end != '\0') continue;
+    int64_t ns = 0;
+    if (__builtin_mul_overflow(static_cast<int64_t>(timegm(&utc)), int64_t{1'000'000'000}, &ns))
+      return Status::Usage("--now '" + text + "' is beyond the years 1678 to 2262 that the store can name");
+    return WallNs{ns};
   }
   return Status::Usage("--now '" + text + "': expected a date such as 2027-01-31 or 2027-01-31T12:00:00Z");
 }
@@ -145,6 +162,71 @@ Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
   return days;
 }
 
+// What a purge would take, by the index alone: a hundred thousand folders are not measured. Printed as it comes.
+class PurgePlan {
+ public:
+  PurgePlan(const CommonFlags& common, const ForgetFlags& flags) : common_(common), flags_(flags) {}
+  int Print(const std::vector<DueSession>& due) {
+    const auto exports = LoggedExports(common_.store);
+    if (!exports.ok()) return Report(exports.status());
+    if (common_.json) pending_ = "{\n  \"dry_run\": true,\n  \"by\": \"index\",\n  \"sessions\": [";
+    for (const DueSession& session : due) {
+      const auto places = exports->find(session.id);
+      Add(session, places == exports->end() ? std::vector<std::string>() : places->second);
+      if (pending_.size() >= kChunk_bytes && Flush() != 0) return 1;
+    }
+    pending_ += common_.json ? JsonEnd() : TextEnd();
+    return Flush();
+  }
+
+ private:
+  static constexpr size_t kChunk_bytes = 1 << 16;
+
+  void Add(const DueSession& session, const std::vector<std::string>& places) {
+    std::vector<ForgottenExport> exports;
+    for (const std::string& place : places) exports.push_back(PlanExport(place, session.id));
+    if (common_.json) {
+      const Json json = {{"session", session.id},          {"frames", session.frames},
+                         {"fits", session.fits},           {"bytes", session.bytes},
+                         {"encrypted", session.encrypted}, {"exports", ExportsAsJson(exports)},
+                         {"due", session.reason}};
+      pending_ += (sessions_ == 0 ? "\n    " : ",\n    ") + InOneLine(json);
+    } else {
+      pending_ += session.id + ": would go: " + std::to_string(session.frames) + " frames, " +
+                  std::to_string(session.fits) + " fits, " + std::to_string(session.bytes) + " bytes" +
+                  (session.encrypted ? ", its key" : "") + " (" + session.reason + ")\n" +
+                  ExportsAsText(exports, flags_);
+    }
+    ++sessions_;
+    frames_ += session.frames;
+    fits_ += session.fits;
+    bytes_ += session.bytes;
+  }
+  [[nodiscard]] std::string TextEnd() const {
+    const std::string total = std::to_string(sessions_) + " sessions, " + std::to_string(frames_) + " frames, " +
+                              std::to_string(fits_) + " fits, " + std::to_string(bytes_) +
+                              " bytes of frames (by the index; fits and other files come on top)\n";
+    return (sessions_ == 0 ? "no session\n" : total) + "nothing was changed (--dry-run)\n";
+  }
+  [[nodiscard]] std::string JsonEnd() const {
+    const Json total = {{"sessions", sessions_}, {"frames", frames_}, {"fits", fits_}, {"bytes", bytes_}};
+    return std::string(sessions_ == 0 ? "]" : "\n  ]") + ",\n  \"total\": " + InOneLine(total) + "\n}\n";
+  }
+  static std::string InOneLine(const Json& json) {
+    return PrintableJson(json.dump(-1, ' ', false, Json::error_handler_t::replace));
+  }
+  int Flush() {
+    const int printed = stratalux::db::Print(pending_);
+    pending_.clear();
+    return printed;
+  }
+
+  const CommonFlags& common_;
+  const ForgetFlags& flags_;
+  std::string pending_;
+  int64_t sessions_ = 0, frames_ = 0, fits_ = 0, bytes_ = 0;
+};
+
 int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   const auto days = DaysFor(flags);
   if (!days.ok()) return Report(days.status());
@@ -152,6 +234,7 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   if (!now.ok()) return Report(now.status());
   const auto due = DueSessions(common.store, *days, *now);
   if (!due.ok()) return Report(due.status());
+  if (flags.dry_run) return PurgePlan(common, flags).Print(*due);
   ForgetRequest request;
   request.reason = ForgetReason::kPurge;
   Reasons reasons;
@@ -159,7 +242,7 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
     request.sessions.push_back(session.id);
     reasons[session.id] = session.reason;
   }
-  if (!flags.dry_run && due->empty() && UnfinishedForgets(common.store).empty())
+  if (due->empty() && UnfinishedForgets(common.store).empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
   return Finish(common, flags, std::move(request), reasons);
 }

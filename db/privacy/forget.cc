@@ -62,17 +62,6 @@ class Forgetting {
   std::vector<StoreScanResult::Leftover> kept_exports_;
 };
 
-ForgottenSession SessionOf(const ForgetIntent& intent) {
-  ForgottenSession session;
-  session.id = intent.session;
-  session.frames = intent.frames;
-  session.fits = intent.fits;
-  session.files = intent.files;
-  session.bytes = intent.bytes;
-  session.encrypted = !intent.key_id.empty();
-  return session;
-}
-
 std::string Without(std::string text, const std::string& pseudonym) {
   if (pseudonym.empty()) return text;
   for (size_t at = 0; (at = text.find(pseudonym, at)) != std::string::npos;)
@@ -377,25 +366,6 @@ Result<ForgetReport> Forgetting::Run() {
 }  // namespace
 
 const char* ToString(ForgetReason reason) { return reason == ForgetReason::kPurge ? "purge" : "forget"; }
-
-Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions, IntentHashes::kLeftOut));
-  ForgetReport report;
-  for (const ForgetIntent& intent : intents) {
-    ForgottenSession session = SessionOf(intent);
-    for (const std::string& place : intent.exports) {
-      const auto folder = LocalFolder(place);
-      std::error_code error;
-      const bool there = folder && fs::exists(ExportMarker(*folder, intent.session), error);
-      session.exports.push_back({place, there    ? ExportState::kDeleted
-                                        : folder ? ExportState::kNotThere
-                                                 : ExportState::kElsewhere});
-    }
-    report.sessions.push_back(std::move(session));
-  }
-  return report;
-}
 
 Result<ForgetReport> Forget(const fs::path& store, const ForgetRequest& request, Logger& logger) {
   return Forgetting(store, request, logger).Run();

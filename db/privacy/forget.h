@@ -19,6 +19,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -82,6 +83,10 @@ struct ForgetReport {
 
 // What Forget would do; changes no byte. The state of an export on this machine is kDeleted where it would be.
 [[nodiscard]] Result<ForgetReport> PlanForget(const std::filesystem::path& store, const ForgetRequest& request);
+// The part of such a plan that is of one export; `place` is host:/folder.
+[[nodiscard]] ForgottenExport PlanExport(const std::string& place, const std::string& session_id);
+// Session id -> the places it was exported to, as the access log has them; of sessions that are here and that are gone.
+[[nodiscard]] Result<std::map<std::string, std::vector<std::string>>> LoggedExports(const std::filesystem::path& store);
 
 // Also finishes what an earlier call began. kBusy while a session is written (call again when it is finished) or
 // another program reads the index (then the files are gone already; call again). Leftovers are no error: they stand in

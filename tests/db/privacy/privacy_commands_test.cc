@@ -93,6 +93,7 @@ TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   EXPECT_EQ(Db("purge --now yesterday").code, 2);
+  EXPECT_EQ(Db("purge --dry-run --now 2263-01-01").code, 2) << "no nanosecond counts so far";
   EXPECT_EQ(Db("purge --standard-days -3").code, 2);
   WriteText(folder_ / "rig.toml", "[retention]\nstandard_days = 99999\n");
   EXPECT_THAT(Db("purge --now 2099-01-01 --config " + (folder_ / "rig.toml").string()).out,
@@ -101,6 +102,40 @@ TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   EXPECT_EQ(done["sessions"][0]["session"], id);
   EXPECT_EQ(Json("deletions")[0]["reason"], "purge");
   EXPECT_EQ(Json("ls").size(), 0U);
+}
+
+// It answers from the index alone, and says so: a night's preview must not walk a hundred thousand folders.
+TEST_F(PrivacyCommands, ADryRunOfAPurgeNeedsNoFileOfASession) {
+  std::vector<std::string> ids = {StoreSession(2, {.encryption = Encryption::kPerSession}), StoreSession(3)};
+  const auto out = folder_ / "out";
+  ASSERT_EQ(Db("export " + ids[1] + " --out " + out.string()).code, 0);
+  const auto stored = Json("ls");
+  std::filesystem::rename(folder_ / "sessions", folder_ / "elsewhere");
+  std::filesystem::create_directory(folder_ / "sessions");
+  const auto plan = Json("purge --dry-run --now 2099-01-01");
+  EXPECT_EQ(plan["by"], "index");
+  ASSERT_EQ(plan["sessions"].size(), 2U);
+  for (size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(plan["sessions"][i]["session"], ids[i]) << "oldest first";
+    EXPECT_EQ(plan["sessions"][i]["frames"], i + 2);
+    EXPECT_EQ(plan["sessions"][i]["bytes"], stored[1 - i]["bytes"]) << "ls has the newest first";
+    EXPECT_EQ(plan["sessions"][i]["encrypted"], i == 0);
+    EXPECT_THAT(plan["sessions"][i]["due"].get<std::string>(), HasSubstr("kept for 365"));
+  }
+  EXPECT_EQ(plan["sessions"][0]["exports"].size(), 0U);
+  ASSERT_EQ(plan["sessions"][1]["exports"].size(), 1U);
+  EXPECT_EQ(plan["sessions"][1]["exports"][0]["state"], "deleted");
+  EXPECT_EQ(plan["total"]["sessions"], 2);
+  EXPECT_EQ(plan["total"]["frames"], 5);
+  EXPECT_EQ(plan["total"]["bytes"], stored[0]["bytes"].get<int64_t>() + stored[1]["bytes"].get<int64_t>());
+  const std::string text = Db("purge --dry-run --now 2099-01-01").out;
+  EXPECT_THAT(text, HasSubstr(", its key (standard"));
+  EXPECT_THAT(text, HasSubstr("would be deleted"));
+  EXPECT_THAT(text, HasSubstr("2 sessions, 5 frames, 0 fits, " + std::to_string(plan["total"]["bytes"].get<int64_t>()) +
+                              " bytes of frames (by the index"));
+  const auto none = Json("purge --dry-run");
+  EXPECT_EQ(none["sessions"].size(), 0U);
+  EXPECT_EQ(none["total"]["sessions"], 0);
 }
 
 TEST_F(PrivacyCommands, WhatLeavesTheStoreIsLogged) {
