@@ -2,6 +2,7 @@
 // `stratalux-db forget|purge|deletions`.
 #include <cstdio>
 #include <ctime>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <optional>
@@ -10,6 +11,7 @@
 
 #include "db/apps/command.h"
 #include "db/apps/display_text.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
@@ -19,6 +21,7 @@
 namespace stratalux::db {
 namespace {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 struct ForgetFlags {
@@ -42,9 +45,16 @@ Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& f
     if (const auto reason = due.find(s.id); reason != due.end()) json["due"] = reason->second;
     sessions.push_back(std::move(json));
   }
+  Json incoming = Json::array();
+  for (const std::string& place : report.incoming) {
+    Json json = {{"place", place}};
+    if (const auto reason = due.find(fs::path(place).filename().string()); reason != due.end())
+      json["due"] = reason->second;
+    incoming.push_back(std::move(json));
+  }
   return {{"dry_run", flags.dry_run},           {"sessions", sessions},
-          {"markers", report.markers},          {"files_read", report.scanned_files},
-          {"bytes_read", report.scanned_bytes}, {"leftovers", report.leftovers}};
+          {"incoming", incoming},               {"markers", report.markers},          {"files_read", report.scanned_files}, {"bytes_read", report.scanned_bytes},
+          {"leftovers", report.leftovers}};
 }
 
 std::string SessionText(const ForgottenSession& s, const Reasons& due, const ForgetFlags& flags) {
@@ -63,7 +73,12 @@ std::string SessionText(const ForgottenSession& s, const Reasons& due, const For
 std::string ReportAsText(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   std::string text;
   for (const ForgottenSession& s : report.sessions) text += SessionText(s, due, flags);
-  if (report.sessions.empty()) text += "no session\n";
+  for (const std::string& place : report.incoming) {
+    const auto reason = due.find(fs::path(place).filename().string());
+    text += place + (flags.dry_run ? ": would go" : ": gone") +
+            (reason == due.end() ? "" : " (" + reason->second + ")") + "\n";
+  }
+  if (report.sessions.empty() && report.incoming.empty()) text += "no session\n";
   if (flags.dry_run) return text + "nothing was changed (--dry-run)\n";
   if (report.scanned_files > 0)
     text += "scan: " + std::to_string(report.markers) + " markers looked for in " +
@@ -90,7 +105,7 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
     SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessionsOf(flags.visitor));
     for (const SessionSummary& row : rows) request.sessions.push_back(row.info.id);
     SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
-    if (request.sessions.empty() && consents.empty())
+    if (request.sessions.empty() && consents.empty() && IncomingPlaces(common.store, {}, {flags.visitor}).empty())
       return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);
     request.visitors.push_back(flags.visitor);
     return request;
@@ -98,6 +113,11 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
   const auto row = store.FindSession(flags.session);
   if (row.ok()) {
     request.sessions.push_back(row->info.id);
+    return request;
+  }
+  // Of a transfer that was broken off, never listed.
+  if (row.status().code() == StatusCode::kNotFound && !IncomingPlaces(common.store, {flags.session}).empty()) {
+    request.leftovers.push_back(flags.session);
     return request;
   }
   SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(common.store, flags.session));
@@ -111,10 +131,11 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
   if (!flags.dry_run && !flags.yes && !flags.resume)
-    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
+    return Report(Status::Usage("forget removes " +
+                                std::to_string(request->sessions.size() + request->leftovers.size()) +
                                 " session(s) for ever; --dry-run shows them, --yes does it"));
-  if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
-      UnfinishedForgets(common.store).empty()) {
+  const bool asked = !request->sessions.empty() || !request->visitors.empty() || !request->leftovers.empty();
+  if (!flags.dry_run && !flags.resume && !asked && UnfinishedForgets(common.store).empty()) {
     std::fprintf(stderr,
                  "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
                  flags.session.c_str());
@@ -145,6 +166,27 @@ Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
   return days;
 }
 
+// What incoming/ alone knows and is due. What a transfer at work has before it is no leftover yet; while the lock is held
+// none begins.
+Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& flags, const RetentionDays& days,
+                                  WallNs now, ForgetRequest& request, Reasons& reasons) {
+  IncomingLock lock;
+  if (IncomingLock::IsHeld(common.store)) {
+    std::fprintf(stderr, "stratalux-db: a pull or restore is at work: incoming/ was not looked at\n");
+    return lock;
+  }
+  SLX_ASSIGN_OR_RETURN(auto leftovers, DueIncoming(common.store, days, now));
+  if (!flags.dry_run && !leftovers.empty()) {
+    SLX_ASSIGN_OR_RETURN(lock, IncomingLock::Take(common.store));
+    SLX_ASSIGN_OR_RETURN(leftovers, DueIncoming(common.store, days, now));
+  }
+  for (const DueSession& leftover : leftovers) {
+    request.leftovers.push_back(leftover.id);
+    reasons[leftover.id] = leftover.reason;
+  }
+  return lock;
+}
+
 int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   const auto days = DaysFor(flags);
   if (!days.ok()) return Report(days.status());
@@ -159,7 +201,10 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
     request.sessions.push_back(session.id);
     reasons[session.id] = session.reason;
   }
-  if (!flags.dry_run && due->empty() && UnfinishedForgets(common.store).empty())
+  const auto no_transfer = AddLeftovers(common, flags, *days, *now, request, reasons);
+  if (!no_transfer.ok()) return Report(no_transfer.status());
+  if (!flags.dry_run && request.sessions.empty() && request.leftovers.empty() &&
+      UnfinishedForgets(common.store).empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
   return Finish(common, flags, std::move(request), reasons);
 }
