@@ -52,8 +52,12 @@ Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& f
       json["due"] = reason->second;
     incoming.push_back(std::move(json));
   }
-  return {{"dry_run", flags.dry_run},           {"sessions", sessions},
-          {"incoming", incoming},               {"markers", report.markers},          {"files_read", report.scanned_files}, {"bytes_read", report.scanned_bytes},
+  return {{"dry_run", flags.dry_run},
+          {"sessions", sessions},
+          {"incoming", incoming},
+          {"markers", report.markers},
+          {"files_read", report.scanned_files},
+          {"bytes_read", report.scanned_bytes},
           {"leftovers", report.leftovers}};
 }
 
@@ -166,8 +170,8 @@ Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
   return days;
 }
 
-// What incoming/ alone knows and is due. What a transfer at work has before it is no leftover yet; while the lock is held
-// none begins.
+// What incoming/ alone knows and is due. What a transfer at work has before it is no leftover yet; while the lock is
+// held none begins.
 Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& flags, const RetentionDays& days,
                                   WallNs now, ForgetRequest& request, Reasons& reasons) {
   IncomingLock lock;

@@ -118,7 +118,8 @@ class Lister {
     }
     const auto known = has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>();
     if (known.empty() && NeverBegan(folder, ledger_)) {
-      report_.notes.push_back(folder.string() + " holds no manifest and no frame: a session that never began; not listed");
+      report_.notes.push_back(folder.string() +
+                              " holds no manifest and no frame: a session that never began; not listed");
       return Status::Ok();
     }
     auto session = RebuildSession(folder, known);

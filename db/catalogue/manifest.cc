@@ -7,8 +7,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
-#include "db/catalogue/known_word.h"
 #include "db/base/own_hash.h"
+#include "db/catalogue/known_word.h"
 #include "db/segment/segment.h"
 #include "shared/base/read_file.h"
 

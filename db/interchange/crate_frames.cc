@@ -121,9 +121,7 @@ class CellReader {
   }
   void Wrong(const std::string& what) { Note(StatusCode::kIntegrity, what); }
   // A word that a later version may know.
-  void Unknown(const std::string& what) {
-    Note(StatusCode::kNewerSchema, what + "; a newer stratalux may know it");
-  }
+  void Unknown(const std::string& what) { Note(StatusCode::kNewerSchema, what + "; a newer stratalux may know it"); }
   // Of the first cell that is not right.
   [[nodiscard]] const Status& status() const { return status_; }
 

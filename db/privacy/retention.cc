@@ -137,8 +137,7 @@ Result<std::unordered_set<std::string>> ListedIds(const fs::path& store) {
 
 std::string WhyLeftoverIsDue(const IncomingSession& leftover, const Ledger& ledger, const RetentionDays& days,
                              WallNs now) {
-  if (const auto withdrawn = ledger.WithdrawnAt(leftover.id))
-    return "consent withdrawn on " + ToIso8601(*withdrawn);
+  if (const auto withdrawn = ledger.WithdrawnAt(leftover.id)) return "consent withdrawn on " + ToIso8601(*withdrawn);
   if (const auto info = InfoIn(leftover.places)) return WhyDue(*info, days, now);
   const int shortest = std::min({days.short_days, days.standard_days, days.long_days});
   const int64_t newest = NewestWrite(leftover.places);

@@ -104,11 +104,10 @@ TEST_F(SessionStoreTest, TakesNoSessionThatARebuildWouldRefuse) {
     return store.BeginSession(info).status();
   };
   const std::string zero("a\0b", 3);
-  for (const Status& refused : {begin([&](SessionInfo& i) { i.rig = zero; }),
-                                begin([&](SessionInfo& i) { i.program_version = zero; }),
-                                begin([](SessionInfo& i) { i.started_wall.ns = -1; }),
-                                begin([](SessionInfo& i) { i.plan_json = "no plan"; }),
-                                begin([](SessionInfo& i) { i.calibration_json = "[1]"; })}) {
+  for (const Status& refused :
+       {begin([&](SessionInfo& i) { i.rig = zero; }), begin([&](SessionInfo& i) { i.program_version = zero; }),
+        begin([](SessionInfo& i) { i.started_wall.ns = -1; }), begin([](SessionInfo& i) { i.plan_json = "no plan"; }),
+        begin([](SessionInfo& i) { i.calibration_json = "[1]"; })}) {
     EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();
     EXPECT_FALSE(refused.message().empty());
   }
@@ -122,15 +121,13 @@ TEST_F(SessionStoreTest, TakesNoSessionThatARebuildWouldRefuse) {
     return writer->Append(record, Image<uint16_t>(4, 2).view());
   };
   const double nan = std::numeric_limits<double>::quiet_NaN(), infinity = std::numeric_limits<double>::infinity();
-  for (const Status& refused : {append([&](FrameRecord& r) { r.exposure_ms = nan; }),
-                                append([&](FrameRecord& r) { r.gain = infinity; }),
-                                append([&](FrameRecord& r) { r.mean_dn = -infinity; }),
-                                append([](FrameRecord& r) { r.exposure_ms = -1.0; }),
-                                append([](FrameRecord& r) { r.step = -1; }),
-                                append([](FrameRecord& r) { r.projector = -2; }),
-                                append([](FrameRecord& r) { r.phase = static_cast<CapturePhase>(9); }),
-                                append([](FrameRecord& r) { r.frame_clock = static_cast<ClockSource>(7); }),
-                                append([&](FrameRecord& r) { r.retake_cause = zero; })}) {
+  for (const Status& refused :
+       {append([&](FrameRecord& r) { r.exposure_ms = nan; }), append([&](FrameRecord& r) { r.gain = infinity; }),
+        append([&](FrameRecord& r) { r.mean_dn = -infinity; }), append([](FrameRecord& r) { r.exposure_ms = -1.0; }),
+        append([](FrameRecord& r) { r.step = -1; }), append([](FrameRecord& r) { r.projector = -2; }),
+        append([](FrameRecord& r) { r.phase = static_cast<CapturePhase>(9); }),
+        append([](FrameRecord& r) { r.frame_clock = static_cast<ClockSource>(7); }),
+        append([&](FrameRecord& r) { r.retake_cause = zero; })}) {
     EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();
     EXPECT_THAT(refused.message(), HasSubstr("step"));
   }

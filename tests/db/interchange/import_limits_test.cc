@@ -148,7 +148,8 @@ TEST_F(ImportLimits, WhatNoIndexTakesDoesNotBegin) {
     return Import((Files() / "m.toml").string());
   };
   ExpectRefused(import("a\\u0000b", "1.0"), "rig holds a zero byte", "stratalux-db");
-  for (const char* exposure : {"nan", "inf", "-inf", "-1.0"}) ExpectRefused(import("r", exposure), "exposure_ms", "m.toml");
+  for (const char* exposure : {"nan", "inf", "-inf", "-1.0"})
+    ExpectRefused(import("r", exposure), "exposure_ms", "m.toml");
   EXPECT_EQ(import("r", "1.0").code, 0);
 }
 

@@ -95,7 +95,7 @@ class LeftoverTest : public RetentionTest {
  protected:
   void SetUp() override {
     RetentionTest::SetUp();
-    OpenStore();
+    ASSERT_TRUE(SessionStore::Open(folder_, AccessMode::kReadWrite).ok());
   }
   static void Lay(const std::filesystem::path& folder, const std::string& id, Retention retention,
                   SessionKind kind = SessionKind::kVisitor) {
