@@ -2,6 +2,7 @@
 // `stratalux-db forget|purge|deletions`.
 #include <cstdio>
 #include <ctime>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <optional>
@@ -10,6 +11,7 @@
 
 #include "db/apps/command.h"
 #include "db/apps/display_text.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
@@ -19,6 +21,7 @@
 namespace stratalux::db {
 namespace {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 struct ForgetFlags {
@@ -45,6 +48,28 @@ std::string ExportsAsText(const std::vector<ForgottenExport>& exports, const For
   return text;
 }
 
+// Folders of sessions, whose ids they end with.
+Json IncomingAsJson(const std::vector<std::string>& places, const Reasons& due) {
+  Json incoming = Json::array();
+  for (const std::string& place : places) {
+    Json json = {{"place", place}};
+    if (const auto reason = due.find(fs::path(place).filename().string()); reason != due.end())
+      json["due"] = reason->second;
+    incoming.push_back(std::move(json));
+  }
+  return incoming;
+}
+
+std::string IncomingAsText(const std::vector<std::string>& places, const Reasons& due, const ForgetFlags& flags) {
+  std::string text;
+  for (const std::string& place : places) {
+    const auto reason = due.find(fs::path(place).filename().string());
+    text += place + (flags.dry_run ? ": would go" : ": gone") +
+            (reason == due.end() ? "" : " (" + reason->second + ")") + "\n";
+  }
+  return text;
+}
+
 Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   Json sessions = Json::array();
   for (const ForgottenSession& s : report.sessions) {
@@ -59,9 +84,13 @@ Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& f
     if (const auto reason = due.find(s.id); reason != due.end()) json["due"] = reason->second;
     sessions.push_back(std::move(json));
   }
-  return {{"dry_run", flags.dry_run},           {"sessions", sessions},
-          {"markers", report.markers},          {"files_read", report.scanned_files},
-          {"bytes_read", report.scanned_bytes}, {"leftovers", report.leftovers}};
+  return {{"dry_run", flags.dry_run},
+          {"sessions", sessions},
+          {"incoming", IncomingAsJson(report.incoming, due)},
+          {"markers", report.markers},
+          {"files_read", report.scanned_files},
+          {"bytes_read", report.scanned_bytes},
+          {"leftovers", report.leftovers}};
 }
 
 std::string SessionText(const ForgottenSession& s, const Reasons& due, const ForgetFlags& flags) {
@@ -76,7 +105,8 @@ std::string SessionText(const ForgottenSession& s, const Reasons& due, const For
 std::string ReportAsText(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   std::string text;
   for (const ForgottenSession& s : report.sessions) text += SessionText(s, due, flags);
-  if (report.sessions.empty()) text += "no session\n";
+  text += IncomingAsText(report.incoming, due, flags);
+  if (report.sessions.empty() && report.incoming.empty()) text += "no session\n";
   if (flags.dry_run) return text + "nothing was changed (--dry-run)\n";
   if (report.scanned_files > 0)
     text += "scan: " + std::to_string(report.markers) + " markers looked for in " +
@@ -103,7 +133,7 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
     SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessionsOf(flags.visitor));
     for (const SessionSummary& row : rows) request.sessions.push_back(row.info.id);
     SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
-    if (request.sessions.empty() && consents.empty())
+    if (request.sessions.empty() && consents.empty() && IncomingPlaces(common.store, {}, {flags.visitor}).empty())
       return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);
     request.visitors.push_back(flags.visitor);
     return request;
@@ -111,6 +141,11 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
   const auto row = store.FindSession(flags.session);
   if (row.ok()) {
     request.sessions.push_back(row->info.id);
+    return request;
+  }
+  // Of a transfer that was broken off, never listed.
+  if (row.status().code() == StatusCode::kNotFound && !IncomingPlaces(common.store, {flags.session}).empty()) {
+    request.leftovers.push_back(flags.session);
     return request;
   }
   SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(common.store, flags.session));
@@ -124,10 +159,11 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
   if (!flags.dry_run && !flags.yes && !flags.resume)
-    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
+    return Report(Status::Usage("forget removes " +
+                                std::to_string(request->sessions.size() + request->leftovers.size()) +
                                 " session(s) for ever; --dry-run shows them, --yes does it"));
-  if (!flags.dry_run && !flags.resume && request->sessions.empty() && request->visitors.empty() &&
-      UnfinishedForgets(common.store).empty()) {
+  const bool asked = !request->sessions.empty() || !request->visitors.empty() || !request->leftovers.empty();
+  if (!flags.dry_run && !flags.resume && !asked && UnfinishedForgets(common.store).empty()) {
     std::fprintf(stderr,
                  "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
                  flags.session.c_str());
@@ -166,7 +202,8 @@ Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
 class PurgePlan {
  public:
   PurgePlan(const CommonFlags& common, const ForgetFlags& flags) : common_(common), flags_(flags) {}
-  int Print(const std::vector<DueSession>& due) {
+  // `incoming`: places of what incoming/ alone knows, due for `reasons`.
+  int Print(const std::vector<DueSession>& due, const std::vector<std::string>& incoming, const Reasons& reasons) {
     const auto exports = LoggedExports(common_.store);
     if (!exports.ok()) return Report(exports.status());
     if (common_.json) pending_ = "{\n  \"dry_run\": true,\n  \"by\": \"index\",\n  \"sessions\": [";
@@ -175,7 +212,7 @@ class PurgePlan {
       Add(session, places == exports->end() ? std::vector<std::string>() : places->second);
       if (pending_.size() >= kChunk_bytes && Flush() != 0) return 1;
     }
-    pending_ += common_.json ? JsonEnd() : TextEnd();
+    pending_ += common_.json ? JsonEnd(incoming, reasons) : TextEnd(incoming, reasons);
     return Flush();
   }
 
@@ -202,15 +239,21 @@ class PurgePlan {
     fits_ += session.fits;
     bytes_ += session.bytes;
   }
-  [[nodiscard]] std::string TextEnd() const {
+  [[nodiscard]] std::string TextEnd(const std::vector<std::string>& incoming, const Reasons& reasons) const {
     const std::string total = std::to_string(sessions_) + " sessions, " + std::to_string(frames_) + " frames, " +
                               std::to_string(fits_) + " fits, " + std::to_string(bytes_) +
                               " bytes of frames (by the index; fits and other files come on top)\n";
-    return (sessions_ == 0 ? "no session\n" : total) + "nothing was changed (--dry-run)\n";
+    return IncomingAsText(incoming, reasons, flags_) +
+           (sessions_ > 0      ? total
+            : incoming.empty() ? "no session\n"
+                               : "") +
+           "nothing was changed (--dry-run)\n";
   }
-  [[nodiscard]] std::string JsonEnd() const {
+  [[nodiscard]] std::string JsonEnd(const std::vector<std::string>& incoming, const Reasons& reasons) const {
     const Json total = {{"sessions", sessions_}, {"frames", frames_}, {"fits", fits_}, {"bytes", bytes_}};
-    return std::string(sessions_ == 0 ? "]" : "\n  ]") + ",\n  \"total\": " + InOneLine(total) + "\n}\n";
+    return std::string(sessions_ == 0 ? "]" : "\n  ]") +
+           ",\n  \"incoming\": " + InOneLine(IncomingAsJson(incoming, reasons)) +
+           ",\n  \"total\": " + InOneLine(total) + "\n}\n";
   }
   static std::string InOneLine(const Json& json) {
     return PrintableJson(json.dump(-1, ' ', false, Json::error_handler_t::replace));
@@ -227,6 +270,27 @@ class PurgePlan {
   int64_t sessions_ = 0, frames_ = 0, fits_ = 0, bytes_ = 0;
 };
 
+// What incoming/ alone knows and is due. What a transfer at work has before it is no leftover yet; while the lock is
+// held none begins.
+Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& flags, const RetentionDays& days,
+                                  WallNs now, ForgetRequest& request, Reasons& reasons) {
+  IncomingLock lock;
+  if (IncomingLock::IsHeld(common.store)) {
+    std::fprintf(stderr, "stratalux-db: a pull or restore is at work: incoming/ was not looked at\n");
+    return lock;
+  }
+  SLX_ASSIGN_OR_RETURN(auto leftovers, DueIncoming(common.store, days, now));
+  if (!flags.dry_run && !leftovers.empty()) {
+    SLX_ASSIGN_OR_RETURN(lock, IncomingLock::Take(common.store));
+    SLX_ASSIGN_OR_RETURN(leftovers, DueIncoming(common.store, days, now));
+  }
+  for (const DueSession& leftover : leftovers) {
+    request.leftovers.push_back(leftover.id);
+    reasons[leftover.id] = leftover.reason;
+  }
+  return lock;
+}
+
 int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   const auto days = DaysFor(flags);
   if (!days.ok()) return Report(days.status());
@@ -234,15 +298,21 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   if (!now.ok()) return Report(now.status());
   const auto due = DueSessions(common.store, *days, *now);
   if (!due.ok()) return Report(due.status());
-  if (flags.dry_run) return PurgePlan(common, flags).Print(*due);
   ForgetRequest request;
   request.reason = ForgetReason::kPurge;
   Reasons reasons;
+  const auto no_transfer = AddLeftovers(common, flags, *days, *now, request, reasons);
+  if (!no_transfer.ok()) return Report(no_transfer.status());
+  if (flags.dry_run) {
+    const auto leftovers = PlanForget(common.store, request);
+    return leftovers.ok() ? PurgePlan(common, flags).Print(*due, leftovers->incoming, reasons)
+                          : Report(leftovers.status());
+  }
   for (const DueSession& session : *due) {
     request.sessions.push_back(session.id);
     reasons[session.id] = session.reason;
   }
-  if (due->empty() && UnfinishedForgets(common.store).empty())
+  if (request.sessions.empty() && request.leftovers.empty() && UnfinishedForgets(common.store).empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
   return Finish(common, flags, std::move(request), reasons);
 }

@@ -113,9 +113,10 @@ Status Forgetting::EnterForgettings() {
 }
 
 Status Forgetting::RemoveIncoming() {
-  std::vector<std::string> ids;
+  std::vector<std::string> ids = request_.leftovers;
   for (const ForgetIntent& intent : intents_) ids.push_back(intent.session);
-  SLX_RETURN_IF_ERROR(WipeIncoming(store_, ids, request_.visitors).status());
+  SLX_ASSIGN_OR_RETURN(const auto wiped, WipeIncoming(store_, ids, request_.visitors));
+  for (const fs::path& folder : wiped) report_.incoming.push_back(folder.lexically_relative(store_).string());
   Done(ForgetStep::kIncoming);
   return Status::Ok();
 }
@@ -334,6 +335,7 @@ Status Forgetting::RewriteIndex(const ScanPlan& plan) {
 
 // Index closed: it is read as a file, and closing that drops the locks of this process on it.
 Status Forgetting::Scan() {
+  if (intents_.empty() && gone_visitors_.empty()) return Status::Ok();  // nothing to look for
   ScanPlan plan;
   {
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));

@@ -53,6 +53,7 @@ struct ForgetRequest {
   std::vector<std::string> sessions;  // ids
   std::vector<std::string>
       visitors;  // removed with their consents, also without a session; their sessions must be listed
+  std::vector<std::string> leftovers = {};  // ids that incoming/ alone knows: wiped there, with no entry in the ledger
   ForgetReason reason = ForgetReason::kForget;
   // May be empty; kIntent, kEntered, kKey .. kFile, kVisitorKey, kEntry, kCertified come once for each session, key,
   // export, file, visitor.
@@ -75,6 +76,7 @@ struct ForgottenSession {
 
 struct ForgetReport {
   std::vector<ForgottenSession> sessions;
+  std::vector<std::string> incoming;  // folders below incoming/, relative to the store
   int64_t markers = 0, scanned_files = 0, scanned_bytes = 0;
   // File, offset and what was found, and exports that could not be deleted: to be removed by hand, then forgotten
   // again.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a forget would do.
+#include "db/care/incoming.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/forget_intent.h"
 
@@ -24,6 +25,10 @@ Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& requ
     for (const std::string& place : intent.exports) session.exports.push_back(PlanExport(place, intent.session));
     report.sessions.push_back(std::move(session));
   }
+  std::vector<std::string> ids = request.sessions;
+  ids.insert(ids.end(), request.leftovers.begin(), request.leftovers.end());
+  for (const fs::path& folder : IncomingPlaces(store, ids, request.visitors))
+    report.incoming.push_back(folder.lexically_relative(store).string());
   return report;
 }
 

@@ -26,4 +26,11 @@ struct DueSession {
 [[nodiscard]] Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, const RetentionDays& days,
                                                           WallNs now);
 
+// The same of sessions that incoming/ alone knows, by their manifests there: what a broken-off transfer left of a
+// source that may never come back, and manifests that a pull kept of sessions it never took. What no manifest tells of
+// counts as of the shortest class, from its newest file on. By id; wipe them as the next transfer would (WipeIncoming),
+// with none at work (IncomingLock).
+[[nodiscard]] Result<std::vector<DueSession>> DueIncoming(const std::filesystem::path& store, const RetentionDays& days,
+                                                          WallNs now);
+
 }  // namespace stratalux::db
