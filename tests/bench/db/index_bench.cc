@@ -192,8 +192,7 @@ int Option(int argc, char** argv, const std::string& name, int otherwise) {
 // A question as an operator types it.
 struct Question {
   std::string name, arguments;  // of stratalux-db
-  int64_t most_ms = 100;        // of processor time
-  Cell most_mb;                 // of memory
+  Cell most_ms, most_mb;        // aimed at: processor time, memory
   std::string peer_sql;         // the same rows, for the sqlite3 shell; empty: it has no peer
 };
 
@@ -210,25 +209,27 @@ std::vector<Question> Questions(const IndexRowsOptions& options, const std::stri
   };
   // As every night: what became due within a day or two. The rows are of three sessions a day.
   const int days = options.sessions / 3 - 3;
-  const int64_t selector_mb = 40;
+  const int64_t selector_ms = 20, selector_mb = 40, purge_ms = 500;
+  // What walks over all sessions is aimed at for a thousand of them.
+  const Cell list_ms = options.sessions <= 1000 ? Cell(int64_t{100}) : Cell();
   std::vector<Question> questions = {
-      {"--version", "--version", 20, Cell(), "SELECT 1"},
-      {"show ID", "show " + real + store, 20, selector_mb, "SELECT * FROM sessions WHERE id = '" + real + "'"},
-      {"frames ID", "frames " + real + store, 20, selector_mb,
+      {"--version", "--version", Cell(), Cell(), "SELECT 1"},
+      {"show ID", "show " + real + store, selector_ms, selector_mb, "SELECT * FROM sessions WHERE id = '" + real + "'"},
+      {"frames ID", "frames " + real + store, selector_ms, selector_mb,
        "SELECT * FROM frames f JOIN proofs p ON p.session = f.session AND p.frame = f.frame WHERE f.session = " +
            number},
-      {"verify ID", "verify " + real + store, 20, selector_mb,
+      {"verify ID", "verify " + real + store, selector_ms, selector_mb,
        "SELECT * FROM sessions WHERE number = " + number + "; SELECT * FROM frames" + of_session +
            " SELECT * FROM proofs" + of_session + " SELECT * FROM fits" + of_session + " SELECT * FROM metrics" +
            of_session},
-      {"purge --dry-run, few due", "purge --dry-run --long-days " + std::to_string(days) + now + store, 500, Cell(),
-       due(days)},
-      {"purge --dry-run, all due", "purge --dry-run --long-days 0" + now + store, 500, Cell(), due(0)},
-      {"ls", "ls" + store, 100, Cell(), kPeers.at("ls")}};
+      {"purge --dry-run, few due", "purge --dry-run --long-days " + std::to_string(days) + now + store, purge_ms,
+       Cell(), due(days)},
+      {"purge --dry-run, all due", "purge --dry-run --long-days 0" + now + store, purge_ms, Cell(), due(0)},
+      {"ls", "ls" + store, list_ms, Cell(), kPeers.at("ls")}};
   for (const NamedQuery& query : NamedQueries()) {
     const auto peer = kPeers.find(query.name);
     questions.push_back(
-        {query.name, "query " + query.name + now + store, 100, Cell(), peer == kPeers.end() ? "" : peer->second});
+        {query.name, "query " + query.name + now + store, list_ms, Cell(), peer == kPeers.end() ? "" : peer->second});
   }
   return questions;
 }
