@@ -2,6 +2,7 @@
 // `stratalux-db forget|purge|deletions`.
 #include <cstdio>
 #include <ctime>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <optional>
@@ -10,6 +11,7 @@
 
 #include "db/apps/command.h"
 #include "db/apps/display_text.h"
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
@@ -19,6 +21,7 @@
 namespace stratalux::db {
 namespace {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 struct ForgetFlags {
@@ -31,20 +34,63 @@ struct ForgetFlags {
 
 using Reasons = std::map<std::string, std::string>;  // session id -> why it is due
 
+Json ExportsAsJson(const std::vector<ForgottenExport>& exports) {
+  Json json = Json::array();
+  for (const ForgottenExport& e : exports) json.push_back({{"place", e.place}, {"state", ToString(e.state)}});
+  return json;
+}
+
+std::string ExportsAsText(const std::vector<ForgottenExport>& exports, const ForgetFlags& flags) {
+  std::string text;
+  for (const ForgottenExport& e : exports)
+    text += "  export " + e.place + ": " +
+            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
+  return text;
+}
+
+// Folders of sessions, whose ids they end with.
+Json IncomingAsJson(const std::vector<std::string>& places, const Reasons& due) {
+  Json incoming = Json::array();
+  for (const std::string& place : places) {
+    Json json = {{"place", place}};
+    if (const auto reason = due.find(fs::path(place).filename().string()); reason != due.end())
+      json["due"] = reason->second;
+    incoming.push_back(std::move(json));
+  }
+  return incoming;
+}
+
+std::string IncomingAsText(const std::vector<std::string>& places, const Reasons& due, const ForgetFlags& flags) {
+  std::string text;
+  for (const std::string& place : places) {
+    const auto reason = due.find(fs::path(place).filename().string());
+    text += place + (flags.dry_run ? ": would go" : ": gone") +
+            (reason == due.end() ? "" : " (" + reason->second + ")") + "\n";
+  }
+  return text;
+}
+
 Json JsonOf(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   Json sessions = Json::array();
   for (const ForgottenSession& s : report.sessions) {
-    Json exports = Json::array();
-    for (const ForgottenExport& e : s.exports) exports.push_back({{"place", e.place}, {"state", ToString(e.state)}});
-    Json json = {
-        {"session", s.id},  {"frames", s.frames},       {"fits", s.fits},     {"files", s.files},
-        {"bytes", s.bytes}, {"encrypted", s.encrypted}, {"exports", exports}, {"visitor_removed", s.visitor_removed}};
+    Json json = {{"session", s.id},
+                 {"frames", s.frames},
+                 {"fits", s.fits},
+                 {"files", s.files},
+                 {"bytes", s.bytes},
+                 {"encrypted", s.encrypted},
+                 {"exports", ExportsAsJson(s.exports)},
+                 {"visitor_removed", s.visitor_removed}};
     if (const auto reason = due.find(s.id); reason != due.end()) json["due"] = reason->second;
     sessions.push_back(std::move(json));
   }
-  return {{"dry_run", flags.dry_run},           {"sessions", sessions},
-          {"markers", report.markers},          {"files_read", report.scanned_files},
-          {"bytes_read", report.scanned_bytes}, {"leftovers", report.leftovers}};
+  return {{"dry_run", flags.dry_run},
+          {"sessions", sessions},
+          {"incoming", IncomingAsJson(report.incoming, due)},
+          {"markers", report.markers},
+          {"files_read", report.scanned_files},
+          {"bytes_read", report.scanned_bytes},
+          {"leftovers", report.leftovers}};
 }
 
 std::string SessionText(const ForgottenSession& s, const Reasons& due, const ForgetFlags& flags) {
@@ -53,17 +99,14 @@ std::string SessionText(const ForgottenSession& s, const Reasons& due, const For
                      std::to_string(s.bytes) + " bytes" + (s.encrypted ? ", its key" : "") +
                      (s.visitor_removed ? ", the visitor and its consents" : "");
   if (const auto reason = due.find(s.id); reason != due.end()) text += " (" + reason->second + ")";
-  text += "\n";
-  for (const ForgottenExport& e : s.exports)
-    text += "  export " + e.place + ": " +
-            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
-  return text;
+  return text + "\n" + ExportsAsText(s.exports, flags);
 }
 
 std::string ReportAsText(const ForgetReport& report, const Reasons& due, const ForgetFlags& flags) {
   std::string text;
   for (const ForgottenSession& s : report.sessions) text += SessionText(s, due, flags);
-  if (report.sessions.empty()) text += "no session\n";
+  text += IncomingAsText(report.incoming, due, flags);
+  if (report.sessions.empty() && report.incoming.empty()) text += "no session\n";
   if (flags.dry_run) return text + "nothing was changed (--dry-run)\n";
   if (report.scanned_files > 0)
     text += "scan: " + std::to_string(report.markers) + " markers looked for in " +
@@ -90,7 +133,7 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
     SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessionsOf(flags.visitor));
     for (const SessionSummary& row : rows) request.sessions.push_back(row.info.id);
     SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(common.store, flags.visitor));
-    if (request.sessions.empty() && consents.empty())
+    if (request.sessions.empty() && consents.empty() && IncomingPlaces(common.store, {}, {flags.visitor}).empty())
       return Status::NotFound("visitor '" + flags.visitor + "' has neither sessions nor consents in " + common.store);
     request.visitors.push_back(flags.visitor);
     return request;
@@ -101,9 +144,15 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
     return request;
   }
   SLX_ASSIGN_OR_RETURN(const std::string forgotten, FindForgotten(common.store, flags.session));
-  if (forgotten.empty()) return row.status();
-  SLX_ASSIGN_OR_RETURN(const bool returned, HasReturned(common.store, forgotten));
-  if (returned) request.sessions.push_back(forgotten);
+  if (!forgotten.empty()) {
+    SLX_ASSIGN_OR_RETURN(const bool returned, HasReturned(common.store, forgotten));
+    if (returned) request.sessions.push_back(forgotten);
+    return request;
+  }
+  // Of a transfer that was broken off, never listed.
+  if (row.status().code() != StatusCode::kNotFound || IncomingPlaces(common.store, {flags.session}).empty())
+    return row.status();
+  request.leftovers.push_back(flags.session);
   return request;
 }
 
@@ -112,7 +161,7 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
     return Report(Status::Usage("forget: name a SESSION or --visitor V (or --resume what broke off)"));
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
-  const bool nothing = request->sessions.empty() && request->visitors.empty();
+  const bool nothing = request->sessions.empty() && request->visitors.empty() && request->leftovers.empty();
   if (!flags.resume && nothing && UnfinishedForgets(common.store).empty()) {
     std::fprintf(stderr,
                  "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
@@ -120,7 +169,8 @@ int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
     return common.json ? Print(TextOf(JsonOf({}, {}, flags))) : 0;
   }
   if (!flags.dry_run && !flags.yes && !flags.resume)
-    return Report(Status::Usage("forget removes " + std::to_string(request->sessions.size()) +
+    return Report(Status::Usage("forget removes " +
+                                std::to_string(request->sessions.size() + request->leftovers.size()) +
                                 " session(s) for ever; --dry-run shows them, --yes does it"));
   return Finish(common, flags, std::move(request).value(), {});
 }
@@ -130,7 +180,11 @@ Result<WallNs> ParseDate(const std::string& text) {
   for (const char* format : {"%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d"}) {
     std::tm utc{};
     const char* end = strptime(text.c_str(), format, &utc);
-    if (end != nullptr && *end == '\0') return WallNs{static_cast<int64_t>(timegm(&utc)) * 1'000'000'000};
+    if (end == nullptr || *end != '\0') continue;
+    int64_t ns = 0;
+    if (__builtin_mul_overflow(static_cast<int64_t>(timegm(&utc)), int64_t{1'000'000'000}, &ns))
+      return Status::Usage("--now '" + text + "' is beyond the years 1678 to 2262 that the store can name");
+    return WallNs{ns};
   }
   return Status::Usage("--now '" + text + "': expected a date such as 2027-01-31 or 2027-01-31T12:00:00Z");
 }
@@ -147,6 +201,99 @@ Result<RetentionDays> DaysFor(const ForgetFlags& flags) {
   return days;
 }
 
+// What a purge would take, by the index alone: a hundred thousand folders are not measured. Printed as it comes.
+class PurgePlan {
+ public:
+  PurgePlan(const CommonFlags& common, const ForgetFlags& flags) : common_(common), flags_(flags) {}
+  // `incoming`: places of what incoming/ alone knows, due for `reasons`.
+  int Print(const std::vector<DueSession>& due, const std::vector<std::string>& incoming, const Reasons& reasons) {
+    const auto exports = LoggedExports(common_.store);
+    if (!exports.ok()) return Report(exports.status());
+    if (common_.json) pending_ = "{\n  \"dry_run\": true,\n  \"by\": \"index\",\n  \"sessions\": [";
+    for (const DueSession& session : due) {
+      const auto places = exports->find(session.id);
+      Add(session, places == exports->end() ? std::vector<std::string>() : places->second);
+      if (pending_.size() >= kChunk_bytes && Flush() != 0) return 1;
+    }
+    pending_ += common_.json ? JsonEnd(incoming, reasons) : TextEnd(incoming, reasons);
+    return Flush();
+  }
+
+ private:
+  static constexpr size_t kChunk_bytes = 1 << 16;
+
+  void Add(const DueSession& session, const std::vector<std::string>& places) {
+    std::vector<ForgottenExport> exports;
+    for (const std::string& place : places) exports.push_back(PlanExport(place, session.id));
+    if (common_.json) {
+      const Json json = {{"session", session.id},          {"frames", session.frames},
+                         {"fits", session.fits},           {"bytes", session.bytes},
+                         {"encrypted", session.encrypted}, {"exports", ExportsAsJson(exports)},
+                         {"due", session.reason}};
+      pending_ += (sessions_ == 0 ? "\n    " : ",\n    ") + InOneLine(json);
+    } else {
+      pending_ += session.id + ": would go: " + std::to_string(session.frames) + " frames, " +
+                  std::to_string(session.fits) + " fits, " + std::to_string(session.bytes) + " bytes" +
+                  (session.encrypted ? ", its key" : "") + " (" + session.reason + ")\n" +
+                  ExportsAsText(exports, flags_);
+    }
+    ++sessions_;
+    frames_ += session.frames;
+    fits_ += session.fits;
+    bytes_ += session.bytes;
+  }
+  [[nodiscard]] std::string TextEnd(const std::vector<std::string>& incoming, const Reasons& reasons) const {
+    const std::string total = std::to_string(sessions_) + " sessions, " + std::to_string(frames_) + " frames, " +
+                              std::to_string(fits_) + " fits, " + std::to_string(bytes_) +
+                              " bytes of frames (by the index; fits and other files come on top)\n";
+    return IncomingAsText(incoming, reasons, flags_) +
+           (sessions_ > 0      ? total
+            : incoming.empty() ? "no session\n"
+                               : "") +
+           "nothing was changed (--dry-run)\n";
+  }
+  [[nodiscard]] std::string JsonEnd(const std::vector<std::string>& incoming, const Reasons& reasons) const {
+    const Json total = {{"sessions", sessions_}, {"frames", frames_}, {"fits", fits_}, {"bytes", bytes_}};
+    return std::string(sessions_ == 0 ? "]" : "\n  ]") +
+           ",\n  \"incoming\": " + InOneLine(IncomingAsJson(incoming, reasons)) +
+           ",\n  \"total\": " + InOneLine(total) + "\n}\n";
+  }
+  static std::string InOneLine(const Json& json) {
+    return PrintableJson(json.dump(-1, ' ', false, Json::error_handler_t::replace));
+  }
+  int Flush() {
+    const int printed = stratalux::db::Print(pending_);
+    pending_.clear();
+    return printed;
+  }
+
+  const CommonFlags& common_;
+  const ForgetFlags& flags_;
+  std::string pending_;
+  int64_t sessions_ = 0, frames_ = 0, fits_ = 0, bytes_ = 0;
+};
+
+// What incoming/ alone knows and is due. What a transfer at work has before it is no leftover yet; while the lock is
+// held none begins.
+Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& flags, const RetentionDays& days,
+                                  WallNs now, ForgetRequest& request, Reasons& reasons) {
+  IncomingLock lock;
+  if (IncomingLock::IsHeld(common.store)) {
+    std::fprintf(stderr, "stratalux-db: a pull or restore is at work: incoming/ was not looked at\n");
+    return lock;
+  }
+  SLX_ASSIGN_OR_RETURN(auto leftovers, DueIncoming(common.store, days, now));
+  if (!flags.dry_run && !leftovers.empty()) {
+    SLX_ASSIGN_OR_RETURN(lock, IncomingLock::Take(common.store));
+    SLX_ASSIGN_OR_RETURN(leftovers, DueIncoming(common.store, days, now));
+  }
+  for (const DueSession& leftover : leftovers) {
+    request.leftovers.push_back(leftover.id);
+    reasons[leftover.id] = leftover.reason;
+  }
+  return lock;
+}
+
 int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   const auto days = DaysFor(flags);
   if (!days.ok()) return Report(days.status());
@@ -157,11 +304,18 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   ForgetRequest request;
   request.reason = ForgetReason::kPurge;
   Reasons reasons;
+  const auto no_transfer = AddLeftovers(common, flags, *days, *now, request, reasons);
+  if (!no_transfer.ok()) return Report(no_transfer.status());
+  if (flags.dry_run) {
+    const auto leftovers = PlanForget(common.store, request);
+    return leftovers.ok() ? PurgePlan(common, flags).Print(*due, leftovers->incoming, reasons)
+                          : Report(leftovers.status());
+  }
   for (const DueSession& session : *due) {
     request.sessions.push_back(session.id);
     reasons[session.id] = session.reason;
   }
-  if (!flags.dry_run && due->empty() && UnfinishedForgets(common.store).empty())
+  if (request.sessions.empty() && request.leftovers.empty() && UnfinishedForgets(common.store).empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
   return Finish(common, flags, std::move(request), reasons);
 }

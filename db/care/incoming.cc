@@ -87,8 +87,21 @@ Status WipeFolder(const fs::path& folder) {
   return SyncFolder(folder.parent_path());
 }
 
-Result<std::vector<fs::path>> WipeIncoming(const fs::path& store, const std::vector<std::string>& sessions,
-                                           const std::vector<std::string>& visitors) {
+std::vector<IncomingSession> ListKeptManifests(const fs::path& store) {
+  std::map<std::string, IncomingSession> found;
+  for (const fs::path& source : FoldersIn(IncomingSources(store)))
+    for (const fs::path& entry : FoldersIn(source / "sessions")) {
+      IncomingSession& session = found[entry.filename().string()];
+      session.id = entry.filename().string();
+      session.places.push_back(entry);
+    }
+  std::vector<IncomingSession> sessions;
+  for (auto& [id, session] : found) sessions.push_back(std::move(session));
+  return sessions;
+}
+
+std::vector<fs::path> IncomingPlaces(const fs::path& store, const std::vector<std::string>& sessions,
+                                     const std::vector<std::string>& visitors) {
   std::set<fs::path> folders;
   std::error_code error;
   auto add = [&](const std::string& id) {
@@ -106,8 +119,14 @@ Result<std::vector<fs::path>> WipeIncoming(const fs::path& store, const std::vec
       for (const fs::path& entry : FoldersIn(source / "sessions"))
         if (named.contains(VisitorOf(entry))) folders.insert(entry);
   }
+  return {folders.begin(), folders.end()};
+}
+
+Result<std::vector<fs::path>> WipeIncoming(const fs::path& store, const std::vector<std::string>& sessions,
+                                           const std::vector<std::string>& visitors) {
+  std::vector<fs::path> folders = IncomingPlaces(store, sessions, visitors);
   for (const fs::path& folder : folders) SLX_RETURN_IF_ERROR(WipeFolder(folder));
-  return std::vector<fs::path>(folders.begin(), folders.end());
+  return folders;
 }
 
 }  // namespace stratalux::db

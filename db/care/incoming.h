@@ -37,8 +37,15 @@ struct IncomingSession {
 // By id. Catalogues of sources (manifests of sessions that were never asked for) are no leftovers and not in here.
 [[nodiscard]] std::vector<IncomingSession> ListIncoming(const std::filesystem::path& store);
 
-// Overwrites and removes whatever lies in incoming/ of `sessions`, and of every session whose manifest there names one
-// of `visitors`; the kept catalogues of sources included. Returns the folders that went. Does not wait for a transfer
+// The kept manifests in the catalogues of sources: a place for each source. None is opened: visitors stay empty.
+[[nodiscard]] std::vector<IncomingSession> ListKeptManifests(const std::filesystem::path& store);
+
+// All that lies in incoming/ of `sessions`, and of every session whose manifest there names one of `visitors`; the kept
+// catalogues of sources included.
+[[nodiscard]] std::vector<std::filesystem::path> IncomingPlaces(const std::filesystem::path& store,
+                                                                const std::vector<std::string>& sessions,
+                                                                const std::vector<std::string>& visitors = {});
+// Overwrites and removes those. Returns the folders that went. Does not wait for a transfer
 // that runs: that one asks for tombstones itself before and after each session.
 [[nodiscard]] Result<std::vector<std::filesystem::path>> WipeIncoming(const std::filesystem::path& store,
                                                                       const std::vector<std::string>& sessions,

@@ -116,7 +116,13 @@ class Lister {
                               " was not listed");
       return Status::Ok();
     }
-    auto session = RebuildSession(folder, has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>());
+    const auto known = has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>();
+    if (known.empty() && NeverBegan(folder, ledger_)) {
+      report_.notes.push_back(folder.string() +
+                              " holds no manifest and no frame: a session that never began; not listed");
+      return Status::Ok();
+    }
+    auto session = RebuildSession(folder, known);
     if (!session.ok()) return SetAside(folder, session.status());
     report_.notes.insert(report_.notes.end(), session->notes.begin(), session->notes.end());
     report_.problems.insert(report_.problems.end(), session->problems.begin(), session->problems.end());

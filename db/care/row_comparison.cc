@@ -246,7 +246,7 @@ Result<std::vector<std::string>> CompareSessionRows(const fs::path& store, const
     lines.push_back(file + ": sessions.number of " + session.info.id + " is " + std::to_string(number) + "; " +
                     folder.string() + " says " + std::to_string(*rebuilt.number));
   SLX_RETURN_IF_ERROR(SetUnlistedAside(index, number, folder, rebuilt, notes));
-  SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::InMemory());
+  SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::TablesInMemory());
   SLX_RETURN_IF_ERROR(InsertRebuilt(expected, rebuilt, number).status());
   for (const TableRule& rule : RulesFor(session, folder)) {
     SLX_ASSIGN_OR_RETURN(const auto differing,

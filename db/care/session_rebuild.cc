@@ -271,6 +271,23 @@ Result<RebuiltSession> RebuildSession(const fs::path& folder, const std::vector<
   return session;
 }
 
+bool NeverBegan(const fs::path& folder, const Ledger& ledger) {
+  std::error_code error;
+  if (!fs::is_directory(folder, error) || fs::exists(fs::symlink_status(folder / "manifest.json", error))) return false;
+  for (auto entry = fs::recursive_directory_iterator(folder, error);
+       !error && entry != fs::recursive_directory_iterator(); entry.increment(error)) {
+    if (entry->is_directory(error)) continue;
+    const fs::path& file = entry->path();
+    const bool header_at_most = file.extension() == ".seg" && entry->is_regular_file(error) &&
+                                entry->file_size(error) <= static_cast<uintmax_t>(kSegmentStart);
+    if (!header_at_most && file.filename() != "manifest.json.new" && file.filename() != "place.json") return false;
+  }
+  const std::string id = folder.filename().string();
+  return !error && std::none_of(ledger.entries().begin(), ledger.entries().end(), [&id](const LedgerEntry& entry) {
+    return std::find(entry.sessions.begin(), entry.sessions.end(), id) != entry.sessions.end();
+  });
+}
+
 namespace {
 
 Status SetEnding(Connection& connection, int64_t number, const RebuiltSession& session) {

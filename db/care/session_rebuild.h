@@ -10,6 +10,7 @@
 
 #include "db/catalogue/session_index.h"
 #include "db/catalogue/session_store.h"
+#include "db/ledger/ledger.h"
 #include "db/segment/segment_scan.h"
 
 namespace stratalux::db {
@@ -48,6 +49,10 @@ struct KnownFrame {
 // frames do not say enough, and what CheckSession (db/care/session_gate.h) refuses.
 [[nodiscard]] Result<RebuiltSession> RebuildSession(const std::filesystem::path& session_folder,
                                                     const std::vector<KnownFrame>& known = {});
+
+// A folder that was made before its session began, and is all there is of it: no manifest, no byte of a frame, and the
+// ledger, which hears of a visitor's session before its first frame is acknowledged, says nothing of it.
+[[nodiscard]] bool NeverBegan(const std::filesystem::path& session_folder, const Ledger& ledger);
 
 // Rows of the session in one transaction: the visitor, its consent and the calibration as well. The number is `number`,
 // else the next one.

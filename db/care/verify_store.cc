@@ -4,6 +4,7 @@
 
 #include "db/care/incoming.h"
 #include "db/care/row_comparison.h"
+#include "db/care/session_rebuild.h"
 #include "db/care/verify.h"
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/ledger_follow.h"
@@ -88,6 +89,8 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
     if (ledger.IsForgotten(id)) {
       report.problems.push_back(entry.path().string() + " is of a session that was forgotten; `stratalux-db forget " +
                                 id + "` again");
+    } else if (!known.contains(id) && NeverBegan(entry.path(), ledger)) {
+      report.notes.push_back(entry.path().string() + " holds no manifest and no frame: a session that never began");
     } else if (!known.contains(id)) {
       report.problems.push_back(entry.path().string() +
                                 " is not in the index: `stratalux-db reindex` lists it, if it is a session");
@@ -105,7 +108,8 @@ void CheckIncoming(const SessionStore& store, const Ledger& ledger, VerifyReport
                                   session.id + "` again, or the next pull, wipes it");
       } else if (!at_work) {
         report.notes.push_back(place.string() +
-                               " was left by a pull or restore that was broken off: the next one goes on or wipes it");
+                               " was left by a pull or restore that was broken off: the next one goes on or wipes it,"
+                               " and `stratalux-db purge` once it is due");
       }
     }
 }

@@ -20,14 +20,11 @@ Status InsertConsent(Connection& connection, const std::string& visitor, const C
   return transaction.Commit();
 }
 
-Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, const std::string& visitor, WallNs given) {
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       connection.Prepare("SELECT withdrawn_wall_ns IS NOT NULL, withdrawn_wall_ns FROM consents WHERE"
-                                          " visitor = ?1 ORDER BY given_wall_ns = ?2 DESC,"
-                                          " CASE WHEN given_wall_ns = ?2 THEN number ELSE -number END LIMIT 1"));
-  SLX_ASSIGN_OR_RETURN(const bool any, select.Bind(1, visitor).Bind(2, given.ns).Step());
-  if (!any || select.Integer(0) == 0) return std::optional<WallNs>();
-  return std::optional(WallNs{select.Integer(1)});
+Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, int64_t session_number) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT withdrawn_wall_ns FROM session_consents WHERE session ="
+                                                       " ?1 AND withdrawn_wall_ns IS NOT NULL"));
+  SLX_ASSIGN_OR_RETURN(const bool any, select.Bind(1, session_number).Step());
+  return any ? std::optional(WallNs{select.Integer(0)}) : std::nullopt;
 }
 
 }  // namespace stratalux::db

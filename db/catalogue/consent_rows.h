@@ -17,8 +17,8 @@ enum class ConsentSource { kGiven, kOfSession };
 // The visitor, too, where it is new.
 Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent, ConsentSource source);
 
-// When the consent was withdrawn under which a session was made, or the visitor's newest where that is not known here.
-[[nodiscard]] Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, const std::string& visitor,
-                                                        WallNs given);
+// When the consent was withdrawn under which a visitor's session was made, or the visitor's newest where that is not
+// known here: what the view session_consents says. Of other sessions none.
+[[nodiscard]] Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, int64_t session_number);
 
 }  // namespace stratalux::db

@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <xxhash.h>
 
+#include "db/base/paths.h"
 #include "db/segment/segment.h"
 #include "shared/base/read_file.h"
 
@@ -51,14 +52,9 @@ Result<std::vector<std::string>> FilesOf(const fs::path& folder) {
   return names;
 }
 
-bool StaysWithin(const fs::path& name) {
-  if (name.empty() || name.is_absolute()) return false;
-  return std::none_of(name.begin(), name.end(), [](const fs::path& part) { return part == ".." || part == "."; });
-}
-
 // No part of the name may be a link: it could lead out of the folder.
 Status CheckFile(const fs::path& folder, const std::string& name, int64_t bytes, const std::string& hash) {
-  if (!StaysWithin(name))
+  if (!StaysInside(name))
     return Status::Integrity((folder / kFitRecordFile).string() + ": '" + name + "' is no file of the fit");
   const fs::path file = folder / name;
   std::error_code error;

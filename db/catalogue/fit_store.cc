@@ -36,14 +36,14 @@ Status Forgotten(const std::string& session) {
 
 Status CheckConsent(Connection& connection, int64_t session) {
   SLX_ASSIGN_OR_RETURN(auto select,
-                       connection.Prepare("SELECT id, kind, visitor, consent_json FROM sessions WHERE number = ?1"));
+                       connection.Prepare("SELECT id, kind, consent_json FROM sessions WHERE number = ?1"));
   SLX_RETURN_IF_ERROR(select.Bind(1, session).Step().status());
   if (select.Text(1) != ToString(SessionKind::kVisitor)) return Status::Ok();
   const std::string what = "session " + select.Text(0) + " must not be fitted: ";
-  const Consent consent = ConsentFromJson(select.Text(3));
+  const Consent consent = ConsentFromJson(select.Text(2));
   // A session of schema 1 knows the version of its text alone, which was one for fitting.
-  if (!select.Text(3).empty() && !consent.fit) return Status::Usage(what + "its visitor's consent does not cover it");
-  SLX_ASSIGN_OR_RETURN(const auto withdrawn, WithdrawnOn(connection, select.Text(2), consent.given_wall));
+  if (!select.Text(2).empty() && !consent.fit) return Status::Usage(what + "its visitor's consent does not cover it");
+  SLX_ASSIGN_OR_RETURN(const auto withdrawn, WithdrawnOn(connection, session));
   if (withdrawn) return Status::Usage(what + "its visitor's consent was withdrawn on " + ToIso8601(*withdrawn));
   return Status::Ok();
 }

@@ -30,19 +30,32 @@ Status WriteHeads(Connection& connection, const std::map<std::string, int64_t>& 
   return Status::Ok();
 }
 
-// All that the visitor of one of these sessions had given by then, and what the sessions were made under, should a
-// clock have gone back in between.
-Status Withdraw(Connection& connection, const LedgerEntry& entry) {
-  SLX_ASSIGN_OR_RETURN(
-      auto update,
-      connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE withdrawn_wall_ns IS NULL AND visitor ="
-                         " (SELECT visitor FROM sessions WHERE id = ?1 AND visitor <> '') AND (given_wall_ns <= ?2 OR"
-                         " given_wall_ns = (SELECT CASE WHEN json_valid(consent_json) THEN"
-                         " json_extract(consent_json, '$.given_wall_ns') END FROM sessions WHERE id = ?1))"));
-  for (const std::string& session : entry.sessions)
-    SLX_RETURN_IF_ERROR(update.Bind(1, session).Bind(2, entry.at.ns).Run());
-  return Status::Ok();
-}
+// Withdraws all that the visitor of a session had given by then, and what the session was made under, should a clock
+// have gone back in between.
+class Withdrawing {
+ public:
+  static Result<Withdrawing> Prepare(Connection& connection) {
+    const std::string which =
+        " WHERE withdrawn_wall_ns IS NULL AND visitor = (SELECT visitor FROM sessions WHERE id = ?1 AND visitor <> '')"
+        " AND (given_wall_ns <= ?2 OR given_wall_ns = (SELECT CASE WHEN json_valid(consent_json) THEN"
+        " json_extract(consent_json, '$.given_wall_ns') END FROM sessions WHERE id = ?1))";
+    SLX_ASSIGN_OR_RETURN(auto count, connection.Prepare("SELECT count(*) FROM consents" + which));
+    SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2" + which));
+    return Withdrawing(std::move(count), std::move(update));
+  }
+  // The number of consents that held until now.
+  Result<int64_t> Withdraw(const std::string& session, WallNs at) {
+    SLX_RETURN_IF_ERROR(count_.Bind(1, session).Bind(2, at.ns).Step().status());
+    const int64_t held = count_.Integer(0);
+    count_.Reset();
+    if (held > 0) SLX_RETURN_IF_ERROR(update_.Bind(1, session).Bind(2, at.ns).Run());
+    return held;
+  }
+
+ private:
+  Withdrawing(Statement count, Statement update) : count_(std::move(count)), update_(std::move(update)) {}
+  Statement count_, update_;
+};
 
 std::string ReasonOf(const std::string& detail) {
   const auto json = nlohmann::ordered_json::parse(detail, nullptr, false);
@@ -118,8 +131,11 @@ Status FollowLedger(SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
   if (!news.changed) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(connection));
   for (const LedgerEntry& entry : news.entries) {
-    if (entry.kind == LedgerKind::kWithdrawal) SLX_RETURN_IF_ERROR(Withdraw(connection, entry));
+    if (entry.kind == LedgerKind::kWithdrawal)
+      for (const std::string& session : entry.sessions)
+        SLX_RETURN_IF_ERROR(withdrawing.Withdraw(session, entry.at).status());
     if (entry.kind == LedgerKind::kForgetting || entry.kind == LedgerKind::kForgotten)
       SLX_RETURN_IF_ERROR(NoteDeletion(connection, entry));
   }
@@ -131,6 +147,19 @@ Result<bool> FollowsLedger(SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const auto heads, ReadHeads(index.connection()));
   SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
   return news.entries.empty();
+}
+
+Result<int64_t> FollowWithdrawals(SessionIndex& index, const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(index.connection()));
+  SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(index.connection()));
+  int64_t withdrawn = 0;
+  for (const auto& [session, at] : ledger.withdrawn()) {
+    SLX_ASSIGN_OR_RETURN(const int64_t held, withdrawing.Withdraw(session, at));
+    withdrawn += held;
+  }
+  SLX_RETURN_IF_ERROR(transaction.Commit());
+  return withdrawn;
 }
 
 Status TakeOverTombstones(SessionIndex& index, const fs::path& store) {

@@ -15,6 +15,10 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // False where something was appended since. Reads no more than it must to know.
 [[nodiscard]] Result<bool> FollowsLedger(SessionIndex& index, const std::filesystem::path& store);
 
+// All withdrawals of the ledger once more, for sessions that came after their entry was read. The rows that this
+// changed.
+[[nodiscard]] Result<int64_t> FollowWithdrawals(SessionIndex& index, const std::filesystem::path& store);
+
 // The tombstones of deletions/ into the ledger, each of the moment that its row in the index has.
 Status TakeOverTombstones(SessionIndex& index, const std::filesystem::path& store);
 

@@ -8,6 +8,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/own_hash.h"
+#include "db/catalogue/known_word.h"
 #include "db/segment/segment.h"
 #include "shared/base/read_file.h"
 
@@ -112,13 +113,6 @@ Status CheckTypes(const Json& json) {
   for (const Field& field : fields)
     if (!field.fits) return Status::Integrity(std::string("'") + field.key + "' is not what a manifest holds there");
   return Status::Ok();
-}
-
-// Words of the next version are not damage.
-template <typename T>
-Result<T> Known(Result<T> parsed) {
-  if (parsed.ok()) return parsed;
-  return Status(StatusCode::kNewerSchema, parsed.status().message() + "; a newer stratalux may know it");
 }
 
 Status CheckSchema(const Json& json) {

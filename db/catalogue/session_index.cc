@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+// Opening, migrating and writing the index; session_index_select.cc asks it.
 #include "db/catalogue/session_index.h"
 
-#include <algorithm>
 #include <cstdio>
 #include <cstring>
 #include <random>
 #include <set>
-
-#include <sqlite3.h>
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/calibration_store.h"
@@ -19,6 +17,7 @@
 #include "db/migration_0004.h"
 #include "db/migration_0005.h"
 #include "db/segment/pixel_hash.h"
+#include "db/session_tables.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::db {
@@ -203,26 +202,14 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
 }
 
 Result<SessionIndex> SessionIndex::InMemory() {
-  // Migrated once a process: `verify` makes one for each session.
-  static const auto kEmpty = []() -> Result<std::vector<unsigned char>> {
-    SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
-    SLX_RETURN_IF_ERROR(Migrate(connection, {}));
-    sqlite3_int64 size = 0;
-    unsigned char* bytes = sqlite3_serialize(connection.handle(), "main", &size, 0);
-    if (bytes == nullptr) return Status::Failed("no memory for an index");
-    std::vector<unsigned char> image(bytes, bytes + size);
-    sqlite3_free(bytes);
-    return image;
-  }();
-  if (!kEmpty.ok()) return kEmpty.status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
-  const auto size = static_cast<sqlite3_int64>(kEmpty->size());
-  auto* copy = static_cast<unsigned char*>(sqlite3_malloc64(kEmpty->size()));
-  if (copy == nullptr) return Status::Failed("no memory for an index");
-  std::copy(kEmpty->begin(), kEmpty->end(), copy);
-  constexpr unsigned kFlags = SQLITE_DESERIALIZE_FREEONCLOSE | SQLITE_DESERIALIZE_RESIZEABLE;
-  if (sqlite3_deserialize(connection.handle(), "main", copy, size, size, kFlags) != SQLITE_OK)
-    return connection.Error("deserialize");
+  SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+  return SessionIndex(std::move(connection));
+}
+
+Result<SessionIndex> SessionIndex::TablesInMemory() {
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+  SLX_RETURN_IF_ERROR(connection.Execute(kSessionTables));
   return SessionIndex(std::move(connection));
 }
 
@@ -292,11 +279,6 @@ Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
       .Run();
 }
 
-Result<bool> SessionIndex::IsEncrypted(const std::string& id) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT 1 FROM sessions WHERE id = ?1 AND key_id IS NOT NULL"));
-  return select.Bind(1, id).Step();
-}
-
 Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {
   SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET key_id = ?1 WHERE number = ?2"));
   return update.Bind(1, key_id).Bind(2, number).Run();
@@ -356,152 +338,6 @@ Status SessionIndex::MoveFrames(int64_t number, const std::vector<std::pair<int6
   return transaction.Commit();
 }
 
-namespace {
-
-// What a summary has; the plan and the calibration follow in whole rows.
-constexpr const char* kSummaryColumns =
-    "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
-    " s.reasons_json, s.program_version, s.frame_count, s.stored_bytes, s.retention, coalesce(s.finished_wall_ns, 0),"
-    " s.consent, lower(hex(s.key_id))";
-constexpr int kPlanColumn = 17, kCalibrationColumn = 18;
-
-Status ReadSummary(const Statement& select, SessionSummary& row) {
-  row.info.id = select.Text(0);
-  const auto column = [&row](const char* name) {
-    return "index: sessions." + std::string(name) + " of " + row.info.id;
-  };
-  SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)).WithContext(column("kind")));
-  row.info.rig = select.Text(2);
-  row.info.visitor = select.Text(3);
-  row.info.consent = ConsentFromJson(select.Text(4));
-  if (row.info.consent.text_version.empty()) row.info.consent.text_version = select.Text(15);  // schema 1
-  row.info.simulated = select.Integer(5) != 0;
-  row.info.seed = static_cast<uint64_t>(select.Integer(6));
-  row.info.started_wall.ns = select.Integer(7);
-  SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)).WithContext(column("status")));
-  row.info.reasons = ReasonsFromJson(select.Text(9));
-  row.info.program_version = select.Text(10);
-  row.frames = select.Integer(11);
-  row.bytes = select.Integer(12);
-  SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(13)).WithContext(column("retention")));
-  row.info.finished_wall.ns = select.Integer(14);
-  row.key_id = select.Text(16);
-  return Status::Ok();
-}
-
-Result<std::vector<SessionSummary>> ReadSummaries(Statement& select) {
-  std::vector<SessionSummary> rows;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return rows;
-    SLX_RETURN_IF_ERROR(ReadSummary(select, rows.emplace_back()));
-  }
-}
-
-Result<std::vector<SessionRow>> ReadRows(Statement& select) {
-  std::vector<SessionRow> rows;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return rows;
-    SessionRow& row = rows.emplace_back();
-    SLX_RETURN_IF_ERROR(ReadSummary(select, row));
-    row.info.plan_json = select.Text(kPlanColumn);
-    row.info.calibration_json = select.Text(kCalibrationColumn);
-  }
-}
-
-std::string WholeRows(const std::string& where) {
-  return std::string(kSummaryColumns) +
-         ", s.plan_json, coalesce(c.record_json, '') FROM sessions s LEFT JOIN calibrations c ON c.id ="
-         " s.calibration_id WHERE " +
-         where;
-}
-
-// The first text behind all that begin with `prefix`; empty: there is none.
-std::string EndOfPrefix(std::string prefix) {
-  while (!prefix.empty() && static_cast<unsigned char>(prefix.back()) == 0xff) prefix.pop_back();
-  if (!prefix.empty()) ++prefix.back();
-  return prefix;
-}
-
-}  // namespace
-
-Result<std::vector<SessionSummary>> SessionIndex::Sessions() {
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       connection_.Prepare(std::string(kSummaryColumns) + " FROM sessions s ORDER BY s.number DESC"));
-  return ReadSummaries(select);
-}
-
-Result<std::vector<SessionSummary>> SessionIndex::SessionsOf(const std::string& visitor) {
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       connection_.Prepare(std::string(kSummaryColumns) +
-                                           " FROM sessions s WHERE s.visitor = ?1 ORDER BY s.number DESC"));
-  select.Bind(1, visitor);
-  return ReadSummaries(select);
-}
-
-Result<SessionRow> SessionIndex::Session(int64_t number) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare(WholeRows("s.number = ?1")));
-  select.Bind(1, number);
-  SLX_ASSIGN_OR_RETURN(auto rows, ReadRows(select));
-  if (rows.empty()) return Status::NotFound("no session number " + std::to_string(number));
-  return std::move(rows.front());
-}
-
-Result<std::vector<SessionRow>> SessionIndex::Recording() {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare(WholeRows("s.status = 'recording' ORDER BY s.number DESC")));
-  return ReadRows(select);
-}
-
-Result<bool> SessionIndex::HasUnfinished() {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT 1 FROM sessions WHERE status = 'recording' LIMIT 1"));
-  return select.Step();
-}
-
-Result<std::vector<int64_t>> SessionIndex::Select(const std::string& selector) {
-  std::vector<int64_t> numbers;
-  if (selector.empty()) return numbers;
-  if (selector == "latest") {
-    // The newest session that has a frame owns the last row of `frames`.
-    SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT max(session) FROM frames"));
-    SLX_RETURN_IF_ERROR(select.Step().status());
-    if (select.Integer(0) > 0) return std::vector<int64_t>{select.Integer(0)};
-  }
-  if (const auto number = NumberOf(selector); number.ok()) return std::vector<int64_t>{*number};
-  const std::string end = EndOfPrefix(selector);
-  SLX_ASSIGN_OR_RETURN(
-      auto select, connection_.Prepare(end.empty() ? "SELECT number FROM sessions WHERE id >= ?1 ORDER BY id LIMIT 3"
-                                                   : "SELECT number FROM sessions WHERE id >= ?1 AND id < ?2"
-                                                     " ORDER BY id LIMIT 3"));
-  select.Bind(1, selector);
-  if (!end.empty()) select.Bind(2, end);
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return numbers;
-    numbers.push_back(select.Integer(0));
-  }
-}
-
-Result<int64_t> SessionIndex::NumberOf(const std::string& id) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT number FROM sessions WHERE id = ?1"));
-  select.Bind(1, id);
-  SLX_ASSIGN_OR_RETURN(const bool found, select.Step());
-  if (!found) return Status::NotFound("no session " + id);
-  return select.Integer(0);
-}
-
-Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT frame, segment, offset, stored_bytes, hash FROM frames"
-                                                        " WHERE session = ?1 ORDER BY frame"));
-  select.Bind(1, number);
-  std::vector<Place> places;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return places;
-    places.push_back({select.Integer(0), select.Integer(1), select.Integer(2), select.Integer(3), select.Blob(4)});
-  }
-}
-
 Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   SLX_ASSIGN_OR_RETURN(auto insert,
@@ -512,19 +348,6 @@ Status SessionIndex::UpsertFit(int64_t number, const FitRow& fit) {
   SLX_RETURN_IF_ERROR(WriteMetrics(connection_, number, fit.id, fit.metrics_json));
   if (!fit.calibration_json.empty()) SLX_RETURN_IF_ERROR(EnterCalibration(connection_, number, fit));
   return transaction.Commit();
-}
-
-Result<std::vector<FitRow>> SessionIndex::Fits(int64_t number, const std::string& session) {
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       connection_.Prepare("SELECT id, options_json, metrics_json, created_wall_ns FROM fits"
-                                           " WHERE session = ?1 ORDER BY created_wall_ns DESC"));
-  select.Bind(1, number);
-  std::vector<FitRow> fits;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return fits;
-    fits.push_back({select.Text(0), session, select.Text(1), select.Text(2), {select.Integer(3)}});
-  }
 }
 
 }  // namespace stratalux::db

@@ -2,7 +2,6 @@
 #include "db/catalogue/session_store.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <map>
 
@@ -11,6 +10,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/fit_store.h"
+#include "db/catalogue/info_check.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/recovery.h"
@@ -21,6 +21,7 @@
 #include "db/ledger/ledger.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
+#include "db/segment/header_check.h"
 #include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 
@@ -40,13 +41,8 @@ PixelHash HashOf(const FrameRecord&, std::span<const uint8_t> samples, const Sec
   return HashPixels(samples, key);
 }
 
-// A camera's word that is no number would keep the whole session out of every index that is built again.
-Status CheckNumbers(const FrameRecord& r) {
-  for (const auto& [what, value] : {std::pair{"exposure", r.exposure_ms}, {"gain", r.gain}, {"mean level", r.mean_dn}})
-    if (!std::isfinite(value)) return Status::Usage(std::string(what) + " is no finite number");
-  if (r.exposure_ms < 0.0) return Status::Usage("exposure " + std::to_string(r.exposure_ms) + " ms is negative");
-  return Status::Ok();
-}
+// A session that no index would take when it is built again does not begin; what is wrong came from the caller.
+Status Refused(const Status& status) { return status.ok() ? status : Status::Usage(status.message()); }
 
 FrameShape ShapeOf(const FrameRecord& r) { return {r.format, r.cfa, r.width, r.height, r.channels}; }
 
@@ -151,18 +147,20 @@ struct SessionWriter::Impl {
     if (pixels.empty() || pixels.width() != record.width || pixels.height() != record.height ||
         pixels.channels() != record.channels)
       return Status::Usage(name + ": pixels do not have the record's size");
-    SLX_RETURN_IF_ERROR(CheckNumbers(record).WithContext(name));
     const std::span<const T> samples = pixels.pixels();
     SLX_ASSIGN_OR_RETURN(const EncodedFrame encoded, encoder.Encode(ShapeOf(record), samples).WithContext(name));
-    return Append(record, encoded, HashOf(record, samples, key()));
+    FrameHeader header = MakeFrameHeader(record, frames, record.pattern.ToString());
+    header.codec = static_cast<uint16_t>(encoded.codec);
+    header.payload_bytes = encoded.bytes.size();
+    SLX_RETURN_IF_ERROR(Refused(CheckHeader(header)).WithContext(name));
+    SetPixelHash(header, HashOf(record, samples, key()));
+    return Append(header, encoded);
   }
-  Status Append(const FrameRecord& record, const EncodedFrame& encoded, const PixelHash& pixel_hash) {
+  Status Append(const FrameHeader& header, const EncodedFrame& encoded) {
     if (!segment || segment->bytes() > options.max_segment_bytes) {
       SLX_RETURN_IF_ERROR(Flush());
       if (Status s = NextSegment(); !s.ok()) return Fail(s);
     }
-    FrameHeader header = MakeFrameHeader(record, frames, record.pattern.ToString());
-    SetPixelHash(header, pixel_hash);
     auto frame = segment->Append(header, encoded.codec, encoded.bytes);
     if (!frame.ok()) return Fail(frame.status());
     ++frames;
@@ -210,7 +208,11 @@ Status SessionWriter::AppendTruth(const std::string& name, ImageView<const float
   record.height = pixels.height();
   record.channels = pixels.channels();
   const auto bytes = std::span(reinterpret_cast<const uint8_t*>(pixels.data()), pixels.size() * sizeof(float));
-  FrameHeader header = MakeFrameHeader(record, impl_->truth_maps++, name);
+  FrameHeader header = MakeFrameHeader(record, impl_->truth_maps, name);
+  header.codec = static_cast<uint16_t>(Codec::kF32);
+  header.payload_bytes = bytes.size();
+  SLX_RETURN_IF_ERROR(Refused(CheckHeader(header, RecordKind::kTruthMap)).WithContext("truth map " + name));
+  ++impl_->truth_maps;
   SetPixelHash(header, HashPixels(bytes, impl_->key()));
   const auto frame = impl_->truth->Append(header, Codec::kF32, bytes);
   return frame.ok() ? Status::Ok() : impl_->Fail(frame.status());
@@ -283,6 +285,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   SLX_ASSIGN_OR_RETURN(auto lock, WriteLock::Take(impl_->folder));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(impl_->folder, AccessMode::kReadWrite));
   info.id.clear();
+  SLX_RETURN_IF_ERROR(Refused(CheckInfo(info)));
   SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
   info.status = SessionStatus::kRecording;
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));

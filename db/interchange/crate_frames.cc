@@ -89,7 +89,7 @@ bool IsHash128(const std::string& text) {
   return text.size() == 32 && text.find_first_not_of("0123456789abcdef") == std::string::npos;
 }
 
-// Takes the cells of one line in their order; the first that is wrong is kept as a message.
+// Takes the cells of one line in their order; the first that is wrong is kept.
 class CellReader {
  public:
   explicit CellReader(const std::vector<std::string>& cells) : cells_(cells) {}
@@ -115,23 +115,28 @@ class CellReader {
   void Name(T& value, const std::array<const char*, N>& names) {
     const std::string& text = cells_[next_++];
     const auto found = std::find(names.begin(), names.end(), text);
-    if (text.empty() || found == names.end()) return Wrong("unknown");
+    if (text.empty()) return Wrong("nothing");
+    if (found == names.end()) return Unknown("unknown");
     value = static_cast<T>(found - names.begin());
   }
-  void Wrong(const std::string& what) {
-    if (message_.empty())
-      message_ = std::string(kColumns[next_ - 1]) + " '" + cells_[next_ - 1].substr(0, 80) + "': " + what;
-  }
-  [[nodiscard]] const std::string& message() const { return message_; }
+  void Wrong(const std::string& what) { Note(StatusCode::kIntegrity, what); }
+  // A word that a later version may know.
+  void Unknown(const std::string& what) { Note(StatusCode::kNewerSchema, what + "; a newer stratalux may know it"); }
+  // Of the first cell that is not right.
+  [[nodiscard]] const Status& status() const { return status_; }
 
  private:
+  void Note(StatusCode code, const std::string& what) {
+    if (status_.ok())
+      status_ = Status(code, std::string(kColumns[next_ - 1]) + " '" + cells_[next_ - 1].substr(0, 80) + "': " + what);
+  }
   const std::vector<std::string>& cells_;
   size_t next_ = 0;
-  std::string message_;
+  Status status_;
 };
 
-// The cells of a line into the frame; what is wrong with them, or "".
-std::string ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
+// The cells of a line into the frame.
+Status ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   CellReader cells(line);
   FrameRecord& r = frame.row.record;
   cells.Integer(frame.row.id, 0, INT64_MAX - 1);
@@ -142,7 +147,7 @@ std::string ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   if (const auto phase = ParseCapturePhase(cells.Text()); phase.ok())
     r.phase = *phase;
   else
-    cells.Wrong(phase.status().message());
+    cells.Unknown(phase.status().message());
   const std::string pattern_text = cells.Text();
   if (const auto pattern = Pattern::Parse(pattern_text); pattern.ok() && pattern->ToString().size() < 64)
     r.pattern = *pattern;
@@ -176,11 +181,11 @@ std::string ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   frame.row.codec = cells.Text();
   if (frame.row.codec != "raw8" && frame.row.codec != "raw12" && frame.row.codec != "raw16" &&
       frame.row.codec != "delta")
-    cells.Wrong("unknown; raw8, raw12, raw16 or delta");
+    cells.Unknown("is none of raw8, raw12, raw16, delta");
   frame.row.segment = cells.Text();
   frame.row.hash = cells.Text();
   if (!IsHash128(frame.row.hash)) cells.Wrong("not 32 hex digits");
-  return cells.message();
+  return cells.status();
 }
 
 }  // namespace
@@ -269,7 +274,7 @@ Result<bool> CrateFrameReader::Next(CrateFrame& frame) {
   const auto cells = SplitCsv(line);
   if (!cells || cells->size() != kColumns.size()) return Wrong("not " + std::to_string(kColumns.size()) + " cells");
   frame = {};
-  if (const std::string wrong = ReadCells(*cells, frame); !wrong.empty()) return Wrong(wrong);
+  SLX_RETURN_IF_ERROR(ReadCells(*cells, frame).WithContext(file_ + ":" + std::to_string(line_)));
   if (frame.row.id <= last_frame_) return Wrong("frame " + std::to_string(frame.row.id) + " is out of order");
   last_frame_ = frame.row.id;
   // Segments count up from 1; a frame lies in the last one or begins the next.

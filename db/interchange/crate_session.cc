@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/catalogue/consent.h"
+#include "db/catalogue/known_word.h"
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
 #include "db/ledger/ledger.h"
@@ -44,11 +45,11 @@ Result<CrateSession> FromJson(const Json& json) {
   SessionInfo& info = session.info;
   json.at("session").get_to(info.id);
   if (!IsSessionId(info.id)) return Status::Integrity("'" + info.id.substr(0, 80) + "' is no session id");
-  SLX_ASSIGN_OR_RETURN(info.kind, ParseSessionKind(json.at("kind").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(info.kind, Known(ParseSessionKind(json.at("kind").get<std::string>())));
   json.at("rig").get_to(info.rig);
   json.at("visitor").get_to(info.visitor);
   SLX_ASSIGN_OR_RETURN(info.consent, ReadConsent(json.at("consent")));
-  SLX_ASSIGN_OR_RETURN(info.retention, ParseRetention(json.at("retention").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(info.retention, Known(ParseRetention(json.at("retention").get<std::string>())));
   json.at("simulated").get_to(info.simulated);
   if (!json.at("seed").is_number_unsigned()) return Status::Integrity("seed is no whole number from 0");
   json.at("seed").get_to(info.seed);
@@ -56,7 +57,7 @@ Result<CrateSession> FromJson(const Json& json) {
     if (!json.at(time).is_number_integer()) return Status::Integrity(std::string(time) + " is no whole number");
   json.at("started_wall_ns").get_to(info.started_wall.ns);
   json.at("finished_wall_ns").get_to(info.finished_wall.ns);
-  SLX_ASSIGN_OR_RETURN(info.status, ParseSessionStatus(json.at("status").get<std::string>()));
+  SLX_ASSIGN_OR_RETURN(info.status, Known(ParseSessionStatus(json.at("status").get<std::string>())));
   if (info.status == SessionStatus::kRecording) return Status::Integrity("the session is not finished");
   json.at("reasons").get_to(info.reasons);
   json.at("program_version").get_to(info.program_version);

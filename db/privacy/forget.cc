@@ -62,17 +62,6 @@ class Forgetting {
   std::vector<StoreScanResult::Leftover> kept_exports_;
 };
 
-ForgottenSession SessionOf(const ForgetIntent& intent) {
-  ForgottenSession session;
-  session.id = intent.session;
-  session.frames = intent.frames;
-  session.fits = intent.fits;
-  session.files = intent.files;
-  session.bytes = intent.bytes;
-  session.encrypted = !intent.key_id.empty();
-  return session;
-}
-
 std::string Without(std::string text, const std::string& pseudonym) {
   if (pseudonym.empty()) return text;
   for (size_t at = 0; (at = text.find(pseudonym, at)) != std::string::npos;)
@@ -124,9 +113,10 @@ Status Forgetting::EnterForgettings() {
 }
 
 Status Forgetting::RemoveIncoming() {
-  std::vector<std::string> ids;
+  std::vector<std::string> ids = request_.leftovers;
   for (const ForgetIntent& intent : intents_) ids.push_back(intent.session);
-  SLX_RETURN_IF_ERROR(WipeIncoming(store_, ids, request_.visitors).status());
+  SLX_ASSIGN_OR_RETURN(const auto wiped, WipeIncoming(store_, ids, request_.visitors));
+  for (const fs::path& folder : wiped) report_.incoming.push_back(folder.lexically_relative(store_).string());
   Done(ForgetStep::kIncoming);
   return Status::Ok();
 }
@@ -345,6 +335,7 @@ Status Forgetting::RewriteIndex(const ScanPlan& plan) {
 
 // Index closed: it is read as a file, and closing that drops the locks of this process on it.
 Status Forgetting::Scan() {
+  if (intents_.empty() && gone_visitors_.empty()) return Status::Ok();  // nothing to look for
   ScanPlan plan;
   {
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
@@ -377,25 +368,6 @@ Result<ForgetReport> Forgetting::Run() {
 }  // namespace
 
 const char* ToString(ForgetReason reason) { return reason == ForgetReason::kPurge ? "purge" : "forget"; }
-
-Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto intents, CollectIntents(index, store, request.sessions, IntentHashes::kLeftOut));
-  ForgetReport report;
-  for (const ForgetIntent& intent : intents) {
-    ForgottenSession session = SessionOf(intent);
-    for (const std::string& place : intent.exports) {
-      const auto folder = LocalFolder(place);
-      std::error_code error;
-      const bool there = folder && fs::exists(ExportMarker(*folder, intent.session), error);
-      session.exports.push_back({place, there    ? ExportState::kDeleted
-                                        : folder ? ExportState::kNotThere
-                                                 : ExportState::kElsewhere});
-    }
-    report.sessions.push_back(std::move(session));
-  }
-  return report;
-}
 
 Result<ForgetReport> Forget(const fs::path& store, const ForgetRequest& request, Logger& logger) {
   return Forgetting(store, request, logger).Run();

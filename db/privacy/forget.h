@@ -19,6 +19,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -52,6 +53,7 @@ struct ForgetRequest {
   std::vector<std::string> sessions;  // ids
   std::vector<std::string>
       visitors;  // removed with their consents, also without a session; their sessions must be listed
+  std::vector<std::string> leftovers = {};  // ids that incoming/ alone knows: wiped there, with no entry in the ledger
   ForgetReason reason = ForgetReason::kForget;
   // May be empty; kIntent, kEntered, kKey .. kFile, kVisitorKey, kEntry, kCertified come once for each session, key,
   // export, file, visitor.
@@ -74,6 +76,7 @@ struct ForgottenSession {
 
 struct ForgetReport {
   std::vector<ForgottenSession> sessions;
+  std::vector<std::string> incoming;  // folders below incoming/, relative to the store
   int64_t markers = 0, scanned_files = 0, scanned_bytes = 0;
   // File, offset and what was found, and exports that could not be deleted: to be removed by hand, then forgotten
   // again.
@@ -82,6 +85,10 @@ struct ForgetReport {
 
 // What Forget would do; changes no byte. The state of an export on this machine is kDeleted where it would be.
 [[nodiscard]] Result<ForgetReport> PlanForget(const std::filesystem::path& store, const ForgetRequest& request);
+// The part of such a plan that is of one export; `place` is host:/folder.
+[[nodiscard]] ForgottenExport PlanExport(const std::string& place, const std::string& session_id);
+// Session id -> the places it was exported to, as the access log has them; of sessions that are here and that are gone.
+[[nodiscard]] Result<std::map<std::string, std::vector<std::string>>> LoggedExports(const std::filesystem::path& store);
 
 // Also finishes what an earlier call began. kBusy while a session is written (call again when it is finished) or
 // another program reads the index (then the files are gone already; call again). Leftovers are no error: they stand in

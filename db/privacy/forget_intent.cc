@@ -20,6 +20,7 @@ using Json = nlohmann::ordered_json;
 constexpr size_t kHashBytes = 8;
 constexpr const char* kIntent = ".forgetting";
 constexpr const char* kWiping = ".wiping";
+constexpr const char* kIsPlace = "instr(detail, ':/') > 0";  // what the access log says of an export
 
 std::string Hex(std::span<const uint8_t> bytes) {
   std::string text(2 * bytes.size() + 1, '\0');
@@ -60,13 +61,11 @@ Status CollectHashes(Connection& connection, int64_t number, std::vector<std::st
   }
 }
 
-// Details that are places.
 Status CollectExports(Connection& connection, ForgetIntent& intent) {
-  SLX_ASSIGN_OR_RETURN(
-      auto select,
-      connection.Prepare(
-          "SELECT DISTINCT detail FROM access_log WHERE session_id = ?1 AND instr(detail, ':/') > 0"
-          " ORDER BY detail DESC"));  // a folder behind those within it, so that it goes when it is empty
+  // A folder behind those within it, so that it goes when it is empty.
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection.Prepare(std::string("SELECT DISTINCT detail FROM access_log WHERE ") + kIsPlace +
+                                          " AND session_id = ?1 ORDER BY detail DESC"));
   select.Bind(1, intent.session);
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -135,6 +134,17 @@ ForgetIntent IntentFrom(const Json& json) {
 
 }  // namespace
 
+ForgottenSession SessionOf(const ForgetIntent& intent) {
+  ForgottenSession session;
+  session.id = intent.session;
+  session.frames = intent.frames;
+  session.fits = intent.fits;
+  session.files = intent.files;
+  session.bytes = intent.bytes;
+  session.encrypted = !intent.key_id.empty();
+  return session;
+}
+
 Result<std::vector<uint8_t>> FromHex(const std::string& text) {
   std::vector<uint8_t> bytes(text.size() / 2);
   size_t length = 0;
@@ -162,12 +172,23 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
   return intents;
 }
 
-Result<bool> HasReturned(const fs::path& store, const std::string& session_id) {
   std::error_code error;
   for (const fs::path& folder :
        {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
     if (fs::exists(folder, error)) return IsForgotten(store, session_id);
   return false;
+}
+
+Status VisitExports(Connection& connection,
+                    const std::function<void(const std::string& session, const std::string& place)>& visit) {
+  SLX_ASSIGN_OR_RETURN(
+      auto select,
+      connection.Prepare(std::string("SELECT DISTINCT session_id, detail FROM access_log WHERE ") + kIsPlace));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    visit(select.Text(0), select.Text(1));
+  }
 }
 
 fs::path IntentFile(const fs::path& store, const std::string& session_id) {

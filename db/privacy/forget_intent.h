@@ -5,11 +5,13 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
 #include "db/catalogue/session_index.h"
 #include "db/keys/key_store.h"
+#include "db/privacy/forget.h"
 
 namespace stratalux::db {
 
@@ -22,6 +24,9 @@ struct ForgetIntent {
   std::vector<std::string> exports;  // places, export_marker.h
 };
 
+// What a report says of it before anything is gone.
+[[nodiscard]] ForgottenSession SessionOf(const ForgetIntent& intent);
+
 // The 16 bytes of a key id, or of the first part of a hash, from hexadecimal text; kIntegrity for other text.
 [[nodiscard]] Result<std::vector<uint8_t>> FromHex(const std::string& text);
 
@@ -33,6 +38,10 @@ enum class IntentHashes { kCollected, kLeftOut };
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
                                                                const std::vector<std::string>& ids,
                                                                IntentHashes hashes);
+
+// The places of exports that the access log names, of every session: what CollectIntents finds of one.
+Status VisitExports(Connection& connection,
+                    const std::function<void(const std::string& session, const std::string& place)>& visit);
 
 [[nodiscard]] std::filesystem::path IntentFile(const std::filesystem::path& store, const std::string& session_id);
 Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& intent);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/foreign_ledger.h"
 
+#include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/session_index.h"
 
 namespace stratalux::db {
@@ -26,26 +27,8 @@ Result<LedgerMerge> AdoptLedger(const fs::path& store, const fs::path& other) {
 }
 
 Result<int64_t> ApplyWithdrawals(const fs::path& store) {
-  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  if (ledger.withdrawn().empty()) return int64_t{0};
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
-  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(index.connection()));
-  const std::string which =
-      " WHERE visitor = (SELECT visitor FROM sessions WHERE id = ?1) AND visitor <> ''"
-      " AND withdrawn_wall_ns IS NULL AND given_wall_ns <= ?2";
-  SLX_ASSIGN_OR_RETURN(auto count, index.connection().Prepare("SELECT count(*) FROM consents" + which));
-  SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE consents SET withdrawn_wall_ns = ?2" + which));
-  int64_t withdrawn = 0;
-  for (const auto& [id, at] : ledger.withdrawn()) {
-    SLX_RETURN_IF_ERROR(count.Bind(1, id).Bind(2, at.ns).Step().status());
-    const int64_t fresh = count.Integer(0);
-    count.Reset();
-    if (fresh == 0) continue;
-    withdrawn += fresh;
-    SLX_RETURN_IF_ERROR(update.Bind(1, id).Bind(2, at.ns).Run());
-  }
-  SLX_RETURN_IF_ERROR(transaction.Commit());
-  return withdrawn;
+  return FollowWithdrawals(index, store);
 }
 
 Result<std::vector<std::string>> ForgottenButHere(const fs::path& store) {

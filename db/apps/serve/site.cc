@@ -10,19 +10,12 @@
 namespace stratalux::db {
 namespace {
 
-// The moment of withdrawal is that of the consent the session was made under; of the visitor's newest where that one is
-// not known here (as db/privacy/retention.h).
 constexpr const char* kSession = R"(
-WITH asked AS (
-  SELECT s.*, CASE WHEN json_valid(s.consent_json) THEN json_extract(s.consent_json, '$.given_wall_ns') END AS given
-  FROM sessions s WHERE s.id = :session)
 SELECT number, id, kind, rig, visitor, consent_json, retention, simulated, seed, started_wall_ns,
        coalesce(finished_wall_ns, 0), status, reasons_json, program_version, frame_count, stored_bytes,
        key_id IS NOT NULL, coalesce(calibration_id, ''),
-       (SELECT c.withdrawn_wall_ns FROM consents c WHERE c.number = coalesce(
-          (SELECT max(m.number) FROM consents m WHERE m.visitor = asked.visitor AND m.given_wall_ns = asked.given),
-          (SELECT max(m.number) FROM consents m WHERE m.visitor = asked.visitor)))
-FROM asked)";
+       (SELECT c.withdrawn_wall_ns FROM session_consents c WHERE c.session = sessions.number)
+FROM sessions WHERE id = :session)";
 
 constexpr const char* kIcon =
     R"(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 16 16"><rect width="16" height="16" rx="3" fill="#1f5f6b"/>)"

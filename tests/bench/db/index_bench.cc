@@ -1,13 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// How long an operator waits on an index of 1,000 sessions x 1,000 frames: every named query, `ls` and `show`, inside
-// one process and through the program, beside the same question asked without schema 2's totals and schema 3's indexes.
+// How long an operator waits on an index of 1,000 sessions x 1,000 frames: first every command and named query as a
+// program started anew, beside the sqlite3 shell with a plain query of the same rows; then inside one process, beside
+// the same question asked without schema 2's totals and schema 3's indexes.
 //
 // With --sessions=100000 --frames=10 --real-fits=0: what a selector costs in a store of a hundred thousand.
 //
-//   build/bench/bin/index_bench [--sessions=N] [--frames=N] [--real-fits=0] [Google Benchmark's flags]
+//   build/bench/bin/index_bench [--sessions=N] [--frames=N] [--real-fits=0] [--runs=N] [--store=DIR]
+//   [--programs-only=1]
+//                               [Google Benchmark's flags]
 //
 // --real-fits=0: three figures a fit instead of as many as metrics.json holds, which take ten minutes to write so
-// often.
+// often. --store=DIR: written there where nothing is yet, and kept for the next time, with the same numbers. --runs=N:
+// how often each program is run.
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -18,7 +22,6 @@
 #include <string>
 
 #include <benchmark/benchmark.h>
-#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -26,6 +29,7 @@
 #include "db/apps/table_output.h"
 #include "db/catalogue/named_query.h"
 #include "db/catalogue/session_filter.h"
+#include "tests/bench/db/program_runs.h"
 #include "tests/db/index_rows.h"
 #include "tests/db/store_fixture.h"
 
@@ -57,7 +61,10 @@ const std::map<std::string, std::string> kPeers = {
 
 struct Folder {
   std::filesystem::path path;
-  ~Folder() { std::filesystem::remove_all(path); }
+  enum class Lifetime { kThisRun, kKept } lifetime = Lifetime::kThisRun;
+  ~Folder() {
+    if (lifetime == Lifetime::kThisRun) std::filesystem::remove_all(path);
+  }
 };
 
 // A figure of a question that failed would be worth nothing.
@@ -107,35 +114,8 @@ void RunShow(benchmark::State& state, const std::filesystem::path& folder) {
   }
 }
 
-double Ms(const timeval& t) { return static_cast<double>(t.tv_sec) * 1e3 + static_cast<double>(t.tv_usec) / 1e3; }
-
-// What one program used.
-rusage RunChild(const std::string& command) {
-  const pid_t child = fork();
-  if (child == 0) {
-    execl("/bin/sh", "sh", "-c", ("exec " + command).c_str(), nullptr);
-    _exit(127);
-  }
-  int status = 0;
-  rusage usage{};
-  if (child < 0 || wait4(child, &status, 0, &usage) != child || status != 0) Check(Status::Failed(command));
-  return usage;
-}
-
-void RunProgram(benchmark::State& state, const std::string& arguments) {
-  const std::string command = std::string(STRATALUX_BIN_DIR) + "/stratalux-db " + arguments + " > /dev/null";
-  double ms = 0.0, mib = 0.0;
-  for (auto _ : state) {
-    const rusage usage = RunChild(command);
-    ms += Ms(usage.ru_utime) + Ms(usage.ru_stime);
-    mib = std::max(mib, static_cast<double>(usage.ru_maxrss) / 1024.0);
-  }
-  state.counters["children_ms"] = ms / static_cast<double>(state.iterations());
-  state.counters["children_mib"] = mib;
-}
-
-// In a process of its own: a program started from here is charged with the memory that this one has. Gives the frames.
-int64_t WriteRows(const std::filesystem::path& folder, const IndexRowsOptions& options) {
+// In a process of its own: a program started from here is charged with the memory that this one has.
+void WriteRows(const std::filesystem::path& folder, const IndexRowsOptions& options) {
   const pid_t child = fork();
   if (child == 0) {
     WriteIndexRows(folder, options);
@@ -143,11 +123,17 @@ int64_t WriteRows(const std::filesystem::path& folder, const IndexRowsOptions& o
   }
   int status = 0;
   if (child < 0 || waitpid(child, &status, 0) != child || status != 0) Check(Status::Failed("no rows were written"));
+}
+
+void PrintSize(const std::filesystem::path& folder) {
   auto index = ReadOnlyIndex::Open(folder);
   Check(index.status());
   const auto count = index->Run("SELECT sum(frame_count) FROM sessions");
   Check(count.status());
-  return std::get<int64_t>(count->rows.at(0).at(0));
+  const auto frames = std::get<int64_t>(count->rows.at(0).at(0));
+  const auto bytes = std::filesystem::file_size(folder / "index.sqlite");
+  std::printf("%lld frames, index of %.1f MiB: %.0f bytes a frame (target 400)\n", static_cast<long long>(frames),
+              static_cast<double>(bytes) / (1 << 20), static_cast<double>(bytes) / static_cast<double>(frames));
 }
 
 // A session like those of the rows, with its files behind them: `frames` and `verify` read them.
@@ -161,6 +147,8 @@ std::string StoreRealSession(const std::filesystem::path& folder, int frames) {
   return writer->info().id;
 }
 
+Cell Rounded(double value, double to) { return std::round(value / to) * to; }
+
 // Keeps what it prints, for the table at the end.
 class Collector : public benchmark::ConsoleReporter {
  public:
@@ -169,24 +157,19 @@ class Collector : public benchmark::ConsoleReporter {
     ConsoleReporter::ReportRuns(runs);
     for (const Run& run : runs) {
       wall_ms_[run.run_name.function_name] = run.GetAdjustedRealTime();
-      const auto children = run.counters.find("children_ms");
-      cpu_ms_[run.run_name.function_name] =
-          children == run.counters.end() ? run.GetAdjustedCPUTime() : children->second.value;
-      if (const auto mib = run.counters.find("children_mib"); mib != run.counters.end())
-        mib_[run.run_name.function_name] = mib->second.value;
+      cpu_ms_[run.run_name.function_name] = run.GetAdjustedCPUTime();
     }
   }
   [[nodiscard]] Cell Wall(const std::string& name) const { return Of(wall_ms_, name); }
   [[nodiscard]] Cell Cpu(const std::string& name) const { return Of(cpu_ms_, name); }
-  [[nodiscard]] Cell Memory(const std::string& name) const { return Of(mib_, name); }
 
  private:
   using Times = std::map<std::string, double>;
   static Cell Of(const Times& times, const std::string& name) {
     const auto found = times.find(name);
-    return found == times.end() ? Cell() : Cell(std::round(found->second * 100.0) / 100.0);
+    return found == times.end() ? Cell() : Rounded(found->second, 0.01);
   }
-  Times wall_ms_, cpu_ms_, mib_;
+  Times wall_ms_, cpu_ms_;
 };
 
 template <typename Function>
@@ -194,31 +177,122 @@ void Register(const std::string& name, Function function) {
   benchmark::RegisterBenchmark(name.c_str(), function)->Unit(benchmark::kMillisecond)->UseRealTime();
 }
 
-int Option(int argc, char** argv, const std::string& name, int otherwise) {
-  int value = otherwise;
+std::string TextOption(int argc, char** argv, const std::string& name) {
   for (int i = 1; i < argc; ++i)
-    if (const std::string text = argv[i]; text.starts_with(name + "="))
-      std::from_chars(text.data() + name.size() + 1, text.data() + text.size(), value);
-  return value;
+    if (const std::string text = argv[i]; text.starts_with(name + "=")) return text.substr(name.size() + 1);
+  return "";
+}
+
+int Option(int argc, char** argv, const std::string& name, int otherwise) {
+  const std::string text = TextOption(argc, argv, name);
+  std::from_chars(text.data(), text.data() + text.size(), otherwise);
+  return otherwise;
+}
+
+// A question as an operator types it.
+struct Question {
+  std::string name, arguments;  // of stratalux-db
+  Cell most_ms, most_mb;        // aimed at: processor time, memory
+  std::string peer_sql;         // the same rows, for the sqlite3 shell; empty: it has no peer
+};
+
+// `real`: id of the session that has files.
+std::vector<Question> Questions(const IndexRowsOptions& options, const std::string& folder, const std::string& real) {
+  const std::string store = " --store " + folder, now = " --now " + ToIso8601(options.now);
+  const std::string number = "(SELECT number FROM sessions WHERE id = '" + real + "')";
+  const std::string of_session = " WHERE session = " + number + ";";
+  const auto due = [&options](int days) {
+    return "SELECT s.id, s.frame_count, s.stored_bytes, (SELECT count(*) FROM fits f WHERE f.session = s.number) FROM"
+           " sessions s WHERE kind = 'visitor' AND retention = 'long' AND CASE WHEN finished_wall_ns > 0 THEN"
+           " finished_wall_ns ELSE started_wall_ns END <= " +
+           std::to_string(options.now.ns - days * int64_t{86'400'000'000'000}) + " ORDER BY number";
+  };
+  // As every night: what became due within a day or two. The rows are of three sessions a day.
+  const int days = options.sessions / 3 - 3;
+  const int64_t selector_ms = 20, selector_mb = 40, purge_ms = 500;
+  // What walks over all sessions is aimed at for a thousand of them.
+  const Cell list_ms = options.sessions <= 1000 ? Cell(int64_t{100}) : Cell();
+  std::vector<Question> questions = {
+      {"--version", "--version", Cell(), Cell(), "SELECT 1"},
+      {"show ID", "show " + real + store, selector_ms, selector_mb, "SELECT * FROM sessions WHERE id = '" + real + "'"},
+      {"frames ID", "frames " + real + store, selector_ms, selector_mb,
+       "SELECT * FROM frames f JOIN proofs p ON p.session = f.session AND p.frame = f.frame WHERE f.session = " +
+           number},
+      {"verify ID", "verify " + real + store, selector_ms, selector_mb,
+       "SELECT * FROM sessions WHERE number = " + number + "; SELECT * FROM frames" + of_session +
+           " SELECT * FROM proofs" + of_session + " SELECT * FROM fits" + of_session + " SELECT * FROM metrics" +
+           of_session},
+      {"purge --dry-run, few due", "purge --dry-run --long-days " + std::to_string(days) + now + store, purge_ms,
+       Cell(), due(days)},
+      {"purge --dry-run, all due", "purge --dry-run --long-days 0" + now + store, purge_ms, Cell(), due(0)},
+      {"ls", "ls" + store, list_ms, Cell(), kPeers.at("ls")}};
+  for (const NamedQuery& query : NamedQueries()) {
+    const auto peer = kPeers.find(query.name);
+    questions.push_back(
+        {query.name, "query " + query.name + now + store, list_ms, Cell(), peer == kPeers.end() ? "" : peer->second});
+  }
+  return questions;
 }
 
 // Wall time is what an operator waits; on a busy machine the processor time says what the question costs.
+ResultTable AskPrograms(const std::vector<Question>& questions, const std::string& folder, int runs) {
+  ResultTable table;
+  table.columns = {{"program"}, {"CPU ms, least"}, {"median"},  {"at most"},        {"wall ms, least"},
+                   {"median"},  {"peak MB"},       {"at most"}, {"sqlite3 CPU ms"}, {"its peak MB"}};
+  const bool has_shell = RunProgram("sqlite3 --version", 0).exit_code == 0;
+  for (const Question& question : questions) {
+    std::fprintf(stderr, "%s\n", question.name.c_str());
+    const ProgramRuns ours = RunProgram(std::string(STRATALUX_BIN_DIR) + "/stratalux-db " + question.arguments, runs);
+    if (ours.exit_code != 0) Check(Status::Failed("stratalux-db " + question.arguments));
+    Cell peer_ms, peer_mb;
+    if (has_shell && !question.peer_sql.empty()) {
+      const ProgramRuns peer =
+          RunProgram("sqlite3 -readonly " + folder + "/index.sqlite \"" + question.peer_sql + "\"", runs);
+      if (peer.exit_code != 0) Check(Status::Failed("sqlite3: " + question.peer_sql));
+      peer_ms = Rounded(Least(peer.cpu_ms), 0.1);
+      peer_mb = Rounded(peer.peak_mb, 0.1);
+    }
+    table.rows.push_back({question.name, Rounded(Least(ours.cpu_ms), 0.1), Rounded(Median(ours.cpu_ms), 0.1),
+                          question.most_ms, Rounded(Least(ours.wall_ms), 0.1), Rounded(Median(ours.wall_ms), 0.1),
+                          Rounded(ours.peak_mb, 0.1), question.most_mb, peer_ms, peer_mb});
+  }
+  return table;
+}
+
 ResultTable Summary(const Collector& results, const std::vector<std::string>& names) {
   ResultTable table;
-  table.columns = {{"question"}, {"in process, ms"}, {"its CPU, ms"},  {"program, ms"}, {"its CPU, ms"},
-                   {"its MiB"},  {"at most, ms"},    {"peer CPU, ms"}, {"peer / ours"}};
-  const std::map<std::string, int64_t> targets = {
-      {"show", 20}, {"frames", 20}, {"verify ID", 20}, {"purge --dry-run", 500}};
+  table.columns = {{"in process"}, {"ms"}, {"its CPU, ms"}, {"peer CPU, ms"}, {"peer / ours"}};
   for (const std::string& name : names) {
     const Cell ours = results.Cpu(name), peer = results.Cpu("peer/" + name);
     Cell ratio;
     if (std::holds_alternative<double>(ours) && std::holds_alternative<double>(peer))
-      ratio = std::round(std::get<double>(peer) / std::get<double>(ours) * 10.0) / 10.0;
-    table.rows.push_back({name, results.Wall(name), ours, results.Wall("program/" + name),
-                          results.Cpu("program/" + name), results.Memory("program/" + name),
-                          targets.contains(name) ? targets.at(name) : int64_t{100}, peer, ratio});
+      ratio = Rounded(std::get<double>(peer) / std::get<double>(ours), 0.1);
+    table.rows.push_back({name, results.Wall(name), ours, peer, ratio});
   }
   return table;
+}
+
+void AskInProcess(int& argc, char** argv, const std::filesystem::path& folder, const IndexRowsOptions& options) {
+  std::vector<std::string> names = {"ls", "show"};
+  Register("ls", [&](auto& state) { RunList(state, folder); });
+  Register("show", [&](auto& state) { RunShow(state, folder); });
+  for (const NamedQuery& query : NamedQueries()) {
+    names.push_back(query.name);
+    Register(query.name, [&](auto& state) { RunNamed(state, folder, query, options.now); });
+  }
+  for (const auto& [question, sql] : kPeers)
+    Register("peer/" + question, [&, statement = sql](auto& state) { RunStatement(state, folder, statement); });
+  Collector results;
+  benchmark::Initialize(&argc, argv);
+  benchmark::RunSpecifiedBenchmarks(&results);
+  std::printf("\n%s\n", TableAsText(Summary(results, names)).c_str());
+}
+
+Folder FolderFor(const std::string& given) {
+  if (!given.empty()) return {given, Folder::Lifetime::kKept};
+  std::string name = (std::filesystem::temp_directory_path() / "stratalux-bench-XXXXXX").string();
+  if (mkdtemp(name.data()) == nullptr) Check(Status::Failed("cannot make " + name));
+  return {name};
 }
 
 int Main(int argc, char** argv) {
@@ -227,43 +301,18 @@ int Main(int argc, char** argv) {
   options.frames_per_session = Option(argc, argv, "--frames", 1000);
   options.fits =
       Option(argc, argv, "--real-fits", 1) == 0 ? IndexRowsOptions::Fits::kFew : IndexRowsOptions::Fits::kReal;
-  std::string name = (std::filesystem::temp_directory_path() / "stratalux-bench-XXXXXX").string();
-  if (mkdtemp(name.data()) == nullptr) return 1;
-  const Folder folder{name};
-  std::fprintf(stderr, "writing %d sessions x %d frames\n", options.sessions, options.frames_per_session);
-  const int64_t frames = WriteRows(folder.path, options);
-
-  const std::string store = " --store " + folder.path.string();
-  const std::string now = " --now " + ToIso8601(options.now);
-  const std::string real = StoreRealSession(folder.path, options.frames_per_session);
-  std::vector<std::string> names = {"ls", "show", "frames", "verify ID", "purge --dry-run"};
-  // Programs first, for their memory (WriteRows).
-  Register("program/show", [&](auto& state) { RunProgram(state, "show latest" + store); });
-  Register("program/frames", [&](auto& state) { RunProgram(state, "frames " + real + store); });
-  Register("program/verify ID", [&](auto& state) { RunProgram(state, "verify " + real + store); });
-  // As every night: what became due within a day or two. The rows are of three sessions a day.
-  const std::string days = std::to_string(options.sessions / 3 - 3);
-  Register("program/purge --dry-run",
-           [&](auto& state) { RunProgram(state, "purge --dry-run --long-days " + days + now + store); });
-  Register("program/ls", [&](auto& state) { RunProgram(state, "ls" + store); });
-  for (const NamedQuery& query : NamedQueries()) {
-    names.push_back(query.name);
-    Register("program/" + query.name,
-             [&, arguments = "query " + query.name + now + store](auto& state) { RunProgram(state, arguments); });
+  const Folder folder = FolderFor(TextOption(argc, argv, "--store"));
+  if (!std::filesystem::exists(folder.path / "index.sqlite")) {
+    std::fprintf(stderr, "writing %d sessions x %d frames\n", options.sessions, options.frames_per_session);
+    WriteRows(folder.path, options);
   }
-  Register("ls", [&](auto& state) { RunList(state, folder.path); });
-  Register("show", [&](auto& state) { RunShow(state, folder.path); });
-  for (const NamedQuery& query : NamedQueries())
-    Register(query.name, [&](auto& state) { RunNamed(state, folder.path, query, options.now); });
-  for (const auto& [question, sql] : kPeers)
-    Register("peer/" + question, [&, statement = sql](auto& state) { RunStatement(state, folder.path, statement); });
-  Collector results;
-  benchmark::Initialize(&argc, argv);
-  benchmark::RunSpecifiedBenchmarks(&results);
-  std::printf("\n%s\n", TableAsText(Summary(results, names)).c_str());
-  const auto bytes = std::filesystem::file_size(folder.path / "index.sqlite");
-  std::printf("%lld frames, index of %.1f MiB: %.0f bytes a frame (target 400)\n", static_cast<long long>(frames),
-              static_cast<double>(bytes) / (1 << 20), static_cast<double>(bytes) / static_cast<double>(frames));
+  const std::string real = StoreRealSession(folder.path, options.frames_per_session);
+  const std::string store = folder.path.string();
+  std::printf(
+      "%s\n",
+      TableAsText(AskPrograms(Questions(options, store, real), store, Option(argc, argv, "--runs", 9))).c_str());
+  PrintSize(folder.path);
+  if (Option(argc, argv, "--programs-only", 0) == 0) AskInProcess(argc, argv, folder.path, options);
   return 0;
 }
 

@@ -13,6 +13,7 @@
 #include "db/apps/serve/html.h"
 #include "db/apps/serve/picture.h"
 #include "db/apps/serve/site.h"
+#include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/named_query.h"
 #include "db/keys/key_store.h"
@@ -225,6 +226,55 @@ TEST_F(ServePages, AWithdrawnConsentCoversPicturesAndReports) {
   EXPECT_THAT(Get("/consent").body, HasSubstr("consent withdrawn"));
 }
 
+TEST_F(ServePages, AConsentWithoutFittingCoversNoLook) {
+  const std::string id = VisitOf("v-5f3a91c2"), agreed = VisitOf("v-77aa0011");
+  (void)AddFit(id, "f1");
+  // No capture and no fit begins without that scope here: as another program's store may bring it.
+  auto index = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+  ASSERT_TRUE(
+      index
+          ->Execute("UPDATE sessions SET consent_json = json_set(consent_json, '$.scope', json('[\"research\"]'))"
+                    " WHERE id = '" +
+                    id + "'")
+          .ok());
+  const Answer picture = Get("/pictures/" + id + "/0");
+  EXPECT_EQ(picture.headers.at("content-type"), "image/svg+xml");
+  EXPECT_THAT(picture.body, HasSubstr("withheld"));
+  EXPECT_THAT(Get("/thumbnails/" + id).body, HasSubstr("withheld"));
+  EXPECT_THAT(Get("/sessions/" + id).body, HasSubstr("no consent of the visitor covers looking at them (scope fit)"));
+  EXPECT_THAT(Get("/sessions/" + id + "/frames/0").body, HasSubstr("pictures are not shown"));
+  EXPECT_THAT(Get("/sessions/" + id + "/frames/0").body, Not(HasSubstr("<img")));
+  EXPECT_THAT(Get("/sessions/" + id + "/fits/f1").body, Not(HasSubstr("position.exr")));
+  const Answer report = Get("/sessions/" + id + "/fits/f1/files/report/index.html");
+  EXPECT_EQ(report.status, 403);
+  EXPECT_THAT(report.body, Not(HasSubstr("<h1>report</h1>")));
+  EXPECT_TRUE(ListAccess(folder_, id)->empty()) << "nobody looked";
+  EXPECT_EQ(Get("/pictures/" + agreed + "/0").headers.at("content-type"), "image/png") << "of another visitor";
+}
+
+TEST_F(ServePages, ALookThatCannotBeLoggedIsRefused) {
+  const std::string id = VisitOf("v-5f3a91c2");
+  (void)AddFit(id, "f1");
+  auto index = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+  ASSERT_TRUE(index
+                  ->Execute("CREATE TRIGGER full BEFORE INSERT ON access_log BEGIN"
+                            " SELECT raise(ABORT, 'the log takes no row'); END")
+                  .ok());
+  const std::string report = "/sessions/" + id + "/fits/f1/files/report/index.html";
+  for (const std::string& place : {"/pictures/" + id + "/0", "/thumbnails/" + id, report}) {
+    const Answer refused = Get(place);
+    EXPECT_GE(refused.status, 400) << place;
+    EXPECT_EQ(refused.headers.at("content-type"), "text/html; charset=utf-8") << place;
+    EXPECT_THAT(refused.body, HasSubstr("what leaves the store is logged first")) << place;
+    EXPECT_THAT(refused.body, Not(AnyOf(HasSubstr("PNG"), HasSubstr("<h1>report</h1>")))) << place;
+  }
+  EXPECT_EQ(Get("/sessions/" + id).status, 200) << "figures need no entry";
+  ASSERT_TRUE(index->Execute("DROP TRIGGER full").ok());
+  EXPECT_EQ(Get(report).status, 200) << "what was refused counts as no look";
+  EXPECT_EQ(Get("/pictures/" + id + "/0").headers.at("content-type"), "image/png");
+  EXPECT_EQ(ListAccess(folder_, id)->size(), 2U);
+}
+
 TEST_F(ServePages, AForgottenSessionIsGoneAndAPageNeverHoldsUpAForget) {
   const std::string id = VisitOf("v-5f3a91c2");
   (void)AddFit(id, "f1");
@@ -357,6 +407,31 @@ TEST_F(ServeCommand, ItsLinkOpensItOnceAndASignalEndsIt) {
     EXPECT_EQ(http::Get(port, "/sessions", {{"Host", "evil.example"}}).status, 421);
     EXPECT_EQ(End(signal), 0);
   }
+}
+
+// The token must stay in no address: not in the browser's history, not in what is copied and passed on.
+TEST_F(ServeCommand, ALinkToAPageLeadsThereWithoutItsToken) {
+  const std::string id = StoreSession(1), token = "0123456789abcdef0123456789";
+  WriteText(folder_ / "token", token + "\n");
+  std::filesystem::permissions(folder_ / "token", std::filesystem::perms(0600));
+  const auto told = Start({"--token-file", (folder_ / "token").string()});
+  ASSERT_TRUE(told.is_object());
+  const int port = told["port"];
+  const Answer led = http::Get(port, "/sessions?rig=bench&token=" + token + "&status=complete");
+  ASSERT_EQ(led.status, 303);
+  const std::string place = led.headers.at("location");
+  EXPECT_EQ(place, "/sessions?rig=bench&status=complete");
+  EXPECT_THAT(led.body, Not(HasSubstr(id)));
+  const std::string cookie = led.headers.at("set-cookie");
+  EXPECT_THAT(cookie, Not(HasSubstr(token)));
+  EXPECT_THAT(cookie, HasSubstr("HttpOnly; SameSite=Strict"));
+  const Answer there = http::Get(port, place, {{"Cookie", cookie.substr(0, cookie.find(';'))}});
+  EXPECT_EQ(there.status, 200);
+  EXPECT_THAT(there.body, HasSubstr(id));
+  EXPECT_EQ(http::Get(port, place).status, 401) << "the place alone opens nothing";
+  for (const std::string target : {"//evil.example/?token=", "/%2fevil.example/?token=", "/\\evil.example?token="})
+    EXPECT_EQ(http::Get(port, target + token).status, 400) << target << " leads to another server";
+  EXPECT_EQ(End(SIGTERM), 0);
 }
 
 TEST_F(ServeCommand, TheTokenOfAFileIsNotRepeated) {

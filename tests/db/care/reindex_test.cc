@@ -149,6 +149,50 @@ TEST_F(ReindexTest, AnyFlippedByteOfASegmentLosesNoOtherFrame) {
   }
 }
 
+// The disk was full before the first byte: a folder without a manifest.
+TEST_F(ReindexTest, ASessionThatNeverBeganIsANoteToEverybody) {
+  const std::string id = StoreSession(1);
+  const auto folder = folder_ / "sessions" / "s000009-0badcafe";
+  std::filesystem::create_directories(folder);
+  const auto expect_note = [&] {
+    const ReindexReport report = Rebuild();
+    EXPECT_THAT(report.problems, IsEmpty());
+    EXPECT_THAT(report.notes, Contains(HasSubstr("s000009-0badcafe holds no manifest and no frame")));
+    EXPECT_EQ(report.sessions, 1);
+    const auto verified = VerifyStore(OpenStore(AccessMode::kReadOnly));
+    EXPECT_THAT(verified->problems, IsEmpty());
+    EXPECT_THAT(verified->notes, Contains(HasSubstr("s000009-0badcafe holds no manifest and no frame")));
+  };
+  expect_note();
+  WriteText(folder / "manifest.json.new", "{");
+  const auto header = ReadBytes(Segment(id));
+  WriteBytes(folder / "frames-0001.seg", {header.begin(), header.begin() + 64});
+  WriteBytes(folder / "truth.seg", {});
+  expect_note();
+}
+
+// As far as files and ledger tell: bytes that may be a frame, or a first frame that was acknowledged once, are a loss.
+TEST_F(ReindexTest, ASessionThatBeganAndLostItsManifestIsNone) {
+  const std::string id = StoreSession(2);
+  const auto folder = folder_ / "sessions" / id;
+  std::filesystem::remove(folder / "manifest.json");
+  const auto segment = ReadBytes(Segment(id));
+  WriteBytes(Segment(id), {segment.begin(), segment.begin() + 200});
+  const auto expect_problem = [&] {
+    const ReindexReport report = Rebuild();
+    EXPECT_THAT(report.problems, Contains(HasSubstr(id)));
+    EXPECT_THAT(VerifyStore(OpenStore(AccessMode::kReadOnly))->problems, Contains(HasSubstr(id)));
+  };
+  LoseIndex();
+  expect_problem();
+  std::filesystem::remove(Segment(id));
+  LoseIndex();
+  expect_problem();  // the ledger knows of its first frame
+  std::filesystem::remove_all(folder_ / "ledger");
+  LoseIndex();
+  EXPECT_THAT(Rebuild().problems, IsEmpty()) << "nothing is left that could tell";
+}
+
 TEST_F(ReindexTest, RefusesWhileAProgramReadsTheOldIndex) {
   StoreSession(1);
   const SessionStore reader = OpenStore(AccessMode::kReadOnly);

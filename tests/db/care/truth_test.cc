@@ -132,6 +132,24 @@ TEST_F(TruthTest, EveryTableOfTheSchemaIsComparedOrExcused) {
     EXPECT_TRUE(known.contains(table)) << table << ": say in row_comparison.cc how `verify` proves its rows";
 }
 
+// What `verify` makes in memory for each session, against what the migrations make on the disk.
+TEST_F(TruthTest, TheTablesInMemoryAreThoseOfTheSchema) {
+  Connection index = Index();
+  auto memory = SessionIndex::TablesInMemory();
+  ASSERT_TRUE(memory.ok()) << memory.status().message();
+  std::set<std::string> made;
+  for (const std::string& table : Column(memory->connection(), "SELECT name FROM sqlite_schema WHERE type = 'table'"))
+    if (!table.starts_with("sqlite_")) made.insert(table);
+  std::set<std::string> wanted;
+  for (const auto& rule : SessionTables()) wanted.insert(rule.table);
+  EXPECT_EQ(made, wanted);
+  for (const std::string& table : made) {
+    const std::string text = "SELECT sql FROM sqlite_schema WHERE name = '" + table + "'";
+    EXPECT_EQ(Column(memory->connection(), text), Column(index, text))
+        << "copy the second into db/catalogue/schema/session_tables.sql";
+  }
+}
+
 // Also of a column that a later migration adds: nobody has to think of it.
 TEST_F(TruthTest, EveryColumnThatIsChangedWithSqlIsNamed) {
   const auto intact = ReadBytes(folder_ / "index.sqlite");

@@ -13,6 +13,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/read_only_index.h"
 #include "db/catalogue/session_store.h"
+#include "db/ledger/old_tombstones.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -262,6 +263,21 @@ TEST_F(SchemaFourTest, KeepsEveryFrameAndEveryVerdict) {
   const auto consents = ListConsents(store_, "v-2b");
   ASSERT_TRUE(consents.ok());
   EXPECT_TRUE(consents->at(0).withdrawn);
+}
+
+// What only reads takes no tombstone over, and must not call the rows of the forgotten damage for it.
+TEST_F(SchemaFourTest, IsSoundAsAWholeBeforeItsLedgerIsMadeAndAfter) {
+  bool made = false;
+  for (const AccessMode mode : {AccessMode::kReadOnly, AccessMode::kReadWrite, AccessMode::kReadOnly}) {
+    const auto store = SessionStore::Open(store_, mode);
+    ASSERT_TRUE(store.ok()) << store.status().message();
+    const auto report = VerifyStore(*store, {VerifyDepth::kDeep});
+    ASSERT_TRUE(report.ok()) << report.status().message();
+    EXPECT_THAT(report->problems, ::testing::IsEmpty());
+    EXPECT_THAT(report->notes, ::testing::IsEmpty());
+    made |= mode == AccessMode::kReadWrite;
+    EXPECT_EQ(ReadOldTombstones(store_).empty(), made);
+  }
 }
 
 }  // namespace

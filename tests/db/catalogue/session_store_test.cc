@@ -3,6 +3,7 @@
 
 #include <bit>
 #include <csignal>
+#include <functional>
 #include <limits>
 
 #include <gmock/gmock.h>
@@ -92,6 +93,49 @@ TEST_F(SessionStoreTest, GivesBackEveryFormatAndTheWholeProofOfAFrame) {
     ASSERT_TRUE(image.ok()) << image.status().message();
     EXPECT_TRUE(SamePixels(*image, PixelsFor(records[i])));
   }
+}
+
+// What an index that is built again would refuse, or tell otherwise, is refused before it is written.
+TEST_F(SessionStoreTest, TakesNoSessionThatARebuildWouldRefuse) {
+  SessionStore store = OpenStore();
+  const auto begin = [&](const std::function<void(SessionInfo&)>& change) {
+    SessionInfo info = SimulatedVisit();
+    change(info);
+    return store.BeginSession(info).status();
+  };
+  const std::string zero("a\0b", 3);
+  for (const Status& refused :
+       {begin([&](SessionInfo& i) { i.rig = zero; }), begin([&](SessionInfo& i) { i.program_version = zero; }),
+        begin([](SessionInfo& i) { i.started_wall.ns = -1; }), begin([](SessionInfo& i) { i.plan_json = "no plan"; }),
+        begin([](SessionInfo& i) { i.calibration_json = "[1]"; })}) {
+    EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();
+    EXPECT_FALSE(refused.message().empty());
+  }
+  EXPECT_THAT(*store.ListSessions(), IsEmpty()) << "nothing is left of what did not begin";
+
+  auto writer = store.BeginSession(SimulatedVisit());
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  const auto append = [&](const std::function<void(FrameRecord&)>& change) {
+    FrameRecord record = RecordFor(0, PixelFormat::kMono12, 4, 2);
+    change(record);
+    return writer->Append(record, Image<uint16_t>(4, 2).view());
+  };
+  const double nan = std::numeric_limits<double>::quiet_NaN(), infinity = std::numeric_limits<double>::infinity();
+  for (const Status& refused :
+       {append([&](FrameRecord& r) { r.exposure_ms = nan; }), append([&](FrameRecord& r) { r.gain = infinity; }),
+        append([&](FrameRecord& r) { r.mean_dn = -infinity; }), append([](FrameRecord& r) { r.exposure_ms = -1.0; }),
+        append([](FrameRecord& r) { r.step = -1; }), append([](FrameRecord& r) { r.projector = -2; }),
+        append([](FrameRecord& r) { r.phase = static_cast<CapturePhase>(9); }),
+        append([](FrameRecord& r) { r.frame_clock = static_cast<ClockSource>(7); }),
+        append([&](FrameRecord& r) { r.retake_cause = zero; })}) {
+    EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();
+    EXPECT_THAT(refused.message(), HasSubstr("step"));
+  }
+  EXPECT_EQ(writer->AppendTruth(zero, Image<float>(2, 2).view()).code(), StatusCode::kUsage);
+  ASSERT_TRUE(AppendTo(*writer, 0).ok()) << "the session goes on";
+  ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+  const auto report = VerifySession(store, *store.FindSession(writer->info().id));
+  EXPECT_THAT(report->problems, IsEmpty());
 }
 
 TEST_F(SessionStoreTest, GivesBackTruthMapsBitForBitIncludingNaN) {

@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
+#include <map>
 #include <set>
 
+#include <gtest/gtest.h>
 #include <xxhash.h>
 
 namespace stratalux::db::crash {
@@ -45,6 +47,62 @@ std::string Describe(const DiskCall& call) {
   return "mark";
 }
 
+// What a power cut may come behind: the word of Describe(), files and folders apart where they differ.
+std::string KindOf(const DiskCall& call, const std::set<Inode>& folders) {
+  const std::string words = Describe(call);
+  return words.substr(0, words.find(' ')) + (folders.contains(call.file) ? " of a folder" : "");
+}
+
+// Of each kind of call every stride-th, from a drawn one on, and at least one; and every mark: the first moment of what
+// is promised is the hardest.
+std::vector<bool> Draw(const DiskLog& log, const EnumerationOptions& options) {
+  std::set<Inode> folders = {kRoot};
+  for (const auto& [path, inode] : log.inodes)
+    if (!log.start.contains(path)) folders.insert(inode);
+  std::map<std::string, std::vector<size_t>> kinds;
+  std::vector<bool> drawn(log.calls.size(), false);
+  for (size_t i = 0; i < log.calls.size(); ++i) {
+    const DiskCall& call = log.calls[i];
+    if (call.makes_folder) folders.insert(call.file);
+    if (i < options.from_call) continue;
+    if (call.kind == DiskCall::Kind::kMark)
+      drawn[i] = true;
+    else
+      kinds[KindOf(call, folders)].push_back(i);
+  }
+  for (const auto& [kind, calls] : kinds) {
+    const auto stride = static_cast<size_t>(options.stride);
+    for (auto k = static_cast<size_t>(SampledStart(static_cast<int64_t>(std::min(stride, calls.size()))));
+         k < calls.size(); k += stride)
+      drawn[calls[k]] = true;
+  }
+  return drawn;
+}
+
+// The line at the end of the program, and the number that the whole of it is to reach.
+class Totals : public ::testing::Environment {
+ public:
+  static Totals& Get() {
+    static auto* totals = new Totals;
+    return *totals;
+  }
+  EnumerationReport sum;
+
+  void TearDown() override {
+    if (sum.points == 0) return;
+    std::printf("all power cuts: %lld points, %lld cuts, %lld violations (every %d. call of each kind)\n",
+                static_cast<long long>(sum.points), static_cast<long long>(sum.cuts),
+                static_cast<long long>(sum.violations), SampledStride());
+    const auto& run = *::testing::UnitTest::GetInstance();
+    const bool all = run.test_to_run_count() == run.total_test_count();
+    if (all && SampledStride() == 1) {
+      EXPECT_GE(sum.points, 1000);
+    }
+  }
+};
+
+[[maybe_unused]] const auto* const totals_at_the_end = ::testing::AddGlobalTestEnvironment(&Totals::Get());
+
 }  // namespace
 
 EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& promises,
@@ -61,15 +119,13 @@ EnumerationReport Enumerate(const DiskLog& log, const CheckFunction& check, cons
   Disk disk(log);
   std::set<uint64_t> seen;
   std::mt19937_64 random(SeedOf());
-  const size_t offset = random() % static_cast<size_t>(options.stride);
+  const std::vector<bool> drawn = Draw(log, options);
   int64_t promise = 0;
   for (size_t i = 0; i < log.calls.size(); ++i) {
     const DiskCall& call = log.calls[i];
     disk.Apply(call);
     if (call.kind == DiskCall::Kind::kMark) promise = call.offset;
-    // What is promised is always looked at: the first moment of each mark is the hardest.
-    const bool drawn = i % static_cast<size_t>(options.stride) == offset || call.kind == DiskCall::Kind::kMark;
-    if (i < options.from_call || !drawn) continue;
+    if (!drawn[i]) continue;
     if (call.kind != DiskCall::Kind::kMark) ++report.points;
     for (const PowerCut cut : {PowerCut::kKeepsAll, PowerCut::kDropsAll, PowerCut::kDropsNames, PowerCut::kDropsBytes,
                                PowerCut::kTearsLastWrite, PowerCut::kKeepsSomeBlocks}) {
@@ -93,7 +149,12 @@ EnumerationReport Enumerate(const DiskLog& log, const CheckFunction& check, cons
 
 int SampledStride() {
   const char* text = std::getenv("STRATALUX_CRASH_STRIDE");
-  return text == nullptr ? 6 : std::max(1, std::atoi(text));
+  return text == nullptr ? 12 : std::max(1, std::atoi(text));
+}
+
+int64_t SampledStart(int64_t stride) {
+  std::mt19937_64 random(SeedOf());
+  return static_cast<int64_t>(random() % static_cast<uint64_t>(std::max<int64_t>(1, stride)));
 }
 
 void Add(const EnumerationReport& more, EnumerationReport& sum) {
@@ -107,6 +168,7 @@ void Add(const EnumerationReport& more, EnumerationReport& sum) {
 }
 
 void Print(const std::string& title, const EnumerationReport& r) {
+  Add(r, Totals::Get().sum);
   std::printf(
       "%s: %lld points, %lld power cuts, %lld distinct disks; %lld sessions and %lld frames read, %lld violations\n",
       title.c_str(), static_cast<long long>(r.points), static_cast<long long>(r.cuts),

@@ -24,7 +24,7 @@ struct EnumerationOptions {
   int random_cuts = 3;  // of each kind that draws
   bool until_first_violation = false;
   size_t from_call = 0;  // earlier ones are made, but not cut after
-  int stride = 1;        // cuts after every stride-th call, from a drawn one on
+  int stride = 1;        // cuts after every stride-th call of each kind, from a drawn one on; of each kind at least one
 };
 
 // What is broken in the store that a power cut left in `folder`, for people; `mark` is the last that was recorded by
@@ -40,7 +40,10 @@ EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& prom
                             const std::filesystem::path& folder, const EnumerationOptions& options = {});
 // STRATALUX_CRASH_STRIDE: 1 at night (every call), a sample without it.
 [[nodiscard]] int SampledStride();
+// Below `stride`, by STRATALUX_SEED.
+[[nodiscard]] int64_t SampledStart(int64_t stride);
 void Add(const EnumerationReport& more, EnumerationReport& sum);
+// Also counts for the line at the end of the program.
 void Print(const std::string& title, const EnumerationReport& report);
 
 }  // namespace stratalux::db::crash

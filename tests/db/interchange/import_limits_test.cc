@@ -136,6 +136,23 @@ TEST_F(ImportLimits, AHeaderThatLiesGetsNoMemory) {
   ExpectRefused(ImportOf("h.tga"), "65535x65535 pixels, at most 268435456", "h.tga");
 }
 
+// Such a session would lie there, and no index that is built again would take it.
+TEST_F(ImportLimits, WhatNoIndexTakesDoesNotBegin) {
+  const Image<uint8_t> image(30, 20, 1, 7);
+  ASSERT_TRUE(WritePng8(Files() / "ok.png", image.view()).ok());
+  const auto import = [&](const std::string& rig, const std::string& exposure) {
+    WriteText(Files() / "m.toml", "[import]\nrig = \"" + rig + "\"\nexposure_ms = " + exposure +
+                                      "\ncamera_width = 30\ncamera_height = 20\nbit_depth = 8\n"
+                                      "projector_width = 64\nprojector_height = 48\n[[file]]\nfile = \"ok.png\"\n"
+                                      "pattern = \"white\"\n");
+    return Import((Files() / "m.toml").string());
+  };
+  ExpectRefused(import("a\\u0000b", "1.0"), "rig holds a zero byte", "stratalux-db");
+  for (const char* exposure : {"nan", "inf", "-inf", "-1.0"})
+    ExpectRefused(import("r", exposure), "exposure_ms", "m.toml");
+  EXPECT_EQ(import("r", "1.0").code, 0);
+}
+
 TEST_F(ImportLimits, WhatIsWithinThemIsRead) {
   const Image<uint8_t> image(300, 200, 1, 7);
   ASSERT_TRUE(WritePng8(Files() / "ok.png", image.view()).ok());

@@ -115,6 +115,23 @@ int64_t KillsInAll() {
   return text == nullptr ? 42 : std::atoll(text);
 }
 
+// The line at the end of the program.
+class Totals : public ::testing::Environment {
+ public:
+  static Totals& Get() {
+    static auto* totals = new Totals;
+    return *totals;
+  }
+  int64_t verbs = 0, kills = 0, struck = 0, violations = 0;
+
+  void TearDown() override {
+    std::printf("all kills: %lld of %lld verbs, %lld struck, %lld violations\n", static_cast<long long>(kills),
+                static_cast<long long>(verbs), static_cast<long long>(struck), static_cast<long long>(violations));
+  }
+};
+
+[[maybe_unused]] const auto* const totals_at_the_end = ::testing::AddGlobalTestEnvironment(&Totals::Get());
+
 class KilledVerbs : public StoreTest, public ::testing::WithParamInterface<Verb> {
  protected:
   void SetUp() override {
@@ -232,10 +249,12 @@ TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
   std::mt19937_64 random(text == nullptr ? 7 : std::strtoull(text, nullptr, 10));
   const auto verbs = static_cast<int64_t>(std::size(kVerbs));
   const int64_t kills = std::max<int64_t>(1, (KillsInAll() + verbs - 1) / verbs);
-  int64_t struck = 0;
-  for (int64_t k = 0; k < kills && !HasFailure(); ++k) {
+  int64_t struck = 0, tried = 0;
+  for (; tried < kills && !HasFailure(); ++tried) {
     Fresh(verb);
-    const auto at = static_cast<int64_t>(random() % static_cast<uint64_t>(calls));
+    // Drawn from each of as many stretches of the run as there are kills.
+    const int64_t begin = calls * tried / kills, end = std::max(begin + 1, calls * (tried + 1) / kills);
+    const int64_t at = begin + static_cast<int64_t>(random() % static_cast<uint64_t>(end - begin));
     SCOPED_TRACE("killed before call " + std::to_string(at) + " of " + std::to_string(calls));
     struck += DoArmed(verb, at).code == 0 ? 0 : 1;
     ExpectUntouched(listing);
@@ -255,6 +274,11 @@ TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
   std::printf("%s: killed %lld times within %lld calls\n", verb.name, static_cast<long long>(struck),
               static_cast<long long>(calls));
   EXPECT_GT(struck, 0);
+  Totals& totals = Totals::Get();
+  ++totals.verbs;
+  totals.kills += tried;
+  totals.struck += struck;
+  totals.violations += HasFailure() ? 1 : 0;
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, KilledVerbs, ::testing::ValuesIn(kVerbs), [](const auto& verb) {

@@ -509,15 +509,19 @@ TEST_F(ForgetTest, ACaptureBeginsWhileTheScanReads) {
     ForgetRequest request;
     request.sessions = {id};
     char go = 'u';
+    bool is_unlocked = false;
     request.after_step = [&](ForgetStep step) {
-      if (step == ForgetStep::kUnlocked)
-        if (write(unlocked[1], &go, 1) != 1 || read(captured[0], &go, 1) != 1) _exit(2);
+      if (step == ForgetStep::kScanned && !is_unlocked) _exit(3);  // the scan kept captures waiting
+      if (step != ForgetStep::kUnlocked) return;
+      if (write(unlocked[1], &go, 1) != 1 || read(captured[0], &go, 1) != 1) _exit(2);
+      is_unlocked = true;
     };
     const auto report = Forget(folder_, request, quiet);
     _exit(report.ok() && report->leftovers.empty() ? 0 : 1);
   }
+  close(unlocked[1]);
   char go = 0;
-  ASSERT_EQ(read(unlocked[0], &go, 1), 1);
+  ASSERT_EQ(read(unlocked[0], &go, 1), 1) << "never unlocked before it scanned";
   EXPECT_TRUE(*IsForgotten(folder_, id));
   std::string next;
   {

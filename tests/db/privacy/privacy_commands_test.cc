@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "db/care/incoming.h"
+#include "db/catalogue/manifest.h"
 #include "db/privacy/access_log.h"
 #include "tests/db/privacy/raw_bytes.h"
 #include "tests/db/store_fixture.h"
@@ -170,6 +172,7 @@ TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   const RawFiles after = Lasting();
   EXPECT_TRUE(after == before);
   EXPECT_EQ(Db("purge --now yesterday").code, 2);
+  EXPECT_EQ(Db("purge --dry-run --now 2263-01-01").code, 2) << "no nanosecond counts so far";
   EXPECT_EQ(Db("purge --standard-days -3").code, 2);
   WriteText(folder_ / "rig.toml", "[retention]\nstandard_days = 99999\n");
   EXPECT_THAT(Db("purge --now 2099-01-01 --config " + (folder_ / "rig.toml").string()).out,
@@ -178,6 +181,86 @@ TEST_F(PrivacyCommands, PurgeRemovesWhatIsDueAndADryRunNoByte) {
   EXPECT_EQ(done["sessions"][0]["session"], id);
   EXPECT_EQ(Json("deletions")[0]["reason"], "purge");
   EXPECT_EQ(Json("ls").size(), 0U);
+}
+
+// It answers from the index alone, and says so: a night's preview must not walk a hundred thousand folders.
+TEST_F(PrivacyCommands, ADryRunOfAPurgeNeedsNoFileOfASession) {
+  std::vector<std::string> ids = {StoreSession(2, {.encryption = Encryption::kPerSession}), StoreSession(3)};
+  const auto out = folder_ / "out";
+  ASSERT_EQ(Db("export " + ids[1] + " --out " + out.string()).code, 0);
+  const auto stored = Json("ls");
+  std::filesystem::rename(folder_ / "sessions", folder_ / "elsewhere");
+  std::filesystem::create_directory(folder_ / "sessions");
+  const auto plan = Json("purge --dry-run --now 2099-01-01");
+  EXPECT_EQ(plan["by"], "index");
+  ASSERT_EQ(plan["sessions"].size(), 2U);
+  for (size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(plan["sessions"][i]["session"], ids[i]) << "oldest first";
+    EXPECT_EQ(plan["sessions"][i]["frames"], i + 2);
+    EXPECT_EQ(plan["sessions"][i]["bytes"], stored[1 - i]["bytes"]) << "ls has the newest first";
+    EXPECT_EQ(plan["sessions"][i]["encrypted"], i == 0);
+    EXPECT_THAT(plan["sessions"][i]["due"].get<std::string>(), HasSubstr("kept for 365"));
+  }
+  EXPECT_EQ(plan["sessions"][0]["exports"].size(), 0U);
+  ASSERT_EQ(plan["sessions"][1]["exports"].size(), 1U);
+  EXPECT_EQ(plan["sessions"][1]["exports"][0]["state"], "deleted");
+  EXPECT_EQ(plan["total"]["sessions"], 2);
+  EXPECT_EQ(plan["total"]["frames"], 5);
+  EXPECT_EQ(plan["total"]["bytes"], stored[0]["bytes"].get<int64_t>() + stored[1]["bytes"].get<int64_t>());
+  const std::string text = Db("purge --dry-run --now 2099-01-01").out;
+  EXPECT_THAT(text, HasSubstr(", its key (standard"));
+  EXPECT_THAT(text, HasSubstr("would be deleted"));
+  EXPECT_THAT(text, HasSubstr("2 sessions, 5 frames, 0 fits, " + std::to_string(plan["total"]["bytes"].get<int64_t>()) +
+                              " bytes of frames (by the index"));
+  const auto none = Json("purge --dry-run");
+  EXPECT_EQ(none["sessions"].size(), 0U);
+  EXPECT_EQ(none["total"]["sessions"], 0);
+}
+
+// A pull was broken off, and its source never came back.
+TEST_F(PrivacyCommands, PurgeAndForgetReachWhatABrokenOffPullLeft) {
+  StoreSession(1);
+  const auto lay = [&](const std::string& id, const std::string& visitor) {
+    const auto folder = IncomingFolder(folder_, id);
+    std::filesystem::create_directories(folder);
+    WriteText(folder / "frames-0001.seg", "the face of " + visitor);
+    SessionInfo info;
+    info.id = id;
+    info.visitor = visitor;
+    info.started_wall = WallNow();
+    info.retention = Retention::kShort;
+    ASSERT_TRUE(WriteManifest(folder, info, 0, {}).ok());
+  };
+  const auto there = [&](const std::string& id) { return std::filesystem::exists(IncomingFolder(folder_, id)); };
+  for (const char* id : {"s1-a", "s2-b", "s3-c"}) lay(id, std::string("v-5f3a91c") + id[1]);
+  EXPECT_EQ(Db("forget s1-a").code, 2) << "asks first";
+  const Outcome dry = Db("forget s1-a --dry-run");
+  EXPECT_THAT(dry.out, HasSubstr("incoming/s1-a: would go"));
+  EXPECT_TRUE(there("s1-a"));
+  const Outcome one = Db("forget s1-a --yes");
+  EXPECT_EQ(one.code, 0) << one.out;
+  EXPECT_THAT(one.out, HasSubstr("incoming/s1-a: gone"));
+  EXPECT_FALSE(there("s1-a"));
+  EXPECT_EQ(Db("forget --visitor v-5f3a91c2 --yes").code, 0);
+  EXPECT_FALSE(there("s2-b"));
+  EXPECT_EQ(Db("forget --visitor v-5f3a91c2 --yes").code, 4) << "now nothing knows the name";
+
+  const std::string soon = " --now " + ToIso8601({WallNow().ns + int64_t{31} * 86'400 * 1'000'000'000}).substr(0, 10);
+  EXPECT_THAT(Db("purge").out, HasSubstr("no session is due"));
+  const RawFiles before = Lasting();
+  EXPECT_THAT(Db("purge --dry-run" + soon).out, HasSubstr("incoming/s3-c: would go (short: "));
+  EXPECT_TRUE(Lasting() == before);
+  {
+    const auto transfer = IncomingLock::Take(folder_);
+    ASSERT_TRUE(transfer.ok());
+    EXPECT_THAT(Db("purge" + soon).out, HasSubstr("a pull or restore is at work"));
+    EXPECT_TRUE(there("s3-c"));
+  }
+  const auto purged = Json("purge" + soon);
+  EXPECT_EQ(purged["incoming"][0]["place"], "incoming/s3-c");
+  EXPECT_THAT(purged["incoming"][0]["due"].get<std::string>(), HasSubstr("kept for 30"));
+  EXPECT_FALSE(there("s3-c"));
+  EXPECT_EQ(Json("ls").size(), 1U) << "and nothing else";
 }
 
 TEST_F(PrivacyCommands, WhatLeavesTheStoreIsLogged) {

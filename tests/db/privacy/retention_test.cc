@@ -4,7 +4,10 @@
 
 #include <gmock/gmock.h>
 
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/manifest.h"
+#include "db/ledger/ledger.h"
 #include "tests/db/privacy/raw_bytes.h"
 #include "tests/db/store_fixture.h"
 
@@ -85,6 +88,71 @@ TEST_F(RetentionTest, AWithdrawnConsentIsDueAtOnceWhateverTheClass) {
   info.visitor = "v-1";
   Store(info);
   EXPECT_THAT(DueAfter(0), ::testing::ElementsAre(mine));
+}
+
+// What a pull that was broken off left of a source that never comes back.
+class LeftoverTest : public RetentionTest {
+ protected:
+  void SetUp() override {
+    RetentionTest::SetUp();
+    ASSERT_TRUE(SessionStore::Open(folder_, AccessMode::kReadWrite).ok());
+  }
+  static void Lay(const std::filesystem::path& folder, const std::string& id, Retention retention,
+                  SessionKind kind = SessionKind::kVisitor) {
+    std::filesystem::create_directories(folder);
+    SessionInfo info;
+    info.id = id;
+    info.kind = kind;
+    info.visitor = "v-1";
+    info.retention = retention;
+    info.started_wall = WallNow();
+    ASSERT_TRUE(WriteManifest(folder, info, 0, {}).ok());
+  }
+  [[nodiscard]] std::vector<std::string> LeftAfter(int64_t days, const RetentionDays& classes = {}) const {
+    std::vector<std::string> ids;
+    const auto due = DueIncoming(folder_, classes, {WallNow().ns + days * kDay});
+    EXPECT_TRUE(due.ok()) << due.status().message();
+    for (const DueSession& session : *due) ids.push_back(session.id);
+    return ids;
+  }
+};
+
+TEST_F(LeftoverTest, AgesAsItsSessionWould) {
+  Lay(IncomingFolder(folder_, "s1-a"), "s1-a", Retention::kShort);
+  Lay(IncomingFolder(folder_, "s2-b"), "s2-b", Retention::kStandard);
+  Lay(IncomingFolder(folder_, "s3-c"), "s3-c", Retention::kKeep);
+  Lay(IncomingFolder(folder_, "s4-d"), "s4-d", Retention::kShort, SessionKind::kCalibration);
+  EXPECT_THAT(LeftAfter(29), IsEmpty());
+  EXPECT_THAT(LeftAfter(30), ::testing::ElementsAre("s1-a"));
+  EXPECT_THAT(LeftAfter(36500), ::testing::ElementsAre("s1-a", "s2-b"));
+  EXPECT_THAT(LeftAfter(-1, {0, 0, 0}), IsEmpty()) << "of the future";
+  EXPECT_THAT(DueAfter(36500), IsEmpty()) << "no session of the index";
+}
+
+TEST_F(LeftoverTest, WithoutAManifestTheOneThatThePullKeptCountsElseTheShortestClass) {
+  std::filesystem::create_directories(IncomingFolder(folder_, "s1-a"));
+  WriteText(IncomingFolder(folder_, "s1-a") / "frames-0001.seg", "a face");
+  Lay(IncomingSources(folder_) / "x" / "sessions" / "s1-a", "s1-a", Retention::kLong);
+  std::filesystem::create_directories(IncomingFits(folder_, "s2-b") / "f1");
+  WriteText(IncomingFits(folder_, "s2-b") / "f1" / "mesh.ply", "a face");
+  EXPECT_THAT(LeftAfter(29), IsEmpty());
+  EXPECT_THAT(LeftAfter(31), ::testing::ElementsAre("s2-b"));
+  EXPECT_THAT(LeftAfter(3651), ::testing::ElementsAre("s1-a", "s2-b"));
+  EXPECT_THAT(LeftAfter(8, {30, 7, 900}), ::testing::ElementsAre("s2-b"));
+}
+
+TEST_F(LeftoverTest, AManifestThatAPullKeptOfASessionItNeverTookAgesToo) {
+  Lay(IncomingSources(folder_) / "x" / "sessions" / "s1-a", "s1-a", Retention::kShort);
+  const std::string here = StoreClass(Retention::kShort);
+  Lay(IncomingSources(folder_) / "x" / "sessions" / here, here, Retention::kShort);
+  EXPECT_THAT(LeftAfter(29), IsEmpty());
+  EXPECT_THAT(LeftAfter(31), ::testing::ElementsAre("s1-a")) << "the other goes with its session";
+}
+
+TEST_F(LeftoverTest, AWithdrawalMakesItDueWhateverItsClass) {
+  Lay(IncomingFolder(folder_, "s1-a"), "s1-a", Retention::kKeep);
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {"s1-a"}, "", ""}).ok());
+  EXPECT_THAT(LeftAfter(0), ::testing::ElementsAre("s1-a"));
 }
 
 }  // namespace
