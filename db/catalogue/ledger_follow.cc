@@ -95,10 +95,10 @@ Status NoteDeletion(Connection& connection, const LedgerEntry& entry) {
 // Withdrawals of the time before the ledger, which only the index knew: one entry a visitor. Of sessions whose consent
 // was given by then: what was made under a later one stays. Row '' of ledger_heads
 // says that it is done; saying a thing twice would change nothing.
-Status RecordOldWithdrawals(Connection& connection, const fs::path& store) {
-  SLX_ASSIGN_OR_RETURN(const int64_t done,
-                       connection.QueryInteger("SELECT count(*) FROM ledger_heads WHERE chain = ''"));
-  if (done != 0) return Status::Ok();
+Status RecordOldWithdrawals(SessionIndex& index, const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const bool done, IsLedgerUp(index));
+  if (done) return Status::Ok();
+  Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(auto select,
                        connection.Prepare("SELECT c.visitor, max(c.withdrawn_wall_ns), s.id FROM consents c"
@@ -162,25 +162,50 @@ Result<int64_t> FollowWithdrawals(SessionIndex& index, const fs::path& store) {
   return withdrawn;
 }
 
+namespace {
+
+Result<TombstoneMoments> MomentsOf(SessionIndex& index, const char* question) {
+  TombstoneMoments moments;
+  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare(question));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return moments;
+    moments[select.Text(0)] = WallNs{select.Integer(1)};
+  }
+}
+
+}  // namespace
+
 Status TakeOverTombstones(SessionIndex& index, const fs::path& store) {
   std::error_code error;
   if (!fs::is_directory(store / "deletions", error)) return Status::Ok();
-  TombstoneMoments moments;
   SLX_ASSIGN_OR_RETURN(
-      auto select, index.connection().Prepare("SELECT session_id, deleted_wall_ns FROM deletions WHERE certificate_json"
-                                              " <> '{}'"));
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) break;
-    moments[select.Text(0)] = WallNs{select.Integer(1)};
-  }
+      const auto moments,
+      MomentsOf(index, "SELECT session_id, deleted_wall_ns FROM deletions WHERE certificate_json <> '{}'"));
   return TakeOverOldTombstones(store, moments);
+}
+
+Status NoteTombstones(SessionIndex& expected, SessionIndex& index, const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const auto moments, MomentsOf(index, "SELECT session_id, deleted_wall_ns FROM deletions"));
+  for (OldTombstone& old : ReadOldTombstones(store)) {
+    const auto moment = moments.find(old.entry.sessions.at(0));
+    if (moment == moments.end()) continue;
+    old.entry.at = moment->second;
+    SLX_RETURN_IF_ERROR(NoteDeletion(expected.connection(), old.entry));
+  }
+  return Status::Ok();
+}
+
+Result<bool> IsLedgerUp(SessionIndex& index) {
+  SLX_ASSIGN_OR_RETURN(const int64_t rows,
+                       index.connection().QueryInteger("SELECT count(*) FROM ledger_heads WHERE chain = ''"));
+  return rows != 0;
 }
 
 Status BringLedgerUp(SessionIndex& index, const fs::path& store) {
   SLX_RETURN_IF_ERROR(TakeOverTombstones(index, store));
   SLX_RETURN_IF_ERROR(MakeStoreId(store));
-  SLX_RETURN_IF_ERROR(RecordOldWithdrawals(index.connection(), store));
+  SLX_RETURN_IF_ERROR(RecordOldWithdrawals(index, store));
   return FollowLedger(index, store);
 }
 

@@ -22,6 +22,12 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // The tombstones of deletions/ into the ledger, each of the moment that its row in the index has.
 Status TakeOverTombstones(SessionIndex& index, const std::filesystem::path& store);
 
+// The rows that TakeOverTombstones() and FollowLedger() would leave of deletions/, into `expected`: of those sessions
+// that `index` has a row of, each of that row's moment. For who may write neither store nor index.
+Status NoteTombstones(SessionIndex& expected, SessionIndex& index, const std::filesystem::path& store);
+// False until the first opening for writing of an older store has told the ledger what the index alone knows.
+[[nodiscard]] Result<bool> IsLedgerUp(SessionIndex& index);
+
 // What the first opening for writing of an older store does, and every later one finds done: the store id, the
 // tombstones of deletions/, withdrawals that stand in the index alone; then FollowLedger().
 Status BringLedgerUp(SessionIndex& index, const std::filesystem::path& store);

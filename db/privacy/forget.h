@@ -53,11 +53,11 @@ struct ForgetRequest {
   std::vector<std::string> sessions;  // ids
   std::vector<std::string>
       visitors;  // removed with their consents, also without a session; their sessions must be listed
-  std::vector<std::string> leftovers = {};  // ids that incoming/ alone knows: wiped there, with no entry in the ledger
   ForgetReason reason = ForgetReason::kForget;
   // May be empty; kIntent, kEntered, kKey .. kFile, kVisitorKey, kEntry, kCertified come once for each session, key,
   // export, file, visitor.
   std::function<void(ForgetStep)> after_step;
+  std::vector<std::string> leftovers = {};  // ids that incoming/ alone knows: wiped there, with no entry in the ledger
 };
 
 struct ForgottenExport {

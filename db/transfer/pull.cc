@@ -77,17 +77,19 @@ Status Puller::Obey() {
   std::vector<std::string> still_here;
   for (const std::string& id : forgotten_)
     if (here_.contains(id)) still_here.push_back(id);
-  if (still_here.empty()) return Status::Ok();
-  if (options_.forgotten == ForgottenElsewhere::kName || dry()) {
+  const bool obeys = options_.forgotten != ForgottenElsewhere::kName && !dry();
+  if (!obeys) {
     for (const std::string& id : still_here)
       report_.problems.push_back("session " + id + " was forgotten at the source, but is here: `stratalux-db forget " +
                                  id + "`, or `pull --obey` for all of them");
     return Status::Ok();
   }
+  // A forgetting that was broken off, by an obeying pull perhaps, is no longer among what is here.
+  if (still_here.empty() && UnfinishedForgets(store_).empty()) return Status::Ok();
   ForgetRequest request;
   request.sessions = still_here;
   SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));
-  report_.obeyed = still_here;
+  for (const ForgottenSession& session : gone.sessions) report_.obeyed.push_back(session.id);
   for (const std::string& leftover : gone.leftovers) report_.problems.push_back("forgotten, but left: " + leftover);
   for (const std::string& id : still_here) here_.erase(id);
   return Status::Ok();
