@@ -48,6 +48,19 @@ Status VerifySegment(const fs::path& file, const SessionInfo& info, int64_t& fra
   return Status::Ok();
 }
 
+// A segment that was sealed anew is whole, and not the one that the manifest speaks of.
+Status CheckListedFiles(const fs::path& folder, const ManifestContents& contents) {
+  const std::string manifest = (folder / "manifest.json").string();
+  for (const auto& file : contents.files) {
+    if (file.name.find('/') != std::string::npos)
+      return Status::Integrity(manifest + " names '" + file.name + "', which is no file of its folder");
+    SLX_ASSIGN_OR_RETURN(const auto there, DescribeFile(folder, file.name));
+    if (there.bytes != file.bytes || there.hash != file.hash)
+      return Status::Integrity((folder / file.name).string() + " is not the file that " + manifest + " speaks of");
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<int64_t> VerifyFolder(const fs::path& folder) {
@@ -72,6 +85,8 @@ Result<int64_t> VerifyFolder(const fs::path& folder) {
 Result<int64_t> CheckFolder(const fs::path& folder) {
   auto checked = [&]() -> Result<int64_t> {
     SLX_ASSIGN_OR_RETURN(const int64_t frames, VerifyFolder(folder));
+    SLX_ASSIGN_OR_RETURN(const ManifestContents contents, ReadManifestContents(folder));
+    SLX_RETURN_IF_ERROR(CheckListedFiles(folder, contents));
     SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(folder));
     if (static_cast<int64_t>(session.frames.size()) != frames)
       return Status::Integrity(folder.string() + " holds " + std::to_string(frames) + " frames, of which " +
