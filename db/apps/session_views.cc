@@ -137,10 +137,13 @@ Status LoadFromViews(const SessionStore& store, SessionDetails& details) {
                                  session));
   for (const auto& row : phases.rows)
     details.phases.push_back({std::get<std::string>(row[0]), std::get<int64_t>(row[1]), std::get<int64_t>(row[2])});
-  SLX_ASSIGN_OR_RETURN(const auto facts, index.Run("SELECT coalesce(o.consent, ''), coalesce(e.due, ''),"
-                                                   " coalesce(e.reason, '') FROM session_overview o LEFT JOIN"
-                                                   " retention_ends e ON e.session = o.number WHERE o.id = :session",
-                                                   session));
+  // Subqueries: a view that is joined would be computed for every session of the store.
+  SLX_ASSIGN_OR_RETURN(const auto facts,
+                       index.Run("SELECT coalesce(o.consent, ''),"
+                                 " coalesce((SELECT e.due FROM retention_ends e WHERE e.session = o.number), ''),"
+                                 " coalesce((SELECT e.reason FROM retention_ends e WHERE e.session = o.number), '')"
+                                 " FROM session_overview o WHERE o.id = :session",
+                                 session));
   if (facts.rows.empty()) return Status::NotFound("session " + details.row.info.id + " is gone");
   details.consent_json = std::get<std::string>(facts.rows[0][0]);
   details.due = std::get<std::string>(facts.rows[0][1]);

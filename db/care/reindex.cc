@@ -52,7 +52,8 @@ Status TakeOver(SessionIndex& index) {
       "INSERT INTO main.visitors (id, created_wall_ns) SELECT id, created_wall_ns FROM old.visitors WHERE true"
       " ON CONFLICT (id) DO UPDATE SET created_wall_ns = excluded.created_wall_ns;"
       // What sessions were made under stands in their manifests; consents that no session was made under, and
-      // withdrawals of the time before the ledger, stood here alone. Numbers in the order in which they were given.
+      // withdrawals of the time before the ledger, stood here alone. Numbers in the order in which they were given,
+      // which the old index knows better than a clock; what it did not know comes behind what its visitor gave before.
       "CREATE TEMP TABLE every AS SELECT * FROM main.consents;"
       "INSERT INTO temp.every SELECT * FROM old.consents o WHERE visitor IN (SELECT id FROM main.visitors) AND NOT "
       "EXISTS"
@@ -60,10 +61,14 @@ Status TakeOver(SessionIndex& index) {
       " AND m.text_version = o.text_version);"
       "UPDATE temp.every SET withdrawn_wall_ns = (SELECT min(o.withdrawn_wall_ns) FROM old.consents o WHERE o.visitor ="
       " every.visitor AND o.given_wall_ns = every.given_wall_ns AND o.text_version = every.text_version);"
-      "DELETE FROM main.consents;"
+      "DELETE FROM main.consents; DELETE FROM main.sqlite_sequence WHERE name = 'consents';"
       "INSERT INTO main.consents (visitor, text_version, language, fit, research, publication, given_wall_ns,"
       " withdrawn_wall_ns) SELECT visitor, text_version, language, fit, research, publication, given_wall_ns,"
-      " withdrawn_wall_ns FROM temp.every ORDER BY given_wall_ns;"
+      " withdrawn_wall_ns FROM temp.every e ORDER BY coalesce((SELECT min(o.number) FROM old.consents o WHERE"
+      " o.visitor = e.visitor AND o.given_wall_ns = e.given_wall_ns AND o.text_version = e.text_version),"
+      " (SELECT max(o.number) FROM old.consents o WHERE o.visitor = e.visitor AND o.given_wall_ns < e.given_wall_ns), "
+      "0),"
+      " given_wall_ns;"
       "DROP TABLE temp.every;"
       "INSERT INTO main.access_log (number, at_wall_ns, who, action, session_id, detail)"
       " SELECT number, at_wall_ns, who, action, session_id, detail FROM old.access_log;"

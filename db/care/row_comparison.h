@@ -43,7 +43,9 @@ struct StoreTable {
 [[nodiscard]] Result<std::vector<std::string>> CompareSchemas(Connection& index, const std::string& file);
 
 // All of a session's tables. `folder`: sessions/<id>.
-[[nodiscard]] std::vector<std::string> CompareSession(const std::filesystem::path& store, const SessionRow& session);
+// `notes`: fits that lie there whole and unlisted.
+[[nodiscard]] std::vector<std::string> CompareSession(const std::filesystem::path& store, const SessionRow& session,
+                                                      std::vector<std::string>& notes);
 
 // What belongs to no session's files: deletions against their certificates, the numbers given, whose records the
 // calibrations are.

@@ -239,9 +239,15 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (error && never_began) return report;
   // While segments are being replaced, manifest and rows may speak of the old ones and of the new.
   if (transcoding) return report;
+  // A disk that was full from the first byte on: the row is all there is.
+  if (never_began && !std::filesystem::exists(folder / "manifest.json", error)) {
+    report.notes.push_back(folder.string() + " has no manifest: the session failed before its first frame");
+    return report;
+  }
   const bool recording = session.info.status == SessionStatus::kRecording;
   if (!recording) CheckManifest(folder, session, report);
-  for (std::string& line : CompareSession(store.folder(), session)) report.problems.push_back(std::move(line));
+  for (std::string& line : CompareSession(store.folder(), session, report.notes))
+    report.problems.push_back(std::move(line));
   if (!recording) CheckSigner(folder, session, options, report);
   return report;
 }

@@ -50,7 +50,15 @@ std::string ReasonOf(const std::string& detail) {
   return has ? json["reason"].get<std::string>() : "forget";
 }
 
-// '{}' while there is no certificate.
+// Blanks between members are a writer's taste.
+bool SaysTheSame(const std::string& a, const std::string& b) {
+  if (a == b) return true;
+  const auto first = nlohmann::ordered_json::parse(a, nullptr, false);
+  const auto second = nlohmann::ordered_json::parse(b, nullptr, false);
+  return !first.is_discarded() && first == second;
+}
+
+// '{}' while there is no certificate. A certificate that the row has already keeps its text, every byte of it.
 Status NoteDeletion(Connection& connection, const LedgerEntry& entry) {
   const bool done = entry.kind == LedgerKind::kForgotten;
   SLX_ASSIGN_OR_RETURN(
@@ -58,26 +66,36 @@ Status NoteDeletion(Connection& connection, const LedgerEntry& entry) {
       connection.Prepare("INSERT INTO deletions (session_id, deleted_wall_ns, reason, certificate_json)"
                          " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (session_id) DO UPDATE SET deleted_wall_ns ="
                          " excluded.deleted_wall_ns, certificate_json = excluded.certificate_json WHERE ?5"));
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT certificate_json FROM deletions WHERE session_id = ?1"));
   for (const std::string& session : entry.sessions) {
+    std::string certificate = done ? entry.detail_json : "{}";
+    SLX_ASSIGN_OR_RETURN(const bool noted, select.Bind(1, session).Step());
+    if (noted && SaysTheSame(select.Text(0), certificate)) certificate = select.Text(0);
+    select.Reset();
     insert.Bind(1, session).Bind(2, entry.at.ns).Bind(3, ReasonOf(entry.detail_json));
-    insert.Bind(4, done ? entry.detail_json : std::string("{}")).Bind(5, int64_t{done});
+    insert.Bind(4, certificate).Bind(5, int64_t{done});
     SLX_RETURN_IF_ERROR(insert.Run());
   }
   return Status::Ok();
 }
 
-// Withdrawals of the time before the ledger, which only the index knew: one entry a visitor. Row '' of ledger_heads
+// Withdrawals of the time before the ledger, which only the index knew: one entry a visitor. Of sessions whose consent
+// was given by then: what was made under a later one stays. Row '' of ledger_heads
 // says that it is done; saying a thing twice would change nothing.
 Status RecordOldWithdrawals(Connection& connection, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const int64_t done,
                        connection.QueryInteger("SELECT count(*) FROM ledger_heads WHERE chain = ''"));
   if (done != 0) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  SLX_ASSIGN_OR_RETURN(
-      auto select, connection.Prepare("SELECT c.visitor, max(c.withdrawn_wall_ns), s.id FROM consents c"
-                                      " JOIN sessions s ON s.visitor = c.visitor AND s.kind = 'visitor'"
-                                      " WHERE c.withdrawn_wall_ns IS NOT NULL"
-                                      " AND s.started_wall_ns <= c.withdrawn_wall_ns GROUP BY s.number ORDER BY 1"));
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection.Prepare("SELECT c.visitor, max(c.withdrawn_wall_ns), s.id FROM consents c"
+                                          " JOIN (SELECT number, id, visitor, CASE WHEN json_valid(consent_json) THEN"
+                                          " coalesce(nullif(json_extract(consent_json, '$.given_wall_ns'), 0),"
+                                          " started_wall_ns) ELSE started_wall_ns END AS agreed_wall_ns FROM sessions"
+                                          " WHERE kind = 'visitor') s ON s.visitor = c.visitor"
+                                          " WHERE c.withdrawn_wall_ns IS NOT NULL AND (agreed_wall_ns <="
+                                          " c.withdrawn_wall_ns OR agreed_wall_ns = c.given_wall_ns)"
+                                          " GROUP BY s.number ORDER BY 1"));
   std::map<std::string, LedgerEntry> entries;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -115,8 +133,23 @@ Result<bool> FollowsLedger(SessionIndex& index, const fs::path& store) {
   return news.entries.empty();
 }
 
+Status TakeOverTombstones(SessionIndex& index, const fs::path& store) {
+  std::error_code error;
+  if (!fs::is_directory(store / "deletions", error)) return Status::Ok();
+  TombstoneMoments moments;
+  SLX_ASSIGN_OR_RETURN(
+      auto select, index.connection().Prepare("SELECT session_id, deleted_wall_ns FROM deletions WHERE certificate_json"
+                                              " <> '{}'"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) break;
+    moments[select.Text(0)] = WallNs{select.Integer(1)};
+  }
+  return TakeOverOldTombstones(store, moments);
+}
+
 Status BringLedgerUp(SessionIndex& index, const fs::path& store) {
-  SLX_RETURN_IF_ERROR(TakeOverOldTombstones(store));
+  SLX_RETURN_IF_ERROR(TakeOverTombstones(index, store));
   SLX_RETURN_IF_ERROR(MakeStoreId(store));
   SLX_RETURN_IF_ERROR(RecordOldWithdrawals(index.connection(), store));
   return FollowLedger(index, store);

@@ -15,6 +15,9 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // False where something was appended since. Reads no more than it must to know.
 [[nodiscard]] Result<bool> FollowsLedger(SessionIndex& index, const std::filesystem::path& store);
 
+// The tombstones of deletions/ into the ledger, each of the moment that its row in the index has.
+Status TakeOverTombstones(SessionIndex& index, const std::filesystem::path& store);
+
 // What the first opening for writing of an older store does, and every later one finds done: the store id, the
 // tombstones of deletions/, withdrawals that stand in the index alone; then FollowLedger().
 Status BringLedgerUp(SessionIndex& index, const std::filesystem::path& store);

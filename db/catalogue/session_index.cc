@@ -367,7 +367,10 @@ constexpr int kPlanColumn = 17, kCalibrationColumn = 18;
 
 Status ReadSummary(const Statement& select, SessionSummary& row) {
   row.info.id = select.Text(0);
-  SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)));
+  const auto column = [&row](const char* name) {
+    return "index: sessions." + std::string(name) + " of " + row.info.id;
+  };
+  SLX_ASSIGN_OR_RETURN(row.info.kind, ParseSessionKind(select.Text(1)).WithContext(column("kind")));
   row.info.rig = select.Text(2);
   row.info.visitor = select.Text(3);
   row.info.consent = ConsentFromJson(select.Text(4));
@@ -375,12 +378,12 @@ Status ReadSummary(const Statement& select, SessionSummary& row) {
   row.info.simulated = select.Integer(5) != 0;
   row.info.seed = static_cast<uint64_t>(select.Integer(6));
   row.info.started_wall.ns = select.Integer(7);
-  SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)));
+  SLX_ASSIGN_OR_RETURN(row.info.status, ParseSessionStatus(select.Text(8)).WithContext(column("status")));
   row.info.reasons = ReasonsFromJson(select.Text(9));
   row.info.program_version = select.Text(10);
   row.frames = select.Integer(11);
   row.bytes = select.Integer(12);
-  SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(13)));
+  SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(13)).WithContext(column("retention")));
   row.info.finished_wall.ns = select.Integer(14);
   row.key_id = select.Text(16);
   return Status::Ok();

@@ -95,7 +95,7 @@ std::vector<OldTombstone> ReadOldTombstones(const fs::path& store) {
   return all;
 }
 
-Status TakeOverOldTombstones(const fs::path& store) {
+Status TakeOverOldTombstones(const fs::path& store, const TombstoneMoments& moments) {
   const fs::path folder = store / "deletions";
   std::error_code error;
   if (!fs::is_directory(folder, error)) return Status::Ok();
@@ -110,7 +110,10 @@ Status TakeOverOldTombstones(const fs::path& store) {
     const auto known = ledger.forgotten().find(old.entry.sessions[0]);
     const bool certified = known != ledger.forgotten().end() && !known->second.empty();
     const bool begun = known != ledger.forgotten().end();
-    if (old.entry.kind == LedgerKind::kForgotten ? !certified : !begun) fresh.push_back(std::move(old.entry));
+    if (old.entry.kind == LedgerKind::kForgotten ? certified : begun) continue;
+    const auto moment = moments.find(old.entry.sessions[0]);
+    if (old.entry.kind == LedgerKind::kForgotten && moment != moments.end()) old.entry.at = moment->second;
+    fresh.push_back(std::move(old.entry));
   }
   SLX_RETURN_IF_ERROR(AppendLocked(store, fresh));
   return EmptyFolder(store, folder);

@@ -5,6 +5,8 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
+#include <string>
 #include <vector>
 
 #include "db/ledger/ledger.h"
@@ -18,8 +20,11 @@ struct OldTombstone {
 // Certificates by session id, then intents. A damaged one still keeps its session away: its name tells which.
 [[nodiscard]] std::vector<OldTombstone> ReadOldTombstones(const std::filesystem::path& store);
 
-// Entries first, then the files go: a certificate into its entry, an intent into STORE/ledger. Broken off anywhere, the
-// next call goes on. kOk where there is no such folder.
-Status TakeOverOldTombstones(const std::filesystem::path& store);
+// When a session was gone by its row in the index, which the program of then wrote a little after the certificate.
+using TombstoneMoments = std::map<std::string, WallNs>;
+
+// Entries first, of the row's moment where there is one, then the files go: a certificate into its entry, an intent
+// into STORE/ledger. Broken off anywhere, the next call goes on. kOk where there is no such folder.
+Status TakeOverOldTombstones(const std::filesystem::path& store, const TombstoneMoments& moments = {});
 
 }  // namespace stratalux::db

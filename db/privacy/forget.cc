@@ -12,7 +12,6 @@
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
 #include "db/ledger/ledger.h"
-#include "db/ledger/old_tombstones.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/store_scan.h"
@@ -281,7 +280,7 @@ std::string Forgetting::CertificateFor(const ForgetIntent& intent, const Forgott
                        {"files_read", scan_.files},
                        {"bytes_read", scan_.bytes},
                        {"leftovers", leftovers}}}};
-  return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);  // as the ledger writes it
 }
 
 // Of the ledger first, which the index follows. Two forgets that finish the same session certify it twice.
@@ -311,7 +310,10 @@ Status Forgetting::Certify(SessionIndex& index) {
 // All that happens under the lock.
 Status Forgetting::Remove() {
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
-  SLX_RETURN_IF_ERROR(TakeOverOldTombstones(store_));
+  {
+    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
+    SLX_RETURN_IF_ERROR(TakeOverTombstones(index, store_));
+  }
   SLX_RETURN_IF_ERROR(WriteIntents());
   SLX_RETURN_IF_ERROR(EnterForgettings());
   SLX_RETURN_IF_ERROR(DestroyKeys());

@@ -2,8 +2,6 @@
 #include "db/privacy/forget_intent.h"
 
 #include <algorithm>
-#include <map>
-#include <set>
 
 #include <nlohmann/json.hpp>
 #include <sodium.h>
@@ -95,29 +93,6 @@ Result<ForgetIntent> Collect(SessionIndex& index, const fs::path& store, const s
   return intent;
 }
 
-// Hashes of frames that remaining sessions hold, too: they would be found, and rightly.
-Status DropShared(Connection& connection, const std::vector<int64_t>& numbers, std::vector<ForgetIntent>& intents) {
-  std::set<std::string> ours;
-  for (const ForgetIntent& intent : intents)
-    if (intent.key_id.empty()) ours.insert(intent.hashes.begin(), intent.hashes.end());
-  if (ours.empty()) return Status::Ok();
-  std::string list;
-  for (const int64_t number : numbers) list += (list.empty() ? "" : ",") + std::to_string(number);
-  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames WHERE session NOT IN (" + list + ")"));
-  std::set<std::string> shared;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) break;
-    const auto hash = select.Blob(0);
-    if (hash.size() < kHashBytes) continue;
-    if (const auto found = ours.find(Hex(std::span(hash).first(kHashBytes))); found != ours.end())
-      shared.insert(*found);
-  }
-  for (ForgetIntent& intent : intents)
-    std::erase_if(intent.hashes, [&shared](const std::string& hash) { return shared.contains(hash); });
-  return Status::Ok();
-}
-
 ForgetIntent IntentFrom(const Json& json) {
   ForgetIntent intent;
   json.at("session").get_to(intent.session);
@@ -149,15 +124,11 @@ Result<std::vector<uint8_t>> FromHex(const std::string& text) {
 Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::path& store,
                                                  const std::vector<std::string>& ids, IntentHashes hashes) {
   std::vector<ForgetIntent> intents;
-  std::vector<int64_t> numbers;
   for (const std::string& id : ids) {
     SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
     SLX_ASSIGN_OR_RETURN(auto intent, Collect(index, store, id, number, hashes));
-    numbers.push_back(number);
     intents.push_back(std::move(intent));
   }
-  if (hashes == IntentHashes::kCollected && !intents.empty())
-    SLX_RETURN_IF_ERROR(DropShared(index.connection(), numbers, intents));
   return intents;
 }
 

@@ -25,10 +25,10 @@ struct ForgetIntent {
 // The 16 bytes of a key id, or of the first part of a hash, from hexadecimal text; kIntegrity for other text.
 [[nodiscard]] Result<std::vector<uint8_t>> FromHex(const std::string& text);
 
-// A plan needs no hashes; to leave out those that other sessions share, every frame of the store is looked at.
+// A plan needs no hashes.
 enum class IntentHashes { kCollected, kLeftOut };
 
-// From index and files, without the hashes that other sessions share. kNotFound names the first unknown id.
+// From index and files; other sessions may share hashes (ScanPlan). kNotFound names the first unknown id.
 [[nodiscard]] Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const std::filesystem::path& store,
                                                                const std::vector<std::string>& ids,
                                                                IntentHashes hashes);

@@ -3,8 +3,11 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstring>
 #include <map>
+#include <unordered_map>
 
+#include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/privacy/marker_scan.h"
 
@@ -36,12 +39,13 @@ const char* ToString(Kind kind) {
 
 class Markers {
  public:
-  Status Add(const ForgetIntent& intent) {
+  Status Add(const ForgetIntent& intent, const std::set<std::string>& shared_hashes) {
     AddText(intent.session, {Kind::kId, intent.session, intent.visitor});
     if (!intent.key_id.empty())
       SLX_RETURN_IF_ERROR(AddHex(intent.key_id, {Kind::kKeyId, intent.session, intent.visitor}));
     for (const std::string& hash : intent.hashes)
-      SLX_RETURN_IF_ERROR(AddHex(hash, {Kind::kHash, intent.session, intent.visitor}));
+      if (!shared_hashes.contains(hash))
+        SLX_RETURN_IF_ERROR(AddHex(hash, {Kind::kHash, intent.session, intent.visitor}));
     return Status::Ok();
   }
   void AddText(const std::string& text, Marker marker) {
@@ -79,8 +83,11 @@ Result<int64_t> AllowedInIndex(SessionIndex& index, const std::string& id) {
   return select.Integer(0);
 }
 
+// Of the store, or of a source that it pulls from, whose chains are copied before they are merged.
 bool IsChain(const fs::path& store, const fs::path& file) {
-  return file.parent_path() == store / "ledger" && file.extension() == ".jsonl";
+  const fs::path folder = file.parent_path();
+  return file.extension() == ".jsonl" && folder.filename() == "ledger" &&
+         (folder.parent_path() == store || folder.parent_path().parent_path() == IncomingSources(store));
 }
 
 // The first hit that must not be, if any.
@@ -118,6 +125,34 @@ Status ScanOne(const fs::path& store, const fs::path& file, const Markers& marke
   return Status::Ok();
 }
 
+uint64_t WordOf(std::span<const uint8_t> bytes) {
+  uint64_t word = 0;
+  std::memcpy(&word, bytes.data(), sizeof word);
+  return word;
+}
+
+// Without encryption two sessions may hold the same bytes. No index of `frames` leads from a hash to its rows: such a
+// one would be one more place that keeps what is to go.
+Status FindShared(Connection& connection, const std::vector<ForgetIntent>& intents, std::set<std::string>& shared) {
+  std::unordered_map<uint64_t, std::string> ours;
+  for (const ForgetIntent& intent : intents) {
+    if (!intent.key_id.empty()) continue;
+    for (const std::string& hash : intent.hashes) {
+      SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hash));
+      if (bytes.size() == sizeof(uint64_t)) ours.emplace(WordOf(bytes), hash);
+    }
+  }
+  if (ours.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames"));
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return Status::Ok();
+    const auto hash = select.Blob(0);
+    if (hash.size() < sizeof(uint64_t)) continue;
+    if (const auto found = ours.find(WordOf(hash)); found != ours.end()) shared.insert(found->second);
+  }
+}
+
 // Long enough, with a digit, not the simulation's, and no part of a pseudonym that remains.
 Result<bool> IsTelling(SessionIndex& index, const std::string& visitor) {
   const bool digit = std::any_of(visitor.begin(), visitor.end(), [](unsigned char c) { return std::isdigit(c) != 0; });
@@ -132,7 +167,12 @@ Result<bool> IsTelling(SessionIndex& index, const std::string& visitor) {
 
 Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& intents) {
   Markers markers;
-  for (const ForgetIntent& intent : intents) SLX_RETURN_IF_ERROR(markers.Add(intent));
+  // A plain session's hashes may be another's, too; its id stands wherever its rows do.
+  for (const ForgetIntent& intent : intents) {
+    std::set<std::string> doubtful;
+    if (intent.key_id.empty()) doubtful.insert(intent.hashes.begin(), intent.hashes.end());
+    SLX_RETURN_IF_ERROR(markers.Add(intent, doubtful));
+  }
   SLX_ASSIGN_OR_RETURN(const auto hits, markers.scan().Scan(file));
   return !hits.empty();
 }
@@ -147,6 +187,7 @@ Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& 
     SLX_ASSIGN_OR_RETURN(const bool telling, IsTelling(index, visitor));
     if (telling) plan.pseudonyms.push_back(visitor);
   }
+  SLX_RETURN_IF_ERROR(FindShared(index.connection(), intents, plan.shared_hashes));
   return plan;
 }
 
@@ -162,7 +203,7 @@ struct SoughtNames {
 Status AddMarkers(const std::vector<ForgetIntent>& intents, const ScanPlan& plan, Markers& markers,
                   std::vector<SoughtNames>& names) {
   for (const ForgetIntent& intent : intents) {
-    SLX_RETURN_IF_ERROR(markers.Add(intent));
+    SLX_RETURN_IF_ERROR(markers.Add(intent, plan.shared_hashes));
     names.push_back({intent.session, {Kind::kId, intent.session, intent.visitor}});
   }
   for (const std::string& visitor : plan.pseudonyms) {

@@ -6,6 +6,7 @@
 #include <set>
 #include <string>
 
+#include "db/catalogue/session_index.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
@@ -17,6 +18,9 @@ namespace stratalux::db {
 // VerifyFolder, and whether the index can take its rows: kNewerSchema for values of a later version, though their
 // hashes be right. `folder` is named as the session. Whatever is wrong is the session's own trouble: never kFailed.
 [[nodiscard]] Result<int64_t> CheckFolder(const std::filesystem::path& folder);
+
+// What the next session of `index` gets: one more than any before it.
+[[nodiscard]] Result<int64_t> NextNumber(SessionIndex& index);
 
 // Moves `folder` (on the same disk, checked) to STORE/sessions/<id> and inserts its rows. Its number is the next one of
 // this store: sessions of elsewhere come behind those that are here, in the order in which they are adopted; no clock

@@ -72,6 +72,7 @@ class BackupRun {
   Logger& logger_;
   std::vector<std::string> ids_;     // finished sessions, in the order of their numbers
   std::set<std::string> recording_;  // in this snapshot
+  std::set<std::string> other_;      // of which the backup has none, or an earlier copy: not what the snapshot lists
 };
 
 Status BackupRun::ReadIndex() {
@@ -105,10 +106,11 @@ Status BackupRun::CopySessions(BackupFolder& folder) {
     }
     // A forgetting may have begun while it was copied.
     SLX_ASSIGN_OR_RETURN(const Ledger now, Ledger::Read(store_));
-    if (!now.IsForgotten(id))
-      report_.problems.push_back(
-          "session " + id + ": " + copied.message() +
-          (folder.KeepSession(id) ? "; its last good copy stays in the backup" : "; the backup has no copy of it"));
+    if (now.IsForgotten(id)) continue;
+    other_.insert(id);
+    report_.problems.push_back(
+        "session " + id + ": " + copied.message() +
+        (folder.KeepSession(id) ? "; its last good copy stays in the backup" : "; the backup has no copy of it"));
   }
   return Status::Ok();
 }
@@ -144,7 +146,8 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
   return Status::Ok();
 }
 
-// A session that was forgotten meanwhile leaves neither files nor rows.
+// A session that was forgotten meanwhile leaves neither files nor rows. Rows of a damaged one do not fit its last good
+// copy: a restore lists that by its own files.
 Status BackupRun::DropForgotten(BackupFolder& folder) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));
@@ -155,6 +158,7 @@ Status BackupRun::DropForgotten(BackupFolder& folder) {
       folder.DropSession(id);
       SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
     }
+    for (const std::string& id : other_) SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
   }
   return index.connection().Execute("PRAGMA journal_mode = DELETE");
 }

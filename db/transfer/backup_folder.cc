@@ -62,7 +62,7 @@ Status BackupFolder::GoOn() {
   const fs::path file = to_ / kJournal;
   std::error_code error;
   if (!fs::exists(file, error)) return ReplaceFile(file, "a backup is being made, or was interrupted\n");
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));
   std::istringstream lines(text);
   for (std::string line; std::getline(lines, line);)
     if (auto entry = ParseListedFileLine(line)) journal_[entry->first] = std::move(entry->second);

@@ -61,8 +61,11 @@ Status Puller::TakeLedger() {
   SLX_RETURN_IF_ERROR(catalogue_.Fetch(forgotten_, report_.problems));
   SLX_ASSIGN_OR_RETURN(const Ledger theirs, Ledger::Read(catalogue_.folder()));
   forgotten_.merge(ForgottenIn(theirs));
-  if (dry()) return Status::Ok();
+  // An older store's tombstones bear the names of sessions: they are taken over, never kept.
+  const fs::path tombstones = catalogue_.folder() / "deletions";
+  if (dry()) return WipeFolder(tombstones);
   SLX_ASSIGN_OR_RETURN(const LedgerMerge merge, AdoptLedger(store_, catalogue_.folder()));
+  SLX_RETURN_IF_ERROR(WipeFolder(tombstones));
   report_.ledger_entries = merge.entries;
   for (const std::string& problem : merge.problems) report_.problems.push_back("ledger of the source: " + problem);
   SLX_ASSIGN_OR_RETURN(report_.withdrawals, ApplyWithdrawals(store_));

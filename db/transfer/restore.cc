@@ -56,14 +56,24 @@ Status CheckLedger(const fs::path& from, const RestoreOptions& options) {
   return Status::Ok();
 }
 
-// Leaves alone what is no interrupted restore.
+// Leaves alone what is no interrupted restore: one that was cut before its mark was whole left the lock and the mark's
+// new version at most.
 Status CheckEmpty(const fs::path& store) {
   std::error_code error;
   if (fs::exists(store / kUnfinished, error)) return Status::Ok();
-  for (const auto& entry : fs::directory_iterator(store, error))
-    if (entry.path().filename() != "incoming.lock")
+  for (const auto& entry : fs::directory_iterator(store, error)) {
+    const std::string name = entry.path().filename().string();
+    if (name != "incoming.lock" && name != std::string(kUnfinished) + ".new")
       return Status::Usage(store.string() + " is not empty; choose a new folder, or --merge to add what it lacks");
+  }
   return Status::Ok();
+}
+
+// The mark is durable before anything else is there.
+Status BeginStore(const fs::path& store) {
+  SLX_RETURN_IF_ERROR(CheckEmpty(store));  // another restore may have ended here before the lock was ours
+  SLX_RETURN_IF_ERROR(ReplaceFile(store / kUnfinished, "a restore is running, or was interrupted\n"));
+  return MakeFolder(store / "sessions");
 }
 
 class Restorer {
@@ -187,12 +197,11 @@ Status Restorer::PlaceIndex(Logger& logger) {
   Status copied = list_.files.contains("index.sqlite") ? Copy("index.sqlite", work / "index.sqlite")
                                                        : Status::Integrity("the backup lists no index.sqlite");
   if (IsTroubleOfAll(copied)) return copied;
-  if (copied.ok()) copied = PrepareIndex(store_, work);
+  if (copied.ok()) copied = PrepareIndex(store_, work, "backup " + from_.string(), report_);
   const Status placed = copied.ok() ? KeepFile(work / "index.sqlite", store_ / "index.sqlite")
                                     : RebuildIndex(store_, copied, logger, report_);
   fs::remove_all(work, error);
-  SLX_RETURN_IF_ERROR(placed);
-  return copied.ok() ? ListUnlisted(store_, "backup " + from_.string(), report_) : Status::Ok();
+  return placed;
 }
 
 // What the ledgers say comes to hold in the index, and that this store was restored stays known.
@@ -227,17 +236,18 @@ Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, const
     SLX_RETURN_IF_ERROR(SessionIndex::Open(store, AccessMode::kReadWrite).status());
   } else {
     SLX_RETURN_IF_ERROR(CheckEmpty(store));
-    SLX_RETURN_IF_ERROR(MakeFolder(store / "sessions"));
-    SLX_RETURN_IF_ERROR(ReplaceFile(store / kUnfinished, "a restore is running, or was interrupted\n"));
+    SLX_RETURN_IF_ERROR(MakeFolder(store));
   }
   SLX_ASSIGN_OR_RETURN(const auto lock, IncomingLock::Take(store));
+  if (!merge) SLX_RETURN_IF_ERROR(BeginStore(store));
   SLX_RETURN_IF_ERROR(restorer.TakeLedgers(options));
   SLX_RETURN_IF_ERROR(restorer.TakeSessions(options.into, logger));
   if (!merge) SLX_RETURN_IF_ERROR(restorer.PlaceIndex(logger));
   SLX_RETURN_IF_ERROR(restorer.Bind(options));
   std::error_code error;
   if (!merge) fs::remove_all(store / "incoming", error);
-  fs::remove(store / kUnfinished, error);
+  // Durable, too: a restore that came back with the power would place the backup's index over what was captured since.
+  if (!merge && fs::remove(store / kUnfinished, error)) SLX_RETURN_IF_ERROR(SyncFolder(store));
   return report;
 }
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/restored_index.h"
 
-#include <algorithm>
+#include <set>
 #include <vector>
 
 #include "db/care/reindex.h"
+#include "db/care/session_rebuild.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
 #include "db/transfer/adopt.h"
@@ -41,9 +42,39 @@ Status ForgetRows(Connection& connection, const std::vector<IndexedSession>& for
   return forgotten.empty() ? Status::Ok() : connection.Execute("VACUUM");
 }
 
+Status ListFolder(SessionIndex& index, const fs::path& folder, const std::string& from) {
+  SLX_RETURN_IF_ERROR(CheckFolder(folder).status());
+  SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(folder));
+  SLX_ASSIGN_OR_RETURN(auto taken, index.connection().Prepare("SELECT 1 FROM sessions WHERE number = ?1"));
+  if (session.number) {
+    SLX_ASSIGN_OR_RETURN(const bool is_taken, taken.Bind(1, *session.number).Step());
+    if (!is_taken) return InsertRebuilt(index, session, session.number).status();
+  }
+  SLX_ASSIGN_OR_RETURN(const int64_t number, NextNumber(index));
+  SLX_RETURN_IF_ERROR(WritePlace(folder, {number, from}));
+  return InsertRebuilt(index, session, number).status();
+}
+
+Status ListUnlisted(SessionIndex& index, const fs::path& store, const std::string& from, RestoreReport& report) {
+  SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsOfIndex(index.connection()));
+  std::set<std::string> listed;
+  for (const IndexedSession& session : sessions) listed.insert(session.id);
+  std::error_code error;
+  std::set<fs::path> unlisted;
+  for (const auto& entry : fs::directory_iterator(store / "sessions", error))
+    if (!listed.contains(entry.path().filename().string())) unlisted.insert(entry.path());
+  for (const fs::path& folder : unlisted) {
+    const Status added = ListFolder(index, folder, from);
+    if (IsTroubleOfAll(added)) return added;
+    if (!added.ok())
+      report.problems.push_back("session " + folder.filename().string() + " is not listed: " + added.message());
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
-Status PrepareIndex(const fs::path& store, const fs::path& work) {
+Status PrepareIndex(const fs::path& store, const fs::path& work, const std::string& from, RestoreReport& report) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
   Connection& connection = index.connection();
@@ -61,6 +92,7 @@ Status PrepareIndex(const fs::path& store, const fs::path& work) {
     SLX_RETURN_IF_ERROR(transaction.Commit());
   }
   SLX_RETURN_IF_ERROR(ForgetRows(connection, forgotten));
+  SLX_RETURN_IF_ERROR(ListUnlisted(index, store, from, report));
   return connection.Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)");
 }
 
@@ -70,22 +102,6 @@ Status RebuildIndex(const fs::path& store, const Status& why, Logger& logger, Re
                          "): it was built again from the folders; access log and jobs are in none of them");
   report.notes.insert(report.notes.end(), built.notes.begin(), built.notes.end());
   report.problems.insert(report.problems.end(), built.problems.begin(), built.problems.end());
-  return Status::Ok();
-}
-
-Status ListUnlisted(const fs::path& store, const std::string& from, RestoreReport& report) {
-  std::error_code error;
-  std::vector<std::string> ids;
-  for (const auto& entry : fs::directory_iterator(store / "sessions", error))
-    ids.push_back(entry.path().filename().string());
-  std::sort(ids.begin(), ids.end());
-  SLX_ASSIGN_OR_RETURN(const auto listed, ListedSessions(store));
-  for (const std::string& id : ids) {
-    if (listed.contains(id)) continue;
-    const Status added = ListAdopted(store, id, from);
-    if (IsTroubleOfAll(added)) return added;
-    if (!added.ok()) report.problems.push_back("session " + id + " is not listed: " + added.message());
-  }
   return Status::Ok();
 }
 

@@ -11,11 +11,12 @@
 namespace stratalux::db {
 
 // `work`/index.sqlite, a copy, brought to this schema and without the rows of sessions whose folder is not in `store`;
-// of those that the store's ledger forgets, nothing of their visitors stays either. Not ok(): it is no index to use.
-Status PrepareIndex(const std::filesystem::path& store, const std::filesystem::path& work);
+// of those that the store's ledger forgets, nothing of their visitors stays either. Folders that it does not list
+// (sessions whose last good copy the backup kept) are listed by their files, under their old number where that is free.
+// Not ok(): it is no index to use. `from` becomes their origin.
+Status PrepareIndex(const std::filesystem::path& store, const std::filesystem::path& work, const std::string& from,
+                    RestoreReport& report);
 // From the folders; `why` is noted.
 Status RebuildIndex(const std::filesystem::path& store, const Status& why, Logger& logger, RestoreReport& report);
-// Folders that the index in place does not list: sessions that the backup kept after their store had lost them.
-Status ListUnlisted(const std::filesystem::path& store, const std::string& from, RestoreReport& report);
 
 }  // namespace stratalux::db

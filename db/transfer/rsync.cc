@@ -12,18 +12,22 @@ namespace {
 // What rsync's exit codes (and ssh's 255) leave to do. The program's own words come before it.
 std::string Remedy(int code, const std::string& source) {
   const std::string host = source.substr(0, source.find(':'));
+  const std::string ssh = "ssh must reach it without a question: run `ssh " + host +
+                          " true` once by hand to accept its host key, `ssh-copy-id " + host + "` to log in by key";
+  const bool is_remote = host.size() < source.size() && host.find('/') == std::string::npos;
   switch (code) {
     case 11:
       return "look at the free space and the permissions of the store";
-    case 12:
+    case 12:  // the other side ended: before it had said a word that may be ssh, whose 255 comes too late at times
+      if (is_remote) return ssh + "; and is rsync installed on both sides? apt-get install rsync";
+      [[fallthrough]];
     case 127:
       return "is rsync installed on both sides? apt-get install rsync";
     case 30:
     case 35:
       return "the other side did not answer in time; look at the network and run pull again to go on";
     case 255:
-      return "ssh must reach it without a question: run `ssh " + host +
-             " true` once by hand to accept its host key, `ssh-copy-id " + host + "` to log in by key";
+      return ssh;
     default:
       return "run pull again to go on";
   }
@@ -42,7 +46,9 @@ std::string OneLine(const std::string& errors) {
 Result<std::string> Rsync(const RsyncOptions& options, const std::string& source, const std::filesystem::path& target) {
   const std::string seconds = std::to_string(options.timeout.count());
   // -s: names reach the other side as they are. Deltas also between local folders, so that a cut copy is continued.
-  std::vector<std::string> arguments = {"rsync", "-rts", "--no-whole-file", "--partial", "--timeout=" + seconds};
+  // Times to the nanosecond: a file that changed within the second is another one.
+  std::vector<std::string> arguments = {
+      "rsync", "-rts", "--no-whole-file", "--modify-window=-1", "--partial", "--timeout=" + seconds};
   if (std::getenv("RSYNC_RSH") == nullptr)
     arguments.push_back("--rsh=ssh -o BatchMode=yes -o ConnectTimeout=" + seconds +
                         " -o ServerAliveInterval=15 -o ServerAliveCountMax=4");

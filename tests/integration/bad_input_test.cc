@@ -30,7 +30,7 @@ TEST_F(WrongFlags, AreUsageErrorsOfAllPrograms) {
   }
   for (const char* program : {"stratalux-db", "stratalux-rig", "stratalux-fit"}) {
     ExpectRefused(program, 2, {"subcommand"});
-    ExpectRefused(std::string(program) + " frobnicate", 2, {"subcommand"});
+    ExpectRefused(std::string(program) + " frobnicate", 2, {"no command"});
   }
   ExpectUnharmed();
 }

@@ -25,6 +25,16 @@ v4l-utils         v4l2-ctl sets the controls of vivid that inject faults
 libstdc++6        every program
 libpng16-16       stratalux-rig
 libsqlite3-0      stratalux-rig
+libmicrohttpd12   stratalux-db serve; with what it needs:
+libgnutls30       libmicrohttpd
+libp11-kit0       libgnutls
+libidn2-0         libgnutls
+libunistring2     libgnutls
+libtasn1-6        libgnutls
+libnettle8        libgnutls
+libhogweed6       libgnutls
+libgmp10          libgnutls
+libffi8           libp11-kit
 libtomlplusplus3  stratalux-rig
 libtiff6          stratalux-db
 libsodium23       stratalux-rig

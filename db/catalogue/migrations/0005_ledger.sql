@@ -191,6 +191,9 @@ CREATE INDEX consents_withdrawn ON consents (visitor) WHERE withdrawn_wall_ns IS
 -- Of the plan in plan_json; what PlannedSteps() of the program counts, as SQL cannot build a plan.
 ALTER TABLE sessions ADD COLUMN planned_steps INTEGER /* steps of the plan; NULL: no plan, or one this program cannot read */;
 
+-- Of a hundred thousand sessions, those that may lack frames: missing_frames reads no other, the newest first.
+CREATE INDEX sessions_incomplete ON sessions (number) WHERE status <> 'complete';
+
 CREATE TABLE retention_classes (
   retention         TEXT    PRIMARY KEY,                 -- sessions.retention
   days              INTEGER                              -- kept after the end of the session; NULL: for ever
@@ -346,6 +349,20 @@ CREATE VIEW access_overview AS
          strftime('%Y-%m-%dT%H:%M:%S', a.at_wall_ns / 1000000000, 'unixepoch')
            || printf('.%09dZ', a.at_wall_ns % 1000000000) AS at
   FROM access_log a;
+
+-- One row a job. A moment that is not known (of a job of schema 1), or not set, is NULL as text. until_boot_ns is left out:
+-- it means nothing without the boot it counts from.
+CREATE VIEW job_overview AS
+  SELECT j.id, j.key, j.session, s.id AS session_id, s.rig, j.kind, j.state, j.priority, j.attempts, j.max_attempts,
+         nullif(j.owner, '') AS owner, nullif(j.last_error, '') AS last_error, j.options_json,
+         j.created_wall_ns, j.not_before_wall_ns, j.finished_wall_ns,
+         strftime('%Y-%m-%dT%H:%M:%S', nullif(j.created_wall_ns, 0) / 1000000000, 'unixepoch')
+           || printf('.%09dZ', nullif(j.created_wall_ns, 0) % 1000000000) AS created,
+         strftime('%Y-%m-%dT%H:%M:%S', nullif(j.not_before_wall_ns, 0) / 1000000000, 'unixepoch')
+           || printf('.%09dZ', nullif(j.not_before_wall_ns, 0) % 1000000000) AS not_before,
+         strftime('%Y-%m-%dT%H:%M:%S', nullif(j.finished_wall_ns, 0) / 1000000000, 'unixepoch')
+           || printf('.%09dZ', nullif(j.finished_wall_ns, 0) % 1000000000) AS finished
+  FROM jobs j LEFT JOIN sessions s ON s.number = j.session;
 
 -- As in schema 4, with the moments as text.
 DROP VIEW calibration_overview;

@@ -12,8 +12,9 @@
 -- column steps        text   the missing ones, such as 3, 17-20
 SELECT m.id AS session, m.started_wall_ns AS started, m.rig, m.status, m.planned, m.good, m.missing, m.steps
 FROM missing_frames m
-WHERE m.started_wall_ns >= coalesce(:since_ns, -9223372036854775808)
-  AND m.started_wall_ns < coalesce(:until_ns, 9223372036854775807)
+-- The plus keeps SQLite from the index of starts, which would have every session answered before the newest few are taken.
+WHERE +m.started_wall_ns >= coalesce(:since_ns, -9223372036854775808)
+  AND +m.started_wall_ns < coalesce(:until_ns, 9223372036854775807)
   AND (:rig IS NULL OR m.rig = :rig)
 ORDER BY m.session DESC
 LIMIT coalesce(:limit, -1)

@@ -2,13 +2,15 @@
 // The pages for operators do not lie: every stratalux-db and sqlite3 command in their fences runs as it is written.
 //
 // What a page cannot know is replaced, and this is the convention for whoever writes one:
-//   s000017                                the newest session of the test's store
+//   s000017, s000012                       the newest session of the test's store, and the oldest
 //   v-5f3a91c2, p-0417                     visitors of that store
 //   store                                  the store, beside the folder the commands run in (STRATALUX_STORE too)
 //   /media/...                             a folder of the test
 //   kiosk@rig-1:/var/lib/stratalux         another store, on this machine
-//   archive, copy-of-the-store             stores without sessions: what was pulled, what is all signed
-//   a command with "# exit N" behind it    ends with that code; 0 otherwise
+//   archive, copy-of-the-store, workstation   stores without sessions: what was pulled, what is all signed, what
+//   imports 192.168.7.2, --port 8080               an address of this machine, a port that is free a command that
+//   serves                  is stopped with SIGTERM once it has printed its link a command with "# exit N" behind it
+//   ends with that code; 0 otherwise
 // Commands run in the order of the page, in a folder of their own.
 #include <fstream>
 #include <regex>
@@ -30,7 +32,8 @@ struct Command {
   int line = 0, exit_code = 0;
 };
 
-// Lines of fenced blocks that begin with the program, with or without "$ "; a comment behind goes.
+// Lines of fenced blocks that begin with the program, or with what a program of theirs needs, with or without "$ "; a
+// comment behind goes.
 std::vector<Command> CommandsOf(const std::string& page) {
   std::ifstream file(std::string(STRATALUX_SOURCE_DIR) + "/docs/" + page);
   EXPECT_TRUE(file.good()) << page;
@@ -42,7 +45,8 @@ std::vector<Command> CommandsOf(const std::string& page) {
     ++number;
     if (line.starts_with("```")) fenced = !fenced;
     if (line.starts_with("$ ")) line = line.substr(2);
-    if (!fenced || !(line.starts_with("stratalux-db ") || line.starts_with("sqlite3 "))) continue;
+    const bool runs = line.starts_with("stratalux-db ") || line.starts_with("sqlite3 ") || line.starts_with("(umask ");
+    if (!fenced || !runs) continue;
     Command command{page, line, number, 0};
     std::smatch code;
     if (std::regex_search(line, code, exit_code)) command.exit_code = std::stoi(code[1]);
@@ -62,11 +66,12 @@ class Guide : public StoreTest {
       ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
       for (const char* visitor : {"p-0417", "v-5f3a91c2"}) Store(place_ / name, visitor);
     }
-    for (const char* name : {"archive", "copy-of-the-store"}) ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
+    for (const char* name : {"archive", "copy-of-the-store", "workstation"})
+      ASSERT_TRUE(SessionStore::Create(place_ / name).ok());
   }
   void Store(const std::filesystem::path& folder, const std::string& visitor) {
     ASSERT_EQ(Execute("stratalux-db consent give --store " + folder.string() + " --visitor " + visitor +
-                      " --text-version 3 --language de --scope fit")
+                      " --text-version 3 --language de --scope fit,research")
                   .code,
               0);
     SessionStore store = *SessionStore::Open(folder, AccessMode::kReadWrite);
@@ -78,7 +83,9 @@ class Guide : public StoreTest {
     ASSERT_TRUE(writer.ok()) << writer.status().message();
     for (int i = 0; i < 6; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
     ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
-    if (folder.filename() == "store") newest_ = writer->info().id;
+    if (folder.filename() != "store") return;
+    newest_ = writer->info().id;
+    if (oldest_.empty()) oldest_ = newest_;
   }
   [[nodiscard]] Outcome Run(std::string text) const {
     const auto replace = [&text](const std::string& what, const std::string& with) {
@@ -86,14 +93,21 @@ class Guide : public StoreTest {
         text.replace(at, what.size(), with);
     };
     replace("s000017", newest_);
+    replace("s000012", oldest_);
+    replace("192.168.7.2", "0.0.0.0");
+    replace("--port 8080", "--port 0");
     replace("kiosk@rig-1:/var/lib/stratalux", (place_ / "rig").string());
     replace("/media/", (place_ / "media").string() + "/");
-    return Shell("cd " + place_.string() + " && STRATALUX_STORE=store PATH=" + STRATALUX_BIN_DIR + ":$PATH " + text +
-                 " 2>&1");
+    if (text.starts_with("stratalux-db serve "))
+      text +=
+          " > served 2>&1 & pid=$!; for i in $(seq 600); do grep -q http:// served && break;"
+          " kill -0 $pid || break; sleep 0.1; done; kill $pid; wait $pid; code=$?; cat served; exit $code";
+    return Shell("exec 2>&1; cd " + place_.string() + " && export STRATALUX_STORE=store PATH=" + STRATALUX_BIN_DIR +
+                 ":$PATH; " + text);
   }
 
   std::filesystem::path place_;
-  std::string newest_;
+  std::string newest_, oldest_;
 };
 
 TEST_F(Guide, EveryCommandOfThePagesRunsAsItIsWritten) {

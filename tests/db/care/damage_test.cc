@@ -4,6 +4,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/base/sqlite.h"
 #include "db/care/verify.h"
 #include "db/segment/truth_segment.h"
 #include "tests/db/store_fixture.h"
@@ -162,6 +163,22 @@ TEST_F(DamageTest, DamagedTruthIsRefused) {
   ASSERT_TRUE(truth.ok()) << "headers are intact";
   EXPECT_EQ(truth->Read("depth").status().code(), StatusCode::kIntegrity);
   EXPECT_THAT(VerifySession(store, *store.FindSession(writer->info().id))->problems, Contains(HasSubstr("truth.seg")));
+}
+
+// As a power cut between fit.json and the row leaves it.
+TEST_F(DamageTest, AFitThatTheIndexDoesNotListIsNamedAndIsNoDamage) {
+  SessionStore store = OpenStore();
+  const auto folder = store.FitFolder(id_, "f9");
+  std::filesystem::create_directories(folder);
+  WriteText(folder / "metrics.json", "{}");
+  ASSERT_TRUE(store.RegisterFit({"f9", id_, "{}", "{}", {5}}).ok());
+  {
+    auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_TRUE(connection->Execute("PRAGMA foreign_keys = ON; DELETE FROM fits").ok());
+  }
+  const auto report = VerifySession(store, *store.FindSession(id_));
+  EXPECT_THAT(report->problems, IsEmpty());
+  EXPECT_THAT(report->notes, Contains(HasSubstr("f9 is a fit that the index does not list")));
 }
 
 }  // namespace

@@ -101,9 +101,10 @@ class TruthTest : public StoreTest {
     const std::string name = "\"" + column + "\"";
     const Lines literals = Column(index, "SELECT quote(" + name + ") FROM " + table + " LIMIT 1");
     ASSERT_FALSE(literals.empty()) << table << " has no row to change";
-    const Status done = index.Execute("UPDATE " + table + " SET " + name + " = CASE typeof(" + name +
-                                      ") WHEN 'text' THEN " + name + " || 'x' WHEN 'blob' THEN x'00' WHEN 'null' THEN" +
-                                      " 12 ELSE " + name + " + 1 END WHERE " + name + " IS " + literals[0]);
+    const Status done =
+        index.Execute("UPDATE " + table + " SET " + name + " = CASE typeof(" + name + ") WHEN 'text' THEN " + name +
+                      " || 'x' WHEN 'blob' THEN x'00' WHEN 'null' THEN" + " 12 ELSE (SELECT max(" + name + ") FROM " +
+                      table + ") + 1 END WHERE " + name + " IS " + literals[0]);
     ASSERT_TRUE(done.ok()) << table << "." << column << ": " << done.message();
   }
   [[nodiscard]] fs::path Session() const { return folder_ / "sessions" / id_; }
@@ -271,11 +272,22 @@ TEST_F(PlainTruthTest, PixelsThatAreNotThoseOfTheirHashAreFoundByDecodingThem) {
 TEST_F(PlainTruthTest, PayloadsThatCannotBeDecodedAreFoundWhateverTheirHashes) {
   const std::string id = StoreSession(2);
   ForgeHeaders(Segment(id), [](FrameHeader& header) {
-    header.width = 4;  // the payload is of 6 x 4
+    header.codec = static_cast<decltype(header.codec)>(Codec::kDelta);  // the payload is raw
+    header.width = 60;                                                  // so that its length alone does not tell
     std::fill(std::begin(header.pixel_hash), std::end(header.pixel_hash), uint8_t{0});
   });
   EnterAgain(id);
+  EXPECT_THAT(Problems(VerifyDepth::kHeaders), IsEmpty());
   EXPECT_THAT(Problems(VerifyDepth::kDeep), Contains(HasSubstr("frame 0")));
+}
+
+TEST_F(PlainTruthTest, APayloadOfAnotherLengthThanItsShapeDoesNotEnter) {
+  const std::string id = StoreSession(2);
+  ForgeHeaders(Segment(id), [](FrameHeader& header) { header.width = 4; });  // the payload is of 6 x 4
+  ASSERT_TRUE(ReplaceSegments(folder_ / "sessions" / id, {"frames-0001.seg"}).ok());
+  const Status refused = RebuildSession(folder_ / "sessions" / id).status();
+  EXPECT_EQ(refused.code(), StatusCode::kIntegrity);
+  EXPECT_THAT(refused.message(), HasSubstr("frame 0: a payload of 36 bytes"));
 }
 
 }  // namespace

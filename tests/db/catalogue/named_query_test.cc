@@ -123,6 +123,20 @@ std::vector<std::string> FullScans(ReadOnlyIndex& index, const std::string& sql)
   return scans;
 }
 
+// In the order of the partial index: a limit ends the work.
+TEST_F(NamedQueryTest, MissingFramesReadsIncompleteSessionsAloneNewestFirst) {
+  auto index = *ReadOnlyIndex::Open(folder_);
+  const auto query = std::find_if(NamedQueries().begin(), NamedQueries().end(),
+                                  [](const auto& q) { return q.name == "missing-frames"; });
+  ASSERT_NE(query, NamedQueries().end());
+  const auto plan = index.Run("EXPLAIN QUERY PLAN " + query->sql);
+  ASSERT_TRUE(plan.ok()) << plan.status().message();
+  ASSERT_FALSE(plan->rows.empty());
+  EXPECT_EQ(std::get<std::string>(plan->rows[0][3]), "SCAN s USING INDEX sessions_incomplete");
+  for (const Row& row : plan->rows)
+    EXPECT_EQ(std::get<std::string>(row[3]).find("TEMP B-TREE FOR ORDER BY"), std::string::npos);
+}
+
 TEST_F(NamedQueryTest, NoneReadsAllFrames) {
   auto index = *ReadOnlyIndex::Open(folder_);
   for (const NamedQuery& query : NamedQueries()) EXPECT_THAT(FullScans(index, query.sql), IsEmpty()) << query.name;

@@ -212,5 +212,30 @@ TEST_F(SchemaTest, EnumerationsOfFramesAreWords) {
             std::vector<std::string>{"passed monotonic"});
 }
 
+TEST_F(SchemaTest, AJobReadsInWordsAndUtc) {
+  StoreSession(1);
+  auto writer = *Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+  ASSERT_TRUE(
+      writer
+          .Execute("INSERT INTO jobs (key, session, kind, state, priority, options_json, created_wall_ns,"
+                   " not_before_wall_ns, attempts, max_attempts, owner, fence, boot, until_boot_ns, last_error,"
+                   " finished_wall_ns) SELECT 'nightly', number, 'fit', 'set-aside', 5, '{}', 1795240447123456789,"
+                   " 1, 3, 3, 'bench:7', 9, 'b', 1, 'lens cap', 999999999 FROM sessions;"
+                   "INSERT INTO jobs (key, session, kind, state, priority, options_json, created_wall_ns,"
+                   " not_before_wall_ns, attempts, max_attempts, owner, fence, boot, until_boot_ns, last_error)"
+                   " VALUES ('of none', NULL, 'fit', 'queued', 0, '{}', 0, 0, 0, 3, '', 0, '', 0, '')")
+          .ok());
+  const std::string id = Texts(writer, "SELECT id FROM sessions").front();
+  EXPECT_EQ(Texts(writer,
+                  "SELECT key || '|' || coalesce(session_id, 'none') || '|' || state || '|' ||"
+                  " coalesce(owner, 'none') || '|' || coalesce(last_error, 'none') || '|' ||"
+                  " coalesce(created, 'none') || '|' || coalesce(not_before, 'none') || '|' ||"
+                  " coalesce(finished, 'none') FROM job_overview ORDER BY id"),
+            (std::vector<std::string>{"nightly|" + id +
+                                          "|set-aside|bench:7|lens cap|2026-11-21T05:54:07.123456789Z|"
+                                          "1970-01-01T00:00:00.000000001Z|1970-01-01T00:00:00.999999999Z",
+                                      "of none|none|queued|none|none|none|none|none"}));
+}
+
 }  // namespace
 }  // namespace stratalux::db

@@ -82,6 +82,35 @@ TEST_F(SelectorTest, CostsTheSameInALargeStore) {
   EXPECT_GT(WorkOf([&] { (void)OpenStore().ListSessions().ok(); }).steps, 5'000) << "the measure measures";
 }
 
+// What the statements of every connection cost, those of the read-only index, too.
+StatementWork profiled;
+int CountProfile(unsigned, void*, void* statement, void*) {
+  auto* of = static_cast<sqlite3_stmt*>(statement);
+  profiled.scanned_rows += sqlite3_stmt_status(of, SQLITE_STMTSTATUS_FULLSCAN_STEP, 1);
+  profiled.steps += sqlite3_stmt_status(of, SQLITE_STMTSTATUS_VM_STEP, 1);
+  return 0;
+}
+int ProfileConnection(sqlite3* connection) {
+  return sqlite3_trace_v2(connection, SQLITE_TRACE_PROFILE, CountProfile, nullptr);
+}
+
+TEST_F(SelectorTest, ShowAsksTheViewsForItsSessionAlone) {
+  std::vector<StatementWork> works;
+  for (const int sessions : {100, 600}) {
+    const std::string id = Fill(sessions);
+    sqlite3_auto_extension(reinterpret_cast<void (*)()>(ProfileConnection));
+    profiled = {};
+    const auto details = LoadDetails(OpenStore(AccessMode::kReadOnly), id);
+    sqlite3_cancel_auto_extension(reinterpret_cast<void (*)()>(ProfileConnection));
+    ASSERT_TRUE(details.ok()) << details.status().message();
+    EXPECT_EQ(details->due_reason, "consent withdrawn");
+    works.push_back(profiled);
+  }
+  EXPECT_GT(works[0].steps, 100) << "the measure measures";
+  EXPECT_LE(works[1].scanned_rows, works[0].scanned_rows + 5);
+  EXPECT_LE(works[1].steps, works[0].steps + 50);
+}
+
 int Collect(unsigned, void* queries, void* statement, void*) {
   static_cast<std::set<std::string>*>(queries)->insert(sqlite3_sql(static_cast<sqlite3_stmt*>(statement)));
   return 0;

@@ -162,7 +162,8 @@ TEST_F(HostileCrates, OddDescriptionsAreRefused) {
 TEST_F(HostileCrates, OddFactsAreRefused) {
   const fs::path file = In("session.json");
   const std::string before = TextOfFile(file);
-  for (const auto& entry : ordered_json::parse(before).items()) {
+  const ordered_json facts = ordered_json::parse(before);
+  for (const auto& entry : facts.items()) {
     const std::string key = entry.key();
     if (key == "started" || key == "finished" || key == "exported_for") continue;  // for people only
     for (const ordered_json& value :

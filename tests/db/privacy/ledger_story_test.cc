@@ -108,13 +108,17 @@ TEST_F(LedgerStoryTest, AFrameDoesNotCountWithoutItsConsentOnTheDisk) {
 TEST_F(LedgerStoryTest, SimulatedVisitorsStandInItTooOthersDoNot) {
   StoreSession(1);  // shows nobody, or a simulated visitor
   const size_t before = ReadLedger().entries().size();
-  auto simulated = Begin(SimulatedVisit());
-  ASSERT_TRUE(AppendTo(*simulated, 1).ok());
-  ASSERT_TRUE(simulated->Finish(SessionStatus::kComplete).ok());
+  {  // a writer holds the store's lock as long as it lives
+    auto simulated = Begin(SimulatedVisit());
+    ASSERT_TRUE(simulated.ok()) << simulated.status().message();
+    ASSERT_TRUE(AppendTo(*simulated, 1).ok());
+    ASSERT_TRUE(simulated->Finish(SessionStatus::kComplete).ok());
+  }
   EXPECT_THAT(ReadLedger().entries(), SizeIs(before + 1));
   SessionInfo dark;
   dark.kind = SessionKind::kDark;
   auto writer = Begin(dark);
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
   ASSERT_TRUE(AppendTo(*writer, 1).ok());
   ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
   EXPECT_THAT(ReadLedger().entries(), SizeIs(before + 1));
@@ -204,7 +208,7 @@ TEST_F(LedgerStoryTest, VerifyFindsAChainThatWasCutOrTakenAway) {
   WriteBytes(chain, {bytes.begin(), first});
   const auto problems = VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems;
   EXPECT_THAT(problems, Contains(HasSubstr("bytes long")));
-  EXPECT_THAT(problems, Contains(HasSubstr("deletions has the row " + id)));
+  EXPECT_THAT(problems, Contains(HasSubstr("deletions has the row session_id '" + id)));
   fs::remove(chain);
   EXPECT_THAT(VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems, Contains(HasSubstr("is gone")));
 }

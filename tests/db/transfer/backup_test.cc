@@ -127,14 +127,16 @@ TEST_F(BackupTest, EightRunsRereadEveryCopyTheOldestFirst) {
   for (int i = 0; i < 6; ++i) StoreSession(1);
   ASSERT_TRUE(BackUp().ok());
   std::map<std::string, int64_t> first;
-  for (const auto& file : List()["files"]) first[file["path"]] = file["checked_wall_ns"];
-  EXPECT_EQ(List()["scrub_runs"], 8);
+  const auto begun = List();
+  for (const auto& file : begun["files"]) first[file["path"]] = file["checked_wall_ns"];
+  EXPECT_EQ(begun["scrub_runs"], 8);
   for (int run = 0; run < 8; ++run) {
     const auto made = BackUp();
     ASSERT_TRUE(made.ok()) << made.status().message();
     EXPECT_EQ(made->files_reread, 2) << "an eighth of twelve, rounded up";
   }
-  for (const auto& file : List()["files"])
+  const auto ended = List();
+  for (const auto& file : ended["files"])
     EXPECT_GT(file["checked_wall_ns"].get<int64_t>(), first[file["path"]]) << file["path"];
 }
 
@@ -180,7 +182,7 @@ TEST_F(BackupTest, AFullDiskIsSaidAndTheEarlierBackupStaysValid) {
   const auto list = ReadBytes(backup_ / "backup.json");
   StoreSession(400, Groups(400));
   const Outcome outcome =
-      Shell("ulimit -f 15; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
+      Shell("ulimit -f 100; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
             folder_.string() + " --to " + backup_.string() + " 2>&1");
   EXPECT_EQ(outcome.code, 1) << outcome.out;
   EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run goes on"));
@@ -219,7 +221,8 @@ TEST_F(BackupTest, WhatAnInterruptedRunCopiedIsNotCopiedAgain) {
   const std::string id = StoreSession(2);
   ASSERT_TRUE(BackUp().ok());
   nlohmann::json entry;
-  for (const auto& listed : List()["files"])
+  const auto list = List();
+  for (const auto& listed : list["files"])
     if (listed["path"] == "sessions/" + id + "/frames-0001.seg") entry = listed;
   std::filesystem::remove(backup_ / "backup.json");  // as if broken off before the list
   const std::string journal = "a backup is being made, or was interrupted\n";

@@ -77,7 +77,8 @@ TEST_F(PullTest, ACutOneGoesOnAndADamagedSessionNeverBecomesVisible) {
 // The case: a value of the next version with right hashes, in the middle of three.
 TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome) {
   const std::string first = StoreSession(1), later = StoreSession(2), last = StoreSession(1);
-  const auto good = ReadBytes(Segment(later));
+  const std::filesystem::path manifest = folder_ / "sessions" / later / "manifest.json";
+  const auto good = ReadBytes(Segment(later)), good_manifest = ReadBytes(manifest);
   RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 9; });
   const std::string command = "pull --from " + folder_.string() + " --store " + other_.string();
   for (int i = 0; i < 2; ++i) {
@@ -91,8 +92,20 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   ASSERT_TRUE(index.ok()) << index.status().message();
   EXPECT_THAT(index->problems, IsEmpty());
   WriteBytes(Segment(later), good);
+  WriteBytes(manifest, good_manifest);
   EXPECT_EQ(Db(command).code, 0);
   EXPECT_THAT(Ids(other_), SizeIs(3));
+}
+
+// Right hashes all over, but not those of which the manifest speaks.
+TEST_F(PullTest, ASegmentSealedAnewIsNotTheManifestsAndStaysOutside) {
+  const std::string changed = StoreSession(2), good = StoreSession(1);
+  const std::filesystem::path manifest = folder_ / "sessions" / changed / "manifest.json";
+  const auto before = ReadBytes(manifest);
+  RewriteSegment(Segment(changed), [](FrameHeader& header) { header.gain *= 2; });
+  WriteBytes(manifest, before);
+  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest speaks of")));
+  EXPECT_EQ(Ids(other_), std::vector{good});
 }
 
 TEST_F(PullTest, NumbersThatAreNoneAreOneSessionsProblem) {
@@ -112,6 +125,9 @@ TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
   EXPECT_EQ(pulled->forgotten, 2);
   EXPECT_EQ(Ids(other_), std::vector{third});
   EXPECT_TRUE(Ledger::Read(other_)->IsForgotten(first)) << "adopted: it holds for those who ask this store";
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(other_ / "incoming")) {
+    EXPECT_THAT(entry.path().filename().string(), ::testing::Not(HasSubstr(first))) << "a tombstone is not kept here";
+  }
   Forget(folder_, third);
   EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("forget " + third)));
 }
@@ -254,7 +270,12 @@ TEST_F(PullTest, KilledAnywhereItGoesOnWithoutLossAndWithoutDoubles) {
                         std::chrono::milliseconds(5 + 40 * i))
                  ? 1
                  : 0;
-    const auto pulled = PullHere();
+    auto pulled = PullHere();
+    // What the killed one had just forked, to become rsync, holds its lock for an instant.
+    for (int wait = 0; wait < 100 && pulled.status().code() == StatusCode::kBusy; ++wait) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      pulled = PullHere();
+    }
     ASSERT_TRUE(pulled.ok()) << pulled.status().message();
     EXPECT_THAT(pulled->problems, IsEmpty()) << i;
     EXPECT_EQ(Ids(other_), ids) << i;

@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "db/care/verify.h"
+#include "db/catalogue/manifest.h"
 #include "db/segment/segment.h"
 #include "db/transfer/backup.h"
 #include "db/transfer/pull.h"
@@ -83,6 +84,9 @@ class TransferTest : public StoreTest {
       ASSERT_TRUE(writer->Seal().ok());
     }
     std::filesystem::rename(fresh, file);
+    const auto contents = ReadManifestContents(file.parent_path());
+    ASSERT_TRUE(contents.ok()) << contents.status().message();
+    ASSERT_TRUE(ReplaceSegments(file.parent_path(), contents->segments).ok());
   }
   Result<RestoreReport> RestoreNew(const std::string& ledger = kNoLedger) {
     return Restore(backup_, other_, {RestoreInto::kNewStore, ledger}, logger_);
