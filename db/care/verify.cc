@@ -8,6 +8,7 @@
 #include "db/care/complementary_pairs.h"
 #include "db/care/row_comparison.h"
 #include "db/care/verify_payloads.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
@@ -176,6 +177,18 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
   CheckFiles(folder, *contents, report);
 }
 
+// Each file of the fits that are listed, against what their fit.json says of it.
+void CheckFits(const SessionStore& store, const SessionRow& session, VerifyReport& report) {
+  const auto fits = store.ListFits(session.info.id);
+  if (!fits.ok()) return report.problems.push_back(fits.status().message());
+  for (const FitRow& fit : *fits) {
+    const auto folder = store.FitFolder(session.info.id, fit.id);
+    std::error_code error;
+    if (!std::filesystem::exists(folder / kFitRecordFile, error)) continue;  // of an older program, or gone: its row
+    if (const Status whole = CheckFitFiles(folder); !whole.ok()) report.problems.push_back(whole.message());
+  }
+}
+
 void CheckSigner(const std::filesystem::path& folder, const SessionRow& session, const VerifyOptions& options,
                  VerifyReport& report) {
   const auto depth = options.depth == VerifyDepth::kDeep ? SignatureDepth::kPixels : SignatureDepth::kHeaders;
@@ -248,6 +261,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (!recording) CheckManifest(folder, session, report);
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
+  if (options.depth == VerifyDepth::kDeep) CheckFits(store, session, report);
   if (!recording) CheckSigner(folder, session, options, report);
   return report;
 }

@@ -230,6 +230,9 @@ Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, const
   SLX_ASSIGN_OR_RETURN(const FileList list, ReadFileList(from));
   SLX_RETURN_IF_ERROR(CheckLedger(from, options));
   RestoreReport report;
+  if (!list.intact)
+    report.problems.push_back((from / "backup.json").string() +
+                              " does not match its own hash: what it still lists comes, but it may lack files");
   Restorer restorer(from, store, list, report);
   const bool merge = options.into == RestoreInto::kMerge;
   if (merge) {

@@ -56,6 +56,17 @@ std::string Refusal(const std::string& what, const Status& status) {
   return kRefused + what + ": " + std::to_string(status.exit_code());
 }
 
+// Files that rows and segments do not show: fits with their maps, the truth's calibration.
+void AddFiles(const SessionStore& store, const std::string& id, Picture& picture) {
+  std::error_code error;
+  for (const auto& entry : fs::recursive_directory_iterator(store.SessionFolder(id), error)) {
+    const std::string name = entry.path().lexically_relative(store.folder());
+    if (!entry.is_regular_file(error)) continue;
+    if (name.find("/fits/") != std::string::npos || name.ends_with("truth_calibration.json"))
+      picture.push_back(name + " " + HashHex(ReadBytes(entry.path())));
+  }
+}
+
 void AddFrames(const SessionStore& store, const std::string& id, Picture& picture) {
   const auto frames = store.ListFrames(id);
   if (!frames.ok()) return picture.push_back(Refusal(id, frames.status()));
@@ -114,6 +125,14 @@ std::string Kept(const SampleStore& sample, const std::string& name, const std::
   return found == sample.acknowledged.end() ? bytes : bytes.substr(0, found->second);
 }
 
+// Frames whose key is gone are refused, and that is all that is different.
+bool OnlyRefuses(const Picture& before, const Picture& after) {
+  std::vector<std::string> come;
+  std::set_difference(after.begin(), after.end(), before.begin(), before.end(), std::back_inserter(come));
+  return before.size() == after.size() &&
+         std::all_of(come.begin(), come.end(), [](const auto& line) { return line.starts_with(kRefused); });
+}
+
 bool HasRefusal(const Picture& picture) {
   return std::any_of(picture.begin(), picture.end(), [](const auto& line) { return line.starts_with(kRefused); });
 }
@@ -164,7 +183,10 @@ Picture PictureOf(const fs::path& folder) {
   const auto store = SessionStore::Open(folder, AccessMode::kReadOnly);
   const auto sessions = store.ok() ? store->ListSessions() : store.status();
   if (!sessions.ok()) picture.push_back(Refusal("sessions", sessions.status()));
-  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) AddFrames(*store, (*sessions)[i].info.id, picture);
+  for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
+    AddFrames(*store, (*sessions)[i].info.id, picture);
+    AddFiles(*store, (*sessions)[i].info.id, picture);
+  }
   std::sort(picture.begin(), picture.end());
   return picture;
 }
@@ -201,6 +223,7 @@ Verdict Judge(const SampleStore& sample, const Expected& expected, const Mutant&
     // Only a signature tells a forgery in which nothing disagrees; a cipher tells one of frames.
     const bool tellable = !mutant.consistent || sample.signed_by.has_value();
     verdict = picture == expected.as_it_is ? Verdict::kHarmless : tellable ? Verdict::kSilent : Verdict::kRightlyTaken;
+    if (mutant.file.starts_with("keys.sqlite") && OnlyRefuses(expected.as_it_is, picture)) verdict = Verdict::kFound;
     if (IsWrong(verdict)) why = "verify --deep says nothing\n   " + FirstDifference(expected.as_it_is, picture);
   }
   if (IsWrong(verdict)) return verdict;
