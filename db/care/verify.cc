@@ -7,6 +7,7 @@
 
 #include "db/care/complementary_pairs.h"
 #include "db/care/row_comparison.h"
+#include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
@@ -118,7 +119,8 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
       if (std::find(segments.begin(), segments.end(), name) == segments.end())
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
-               name != "place.json" && name != "signature.json" && name != "fits" && name != "previews") {
+               name != "place.json" && name != "signature.json" && name != kDamagedManifest && name != "fits" &&
+               name != "previews") {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }

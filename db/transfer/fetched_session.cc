@@ -48,9 +48,10 @@ Status LeaveOutFits(const fs::path& folder, LeftOut& out) {
   for (const fs::path& fit : Sorted(folder / "fits")) {
     std::error_code error;
     if (!fs::exists(fit / kFitRecordFile, error)) {
-      // Of an older program, which wrote no record; or not registered, and then it comes when it is.
-      const bool older = ReadFitRecord(fit, session).ok();
-      if (!older) SLX_RETURN_IF_ERROR(Remove(fit));
+      if (ReadFitRecord(fit, session).ok()) continue;  // of an older program, which wrote no record
+      SLX_RETURN_IF_ERROR(Remove(fit));
+      out.notes.push_back("fit " + session + "/" + fit.filename().string() + " was not taken: it has no " +
+                          kFitRecordFile + " yet, or has lost it");
       continue;
     }
     const auto proven = ReadProvenFit(fit, session);

@@ -13,7 +13,8 @@ namespace stratalux::db {
 
 struct LeftOut {
   std::vector<std::string> problems;  // fits that are damaged
-  std::vector<std::string> notes;     // segments that the manifest does not name, as a transcode leaves them
+  std::vector<std::string> notes;     // segments that the manifest does not name, as a transcode leaves them; fits
+                                      // without a record
 };
 
 // Removes from `folder`, the copy of a finished session named as it: segments that its manifest does not name, fits
