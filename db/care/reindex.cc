@@ -115,6 +115,23 @@ std::optional<SessionInfo> ListedInfo(SessionIndex& index, const fs::path& store
   return row.ok() ? std::optional(row->info) : std::nullopt;
 }
 
+// Fits that the old index listed and that are not found, unless it was said why.
+void MissFits(SessionIndex& index, RebuiltSession& session) {
+  auto select = index.connection().Prepare(
+      "SELECT f.id FROM old.fits f JOIN old.sessions s ON s.number = f.session WHERE s.id = ?1 ORDER BY f.id");
+  if (!select.ok()) return;
+  select->Bind(1, session.info.id);
+  while (true) {
+    const auto more = select->Step();
+    if (!more.ok() || !*more) return;
+    const std::string id = select->Text(0);
+    const auto& fits = session.fits;
+    if (std::none_of(fits.begin(), fits.end(), [&id](const FitRow& fit) { return fit.id == id; }))
+      session.problems.push_back("session " + session.info.id + ": fit " + id +
+                                 " was listed and is not there whole; it is listed no longer");
+  }
+}
+
 class Lister {
  public:
   Lister(SessionIndex& index, const fs::path& store, const Ledger& ledger, ReindexReport& report)
@@ -131,6 +148,7 @@ class Lister {
     auto session = has_old_index ? RebuildSession(folder, KnownFrames(index_, id), ListedInfo(index_, store_, folder))
                                  : RebuildSession(folder);
     if (!session.ok()) return SetAside(folder, session.status());
+    if (has_old_index) MissFits(index_, *session);
     report_.notes.insert(report_.notes.end(), session->notes.begin(), session->notes.end());
     report_.problems.insert(report_.problems.end(), session->problems.begin(), session->problems.end());
     if (session->number && !taken_.contains(*session->number)) return Insert(*session, *session->number).status();

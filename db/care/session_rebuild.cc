@@ -195,6 +195,8 @@ void AddFits(const fs::path& folder, RebuiltSession& session) {
       session.fits.push_back(std::move(record).value());
     } else if (record.status().code() != StatusCode::kNotFound) {
       session.problems.push_back(record.status().message());
+    } else {
+      session.notes.push_back(fit.string() + " has no " + kFitRecordFile + ": no fit, or one that has lost it");
     }
   }
 }

@@ -103,16 +103,18 @@ void Restorer::AddProblems(const std::string& where, const Result<LedgerMerge>& 
   for (const std::string& problem : merge->problems) report_.problems.push_back(where + ": " + problem);
 }
 
-// Before any session: what they forget is not even copied.
+// Before any session: what they forget is not even copied. The newest first: of two copies of a chain that differ, the
+// first is kept as the chain and has the last word.
 Status Restorer::TakeLedgers(const RestoreOptions& options) {
+  if (!options.ledger.empty() && options.ledger != kNoLedger) {
+    const auto newest = PlaceOfLedger(options.ledger) == LedgerPlace::kChains ? MergeLedger(store_, options.ledger)
+                                                                              : AdoptLedger(store_, options.ledger);
+    AddProblems("--ledger", newest);
+    SLX_RETURN_IF_ERROR(newest.status().WithContext("--ledger " + options.ledger));
+  }
   const auto own = AdoptLedger(store_, from_);
   AddProblems("ledger of the backup", own);
-  SLX_RETURN_IF_ERROR(own.status());
-  if (options.ledger.empty() || options.ledger == kNoLedger) return Status::Ok();
-  const auto newest = PlaceOfLedger(options.ledger) == LedgerPlace::kChains ? MergeLedger(store_, options.ledger)
-                                                                            : AdoptLedger(store_, options.ledger);
-  AddProblems("--ledger", newest);
-  return newest.status().WithContext("--ledger " + options.ledger);
+  return own.status();
 }
 
 // A file that is there with the right hash (of an interrupted restore) is not copied again.

@@ -147,6 +147,11 @@ class SegmentFile {
     if (sealed) footer_ = static_cast<size_t>(reader->frames_end());
   }
   [[nodiscard]] std::vector<SegmentFrame>& frames() { return frames_; }
+  // A stored hash that is left behind where hashes are made anew up to `level`. One that was never sealed has no
+  // footer, and its manifest none to hash.
+  [[nodiscard]] bool LeavesHash(Level level) const {
+    return level < Level::kHeader || (footer_ != 0 && level < Level::kManifest);
+  }
   [[nodiscard]] std::span<uint8_t> PayloadOf(const SegmentFrame& frame) {
     return std::span(bytes_).subspan(static_cast<size_t>(frame.offset) + sizeof(FrameHeader),
                                      frame.header.payload_bytes);
@@ -278,7 +283,7 @@ Mutant ChangeHeader(const fs::path& folder, Random& random) {
   const bool consistent = changed && MakeAnew(folder, file, level);
   return {std::string(field.name) + " of record " + std::to_string(which) + " in " + Short(folder, file) +
               ", hashes made anew to level " + std::to_string(static_cast<int>(level)),
-          Short(folder, file), changed && level < Level::kManifest, consistent};
+          Short(folder, file), changed && segment.LeavesHash(level), consistent};
 }
 
 void TakePixelHash(FrameHeader& header, std::span<const uint8_t> payload) {
@@ -325,7 +330,7 @@ Mutant ChangePayload(const fs::path& folder, Random& random) {
   const bool anew = changed && MakeAnew(folder, file, level);
   return {"payload of record " + std::to_string(which) + " in " + Short(folder, file) + ", hashes made anew to level " +
               std::to_string(static_cast<int>(level)) + (told ? ", and that of the pixels" : ""),
-          Short(folder, file), changed && (level < Level::kManifest || !told), anew && told};
+          Short(folder, file), changed && (segment.LeavesHash(level) || !told), anew && told};
 }
 
 // --- JSON -----------------------------------------------------------------------------------------------------------
