@@ -16,6 +16,7 @@ namespace fs = std::filesystem;
 struct Chain {
   ChainFile file;
   std::string bytes;  // up to the last newline
+  int64_t damaged_lines = 0;
 };
 
 int64_t LinesIn(std::string_view bytes) { return std::count(bytes.begin(), bytes.end(), '\n'); }
@@ -42,6 +43,7 @@ Result<Chain> ReadSource(const ChainFile& file) {
       return Status(StatusCode::kNewerSchema,
                     file.path.string() + ": of a later version; use a newer stratalux to take it over");
     readable |= line.entry.has_value();
+    chain.damaged_lines += line.state == LineState::kDamaged ? 1 : 0;
     at = newline + 1;
   }
   if (!readable) return Status::Integrity(file.path.string() + " holds no entry that can be read and was left out");
@@ -122,12 +124,13 @@ Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
     } else if (!source.ok()) {
       merge.problems.push_back(source.status().message());
     } else {
+      if (source->damaged_lines > 0)
+        merge.problems.push_back(file.path.string() + ": " + std::to_string(source->damaged_lines) +
+                                 " damaged lines; what can be read of them binds nevertheless");
       SLX_RETURN_IF_ERROR(MergeOne(LedgerFolder(store), *source, merge));
     }
   }
   if (!newer.ok()) return newer;
-  SLX_ASSIGN_OR_RETURN(const Ledger theirs, Ledger::ReadFolder(folder));
-  merge.problems.insert(merge.problems.end(), theirs.problems().begin(), theirs.problems().end());
   return merge;
 }
 
