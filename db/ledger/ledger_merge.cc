@@ -16,7 +16,7 @@ namespace fs = std::filesystem;
 struct Chain {
   ChainFile file;
   std::string bytes;  // up to the last newline
-  int64_t damaged_lines = 0;
+  int64_t damaged_lines = 0, gaps = 0;
 };
 
 int64_t LinesIn(std::string_view bytes) { return std::count(bytes.begin(), bytes.end(), '\n'); }
@@ -35,7 +35,9 @@ Result<Chain> ReadSource(const ChainFile& file) {
   } else {
     chain.bytes += '\n';
   }
-  bool readable = chain.bytes.empty();
+  bool readable = chain.bytes.empty(), after_whole = true;
+  int64_t n = 0;
+  std::string hash = ChainStart(file.store_id);
   for (size_t at = 0; at < chain.bytes.size();) {
     const size_t newline = chain.bytes.find('\n', at);
     const LedgerLine line = ParseLine(std::string_view(chain.bytes).substr(at, newline - at));
@@ -43,7 +45,12 @@ Result<Chain> ReadSource(const ChainFile& file) {
       return Status(StatusCode::kNewerSchema,
                     file.path.string() + ": of a later version; use a newer stratalux to take it over");
     readable |= line.entry.has_value();
-    chain.damaged_lines += line.state == LineState::kDamaged ? 1 : 0;
+    const bool whole = line.state != LineState::kDamaged;
+    chain.damaged_lines += whole ? 0 : 1;
+    chain.gaps += whole && after_whole && (line.n != n + 1 || line.prev != hash) ? 1 : 0;
+    after_whole = whole;
+    n = line.n;
+    hash = line.hash;
     at = newline + 1;
   }
   if (!readable) return Status::Integrity(file.path.string() + " holds no entry that can be read and was left out");
@@ -124,9 +131,10 @@ Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
     } else if (!source.ok()) {
       merge.problems.push_back(source.status().message());
     } else {
-      if (source->damaged_lines > 0)
+      if (source->damaged_lines + source->gaps > 0)
         merge.problems.push_back(file.path.string() + ": " + std::to_string(source->damaged_lines) +
-                                 " damaged lines; what can be read of them binds nevertheless");
+                                 " damaged lines, and " + std::to_string(source->gaps) +
+                                 " that do not follow the one before; what can be read of it binds nevertheless");
       SLX_RETURN_IF_ERROR(MergeOne(LedgerFolder(store), *source, merge));
     }
   }

@@ -110,7 +110,7 @@ TEST_F(LedgerMergeTest, ADamagedCopyThatSaysNothingNewIsNoFork) {
   const auto files = FilesOf(store_);
   const LedgerMerge merge = Merge(store_, copy);
   EXPECT_EQ(merge.entries, 0);
-  EXPECT_THAT(merge.problems, ElementsAre(HasSubstr("nothing of it is new")));
+  EXPECT_THAT(merge.problems, ElementsAre(HasSubstr("1 that do not follow"), HasSubstr("nothing of it is new")));
   EXPECT_EQ(FilesOf(store_), files);
   EXPECT_THAT(ReadOf(store_).problems(), IsEmpty());
 }
