@@ -124,6 +124,14 @@ Status Connection::CopyInto(const std::filesystem::path& to) {
   return copy.Bind(1, to.string()).Run();
 }
 
+Status Connection::FillFrom(const Connection& source) {
+  sqlite3_backup* copy = sqlite3_backup_init(handle_.get(), "main", source.handle_.get(), "main");
+  if (copy == nullptr) return Error("fill");
+  const bool done = sqlite3_backup_step(copy, -1) == SQLITE_DONE;
+  const bool finished = sqlite3_backup_finish(copy) == SQLITE_OK;
+  return done && finished ? Status::Ok() : Error("fill");
+}
+
 int64_t Connection::LastInsertId() const { return sqlite3_last_insert_rowid(handle_.get()); }
 
 Statement& Statement::Bind(int index, int64_t value) {

@@ -33,6 +33,8 @@ class Connection {
   Status Attach(const std::filesystem::path& file, const std::string& name);
   // The whole database, as one transaction sees it, as the new file `to`.
   Status CopyInto(const std::filesystem::path& to);
+  // All of `source` in place of this database, which is empty, as one transaction.
+  Status FillFrom(const Connection& source);
   [[nodiscard]] int64_t LastInsertId() const;
   // Status of a failed call, naming the file.
   [[nodiscard]] Status Error(const std::string& what) const;

@@ -103,6 +103,35 @@ std::vector<KnownFrame> KnownFrames(SessionIndex& index, const std::string& id) 
   }
 }
 
+// Its row there, where the manifest does not tell; nothing where it cannot be asked.
+std::optional<SessionInfo> ListedInfo(SessionIndex& index, const fs::path& store, const fs::path& folder) {
+  if (ReadManifestContents(folder).ok() && ReadManifest(folder).ok()) return std::nullopt;
+  const auto version = index.connection().QueryInteger("PRAGMA old.user_version");
+  const auto own = index.connection().QueryInteger("PRAGMA main.user_version");
+  if (!version.ok() || !own.ok() || *version != *own) return std::nullopt;  // opening it would migrate it
+  auto old = SessionIndex::Open(store, AccessMode::kReadOnly);
+  const auto number = old.ok() ? old->NumberOf(folder.filename().string()) : old.status();
+  const auto row = number.ok() ? old->Session(*number) : number.status();
+  return row.ok() ? std::optional(row->info) : std::nullopt;
+}
+
+// Fits that the old index listed and that are not found, unless it was said why.
+void MissFits(SessionIndex& index, RebuiltSession& session) {
+  auto select = index.connection().Prepare(
+      "SELECT f.id FROM old.fits f JOIN old.sessions s ON s.number = f.session WHERE s.id = ?1 ORDER BY f.id");
+  if (!select.ok()) return;
+  select->Bind(1, session.info.id);
+  while (true) {
+    const auto more = select->Step();
+    if (!more.ok() || !*more) return;
+    const std::string id = select->Text(0);
+    const auto& fits = session.fits;
+    if (std::none_of(fits.begin(), fits.end(), [&id](const FitRow& fit) { return fit.id == id; }))
+      session.problems.push_back("session " + session.info.id + ": fit " + id +
+                                 " was listed and is not there whole; it is listed no longer");
+  }
+}
+
 class Lister {
  public:
   Lister(SessionIndex& index, const fs::path& store, const Ledger& ledger, ReindexReport& report)
@@ -122,8 +151,10 @@ class Lister {
                               " holds no manifest and no frame: a session that never began; not listed");
       return Status::Ok();
     }
-    auto session = RebuildSession(folder, known);
+    auto session =
+        has_old_index ? RebuildSession(folder, known, ListedInfo(index_, store_, folder)) : RebuildSession(folder);
     if (!session.ok()) return SetAside(folder, session.status());
+    if (has_old_index) MissFits(index_, *session);
     report_.notes.insert(report_.notes.end(), session->notes.begin(), session->notes.end());
     report_.problems.insert(report_.problems.end(), session->problems.begin(), session->problems.end());
     if (session->number && !taken_.contains(*session->number)) return Insert(*session, *session->number).status();
@@ -143,7 +174,7 @@ class Lister {
     }
     return Status::Ok();
   }
-  // Sessions whose manifests do not say yet how they ended.
+  // Sessions whose manifests do not say yet how they ended, or are lost.
   [[nodiscard]] std::vector<RebuiltSession> TakeEnded() { return std::move(ended_); }
   // Ever given, also to what could not be listed.
   [[nodiscard]] int64_t highest() const { return highest_; }
@@ -168,7 +199,7 @@ class Lister {
     ++report_.sessions;
     report_.frames += static_cast<int64_t>(session.frames.size());
     report_.fits += static_cast<int64_t>(session.fits.size());
-    if (session.ended_here) ended_.push_back(session);
+    if (session.ended_here || session.told_by_index) ended_.push_back(session);
     return true;
   }
 
@@ -229,6 +260,14 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
       "PRAGMA main.wal_checkpoint(TRUNCATE)");
 }
 
+// A damaged manifest stays beside the new one.
+Status WriteEnding(const fs::path& folder, const RebuiltSession& session) {
+  std::error_code error;
+  if (session.told_by_index && fs::exists(folder / "manifest.json", error))
+    SLX_RETURN_IF_ERROR(KeepFile(folder / "manifest.json", folder / kDamagedManifest));
+  return WriteManifest(folder, session.info, static_cast<int64_t>(session.frames.size()), session.segments);
+}
+
 }  // namespace
 
 Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
@@ -255,11 +294,9 @@ Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
     return built.WithContext("the old index stays as it was");
   }
   // As a recovery would: manifest and index say the same of how a session ended, and the next rebuild, too.
-  for (const RebuiltSession& session : ended) {
-    const Status said = WriteManifest(store / "sessions" / session.info.id, session.info,
-                                      static_cast<int64_t>(session.frames.size()), session.segments);
-    if (!said.ok()) report.problems.push_back(said.message());
-  }
+  for (const RebuiltSession& session : ended)
+    if (const Status said = WriteEnding(store / "sessions" / session.info.id, session); !said.ok())
+      report.problems.push_back(said.message());
   return report;
 }
 

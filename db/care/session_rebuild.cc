@@ -84,34 +84,54 @@ class Rebuilder {
       if (k.segment == number) places.push_back(k.place);
     const SegmentScan scan = ScanSegment(*reader, places);
     segments_.push_back(file.filename().string());
-    CheckListed(file);
+    const bool proven = CheckListed(file);
     for (const std::string& text : scan.findings) session_.problems.push_back(file.string() + ": " + text);
     for (const auto& lost : scan.lost) {
       session_.problems.push_back(file.string() + ": " + lost.why);
       witnesses_.steps.emplace(lost.frame, lost.step);
     }
-    if (!header.ok()) return LeaveOut(file, scan, header);
     AddAsides(file, scan, reader->size());
+    if (!header.ok()) return AddUnnamed(file, number, scan, header, proven ? nullptr : &places);
     for (const SegmentFrame& frame : scan.frames) session_.frames.emplace_back(number, frame);
   }
 
-  // A segment that was sealed anew is whole, and not the one that the manifest speaks of.
-  void CheckListed(const fs::path& file) {
-    if (!witnesses_.manifest) return;
+  // A segment that was sealed anew is whole, and not the one that the manifest speaks of. True where it is that one.
+  bool CheckListed(const fs::path& file) {
+    if (!witnesses_.manifest) return false;
     const std::string name = file.filename().string();
     for (const auto& listed : witnesses_.manifest->files) {
       if (listed.name != name) continue;
       const auto there = DescribeFile(folder_, name);
+      if (there.ok() && !listed.hash.empty() && there->bytes == listed.bytes && there->hash == listed.hash) return true;
       if (there.ok() && (there->bytes != listed.bytes || there->hash != listed.hash))
         session_.problems.push_back(file.string() + " is not the file that the manifest speaks of");
     }
+    return false;
   }
 
-  // Reading goes through the file header: what cannot be read is not listed.
-  void LeaveOut(const fs::path& file, const SegmentScan& scan, const Status& header) {
-    session_.problems.push_back(header.message() + "; " + std::to_string(scan.frames.size()) +
-                                " frames stay in the file and are not listed: restore it from a copy");
-    for (const SegmentFrame& f : scan.frames) witnesses_.steps.emplace(f.header.frame, f.header.step);
+  // With a damaged file header, which names the session. All of its frames are this session's where its footer is the
+  // one of the manifest (`known` null), else those of which the old index says so.
+  void AddUnnamed(const fs::path& file, int64_t number, const SegmentScan& scan, const Status& header,
+                  const std::vector<KnownPlace>* known) {
+    int64_t left = 0;
+    for (const SegmentFrame& f : scan.frames) {
+      const bool ours = known == nullptr ||
+                        std::any_of(known->begin(), known->end(), [&f](const KnownPlace& k) { return IsAt(k, f); });
+      if (ours) {
+        session_.frames.emplace_back(number, f);
+      } else {
+        ++left;
+        witnesses_.steps.emplace(f.header.frame, f.header.step);
+      }
+    }
+    const auto listed = static_cast<int64_t>(scan.frames.size()) - left;
+    std::string text = header.message();
+    if (listed > 0)
+      text += "; " + std::to_string(listed) + " frames are known by the " +
+              (known == nullptr ? "manifest's hash of its footer" : "old index") + " and stay listed";
+    if (left > 0)
+      text += "; " + std::to_string(left) + " frames stay in the file and are not listed: restore it from a copy";
+    session_.problems.push_back(text);
     session_.asides.push_back({file, 0, kSegmentStart, "a damaged file header"});
   }
 
@@ -175,6 +195,8 @@ void AddFits(const fs::path& folder, RebuiltSession& session) {
       session.fits.push_back(std::move(record).value());
     } else if (record.status().code() != StatusCode::kNotFound) {
       session.problems.push_back(record.status().message());
+    } else {
+      session.notes.push_back(fit.string() + " has no " + kFitRecordFile + ": no fit, or one that has lost it");
     }
   }
 }
@@ -197,7 +219,12 @@ Status ReadInfo(const fs::path& folder, RebuiltSession& session, LossWitnesses& 
 }
 
 void EndAsFailed(RebuiltSession& session, const Status& manifest) {
-  if (!manifest.ok()) {
+  if (session.told_by_index) {
+    if (session.info.status == SessionStatus::kComplete) session.info.status = SessionStatus::kDegraded;
+    session.info.reasons.emplace_back("its manifest was lost; what it said was taken from the index");
+    session.problems.push_back(manifest.message() +
+                               "; visitor, consent, plan and calibration were taken from the old index");
+  } else if (!manifest.ok()) {
     session.info.status = SessionStatus::kFailed;
     session.info.reasons = {"its manifest was lost"};
     session.problems.push_back(manifest.message() + "; the session is listed as failed");
@@ -252,13 +279,18 @@ std::optional<int64_t> PlaceOf(const fs::path& folder) {
   return NumberOfId(folder.filename().string());
 }
 
-Result<RebuiltSession> RebuildSession(const fs::path& folder, const std::vector<KnownFrame>& known) {
+Result<RebuiltSession> RebuildSession(const fs::path& folder, const std::vector<KnownFrame>& known,
+                                      const std::optional<SessionInfo>& listed) {
   RebuiltSession session;
   session.info.id = folder.filename().string();
   LossWitnesses witnesses;
   witnesses.known = known;
   Status manifest;
   SLX_RETURN_IF_ERROR(ReadInfo(folder, session, witnesses, manifest));
+  if (!manifest.ok() && listed && listed->id == session.info.id) {
+    session.info = *listed;
+    session.told_by_index = true;
+  }
   Rebuilder rebuilder(folder, session, witnesses);
   rebuilder.AddSegments();
   if (!manifest.ok() && session.frames.empty()) return manifest;

@@ -15,6 +15,9 @@
 
 namespace stratalux::db {
 
+// Where a reindex keeps a manifest that it could not read and wrote anew.
+inline constexpr const char* kDamagedManifest = "manifest.damaged.json";
+
 struct RebuiltSession {
   SessionInfo info;
   std::optional<int64_t> number;  // its place in the order of the store, where the folder or the id tells it
@@ -34,6 +37,7 @@ struct RebuiltSession {
   std::vector<Aside> asides;
   std::vector<std::string> segments;  // files that are there
   bool ended_here = false;            // its manifest says `recording`
+  bool told_by_index = false;         // its manifest was lost; the old index knew what it said
 };
 
 // What an index that is there still knows of a session's frames.
@@ -47,8 +51,10 @@ struct KnownFrame {
 // can be read. A session still `recording` becomes `failed` with the reason, a `complete` one that lacks frames
 // `degraded`. Writes nothing, no segment least of all. kIntegrity where the manifest is missing or damaged and the
 // frames do not say enough, and what CheckSession (db/care/session_gate.h) refuses.
+// `listed`: the row of the old index; asked where the manifest is lost, and the session is then not `complete`.
 [[nodiscard]] Result<RebuiltSession> RebuildSession(const std::filesystem::path& session_folder,
-                                                    const std::vector<KnownFrame>& known = {});
+                                                    const std::vector<KnownFrame>& known = {},
+                                                    const std::optional<SessionInfo>& listed = {});
 
 // A folder that was made before its session began, and is all there is of it: no manifest, no byte of a frame, and the
 // ledger, which hears of a visitor's session before its first frame is acknowledged, says nothing of it.

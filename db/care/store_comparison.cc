@@ -50,6 +50,15 @@ constexpr const char* kComplaints[] = {
     " FROM visitors v WHERE NOT EXISTS (SELECT 1 FROM deletions)"
     " AND NOT EXISTS (SELECT 1 FROM consents WHERE visitor = v.id AND given_wall_ns = v.created_wall_ns)"
     " AND NOT EXISTS (SELECT 1 FROM sessions WHERE visitor = v.id AND started_wall_ns = v.created_wall_ns)",
+    // Frames, proofs and totals of a group are entered at once, also while a session is written.
+    "SELECT 'sessions.frame_count of ' || s.id || ' is ' || s.frame_count || ' and stored_bytes ' || s.stored_bytes ||"
+    " '; its rows are ' || count(f.frame) || ' frames up to ' || coalesce(max(f.frame), -1) || ' with ' ||"
+    " coalesce(sum(f.stored_bytes), 0) || ' bytes and ' || count(p.frame) || ' proofs' FROM sessions s"
+    " LEFT JOIN frames f ON f.session = s.number LEFT JOIN proofs p ON p.session = f.session AND p.frame = f.frame"
+    " WHERE s.status = 'recording' GROUP BY s.number HAVING s.frame_count <> count(f.frame)"
+    " OR count(f.frame) <> count(p.frame) OR s.frame_count <> coalesce(max(f.frame), -1) + 1"
+    " OR s.stored_bytes <> coalesce(sum(f.stored_bytes), 0)"
+    " OR (SELECT count(*) FROM proofs q WHERE q.session = s.number) <> s.frame_count",
 };
 
 // Rows that other files or the schema itself tell; no session is asked, whatever ?1 is.

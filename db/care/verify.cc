@@ -7,7 +7,9 @@
 
 #include "db/care/complementary_pairs.h"
 #include "db/care/row_comparison.h"
+#include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
@@ -117,7 +119,8 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
       if (std::find(segments.begin(), segments.end(), name) == segments.end())
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
-               name != "place.json" && name != "signature.json" && name != "fits" && name != "previews") {
+               name != "place.json" && name != "signature.json" && name != kDamagedManifest && name != "fits" &&
+               name != "previews") {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }
@@ -174,6 +177,18 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
   }
   CheckNames(folder, contents->segments, report);
   CheckFiles(folder, *contents, report);
+}
+
+// Each file of the fits that are listed, against what their fit.json says of it.
+void CheckFits(const SessionStore& store, const SessionRow& session, VerifyReport& report) {
+  const auto fits = store.ListFits(session.info.id);
+  if (!fits.ok()) return report.problems.push_back(fits.status().message());
+  for (const FitRow& fit : *fits) {
+    const auto folder = store.FitFolder(session.info.id, fit.id);
+    std::error_code error;
+    if (!std::filesystem::exists(folder / kFitRecordFile, error)) continue;  // of an older program, or gone: its row
+    if (const Status whole = CheckFitFiles(folder); !whole.ok()) report.problems.push_back(whole.message());
+  }
 }
 
 void CheckSigner(const std::filesystem::path& folder, const SessionRow& session, const VerifyOptions& options,
@@ -248,6 +263,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (!recording) CheckManifest(folder, session, report);
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
+  if (options.depth == VerifyDepth::kDeep) CheckFits(store, session, report);
   if (!recording) CheckSigner(folder, session, options, report);
   return report;
 }

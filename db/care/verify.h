@@ -22,7 +22,7 @@ struct VerifyReport {
 
 enum class VerifyDepth {
   kHeaders,  // every header and footer, every row and column of the index, manifest, plan, proofs, signature
-  kDeep,     // every byte as well: decoded, held against its pixel hash; whether complementary pairs add up
+  kDeep,  // every byte as well: decoded, held against its pixel hash; whether complementary pairs add up; fits' files
 };
 
 struct VerifyOptions {

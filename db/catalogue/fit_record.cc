@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <xxhash.h>
 
+#include "db/base/own_hash.h"
 #include "db/base/paths.h"
 #include "db/segment/segment.h"
 #include "shared/base/read_file.h"
@@ -94,12 +95,23 @@ Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
     SLX_ASSIGN_OR_RETURN(const std::string hash, HashOf(folder / name));
     json["files"].push_back({{"name", name}, {"bytes", bytes}, {"xxh3_128", hash}});
   }
-  return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+  return WithOwnHash(json.dump(1, ' ', false, Json::error_handler_t::replace));
 }
+
+namespace {
+
+// Its text, as it was written; older records carry no hash.
+Result<std::string> ReadRecordText(const fs::path& file) {
+  SLX_ASSIGN_OR_RETURN(std::string text, ReadFile(file));
+  if (CheckOwnHash(text) == OwnHash::kWrong) return Status::Integrity(file.string() + " does not match its own hash");
+  return text;
+}
+
+}  // namespace
 
 Status CheckFitFiles(const fs::path& folder) {
   const fs::path file = folder / kFitRecordFile;
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadRecordText(file));
   try {
     const Json json = Json::parse(text);
     if (!json.contains("files")) return Status::Ok();
@@ -131,7 +143,7 @@ Result<FitRow> FromMetrics(const std::filesystem::path& folder, const std::strin
 Result<FitRow> ReadFitRecord(const std::filesystem::path& folder, const std::string& session) {
   const auto file = folder / kFitRecordFile;
   if (std::error_code error; !std::filesystem::exists(file, error)) return FromMetrics(folder, session);
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadRecordText(file));
   try {
     const Json json = Json::parse(text);
     if (const auto schema = json.at("schema").get<int64_t>(); schema != 1)

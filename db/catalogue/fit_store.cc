@@ -135,18 +135,6 @@ Status SyncFit(const fs::path& folder) {
   return SyncFolder(folder.parent_path().parent_path());
 }
 
-// The row of a folder that its own fit.json proves.
-Result<FitRow> ReadProven(const fs::path& folder, const std::string& session) {
-  std::error_code error;
-  if (!fs::exists(folder / kFitRecordFile, error))
-    return Status::Integrity(folder.string() + " has no " + kFitRecordFile + ": it is no whole fit");
-  SLX_RETURN_IF_ERROR(CheckFitFiles(folder));
-  SLX_ASSIGN_OR_RETURN(FitRow fit, ReadFitRecord(folder, session));
-  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
-  fit.calibration_json = calibration.value_or("");
-  return fit;
-}
-
 // `from` takes the place of an unlisted, unfinished `to`.
 Status MoveInto(const fs::path& from, const fs::path& to) {
   std::error_code error;
@@ -166,6 +154,17 @@ Status MoveInto(const fs::path& from, const fs::path& to) {
 }
 
 }  // namespace
+
+Result<FitRow> ReadProvenFit(const fs::path& folder, const std::string& session) {
+  std::error_code error;
+  if (!fs::exists(folder / kFitRecordFile, error))
+    return Status::Integrity(folder.string() + " has no " + kFitRecordFile + ": it is no whole fit");
+  SLX_RETURN_IF_ERROR(CheckFitFiles(folder));
+  SLX_ASSIGN_OR_RETURN(FitRow fit, ReadFitRecord(folder, session));
+  SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
+  fit.calibration_json = calibration.value_or("");
+  return fit;
+}
 
 Status RegisterFit(const fs::path& store, FitRow fit, const RegisterOptions& options) {
   if (!IsName(fit.id) || !IsName(fit.session))
@@ -201,7 +200,7 @@ Result<bool> AdoptFit(const fs::path& store, const std::string& session, const f
   if (listed && fs::exists(place, error)) return false;
   if (fs::exists(place / kFitRecordFile, error)) {
     // Moved by an adoption, or written by a registration, that ended before its row.
-    if (const auto fit = ReadProven(place, session); fit.ok()) {
+    if (const auto fit = ReadProvenFit(place, session); fit.ok()) {
       SLX_RETURN_IF_ERROR(SyncFit(place));
       SLX_RETURN_IF_ERROR(Enter(store, *fit, "", options));
       return true;
@@ -209,7 +208,7 @@ Result<bool> AdoptFit(const fs::path& store, const std::string& session, const f
   }
   if (!fs::is_directory(fs::symlink_status(fit_folder, error)))
     return Status::NotFound("no fit in " + fit_folder.string());
-  SLX_ASSIGN_OR_RETURN(const FitRow fit, ReadProven(fit_folder, session));
+  SLX_ASSIGN_OR_RETURN(const FitRow fit, ReadProvenFit(fit_folder, session));
   SLX_RETURN_IF_ERROR(OrForgotten(MoveInto(fit_folder, place), store, session));
   SLX_RETURN_IF_ERROR(Enter(store, fit, "", options));
   return true;

@@ -25,6 +25,10 @@ Status RegisterFit(const std::filesystem::path& store, FitRow fit, const Registe
 [[nodiscard]] Result<bool> AdoptFit(const std::filesystem::path& store, const std::string& session,
                                     const std::filesystem::path& fit_folder, const RegisterOptions& options = {});
 
+// The row of a folder that its own fit.json proves: it is of that fit and session, each file it names is there as it
+// was, and a calibration's record can be read. kIntegrity names what is not.
+[[nodiscard]] Result<FitRow> ReadProvenFit(const std::filesystem::path& fit_folder, const std::string& session_id);
+
 // Removes an unfinished fit's folder in sessions/<id>/fits, and where the session was forgotten meanwhile the empty
 // folders above it, which fitting may have made anew: kNotFound then, saying so.
 Status DiscardFit(const std::filesystem::path& store, const std::string& session,

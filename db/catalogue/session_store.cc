@@ -357,10 +357,11 @@ Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& 
   for (const auto& p : places) {
     auto reader = segments.find(p.segment);
     if (reader == segments.end()) {
-      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::Open(folder / "sessions" / id / SegmentName(p.segment)));
+      const auto file = folder / "sessions" / id / SegmentName(p.segment);
+      SLX_ASSIGN_OR_RETURN(auto opened, SegmentReader::OpenListed(file, id));
       reader = segments.emplace(p.segment, std::move(opened)).first;
     }
-    SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader->second.ReadHeader(p.offset).WithContext("session " + id));
+    SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader->second.ListedHeader(p.offset).WithContext("session " + id));
     if (!std::equal(p.hash.begin(), p.hash.end(), std::begin(header.payload_hash), std::end(header.payload_hash)))
       return Status::Integrity("session " + id + ": index and " + SegmentName(p.segment) + " disagree on frame " +
                                std::to_string(p.frame) + " (offset " + std::to_string(p.offset) + ")");
@@ -384,10 +385,14 @@ Result<Image<uint16_t>> SessionStore::ReadFrame(const std::string& id, const Fra
 }
 
 Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, const FrameRow& frame) {
-  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(folder / "sessions" / id / frame.segment));
-  FrameHeader header{};
+  SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::OpenListed(folder / "sessions" / id / frame.segment, id));
   const std::string where = "session " + id + ", " + frame.segment + ", offset " + std::to_string(frame.offset);
-  SLX_ASSIGN_OR_RETURN(auto stored, reader.Read(frame.offset, &header).WithContext("session " + id));
+  SLX_ASSIGN_OR_RETURN(const FrameHeader header, reader.ListedHeader(frame.offset).WithContext("session " + id));
+  if (HashText(header.payload_hash) != frame.hash)
+    return Status::Integrity(where + ": index and segment disagree on frame " + std::to_string(frame.id));
+  std::vector<uint8_t> stored;
+  SLX_RETURN_IF_ERROR(reader.ReadPayload(frame.offset, header, stored).WithContext("session " + id));
+  stored.resize(header.payload_bytes);
   if (header.cipher == 0) {
     SLX_ASSIGN_OR_RETURN(const bool encrypted, index.IsEncrypted(id));
     if (encrypted) return Status::Integrity(where + ": a plain frame in an encrypted session was put there by another");

@@ -84,9 +84,9 @@ struct LedgerNews {
 Status AppendToLedger(const std::filesystem::path& store, const LedgerEntry& entry);
 
 // Takes over every chain of `folder` that is longer than what is here, and keeps a fork of a chain beside it under a
-// name of its own. Merging twice changes nothing. A chain never gets shorter. kNewerSchema, with the chains that this
-// program understands taken over, where one is of a later version. The tombstones of a store before the ledger lie in
-// no such folder: Ledger::Read(that store) has them.
+// name of its own, unless the fork is but a damaged copy that says nothing new. Merging twice changes nothing. A chain
+// never gets shorter. kNewerSchema, with the chains that this program understands taken over, where one is of a later
+// version. The tombstones of a store before the ledger lie in no such folder: Ledger::Read(that store) has them.
 [[nodiscard]] Result<LedgerMerge> MergeLedger(const std::filesystem::path& store, const std::filesystem::path& folder);
 
 // 32 hex digits; made with the store, the same for ever. kNotFound where the store has no chain of its own yet.

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Chains of other stores, and of this one as it was elsewhere.
 #include <algorithm>
+#include <set>
+#include <sstream>
 
 #include "db/base/durable_file.h"
 #include "db/ledger/ledger_folder.h"
@@ -14,6 +16,7 @@ namespace fs = std::filesystem;
 struct Chain {
   ChainFile file;
   std::string bytes;  // up to the last newline
+  int64_t damaged_lines = 0, gaps = 0;
 };
 
 int64_t LinesIn(std::string_view bytes) { return std::count(bytes.begin(), bytes.end(), '\n'); }
@@ -32,7 +35,9 @@ Result<Chain> ReadSource(const ChainFile& file) {
   } else {
     chain.bytes += '\n';
   }
-  bool readable = chain.bytes.empty();
+  bool readable = chain.bytes.empty(), after_whole = true;
+  int64_t n = 0;
+  std::string hash = ChainStart(file.store_id);
   for (size_t at = 0; at < chain.bytes.size();) {
     const size_t newline = chain.bytes.find('\n', at);
     const LedgerLine line = ParseLine(std::string_view(chain.bytes).substr(at, newline - at));
@@ -40,6 +45,12 @@ Result<Chain> ReadSource(const ChainFile& file) {
       return Status(StatusCode::kNewerSchema,
                     file.path.string() + ": of a later version; use a newer stratalux to take it over");
     readable |= line.entry.has_value();
+    const bool whole = line.state != LineState::kDamaged;
+    chain.damaged_lines += whole ? 0 : 1;
+    chain.gaps += whole && after_whole && (line.n != n + 1 || line.prev != hash) ? 1 : 0;
+    after_whole = whole;
+    n = line.n;
+    hash = line.hash;
     at = newline + 1;
   }
   if (!readable) return Status::Integrity(file.path.string() + " holds no entry that can be read and was left out");
@@ -56,6 +67,14 @@ fs::path ForkName(const fs::path& folder, const Chain& source, const std::string
   return folder / (source.file.store_id + ".fork-" + LedgerHash(line).substr(0, 16) + ".jsonl");
 }
 
+// A damaged copy of what is here: lines taken out or moved, none that stands in no file of the chain.
+bool SaysNothingNew(const Chain& source, const std::set<std::string>& lines_here) {
+  std::istringstream lines(source.bytes);
+  for (std::string line; std::getline(lines, line);)
+    if (!lines_here.contains(line)) return false;
+  return true;
+}
+
 Status Take(const fs::path& file, const Chain& source, size_t known_bytes, LedgerMerge& merge) {
   SLX_RETURN_IF_ERROR(ReplaceFile(file, source.bytes));
   merge.chains += known_bytes == 0 ? 1 : 0;
@@ -69,11 +88,14 @@ Status MergeOne(const fs::path& folder, const Chain& source, LedgerMerge& merge)
   const fs::path main = folder / (source.file.store_id + ".jsonl");
   std::string main_bytes, longest_bytes;
   fs::path longest;
+  std::set<std::string> lines_here;
   for (const ChainFile& file : ListChains(folder)) {
     if (file.store_id != source.file.store_id) continue;
     SLX_ASSIGN_OR_RETURN(std::string bytes, ReadFile(file.path));
     bytes.resize(bytes.rfind('\n') + 1);  // a torn end was never acknowledged
     if (bytes.starts_with(source.bytes)) return Status::Ok();
+    std::istringstream lines(bytes);
+    for (std::string line; std::getline(lines, line);) lines_here.insert(line);
     if (file.path == main) main_bytes = bytes;
     if (source.bytes.starts_with(bytes) && (longest.empty() || bytes.size() > longest_bytes.size())) {
       longest = file.path;
@@ -83,6 +105,11 @@ Status MergeOne(const fs::path& folder, const Chain& source, LedgerMerge& merge)
   if (!longest.empty()) return Take(longest, source, longest_bytes.size(), merge);
   std::error_code error;
   if (!fs::exists(main, error)) return Take(main, source, 0, merge);
+  if (SaysNothingNew(source, lines_here)) {
+    merge.problems.push_back(source.file.path.string() + " is damaged: it lacks lines of what is here as " +
+                             main.filename().string() + ", or has them in another order; nothing of it is new");
+    return Status::Ok();
+  }
   const fs::path fork = ForkName(folder, source, main_bytes);
   merge.problems.push_back(source.file.path.string() + " departs from what is here as " + main.filename().string() +
                            ": kept as " + fork.filename().string() + "; both bind");
@@ -104,6 +131,10 @@ Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
     } else if (!source.ok()) {
       merge.problems.push_back(source.status().message());
     } else {
+      if (source->damaged_lines + source->gaps > 0)
+        merge.problems.push_back(file.path.string() + ": " + std::to_string(source->damaged_lines) +
+                                 " damaged lines, and " + std::to_string(source->gaps) +
+                                 " that do not follow the one before; what can be read of it binds nevertheless");
       SLX_RETURN_IF_ERROR(MergeOne(LedgerFolder(store), *source, merge));
     }
   }

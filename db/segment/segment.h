@@ -88,6 +88,8 @@ class SegmentReader {
   static Result<SegmentReader> Open(const std::filesystem::path& file);
   // For looking at what is left of a file: a damaged file header is told in `header`, and session_id() is then empty.
   static Result<SegmentReader> OpenDamaged(const std::filesystem::path& file, Status* header);
+  // For frames that an index lists and holds against its hashes: a damaged file header is read as one of `session_id`.
+  static Result<SegmentReader> OpenListed(const std::filesystem::path& file, const std::string& session_id);
   ~SegmentReader();
   SegmentReader(SegmentReader&&) noexcept;
   SegmentReader& operator=(SegmentReader&&) = delete;
@@ -96,6 +98,8 @@ class SegmentReader {
   Result<FrameHeader> ReadHeader(int64_t offset) const;
   // Header and payload at `offset`, both checked against their hashes.
   Result<std::vector<uint8_t>> Read(int64_t offset, FrameHeader* header) const;
+  // ReadHeader; where that one is damaged, its copy in an intact footer.
+  Result<FrameHeader> ListedHeader(int64_t offset) const;
   // The payload behind `header` at `offset`, checked; `buffer` grows as needed, so that a loop allocates once.
   Status ReadPayload(int64_t offset, const FrameHeader& header, std::vector<uint8_t>& buffer) const;
   // Frames of an intact footer at the end of the file; nullopt where there is none.

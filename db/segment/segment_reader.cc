@@ -43,6 +43,13 @@ Result<SegmentReader> SegmentReader::Open(const std::filesystem::path& file) {
   return reader;
 }
 
+Result<SegmentReader> SegmentReader::OpenListed(const std::filesystem::path& file, const std::string& session_id) {
+  Status damage;
+  auto reader = OpenDamaged(file, &damage);
+  if (reader.ok() && !damage.ok()) reader->session_id_ = session_id;
+  return reader;
+}
+
 Result<SegmentReader> SegmentReader::OpenDamaged(const std::filesystem::path& file, Status* damage) {
   SegmentReader reader;
   reader.file_ = file.string();
@@ -102,6 +109,16 @@ Result<FrameHeader> SegmentReader::ReadHeader(int64_t offset) const {
     return Status::Integrity(where + ": truncated within frame " + std::to_string(header.frame) + ": its payload of " +
                              std::to_string(header.payload_bytes) + " bytes exceeds the file of " +
                              std::to_string(size_));
+  return header;
+}
+
+Result<FrameHeader> SegmentReader::ListedHeader(int64_t offset) const {
+  auto header = ReadHeader(offset);
+  if (header.status().code() != StatusCode::kIntegrity) return header;
+  const auto footer = Footer();
+  if (!footer) return header;
+  for (const SegmentFrame& frame : *footer)
+    if (frame.offset == offset) return frame.header;
   return header;
 }
 

@@ -54,17 +54,18 @@ class Scanner {
         continue;
       }
       const std::string what = "the header of frame " + std::to_string(f.header.frame) + " is damaged";
+      if (IsWhole(f)) {
+        scan_.findings.push_back(what + At(f.offset) + "; its copy in the footer was taken");
+        scan_.frames.push_back(f);
+        continue;
+      }
       scan_.asides.push_back({f.offset, EndOf(f), what});
       scan_.lost.push_back({f.header.frame, f.header.step, what + At(f.offset)});
     }
   }
 
   bool IsKnown(const SegmentFrame& f) const {
-    return std::any_of(known_.begin(), known_.end(), [&](const KnownPlace& k) {
-      return k.offset == f.offset && k.frame == f.header.frame &&
-             std::equal(k.hash.begin(), k.hash.end(), std::begin(f.header.payload_hash),
-                        std::end(f.header.payload_hash));
-    });
+    return std::any_of(known_.begin(), known_.end(), [&](const KnownPlace& k) { return IsAt(k, f); });
   }
   bool IsWhole(const SegmentFrame& f) { return reader_.ReadPayload(f.offset, f.header, buffer_).ok(); }
 
@@ -158,6 +159,12 @@ class Scanner {
 };
 
 }  // namespace
+
+bool IsAt(const KnownPlace& place, const SegmentFrame& frame) {
+  return place.offset == frame.offset && place.frame == frame.header.frame &&
+         std::equal(place.hash.begin(), place.hash.end(), std::begin(frame.header.payload_hash),
+                    std::end(frame.header.payload_hash));
+}
 
 SegmentScan ScanSegment(const SegmentReader& reader, std::span<const KnownPlace> known) {
   return Scanner(reader, known).Run();

@@ -17,6 +17,9 @@ struct KnownPlace {
   std::vector<uint8_t> hash;                 // of the payload
 };
 
+// The index speaks of this very frame.
+[[nodiscard]] bool IsAt(const KnownPlace& place, const SegmentFrame& frame);
+
 struct SegmentScan {
   // With a whole header and a payload within the file, in the file's order. A damaged payload has its row, so that
   // `verify` names it, unless it lies behind a damaged header or at the end, and no index knows it.
@@ -38,7 +41,8 @@ struct SegmentScan {
   std::vector<std::string> findings;  // that the file contradicts itself, for people
 };
 
-// A sealed segment by its footer, each header compared with it, no payload read. Any other: header by header, each
+// A sealed segment by its footer, each header compared with it; where a header is damaged and the payload fits the hash
+// of the footer's copy, that copy counts; no other payload is read. Any other: header by header, each
 // payload hashed; behind damage it goes on at the next whole header whose payload fits its hash, or that `known` speaks
 // of. Places in `known` are looked at whatever lies before them. `file` is named in what is said.
 [[nodiscard]] SegmentScan ScanSegment(const SegmentReader& reader, std::span<const KnownPlace> known);

@@ -4,6 +4,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/care/session_rebuild.h"
+#include "db/care/verify_payloads.h"
 #include "db/catalogue/manifest.h"
 #include "db/ledger/ledger.h"
 
@@ -18,12 +19,23 @@ bool IsPlainFile(const fs::path& file) {
   return fs::is_regular_file(fs::symlink_status(file, error));
 }
 
-Status VerifySegment(const fs::path& file, const SessionInfo& info, int64_t& frames) {
+// Each payload decoded and held against its pixel hash, on all cores; one whose key is not here against its own hash.
+Status VerifyPixels(const SegmentReader& reader, const std::vector<SegmentFrame>& frames, const fs::path& keys_of) {
+  VerifyReport report;
+  CheckPayloads(keys_of, reader, frames, report);
+  if (report.problems.empty()) return Status::Ok();
+  const size_t more = report.problems.size() - 1;
+  return Status::Integrity(report.problems[0] + (more > 0 ? "; and " + std::to_string(more) + " more frames" : ""));
+}
+
+// `keys_of`: the store whose keys open the payloads, which are then decoded; null: their hashes are enough.
+Status VerifySegment(const fs::path& file, const SessionInfo& info, const fs::path* keys_of, int64_t& frames) {
   SLX_ASSIGN_OR_RETURN(const auto reader, SegmentReader::Open(file));
   if (reader.session_id() != info.id)
     return Status::Integrity(file.string() + " belongs to session " + reader.session_id());
   bool sealed = false;
-  SLX_ASSIGN_OR_RETURN(const auto found, reader.Walk(true, &sealed));
+  SLX_ASSIGN_OR_RETURN(const auto found, reader.Walk(keys_of == nullptr, &sealed));
+  if (keys_of != nullptr) SLX_RETURN_IF_ERROR(VerifyPixels(reader, found, *keys_of));
   // The writer of a failed session may have been stopped before it could seal.
   if (!sealed && info.status != SessionStatus::kFailed)
     return Status::Integrity(file.string() + ": truncated: it has no footer");
@@ -43,16 +55,8 @@ Status VerifyListed(const fs::path& folder, const ManifestContents& contents) {
   return Status::Ok();
 }
 
-}  // namespace
-
-Result<int64_t> NextNumber(SessionIndex& index) {
-  SLX_ASSIGN_OR_RETURN(const int64_t last,
-                       index.connection().QueryInteger("SELECT coalesce(max(seq), 0) FROM sqlite_sequence"
-                                                       " WHERE name = 'sessions'"));
-  return last + 1;
-}
-
-Result<int64_t> VerifyFolder(const fs::path& folder) {
+// VerifyFolder; `keys_of` as VerifySegment has it.
+Result<int64_t> VerifyFiles(const fs::path& folder, const fs::path* keys_of) {
   SLX_ASSIGN_OR_RETURN(const SessionInfo info, ReadManifest(folder));
   SLX_ASSIGN_OR_RETURN(const ManifestContents contents, ReadManifestContents(folder));
   if (info.status == SessionStatus::kRecording)
@@ -62,9 +66,10 @@ Result<int64_t> VerifyFolder(const fs::path& folder) {
   for (const std::string& name : contents.segments) {
     if (name.empty() || name.find('/') != std::string::npos || !IsPlainFile(folder / name))
       return Status::Integrity((folder / "manifest.json").string() + " names " + name + ", which is not there");
-    SLX_RETURN_IF_ERROR(VerifySegment(folder / name, info, frames));
+    SLX_RETURN_IF_ERROR(VerifySegment(folder / name, info, keys_of, frames));
   }
-  if (fs::exists(folder / "truth.seg", error)) SLX_RETURN_IF_ERROR(VerifySegment(folder / "truth.seg", info, frames));
+  if (fs::exists(folder / "truth.seg", error))
+    SLX_RETURN_IF_ERROR(VerifySegment(folder / "truth.seg", info, keys_of, frames));
   if (frames != contents.frames)
     return Status::Integrity((folder / "manifest.json").string() + " speaks of " + std::to_string(contents.frames) +
                              " frames, its segments hold " + std::to_string(frames));
@@ -72,9 +77,9 @@ Result<int64_t> VerifyFolder(const fs::path& folder) {
   return frames;
 }
 
-Result<int64_t> CheckFolder(const fs::path& folder) {
+Result<int64_t> Check(const fs::path& folder, const fs::path* keys_of) {
   auto checked = [&]() -> Result<int64_t> {
-    SLX_ASSIGN_OR_RETURN(const int64_t frames, VerifyFolder(folder));
+    SLX_ASSIGN_OR_RETURN(const int64_t frames, VerifyFiles(folder, keys_of));
     // Right hashes prove that nobody changed a header, not that this program understands it: CheckSession is asked.
     SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(folder));
     if (static_cast<int64_t>(session.frames.size()) != frames)
@@ -86,6 +91,19 @@ Result<int64_t> CheckFolder(const fs::path& folder) {
     return Status::Integrity(checked.status().message());
   return checked;
 }
+
+}  // namespace
+
+Result<int64_t> NextNumber(SessionIndex& index) {
+  SLX_ASSIGN_OR_RETURN(const int64_t last,
+                       index.connection().QueryInteger("SELECT coalesce(max(seq), 0) FROM sqlite_sequence"
+                                                       " WHERE name = 'sessions'"));
+  return last + 1;
+}
+
+Result<int64_t> VerifyFolder(const fs::path& folder) { return VerifyFiles(folder, nullptr); }
+Result<int64_t> CheckFolder(const fs::path& folder) { return Check(folder, nullptr); }
+Result<int64_t> ProveFolder(const fs::path& store, const fs::path& folder) { return Check(folder, &store); }
 
 namespace {
 

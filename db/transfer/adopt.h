@@ -19,6 +19,11 @@ namespace stratalux::db {
 // hashes be right. `folder` is named as the session. Whatever is wrong is the session's own trouble: never kFailed.
 [[nodiscard]] Result<int64_t> CheckFolder(const std::filesystem::path& folder);
 
+// CheckFolder, and every payload decoded and held against its pixel hash, as `verify --deep` does, on all cores. Frames
+// whose key is not in `store` are held against the hash of their payload alone.
+[[nodiscard]] Result<int64_t> ProveFolder(const std::filesystem::path& store,
+                                          const std::filesystem::path& session_folder);
+
 // What the next session of `index` gets: one more than any before it.
 [[nodiscard]] Result<int64_t> NextNumber(SessionIndex& index);
 

@@ -53,6 +53,9 @@ Result<BackupFolder> BackupFolder::Open(const fs::path& store, const fs::path& t
   if (!earlier.ok() && earlier.status().code() != StatusCode::kNotFound)
     report.problems.push_back("the backup's list could not be read, every file is copied again: " +
                               earlier.status().message());
+  if (!folder.earlier_.intact)
+    report.problems.push_back((to / "backup.json").string() +
+                              " did not match its own hash: copies that it no longer listed may be left behind");
   SLX_RETURN_IF_ERROR(folder.GoOn());
   return folder;
 }

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/own_hash.h"
 #include "db/base/paths.h"
 #include "shared/base/read_file.h"
 
@@ -38,7 +39,7 @@ Status WriteFileList(const std::filesystem::path& folder, const FileList& list) 
   const Json json = {
       {"schema", kListSchema},         {"made_wall_ns", list.made_wall.ns}, {"program_version", list.program_version},
       {"scrub_runs", list.scrub_runs}, {"problems", list.problems},         {"files", files}};
-  return ReplaceFile(folder / "backup.json", json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+  return ReplaceFile(folder / "backup.json", WithOwnHash(json.dump(1, ' ', false, Json::error_handler_t::replace)));
 }
 
 Result<FileList> ReadFileList(const std::filesystem::path& folder) {
@@ -57,6 +58,7 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
                                                   " is newer than this program's; use a newer stratalux");
     FileList list;
+    list.intact = CheckOwnHash(text) != OwnHash::kWrong;
     json.at("made_wall_ns").get_to(list.made_wall.ns);
     json.at("program_version").get_to(list.program_version);
     list.scrub_runs = json.value("scrub_runs", int64_t{0});

@@ -27,6 +27,7 @@ struct FileList {
   int64_t scrub_runs = 0;                   // each copy is reread within so many backups
   std::vector<std::string> problems;        // of the backup that wrote the list
   std::map<std::string, ListedFile> files;  // path within the backup -> file
+  bool intact = true;  // false: read although it does not match its own hash; it may lack files. Older ones have none
 };
 
 Status WriteFileList(const std::filesystem::path& folder, const FileList& list);

@@ -9,6 +9,7 @@
 #include "db/catalogue/session_index.h"
 #include "db/privacy/forget.h"
 #include "db/transfer/adopt.h"
+#include "db/transfer/fetched_session.h"
 #include "db/transfer/foreign_ledger.h"
 #include "db/transfer/source_catalogue.h"
 
@@ -42,6 +43,7 @@ class Puller {
   Status Wipe(const fs::path& place, const std::string& why);
   Status TakeSession(const Offer& offer);
   Status FetchSession(const std::string& id);
+  Status SayDoubts(const std::string& id);
   Status TakeFits(const Offer& offer);
   Status TakeFit(const std::string& session, const std::string& fit);
 
@@ -126,9 +128,20 @@ Status Puller::FetchSession(const std::string& id) {
     return ListAdopted(store_, id, from_);
   const fs::path incoming = IncomingFolder(store_, id);
   SLX_RETURN_IF_ERROR(catalogue_.Copy("sessions/" + id, incoming));
-  SLX_ASSIGN_OR_RETURN(const int64_t frames, CheckFolder(incoming));
+  SLX_ASSIGN_OR_RETURN(const LeftOut out, LeaveOutUnproven(incoming));
+  SLX_ASSIGN_OR_RETURN(const int64_t frames, ProveFolder(store_, incoming));
   SLX_RETURN_IF_ERROR(AdoptFolder(store_, incoming, from_));
   report_.frames += frames;
+  report_.problems.insert(report_.problems.end(), out.problems.begin(), out.problems.end());
+  report_.notes.insert(report_.notes.end(), out.notes.begin(), out.notes.end());
+  return SayDoubts(id);
+}
+
+// It is here, whatever they are.
+Status Puller::SayDoubts(const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const auto doubts, DoubtsAbout(store_, id));
+  for (const std::string& doubt : doubts)
+    report_.problems.push_back("session " + id + " was taken, and verify says: " + doubt);
   return Status::Ok();
 }
 

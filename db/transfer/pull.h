@@ -36,15 +36,17 @@ struct PullReport {
   std::vector<std::string> wiped;     // leftovers of broken-off pulls, and why they went
   std::vector<std::string> obeyed;    // sessions forgotten here, because they were at the source (kForget)
   std::vector<std::string> notes;
-  std::vector<std::string> problems;  // one a session that was not taken, or that only the source has forgotten
+  std::vector<std::string> problems;  // sessions and fits not taken, what verify says of those taken, what only
+                                      // the source has forgotten
 };
 
 // `from`: user@host:/path/of/the/store or a local path. The source's ledger is taken over first: what either side has
 // forgotten is not fetched, and what lies of it in STORE/incoming is wiped, as is what the source no longer offers.
-// Each session is copied to STORE/incoming/<id> (an interrupted copy goes on from there), checked frame by frame, the
-// other files against rsync's checksums, and only then moved into place and listed; later fits of sessions that are
-// here follow. A session that fails is a problem of its own; the others come. kNotFound: no store there, no rsync here;
-// kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
+// Each session is copied to STORE/incoming/<id> (an interrupted copy goes on from there), every frame decoded and held
+// against its pixel hash (hashed only, where its key is not here), each fit against its fit.json, the other files
+// against rsync's checksums, and only then moved into place and listed; later fits of sessions that are here follow. A
+// session that fails is a problem of its own, so is a fit, which is left out; the others come. kNotFound: no store
+// there, no rsync here; kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
 [[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from,
                                       const PullOptions& options, Logger& logger);
 

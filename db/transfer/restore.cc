@@ -103,16 +103,18 @@ void Restorer::AddProblems(const std::string& where, const Result<LedgerMerge>& 
   for (const std::string& problem : merge->problems) report_.problems.push_back(where + ": " + problem);
 }
 
-// Before any session: what they forget is not even copied.
+// Before any session: what they forget is not even copied. The newest first: of two copies of a chain that differ, the
+// first is kept as the chain and has the last word.
 Status Restorer::TakeLedgers(const RestoreOptions& options) {
+  if (!options.ledger.empty() && options.ledger != kNoLedger) {
+    const auto newest = PlaceOfLedger(options.ledger) == LedgerPlace::kChains ? MergeLedger(store_, options.ledger)
+                                                                              : AdoptLedger(store_, options.ledger);
+    AddProblems("--ledger", newest);
+    SLX_RETURN_IF_ERROR(newest.status().WithContext("--ledger " + options.ledger));
+  }
   const auto own = AdoptLedger(store_, from_);
   AddProblems("ledger of the backup", own);
-  SLX_RETURN_IF_ERROR(own.status());
-  if (options.ledger.empty() || options.ledger == kNoLedger) return Status::Ok();
-  const auto newest = PlaceOfLedger(options.ledger) == LedgerPlace::kChains ? MergeLedger(store_, options.ledger)
-                                                                            : AdoptLedger(store_, options.ledger);
-  AddProblems("--ledger", newest);
-  return newest.status().WithContext("--ledger " + options.ledger);
+  return own.status();
 }
 
 // A file that is there with the right hash (of an interrupted restore) is not copied again.
@@ -230,6 +232,9 @@ Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, const
   SLX_ASSIGN_OR_RETURN(const FileList list, ReadFileList(from));
   SLX_RETURN_IF_ERROR(CheckLedger(from, options));
   RestoreReport report;
+  if (!list.intact)
+    report.problems.push_back((from / "backup.json").string() +
+                              " does not match its own hash: what it still lists comes, but it may lack files");
   Restorer restorer(from, store, list, report);
   const bool merge = options.into == RestoreInto::kMerge;
   if (merge) {

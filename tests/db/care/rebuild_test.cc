@@ -226,10 +226,35 @@ TEST_F(RebuildTest, AManifestWithAnyMistypedFieldIsDamageAndNoAbort) {
   ExpectReadable(other, 1);
 }
 
-TEST_F(RebuildTest, AManifestThatIsLostLeavesAFailedSessionWithAllItsFrames) {
+TEST_F(RebuildTest, WhatALostManifestSaidIsTakenFromTheOldIndex) {
+  const std::string id = StoreSession(3);
+  const fs::path manifest = folder_ / "sessions" / id / "manifest.json";
+  const SessionInfo before = InfoOf(id);
+  ASSERT_FALSE(before.visitor.empty());
+  WriteText(manifest, "{\"schema\": 3, \"visi");
+  EXPECT_EQ(Command("reindex"), 6);
+  EXPECT_THAT(Said(), HasSubstr("taken from the old index"));
+  EXPECT_EQ(ReadBytes(manifest.parent_path() / "manifest.damaged.json").size(), 20U) << "kept";
+  fs::remove(manifest);
+  EXPECT_EQ(Command("reindex"), 6) << "deleted, too";
+  LoseIndex();
+  EXPECT_EQ(Command("reindex"), 0) << "the manifest was written anew: " << Said();
+  const SessionInfo after = InfoOf(id);
+  EXPECT_EQ(after.status, SessionStatus::kDegraded);
+  EXPECT_THAT(after.reasons, Contains(HasSubstr("manifest was lost")));
+  EXPECT_EQ(after.visitor, before.visitor);
+  EXPECT_EQ(after.consent.text_version, before.consent.text_version);
+  EXPECT_EQ(after.consent.given_wall.ns, before.consent.given_wall.ns);
+  EXPECT_EQ(after.started_wall.ns, before.started_wall.ns);
+  ExpectReadable(id, 3);
+  EXPECT_EQ(Command("verify --deep"), 0) << Said();
+}
+
+TEST_F(RebuildTest, AManifestThatIsLostWithTheIndexLeavesAFailedSessionWithAllItsFrames) {
   const std::string id = StoreSession(3);
   for (const char* text : {"", "{", "[]", "{\"schema\": 2}", "null"}) {
     SCOPED_TRACE(text);
+    LoseIndex();
     WriteText(folder_ / "sessions" / id / "manifest.json", text);
     EXPECT_EQ(Command("reindex"), 6);
     EXPECT_EQ(InfoOf(id).status, SessionStatus::kFailed);
@@ -246,18 +271,51 @@ TEST_F(RebuildTest, APlaceThatNoStoreGivesIsNotTaken) {
   EXPECT_EQ(NumberOfId("s9223372036854775807-0badcafe"), std::nullopt);
 }
 
-TEST_F(RebuildTest, ADamagedFileHeaderLeavesItsFramesInTheFileAndSaysHowMany) {
-  const std::string id = StoreSession(3), other = StoreSession(2);
-  const auto before = ReadBytes(Segment(id));
+TEST_F(RebuildTest, ADamagedFileHeaderCostsNoFrameOfASegmentThatTheManifestHashes) {
+  const std::string id = StoreSession(3);
+  for (const size_t at : {0U, 5U, 20U, 60U}) {
+    FlipBits(Segment(id), at, 1);
+    LoseIndex();
+    EXPECT_EQ(Command("reindex"), 6) << at;
+    EXPECT_THAT(Said(), HasSubstr("3 frames are known by the manifest's hash of its footer and stay listed"));
+    EXPECT_EQ(InfoOf(id).status, SessionStatus::kComplete);
+    ExpectReadable(id, 3);
+    EXPECT_EQ(Command("verify --deep"), 6) << "the damage is there, and said, for as long as it is there";
+    FlipBits(Segment(id), at, 1);
+  }
+  EXPECT_EQ(Command("reindex"), 0);
+}
+
+TEST_F(RebuildTest, ADamagedFileHeaderOfAKilledSessionLeavesInTheFileWhatTheOldIndexDidNotKnow) {
+  const std::string id = Killed(3), other = StoreSession(2);
   FlipBits(Segment(id), 20, 1);
   EXPECT_EQ(Command("reindex"), 6);
-  EXPECT_THAT(Said(), AllOf(HasSubstr("file header is damaged (offset 0)"), HasSubstr("3 frames stay in the file")));
-  EXPECT_EQ(InfoOf(id).status, SessionStatus::kDegraded);
+  EXPECT_THAT(Said(), AllOf(HasSubstr("file header is damaged (offset 0)"),
+                            HasSubstr("3 frames are known by the old index and stay listed")));
+  ExpectReadable(id, 3);
+  LoseIndex();
+  EXPECT_EQ(Command("reindex"), 6);
+  EXPECT_THAT(Said(), HasSubstr("3 frames stay in the file and are not listed"));
   ExpectReadable(other, 2);
   FlipBits(Segment(id), 20, 1);
-  EXPECT_EQ(ReadBytes(Segment(id)), before);
-  EXPECT_EQ(Command("reindex"), 0);
+  EXPECT_EQ(Command("reindex"), 0) << Said();
   ExpectReadable(id, 3);
+}
+
+TEST_F(RebuildTest, ADamagedFrameHeaderOfASealedSegmentIsReadByItsCopyInTheFooter) {
+  const std::string id = StoreSession(3);
+  FlipBits(Segment(id), 64 + kFrame + 17, 0x04);
+  ExpectReadable(id, 3);
+  for (int round = 0; round < 2; ++round) {  // with the old index and without one
+    EXPECT_EQ(Command("reindex"), 6);
+    EXPECT_THAT(Said(), HasSubstr("the header of frame 1 is damaged (offset " + std::to_string(64 + kFrame) +
+                                  "); its copy in the footer was taken"));
+    EXPECT_EQ(InfoOf(id).status, SessionStatus::kComplete) << "no frame is lost";
+    ExpectReadable(id, 3);
+    LoseIndex();
+  }
+  EXPECT_EQ(Command("reindex"), 6);
+  EXPECT_EQ(Command("verify"), 6) << "the damage is there, and said";
 }
 
 TEST_F(RebuildTest, ACopyOfASegmentUnderTheNextNumberAddsNothing) {

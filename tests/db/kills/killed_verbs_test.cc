@@ -239,7 +239,7 @@ TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
   const Verb& verb = GetParam();
   Fresh(verb);
   const Outcome undisturbed = DoArmed(verb, int64_t{1} << 40);
-  ASSERT_EQ(undisturbed.code, 0) << undisturbed.err;
+  ASSERT_EQ(undisturbed.code, 0) << undisturbed.out << undisturbed.err;
   int64_t calls = 0;
   std::ifstream counts(box_ / "count");
   for (int64_t n = 0; counts >> n;) calls = std::max(calls, n);

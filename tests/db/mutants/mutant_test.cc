@@ -29,6 +29,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr int64_t kManyMutants = 5'000;   // then each file of each sample is changed
 constexpr unsigned kSecondsAMutant = 60;  // one takes a fraction of a second
 
 int64_t Number(const char* name, int64_t otherwise) {
@@ -36,8 +37,18 @@ int64_t Number(const char* name, int64_t otherwise) {
   return text != nullptr ? std::strtoll(text, nullptr, 10) : otherwise;
 }
 
+// Ids are random: sessions/*/frames-*.seg, ledger/*.jsonl, sessions/*/fits/f1/mesh.ply.
+std::string KindOf(const std::string& file) {
+  if (file.starts_with("ledger/") && file.ends_with(".jsonl")) return "ledger/*.jsonl";
+  const size_t slash = file.starts_with("sessions/") ? file.find('/', 9) : std::string::npos;
+  const std::string kind = slash == std::string::npos ? file : "sessions/*" + file.substr(slash);
+  const size_t number = kind.find("frames-");
+  return number == std::string::npos ? kind : kind.substr(0, number) + "frames-*.seg";
+}
+
 struct Tally {
   std::map<std::string, int64_t> verdicts;
+  std::map<std::pair<std::string, std::string>, int64_t> files;  // sample, kind of file -> mutants
   int64_t wrong = 0;
 };
 
@@ -64,25 +75,29 @@ class Mutants : public ::testing::Test {
     const size_t which = random() % samples_.size();
     fs::copy(samples_[which].folder, folder, fs::copy_options::recursive);
     const Mutant mutant = Mutate(samples_[which], folder, random);
-    std::ofstream(told) << "abort or hang\n" << samples_[which].name << ": " << mutant.what << "\n";
+    const std::string file = samples_[which].name + "\n" + KindOf(mutant.file) + "\n";
+    std::ofstream(told) << "abort or hang\n" << file << samples_[which].name << ": " << mutant.what << "\n";
     alarm(kSecondsAMutant);
     std::string why;
     const Verdict verdict = Judge(samples_[which], expected_[which], mutant, folder, why);
     std::ofstream(told) << ToString(verdict) << "\n"
-                        << samples_[which].name << ": " << mutant.what << (mutant.consistent ? " (consistent)" : "")
-                        << "\n  " << why << "\n";
+                        << file << samples_[which].name << ": " << mutant.what
+                        << (mutant.consistent ? " (consistent)" : "") << "\n  " << why << "\n";
     _exit(IsWrong(verdict) ? 1 : 0);
   }
 
   void Settle(uint64_t seed, int64_t number, int status, Tally& tally) {
     const fs::path told = root_ / ("told-" + std::to_string(number));
     std::ifstream in(told);
-    std::string verdict, rest;
+    std::string verdict, sample, kind, rest;
     std::getline(in, verdict);
+    std::getline(in, sample);
+    std::getline(in, kind);
     std::getline(in, rest, '\0');
     if (WIFSIGNALED(status)) verdict = "SIGNAL " + std::to_string(WTERMSIG(status));
     if (WIFSIGNALED(status) && WTERMSIG(status) == SIGALRM) verdict = "HANG";
     ++tally.verdicts[verdict];
+    ++tally.files[{sample, kind}];
     if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) {
       ++tally.wrong;
       if (tally.wrong <= 40)
@@ -135,6 +150,24 @@ class Mutants : public ::testing::Test {
     const auto found = tally.verdicts.find("found");
     const int64_t bitten = found == tally.verdicts.end() ? 0 : found->second;
     EXPECT_TRUE(count < 200 || only >= 0 || bitten > count / 3) << "mutants must bite";
+    if (count >= kManyMutants && only < 0) LookAtFiles(tally);
+  }
+
+  // Which files of which sample were changed, and that none was left out.
+  void LookAtFiles(const Tally& tally) const {
+    for (const SampleStore& sample : samples_) {
+      std::map<std::string, int64_t> kinds;
+      for (const fs::path& file : MutableFiles(sample.folder))
+        kinds[KindOf(file.lexically_relative(sample.folder))] = 0;
+      std::printf("%s:", sample.name.c_str());
+      for (auto& [kind, mutants] : kinds) {
+        const auto found = tally.files.find({sample.name, kind});
+        if (found != tally.files.end()) mutants = found->second;
+        std::printf(" %s %lld;", kind.c_str(), static_cast<long long>(mutants));
+        EXPECT_GT(mutants, 0) << kind << " of " << sample.name << " was never changed";
+      }
+      std::printf("\n");
+    }
   }
 
   fs::path root_;

@@ -33,13 +33,13 @@ const T& OneOf(const std::vector<T>& all, Random& random) {
   return all[Below(random, all.size())];
 }
 
-// Locks and what SQLite makes anew say nothing; keys are secrets that no hash covers.
+// Locks and what SQLite makes anew say nothing.
 std::vector<fs::path> FilesOf(const fs::path& folder) {
   std::vector<fs::path> files;
   for (const auto& entry : fs::recursive_directory_iterator(folder)) {
     const std::string name = entry.path().filename();
     if (!entry.is_regular_file() || name.ends_with(".lock") || name.ends_with("-shm") || name.ends_with("-wal") ||
-        name.starts_with("keys.sqlite") || name == "rig.key")
+        name == "lock" || name.ends_with("-journal"))
       continue;
     files.push_back(entry.path());
   }
@@ -53,11 +53,12 @@ std::vector<fs::path> FilesOf(const fs::path& folder, const std::string& ending)
   return files;
 }
 
-// A hash of its own, or one in the manifest beside it.
+// A hash of its own, or one in the manifest or fit.json beside it.
 bool HasHash(const fs::path& file) {
   const std::string name = file.filename();
   return name == "manifest.json" || name.ends_with(".seg") || name == "truth_calibration.json" ||
-         name.ends_with(".jsonl");
+         name.ends_with(".jsonl") || name == "signature.json" || name == "backup.json" ||
+         file.parent_path().parent_path().filename() == "fits";
 }
 
 std::string Short(const fs::path& folder, const fs::path& file) { return file.lexically_relative(folder).string(); }
@@ -68,7 +69,7 @@ Mutant ChangeBytes(const fs::path& folder, Random& random) {
   const fs::path file = OneOf(FilesOf(folder), random);
   Bytes bytes = ReadBytes(file);
   const std::string name = Short(folder, file);
-  Mutant mutant{"", HasHash(file)};
+  Mutant mutant{"", name, HasHash(file)};
   switch (Below(random, 6)) {
     case 0:
     case 1: {
@@ -111,13 +112,13 @@ Mutant MoveFiles(const fs::path& folder, Random& random) {
   const std::string name = Short(folder, file);
   if (Below(random, 2) == 0) {
     fs::remove(file);
-    return {name + " deleted", HasHash(file)};
+    return {name + " deleted", name, HasHash(file)};
   }
   if (Below(random, 3) == 0 && file.extension() == ".seg") {
     const fs::path copy = file.parent_path() / ("frames-000" + std::to_string(1 + Below(random, 9)) + ".seg");
     const bool replaced = fs::exists(copy);
     if (copy != file) fs::copy_file(file, copy, fs::copy_options::overwrite_existing);
-    return {name + " copied to " + copy.filename().string(), copy != file && replaced};
+    return {name + " copied to " + copy.filename().string(), name, copy != file && replaced};
   }
   std::vector<fs::path> alike;
   for (const fs::path& other : files)
@@ -127,7 +128,7 @@ Mutant MoveFiles(const fs::path& folder, Random& random) {
   const Bytes one = ReadBytes(file), two = ReadBytes(other);
   WriteBytes(file, two);
   WriteBytes(other, one);
-  return {name + " and " + Short(folder, other) + " swapped", one != two && (HasHash(file) || HasHash(other))};
+  return {name + " and " + Short(folder, other) + " swapped", name, one != two && (HasHash(file) || HasHash(other))};
 }
 
 // --- segments, hashes made anew up to a level -----------------------------------------------------------------------
@@ -146,6 +147,11 @@ class SegmentFile {
     if (sealed) footer_ = static_cast<size_t>(reader->frames_end());
   }
   [[nodiscard]] std::vector<SegmentFrame>& frames() { return frames_; }
+  // A stored hash that is left behind where hashes are made anew up to `level`. One that was never sealed has no
+  // footer, and its manifest none to hash.
+  [[nodiscard]] bool LeavesHash(Level level) const {
+    return level < Level::kHeader || (footer_ != 0 && level < Level::kManifest);
+  }
   [[nodiscard]] std::span<uint8_t> PayloadOf(const SegmentFrame& frame) {
     return std::span(bytes_).subspan(static_cast<size_t>(frame.offset) + sizeof(FrameHeader),
                                      frame.header.payload_bytes);
@@ -277,7 +283,7 @@ Mutant ChangeHeader(const fs::path& folder, Random& random) {
   const bool consistent = changed && MakeAnew(folder, file, level);
   return {std::string(field.name) + " of record " + std::to_string(which) + " in " + Short(folder, file) +
               ", hashes made anew to level " + std::to_string(static_cast<int>(level)),
-          changed && level < Level::kManifest, consistent};
+          Short(folder, file), changed && segment.LeavesHash(level), consistent};
 }
 
 void TakePixelHash(FrameHeader& header, std::span<const uint8_t> payload) {
@@ -324,7 +330,7 @@ Mutant ChangePayload(const fs::path& folder, Random& random) {
   const bool anew = changed && MakeAnew(folder, file, level);
   return {"payload of record " + std::to_string(which) + " in " + Short(folder, file) + ", hashes made anew to level " +
               std::to_string(static_cast<int>(level)) + (told ? ", and that of the pixels" : ""),
-          changed && (level < Level::kManifest || !told), anew && told};
+          Short(folder, file), changed && (segment.LeavesHash(level) || !told), anew && told};
 }
 
 // --- JSON -----------------------------------------------------------------------------------------------------------
@@ -415,7 +421,7 @@ Mutant ChangeLedger(const fs::path& folder, Random& random) {
   std::string text;
   for (const std::string& line : lines) text += line;
   WriteText(file, text);
-  return {what, text != std::string(bytes.begin(), bytes.end())};
+  return {what, Short(folder, file), text != std::string(bytes.begin(), bytes.end())};
 }
 
 Mutant ChangeJson(const fs::path& folder, Random& random) {
@@ -429,8 +435,7 @@ Mutant ChangeJson(const fs::path& folder, Random& random) {
   Json json = Json::parse(before, nullptr, false);
   if (json.is_discarded()) return ChangeBytes(folder, random);
   const Json was = json;
-  const bool is_manifest = file.filename() == "manifest.json",
-             had_hash = is_manifest && CheckOwnHash(before) == OwnHash::kRight;
+  const bool is_manifest = file.filename() == "manifest.json", had_hash = CheckOwnHash(before) == OwnHash::kRight;
   const std::string path = ChangeMember(json, random);
   const bool anew = had_hash && json.is_object() && Below(random, 2) == 0;
   std::string text;
@@ -442,8 +447,9 @@ Mutant ChangeJson(const fs::path& folder, Random& random) {
     if (Below(random, 12) == 0) text.insert(text.size() / 2, "\xff\xfe");
   }
   WriteText(file, text);
-  Mutant mutant{path + " of " + Short(folder, file) + (anew ? ", its hash made anew" : ""), had_hash && !anew};
-  if (anew && Below(random, 2) == 0) {
+  Mutant mutant{path + " of " + Short(folder, file) + (anew ? ", its hash made anew" : ""), Short(folder, file),
+                had_hash && !anew};
+  if (anew && is_manifest && Below(random, 2) == 0) {
     const std::string id = file.parent_path().filename();
     mutant.consistent = json != was && EnterAgain(folder, id);
     mutant.what += mutant.consistent ? ", its rows made anew" : "";
@@ -464,8 +470,8 @@ std::vector<std::string> Column(Connection& connection, const std::string& sql) 
   return values;
 }
 
-Mutant ChangeIndex(const fs::path& folder, Random& random) {
-  auto connection = Connection::Open(folder / "index.sqlite", Connection::Mode::kReadWrite);
+Mutant ChangeDatabase(const fs::path& folder, const std::string& name, Random& random) {
+  auto connection = Connection::Open(folder / name, Connection::Mode::kReadWrite);
   if (!connection.ok() || !connection->Execute("PRAGMA foreign_keys = OFF; PRAGMA ignore_check_constraints = ON").ok())
     return ChangeBytes(folder, random);
   if (Below(random, 20) == 0) {
@@ -480,7 +486,7 @@ Mutant ChangeIndex(const fs::path& folder, Random& random) {
                                                  "CREATE VIEW v AS SELECT 1"};
     const std::string& statement = OneOf(statements, random);
     (void)connection->Execute(statement).ok();
-    return {statement, false};
+    return {statement, name, false};
   }
   const auto tables = Column(*connection,
                              "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite\\_%' ESCAPE"
@@ -519,12 +525,14 @@ Mutant ChangeIndex(const fs::path& folder, Random& random) {
       sql = "DELETE FROM " + table + " WHERE " + found[0];
     else
       sql = "UPDATE " + table + " SET \"" + column + "\" = " + OneOf(values, random) + " WHERE " + found[0];
-    if (connection->Execute(sql).ok()) return {sql.substr(0, 400), false};
+    if (connection->Execute(sql).ok()) return {name + ": " + sql.substr(0, 400), name, false};
   }
   return ChangeBytes(folder, random);
 }
 
 }  // namespace
+
+std::vector<fs::path> MutableFiles(const fs::path& folder) { return FilesOf(folder); }
 
 Mutant Mutate(const SampleStore&, const fs::path& folder, Random& random) {
   switch (Below(random, 14)) {
@@ -545,7 +553,8 @@ Mutant Mutate(const SampleStore&, const fs::path& folder, Random& random) {
     case 10:
       return ChangeJson(folder, random);
     default:
-      return ChangeIndex(folder, random);
+      // Keys are few and without rows of their own in most stores.
+      return ChangeDatabase(folder, Below(random, 8) == 0 ? "keys.sqlite" : "index.sqlite", random);
   }
 }
 

@@ -7,6 +7,9 @@
 #include "db/care/transcode.h"
 #include "db/catalogue/consent.h"
 #include "db/privacy/forget.h"
+#include "db/segment/segment.h"
+#include "db/transfer/backup.h"
+#include "shared/capture/plan.h"
 #include "shared/capture/rig_calibration.h"
 #include "tests/db/store_fixture.h"
 
@@ -61,7 +64,9 @@ void Agree(const fs::path& folder, const std::string& visitor, int64_t given) {
 }
 
 SampleStore New(const fs::path& root, const std::string& name) {
-  SampleStore sample{name, root / name, {}, false};
+  SampleStore sample;
+  sample.name = name;
+  sample.folder = root / name;
   Must(SessionStore::Create(sample.folder));
   return sample;
 }
@@ -70,7 +75,9 @@ SampleStore Plain(const fs::path& root) {
   SampleStore sample = New(root, "plain");
   Agree(sample.folder, "v-5f3a91a1", 4'000);
   Capture(sample.folder, Visit("v-5f3a91a1", 5'000), 4, {.max_segment_bytes = 900});
-  Capture(sample.folder, Visit("v-5f3a91a1", 6'000), 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
+  SessionInfo planned = Visit("v-5f3a91a1", 6'000);
+  planned.plan_json = PlanOptionsToJson({});
+  Capture(sample.folder, planned, 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
   return sample;
 }
 
@@ -157,10 +164,63 @@ SampleStore Fitted(const fs::path& root) {
   return sample;
 }
 
+// As the disk has it while the writer lives: copied in between two frames.
+SampleStore Recording(const fs::path& root) {
+  SampleStore alive = New(root, "alive");
+  SampleStore sample;
+  sample.name = "recording";
+  sample.folder = root / sample.name;
+  Agree(alive.folder, "v-5f3a91f7", 17'500);
+  Capture(alive.folder, Visit("v-5f3a91f7", 18'000), 2);
+  SessionInfo info = Visit("v-5f3a91f7", 19'000);
+  info.plan_json = PlanOptionsToJson({});
+  SessionStore store = Must(SessionStore::Open(alive.folder, AccessMode::kReadWrite));
+  SessionWriter writer = Must(store.BeginSession(info, {.group_frames = 1, .max_segment_bytes = 900}));
+  for (int i = 0; i < 4; ++i) Must(Append(writer, i));
+  fs::copy(alive.folder, sample.folder, fs::copy_options::recursive);
+  for (const auto& entry : fs::directory_iterator(sample.folder / "sessions" / writer.info().id)) {
+    if (entry.path().extension() != ".seg") continue;
+    const SegmentReader reader = Must(SegmentReader::Open(entry.path()));
+    bool sealed = false;
+    const auto frames = Must(reader.Walk(false, &sealed));
+    if (frames.empty()) continue;
+    const SegmentFrame& last = frames.back();
+    sample.acknowledged[entry.path().lexically_relative(sample.folder)] =
+        static_cast<size_t>(last.offset) + sizeof(FrameHeader) + last.header.payload_bytes;
+  }
+  Must(writer.Finish(SessionStatus::kDegraded, {"the sample is taken"}));
+  return sample;
+}
+
+SampleStore BackupOf(const SampleStore& store, const fs::path& root) {
+  SampleStore sample;
+  sample.name = "backup";
+  sample.folder = root / sample.name;
+  sample.road = Road::kRestore;
+  sample.other = store.folder;
+  Logger logger(LogLevel::kError);
+  Must(Backup(store.folder, {sample.folder, {}, ScrubShare::kInTurn}, logger).status());
+  return sample;
+}
+
+SampleStore SourceOf(const SampleStore& store, const fs::path& root) {
+  SampleStore sample = store;
+  sample.name = "source";
+  sample.folder = root / sample.name;
+  sample.road = Road::kPull;
+  sample.other = New(root, "receiver").folder;
+  fs::copy(store.folder, sample.folder, fs::copy_options::recursive);
+  return sample;
+}
+
 }  // namespace
 
 std::vector<SampleStore> MakeSampleStores(const fs::path& folder) {
-  return {Plain(folder), Killed(folder), Encrypted(folder), Signed(folder), Fitted(folder)};
+  std::vector<SampleStore> samples = {Plain(folder),  Killed(folder), Encrypted(folder),
+                                      Signed(folder), Fitted(folder), Recording(folder)};
+  samples.push_back(BackupOf(samples[4], folder));
+  samples.push_back(SourceOf(samples[4], folder));
+  return samples;
 }
 
 }  // namespace stratalux::db

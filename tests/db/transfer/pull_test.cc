@@ -10,6 +10,7 @@
 namespace stratalux::db {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -114,6 +115,65 @@ TEST_F(PullTest, NumbersThatAreNoneAreOneSessionsProblem) {
                  [](FrameHeader& header) { header.exposure_ms = std::numeric_limits<double>::quiet_NaN(); });
   EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr(bad)));
   EXPECT_EQ(Ids(other_), std::vector{good});
+}
+
+// Every hash of payload, header, footer and manifest is right: only decoding tells.
+TEST_F(PullTest, FramesAreDecodedBeforeTheirSessionIsTaken) {
+  const std::string other_pixels = StoreSession(2), no_pixels = StoreSession(2), good = StoreSession(1);
+  RewriteSegment(Segment(other_pixels), [](FrameHeader& header) { header.pixel_hash[3] ^= 1U; });
+  RewriteSegment(Segment(no_pixels), [](FrameHeader& header) {
+    header.codec = static_cast<decltype(header.codec)>(Codec::kDelta);  // the payload is raw
+    std::fill(std::begin(header.pixel_hash), std::end(header.pixel_hash), uint8_t{0});
+  });
+  const auto pulled = PullHere();
+  ASSERT_TRUE(pulled.ok()) << pulled.status().message();
+  EXPECT_THAT(pulled->problems,
+              ElementsAre(AllOf(HasSubstr(other_pixels), HasSubstr("pixel hash"), HasSubstr("and 1 more frames")),
+                          HasSubstr(no_pixels)));
+  EXPECT_EQ(Ids(other_), std::vector{good});
+}
+
+TEST_F(PullTest, ADamagedFitStaysOutAndItsSessionComes) {
+  const std::string id = StoreSession(1);
+  SessionStore store = OpenStore();
+  for (const char* fit : {"damaged", "good", "lost"}) {
+    std::filesystem::create_directories(store.FitFolder(id, fit));
+    WriteText(store.FitFolder(id, fit) / "map.bin", "a map");
+    ASSERT_TRUE(store.RegisterFit({fit, id, "{}", R"({"rms": 0.25})", {5}}).ok());
+  }
+  FlipBits(store.FitFolder(id, "damaged") / "map.bin", 2, 1);
+  std::filesystem::remove(store.FitFolder(id, "lost") / "fit.json");
+  const auto pulled = PullHere();
+  ASSERT_TRUE(pulled.ok()) << pulled.status().message();
+  EXPECT_THAT(pulled->problems, ElementsAre(AllOf(HasSubstr(id + "/damaged was not taken"), HasSubstr("map.bin"))));
+  EXPECT_THAT(pulled->notes, ElementsAre(HasSubstr(id + "/lost was not taken")));
+  EXPECT_EQ(Ids(other_), std::vector{id});
+  EXPECT_THAT(*SessionStore::Open(other_, AccessMode::kReadOnly)->ListFits(id), SizeIs(1));
+  FlipBits(store.FitFolder(id, "damaged") / "map.bin", 2, 1);
+  EXPECT_THAT(PullHere()->fits, ElementsAre(id + "/damaged")) << "the next pull asks for it again";
+}
+
+TEST_F(PullTest, ABitInAFitsRecordIsFound) {
+  const std::string id = StoreSession(1);
+  SessionStore store = OpenStore();
+  std::filesystem::create_directories(store.FitFolder(id, "f1"));
+  ASSERT_TRUE(store.RegisterFit({"f1", id, "{}", R"({"rms": 0.25})", {5}}).ok());
+  const auto file = store.FitFolder(id, "f1") / "fit.json";
+  const auto bytes = ReadBytes(file);
+  const std::string text(bytes.begin(), bytes.end());
+  FlipBits(file, text.find("0.25"), 1);  // still a number
+  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("does not match its own hash")));
+  EXPECT_EQ(Ids(other_), std::vector{id});
+}
+
+TEST_F(PullTest, SegmentsThatTheManifestDoesNotNameStayOut) {
+  const std::string id = StoreSession(2);
+  std::filesystem::copy_file(Segment(id), Segment(id, 5));
+  const auto pulled = PullHere();
+  ASSERT_TRUE(pulled.ok()) << pulled.status().message();
+  EXPECT_THAT(pulled->problems, IsEmpty());
+  EXPECT_THAT(pulled->notes, ElementsAre(HasSubstr("frames-0005.seg was left out")));
+  EXPECT_EQ(Ids(other_), std::vector{id});
 }
 
 TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
