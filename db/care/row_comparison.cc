@@ -16,7 +16,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 using Extent = TableRule::Extent;
 
-constexpr size_t kLinesATable = 20;
+constexpr size_t kLinesATable = 5;
 constexpr size_t kShownBytes = 100;
 
 std::set<std::string> Names(const std::string& list) {
@@ -175,7 +175,7 @@ TableRule With(TableRule rule, const char* left_out, Extent extent) {
   return rule;
 }
 
-std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folder) {
+std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folder, const RebuiltSession& rebuilt) {
   std::vector<TableRule> rules = SessionTables();
   const auto manifest = ReadManifest(folder);
   const auto contents = ReadManifestContents(folder);
@@ -201,6 +201,9 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
       rule = With(rule, "key_id", Extent::kSame);  // known by its frames
     } else if (table == "sessions" && contents.ok() && contents->schema == 1) {
       rule = With(rule, "consent_json, finished_wall_ns", Extent::kSame);  // columns that came with schema 2
+    } else if (table == "sessions" && !rebuilt.loss.empty()) {
+      // The loss itself is a finding; a reindex told it with what an older index knew of the lost frames.
+      rule = With(rule, "reasons_json", Extent::kSame);
     }
     if (table == "consents" && contents.ok() && contents->schema == 1) rule.extent = Extent::kIndexHasMore;
     if (table == "calibrations" && !manifest.ok()) rule.extent = Extent::kIndexHasMore;
@@ -248,7 +251,7 @@ Result<std::vector<std::string>> CompareSessionRows(const fs::path& store, const
   SLX_RETURN_IF_ERROR(SetUnlistedAside(index, number, folder, rebuilt, notes));
   SLX_ASSIGN_OR_RETURN(auto expected, SessionIndex::TablesInMemory());
   SLX_RETURN_IF_ERROR(InsertRebuilt(expected, rebuilt, number).status());
-  for (const TableRule& rule : RulesFor(session, folder)) {
+  for (const TableRule& rule : RulesFor(session, folder, rebuilt)) {
     SLX_ASSIGN_OR_RETURN(const auto differing,
                          CompareRows(index.connection(), expected.connection(), rule, number, file));
     for (const std::string& line : differing) lines.push_back(prefix + line);

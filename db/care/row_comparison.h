@@ -33,7 +33,7 @@ struct StoreTable {
 };
 [[nodiscard]] const std::vector<StoreTable>& StoreTables();
 
-// What differs, one line each: file, table.column, row, both values; at most 20 lines a table. `number` is the
+// What differs, one line each: file, table.column, row, both values; at most 5 lines a table. `number` is the
 // session's in both indexes.
 [[nodiscard]] Result<std::vector<std::string>> CompareRows(Connection& index, Connection& rebuilt,
                                                            const TableRule& rule, int64_t number,

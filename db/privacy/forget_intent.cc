@@ -63,9 +63,8 @@ Status CollectHashes(Connection& connection, int64_t number, std::vector<std::st
 
 Status CollectExports(Connection& connection, ForgetIntent& intent) {
   // A folder behind those within it, so that it goes when it is empty.
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       connection.Prepare(std::string("SELECT DISTINCT detail FROM access_log WHERE ") + kIsPlace +
-                                          " AND session_id = ?1 ORDER BY detail DESC"));
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare(std::string("SELECT DISTINCT detail FROM access_log WHERE ") +
+                                                       kIsPlace + " AND session_id = ?1 ORDER BY detail DESC"));
   select.Bind(1, intent.session);
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -172,11 +171,11 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
   return intents;
 }
 
-  std::error_code error;
-  for (const fs::path& folder :
-       {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
-    if (fs::exists(folder, error)) return IsForgotten(store, session_id);
-  return false;
+std::error_code error;
+for (const fs::path& folder :
+     {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
+  if (fs::exists(folder, error)) return IsForgotten(store, session_id);
+return false;
 }
 
 Status VisitExports(Connection& connection,

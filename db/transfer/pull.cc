@@ -204,9 +204,12 @@ Status Puller::Run() {
   SourceOffers offers = catalogue_.Read();
   report_.problems.insert(report_.problems.end(), offers.problems.begin(), offers.problems.end());
   if (!dry()) SLX_RETURN_IF_ERROR(Reconcile(offers));
-  for (const std::string& id : offers.folders)
-    if (forgotten_.contains(id)) ++report_.forgotten;
-  report_.unfinished = offers.unfinished;
+  for (const std::string& id : offers.folders) {
+    if (forgotten_.contains(id))
+      ++report_.forgotten;
+    else if (offers.unfinished.contains(id))
+      ++report_.unfinished;
+  }
   Progress progress(logger_, "pull", static_cast<int64_t>(offers.sessions.size()));
   for (const Offer& offer : offers.sessions) {
     if (!forgotten_.contains(offer.id)) SLX_RETURN_IF_ERROR(TakeSession(offer));

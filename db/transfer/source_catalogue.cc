@@ -85,13 +85,13 @@ SourceOffers SourceCatalogue::Read() const {
     offers.folders.insert(id);
     const auto manifest = ReadManifest(entry.path());
     if (manifest.status().code() == StatusCode::kNotFound) {
-      ++offers.unfinished;
+      offers.unfinished.insert(id);
     } else if (!manifest.ok() || manifest->id != id) {
       offers.problems.push_back("session " + id + ": " +
                                 (manifest.ok() ? "its manifest names " + manifest->id : manifest.status().message()));
       fs::remove(entry.path() / "manifest.json", error);  // fetched again, should the damage be ours
     } else if (manifest->status != SessionStatus::kComplete && manifest->status != SessionStatus::kDegraded) {
-      ++offers.unfinished;
+      offers.unfinished.insert(id);
     } else {
       offers.sessions.push_back({id, PlaceOf(entry.path()).value_or(0), FitsIn(entry.path() / "fits")});
     }

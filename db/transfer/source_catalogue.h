@@ -21,7 +21,7 @@ struct Offer {
 struct SourceOffers {
   std::vector<Offer> sessions;        // finished ones, in the order of the source: its numbers, which no clock decides
   std::set<std::string> folders;      // every id that the source still has a folder of
-  int64_t unfinished = 0;             // recording or failed there
+  std::set<std::string> unfinished;   // recording or failed there, or not fetched
   std::vector<std::string> problems;  // manifests that cannot be read, one a session
 };
 

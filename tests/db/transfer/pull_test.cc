@@ -183,6 +183,7 @@ TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
   const auto pulled = PullHere();
   ASSERT_TRUE(pulled.ok()) << pulled.status().message();
   EXPECT_EQ(pulled->forgotten, 2);
+  EXPECT_EQ(pulled->unfinished, 0) << "the forgotten are counted once";
   EXPECT_EQ(Ids(other_), std::vector{third});
   EXPECT_TRUE(Ledger::Read(other_)->IsForgotten(first)) << "adopted: it holds for those who ask this store";
   for (const auto& entry : std::filesystem::recursive_directory_iterator(other_ / "incoming")) {
