@@ -249,6 +249,11 @@ TEST_F(PrivacyCommands, PurgeAndForgetReachWhatABrokenOffPullLeft) {
   EXPECT_THAT(Db("purge").out, HasSubstr("no session is due"));
   const RawFiles before = Lasting();
   EXPECT_THAT(Db("purge --dry-run" + soon).out, HasSubstr("incoming/s3-c: would go (short: "));
+  const auto plan = Json("purge --dry-run" + soon);
+  EXPECT_EQ(plan["sessions"].size(), 0U);
+  ASSERT_EQ(plan["incoming"].size(), 1U);
+  EXPECT_EQ(plan["incoming"][0]["place"], "incoming/s3-c");
+  EXPECT_THAT(plan["incoming"][0]["due"].get<std::string>(), HasSubstr("kept for 30"));
   EXPECT_TRUE(Lasting() == before);
   {
     const auto transfer = IncomingLock::Take(folder_);
