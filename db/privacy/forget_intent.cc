@@ -171,11 +171,12 @@ Result<std::vector<ForgetIntent>> CollectIntents(SessionIndex& index, const fs::
   return intents;
 }
 
-std::error_code error;
-for (const fs::path& folder :
-     {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
-  if (fs::exists(folder, error)) return IsForgotten(store, session_id);
-return false;
+Result<bool> HasReturned(const fs::path& store, const std::string& session_id) {
+  std::error_code error;
+  for (const fs::path& folder :
+       {store / "sessions" / session_id, IncomingFolder(store, session_id), IncomingFits(store, session_id)})
+    if (fs::exists(folder, error)) return IsForgotten(store, session_id);
+  return false;
 }
 
 Status VisitExports(Connection& connection,
