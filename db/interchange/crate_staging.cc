@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/interchange/crate_staging.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <utility>
@@ -39,7 +40,11 @@ bool IsStill(int fd, const fs::path& folder) {
 Status Clear(const fs::path& folder) {
   std::error_code error;
   if (fs::is_empty(folder, error) && !error) return Status::Ok();
-  if (ExportsIn(folder).empty())
+  // A mark that was being written is one of ours as well.
+  const bool marks_alone =
+      std::all_of(fs::directory_iterator(folder, error), fs::directory_iterator(),
+                  [](const auto& e) { return e.path().filename().string().starts_with(".stratalux-export-"); });
+  if (error || (!marks_alone && ExportsIn(folder).empty()))
     return Status::Usage(folder.string() + " is there and no broken-off export; move it away or choose another name");
   // The marks go last: what breaks off here is known as an export's remains.
   std::vector<fs::path> names, marks;

@@ -10,6 +10,7 @@
 #include <sodium.h>
 #include <unistd.h>
 
+#include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/deletions.h"
 #include "db/keys/key_store.h"
@@ -42,12 +43,20 @@ Result<SessionKey> KeyFrom(const Json& json) {
   return key;
 }
 
+std::filesystem::path Beside(const std::filesystem::path& file) { return file.string() + ".new"; }
+
+// Whole under its name or not there; what a killed export left beside it is written over.
 Status WritePrivately(const std::filesystem::path& file, const std::string& text) {
-  const int fd = open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
-  if (fd < 0) return Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
-  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && fsync(fd) == 0;
+  const std::filesystem::path beside = Beside(file);
+  const int fd = open(beside.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0600);
+  if (fd < 0) return Status::Failed("cannot create " + beside.string() + ": " + std::strerror(errno));
+  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size());
+  const int reason = errno;
   close(fd);
-  return written ? Status::Ok() : Status::Failed("cannot write " + file.string() + ": " + std::strerror(errno));
+  const Status kept = written ? KeepFile(beside, file)
+                              : Status::Failed("cannot write " + beside.string() + ": " + std::strerror(reason));
+  if (!kept.ok()) unlink(beside.c_str());
+  return kept;
 }
 
 }  // namespace
@@ -63,9 +72,13 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   sodium_bin2hex(secret.data(), secret.size(), key.key->bytes.data(), key.key->bytes.size());
   secret.pop_back();
   const Json json = {{"schema", 1}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
+  std::error_code error;
+  if (std::filesystem::exists(std::filesystem::symlink_status(file, error)))
+    return Status::Usage(file.string() + " is there already; choose another name, or move it away");
   const auto folder = std::filesystem::absolute(file).parent_path();
-  SLX_RETURN_IF_ERROR(BeginExport(store, "key export", session.info.id, folder, {file.filename().string()}));
-  return WritePrivately(file, json.dump(1) + "\n");
+  SLX_RETURN_IF_ERROR(BeginExport(store, "key export", session.info.id, folder,
+                                  {file.filename().string(), Beside(file).filename().string()}));
+  return WritePrivately(std::filesystem::absolute(file), json.dump(1) + "\n");
 }
 
 Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std::filesystem::path& file) {

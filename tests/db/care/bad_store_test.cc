@@ -135,7 +135,7 @@ TEST_F(BadStoreTest, AnIndexDeletedWhileItsLogRemainsIsNotReplaced) {
 TEST_F(BadStoreTest, AClockThatRunsBackwardsChangesNoOrder) {
   SessionStore store = OpenStore();
   std::vector<std::string> ids = {second_, first_};
-  for (const int64_t wall : {int64_t{2'000'000'000'000'000'000}, int64_t{1'000'000'000}, int64_t{0}, int64_t{-5}}) {
+  for (const int64_t wall : {int64_t{2'000'000'000'000'000'000}, int64_t{1'000'000'000}, int64_t{0}, int64_t{7}}) {
     SessionInfo info;
     info.simulated = true;
     info.started_wall = {wall};

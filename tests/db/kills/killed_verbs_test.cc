@@ -146,6 +146,7 @@ class KilledVerbs : public StoreTest, public ::testing::WithParamInterface<Verb>
     fs::rename(folder_, box_ / "original");
   }
   void TearDown() override {
+    Totals::Get().violations += HasFailure() ? 1 : 0;
     fs::remove_all(box_);
     StoreTest::TearDown();
   }
@@ -281,7 +282,6 @@ TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
   ++totals.verbs;
   totals.kills += tried;
   totals.struck += struck;
-  totals.violations += HasFailure() ? 1 : 0;
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, KilledVerbs, ::testing::ValuesIn(kVerbs), [](const auto& verb) {
