@@ -115,8 +115,10 @@ class Rebuilder {
                   const std::vector<KnownPlace>* known) {
     int64_t left = 0;
     for (const SegmentFrame& f : scan.frames) {
-      const bool ours = known == nullptr ||
-                        std::any_of(known->begin(), known->end(), [&f](const KnownPlace& k) { return IsAt(k, f); });
+      const bool by_index = known != nullptr &&
+                            std::any_of(known->begin(), known->end(), [&f](const KnownPlace& k) { return IsAt(k, f); });
+      // One of a later version may mean other things by the same bytes.
+      const bool ours = header.code() != StatusCode::kNewerSchema && (known == nullptr || by_index);
       if (ours) {
         session_.frames.emplace_back(number, f);
       } else {

@@ -46,6 +46,7 @@ Result<SegmentReader> SegmentReader::Open(const std::filesystem::path& file) {
 Result<SegmentReader> SegmentReader::OpenListed(const std::filesystem::path& file, const std::string& session_id) {
   Status damage;
   auto reader = OpenDamaged(file, &damage);
+  if (damage.code() == StatusCode::kNewerSchema) return damage;
   if (reader.ok() && !damage.ok()) reader->session_id_ = session_id;
   return reader;
 }

@@ -54,6 +54,7 @@ TEST_F(DamageTest, AFlippedBitInAnyByteIsFoundAndItsFileNamed) {
       intact_.size(), kFileHeader, 3 * kFrameHeader, 3 * kPayload, 16 + 3 * kFrameHeader);
 }
 
+// One in a header spoils none: the footer has a copy.
 TEST_F(DamageTest, AFlippedBitSpoilsItsFrameAndNoOther) {
   const SessionStore store = OpenStore(AccessMode::kReadOnly);
   for (size_t spoilt = 0; spoilt < frames_.size(); ++spoilt) {
@@ -62,7 +63,7 @@ TEST_F(DamageTest, AFlippedBitSpoilsItsFrameAndNoOther) {
       FlipBits(Segment(id_), at, 0x10);
       for (size_t i = 0; i < frames_.size(); ++i) {
         const auto image = store.ReadFrame(id_, frames_[i]);
-        ASSERT_EQ(image.ok(), i != spoilt) << "byte " << at << ", frame " << i;
+        ASSERT_EQ(image.ok(), i != spoilt || at < start + kFrameHeader) << "byte " << at << ", frame " << i;
         if (image.ok()) continue;
         EXPECT_EQ(image.status().code(), StatusCode::kIntegrity);
         EXPECT_THAT(image.status().message(), HasSubstr(id_));
