@@ -14,7 +14,7 @@ namespace stratalux::db {
 using Random = std::mt19937_64;
 
 struct Mutant {
-  std::string what;  // for people: which file, which field, from what to what
+  std::string what;       // for people: which file, which field, from what to what
   std::string file = {};  // that was changed, within the store
   // A hash that is stored somewhere no longer fits: then every command must refuse, say, or not care.
   bool leaves_hash = false;
