@@ -7,9 +7,11 @@
 #include <thread>
 
 #include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "db/base/own_hash.h"
 #include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
@@ -294,8 +296,12 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   const auto edited = [&](const std::string& from, const std::string& to) {
     std::string text = record;
     text.replace(text.find(from), from.size(), to);
-    WriteText(made / "fit.json", text);
+    auto json = nlohmann::ordered_json::parse(text);
+    json.erase("hash");
+    WriteText(made / "fit.json", WithOwnHash(json.dump(1)));
   };
+  FlipBits(made / "fit.json", record.find("5000"), 1);
+  refused(StatusCode::kIntegrity, "its own hash");
   edited("\"metrics.json\"", "\"../../x\"");
   refused(StatusCode::kIntegrity, "no file of the fit");
   edited("\"fit\": \"f1\"", "\"fit\": \"f2\"");

@@ -79,7 +79,7 @@ TEST_F(SegmentScanTest, AWholeSegmentIsAllFramesAndNothingElse) {
   }
 }
 
-TEST_F(SegmentScanTest, ADamagedHeaderCostsItsOwnFrameAlone) {
+TEST_F(SegmentScanTest, ADamagedHeaderCostsItsOwnFrameAloneAndNothingWhereTheFooterHasACopy) {
   for (const End end : {End::kSealed, End::kOpen}) {
     Write(end);
     for (int64_t frame = 0; frame < 6; ++frame) {
@@ -87,16 +87,29 @@ TEST_F(SegmentScanTest, ADamagedHeaderCostsItsOwnFrameAlone) {
         SCOPED_TRACE(std::to_string(frame) + ", byte " + std::to_string(at));
         FlipBits(file_, static_cast<size_t>(OffsetOf(frame) + at), 0x08);
         const SegmentScan scan = Scan();
-        std::vector<int64_t> others = {0, 1, 2, 3, 4, 5};
-        others.erase(others.begin() + frame);
-        ASSERT_EQ(Numbers(scan), others);
+        FlipBits(file_, static_cast<size_t>(OffsetOf(frame) + at), 0x08);
+        std::vector<int64_t> left = {0, 1, 2, 3, 4, 5};
+        if (end == End::kSealed) {
+          ASSERT_EQ(Numbers(scan), left);
+          EXPECT_THAT(scan.findings, Contains(HasSubstr("frame " + std::to_string(frame) + " is damaged")));
+          continue;
+        }
+        left.erase(left.begin() + frame);
+        ASSERT_EQ(Numbers(scan), left);
         ASSERT_EQ(scan.asides.size(), 1U);
         EXPECT_EQ(scan.asides[0].begin, OffsetOf(frame));
         EXPECT_EQ(scan.asides[0].end, OffsetOf(frame + 1));
-        FlipBits(file_, static_cast<size_t>(OffsetOf(frame) + at), 0x08);
       }
     }
   }
+}
+
+// Header and payload: the footer's copy vouches for a payload that fits it alone.
+TEST_F(SegmentScanTest, ADamagedHeaderBeforeADamagedPayloadCostsItsFrame) {
+  Write(End::kSealed);
+  FlipBits(file_, static_cast<size_t>(OffsetOf(2) + 40), 0x08);
+  FlipBits(file_, static_cast<size_t>(OffsetOf(2) + 330), 0x08);
+  EXPECT_THAT(Numbers(Scan()), ElementsAre(0, 1, 3, 4, 5));
 }
 
 TEST_F(SegmentScanTest, BytesPutInOrTakenOutCostTheirOwnFrameAlone) {
@@ -160,7 +173,11 @@ TEST_F(SegmentScanTest, APayloadBeyondTheFileEndsNothing) {
     for (const End end : {End::kSealed, End::kOpen}) {
       Write(end);
       Forge(2, [bytes](FrameHeader& h) { h.payload_bytes = bytes; });
-      EXPECT_THAT(Numbers(Scan()), ElementsAre(0, 1, 3, 4, 5));
+      if (end == End::kOpen) {
+        EXPECT_THAT(Numbers(Scan()), ElementsAre(0, 1, 3, 4, 5));
+      } else {
+        EXPECT_THAT(Scan().findings, Contains(HasSubstr("frame 2")));
+      }
       const auto reader = SegmentReader::Open(file_);
       EXPECT_EQ(reader->ReadHeader(OffsetOf(2)).status().code(), StatusCode::kIntegrity);
       bool sealed = false;
