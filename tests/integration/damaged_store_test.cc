@@ -97,12 +97,22 @@ TEST_F(DamagedStore, AFlippedBitOfAPayloadNamesItsFrame) {
   EXPECT_EQ(Json::parse(Run("stratalux-db access --json").out).size(), 1U);
 }
 
-TEST_F(DamagedStore, AFlippedBitOfAHeaderNamesItsPlace) {
+TEST_F(DamagedStore, AFlippedBitOfAHeaderIsFoundAndReadByItsCopyWhileThereIsOne) {
+  const auto pictures = [this](const std::string& name) {
+    EXPECT_EQ(Run("stratalux-db frames s000001 --extract " + (folder_ / name).string()).code, 0);
+    auto files = Contents(folder_ / name);
+    std::erase_if(files, [](const auto& file) { return !file.first.ends_with(".png"); });
+    EXPECT_EQ(files.size(), frames_.size());
+    return files;
+  };
+  const auto whole = pictures("whole");
   std::string bytes = intact_;
   bytes[Offset(5) + 17] ^= 1;
   WriteText(segment_, bytes);
-  ExpectFramesRefused({segment_.string(), "offset " + std::to_string(Offset(5)), "header is damaged", "restore"});
+  EXPECT_TRUE(pictures("copied") == whole);
   ExpectFoundByVerify({segment_.string(), "header is damaged"});
+  WriteText(segment_, bytes.substr(0, bytes.size() - 24));  // no footer, no copy
+  ExpectFramesRefused({segment_.string(), "offset " + std::to_string(Offset(5)), "header is damaged", "restore"});
 }
 
 TEST_F(DamagedStore, ASegmentOfANewerProgramIsNotCalledDamaged) {
