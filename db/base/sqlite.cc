@@ -59,6 +59,10 @@ Result<Connection> Connection::Open(const std::filesystem::path& file, Mode mode
     if (fd < 0) return Status::Failed("cannot create " + connection.file_ + ": " + std::strerror(errno));
     close(fd);
   }
+  // What a writer left that was killed without a log (entering or leaving WAL mode), only a writer rolls back.
+  if (std::error_code error; mode == Mode::kReadOnly && std::filesystem::exists(file.string() + "-journal", error))
+    if (const auto writer = Open(file, Mode::kReadWrite); writer.ok())
+      sqlite3_exec(writer->handle_.get(), "PRAGMA schema_version", nullptr, nullptr, nullptr);
   const int flags = mode == Mode::kReadOnly    ? SQLITE_OPEN_READONLY
                     : mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
                                                : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;

@@ -28,10 +28,12 @@ constexpr const char* kComplaints[] = {
     "given'"
     " FROM sessions s LEFT JOIN sqlite_sequence q ON q.name = 'sessions' GROUP BY q.name"
     " HAVING q.seq IS NULL OR typeof(q.seq) <> 'integer' OR q.seq < max(s.number)",
+    "SELECT 'sessions.reasons_json of ' || id || ' is ' || quote(reasons_json) || ' while it is being recorded'"
+    " FROM sessions WHERE status = 'recording' AND (reasons_json IS NOT '[]' OR finished_wall_ns IS NOT NULL)",
     // A record's rig is that of a session that names it or accepted it.
     "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that "
     "rig'"
-    " FROM calibrations c WHERE c.rig <> '' AND EXISTS (SELECT 1 FROM sessions u WHERE u.calibration_id = c.id)"
+    " FROM calibrations c WHERE EXISTS (SELECT 1 FROM sessions u WHERE u.calibration_id = c.id)"
     " AND NOT EXISTS (SELECT 1 FROM sessions s WHERE s.calibration_id = c.id AND s.rig = c.rig)"
     " AND NOT EXISTS (SELECT 1 FROM accepted_calibrations a JOIN sessions s ON s.number = a.session"
     "                 WHERE a.calibration_id = c.id AND s.rig = c.rig)",

@@ -71,14 +71,19 @@ bool SaysTheSame(const std::string& a, const std::string& b) {
   return !first.is_discarded() && first == second;
 }
 
-// '{}' while there is no certificate. A certificate that the row has already keeps its text, every byte of it.
+// '{}' while there is no certificate. Of several, which other stores or a forgetting that was broken off gave, the
+// latest counts, in whatever order the chains are read. A certificate that the row has already keeps its text, every
+// byte of it.
 Status NoteDeletion(Connection& connection, const LedgerEntry& entry) {
   const bool done = entry.kind == LedgerKind::kForgotten;
   SLX_ASSIGN_OR_RETURN(
-      auto insert,
-      connection.Prepare("INSERT INTO deletions (session_id, deleted_wall_ns, reason, certificate_json)"
-                         " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (session_id) DO UPDATE SET deleted_wall_ns ="
-                         " excluded.deleted_wall_ns, certificate_json = excluded.certificate_json WHERE ?5"));
+      auto insert, connection.Prepare(
+                       "INSERT INTO deletions (session_id, deleted_wall_ns, reason, certificate_json)"
+                       " VALUES (?1, ?2, ?3, ?4) ON CONFLICT (session_id) DO UPDATE SET deleted_wall_ns ="
+                       " excluded.deleted_wall_ns, reason = excluded.reason, certificate_json ="
+                       " excluded.certificate_json WHERE ?5 AND"
+                       " (deletions.certificate_json = '{}' OR (excluded.deleted_wall_ns, excluded.certificate_json) >"
+                       " (deletions.deleted_wall_ns, deletions.certificate_json))"));
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT certificate_json FROM deletions WHERE session_id = ?1"));
   for (const std::string& session : entry.sessions) {
     std::string certificate = done ? entry.detail_json : "{}";

@@ -273,20 +273,16 @@ std::string Forgetting::CertificateFor(const ForgetIntent& intent, const Forgott
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);  // as the ledger writes it
 }
 
-// Of the ledger first, which the index follows. Two forgets that finish the same session certify it twice.
+// In the ledger, which the index follows. Two forgets that finish the same session certify it twice.
 Status Forgetting::Certify(SessionIndex& index) {
-  SLX_ASSIGN_OR_RETURN(auto update, index.connection().Prepare("UPDATE deletions SET certificate_json = ?2,"
-                                                               " deleted_wall_ns = ?3 WHERE session_id = ?1"));
   for (size_t i = 0; i < intents_.size(); ++i) {
     const WallNs now = WallNow();
     const std::string certificate = CertificateFor(intents_[i], report_.sessions[i], now);
     SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kForgotten, now, {intents_[i].session}, "", certificate}));
     Done(ForgetStep::kEntry);
-    SLX_RETURN_IF_ERROR(update.Bind(1, intents_[i].session).Bind(2, certificate).Bind(3, now.ns).Run());
-    Done(ForgetStep::kCertified);
   }
-  // So that nothing is left to follow, and `verify` can hold every row against its entry.
   SLX_RETURN_IF_ERROR(FollowLedger(index, store_));
+  Done(ForgetStep::kCertified);
   // What is not clean stays begun, so that the next call looks again.
   for (const ForgetIntent& intent : intents_) {
     if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),
