@@ -3,8 +3,10 @@
 // stays away, also of what an earlier pull left behind.
 #include "db/care/incoming.h"
 #include "db/care/reindex.h"
+#include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
+#include "db/privacy/forget.h"
 #include "tests/db/transfer/transfer_fixture.h"
 
 namespace stratalux::db {
@@ -191,6 +193,26 @@ TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
   }
   Forget(folder_, third);
   EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("forget " + third)));
+}
+
+// Both stores certify; chains are read in the order of their random names, which one direction has the other way round.
+TEST_F(PullTest, OfTwoCertificatesTheLatestCountsInWhateverOrderTheChainsAreRead) {
+  const std::string first = StoreSession(1), second = StoreSession(1);
+  ASSERT_TRUE(PullHere().ok());
+  const PullOptions obeying{.forgotten = ForgottenElsewhere::kForget};
+  const auto forget = [this](const std::filesystem::path& store, const std::string& id) {
+    ForgetRequest request;
+    request.sessions = {id};
+    return db::Forget(store, request, logger_).status();
+  };
+  ASSERT_TRUE(forget(folder_, first).ok());
+  ASSERT_TRUE(forget(other_, second).ok());
+  ASSERT_TRUE(Pull(other_, folder_.string(), obeying, logger_).ok());
+  ASSERT_TRUE(Pull(folder_, other_.string(), obeying, logger_).ok());
+  for (const auto& store : {folder_, other_}) {
+    EXPECT_THAT(Ids(store), IsEmpty());
+    EXPECT_THAT(VerifyStore(*SessionStore::Open(store, AccessMode::kReadOnly))->problems, IsEmpty());
+  }
 }
 
 // The case: pull killed, visitor forgotten at the rig, pull again.
