@@ -46,11 +46,11 @@ Status CopyKeys(const fs::path& store, const BackupOptions& options) {
 Status CheckTarget(const fs::path& store, const fs::path& to) {
   std::error_code error;
   if (LiesIn(to, store)) return Status::Usage("--to " + to.string() + " lies within the store; choose another disk");
-  if (fs::exists(to / "backup.json", error) || fs::exists(to / "backup.unfinished", error)) return Status::Ok();
+  if (fs::exists(to / "backup.json", error) || fs::exists(to / kBackupJournal, error)) return Status::Ok();
   // The first run's journal may have been about to get its name.
   for (const auto& entry : fs::directory_iterator(to, error))
     if (const std::string name = entry.path().filename().string();
-        name != kLockName && !name.starts_with("backup.unfinished"))
+        name != kLockName && !name.starts_with(kBackupJournal))
       return Status::Usage(to.string() + " is neither empty nor an earlier backup; choose a folder of its own");
   return Status::Ok();
 }

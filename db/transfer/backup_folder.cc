@@ -17,7 +17,6 @@ namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
-constexpr const char* kJournal = "backup.unfinished";
 constexpr int64_t kScrubRuns = 8;
 
 int64_t SizeOf(const fs::path& file) {
@@ -62,7 +61,7 @@ Result<BackupFolder> BackupFolder::Open(const fs::path& store, const fs::path& t
 
 // After a run that was broken off: what its list names takes its place, what its journal names is used again.
 Status BackupFolder::GoOn() {
-  const fs::path file = to_ / kJournal;
+  const fs::path file = to_ / kBackupJournal;
   std::error_code error;
   if (!fs::exists(file, error)) return ReplaceFile(file, "a backup is being made, or was interrupted\n");
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));
@@ -96,10 +95,10 @@ bool BackupFolder::TakeFromJournal(const std::string& path) {
 }
 
 Status BackupFolder::Note(const std::string& path, const ListedFile& file) {
-  const UniqueFd journal = OpenDescriptor(to_ / kJournal, O_WRONLY | O_APPEND);
-  if (!journal.ok()) return Status::Failed("cannot write " + (to_ / kJournal).string());
+  const UniqueFd journal = OpenDescriptor(to_ / kBackupJournal, O_WRONLY | O_APPEND);
+  if (!journal.ok()) return Status::Failed("cannot write " + (to_ / kBackupJournal).string());
   const std::string line = ListedFileLine(path, file) + "\n";
-  return WriteAll(journal.get(), line.data(), line.size(), (to_ / kJournal).string());
+  return WriteAll(journal.get(), line.data(), line.size(), (to_ / kBackupJournal).string());
 }
 
 Status BackupFolder::CopyFile(const std::string& path) {
@@ -285,7 +284,7 @@ Status BackupFolder::Finish() {
   for (const std::string& path : waiting_) SLX_RETURN_IF_ERROR(Move(WaitingFile(to_ / path), to_ / path));
   SLX_RETURN_IF_ERROR(RemoveOthers());
   std::error_code error;
-  fs::remove(to_ / kJournal, error);
+  fs::remove(to_ / kBackupJournal, error);
   return SyncFolder(to_);
 }
 

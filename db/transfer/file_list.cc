@@ -46,7 +46,7 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
   const auto file = folder / "backup.json";
   std::error_code error;
   if (!std::filesystem::exists(file, error))
-    return Status::NotFound(std::filesystem::exists(folder / "backup.unfinished", error)
+    return Status::NotFound(std::filesystem::exists(folder / kBackupJournal, error)
                                 ? folder.string() +
                                       " holds a backup that was never finished; run `stratalux-db backup"
                                       " --to` once more"

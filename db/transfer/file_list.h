@@ -14,6 +14,9 @@
 
 namespace stratalux::db {
 
+// In a backup: the journal of a run at work or broken off.
+inline constexpr const char* kBackupJournal = "backup.unfinished";
+
 struct ListedFile {
   int64_t bytes = 0;
   int64_t source_mtime_ns = 0;  // of the file that was copied: the same size and time mean the same file
