@@ -80,8 +80,11 @@ Status TakeOver(SessionIndex& index) {
       " LEFT JOIN main.sessions n ON n.number = o.number AND n.id = o.id"
       " WHERE j.session IS NULL OR n.number IS NOT NULL;"
       "UPDATE main.job_fence SET last = (SELECT last FROM old.job_fence);"
-      "INSERT OR IGNORE INTO main.deletions (session_id, deleted_wall_ns, reason, certificate_json)"
-      " SELECT session_id, deleted_wall_ns, reason, certificate_json FROM old.deletions"));
+      // A certificate whose line in the ledger is damaged is kept, too.
+      "INSERT INTO main.deletions (session_id, deleted_wall_ns, reason, certificate_json)"
+      " SELECT session_id, deleted_wall_ns, reason, certificate_json FROM old.deletions WHERE TRUE"
+      " ON CONFLICT (session_id) DO UPDATE SET deleted_wall_ns = excluded.deleted_wall_ns, reason = excluded.reason,"
+      " certificate_json = excluded.certificate_json WHERE deletions.certificate_json = '{}'"));
   return transaction.Commit();
 }
 

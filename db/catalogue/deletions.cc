@@ -39,7 +39,8 @@ Result<std::vector<Deletion>> ListDeletions(const fs::path& store) {
     found[select.Text(0)] = select.Text(1);
   }
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  for (const auto& [session, certificate] : ledger.forgotten()) found[session] = certificate;
+  for (const auto& [session, certificate] : ledger.forgotten())
+    if (std::string& known = found[session]; !certificate.empty()) known = certificate;
   std::vector<Deletion> deletions;
   for (auto& [session, certificate] : found) deletions.push_back({session, certificate});
   return deletions;

@@ -123,6 +123,9 @@ LedgerLine ParseLine(std::string_view text) {
   }
   // Later versions keep the rule of the hash: what matches it and is not understood is theirs.
   if (whole) line.state = known && line.entry ? LineState::kWhole : LineState::kNewer;
+  // That it is gone binds; what else the certificate says may be what was damaged.
+  if (line.state == LineState::kDamaged && line.entry && line.entry->kind == LedgerKind::kForgotten)
+    line.entry->kind = LedgerKind::kForgetting;
   return line;
 }
 

@@ -31,7 +31,8 @@ struct ChainEnd {
 
 enum class LineState {
   kWhole,
-  kDamaged,  // does not match its hash; `entry` may still be readable, and then binds
+  kDamaged,  // does not match its hash; `entry` may still be readable, and then binds (a certificate as a begun
+             // forgetting: its words are nobody's)
   kNewer     // written as it should be by a later version
 };
 

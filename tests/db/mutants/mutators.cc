@@ -286,15 +286,15 @@ Mutant ChangeHeader(const fs::path& folder, Random& random) {
           Short(folder, file), changed && segment.LeavesHash(level), consistent};
 }
 
-void TakePixelHash(FrameHeader& header, std::span<const uint8_t> payload) {
+std::optional<PixelHash> PixelsOf(const FrameHeader& header, std::span<const uint8_t> payload) {
   FrameDecoder decoder;
-  if (header.cipher != 0 || header.width < 1 || header.width > 64 || header.height < 1 || header.height > 64) return;
+  if (header.cipher != 0 || header.width < 1 || header.width > 64 || header.height < 1 || header.height > 64) return {};
   const auto image = decoder.Decode(ShapeOf(header), static_cast<Codec>(header.codec), payload);
-  if (image.ok())
-    SetPixelHash(header, HashPixels(static_cast<PixelFormat>(header.format), std::as_const(*image).pixels(), nullptr));
+  if (!image.ok()) return {};
+  return HashPixels(static_cast<PixelFormat>(header.format), std::as_const(*image).pixels(), nullptr);
 }
 
-// Other pixels, or none that can be decoded.
+// Other pixels, or none that can be decoded; some bits of a compressed payload mean nothing.
 Mutant ChangePayload(const fs::path& folder, Random& random) {
   const fs::path file = OneOf(FilesOf(folder, ".seg"), random);
   SegmentFile segment(file);
@@ -319,18 +319,20 @@ Mutant ChangePayload(const fs::path& folder, Random& random) {
   const bool pixels = Below(random, 2) == 0;
   FrameHeader& header = frame.header;
   const PixelHash hash = PixelHashOf(header);
+  const auto decoded = PixelsOf(header, payload);
   if (level >= Level::kHeader) {
     XXH128_canonical_t canonical;
     XXH128_canonicalFromHash(&canonical, XXH3_128bits(payload.data(), payload.size()));
     std::memcpy(header.payload_hash, canonical.digest, sizeof header.payload_hash);
-    if (pixels) TakePixelHash(header, payload);
+    if (pixels && decoded) SetPixelHash(header, *decoded);
   }
   const bool told = PixelHashOf(header) != hash;
+  const bool fits = decoded == PixelHashOf(header);
   segment.Write(level);
   const bool anew = changed && MakeAnew(folder, file, level);
   return {"payload of record " + std::to_string(which) + " in " + Short(folder, file) + ", hashes made anew to level " +
               std::to_string(static_cast<int>(level)) + (told ? ", and that of the pixels" : ""),
-          Short(folder, file), changed && (segment.LeavesHash(level) || !told), anew && told};
+          Short(folder, file), changed && (segment.LeavesHash(level) || !fits), anew && told};
 }
 
 // --- JSON -----------------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -71,6 +72,30 @@ class LedgerStoryTest : public StoreTest {
 };
 
 TEST_F(LedgerStoryTest, AStoreHasItsIdFromTheBeginning) { EXPECT_EQ(StoreId(folder_)->size(), 32U); }
+
+TEST_F(LedgerStoryTest, OfADamagedCertificateTheForgettingBindsAndTheIndexKeepsTheWords) {
+  Consent();
+  const std::string id = Visit();
+  ForgetNow(id);
+  const std::string certificate = ReadLedger().forgotten().at(id);
+  const auto in_index = [&] {
+    auto db = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadOnly);
+    auto select = db->Prepare("SELECT certificate_json FROM deletions");
+    return select->Step().ok() ? select->Text(0) : std::string();
+  };
+  ASSERT_EQ(in_index(), certificate);
+  const fs::path chain = folder_ / "ledger" / (*StoreId(folder_) + ".jsonl");
+  const std::string key = "\"frames\":";
+  FlipBits(chain, ReadText(chain).rfind(key) + key.size(), 4);
+  EXPECT_TRUE(ReadLedger().IsForgotten(id));
+  EXPECT_EQ(ReadLedger().forgotten().at(id), "") << "a certificate that nobody made";
+  const auto said = [&] { return VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems; };
+  EXPECT_THAT(said(), ElementsAre(HasSubstr("damaged, it does not match its hash")));
+  Logger quiet(LogLevel::kError);
+  ASSERT_TRUE(Reindex(folder_, quiet).ok());
+  EXPECT_EQ(in_index(), certificate);
+  EXPECT_THAT(said(), ElementsAre(HasSubstr("damaged, it does not match its hash")));
+}
 
 TEST_F(LedgerStoryTest, TheConsentIsInTheLedgerBeforeTheFirstFrameCounts) {
   Consent();
