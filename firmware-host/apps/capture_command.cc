@@ -147,13 +147,12 @@ Status CaptureOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop, Logger& logger,
-                               CaptureWatch* watch) {
+Result<CaptureOutcome> Capture(const CaptureOptions& options, StopToken& stop, Logger& logger, CaptureWatch* watch) {
   const auto start = std::chrono::steady_clock::now();
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_RETURN_IF_ERROR(AskConsent(options));
-  SLX_ASSIGN_OR_RETURN(const OpenedRig rig, OpenRig(options.config, plan, options.simulated, logger));
+  SLX_ASSIGN_OR_RETURN(const OpenedRig rig, OpenRig(options.config, plan, options.simulated, stop, logger));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
   SLX_ASSIGN_OR_RETURN(std::string calibration,
                        ChooseCalibration(options.config.calibration, options.config,
@@ -172,9 +171,9 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<
 
   SessionArchive archive(std::move(writer), options.board_pose);
   {
-    Recorder recorder(archive, options.config.queue_frames);
+    Recorder recorder(archive, options.config.queue_frames, stop);
     Progress progress(logger, "capture", static_cast<int64_t>(plan.steps.size()));
-    Sequencer sequencer(rig.devices(), OptionsFor(options, rig), logger, stop, [&progress] { progress.Advance(); });
+    Sequencer sequencer(rig.devices(), OptionsFor(options, rig), logger, [&progress] { progress.Advance(); });
     std::unique_ptr<RealtimeThread> realtime;
     if (const int priority = options.config.realtime_priority; priority > 0) {
       Result<std::unique_ptr<RealtimeThread>> entered = RealtimeThread::Enter(priority);

@@ -2,7 +2,6 @@
 // `stratalux-rig capture`: a plan, a rig and a store make a session.
 #pragma once
 
-#include <atomic>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -42,8 +41,8 @@ struct CaptureOutcome {
 // plan, no such device or store, a visitor without consent: kUsage with the command that records it); a session that
 // went wrong is an outcome whose report says why.
 // `watch` sees every frame; what it objects to makes a complete session a degraded one.
-[[nodiscard]] Result<CaptureOutcome> Capture(const CaptureOptions& options, const std::atomic<bool>& stop,
-                                             Logger& logger, CaptureWatch* watch = nullptr);
+[[nodiscard]] Result<CaptureOutcome> Capture(const CaptureOptions& options, StopToken& stop, Logger& logger,
+                                             CaptureWatch* watch = nullptr);
 
 // One line for people; one JSON object for programs.
 [[nodiscard]] std::string OutcomeAsText(const CaptureOutcome& outcome);

@@ -18,10 +18,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 // One line of stdin without its end; false at the end of stdin or when `stop` is set.
-bool ReadLine(const std::atomic<bool>& stop, std::string& line) {
+bool ReadLine(StopToken& stop, std::string& line) {
   constexpr int kLookMs = 100;
   line.clear();
-  while (!stop.load()) {
+  while (!stop.stopped()) {
     pollfd input{STDIN_FILENO, POLLIN, 0};
     if (poll(&input, 1, kLookMs) <= 0) continue;
     char c = 0;
@@ -53,7 +53,7 @@ struct Attempt {
   }
 };
 
-Result<Attempt> CapturePose(CaptureOptions options, int pose, const std::atomic<bool>& stop, Logger& logger) {
+Result<Attempt> CapturePose(CaptureOptions options, int pose, StopToken& stop, Logger& logger) {
   options.board_pose = pose;
   if (options.simulated) options.simulated->board_pose = pose;
   BoardWatch watch(BoardOptions(options.config));
@@ -94,8 +94,7 @@ std::string Reasons(const CaptureOutcome& capture) {
 // Captures one pose until it is usable. Else than kGo: the operator went back; the operator or a signal ended the
 // series.
 Result<Answer> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
-                                  const std::atomic<bool>& stop, Logger& logger, PoseOutcome& pose,
-                                  SeriesOutcome& outcome) {
+                                  StopToken& stop, Logger& logger, PoseOutcome& pose, SeriesOutcome& outcome) {
   const std::string name = "pose " + std::to_string(pose.pose);
   while (pose.attempts < series.max_attempts) {
     SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(options, pose.pose, stop, logger));
@@ -110,7 +109,7 @@ Result<Answer> CaptureUntilUsable(const CaptureOptions& options, const SeriesOpt
       return Answer::kGo;
     }
     logger.Warning(name + " went wrong: " + Reasons(pose.capture));
-    if (stop.load()) return Answer::kQuit;
+    if (stop.stopped()) return Answer::kQuit;
     if (pose.attempts == series.max_attempts) break;
     if (!ask && !attempt.by_chance()) break;
     if (!ask) continue;
@@ -142,7 +141,7 @@ std::vector<std::string> UsableSessions(const SeriesOutcome& outcome) {
 
 }  // namespace
 
-AskOperator AskOnTerminal(const std::atomic<bool>& stop, bool poses) {
+AskOperator AskOnTerminal(StopToken& stop, bool poses) {
   return [&stop, poses](const std::string& text) {
     std::string line;
     while (true) {
@@ -159,7 +158,7 @@ AskOperator AskOnTerminal(const std::atomic<bool>& stop, bool poses) {
 }
 
 Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
-                                    const std::atomic<bool>& stop, Logger& logger) {
+                                    StopToken& stop, Logger& logger) {
   SeriesOutcome outcome;
   outcome.projectors.resize(static_cast<size_t>(options.config.plan.projectors));
   outcome.first = series.first;
@@ -190,7 +189,7 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
   return outcome;
 }
 
-Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, const std::atomic<bool>& stop,
+Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, StopToken& stop,
                                   Logger& logger) {
   const RigConfig& config = options.config;
   if (config.plan.kind == SessionKind::kVisitor) return Capture(options, stop, logger);

@@ -3,7 +3,6 @@
 // response session.
 #pragma once
 
-#include <atomic>
 #include <functional>
 #include <string>
 #include <vector>
@@ -21,7 +20,7 @@ using AskOperator = std::function<Answer(const std::string& text)>;
 
 // On the terminal: Enter goes on, b goes back by one pose (where there are `poses`), q ends; the end of stdin and a
 // stop signal end, too.
-[[nodiscard]] AskOperator AskOnTerminal(const std::atomic<bool>& stop, bool poses);
+[[nodiscard]] AskOperator AskOnTerminal(StopToken& stop, bool poses);
 
 struct SeriesOptions {
   int first = 0;         // number of the first pose: > 0 goes on with a series that was broken off
@@ -50,12 +49,11 @@ struct SeriesOutcome {
 // One session a pose. A pose that went wrong is captured again at once: after the operator mended what is named, or,
 // where nobody is asked (`ask` empty), if another try may go well. Fails as Capture does.
 [[nodiscard]] Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesOptions& series,
-                                                  const AskOperator& ask, const std::atomic<bool>& stop,
-                                                  Logger& logger);
+                                                  const AskOperator& ask, StopToken& stop, Logger& logger);
 // One session: a board pose, or of kind dark, flat or response, looked at while it is captured: board_watch.h,
 // light_watch.h. A visitor's is captured as it is. Fails as Capture does.
-[[nodiscard]] Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask,
-                                                const std::atomic<bool>& stop, Logger& logger);
+[[nodiscard]] Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, StopToken& stop,
+                                                Logger& logger);
 
 // For people: one line a pose, coverage, and the command that calibrates. One JSON object for programs: {"poses":
 // [{"pose", "session", "status", "usable", "attempts", "reasons", "notes"}], "finished", "sessions": [usable ones],

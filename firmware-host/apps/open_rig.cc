@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "firmware-host/apps/last_lights.h"
 #include "firmware-host/camera/libcamera_frame_source.h"
 #include "firmware-host/camera/v4l2_frame_source.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
@@ -26,8 +27,8 @@ Result<std::unique_ptr<FrameSource>> OpenCamera(const CameraWiring& wiring, Logg
   return Status::Usage("the configuration names no camera ([camera] backend); --simulate runs the simulated rig");
 }
 
-std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan& plan, int index,
-                                      GpiodLineBank& lines) {
+std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan& plan, int index, GpiodLineBank& lines,
+                                      const StopToken& stop) {
   PatternMemoryOptions options;
   options.projector = index;
   options.width = config.plan.projector_width;
@@ -35,7 +36,7 @@ std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan
   options.memory = MemoryOf(plan, index);
   options.rewind = config.gpio.projectors[index].reset ? MemoryRewind::kResetLine : MemoryRewind::kStepAround;
   options.sync_deadline = FromMilliseconds(config.deadline_ms);
-  return MakePatternMemoryProjector(lines, lines, std::move(options));
+  return MakePatternMemoryProjector(lines, lines, std::move(options), stop);
 }
 
 // The displays among the projectors, in order.
@@ -50,19 +51,26 @@ Result<std::vector<std::unique_ptr<Display>>> OpenDisplays(const RigConfig& conf
   return OpenKmsDisplays(wirings);
 }
 
-Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLineBank* lines, OpenedRig& rig) {
+// Lights by projector: its ENABLE line, its display's picture.
+using Lights = std::vector<std::vector<LightSwitch*>>;
+
+Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLineBank* lines, const StopToken& stop,
+                      OpenedRig& rig, Lights& lights) {
   SLX_ASSIGN_OR_RETURN(std::vector<std::unique_ptr<Display>> displays, OpenDisplays(config));
   std::vector<DisplayOfProjector> of_projector;
   auto display = displays.begin();
   for (int p = 0; p < static_cast<int>(config.projectors.size()); ++p) {
     DisplayOfProjector& wired = of_projector.emplace_back();
+    std::vector<LightSwitch*>& switches = lights.emplace_back();
+    LightSwitch* enable = rig.gpio_lights ? rig.gpio_lights->enable(p) : nullptr;
+    if (enable != nullptr) switches.push_back(enable);
     if (config.projectors[p].kind == ProjectorKind::kMemory) {
-      rig.projectors.push_back(OpenMemory(config, plan, p, *lines));
+      rig.projectors.push_back(OpenMemory(config, plan, p, *lines, stop));
       continue;
     }
     wired.display = display->get();
     wired.latency = FromMilliseconds(config.projectors[p].display.latency_ms);
-    wired.enable = config.gpio.projectors[p].enable ? DisplayEnable::kLine : DisplayEnable::kPicture;
+    switches.push_back(&wired.display->light());
     rig.projectors.push_back(std::move(*display++));
   }
   if (!displays.empty()) rig.display_lines = std::make_unique<DisplayLineBank>(lines, std::move(of_projector));
@@ -72,10 +80,10 @@ Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLin
 }  // namespace
 
 RigDevices OpenedRig::devices() const {
-  if (simulation) return {simulation->lines(), simulation->camera(), simulation->projectors()};
+  if (simulation) return {*light, simulation->lines(), simulation->camera(), simulation->projectors()};
   std::vector<Projector*> list;
   for (const std::unique_ptr<Projector>& projector : projectors) list.push_back(projector.get());
-  return {display_lines ? *display_lines : *wired_lines, *camera, list};
+  return {*light, display_lines ? *display_lines : *wired_lines, *camera, list};
 }
 
 std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
@@ -84,12 +92,13 @@ std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
 }
 
 Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
-                          const std::optional<SimulatedRigOptions>& simulated, Logger& logger) {
+                          const std::optional<SimulatedRigOptions>& simulated, StopToken& stop, Logger& logger) {
   OpenedRig rig;
   if (simulated) {
     SimulatedRigOptions options = *simulated;
     options.lens_covered = plan.options.kind == SessionKind::kDark;
     SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));
+    SLX_ASSIGN_OR_RETURN(rig.light, GuardLight(*rig.simulation, stop));
     return rig;
   }
   if (config.projectors.empty())
@@ -98,11 +107,24 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
         "rig");
   GpiodLineBank* lines = nullptr;
   if (!config.gpio.empty()) {
+    SLX_ASSIGN_OR_RETURN(rig.gpio_lights, GpioLights::Open(config.gpio));
     SLX_ASSIGN_OR_RETURN(std::unique_ptr<GpiodLineBank> bank, GpiodLineBank::Open(config.gpio, logger));
     lines = bank.get();
     rig.wired_lines = std::move(bank);
   }
-  SLX_RETURN_IF_ERROR(OpenProjectors(config, plan, lines, rig));
+  Lights lights;
+  SLX_RETURN_IF_ERROR(OpenProjectors(config, plan, lines, stop, rig, lights));
+  InterlockInput* interlock = rig.gpio_lights ? rig.gpio_lights->interlock() : nullptr;
+  SLX_ASSIGN_OR_RETURN(rig.light, LightGuard::Start(std::move(lights), interlock, stop));
+  if (!rig.light->realtime())
+    logger.Warning(
+        "the light's guard has no right to SCHED_FIFO and competes with other programs (LimitRTPRIO, "
+        "docs/rig-safety.md)");
+  if (!config.gpio.emergency_stop)
+    logger.Warning("no E-STOP is wired ([gpio] emergency_stop): nobody but the operator can stop the light");
+  if (!config.gpio.door) logger.Warning("no door is wired ([gpio] door): light can go on while the box is open");
+  if (const Status kept = KeepLights(StateFolder(), LightsOf(config)); !kept.ok())
+    logger.Warning("`stratalux-rig safe` will need the configuration: " + kept.message());
   SLX_ASSIGN_OR_RETURN(rig.camera, OpenCamera(config.camera, logger));
   return rig;
 }

@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "firmware-host/config/rig_config.h"
+#include "firmware-host/gpio/gpio_lights.h"
+#include "firmware-host/safety/light_guard.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/log.h"
@@ -18,10 +20,12 @@ namespace stratalux::rig {
 // Owns the devices. When it goes, all ENABLE lines are off and all displays black.
 struct OpenedRig {
   std::unique_ptr<SimulatedRig> simulation;  // null: real devices, which are the next
+  std::unique_ptr<GpioLights> gpio_lights;   // null where the rig has no lines
   std::unique_ptr<LineBank> wired_lines;     // null where the rig has none: displays and a camera that runs free
   std::vector<std::unique_ptr<Projector>> projectors;  // they use `wired_lines`
   std::unique_ptr<LineBank> display_lines;             // over both; null on a rig without displays
   std::unique_ptr<FrameSource> camera;
+  std::unique_ptr<LightGuard> light;  // over all of them; goes first
 
   [[nodiscard]] RigDevices devices() const;
   // How settling passes on the simulated rig's own clock. Empty for real devices: real time, under the watchdog.
@@ -31,6 +35,7 @@ struct OpenedRig {
 // `simulated` set: that rig. Else the configuration's devices; `plan` says what the pattern memories hold. kUsage where
 // the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name the device.
 [[nodiscard]] Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
-                                        const std::optional<SimulatedRigOptions>& simulated, Logger& logger);
+                                        const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
+                                        Logger& logger);
 
 }  // namespace stratalux::rig

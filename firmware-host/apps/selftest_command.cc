@@ -143,10 +143,9 @@ bool SelftestReport::passed() const {
                       [](const CheckItem& item) { return item.state == CheckState::kFailed; });
 }
 
-Result<SelftestReport> RunSelftest(const RigDevices& devices, const SelftestOptions& options,
-                                   const std::atomic<bool>& stop) {
+Result<SelftestReport> RunSelftest(const RigDevices& devices, const SelftestOptions& options) {
   SelftestReport report;
-  SLX_ASSIGN_OR_RETURN(report.rig, CheckRig(devices, options.rig, stop));
+  SLX_ASSIGN_OR_RETURN(report.rig, CheckRig(devices, options.rig));
   CheckDisk(options, report);
   CheckCodecs(options, report);
   return report;

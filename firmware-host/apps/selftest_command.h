@@ -2,7 +2,6 @@
 // `stratalux-rig selftest`: the rig's devices, the disk of its store and the codec for it.
 #pragma once
 
-#include <atomic>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -35,8 +34,7 @@ struct SelftestReport {
 };
 
 // Fails only where the devices cannot be started or are interrupted; all else is an item of the report.
-[[nodiscard]] Result<SelftestReport> RunSelftest(const RigDevices& devices, const SelftestOptions& options,
-                                                 const std::atomic<bool>& stop);
+[[nodiscard]] Result<SelftestReport> RunSelftest(const RigDevices& devices, const SelftestOptions& options);
 
 // A table with the remedies, and histograms of the latencies; one JSON object.
 [[nodiscard]] std::string SelftestAsText(const SelftestReport& report);

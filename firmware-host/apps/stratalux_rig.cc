@@ -15,13 +15,13 @@
 #include "db/catalogue/consent.h"
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/guided_capture.h"
+#include "firmware-host/apps/last_lights.h"
 #include "firmware-host/apps/open_rig.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
-#include "firmware-host/apps/stop_signals.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
-#include "firmware-host/gpio/gpiod_line_bank.h"
+#include "firmware-host/safety/last_resort.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
@@ -33,27 +33,45 @@ namespace {
 constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
 constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store
+  stratalux-rig selftest --simulate --store store
+  stratalux-rig plan show
+  stratalux-rig safe
+
+Each command's --help has examples of its own.)";
+constexpr const char* kCaptureExamples = R"(Examples:
+  stratalux-rig capture --simulate --store store
   stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
+  stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
   stratalux-rig capture --simulate --store store --no-scattering
   stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \
       --consent-text 2026-03 --consent-language de
-  stratalux-rig capture --simulate --config rig.toml --kind flat
-  stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
-  stratalux-rig capture --kind calibration --store store
-  stratalux-rig capture --kind calibration --pose 3 --store store
-  stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
-  stratalux-rig capture --kind dark --store store
-  stratalux-rig capture --store store --calibration latest
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
-  stratalux-rig capture --config rig.toml --store store
-  stratalux-rig selftest --simulate --store store
-  stratalux-rig safe
-  stratalux-rig plan show
-  stratalux-rig plan show --json --kind calibration
-  stratalux-rig plan render --out patterns
+  stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
+  stratalux-rig capture --kind calibration --store store
+  stratalux-rig capture --kind calibration --pose 3 --store store
+  stratalux-rig capture --kind flat --simulate --config rig.toml
+  stratalux-rig capture --kind dark --store store
+  stratalux-rig capture --config rig.toml --store store --calibration latest
 
 Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
+constexpr const char* kSelftestExamples = R"(Examples:
+  stratalux-rig selftest --config rig.toml --store store
+  stratalux-rig selftest --simulate --store store --json
+
+Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5 a device is in use.)";
+constexpr const char* kPlanExamples = R"(Examples:
+  stratalux-rig plan show
+  stratalux-rig plan show --json --kind calibration
+  stratalux-rig plan render --out patterns)";
+constexpr const char* kSafeExamples = R"(Examples:
+  stratalux-rig safe
+  stratalux-rig safe --config rig.toml
+
+Goes by the lights of the rig that was opened last ($STATE_DIRECTORY or /var/lib/stratalux, lights.json) and by the
+configuration, where that can be read. Run it as the account that captures.
+Exit codes: 0 all lights are off, 1 a light could not be switched off, 2 neither tells of any light, 4 no such line or
+display, 5 a running program holds a line or a display.)";
 
 struct Flags {
   std::string config;
@@ -212,7 +230,7 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
 
 int RunSeries(const Flags& flags, const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
               Logger& logger) {
-  const Result<SeriesOutcome> outcome = CaptureSeries(options, series, ask, InstallStopSignals(), logger);
+  const Result<SeriesOutcome> outcome = CaptureSeries(options, series, ask, StopOfProcess(), logger);
   if (!outcome.ok()) return Report(outcome.status());
   const int printed = Print(flags.json ? SeriesAsJson(*outcome) : SeriesAsText(*outcome, options.config.store.folder));
   const int captured = ExitCode(*outcome);
@@ -227,9 +245,9 @@ int RunCapture(const Flags& flags) {
   if (!series.ok()) return Report(series.status());
   // A simulated board needs nobody's hands.
   AskOperator ask;
-  if (!flags.yes && !options->simulated) ask = AskOnTerminal(InstallStopSignals(), series->has_value());
+  if (!flags.yes && !options->simulated) ask = AskOnTerminal(StopOfProcess(), series->has_value());
   if (*series) return RunSeries(flags, *options, **series, ask, logger);
-  const Result<CaptureOutcome> outcome = CaptureOne(*options, ask, InstallStopSignals(), logger);
+  const Result<CaptureOutcome> outcome = CaptureOne(*options, ask, StopOfProcess(), logger);
   if (!outcome.ok()) return Report(outcome.status());
   const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
   const int captured = ExitCode(*outcome);
@@ -248,7 +266,7 @@ int RunSelftestCommand(const Flags& flags) {
     simulated = std::move(asked).value();
   }
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
-  const Result<OpenedRig> rig = OpenRig(*config, *plan, simulated, logger);
+  const Result<OpenedRig> rig = OpenRig(*config, *plan, simulated, StopOfProcess(), logger);
   if (!rig.ok()) return Report(rig.status());
   SelftestOptions options;
   options.store = config->store.folder;
@@ -259,7 +277,7 @@ int RunSelftestCommand(const Flags& flags) {
   options.rig.settle = FromMilliseconds(config->settle_ms);
   options.rig.deadline = FromMilliseconds(config->deadline_ms);
   options.rig.wait = rig->wait();
-  const Result<SelftestReport> report = RunSelftest(rig->devices(), options, InstallStopSignals());
+  const Result<SelftestReport> report = RunSelftest(rig->devices(), options);
   if (!report.ok()) return Report(report.status());
   const int printed = Print((flags.json ? SelftestAsJson : SelftestAsText)(*report));
   return report->passed() ? printed : static_cast<int>(StatusCode::kFailed);
@@ -277,11 +295,23 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms));
 }
 
-// Nothing but the configuration and the lines: it must work when all else is broken.
+// It must work when all else is broken: the lights of the last rig that was opened go off, and those of the
+// configuration, where that can be read.
 int RunSafe(const Flags& flags) {
   const Result<RigConfig> config = LoadRigConfig(flags.config.empty() ? kSystemConfig : flags.config);
-  if (!config.ok()) return Report(config.status());
-  const Status off = DriveEnablesOff(config->gpio);
+  const Result<RigLights> last = ReadLights(StateFolder());
+  if (!config.ok() && !last.ok()) {
+    Report(last.status());
+    return Report(config.status());
+  }
+  Status off;
+  if (last.ok()) off = TakeLights(*last);
+  if (!config.ok()) Report(config.status().WithContext("not looked at"));
+  if (last.status().code() == StatusCode::kFailed) Report(last.status().WithContext("not looked at"));
+  if (config.ok() && !(last.ok() && *last == LightsOf(*config))) {
+    const Status wired = TakeLights(LightsOf(*config));
+    if (off.ok()) off = wired;
+  }
   return off.ok() ? 0 : Report(off);
 }
 
@@ -364,8 +394,9 @@ int Main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("stratalux-rig ") + kVersion);
   app.require_subcommand(1);
   CLI::App* capture = AddCapture(app, flags);
-  capture->footer(kExamples);
+  capture->footer(kCaptureExamples);
   CLI::App* selftest = app.add_subcommand("selftest", "Check devices, wiring, light, timing, disk and codec");
+  selftest->footer(kSelftestExamples);
   AddPlanFlags(*selftest, flags);
   AddSimulationFlags(*selftest, flags);
   selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
@@ -373,6 +404,7 @@ int Main(int argc, char** argv) {
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
   plan->require_subcommand(1);
+  plan->footer(kPlanExamples);
   CLI::App* show = plan->add_subcommand("show", "List the steps");
   AddPlanFlags(*show, flags);
   show->add_flag("--json", flags.json, "print JSON");
@@ -380,7 +412,9 @@ int Main(int argc, char** argv) {
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
   AddPlanFlags(*render, flags);
   render->add_option("--out", flags.out, "folder")->required();
-  CLI::App* safe = app.add_subcommand("safe", "Drive every ENABLE line off, as a unit's ExecStopPost does");
+  CLI::App* safe =
+      app.add_subcommand("safe", "Take every light: ENABLE lines off, displays black, as a unit's ExecStopPost does");
+  safe->footer(kSafeExamples);
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));

@@ -87,9 +87,13 @@ class Outputs final : public OutputRequest {
     for (size_t i = 0; i < count_; ++i) values[i] = Value(levels, i);
     return gpiod_line_request_set_values(request_, values) == 0 ? 0 : errno;
   }
-  int Probe() noexcept override {
+  int Read(uint64_t& levels) noexcept override {
     gpiod_line_value values[kMaxLines];
-    return gpiod_line_request_get_values(request_, values) == 0 ? 0 : errno;
+    if (gpiod_line_request_get_values(request_, values) != 0) return errno;
+    levels = 0;
+    for (size_t i = 0; i < count_; ++i)
+      if (values[i] == GPIOD_LINE_VALUE_ACTIVE) levels |= uint64_t{1} << i;
+    return 0;
   }
 
  private:
@@ -131,9 +135,13 @@ class Outputs final : public OutputRequest {
     Split(levels, values);
     return gpiod_line_set_value_bulk(&lines_, values) == 0 ? 0 : errno;
   }
-  int Probe() noexcept override {
+  int Read(uint64_t& levels) noexcept override {
     int values[kMaxLines];
-    return gpiod_line_get_value_bulk(&lines_, values) == 0 ? 0 : errno;
+    if (gpiod_line_get_value_bulk(&lines_, values) != 0) return errno;
+    levels = 0;
+    for (size_t i = 0; i < lines_.num_lines; ++i)
+      if (values[i] != 0) levels |= uint64_t{1} << i;
+    return 0;
   }
   static void Split(uint64_t levels, int* values) {
     for (size_t i = 0; i < kMaxLines; ++i) values[i] = static_cast<int>(levels >> i & 1U);
@@ -186,18 +194,36 @@ class Inputs final : public InputRequest {
     }
   }
   Result<uint64_t> ReadActive() override {
-    gpio_v2_line_values values{};
-    values.mask = offsets_.size() == kMaxLines ? ~uint64_t{0} : (uint64_t{1} << offsets_.size()) - 1;
-    if (ioctl(fd_.get(), GPIO_V2_LINE_GET_VALUES_IOCTL, &values) != 0) return Gone(errno);
-    return uint64_t{values.bits & values.mask};
+    uint64_t active = 0;
+    if (const int error = Levels(active); error != 0) return Gone(error);
+    return active;
+  }
+  int Take(uint64_t& seen, uint64_t& active) noexcept override {
+    seen = active = 0;
+    gpio_v2_line_event raw[16];
+    while (true) {
+      const ssize_t bytes = read(fd_.get(), raw, sizeof raw);
+      if (bytes < 0 && errno == EINTR) continue;
+      if (bytes < 0 && errno == EAGAIN) return Levels(active);
+      if (bytes <= 0) return bytes < 0 ? errno : ENODEV;
+      for (size_t i = 0; i < static_cast<size_t>(bytes) / sizeof raw[0]; ++i) seen |= uint64_t{1} << LineOf(raw[i]);
+    }
   }
 
  private:
   [[nodiscard]] Status Gone(int error) const { return Status::Failed(chip_path_ + ": " + std::strerror(error)); }
+  [[nodiscard]] size_t LineOf(const gpio_v2_line_event& raw) const noexcept {
+    return static_cast<size_t>(std::find(offsets_.begin(), offsets_.end(), raw.offset) - offsets_.begin());
+  }
   [[nodiscard]] LineEvent From(const gpio_v2_line_event& raw) const {
-    const auto line = std::find(offsets_.begin(), offsets_.end(), raw.offset);
-    return {static_cast<size_t>(line - offsets_.begin()), raw.line_seqno,
-            MonotonicNs{static_cast<int64_t>(raw.timestamp_ns)}};
+    return {LineOf(raw), raw.line_seqno, MonotonicNs{static_cast<int64_t>(raw.timestamp_ns)}};
+  }
+  int Levels(uint64_t& active) const noexcept {
+    gpio_v2_line_values values{};
+    values.mask = offsets_.size() == kMaxLines ? ~uint64_t{0} : (uint64_t{1} << offsets_.size()) - 1;
+    if (ioctl(fd_.get(), GPIO_V2_LINE_GET_VALUES_IOCTL, &values) != 0) return errno;
+    active = values.bits & values.mask;
+    return 0;
   }
   UniqueFd fd_;
   std::string chip_path_;

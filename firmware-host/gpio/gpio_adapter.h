@@ -27,8 +27,8 @@ class OutputRequest {
   virtual ~OutputRequest() = default;
   // 0 or errno. Allocates nothing and takes no lock: safe in a signal handler.
   virtual int Write(uint64_t levels) noexcept = 0;
-  // 0 while the chip is there.
-  virtual int Probe() noexcept = 0;
+  // 0 or errno; the levels that the lines have.
+  virtual int Read(uint64_t& levels) noexcept = 0;
 };
 
 // At most 64 lines of one chip, at `levels` from the start. kBusy: somebody else has one of them.
@@ -59,6 +59,9 @@ class InputRequest {
   virtual Result<std::vector<LineEvent>> Read() = 0;
   // Bit i set: line i is active.
   virtual Result<uint64_t> ReadActive() = 0;
+  // Reads all that waits away. 0 or errno; bit i of `seen`: line i became active meanwhile; of `active`: is active now.
+  // Allocates nothing.
+  virtual int Take(uint64_t& seen, uint64_t& active) noexcept = 0;
 };
 
 [[nodiscard]] Result<std::unique_ptr<InputRequest>> RequestInputs(const std::string& chip_path,

@@ -26,6 +26,8 @@ enum class LineBias : uint8_t { kAsIs, kDisabled, kPullUp, kPullDown };
 struct OutputWiring {
   LineAddress at;
   ActiveLevel active = ActiveLevel::kHigh;
+
+  friend bool operator==(const OutputWiring&, const OutputWiring&) = default;
 };
 
 struct InputWiring {

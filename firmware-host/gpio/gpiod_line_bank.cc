@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <condition_variable>
 #include <cstring>
 #include <deque>
@@ -18,17 +17,16 @@
 #include <unistd.h>
 
 #include "firmware-host/gpio/gpio_adapter.h"
-#include "shared/base/check.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
 namespace {
 
-// How long an unplugged chip, or an E-STOP whose edge was lost, stays unnoticed at most.
+// How long an unplugged chip stays unnoticed at most.
 constexpr int kCheckPeriodMs = 50;
 constexpr size_t kMaxEdges = 4096;  // that nobody waited for
 
-enum class InputRole : uint8_t { kSync, kStrobe, kEmergencyStop, kDoor, kStart };
+enum class InputRole : uint8_t { kSync, kStrobe, kStart };
 
 struct Input {
   InputRole role = InputRole::kSync;
@@ -41,9 +39,8 @@ struct OutputPlan {
   std::string chip_path;
   std::vector<unsigned> offsets;
   uint64_t active_low = 0;
-  std::vector<uint64_t> enable, trigger, reset;  // by projector; 0: not wired
+  std::vector<uint64_t> trigger, reset;  // by projector; 0: not wired
   uint64_t camera_trigger = 0;
-  uint64_t all_enables = 0;
 };
 
 struct InputPlan {
@@ -74,10 +71,8 @@ Result<uint64_t> AddOutput(std::span<const GpioChip> chips, const std::optional<
 Result<OutputPlan> PlanOutputs(std::span<const GpioChip> chips, const GpioWiring& wiring) {
   OutputPlan plan;
   for (const ProjectorLines& p : wiring.projectors) {
-    SLX_ASSIGN_OR_RETURN(plan.enable.emplace_back(), AddOutput(chips, p.enable, plan));
     SLX_ASSIGN_OR_RETURN(plan.trigger.emplace_back(), AddOutput(chips, p.trigger, plan));
     SLX_ASSIGN_OR_RETURN(plan.reset.emplace_back(), AddOutput(chips, p.reset, plan));
-    plan.all_enables |= plan.enable.back();
   }
   SLX_ASSIGN_OR_RETURN(plan.camera_trigger, AddOutput(chips, wiring.camera_trigger, plan));
   return plan;
@@ -98,8 +93,6 @@ Result<InputPlan> PlanInputs(std::span<const GpioChip> chips, const GpioWiring& 
   for (size_t p = 0; p < wiring.projectors.size(); ++p)
     SLX_RETURN_IF_ERROR(AddInput(chips, wiring.projectors[p].sync, {InputRole::kSync, static_cast<int>(p)}, plan));
   SLX_RETURN_IF_ERROR(AddInput(chips, wiring.strobe, {InputRole::kStrobe}, plan));
-  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.emergency_stop, {InputRole::kEmergencyStop}, plan));
-  SLX_RETURN_IF_ERROR(AddInput(chips, wiring.door, {InputRole::kDoor}, plan));
   SLX_RETURN_IF_ERROR(AddInput(chips, wiring.start, {InputRole::kStart}, plan));
   return plan;
 }
@@ -119,16 +112,12 @@ class Bank final : public GpiodLineBank {
   Bank(const Bank&) = delete;
   Bank& operator=(const Bank&) = delete;
 
-  // After construction, before anything else; kBusy where this process has a bank already.
+  // After construction, before anything else.
   Status Begin();
 
-  Status SetEnable(int projector, bool on) override;
-  Status AllOff() override;
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  [[nodiscard]] Interlock CheckInterlock() override;
-  Status ResetInterlock() override;
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override;
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override;
   Status ResetMemory(int projector) override;
@@ -141,14 +130,11 @@ class Bank final : public GpiodLineBank {
   Result<TriggerReceipt> Pulse(uint64_t bits, std::chrono::microseconds width);
   // With mutex_ held.
   Status Write(uint64_t active);
-  void Trip(Interlock cause);
   [[nodiscard]] Status GoneStatus() const { return Status::Failed("GPIO lines are gone: " + gone_reason_); }
 
-  // What the active inputs say.
-  [[nodiscard]] Interlock CauseIn(uint64_t active) const;
   void Watch();
   // False when the lines are gone.
-  bool CheckLevels();
+  bool ProbeLines();
   bool TakeEvents();
   void Take(const LineEvent& event);
   void LinesGone(const std::string& reason);
@@ -160,34 +146,19 @@ class Bank final : public GpiodLineBank {
   const UniqueFd stop_;  // eventfd: the watcher shall end
   Logger& logger_;
   std::thread watcher_;
-  bool guards_process_ = false;
 
   std::mutex pulse_mutex_;  // one pulse after the other
   std::mutex mutex_;        // guards what follows, and the counts of inputs_
   std::condition_variable changed_;
   uint64_t active_ = 0;  // outputs
   int64_t pulses_ = 0;
-  Interlock interlock_ = Interlock::kClosed;
   std::string gone_reason_;  // not empty: the lines are gone
   std::deque<SyncEdge> edges_;
   std::optional<MonotonicNs> start_press_, strobe_;
-
-  static std::atomic<Bank*> guarded;
 };
 
-std::atomic<Bank*> Bank::guarded = nullptr;
-
 Status Bank::Begin() {
-  Bank* none = nullptr;
-  if (!guarded.compare_exchange_strong(none, this))
-    return Status::Busy("this process has the rig's lines open already");
-  guards_process_ = true;
-  // In a failed check no lock may be waited for: outputs_ and plan_ never change, and Write takes none.
-  SetCheckFailureHook([] {
-    Bank* bank = guarded.load();
-    if (bank != nullptr && bank->outputs_) bank->outputs_->Write(bank->plan_.active_low);
-  });
-  if (!CheckLevels()) return GoneStatus();
+  if (!ProbeLines()) return GoneStatus();
   watcher_ = std::thread([this] { Watch(); });
   return Status::Ok();
 }
@@ -198,30 +169,15 @@ Bank::~Bank() {
     if (write(stop_.get(), &one, sizeof one) != sizeof one) logger_.Error("GPIO: the watcher cannot be told to end");
     watcher_.join();
   }
-  {
-    const std::lock_guard lock(mutex_);
-    static_cast<void>(Write(0));
-  }
-  if (!guards_process_) return;
-  SetCheckFailureHook(nullptr);
-  guarded = nullptr;
+  const std::lock_guard lock(mutex_);
+  static_cast<void>(Write(0));
 }
 
 Status Bank::Write(uint64_t active) {
-  if (!gone_reason_.empty()) return GoneStatus();
   active_ = active;
   if (!outputs_) return Status::Ok();
   const int error = outputs_->Write(active ^ plan_.active_low);
-  if (error == 0) return Status::Ok();
-  gone_reason_ = plan_.chip_path + ": " + std::strerror(error);
-  if (interlock_ == Interlock::kClosed) interlock_ = Interlock::kLinesGone;
-  return GoneStatus();
-}
-
-void Bank::Trip(Interlock cause) {
-  if (interlock_ != Interlock::kClosed) return;
-  static_cast<void>(Write(active_ & ~plan_.all_enables));
-  interlock_ = cause;
+  return error == 0 ? Status::Ok() : Status::Failed(plan_.chip_path + ": " + std::strerror(error));
 }
 
 Status Bank::CheckProjector(int projector, const std::vector<uint64_t>& bits, const char* signal) const {
@@ -232,28 +188,16 @@ Status Bank::CheckProjector(int projector, const std::vector<uint64_t>& bits, co
   return Status::Ok();
 }
 
-Status Bank::SetEnable(int projector, bool on) {
-  SLX_RETURN_IF_ERROR(CheckProjector(projector, plan_.enable, "ENABLE"));
-  const std::lock_guard lock(mutex_);
-  if (!on) return Write(active_ & ~plan_.enable[projector]);
-  if (!gone_reason_.empty()) return GoneStatus();
-  if (interlock_ != Interlock::kClosed)
-    return Status::Failed("projector " + std::to_string(projector) + " stays dark: " + ToString(interlock_));
-  return Write(active_ | plan_.enable[projector]);
-}
-
-Status Bank::AllOff() {
-  const std::lock_guard lock(mutex_);
-  return Write(active_ & ~plan_.all_enables);
-}
-
 Result<TriggerReceipt> Bank::Pulse(uint64_t bits, std::chrono::microseconds width) {
   const std::lock_guard one_at_a_time(pulse_mutex_);
   TriggerReceipt receipt;
   {
     const std::lock_guard lock(mutex_);
     receipt = {pulses_, MonotonicNow()};
-    SLX_RETURN_IF_ERROR(Write(active_ | bits));
+    if (const Status up = Write(active_ | bits); !up.ok()) {
+      active_ &= ~bits;  // of a pulse that may not have begun: the next one has its own
+      return up;
+    }
     ++pulses_;
   }
   std::this_thread::sleep_for(width);
@@ -317,33 +261,6 @@ int64_t Bank::SyncCount(int projector) {
   return 0;
 }
 
-Interlock Bank::CheckInterlock() {
-  const std::lock_guard lock(mutex_);
-  return interlock_;
-}
-
-Interlock Bank::CauseIn(uint64_t active) const {
-  for (size_t i = 0; i < inputs_.size(); ++i) {
-    if ((active >> i & 1U) == 0) continue;
-    if (inputs_[i].role == InputRole::kEmergencyStop) return Interlock::kEmergencyStop;
-    if (inputs_[i].role == InputRole::kDoor) return Interlock::kDoorOpen;
-  }
-  return Interlock::kClosed;
-}
-
-Status Bank::ResetInterlock() {
-  // Under one lock: an edge that comes meanwhile trips the interlock after it, not before.
-  const std::lock_guard lock(mutex_);
-  if (!gone_reason_.empty()) return GoneStatus();
-  if (input_request_) {
-    SLX_ASSIGN_OR_RETURN(const uint64_t active, input_request_->ReadActive());
-    const Interlock still = CauseIn(active);
-    if (still != Interlock::kClosed) return Status::Failed(std::string(ToString(still)) + " is still active");
-  }
-  interlock_ = Interlock::kClosed;
-  return Status::Ok();
-}
-
 void Bank::Watch() {
   std::array<pollfd, 2> fds = {pollfd{stop_.get(), POLLIN, 0},
                                pollfd{input_request_ ? input_request_->fd() : -1, POLLIN, 0}};
@@ -356,15 +273,16 @@ void Bank::Watch() {
     // Under steady edges poll never times out.
     if (std::chrono::steady_clock::now() < next_check) continue;
     next_check = std::chrono::steady_clock::now() + std::chrono::milliseconds(kCheckPeriodMs);
-    if (!CheckLevels()) return;
+    if (!ProbeLines()) return;
   }
 }
 
-bool Bank::CheckLevels() {
+bool Bank::ProbeLines() {
   int error = 0;
   if (outputs_) {
     const std::lock_guard lock(mutex_);  // libgpiod: one thread at a time in a request
-    error = outputs_->Probe();
+    uint64_t levels = 0;
+    error = outputs_->Read(levels);
   }
   if (error != 0) {
     LinesGone(plan_.chip_path + ": " + std::strerror(error));
@@ -372,15 +290,8 @@ bool Bank::CheckLevels() {
   }
   if (!input_request_) return true;
   const Result<uint64_t> active = input_request_->ReadActive();
-  if (!active.ok()) {
-    LinesGone(active.status().message());
-    return false;
-  }
-  const Interlock cause = CauseIn(*active);
-  if (cause == Interlock::kClosed) return true;
-  const std::lock_guard lock(mutex_);
-  Trip(cause);
-  return true;
+  if (!active.ok()) LinesGone(active.status().message());
+  return active.ok();
 }
 
 bool Bank::TakeEvents() {
@@ -388,12 +299,6 @@ bool Bank::TakeEvents() {
   if (!events.ok()) {
     LinesGone(events.status().message());
     return false;
-  }
-  // The light goes first, whatever else came.
-  {
-    const std::lock_guard lock(mutex_);
-    for (const LineEvent& event : *events)
-      if (const Interlock cause = CauseIn(uint64_t{1} << event.line); cause != Interlock::kClosed) Trip(cause);
   }
   for (const LineEvent& event : *events) Take(event);
   changed_.notify_all();
@@ -416,15 +321,12 @@ void Bank::Take(const LineEvent& event) {
   if (lost > 0 && input.role == InputRole::kSync)
     logger_.Warning("SYNC of projector " + std::to_string(input.projector) + ": " + std::to_string(lost) +
                     " edges lost before edge " + std::to_string(input.count - 1));
-  if (input.role == InputRole::kEmergencyStop) logger_.Error("emergency stop: every projector is off");
-  if (input.role == InputRole::kDoor) logger_.Error("door open: every projector is off");
 }
 
 void Bank::LinesGone(const std::string& reason) {
-  logger_.Error("GPIO lines are gone: " + reason + "; their ENABLE lines hold what the hardware makes of them");
+  logger_.Error("GPIO lines are gone: " + reason);
   {
     const std::lock_guard lock(mutex_);
-    Trip(Interlock::kLinesGone);
     if (gone_reason_.empty()) gone_reason_ = reason;
   }
   changed_.notify_all();
@@ -453,27 +355,6 @@ Result<std::unique_ptr<GpiodLineBank>> GpiodLineBank::Open(const GpioWiring& wir
   bank->reset_pulse_ = wiring.reset_pulse;
   SLX_RETURN_IF_ERROR(bank->Begin());
   return std::unique_ptr<GpiodLineBank>(std::move(bank));
-}
-
-Status DriveEnablesOff(const GpioWiring& wiring) {
-  const std::vector<GpioChip> chips = ListChips();
-  Status first_error;
-  int lines = 0;
-  // One by one: a line that cannot be had must not keep another one on.
-  for (const ProjectorLines& p : wiring.projectors) {
-    if (!p.enable) continue;
-    ++lines;
-    Status status;
-    if (const Result<FoundLine> line = FindLine(chips, p.enable->at); !line.ok()) {
-      status = line.status();
-    } else {
-      status = RequestOutputs(line->chip_path, {line->offset}, p.enable->active == ActiveLevel::kLow ? 1 : 0).status();
-    }
-    if (first_error.ok())
-      first_error = status.WithContext("ENABLE of projector " + std::to_string(&p - wiring.projectors.data()));
-  }
-  if (lines == 0) return Status::Usage("the configuration wires no ENABLE line ([[projector]] enable)");
-  return first_error;
 }
 
 }  // namespace stratalux::rig

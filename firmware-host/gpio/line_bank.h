@@ -23,28 +23,16 @@ struct TriggerReceipt {
   MonotonicNs time;
 };
 
-// What takes the light away. A bank of real lines drops every ENABLE itself, at once, whoever waits for what; the
-// sequencer asks here for the reason.
-enum class Interlock : uint8_t { kClosed, kEmergencyStop, kDoorOpen, kLinesGone };
-[[nodiscard]] const char* ToString(Interlock interlock);
-
+// SYNC, TRIGGER, STROBE and START. What makes light is the LightGuard's alone.
 class LineBank {
  public:
   virtual ~LineBank() = default;
-  // Drives a projector's ENABLE line (its light).
-  virtual Status SetEnable(int projector, bool on) = 0;
-  virtual Status AllOff() = 0;
   // Pulses projector TRIGGER: the next pattern of its memory goes on. `projector` -1: all projectors at once.
   virtual Result<TriggerReceipt> TriggerProjector(int projector) = 0;
   // Pulses camera TRIGGER: one exposure starts.
   virtual Result<TriggerReceipt> TriggerCamera() = 0;
   // Next SYNC edge; nullopt at the deadline.
   virtual Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) = 0;
-  // Latched: stays at the first cause until ResetInterlock. Never blocks. While it is not kClosed, SetEnable(p, true)
-  // fails.
-  [[nodiscard]] virtual Interlock CheckInterlock() = 0;
-  // kFailed while the input is still active (button pressed, door open) or the lines are gone.
-  virtual Status ResetInterlock() = 0;
   // The START button: time of a press since the last call; nullopt at the deadline, and at once on rigs without one.
   virtual Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) = 0;
   // Exposure as the camera's STROBE output shows it: start of the last one; nullopt where it is not wired.

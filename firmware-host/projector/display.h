@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "firmware-host/projector/projector.h"
+#include "firmware-host/safety/light_switch.h"
 #include "shared/base/result.h"
 #include "shared/units/time.h"
 
@@ -19,8 +20,9 @@ class Display : public Projector {
   virtual Status Flip() = 0;
   // The vertical blank at which the pattern asked for began to be sent to the screen; nullopt at the deadline.
   virtual Result<std::optional<MonotonicNs>> WaitFlip(std::chrono::nanoseconds timeout) = 0;
-  // Black at once; the place in the sequence stays.
-  virtual Status Blank() = 0;
+  // Off: black at once, and every Flip shows black until it is on again; the place in the sequence goes on. On: the
+  // next Flip shows its pattern. A new display is off.
+  [[nodiscard]] virtual LightSwitch& light() = 0;
   // Vertical blanks that went by between asking and flipping, beyond the one a flip needs.
   [[nodiscard]] virtual int64_t skipped_vblanks() const = 0;
 };

@@ -20,32 +20,6 @@ DisplayLineBank::DisplayLineBank(LineBank* lines, std::vector<DisplayOfProjector
   for (const DisplayOfProjector& wiring : displays) channels_.push_back({.wiring = wiring});
 }
 
-DisplayLineBank::~DisplayLineBank() { static_cast<void>(AllOff()); }
-
-Status DisplayLineBank::SetEnable(int projector, bool on) {
-  SLX_CHECK(projector >= 0 && projector < static_cast<int>(channels_.size()));
-  const DisplayOfProjector& wiring = channels_[projector].wiring;
-  const bool has_line = wiring.display == nullptr || wiring.enable == DisplayEnable::kLine;
-  if (has_line && lines_ == nullptr)
-    return Status::Failed("the rig has no ENABLE line of projector " + std::to_string(projector));
-  if (on && !has_line && CheckInterlock() != Interlock::kClosed)
-    return Status::Failed("projector " + std::to_string(projector) + " stays dark: " + ToString(CheckInterlock()));
-  // Both, even if one fails: less light is the safe side.
-  const Status line = has_line ? lines_->SetEnable(projector, on) : Status::Ok();
-  const Status screen = wiring.display != nullptr && !on ? wiring.display->Blank() : Status::Ok();
-  return line.ok() ? screen : line;
-}
-
-Status DisplayLineBank::AllOff() {
-  Status first = lines_ != nullptr ? lines_->AllOff() : Status::Ok();
-  for (const Channel& channel : channels_) {
-    if (channel.wiring.display == nullptr) continue;
-    const Status blank = channel.wiring.display->Blank();
-    if (first.ok()) first = blank;
-  }
-  return first;
-}
-
 Status DisplayLineBank::Flip(Channel& channel) {
   SLX_RETURN_IF_ERROR(channel.wiring.display->Flip());
   channel.pending = true;
@@ -135,11 +109,6 @@ Result<std::optional<SyncEdge>> DisplayLineBank::WaitEdge(steady_clock::time_poi
   } while (steady_clock::now() < deadline);
   return std::optional<SyncEdge>();
 }
-
-Interlock DisplayLineBank::CheckInterlock() {
-  return lines_ != nullptr ? lines_->CheckInterlock() : Interlock::kClosed;
-}
-Status DisplayLineBank::ResetInterlock() { return lines_ != nullptr ? lines_->ResetInterlock() : Status::Ok(); }
 
 Result<std::optional<MonotonicNs>> DisplayLineBank::WaitStart(std::chrono::nanoseconds timeout) {
   return lines_ != nullptr ? lines_->WaitStart(timeout) : std::optional<MonotonicNs>();

@@ -2,8 +2,7 @@
 // DisplayLineBank: lets displays be stepped like pattern memories, so that the sequencer knows but one kind.
 //
 // TRIGGER of a display is a flip to its next pattern; its SYNC edge is the flip's vertical blank plus the display's
-// latency (from there to the light, calibrated). Everything else goes to the bank of real lines, the ENABLE or shutter
-// line of a display included; without such a line, its ENABLE is the picture itself: black or not.
+// latency (from there to the light, calibrated). Everything else goes to the bank of real lines.
 #pragma once
 
 #include <chrono>
@@ -16,29 +15,20 @@
 
 namespace stratalux::rig {
 
-// What switches a display's light: its picture, black or not, or an ENABLE or shutter line besides.
-enum class DisplayEnable : uint8_t { kPicture, kLine };
-
 struct DisplayOfProjector {
   Display* display = nullptr;  // null: the projector has a TRIGGER line
   std::chrono::nanoseconds latency{0};
-  DisplayEnable enable = DisplayEnable::kPicture;
 };
 
 class DisplayLineBank : public LineBank {
  public:
   // `displays`: one entry a projector, in the rig's order. `lines`: null on a rig without real lines. Both outlive it.
   DisplayLineBank(LineBank* lines, std::vector<DisplayOfProjector> displays);
-  ~DisplayLineBank() override;
 
-  Status SetEnable(int projector, bool on) override;
-  Status AllOff() override;
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   // kFailed on a rig without lines: its camera runs free.
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  [[nodiscard]] Interlock CheckInterlock() override;
-  Status ResetInterlock() override;
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override;
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override;
 

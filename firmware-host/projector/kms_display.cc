@@ -2,9 +2,11 @@
 #include "firmware-host/projector/kms_display.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <mutex>
 #include <set>
@@ -163,13 +165,18 @@ class Buffer {
   void* memory_ = nullptr;
 };
 
-class KmsDisplay final : public Display {
+class KmsDisplay final : public Display, private LightSwitch {
  public:
   KmsDisplay(std::shared_ptr<Card> card, const DisplayWiring& wiring, uint32_t connector, uint32_t crtc,
              const drmModeModeInfo& mode)
-      : card_(std::move(card)), wiring_(wiring), connector_(connector), crtc_(crtc), mode_(mode) {}
+      : card_(std::move(card)),
+        wiring_(wiring),
+        name_(card_->path() + " " + wiring.connector),
+        connector_(connector),
+        crtc_(crtc),
+        mode_(mode) {}
   ~KmsDisplay() override {
-    if (black_) static_cast<void>(Blank());
+    if (black_) static_cast<void>(Set(false));
     const std::lock_guard lock(card_->mutex());
     card_->crtcs_in_use().erase(crtc_);
     card_->ForgetFlip(crtc_);
@@ -181,7 +188,8 @@ class KmsDisplay final : public Display {
     for (std::unique_ptr<Buffer>* buffer : {&black_, &pictures_[0], &pictures_[1]}) {
       SLX_ASSIGN_OR_RETURN(*buffer, Buffer::Create(*card_, width(), height()));
     }
-    return Blank();
+    const int error = Set(false);
+    return error == 0 ? Status::Ok() : card_->Refused("black on " + wiring_.connector, error);
   }
 
   [[nodiscard]] int width() const override { return mode_.hdisplay; }
@@ -191,7 +199,7 @@ class KmsDisplay final : public Display {
     for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
     if (pending_) {
       SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> flipped, WaitFlip(std::chrono::seconds(1)));
-      if (!flipped) return Status::Failed(Name() + ": a flip asked for a second ago has not come");
+      if (!flipped) return Status::Failed(name_ + ": a flip asked for a second ago has not come");
     }
     sequence_ = sequence;
     next_ = 0;
@@ -199,14 +207,16 @@ class KmsDisplay final : public Display {
   }
 
   Status Flip() override {
-    if (pending_) return Status::Failed(Name() + ": asked to flip while the flip before it has not come");
-    if (sequence_.empty()) return Status::Failed(Name() + ": asked to flip before any pattern was loaded");
+    if (pending_) return Status::Failed(name_ + ": asked to flip while the flip before it has not come");
+    if (sequence_.empty()) return Status::Failed(name_ + ": asked to flip before any pattern was loaded");
     Buffer& back = *pictures_[back_];
     DrawPattern(sequence_[next_], wiring_.gamma, width(), back.pixels());
     const std::lock_guard lock(card_->mutex());
     uint64_t vblank = 0, ns = 0;
     asked_at_vblank_ = drmCrtcGetSequence(card_->fd(), crtc_, &vblank, &ns) == 0 ? static_cast<int64_t>(vblank) : -1;
-    if (drmModePageFlip(card_->fd(), crtc_, back.id(), DRM_MODE_PAGE_FLIP_EVENT, card_.get()) != 0) {
+    // Blanked in between, the guard reads the pattern on the screen and takes it away.
+    const uint32_t shown = on_.load() ? back.id() : black_->id();
+    if (drmModePageFlip(card_->fd(), crtc_, shown, DRM_MODE_PAGE_FLIP_EVENT, card_.get()) != 0) {
       return card_->Refused("flip of " + wiring_.connector, errno);
     }
     pending_ = true;
@@ -229,21 +239,29 @@ class KmsDisplay final : public Display {
     return std::optional<MonotonicNs>(flipped->time);
   }
 
-  Status Blank() override {
-    const std::lock_guard lock(card_->mutex());
-    if (drmModeSetCrtc(card_->fd(), crtc_, black_->id(), 0, 0, &connector_, 1, &mode_) != 0) {
-      return card_->Refused("black on " + wiring_.connector, errno);
-    }
-    return Status::Ok();
-  }
+  [[nodiscard]] LightSwitch& light() override { return *this; }
 
   [[nodiscard]] int64_t skipped_vblanks() const override { return skipped_vblanks_; }
 
  private:
-  [[nodiscard]] std::string Name() const { return card_->path() + " " + wiring_.connector; }
+  // LightSwitch: requests of the kernel on structs of the stack, without the card's lock; the kernel has its own.
+  int Set(bool on) noexcept override {
+    on_.store(on);
+    if (on) return 0;
+    return drmModeSetCrtc(card_->fd(), crtc_, black_->id(), 0, 0, &connector_, 1, &mode_) == 0 ? 0 : errno;
+  }
+  int Read(bool& on) noexcept override {
+    drm_mode_crtc crtc{};
+    crtc.crtc_id = crtc_;
+    if (drmIoctl(card_->fd(), DRM_IOCTL_MODE_GETCRTC, &crtc) != 0) return errno;
+    on = crtc.mode_valid != 0 && crtc.fb_id != 0 && crtc.fb_id != black_->id();
+    return 0;
+  }
+  [[nodiscard]] const char* name() const noexcept override { return name_.c_str(); }
 
   std::shared_ptr<Card> card_;
   DisplayWiring wiring_;
+  std::string name_;
   uint32_t connector_;
   uint32_t crtc_;
   drmModeModeInfo mode_;
@@ -255,6 +273,7 @@ class KmsDisplay final : public Display {
   bool pending_ = false;
   int64_t asked_at_vblank_ = -1;
   int64_t skipped_vblanks_ = 0;
+  std::atomic<bool> on_ = false;  // as the guard wants it
 };
 
 Result<std::shared_ptr<Card>> OpenCard(const std::string& path) {
@@ -380,6 +399,24 @@ Result<std::unique_ptr<Display>> OpenDisplay(const std::shared_ptr<Card>& card, 
   return std::unique_ptr<Display>(std::move(display));
 }
 
+// "Xorg (812), stratalux-rig (1034)": other processes that have the card open.
+std::string UsersOf(const std::string& path) {
+  std::string users;
+  std::error_code error;
+  for (const auto& process : std::filesystem::directory_iterator("/proc", error)) {
+    const std::string pid = process.path().filename().string();
+    if (pid.find_first_not_of("0123456789") != std::string::npos || pid == std::to_string(getpid())) continue;
+    for (const auto& open : std::filesystem::directory_iterator(process.path() / "fd", error)) {
+      if (std::filesystem::read_symlink(open.path(), error) != path) continue;
+      std::string name;
+      std::getline(std::ifstream(process.path() / "comm"), name);
+      users += (users.empty() ? "" : ", ") + name + " (" + pid + ")";
+      break;
+    }
+  }
+  return users.empty() ? "a program that this account cannot see" : users;
+}
+
 }  // namespace
 
 Result<std::vector<std::unique_ptr<Display>>> OpenKmsDisplays(const std::vector<DisplayWiring>& wirings) {
@@ -391,6 +428,20 @@ Result<std::vector<std::unique_ptr<Display>>> OpenKmsDisplays(const std::vector<
     displays.push_back(std::move(display));
   }
   return displays;
+}
+
+Status BlankDisplay(const DisplayWiring& wiring) {
+  std::map<std::string, std::shared_ptr<Card>> cards;
+  SLX_ASSIGN_OR_RETURN(const std::shared_ptr<Card> card, CardOf(wiring, cards));
+  if (drmIsMaster(card->fd()) == 0 && drmSetMaster(card->fd()) != 0)
+    return Status::Busy(card->path() + ": " + wiring.connector + " is driven by " + UsersOf(card->path()) +
+                        "; end that program, its picture goes with it");
+  const Connector connector(drmModeGetConnectorCurrent(card->fd(), FindConnector(*card, wiring.connector)));
+  const Encoder encoder(connector ? drmModeGetEncoder(card->fd(), connector->encoder_id) : nullptr);
+  if (!encoder || encoder->crtc_id == 0) return Status::Ok();  // nothing feeds it
+  if (drmModeSetCrtc(card->fd(), encoder->crtc_id, 0, 0, 0, nullptr, 0, nullptr) != 0)
+    return card->Refused("switching off " + wiring.connector, errno);
+  return Status::Ok();
 }
 
 }  // namespace stratalux::rig

@@ -18,4 +18,8 @@ namespace stratalux::rig {
 // Displays of one card share a lock; each function may be called from any thread. When a display goes, it is black.
 [[nodiscard]] Result<std::vector<std::unique_ptr<Display>>> OpenKmsDisplays(const std::vector<DisplayWiring>& wirings);
 
+// Takes the picture from a display that nobody drives (a program that ended took its own along). kBusy: another program
+// is the card's master; the message names those that have it open, as far as this account may see them.
+[[nodiscard]] Status BlankDisplay(const DisplayWiring& wiring);
+
 }  // namespace stratalux::rig

@@ -9,14 +9,17 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr int kTries = 3;  // from RESET to the wanted pattern
+constexpr int kTries = 3;                                                   // from RESET to the wanted pattern
+constexpr std::chrono::nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that looks at no stop
 
 class PatternMemoryProjector final : public Projector {
  public:
-  PatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines, PatternMemoryOptions options)
+  PatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines, PatternMemoryOptions options,
+                         const StopToken& stop)
       : lines_(lines),
         memory_lines_(memory_lines),
         options_(std::move(options)),
+        stop_(stop),
         first_pattern_count_(memory_lines_.SyncCount(options_.projector)) {}
 
   [[nodiscard]] int width() const override { return options_.width; }
@@ -38,6 +41,7 @@ class PatternMemoryProjector final : public Projector {
   LineBank& lines_;
   PatternMemoryLines& memory_lines_;
   PatternMemoryOptions options_;
+  const StopToken& stop_;
   int64_t first_pattern_count_;  // SYNC edges before the memory last stood at its first pattern
   bool rewound_ = false;
 };
@@ -64,14 +68,17 @@ Status PatternMemoryProjector::Rewind() {
 }
 
 Result<bool> PatternMemoryProjector::Step() {
+  SLX_RETURN_IF_ERROR(stop_.Check());
   SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, lines_.TriggerProjector(options_.projector));
-  const MonotonicNs deadline = pulse.time + options_.sync_deadline;
-  while (true) {
-    const std::chrono::nanoseconds left = std::max(deadline - MonotonicNow(), std::chrono::nanoseconds(0));
-    SLX_ASSIGN_OR_RETURN(const std::optional<SyncEdge> edge, lines_.WaitSync(left));
-    if (!edge) return false;
-    if (edge->projector == options_.projector && edge->time >= pulse.time) return true;
+  std::chrono::nanoseconds left = options_.sync_deadline;
+  while (left.count() > 0) {
+    SLX_RETURN_IF_ERROR(stop_.Check());
+    const std::chrono::nanoseconds slice = std::min(left, kSlice);
+    SLX_ASSIGN_OR_RETURN(const std::optional<SyncEdge> edge, lines_.WaitSync(slice));
+    if (!edge) left -= slice;
+    if (edge && edge->projector == options_.projector && edge->time >= pulse.time) return true;
   }
+  return false;
 }
 
 Result<bool> PatternMemoryProjector::StepTo(int64_t target) {
@@ -79,8 +86,6 @@ Result<bool> PatternMemoryProjector::StepTo(int64_t target) {
   const auto limit = static_cast<int64_t>(2 * options_.memory.size());
   for (int64_t steps = 0; Next() != target; ++steps) {
     if (steps == limit) return false;
-    if (const Interlock interlock = lines_.CheckInterlock(); interlock != Interlock::kClosed)
-      return Status::Failed(ToString(interlock));
     SLX_ASSIGN_OR_RETURN(const bool confirmed, Step());
     if (!confirmed) return false;
   }
@@ -114,8 +119,8 @@ std::vector<Pattern> MemoryOf(const CapturePlan& plan, int projector) {
 }
 
 std::unique_ptr<Projector> MakePatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines,
-                                                      PatternMemoryOptions options) {
-  return std::make_unique<PatternMemoryProjector>(lines, memory_lines, std::move(options));
+                                                      PatternMemoryOptions options, const StopToken& stop) {
+  return std::make_unique<PatternMemoryProjector>(lines, memory_lines, std::move(options), stop);
 }
 
 }  // namespace stratalux::rig

@@ -14,6 +14,7 @@
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/gpio/pattern_memory_lines.h"
 #include "firmware-host/projector/projector.h"
+#include "firmware-host/safety/stop_token.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::rig {
@@ -36,8 +37,9 @@ struct PatternMemoryOptions {
 };
 
 // Load fails with kUsage where the memory does not hold the sequence in that order, with kFailed where steps stay
-// unconfirmed. The lines must outlive the projector.
+// unconfirmed, and within 20 ms once stopped. Lines and token must outlive the projector.
 [[nodiscard]] std::unique_ptr<Projector> MakePatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines,
-                                                                    PatternMemoryOptions options);
+                                                                    PatternMemoryOptions options,
+                                                                    const StopToken& stop);
 
 }  // namespace stratalux::rig

@@ -19,6 +19,8 @@ struct DisplayWiring {
   double refresh_hz = 0.0;  // 0: the mode's highest
   double latency_ms = 0.0;  // from the flip to the light, calibrated
   double gamma = 1.0;       // light of level v of 255: (v / 255)^gamma
+
+  friend bool operator==(const DisplayWiring&, const DisplayWiring&) = default;
 };
 
 struct ProjectorWiring {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// BoundedQueue: between the thread that shoots and the thread that writes. It stops rather than drops: Push blocks
-// until there is space, so a slow disk slows the capture and loses nothing.
+// BoundedQueue: between the thread that shoots and the thread that writes. It stops rather than drops: whoever pushes
+// waits for space, so a slow disk slows the capture and loses nothing.
 #pragma once
 
 #include <chrono>
@@ -19,11 +19,10 @@ class BoundedQueue {
  public:
   explicit BoundedQueue(size_t capacity) : capacity_(capacity) {}
 
-  // False, and the item is gone, once the queue is closed.
-  [[nodiscard]] bool Push(T item) {
+  // Waits for space, `time` at most; the item is moved from only when it went in. False: no space, or closed.
+  [[nodiscard]] bool PushFor(std::chrono::milliseconds time, T& item) {
     std::unique_lock lock(mutex_);
-    space_.wait(lock, [&] { return closed_ || items_.size() < capacity_; });
-    if (closed_) return false;
+    if (!space_.wait_for(lock, time, [&] { return closed_ || items_.size() < capacity_; }) || closed_) return false;
     items_.push_back(std::move(item));
     filled_.notify_one();
     return true;
@@ -49,6 +48,11 @@ class BoundedQueue {
     closed_ = true;
     space_.notify_all();
     filled_.notify_all();
+  }
+
+  [[nodiscard]] bool closed() const {
+    const std::lock_guard lock(mutex_);
+    return closed_;
   }
 
   // Closed and empty: no item will come any more.

@@ -7,11 +7,15 @@
 namespace stratalux::rig {
 
 namespace {
+constexpr std::chrono::milliseconds kLook{20};  // between looks at the stop
 constexpr std::chrono::milliseconds kIdle{50};  // well below the 250 ms that a frame may wait to be acknowledged
-}
+}  // namespace
 
-Recorder::Recorder(FrameArchive& archive, int queue_frames)
-    : archive_(archive), queue_(static_cast<size_t>(std::max(1, queue_frames))), thread_([this] { WriteFrames(); }) {}
+Recorder::Recorder(FrameArchive& archive, int queue_frames, const StopToken& stop)
+    : archive_(archive),
+      stop_(stop),
+      queue_(static_cast<size_t>(std::max(1, queue_frames))),
+      thread_([this] { WriteFrames(); }) {}
 
 Recorder::~Recorder() {
   queue_.Close();
@@ -19,7 +23,15 @@ Recorder::~Recorder() {
 }
 
 Status Recorder::Put(FrameRecord record, Image<uint16_t> pixels) {
-  if (queue_.Push({std::move(record), std::move(pixels)})) return Status::Ok();
+  Item item{std::move(record), std::move(pixels)};
+  while (!queue_.PushFor(kLook, item)) {
+    if (queue_.closed()) return WhyClosed();
+    SLX_RETURN_IF_ERROR(stop_.Check());
+  }
+  return Status::Ok();
+}
+
+Status Recorder::WhyClosed() const {
   const Status status = error();
   return status.ok() ? Status::Failed("the recorder is closed") : status;
 }

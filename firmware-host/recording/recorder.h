@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "firmware-host/recording/bounded_queue.h"
+#include "firmware-host/safety/stop_token.h"
 #include "firmware-host/sequence/frame_sink.h"
 #include "shared/base/result.h"
 
@@ -27,13 +28,13 @@ class FrameArchive {
 class Recorder : public FrameSink {
  public:
   // Flushes when no frame came for 250 ms. The archive is used by the writer thread alone until Close() returns.
-  // `queue_frames` >= 1 bounds the memory.
-  Recorder(FrameArchive& archive, int queue_frames);
+  // `queue_frames` >= 1 bounds the memory. Once stopped, nobody waits for space any more; what is queued is written.
+  Recorder(FrameArchive& archive, int queue_frames, const StopToken& stop);
   ~Recorder() override;
   Recorder(const Recorder&) = delete;
   Recorder& operator=(const Recorder&) = delete;
 
-  // Blocks while the queue is full. The archive's error, from the first frame it could not write onwards.
+  // Waits while the queue is full. The archive's error, from the first frame it could not write onwards.
   Status Put(FrameRecord record, Image<uint16_t> pixels) override;
   // Writes what is queued, flushes, ends the thread. The archive's first error; safe to call again.
   Status Close();
@@ -44,10 +45,12 @@ class Recorder : public FrameSink {
     Image<uint16_t> pixels;
   };
   void WriteFrames();
+  [[nodiscard]] Status WhyClosed() const;
   [[nodiscard]] Status error() const;
   void SetError(Status status);
 
   FrameArchive& archive_;
+  const StopToken& stop_;
   BoundedQueue<Item> queue_;
   mutable std::mutex error_mutex_;
   Status error_;

@@ -15,23 +15,16 @@ ShooterOptions ShooterOptionsOf(const SequencerOptions& options) {
   return shooter;
 }
 
-// A rig with a clock of its own may take any real time to make a frame.
-std::chrono::nanoseconds PatienceOf(const SequencerOptions& options) {
-  return options.shooter.wait ? std::chrono::nanoseconds(0) : options.watchdog;
-}
-
 }  // namespace
 
 CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
-                       const std::atomic<bool>& stop, const std::function<void()>& on_step, FrameSink& sink)
+                       const std::function<void()>& on_step, FrameSink& sink)
     : plan_(plan),
       devices_(devices),
       options_(options),
       logger_(logger),
-      stop_(stop),
       on_step_(on_step),
       sink_(sink),
-      watchdog_(PatienceOf(options), [lines = &devices_.lines] { return lines->AllOff(); }),
       shooter_(std::move(devices), ShooterOptionsOf(options), plan.options.sync_mode, [this] { return CheckSafe(); }),
       witness_(plan, options.witness) {
   report_.planned = static_cast<int>(plan.steps.size());
@@ -69,35 +62,30 @@ Status CaptureRun::LoadMemories() {
 }
 
 Status CaptureRun::SetLight(int projector, bool on) {
-  light_timed_ = false;
-  return devices_.lines.SetEnable(projector, on).WithContext("light of projector " + std::to_string(projector));
+  if (!on) return devices_.light.Off(projector);
+  double longest_ms = 0.0;
+  for (const PlanStep& step : plan_.steps) longest_ms = std::max(longest_ms, step.exposure_ms);
+  return devices_.light.On(projector, {options_.LongestStep(longest_ms), options_.max_on_time});
 }
 
-Status CaptureRun::CheckSafe() {
-  if (stop_.load()) return Status::Failed("interrupted");
-  if (const Interlock interlock = devices_.lines.CheckInterlock(); interlock != Interlock::kClosed)
-    return Status::Failed(std::string("interlock: ") + ToString(interlock) + "; all lights are off");
-  if (watchdog_.barked())
-    return Status::Failed("watchdog: no progress for " +
-                          std::to_string(std::chrono::duration_cast<std::chrono::seconds>(options_.watchdog).count()) +
-                          " s; all lights were switched off");
+Status CaptureRun::SetLights(bool on) {
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, on));
   return Status::Ok();
 }
 
-Status CaptureRun::CheckLimits(int projector) {
-  SLX_RETURN_IF_ERROR(CheckSafe());
-  if (options_.max_on_time.count() == 0 || shooter_.camera_triggers() == 0 || !light_timed_) return Status::Ok();
-  if (shooter_.last_trigger() - light_since_ <= options_.max_on_time) return Status::Ok();
-  return Status::Failed(
-      (projector < 0 ? std::string("the projectors were") : "projector " + std::to_string(projector) + " was") +
-      " on longer than the limit of " +
-      std::to_string(std::chrono::duration_cast<std::chrono::seconds>(options_.max_on_time).count()) + " s");
+Status CaptureRun::CheckSafe() { return WhyDark(devices_.light.Check()); }
+
+Status CaptureRun::BeginStep() { return WhyDark(devices_.light.Renew()); }
+
+Status CaptureRun::WhyDark(const Status& light) const {
+  if (light.ok() || devices_.light.stop().reason() == StopReason::kOperator) return light;
+  return Status::Failed(light.message() + "; all lights are off");
 }
 
 Status CaptureRun::RunPreroll() {
   const std::vector<int> steps = StepsOf(-1);
   if (steps.empty()) return Status::Ok();
-  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, true));
+  SLX_RETURN_IF_ERROR(SetLights(true));
   // A covered lens sees no markers; only a dark session may be dark.
   const bool readable = plan_.options.kind != SessionKind::kDark;
   std::vector<Shot> shots;
@@ -119,10 +107,12 @@ Status CaptureRun::RunPreroll() {
       return Status::Failed("pre-roll: no unbroken marker code in " + std::to_string(retry + 1) + " attempts (" +
                             report_.FaultSummary() + ")");
     ++report_.retried;
+    SLX_RETURN_IF_ERROR(SetLights(false));
     SLX_RETURN_IF_ERROR(LoadMemories());
     SLX_RETURN_IF_ERROR(shooter_.Drain().status());
+    SLX_RETURN_IF_ERROR(SetLights(true));
   }
-  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) SLX_RETURN_IF_ERROR(SetLight(p, false));
+  SLX_RETURN_IF_ERROR(SetLights(false));
   for (Shot& shot : shots) {
     if (readable) shot.record.level_check = reading.decoded ? LevelCheck::kPassed : LevelCheck::kFailed;
     if (readable && reading.decoded) witness_.AddPreroll(plan_.steps[shot.record.step], shot.pixels);
@@ -153,7 +143,7 @@ PrerollReading CaptureRun::ReadMarkers(const std::vector<Shot>& shots) const {
 Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots) {
   shots.clear();
   for (int step : steps) {
-    SLX_RETURN_IF_ERROR(CheckLimits(-1));
+    SLX_RETURN_IF_ERROR(BeginStep());
     SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(plan_.steps[step], retry));
     ShotFault fault = shot.fault;
     if (fault == ShotFault::kNone) {
@@ -165,9 +155,6 @@ Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, 
       for (int spoilt : steps) retake_cause_[spoilt] = fault;
       return false;
     }
-    watchdog_.Feed();
-    if (!light_timed_) light_since_ = shot.record.trigger_time;
-    light_timed_ = true;
     if (const auto cause = retake_cause_.find(step); cause != retake_cause_.end())
       shot.record.retake_cause = ToString(cause->second);
     shots.push_back(std::move(shot));
@@ -235,9 +222,8 @@ Status CaptureRun::ShootSteps(const std::vector<int>& block) {
   while (true) {
     SLX_RETURN_IF_ERROR(DrainBefore(block, position));
     if (position == block.size()) return Status::Ok();
-    SLX_RETURN_IF_ERROR(CheckLimits(plan_.steps[block[position]].projector));
+    SLX_RETURN_IF_ERROR(BeginStep());
     SLX_RETURN_IF_ERROR(ShootNext(block, position));
-    watchdog_.Feed();
   }
 }
 
@@ -263,8 +249,6 @@ Status CaptureRun::ShootNext(const std::vector<int>& block, size_t& position) {
   SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(step, retries_[step.index]));
   if (const auto cause = retake_cause_.find(step.index); cause != retake_cause_.end())
     shot.record.retake_cause = ToString(cause->second);
-  if (!light_timed_) light_since_ = shooter_.last_trigger();
-  light_timed_ = true;
   if (shot.fault != ShotFault::kNone) {
     spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
     if (const Result<ShotFault> drained = shooter_.Drain(); !drained.ok()) return drained.status();
@@ -362,7 +346,11 @@ Status CaptureRun::Reload(const std::vector<int>& block, size_t position) {
   std::vector<Pattern> sequence;
   for (size_t i = position; i < block.size(); ++i) sequence.push_back(plan_.steps[block[i]].pattern);
   const int projector = plan_.steps[block[position]].projector;
-  return devices_.projectors[projector]->Load(sequence).WithContext("reloading projector " + std::to_string(projector));
+  // A memory that is stepped to its place shows everything on the way: to nobody.
+  SLX_RETURN_IF_ERROR(SetLight(projector, false));
+  SLX_RETURN_IF_ERROR(
+      devices_.projectors[projector]->Load(sequence).WithContext("reloading projector " + std::to_string(projector)));
+  return SetLight(projector, true);
 }
 
 void CaptureRun::Advance(int step) {

@@ -11,14 +11,13 @@
 
 #include "firmware-host/sequence/preroll.h"
 #include "firmware-host/sequence/sequencer.h"
-#include "firmware-host/sequence/watchdog.h"
 
 namespace stratalux::rig {
 
 class CaptureRun {
  public:
   CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
-             const std::atomic<bool>& stop, const std::function<void()>& on_step, FrameSink& sink);
+             const std::function<void()>& on_step, FrameSink& sink);
 
   // The whole capture; an error is why it failed. The report is valid in either case.
   Status Run();
@@ -36,8 +35,11 @@ class CaptureRun {
   Status ShootSteps(const std::vector<int>& block);
   // Of the doubtful steps, those that may be shot again; the others fail.
   [[nodiscard]] std::vector<int> RetakeDoubtful(const std::vector<int>& doubtful);
-  // Of `stop`, the interlock and the watchdog: why to end here.
+  // Why to end here, if the light was taken away.
   Status CheckSafe();
+  // The same, and another lease for the step that begins.
+  Status BeginStep();
+  [[nodiscard]] Status WhyDark(const Status& light) const;
   // One step of the block: position moves on, or back where something has to be shot again.
   Status ShootNext(const std::vector<int>& block, size_t& position);
   [[nodiscard]] bool RetriesLeft(int step) const {
@@ -57,7 +59,7 @@ class CaptureRun {
   Status Emit(Shot shot);
   void Advance(int step);
   Status SetLight(int projector, bool on);
-  Status CheckLimits(int projector);
+  Status SetLights(bool on);
   [[nodiscard]] std::vector<int> StepsOf(int projector) const;
   [[nodiscard]] std::string Describe(int step) const;
   void CheckProof();
@@ -66,11 +68,9 @@ class CaptureRun {
   RigDevices devices_;
   const SequencerOptions& options_;
   Logger& logger_;
-  const std::atomic<bool>& stop_;
   const std::function<void()>& on_step_;
   FrameSink& sink_;
 
-  Watchdog watchdog_;
   Shooter shooter_;
   PatternWitness witness_;
   CaptureReport report_;
@@ -83,8 +83,6 @@ class CaptureRun {
   int silent_steps_ = 0;
   int furthest_step_ = -1;
   int64_t spoilt_triggers_ = 0;  // camera triggers without a frame in the sink
-  MonotonicNs light_since_;
-  bool light_timed_ = false;
 };
 
 }  // namespace stratalux::rig

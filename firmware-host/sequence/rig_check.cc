@@ -13,6 +13,9 @@ namespace {
 
 using std::chrono::nanoseconds;
 
+constexpr nanoseconds kLongestLight = std::chrono::minutes(5);
+constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
+
 double Ms(nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
 
 std::string Text(const char* format, double a, double b = 0.0, double c = 0.0) {
@@ -23,13 +26,12 @@ std::string Text(const char* format, double a, double b = 0.0, double c = 0.0) {
 
 class RigCheck {
  public:
-  RigCheck(const RigDevices& devices, const RigCheckOptions& options, const std::atomic<bool>& stop)
-      : devices_(devices), options_(options), stop_(stop) {
-    if (!options_.wait) options_.wait = [](nanoseconds time) { std::this_thread::sleep_for(time); };
+  RigCheck(const RigDevices& devices, const RigCheckOptions& options) : devices_(devices), options_(options) {
+    if (!options_.wait) options_.wait = [&stop = devices.light.stop()](nanoseconds time) { stop.Sleep(time); };
   }
 
   Status Run() {
-    CheckInterlock();
+    SLX_RETURN_IF_ERROR(CheckInterlock());
     if (Failed()) return Status::Ok();
     SLX_RETURN_IF_ERROR(Step("camera", [this] { return CheckCamera(); }));
     for (int p = 0; p < Projectors(); ++p) {
@@ -53,19 +55,34 @@ class RigCheck {
 
   // Runs a check that appends its own item; what a device refuses becomes the item.
   Status Step(const std::string& name, const std::function<Status()>& check) {
-    if (stop_.load()) return Status::Failed("interrupted");
+    SLX_RETURN_IF_ERROR(devices_.light.Check());
     const Status status = check();
+    SLX_RETURN_IF_ERROR(devices_.light.Check());
     if (!status.ok()) Fail(name, status.message(), "check the device's cable and power, and its name in rig.toml");
-    for (int p = 0; p < Projectors(); ++p) SLX_RETURN_IF_ERROR(devices_.lines.SetEnable(p, false));
-    return Status::Ok();
+    return devices_.light.AllOff();
   }
 
-  void CheckInterlock() {
-    const Interlock interlock = devices_.lines.CheckInterlock();
-    if (interlock == Interlock::kClosed)
-      Pass("interlock", "closed");
-    else
-      Fail("interlock", ToString(interlock), "release the emergency stop, close the door; then press reset");
+  Status CheckInterlock() {
+    const Status light = devices_.light.Check();
+    switch (devices_.light.stop().reason()) {
+      case StopReason::kNone:
+        Pass("interlock", "closed");
+        return light;
+      case StopReason::kEmergencyStop:
+      case StopReason::kDoorOpen:
+      case StopReason::kLinesGone:
+        Fail("interlock", light.message(), "release the emergency stop, close the door; then press reset");
+        return Status::Ok();
+      default:
+        return light;
+    }
+  }
+
+  // For as long as the frames of it may take.
+  Status Light(int projector) {
+    const auto exposure = nanoseconds(static_cast<int64_t>(1e6 * options_.exposure_ms));
+    return devices_.light.On(projector,
+                             {2 * (3 * (options_.deadline + 2 * exposure) + options_.settle), kLongestLight});
   }
 
   Status DrainEdges() {
@@ -81,6 +98,24 @@ class RigCheck {
     }
   }
 
+  // In slices, so that nobody waits for a stop.
+  template <typename Wait>
+  auto InSlices(nanoseconds limit, const Wait& wait) -> decltype(wait(limit)) {
+    while (true) {
+      SLX_RETURN_IF_ERROR(devices_.light.Check());
+      const nanoseconds slice = std::min<nanoseconds>(limit, kSlice);
+      auto got = wait(slice);
+      limit -= slice;
+      if (!got.ok() || *got || limit.count() <= 0) return got;
+    }
+  }
+  Result<std::optional<CapturedFrame>> WaitFrame(nanoseconds limit) {
+    return InSlices(limit, [this](nanoseconds slice) { return devices_.camera.Wait(slice); });
+  }
+  Result<std::optional<SyncEdge>> WaitEdge() {
+    return InSlices(options_.deadline, [this](nanoseconds slice) { return devices_.lines.WaitSync(slice); });
+  }
+
   // One frame of what is shown now; nullopt: none came.
   Result<std::optional<CapturedFrame>> Snap() {
     options_.wait(options_.settle);
@@ -88,12 +123,12 @@ class RigCheck {
     if (devices_.camera.follows_trigger()) {
       SLX_RETURN_IF_ERROR(DrainFrames());
       SLX_RETURN_IF_ERROR(devices_.lines.TriggerCamera().status());
-      return devices_.camera.Wait(limit);
+      return WaitFrame(limit);
     }
     // The exposures under way may have begun before; the second frame from now on has not.
-    SLX_RETURN_IF_ERROR(devices_.camera.Wait(limit).status());
-    SLX_RETURN_IF_ERROR(devices_.camera.Wait(limit).status());
-    return devices_.camera.Wait(limit);
+    SLX_RETURN_IF_ERROR(WaitFrame(limit).status());
+    SLX_RETURN_IF_ERROR(WaitFrame(limit).status());
+    return WaitFrame(limit);
   }
 
   Status CheckCamera() {
@@ -126,7 +161,7 @@ class RigCheck {
     int missing = 0, extra = 0, foreign = -1;
     for (size_t k = 0; k < options_.markers.size(); ++k) {
       SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerProjector(projector));
-      SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, devices_.lines.WaitSync(options_.deadline));
+      SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, WaitEdge());
       if (!edge) ++missing;
       if (edge && edge->projector != projector) foreign = edge->projector;
       if (edge && edge->projector == projector) latency.push_back(Ms(edge->time - pulse.time));
@@ -156,7 +191,7 @@ class RigCheck {
   // Mean level of a frame after projector `stepped` went on by one, all memories standing before black, white.
   Result<double> LevelAfterStep(int stepped) {
     SLX_RETURN_IF_ERROR(devices_.lines.TriggerProjector(stepped).status());
-    SLX_RETURN_IF_ERROR(devices_.lines.WaitSync(options_.deadline).status());
+    SLX_RETURN_IF_ERROR(WaitEdge().status());
     SLX_RETURN_IF_ERROR(DrainEdges());
     SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, Snap());
     if (!frame) return Status::Failed("no frame within " + Text("%.0f ms", Ms(options_.deadline)));
@@ -169,10 +204,10 @@ class RigCheck {
     const std::string name = "projector " + std::to_string(projector) + ": light";
     const Pattern black, white = {.kind = PatternKind::kWhite};
     for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(p->Load({black, white}));
-    SLX_RETURN_IF_ERROR(devices_.lines.SetEnable(projector, true));
+    SLX_RETURN_IF_ERROR(Light(projector));
     SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(projector));
     SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(projector));
-    SLX_RETURN_IF_ERROR(devices_.lines.SetEnable(projector, false));
+    SLX_RETURN_IF_ERROR(devices_.light.Off(projector));
     SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, Snap());
     const double off = frame ? MeanDn(frame->pixels) : dark;
     const std::string found = Text("black %.1f DN, white %.1f DN, switched off %.1f DN", dark, lit, off);
@@ -191,7 +226,7 @@ class RigCheck {
   // Does the light of `projector` answer to another one's TRIGGER?
   Status ExplainDarkness(int projector, const std::string& name, const std::string& found) {
     const Pattern black, white = {.kind = PatternKind::kWhite};
-    SLX_RETURN_IF_ERROR(devices_.lines.SetEnable(projector, true));
+    SLX_RETURN_IF_ERROR(Light(projector));
     for (int other = 0; other < Projectors(); ++other) {
       if (other == projector) continue;
       for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(p->Load({black, white}));
@@ -214,14 +249,14 @@ class RigCheck {
     std::optional<int64_t> last;
     MonotonicNs first_time, last_time;
     int arrived = 0;
-    for (int k = 0; k < options_.frames && !stop_.load(); ++k) {
+    for (int k = 0; k < options_.frames; ++k) {
       ++report_.frames_asked;
       MonotonicNs from = last_time;
       if (triggered) {
         SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerCamera());
         from = pulse.time;
       }
-      SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait(limit));
+      SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, WaitFrame(limit));
       if (!frame) {
         ++report_.frames_lost;
         continue;
@@ -249,7 +284,6 @@ class RigCheck {
 
   const RigDevices& devices_;
   RigCheckOptions options_;
-  const std::atomic<bool>& stop_;
   RigCheckReport report_;
 };
 
@@ -267,8 +301,7 @@ const char* ToString(CheckState state) {
   return "unknown";
 }
 
-Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions& options,
-                                const std::atomic<bool>& stop) {
+Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions& options) {
   const auto& markers = options.markers;
   const auto pair = std::adjacent_find(markers.begin(), markers.end(), [](const Pattern& a, const Pattern& b) {
     return a.kind == PatternKind::kBlack && b.kind == PatternKind::kWhite;
@@ -277,10 +310,10 @@ Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions
     return Status::Usage(
         "the rig's check needs a pre-roll with white after black: [plan] preroll_markers of 6 or more");
   SLX_RETURN_IF_ERROR(devices.camera.Start().WithContext("camera"));
-  RigCheck check(devices, options, stop);
+  RigCheck check(devices, options);
   const Status ended = check.Run();
   // Lights first, whatever happened.
-  const Status off = devices.lines.AllOff().WithContext("switching all lines off");
+  const Status off = devices.light.AllOff();
   const Status stopped = devices.camera.Stop().WithContext("camera");
   SLX_RETURN_IF_ERROR(ended);
   SLX_RETURN_IF_ERROR(off);

@@ -3,7 +3,6 @@
 // and only then, does the camera answer each trigger once? Works on any devices; all lights are off afterwards.
 #pragma once
 
-#include <atomic>
 #include <chrono>
 #include <functional>
 #include <optional>
@@ -49,8 +48,8 @@ struct RigCheckReport {
   Cfa cfa = Cfa::kMono;
 };
 
-// A device error is an item that failed. kFailed with "interrupted" once `stop` is set.
-[[nodiscard]] Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions& options,
-                                              const std::atomic<bool>& stop);
+// A device error is an item that failed. kFailed with the reason once devices.light is stopped by
+// more than the interlock.
+[[nodiscard]] Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions& options);
 
 }  // namespace stratalux::rig

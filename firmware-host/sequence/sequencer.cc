@@ -31,27 +31,28 @@ Status SequencerOptions::Validate() const {
   if (max_silent_steps < 1)
     return Status::Usage("max_silent_steps = " + std::to_string(max_silent_steps) + ", allowed: 1 and more");
   if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
-      shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || watchdog.count() < 0)
+      shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || step_slack.count() < 0)
     return Status::Usage("sequencer: settling, deadlines, slack and on-time must not be negative");
   return Status::Ok();
 }
 
-Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, const std::atomic<bool>& stop,
-                     std::function<void()> on_step)
-    : devices_(std::move(devices)),
-      options_(std::move(options)),
-      logger_(logger),
-      stop_(stop),
-      on_step_(std::move(on_step)) {}
+std::chrono::nanoseconds SequencerOptions::LongestStep(double exposure_ms) const {
+  // A stream's next whole exposure may begin an exposure later.
+  return shooter.sync_deadline + shooter.settle + std::chrono::nanoseconds(static_cast<int64_t>(2e6 * exposure_ms)) +
+         shooter.frame_deadline + step_slack;
+}
+
+Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step)
+    : devices_(std::move(devices)), options_(std::move(options)), logger_(logger), on_step_(std::move(on_step)) {}
 
 Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   SLX_RETURN_IF_ERROR(options_.Validate());
   SLX_RETURN_IF_ERROR(CheckFits(plan, devices_));
-  CaptureRun run(plan, devices_, options_, logger_, stop_, on_step_, sink);
+  CaptureRun run(plan, devices_, options_, logger_, on_step_, sink);
   Status ended = devices_.camera.Start().WithContext("camera");
   if (ended.ok()) ended = run.Run();
   // Lights first: nothing that follows may keep a lamp on a face.
-  const Status off = devices_.lines.AllOff().WithContext("switching all lines off");
+  const Status off = devices_.light.AllOff();
   const Status stopped = devices_.camera.Stop().WithContext("camera");
   if (ended.ok()) ended = off.ok() ? stopped : off;
   CaptureReport report = run.Conclude(ended);

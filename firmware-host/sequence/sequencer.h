@@ -6,10 +6,9 @@
 //   for each projector: light on; each step shot, paired, checked, shot again where needed; light off
 //   at the end: triggers and frames match one to one, comb cycles add up
 //
-// Whatever happens, all lines are off when Run returns.
+// Whatever happens, all lights are off when Run returns.
 #pragma once
 
-#include <atomic>
 #include <chrono>
 #include <functional>
 
@@ -30,14 +29,15 @@ struct SequencerOptions {
   double min_preroll_contrast_dn = 5.0;  // mean level of white over dark markers
   // A rig that stays silent is broken, not unlucky: this many steps in a row without a frame end the capture.
   int max_silent_steps = 5;
-  // Longest time a projector's light may stay on, on the rig's clock; 0: no limit.
+  // Longest time a projector's light may stay on at a stretch, on the rig's clock; 0: no limit.
   std::chrono::nanoseconds max_on_time = std::chrono::minutes(5);
-
-  // No frame and no edge for so long (a device call that hangs, a disk that stands still): all lines are switched off
-  // from another thread, and the capture fails; 0, or a rig with a clock of its own (shooter.wait): no watchdog.
-  std::chrono::nanoseconds watchdog = std::chrono::seconds(30);
+  // What a step may take beyond its waits: our own computing, a disk that lets the sink wait. Light whose step takes
+  // longer goes off (LightLease), and the capture fails.
+  std::chrono::nanoseconds step_slack = std::chrono::milliseconds(500);
 
   [[nodiscard]] Status Validate() const;
+  // From the begin of a step of this exposure to its frame in the sink.
+  [[nodiscard]] std::chrono::nanoseconds LongestStep(double exposure_ms) const;
 };
 
 // kUsage where the plan asks for what these devices do not have; touches none of them.
@@ -45,10 +45,8 @@ struct SequencerOptions {
 
 class Sequencer {
  public:
-  // `stop` (signal handler) and the interlock are looked at before each shot and every 20 ms of waiting; `on_step`, if
-  // set, is called after each planned step.
-  Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, const std::atomic<bool>& stop,
-            std::function<void()> on_step = {});
+  // Ends within 20 ms of waiting once devices.light is stopped; `on_step`, if set, is called after each planned step.
+  Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step = {});
 
   // Fails with kUsage, before any light goes on, when the plan does not fit the devices. All later trouble is in the
   // report: status complete, degraded or failed, with reasons. Frames go to the sink in the order they were shot.
@@ -58,7 +56,6 @@ class Sequencer {
   RigDevices devices_;
   SequencerOptions options_;
   Logger& logger_;
-  const std::atomic<bool>& stop_;
   std::function<void()> on_step_;
 };
 

@@ -14,6 +14,7 @@
 #include "firmware-host/camera/frame_source.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/projector/projector.h"
+#include "firmware-host/safety/light_guard.h"
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/sequence/frame_pairing.h"
 #include "firmware-host/sequence/row_memory.h"
@@ -23,6 +24,7 @@
 namespace stratalux::rig {
 
 struct RigDevices {
+  LightGuard& light;
   LineBank& lines;
   FrameSource& camera;
   std::vector<Projector*> projectors;

@@ -3,6 +3,7 @@
 #include "firmware-host/simulated/simulated_rig.h"
 
 #include <algorithm>
+#include <atomic>
 #include <deque>
 #include <map>
 #include <mutex>
@@ -43,7 +44,11 @@ struct PendingFrame {
   bool device_error = false;
 };
 
-class Devices final : public SimulatedRig, public LineBank, public FrameSource {
+class Devices final : public SimulatedRig,
+                      public LineBank,
+                      public FrameSource,
+                      private InterlockInput,
+                      private LeaseClock {
  public:
   Devices(const SimulatedRigOptions& options, Scene scene, SkinTable table, Logger& logger)
       : options_(options),
@@ -53,6 +58,7 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
                 {options.devices.camera, options.noise ? Noise::kOn : Noise::kOff, options.seed}),
         states_(world_.calibration().projectors.size()) {
     for (size_t p = 0; p < states_.size(); ++p) projectors_.emplace_back(*this, p);
+    for (size_t p = 0; p < states_.size(); ++p) switches_.emplace_back(*this, p);
   }
 
   LineBank& lines() override { return *this; }
@@ -62,10 +68,17 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
     for (MemoryProjector& p : projectors_) list.push_back(&p);
     return list;
   }
+  std::vector<LightSwitch*> switches() override {
+    std::vector<LightSwitch*> list;
+    for (EnableSwitch& one : switches_) list.push_back(&one);
+    return list;
+  }
+  InterlockInput& interlock() override { return *this; }
+  const LeaseClock& clock() const override { return *this; }
   const RigCalibration& calibration() const override { return world_.calibration(); }
   std::vector<TruthMap> Truth(const CapturePlan& plan) override { return world_.Truth(plan); }
   void Sleep(std::chrono::nanoseconds time) override {
-    const std::lock_guard lock(mutex_);
+    const Turn turn(*this);
     clock_ = clock_ + time;
   }
   std::vector<InjectedFault> injected() const override {
@@ -80,20 +93,9 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   }
 
   // LineBank.
-  Status SetEnable(int projector, bool on) override;
-  Status AllOff() override;
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  [[nodiscard]] Interlock CheckInterlock() override {
-    const std::lock_guard lock(mutex_);
-    return interlock_;
-  }
-  Status ResetInterlock() override {
-    const std::lock_guard lock(mutex_);
-    interlock_ = Interlock::kClosed;
-    return Status::Ok();
-  }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
   }
@@ -102,19 +104,19 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   // FrameSource.
   [[nodiscard]] bool follows_trigger() const override { return !options_.free_running; }
   Status Start() override {
-    const std::lock_guard lock(mutex_);
+    const Turn turn(*this);
     started_ = true;
     next_frame_ = clock_;
     return Status::Ok();
   }
   Status Stop() override {
-    const std::lock_guard lock(mutex_);
+    const Turn turn(*this);
     started_ = false;
     pending_.clear();
     return Status::Ok();
   }
   Status SetExposure(double exposure_ms, double gain) override {
-    const std::lock_guard lock(mutex_);
+    const Turn turn(*this);
     last_exposure_ms_ = exposure_ms_;
     exposure_ms_ = exposure_ms;
     gain_ = gain;
@@ -130,7 +132,7 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
     int height() const override { return devices_.calibration().projectors[index_].model.height; }
     Status Load(const std::vector<Pattern>& sequence) override {
       for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
-      const std::lock_guard lock(devices_.mutex_);
+      const Turn turn(devices_);
       ProjectorState& state = devices_.states_[index_];
       state.memory = sequence;
       state.shown = -1;
@@ -143,13 +145,56 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
     size_t index_;
   };
 
+  // Lock-free, as the guard and signal handlers need it: the rig takes it over when it is next used.
+  class EnableSwitch final : public LightSwitch {
+   public:
+    EnableSwitch(Devices& devices, size_t index)
+        : devices_(devices), name_("simulated ENABLE of projector " + std::to_string(index)) {}
+    int Set(bool on) noexcept override {
+      changed_ns_.store(devices_.published_ns_.load());
+      on_.store(on);
+      return 0;
+    }
+    int Read(bool& on) noexcept override {
+      on = on_.load();
+      return 0;
+    }
+    [[nodiscard]] const char* name() const noexcept override { return name_.c_str(); }
+    [[nodiscard]] bool on() const { return on_.load(); }
+    [[nodiscard]] MonotonicNs changed() const { return {changed_ns_.load()}; }
+
+   private:
+    Devices& devices_;
+    const std::string name_;
+    std::atomic<bool> on_ = false;
+    std::atomic<int64_t> changed_ns_ = kStart.ns;
+  };
+
+  // InterlockInput and LeaseClock.
+  [[nodiscard]] int fd() const noexcept override { return -1; }
+  StopReason Take() noexcept override { return opened_.exchange(StopReason::kNone); }
+  [[nodiscard]] MonotonicNs Now() const noexcept override { return {published_ns_.load()}; }
+
+  // One use of the devices: what was switched meanwhile counts from now on, and afterwards others see the clock.
+  class Turn {
+   public:
+    explicit Turn(Devices& devices) : devices_(devices), lock_(devices.mutex_) { devices_.TakeSwitches(); }
+    ~Turn() { devices_.published_ns_.store(devices_.clock_.ns); }
+    Turn(const Turn&) = delete;
+    Turn& operator=(const Turn&) = delete;
+
+   private:
+    Devices& devices_;
+    const std::lock_guard<std::mutex> lock_;
+  };
+
   // All with mutex_ held.
+  void TakeSwitches();
   void Show(ProjectorState& state, MonotonicNs since);
   std::chrono::nanoseconds Jittered(double ms);
   void Log(const Fault& fault, int64_t number);
   [[nodiscard]] PendingFrame Expose();
   void Deliver(PendingFrame frame);
-  void SwitchAllOff();
   // One exposure with the faults that its number has.
   void ExposeWithFaults();
   // Free-running: exposes what the camera took since it was last asked, up to `until`.
@@ -166,14 +211,16 @@ class Devices final : public SimulatedRig, public LineBank, public FrameSource {
   mutable std::mutex mutex_;  // guards what follows
   std::vector<ProjectorState> states_;
   std::deque<MemoryProjector> projectors_;
+  std::deque<EnableSwitch> switches_;
+  std::atomic<int64_t> published_ns_ = kStart.ns;
+  std::atomic<StopReason> opened_ = StopReason::kNone;  // by a fault, until somebody looks
   std::deque<SyncEdge> edges_;
   std::deque<PendingFrame> pending_;
   std::optional<PendingFrame> last_;
   MonotonicNs clock_ = kStart;
   int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
   bool started_ = false;
-  MonotonicNs next_frame_ = kStart;  // free-running: start of the next exposure
-  Interlock interlock_ = Interlock::kClosed;
+  MonotonicNs next_frame_ = kStart;      // free-running: start of the next exposure
   std::map<int64_t, ShownFrame> shown_;  // by driver number
   double exposure_ms_ = 16.0, last_exposure_ms_ = 16.0, gain_ = 1.0;
   Eigen::Vector3d push_mm_ = Eigen::Vector3d::Zero();
@@ -199,36 +246,20 @@ void Devices::Log(const Fault& fault, int64_t number) {
   injected_.push_back({fault.kind, number, 1e-9 * static_cast<double>((clock_ - kStart).count())});
 }
 
-Status Devices::SetEnable(int projector, bool on) {
-  const std::lock_guard lock(mutex_);
-  if (projector < 0 || projector >= static_cast<int>(states_.size()))
-    return Status::Usage("projector " + std::to_string(projector) + " does not exist");
-  if (on && interlock_ != Interlock::kClosed)
-    return Status::Failed(std::string("simulated lines: no light, ") + ToString(interlock_));
-  states_[projector].enabled = on;
-  Show(states_[projector], clock_);
-  return Status::Ok();
-}
-
-void Devices::SwitchAllOff() {
-  for (ProjectorState& s : states_) {
-    s.enabled = false;
-    Show(s, clock_);
+void Devices::TakeSwitches() {
+  for (size_t p = 0; p < states_.size(); ++p) {
+    const bool on = switches_[p].on();
+    if (states_[p].enabled == on) continue;
+    states_[p].enabled = on;
+    Show(states_[p], switches_[p].changed());
   }
 }
 
-Status Devices::AllOff() {
-  const std::lock_guard lock(mutex_);
-  SwitchAllOff();
-  return Status::Ok();
-}
-
 Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
-  const std::lock_guard lock(mutex_);
+  const Turn turn(*this);
   const TriggerReceipt receipt{triggers_++, clock_};
   const int64_t pulse = pulses_++;
   int edges = 1, advance = 1;
-  Interlock opened = Interlock::kClosed;
   for (const Fault& fault : faults_.AtPulse(pulse)) {
     Log(fault, pulse);
     if (fault.kind == FaultKind::kLinesGone) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
@@ -236,8 +267,8 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
     if (fault.kind == FaultKind::kEdgeDoubled) edges = 2;
     if (fault.kind == FaultKind::kProjectorLag) advance = 0;
     if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
-    if (fault.kind == FaultKind::kEmergencyStop) opened = Interlock::kEmergencyStop;
-    if (fault.kind == FaultKind::kDoorOpen) opened = Interlock::kDoorOpen;
+    if (fault.kind == FaultKind::kEmergencyStop) opened_.store(StopReason::kEmergencyStop);
+    if (fault.kind == FaultKind::kDoorOpen) opened_.store(StopReason::kDoorOpen);
   }
   for (size_t p = 0; p < states_.size(); ++p) {
     if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
@@ -247,10 +278,6 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
     Show(s, light);
     for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
     if (edges == 0) ++edge_number_;  // the kernel counted it
-  }
-  if (opened != Interlock::kClosed && interlock_ == Interlock::kClosed) {
-    interlock_ = opened;
-    SwitchAllOff();
   }
   return receipt;
 }
@@ -295,7 +322,7 @@ void Devices::Deliver(PendingFrame frame) {
 }
 
 Result<TriggerReceipt> Devices::TriggerCamera() {
-  const std::lock_guard lock(mutex_);
+  const Turn turn(*this);
   const TriggerReceipt receipt{triggers_++, clock_};
   if (!options_.free_running) ExposeWithFaults();
   return receipt;
@@ -349,7 +376,7 @@ void Devices::StreamUntil(MonotonicNs until) {
 }
 
 Result<std::optional<SyncEdge>> Devices::WaitSync(std::chrono::nanoseconds timeout) {
-  const std::lock_guard lock(mutex_);
+  const Turn turn(*this);
   if (edges_.empty()) {
     clock_ = clock_ + timeout;
     return std::optional<SyncEdge>();
@@ -391,7 +418,7 @@ double Devices::ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b)
 Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds timeout) {
   PendingFrame pending;
   {
-    const std::lock_guard lock(mutex_);
+    const Turn turn(*this);
     if (options_.free_running && started_ && pending_.empty()) {
       // Time passes to the end of the next frame, or to the deadline.
       const auto busy = FromMs(exposure_ms_ + options_.devices.timing.readout_ms);
@@ -470,6 +497,12 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
     return Status::Usage("skin table " + options.skin_table + ": of " +
                          (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
   return std::unique_ptr<SimulatedRig>(new Devices(options, std::move(scene), std::move(table), logger));
+}
+
+Result<std::unique_ptr<LightGuard>> GuardLight(SimulatedRig& rig, StopToken& stop) {
+  std::vector<std::vector<LightSwitch*>> projectors;
+  for (LightSwitch* one : rig.switches()) projectors.push_back({one});
+  return LightGuard::Start(std::move(projectors), &rig.interlock(), stop, {.clock = &rig.clock()});
 }
 
 }  // namespace stratalux::rig

@@ -13,6 +13,7 @@
 #include "firmware-host/camera/frame_source.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/projector/projector.h"
+#include "firmware-host/safety/light_guard.h"
 #include "firmware-host/simulated/device_options.h"
 #include "firmware-host/simulated/fault_script.h"
 #include "shared/base/log.h"
@@ -67,6 +68,10 @@ class SimulatedRig {
   virtual LineBank& lines() = 0;
   virtual FrameSource& camera() = 0;
   virtual std::vector<Projector*> projectors() = 0;
+  // What a LightGuard holds: each projector's ENABLE, E-STOP and door (as faults have them), the clock of leases.
+  virtual std::vector<LightSwitch*> switches() = 0;
+  virtual InterlockInput& interlock() = 0;
+  [[nodiscard]] virtual const LeaseClock& clock() const = 0;
   // The exact calibration of the simulated devices.
   [[nodiscard]] virtual const RigCalibration& calibration() const = 0;
   // Lets the rig's own clock run: settling costs no real time.
@@ -78,5 +83,8 @@ class SimulatedRig {
   // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
   virtual std::vector<TruthMap> Truth(const CapturePlan& plan) = 0;
 };
+
+// The guard of its light. `rig` and `stop` outlive it.
+[[nodiscard]] Result<std::unique_ptr<LightGuard>> GuardLight(SimulatedRig& rig, StopToken& stop);
 
 }  // namespace stratalux::rig

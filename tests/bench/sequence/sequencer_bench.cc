@@ -40,17 +40,27 @@ double ThreadMs() {
 
 // Lines, camera and one projector. A flat target and noise of 6 DN; each frame's noise is another place of one large
 // field, so that no row repeats and a frame costs one addition a pixel. Keeps the CPU time spent in itself.
-class Rig final : public LineBank, public FrameSource, public Projector {
+class Rig final : public LineBank, public FrameSource, public Projector, public LightSwitch {
  public:
-  explicit Rig(double period_ms) : period_(static_cast<int64_t>(period_ms * 1e6)) {
+  explicit Rig(double period_ms)
+      : period_(static_cast<int64_t>(period_ms * 1e6)), light_(LightGuard::Start({{this}}, nullptr, stop_).value()) {
     Random random(1);
     for (int16_t& n : noise_) n = static_cast<int16_t>(std::lround(6.0 * random.Normal()));
   }
   // Everything that devices do; the rest of a frame's time is the sequencer's.
   double device_ms = 0.0;
 
-  Status SetEnable(int, bool) override { return Status::Ok(); }
-  Status AllOff() override { return Status::Ok(); }
+  [[nodiscard]] LightGuard& light() { return *light_; }
+  [[nodiscard]] const StopToken& stop() const { return stop_; }
+  int Set(bool on) noexcept override {
+    on_.store(on);
+    return 0;
+  }
+  int Read(bool& on) noexcept override {
+    on = on_.load();
+    return 0;
+  }
+  [[nodiscard]] const char* name() const noexcept override { return "ENABLE"; }
   Result<TriggerReceipt> TriggerProjector(int) override {
     ++shown_;
     edge_ = SyncEdge{0, edges_++, MonotonicNow()};
@@ -63,8 +73,6 @@ class Rig final : public LineBank, public FrameSource, public Projector {
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds) override {
     return std::exchange(edge_, std::nullopt);
   }
-  [[nodiscard]] Interlock CheckInterlock() override { return Interlock::kClosed; }
-  Status ResetInterlock() override { return Status::Ok(); }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override {
     std::this_thread::sleep_for(timeout);
     return std::optional<MonotonicNs>();
@@ -147,6 +155,9 @@ class Rig final : public LineBank, public FrameSource, public Projector {
   }
 
   const std::chrono::nanoseconds period_;
+  StopToken stop_;
+  std::atomic<bool> on_ = false;
+  std::unique_ptr<LightGuard> light_;
   Clock::time_point last_{};
   std::vector<int16_t> noise_ = std::vector<int16_t>(1 << 20);
   std::map<std::string, Drawn> drawn_;
@@ -212,11 +223,10 @@ CapturePlan ThousandFrames() {
 
 Result<CaptureReport> Run(Rig& rig, FrameSink& sink, const CapturePlan& plan, const std::function<void()>& on_step) {
   static Logger logger(LogLevel::kError);
-  static const std::atomic<bool> stop = false;
   SequencerOptions options;
   options.shooter.settle = std::chrono::nanoseconds(0);
   options.max_on_time = std::chrono::nanoseconds(0);
-  return Sequencer({rig, rig, {&rig}}, options, logger, stop, on_step).Run(plan, sink);
+  return Sequencer({rig.light(), rig, rig, {&rig}}, options, logger, on_step).Run(plan, sink);
 }
 
 void PrintReport(const char* what, const Result<CaptureReport>& report, int frames, double seconds, double cpu) {
@@ -267,7 +277,7 @@ int Main(const std::filesystem::path& folder) {
     const auto start = Clock::now();
     Result<CaptureReport> report = Status::Ok();
     {
-      Recorder recorder(archive, 32);
+      Recorder recorder(archive, 32, rig.stop());
       report = Run(rig, recorder, plan, {});
       status = recorder.Close();
     }
@@ -282,7 +292,7 @@ int Main(const std::filesystem::path& folder) {
   const auto start = Clock::now();
   while (Seconds(Clock::now() - start) < 3.0) {
     (void)rig.WaitStart(std::chrono::milliseconds(20)).ok();
-    if (rig.CheckInterlock() != Interlock::kClosed) return 1;
+    if (!rig.light().Check().ok()) return 1;
   }
   std::printf("idle: %.2f %% of a core\n", 100.0 * (CpuSeconds() - cpu) / Seconds(Clock::now() - start));
   return 0;

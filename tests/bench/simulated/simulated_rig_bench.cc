@@ -43,7 +43,7 @@ std::unique_ptr<SimulatedRig> Make(const Case& c) {
   static Logger shared(LogLevel::kError);
   auto rig = *SimulatedRig::Create(OptionsOf(c), shared);
   (void)rig->camera().Start().ok();
-  (void)rig->lines().SetEnable(1, true).ok();
+  (void)rig->switches()[1]->Set(true);
   return rig;
 }
 

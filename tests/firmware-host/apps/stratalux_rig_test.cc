@@ -7,12 +7,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware-host/apps/last_lights.h"
 #include "tests/support/run_program.h"
 
 namespace stratalux {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 Outcome Rig(const std::string& arguments) {
   return Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig " + arguments + " 2>&1");
@@ -92,15 +94,45 @@ TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
 
 TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-safe.toml";
+  setenv("STATE_DIRECTORY", "/nonexistent", 1);
   std::ofstream(file) << "[plan]\nprojectors = 1\n";
   const Outcome unwired = Rig("safe --config " + file.string());
   EXPECT_EQ(unwired.code, 2);
-  EXPECT_THAT(unwired.out, HasSubstr("no ENABLE line"));
+  EXPECT_THAT(unwired.out, HasSubstr("wires no light"));
   std::ofstream(file) << "[plan]\nprojectors = 1\n[[projector]]\nenable = { line = \"no-such-line\" }\n"
                          "trigger = { line = \"t\" }\nsync = { line = \"s\" }\n";
   const Outcome missing = Rig("safe --config " + file.string());
   EXPECT_EQ(missing.code, 4);
   EXPECT_THAT(missing.out, HasSubstr("no-such-line"));
+  unsetenv("STATE_DIRECTORY");
+}
+
+// A typo in the configuration keeps nobody's light on.
+TEST(StrataluxRig, SafeGoesByTheLightsThatWereOpenedLast) {
+  const auto folder = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-state";
+  std::filesystem::create_directories(folder);
+  const auto config = folder / "typo.toml";
+  std::ofstream(config) << "[projectr]\n";
+  ASSERT_TRUE(rig::KeepLights(folder, {{{{"the-last-line", "", -1}, rig::ActiveLevel::kHigh}}, {}}).ok());
+  setenv("STATE_DIRECTORY", folder.c_str(), 1);
+  const Outcome last = Rig("safe --config " + config.string());
+  EXPECT_EQ(last.code, 4) << last.out;
+  EXPECT_THAT(last.out, HasSubstr("the-last-line"));
+  EXPECT_THAT(last.out, HasSubstr("projectr"));
+  std::filesystem::permissions(folder / "lights.json", std::filesystem::perms::all);
+  const Outcome refused = Rig("safe --config " + config.string());
+  EXPECT_EQ(refused.code, 2) << refused.out;
+  EXPECT_THAT(refused.out, HasSubstr("may be written by others"));
+  unsetenv("STATE_DIRECTORY");
+  std::filesystem::remove_all(folder);
+}
+
+TEST(StrataluxRig, EachCommandHasExamplesOfItsOwn) {
+  for (const char* command : {"selftest", "plan", "plan show", "safe"}) {
+    const Outcome outcome = Rig(std::string(command) + " --help");
+    EXPECT_THAT(outcome.out, HasSubstr(std::string("stratalux-rig ") + command));
+    EXPECT_THAT(outcome.out, Not(HasSubstr("stratalux-rig capture"))) << command;
+  }
 }
 
 TEST(StrataluxRig, HelpShowsExamples) {

@@ -78,7 +78,8 @@ TEST_F(GpioAdapterTest, OutputsSwitchTogether) {
   EXPECT_THAT(second.status().message(), HasSubstr("gpioinfo"));
   sim_->Unplug();
   EXPECT_NE((*outputs)->Write(0), 0);
-  EXPECT_NE((*outputs)->Probe(), 0);
+  uint64_t levels = 0;
+  EXPECT_NE((*outputs)->Read(levels), 0);
 }
 
 }  // namespace

@@ -13,6 +13,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware-host/gpio/gpio_lights.h"
+#include "firmware-host/safety/light_guard.h"
 #include "shared/base/check.h"
 #include "tests/firmware-host/gpio/gpio_sim.h"
 #include "tests/support/text_of.h"
@@ -53,7 +55,9 @@ class GpiodLineBankTest : public ::testing::Test {
     sim_->Pull(kDoor, true);
   }
   void TearDown() override {
+    guard_.reset();
     bank_.reset();
+    lights_.reset();
     if (log_ != nullptr) std::fclose(log_);
   }
 
@@ -62,10 +66,21 @@ class GpiodLineBankTest : public ::testing::Test {
   static InputWiring Input(const std::string& name) { return {At(name)}; }
 
   void Open() {
+    Result<std::unique_ptr<GpioLights>> lights = GpioLights::Open(wiring_);
+    ASSERT_TRUE(lights.ok()) << lights.status().message();
+    lights_ = std::move(lights).value();
     Result<std::unique_ptr<GpiodLineBank>> bank = GpiodLineBank::Open(wiring_, *logger_);
     ASSERT_TRUE(bank.ok()) << bank.status().message();
     bank_ = std::move(bank).value();
+    Result<std::unique_ptr<LightGuard>> guard =
+        LightGuard::Start({{lights_->enable(0)}, {lights_->enable(1)}}, lights_->interlock(), stop_);
+    ASSERT_TRUE(guard.ok()) << guard.status().message();
+    guard_ = std::move(guard).value();
   }
+  [[nodiscard]] std::vector<OutputWiring> Enables() const {
+    return {*wiring_.projectors[0].enable, *wiring_.projectors[1].enable};
+  }
+  Status On(int projector) { return guard_->On(projector, {1h, 1h}); }
   void PulseInput(Line line) {
     // gpio-sim merges edges that follow too soon, and the kernel threads of two lines may overtake each other.
     sim_->Pull(line, true);
@@ -76,11 +91,12 @@ class GpiodLineBankTest : public ::testing::Test {
   [[nodiscard]] bool Lit(int projector) const {
     return projector == 0 ? sim_->Level(kEnable0) : !sim_->Level(kEnable1);
   }
-  Interlock AwaitInterlock() {
+  // Nobody asks the guard: its own thread sees it.
+  StopReason AwaitStop() {
+    stop_.Sleep(10s);
     const auto deadline = std::chrono::steady_clock::now() + 10s;
-    while (bank_->CheckInterlock() == Interlock::kClosed && std::chrono::steady_clock::now() < deadline)
-      std::this_thread::sleep_for(1ms);
-    return bank_->CheckInterlock();
+    while ((Lit(0) || Lit(1)) && std::chrono::steady_clock::now() < deadline) std::this_thread::sleep_for(1ms);
+    return stop_.reason();
   }
   std::string LogText() { return TextOf(log_); }
 
@@ -88,28 +104,31 @@ class GpiodLineBankTest : public ::testing::Test {
   std::FILE* log_ = nullptr;
   std::unique_ptr<Logger> logger_;
   GpioWiring wiring_;
+  StopToken stop_;
+  std::unique_ptr<GpioLights> lights_;
   std::unique_ptr<GpiodLineBank> bank_;
+  std::unique_ptr<LightGuard> guard_;
 };
 
 TEST_F(GpiodLineBankTest, OpensDarkAndSwitchesEachLightByItsPolarity) {
   Open();
   EXPECT_FALSE(Lit(0));
   EXPECT_FALSE(Lit(1));
-  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
+  ASSERT_TRUE(On(1).ok());
   EXPECT_FALSE(Lit(0));
   EXPECT_TRUE(Lit(1));
-  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
-  ASSERT_TRUE(bank_->SetEnable(1, false).ok());
+  ASSERT_TRUE(On(0).ok());
+  ASSERT_TRUE(guard_->Off(1).ok());
   EXPECT_TRUE(Lit(0));
   EXPECT_FALSE(Lit(1));
-  EXPECT_EQ(bank_->SetEnable(2, true).code(), StatusCode::kUsage);
+  EXPECT_EQ(On(2).code(), StatusCode::kUsage);
 }
 
 TEST_F(GpiodLineBankTest, AllOffIsAllOff) {
   Open();
-  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
-  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
-  ASSERT_TRUE(bank_->AllOff().ok());
+  ASSERT_TRUE(On(0).ok());
+  ASSERT_TRUE(On(1).ok());
+  ASSERT_TRUE(guard_->AllOff().ok());
   EXPECT_FALSE(Lit(0));
   EXPECT_FALSE(Lit(1));
 }
@@ -193,41 +212,40 @@ TEST_F(GpiodLineBankTest, ALostEdgeLeavesAGap) {
 
 TEST_F(GpiodLineBankTest, EmergencyStopTakesTheLightAndHoldsIt) {
   Open();
-  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
-  ASSERT_TRUE(bank_->SetEnable(1, true).ok());
+  ASSERT_TRUE(On(0).ok());
+  ASSERT_TRUE(On(1).ok());
   PulseInput(kStop);  // pressed for a moment
-  EXPECT_EQ(AwaitInterlock(), Interlock::kEmergencyStop);
+  EXPECT_EQ(AwaitStop(), StopReason::kEmergencyStop);
   EXPECT_FALSE(Lit(0));
   EXPECT_FALSE(Lit(1));
-  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
+  EXPECT_FALSE(On(0).ok());
   EXPECT_FALSE(Lit(0));
-  EXPECT_TRUE(bank_->ResetInterlock().ok());
-  EXPECT_TRUE(bank_->SetEnable(0, true).ok());
+  EXPECT_TRUE(guard_->Reset().ok());
+  EXPECT_TRUE(On(0).ok());
   EXPECT_TRUE(Lit(0));
-  EXPECT_THAT(LogText(), HasSubstr("emergency stop"));
 }
 
 TEST_F(GpiodLineBankTest, AnOpenDoorCannotBeReset) {
   Open();
-  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  ASSERT_TRUE(On(0).ok());
   sim_->Pull(kDoor, false);
-  EXPECT_EQ(AwaitInterlock(), Interlock::kDoorOpen);
+  EXPECT_EQ(AwaitStop(), StopReason::kDoorOpen);
   EXPECT_FALSE(Lit(0));
-  EXPECT_FALSE(bank_->ResetInterlock().ok());
+  EXPECT_FALSE(guard_->Reset().ok());
   sim_->Pull(kDoor, true);
-  EXPECT_TRUE(bank_->ResetInterlock().ok());
+  EXPECT_TRUE(guard_->Reset().ok());
 }
 
 TEST_F(GpiodLineBankTest, APressedEmergencyStopIsSeenAtOpening) {
   sim_->Pull(kStop, true);
   Open();
-  EXPECT_EQ(bank_->CheckInterlock(), Interlock::kEmergencyStop);
-  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
+  EXPECT_EQ(stop_.reason(), StopReason::kEmergencyStop);
+  EXPECT_FALSE(On(0).ok());
 }
 
 TEST_F(GpiodLineBankTest, AnUnpluggedChipIsAnErrorNotAHang) {
   Open();
-  ASSERT_TRUE(bank_->SetEnable(0, true).ok());
+  ASSERT_TRUE(On(0).ok());
   std::thread world([this] {
     std::this_thread::sleep_for(100ms);
     sim_->Unplug();
@@ -237,11 +255,12 @@ TEST_F(GpiodLineBankTest, AnUnpluggedChipIsAnErrorNotAHang) {
   world.join();
   EXPECT_FALSE(edge.ok());
   EXPECT_LT(std::chrono::steady_clock::now() - started, 30s);
-  EXPECT_EQ(bank_->CheckInterlock(), Interlock::kLinesGone);
+  stop_.Sleep(10s);
+  EXPECT_EQ(stop_.reason(), StopReason::kLinesGone);
   EXPECT_FALSE(bank_->TriggerProjector(0).ok());
-  EXPECT_FALSE(bank_->SetEnable(0, true).ok());
-  EXPECT_FALSE(bank_->AllOff().ok());
-  EXPECT_FALSE(bank_->ResetInterlock().ok());
+  EXPECT_FALSE(On(0).ok());
+  EXPECT_FALSE(guard_->AllOff().ok());
+  EXPECT_FALSE(guard_->Reset().ok());
   EXPECT_THAT(LogText(), HasSubstr("GPIO lines are gone"));
 }
 
@@ -264,7 +283,8 @@ TEST_F(GpiodLineBankTest, StartAndStrobeAreTimed) {
 TEST_F(GpiodLineBankTest, LinesInUseAreBusyAndCannotBeMadeSafeByAnother) {
   Open();
   EXPECT_EQ(GpiodLineBank::Open(wiring_, *logger_).status().code(), StatusCode::kBusy);
-  const Status safe = DriveEnablesOff(wiring_);
+  EXPECT_EQ(GpioLights::Open(wiring_).status().code(), StatusCode::kBusy);
+  const Status safe = DriveEnablesOff(Enables());
   EXPECT_EQ(safe.code(), StatusCode::kBusy);
   EXPECT_THAT(safe.message(), HasSubstr("ENABLE of projector 0"));
 }
@@ -282,7 +302,7 @@ TEST_F(GpiodLineBankTest, SafeDrivesEveryEnableOff) {
   });
   const auto deadline = std::chrono::steady_clock::now() + 20s;
   while (!(dark[0] && dark[1]) && std::chrono::steady_clock::now() < deadline) {
-    if (!DriveEnablesOff(wiring_).ok()) break;
+    if (!DriveEnablesOff(Enables()).ok()) break;
   }
   stop = true;
   watcher.join();
@@ -300,8 +320,8 @@ TEST_F(GpiodLineBankTest, AFailedCheckTakesTheLight) {
   EXPECT_EXIT(
       {
         Open();
-        static_cast<void>(bank_->SetEnable(0, true));
-        static_cast<void>(bank_->SetEnable(1, true));
+        static_cast<void>(On(0));
+        static_cast<void>(On(1));
         if (!Lit(0) || !Lit(1)) std::_Exit(3);
         std::signal(SIGABRT, [](int) { std::_Exit(g_failing_test->Lit(0) || g_failing_test->Lit(1) ? 4 : 0); });
         SLX_CHECK(1 + 1 == 3);
@@ -311,9 +331,9 @@ TEST_F(GpiodLineBankTest, AFailedCheckTakesTheLight) {
 
 TEST_F(GpiodLineBankTest, AWrongNameNamesTheChips) {
   wiring_.projectors[0].enable = Output("NO_SUCH_LINE");
-  const auto bank = GpiodLineBank::Open(wiring_, *logger_);
-  EXPECT_EQ(bank.status().code(), StatusCode::kNotFound);
-  EXPECT_THAT(bank.status().message(), HasSubstr(kLabel));
+  const auto lights = GpioLights::Open(wiring_);
+  EXPECT_EQ(lights.status().code(), StatusCode::kNotFound);
+  EXPECT_THAT(lights.status().message(), HasSubstr(kLabel));
 }
 
 }  // namespace

@@ -21,7 +21,6 @@ class FakeDisplay : public Display {
   Status Flip() override {
     if (gone) return Status::Failed("screen taken away");
     ++flips;
-    lit = true;
     return Status::Ok();
   }
   Result<std::optional<MonotonicNs>> WaitFlip(std::chrono::nanoseconds) override {
@@ -29,27 +28,28 @@ class FakeDisplay : public Display {
     if (stuck) return std::optional<MonotonicNs>();
     return std::optional<MonotonicNs>(MonotonicNow());
   }
-  Status Blank() override {
-    lit = false;
-    return gone ? Status::Failed("screen taken away") : Status::Ok();
-  }
+  LightSwitch& light() override { return light_; }
   [[nodiscard]] int64_t skipped_vblanks() const override { return 0; }
 
   int flips = 0;
-  bool lit = false, stuck = false, gone = false;
+  bool stuck = false, gone = false;
+
+ private:
+  class NoLight final : public LightSwitch {
+   public:
+    int Set(bool) noexcept override { return 0; }
+    int Read(bool& on) noexcept override {
+      on = false;
+      return 0;
+    }
+    [[nodiscard]] const char* name() const noexcept override { return "no light"; }
+  };
+  NoLight light_;
 };
 
 // Real lines that note what they are told.
 class FakeLines : public LineBank {
  public:
-  Status SetEnable(int projector, bool on) override {
-    enables.emplace_back(projector, on);
-    return Status::Ok();
-  }
-  Status AllOff() override {
-    ++all_off;
-    return fail_all_off ? Status::Failed("lines gone") : Status::Ok();
-  }
   Result<TriggerReceipt> TriggerProjector(int projector) override {
     pulses.push_back(projector);
     return TriggerReceipt{.number = 0, .time = MonotonicNow()};
@@ -61,20 +61,11 @@ class FakeLines : public LineBank {
     edges.pop_front();
     return std::optional<SyncEdge>(edge);
   }
-  [[nodiscard]] Interlock CheckInterlock() override { return interlock; }
-  Status ResetInterlock() override {
-    interlock = Interlock::kClosed;
-    return Status::Ok();
-  }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override { return std::optional(start); }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return strobe; }
 
-  std::vector<std::pair<int, bool>> enables;
   std::vector<int> pulses;
   std::deque<SyncEdge> edges;
-  int all_off = 0;
-  bool fail_all_off = false;
-  Interlock interlock = Interlock::kEmergencyStop;
   MonotonicNs start{7}, strobe{8};
 };
 
@@ -142,52 +133,10 @@ TEST(DisplayLineBank, MixesDisplaysWithProjectorsOnLines) {
 TEST(DisplayLineBank, PassesEverythingElseToTheLines) {
   FakeDisplay display;
   FakeLines lines;
-  DisplayLineBank bank(&lines, {{.display = &display, .enable = DisplayEnable::kLine}});
-  EXPECT_TRUE(bank.SetEnable(0, true).ok());
-  EXPECT_THAT(lines.enables, ::testing::ElementsAre(::testing::Pair(0, true)));
+  DisplayLineBank bank(&lines, {{.display = &display}});
   EXPECT_TRUE(bank.TriggerCamera().ok());
-  EXPECT_EQ(bank.CheckInterlock(), Interlock::kEmergencyStop);
-  EXPECT_TRUE(bank.ResetInterlock().ok());
-  EXPECT_EQ(bank.CheckInterlock(), Interlock::kClosed);
   EXPECT_EQ((*bank.WaitStart({}))->ns, 7);
   EXPECT_EQ(bank.LastStrobe()->ns, 8);
-}
-
-TEST(DisplayLineBank, ADarkProjectorShowsBlack) {
-  FakeDisplay display;
-  FakeLines lines;
-  DisplayLineBank bank(&lines, {{.display = &display}});
-  ASSERT_TRUE(bank.TriggerProjector(0).ok());
-  ASSERT_TRUE(bank.SetEnable(0, false).ok());
-  EXPECT_FALSE(display.lit);
-}
-
-TEST(DisplayLineBank, WithoutAShutterLineTheInterlockStillKeepsAProjectorDark) {
-  FakeDisplay display;
-  FakeLines lines;
-  DisplayLineBank bank(&lines, {{.display = &display}});
-  EXPECT_THAT(bank.SetEnable(0, true).message(), ::testing::HasSubstr("emergency stop"));
-  ASSERT_TRUE(bank.ResetInterlock().ok());
-  EXPECT_TRUE(bank.SetEnable(0, true).ok());
-  EXPECT_TRUE(lines.enables.empty()) << "told a line that is not wired";
-}
-
-TEST(DisplayLineBank, AllOffReachesEveryDeviceThoughOneFails) {
-  FakeDisplay broken, working;
-  FakeLines lines;
-  {
-    DisplayLineBank bank(&lines, {{.display = &broken}, {.display = &working}});
-    ASSERT_TRUE(bank.TriggerProjector(-1).ok());
-    broken.gone = true;
-    lines.fail_all_off = true;
-    const Status off = bank.AllOff();
-    EXPECT_FALSE(off.ok());
-    EXPECT_EQ(off.message(), "lines gone");
-    EXPECT_FALSE(working.lit);
-    ASSERT_TRUE(working.Flip().ok());
-  }
-  EXPECT_FALSE(working.lit) << "the bank went and left light on";
-  EXPECT_EQ(lines.all_off, 2);
 }
 
 TEST(DisplayLineBank, ReportsAScreenTakenAwayWithItsProjector) {

@@ -39,11 +39,7 @@ class Module final : public LineBank, public PatternMemoryLines {
   }
   int64_t SyncCount(int) override { return sync_count_; }
 
-  Status SetEnable(int, bool) override { return Status::Ok(); }
-  Status AllOff() override { return Status::Ok(); }
   Result<TriggerReceipt> TriggerCamera() override { return TriggerReceipt{}; }
-  Interlock CheckInterlock() override { return interlock; }
-  Status ResetInterlock() override { return Status::Ok(); }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
   }
@@ -52,7 +48,6 @@ class Module final : public LineBank, public PatternMemoryLines {
   // What the next TRIGGER shows.
   [[nodiscard]] const Pattern& Next() const { return memory_[static_cast<size_t>(shown + 1) % memory_.size()]; }
 
-  Interlock interlock = Interlock::kClosed;
   int shown = -1, resets = 0;
   int64_t pulses = 0;
   std::set<int64_t> deaf, doubled;  // pulses
@@ -82,10 +77,11 @@ class PatternMemoryTest : public ::testing::TestWithParam<MemoryRewind> {
     options.height = 768;
     options.memory = memory_;
     options.rewind = GetParam();
-    return MakePatternMemoryProjector(module_, module_, options);
+    return MakePatternMemoryProjector(module_, module_, options, stop_);
   }
   std::vector<Pattern> memory_ = SmallMemory();
   Module module_{memory_};
+  StopToken stop_;
 };
 
 TEST_P(PatternMemoryTest, TheWholeSequenceIsTheMemory) {
@@ -147,7 +143,7 @@ TEST_P(PatternMemoryTest, ASilentModuleIsAnErrorThatNamesTheCables) {
 
 TEST_P(PatternMemoryTest, AnOpenInterlockStopsTheStepping) {
   const auto projector = Make();
-  module_.interlock = Interlock::kEmergencyStop;
+  stop_.Request(StopReason::kEmergencyStop);
   const Status status = projector->Load(From(memory_, 5));
   EXPECT_EQ(status.code(), StatusCode::kFailed);
   EXPECT_THAT(status.message(), HasSubstr("emergency stop"));
@@ -169,7 +165,8 @@ TEST(PatternMemory, ResetMendsAnUnconfirmedStepAndAnUnknownStart) {
   PatternMemoryOptions options;
   options.memory = memory;
   options.rewind = MemoryRewind::kResetLine;
-  const auto projector = MakePatternMemoryProjector(module, module, options);
+  const StopToken stop;
+  const auto projector = MakePatternMemoryProjector(module, module, options, stop);
   ASSERT_TRUE(projector->Load(From(memory, 9)).ok());
   EXPECT_EQ(module.shown + 1, 9);
   EXPECT_EQ(module.resets, 2);

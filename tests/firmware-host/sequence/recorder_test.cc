@@ -35,6 +35,8 @@ class GatedArchive : public FrameArchive {
   std::atomic<int> flushes = 0, asked = 0;
 };
 
+const StopToken stop;  // of nobody
+
 FrameRecord Step(int step) {
   FrameRecord record;
   record.step = step;
@@ -44,7 +46,7 @@ FrameRecord Step(int step) {
 TEST(Recorder, KeepsEveryFrameInOrder) {
   GatedArchive archive;
   archive.gate.set_value();
-  Recorder recorder(archive, 3);
+  Recorder recorder(archive, 3, stop);
   for (int i = 0; i < 50; ++i) ASSERT_TRUE(recorder.Put(Step(i), Image<uint16_t>(2, 2)).ok());
   ASSERT_TRUE(recorder.Close().ok());
   ASSERT_EQ(archive.steps.size(), 50U);
@@ -54,7 +56,7 @@ TEST(Recorder, KeepsEveryFrameInOrder) {
 
 TEST(Recorder, BlocksTheProducerInsteadOfDropping) {
   GatedArchive archive;
-  Recorder recorder(archive, 2);
+  Recorder recorder(archive, 2, stop);
   std::atomic<int> put = 0;
   auto producer = std::async(std::launch::async, [&] {
     for (int i = 0; i < 10; ++i, ++put) EXPECT_TRUE(recorder.Put(Step(i), Image<uint16_t>(2, 2)).ok());
@@ -68,10 +70,31 @@ TEST(Recorder, BlocksTheProducerInsteadOfDropping) {
   EXPECT_EQ(archive.steps.size(), 10U);
 }
 
+TEST(Recorder, AStopReachesABlockedProducerAndLosesNoQueuedFrame) {
+  GatedArchive archive;
+  StopToken stopped;
+  Recorder recorder(archive, 1, stopped);
+  std::atomic<int> put = 0;
+  auto producer = std::async(std::launch::async, [&] {
+    Status status;
+    for (int i = 0; status.ok(); ++i) {
+      status = recorder.Put(Step(i), Image<uint16_t>(2, 2));
+      put += static_cast<int>(status.ok());
+    }
+    return status;
+  });
+  EXPECT_EQ(producer.wait_for(milliseconds(100)), std::future_status::timeout) << "the disk stands still";
+  stopped.Request(StopReason::kVisitorLeft);
+  EXPECT_EQ(producer.get().message(), "the visitor left");
+  archive.gate.set_value();
+  EXPECT_TRUE(recorder.Close().ok());
+  EXPECT_EQ(static_cast<int>(archive.steps.size()), put);
+}
+
 TEST(Recorder, TheArchivesErrorReachesABlockedProducer) {
   GatedArchive archive;
   archive.fail_from = 0;
-  Recorder recorder(archive, 1);
+  Recorder recorder(archive, 1, stop);
   auto producer = std::async(std::launch::async, [&] {
     Status status;
     while (status.ok()) status = recorder.Put(Step(0), Image<uint16_t>(2, 2));
@@ -86,7 +109,7 @@ TEST(Recorder, TheArchivesErrorReachesABlockedProducer) {
 TEST(Recorder, FramesAreSafeWhenNoMoreCome) {
   GatedArchive archive;
   archive.gate.set_value();
-  Recorder recorder(archive, 1);
+  Recorder recorder(archive, 1, stop);
   ASSERT_TRUE(recorder.Put(Step(0), Image<uint16_t>(2, 2)).ok());
   // The archive is asked again and again whether what it holds has waited long enough.
   const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(20);
@@ -98,16 +121,21 @@ TEST(Recorder, FramesAreSafeWhenNoMoreCome) {
 TEST(Recorder, RefusesFramesAfterClose) {
   GatedArchive archive;
   archive.gate.set_value();
-  Recorder recorder(archive, 1);
+  Recorder recorder(archive, 1, stop);
   EXPECT_TRUE(recorder.Close().ok());
   EXPECT_FALSE(recorder.Put(Step(0), Image<uint16_t>(2, 2)).ok());
 }
 
 TEST(BoundedQueue, HoldsNoMoreThanItsCapacity) {
   BoundedQueue<int> queue(2);
-  EXPECT_TRUE(queue.Push(1));
-  EXPECT_TRUE(queue.Push(2));
-  auto third = std::async(std::launch::async, [&] { return queue.Push(3); });
+  int item = 1;
+  EXPECT_TRUE(queue.PushFor(milliseconds(0), item));
+  item = 2;
+  EXPECT_TRUE(queue.PushFor(milliseconds(0), item));
+  item = 3;
+  EXPECT_FALSE(queue.PushFor(milliseconds(0), item));
+  EXPECT_EQ(item, 3) << "what did not go in is the caller's still";
+  auto third = std::async(std::launch::async, [&] { return queue.PushFor(std::chrono::minutes(1), item); });
   EXPECT_EQ(third.wait_for(milliseconds(50)), std::future_status::timeout);
   EXPECT_EQ(queue.size(), 2U);
   EXPECT_EQ(*queue.Pop(), 1);

@@ -21,9 +21,9 @@ class RigCheckTest : public ::testing::Test {
     options_.frames = 10;
   }
   RigCheckReport Run() {
-    const Result<RigCheckReport> report = CheckRig(rig_.devices(), options_, stop_);
+    const Result<RigCheckReport> report = CheckRig(rig_.devices(), options_);
     EXPECT_TRUE(report.ok()) << report.status().message();
-    EXPECT_THAT(rig_.lit, IsEmpty()) << "a lamp stayed on";
+    EXPECT_THAT(rig_.lit(), IsEmpty()) << "a lamp stayed on";
     EXPECT_FALSE(rig_.camera_running);
     return report.ok() ? *report : RigCheckReport();
   }
@@ -42,7 +42,6 @@ class RigCheckTest : public ::testing::Test {
 
   ScriptedRig rig_;
   RigCheckOptions options_;
-  std::atomic<bool> stop_ = false;
 };
 
 TEST_F(RigCheckTest, AHealthyRigPassesAndIsMeasured) {
@@ -97,16 +96,16 @@ TEST_F(RigCheckTest, LostAndDoubledFramesAreCounted) {
 TEST_F(RigCheckTest, ADeadCameraAndAnOpenInterlockAreItems) {
   rig_.camera_dead_from = 0;
   EXPECT_EQ(Item(Run(), "camera").state, CheckState::kFailed);
-  rig_.interlock = Interlock::kDoorOpen;
+  rig_.interlock = StopReason::kDoorOpen;
   const RigCheckReport report = Run();
   ASSERT_EQ(report.items.size(), 1U) << "nothing is lit behind an open door";
   EXPECT_EQ(report.items[0].state, CheckState::kFailed);
 }
 
 TEST_F(RigCheckTest, StopEndsIt) {
-  stop_ = true;
-  EXPECT_EQ(CheckRig(rig_.devices(), options_, stop_).status().message(), "interrupted");
-  EXPECT_THAT(rig_.ever_lit, IsEmpty());
+  rig_.stop.Request(StopReason::kOperator);
+  EXPECT_EQ(CheckRig(rig_.devices(), options_).status().message(), "interrupted");
+  EXPECT_THAT(rig_.ever_lit(), IsEmpty());
 }
 
 }  // namespace

@@ -15,51 +15,72 @@ constexpr double kWhiteDn = 1500.0;  // per projector, at albedo 1
 constexpr double kNoiseDn = 1.0;
 }  // namespace
 
+class ScriptedEnable final : public LightSwitch {
+ public:
+  explicit ScriptedEnable(int line) : name_("ENABLE" + std::to_string(line)) {}
+  int Set(bool on) noexcept override {
+    on_.store(on);
+    if (on) ever_on_.store(true);
+    return 0;
+  }
+  int Read(bool& on) noexcept override {
+    on = on_.load();
+    return 0;
+  }
+  [[nodiscard]] const char* name() const noexcept override { return name_.c_str(); }
+  [[nodiscard]] bool on() const { return on_.load(); }
+  [[nodiscard]] bool ever_on() const { return ever_on_.load(); }
+
+ private:
+  const std::string name_;
+  std::atomic<bool> on_ = false, ever_on_ = false;
+};
+
+class ScriptedInterlock final : public InterlockInput {
+ public:
+  explicit ScriptedInterlock(ScriptedRig& rig) : rig_(rig) {}
+  [[nodiscard]] int fd() const noexcept override { return -1; }
+  StopReason Take() noexcept override { return rig_.interlock.load(); }
+
+ private:
+  ScriptedRig& rig_;
+};
+
+class ScriptedClock final : public LeaseClock {
+ public:
+  explicit ScriptedClock(const ScriptedRig& rig) : rig_(rig) {}
+  [[nodiscard]] MonotonicNs Now() const noexcept override { return rig_.now(); }
+
+ private:
+  const ScriptedRig& rig_;
+};
+
 class ScriptedLines : public LineBank {
  public:
   explicit ScriptedLines(ScriptedRig& rig) : rig_(rig) {}
-  Status SetEnable(int line, bool on) override {
-    const auto wired = rig_.enable_wired.find(line);
-    const int projector = wired == rig_.enable_wired.end() ? line : wired->second;
-    if (projector < 0) return Status::Ok();
-    if (on) {
-      rig_.lit.insert(projector);
-      rig_.ever_lit.insert(projector);
-    } else {
-      rig_.lit.erase(projector);
-    }
-    return Status::Ok();
-  }
-  Status AllOff() override {
-    rig_.lit.clear();
-    ++rig_.all_off_calls;
-    return Status::Ok();
-  }
   Result<TriggerReceipt> TriggerProjector(int projector) override {
-    rig_.now_ = rig_.now_ + std::chrono::milliseconds(1);
-    const TriggerReceipt receipt{rig_.triggers_++, rig_.now_};
+    rig_.now_ = rig_.now() + std::chrono::milliseconds(1);
+    const TriggerReceipt receipt{rig_.triggers_++, rig_.now()};
     for (int p = 0; p < static_cast<int>(rig_.memories_.size()); ++p)
       if (projector < 0 || projector == p) rig_.Pulse(p);
     return receipt;
   }
   Result<TriggerReceipt> TriggerCamera() override {
-    rig_.now_ = rig_.now_ + std::chrono::milliseconds(1);
-    const TriggerReceipt receipt{rig_.triggers_++, rig_.now_};
+    rig_.now_ = rig_.now() + std::chrono::milliseconds(1);
+    const TriggerReceipt receipt{rig_.triggers_++, rig_.now()};
     rig_.TriggerCamera(receipt.time);
     return receipt;
   }
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override {
     if (rig_.edges_.empty()) {
-      rig_.now_ = rig_.now_ + timeout;
+      rig_.now_ = rig_.now() + timeout;
       return std::optional<SyncEdge>();
     }
     const SyncEdge edge = rig_.edges_.front();
     rig_.edges_.pop_front();
-    rig_.now_ = std::max(rig_.now_, edge.time);
+    rig_.now_ = std::max(rig_.now(), edge.time);
     return std::optional<SyncEdge>(edge);
   }
-  [[nodiscard]] Interlock CheckInterlock() override { return rig_.interlock; }
-  Status ResetInterlock() override { return Status::Ok(); }
   Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
     return std::optional<MonotonicNs>();
   }
@@ -86,12 +107,12 @@ class ScriptedCamera : public FrameSource {
   }
   Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds timeout) override {
     if (rig_.frames_.empty()) {
-      rig_.now_ = rig_.now_ + timeout;
+      rig_.now_ = rig_.now() + timeout;
       return std::optional<CapturedFrame>();
     }
     std::optional<CapturedFrame> frame(std::move(rig_.frames_.front()));
     rig_.frames_.pop_front();
-    rig_.now_ = std::max(rig_.now_, frame->time + std::chrono::milliseconds(20));
+    rig_.now_ = std::max(rig_.now(), frame->time + std::chrono::milliseconds(20));
     return frame;
   }
 
@@ -109,6 +130,7 @@ class ScriptedProjector : public Projector {
     memory.sequence = sequence;
     memory.shown = -1 - rig_.preroll_offset;
     ++rig_.loads;
+    if (rig_.on_load) rig_.on_load();
     return Status::Ok();
   }
 
@@ -123,13 +145,38 @@ ScriptedRig::ScriptedRig(int projectors, int projector_width, int projector_heig
       memories_(projectors),
       lines_(std::make_unique<ScriptedLines>(*this)),
       camera_(std::make_unique<ScriptedCamera>(*this)) {
-  for (int p = 0; p < projectors; ++p) projectors_.push_back(std::make_unique<ScriptedProjector>(*this, p));
+  std::vector<std::vector<LightSwitch*>> lights;
+  for (int p = 0; p < projectors; ++p) {
+    projectors_.push_back(std::make_unique<ScriptedProjector>(*this, p));
+    enables_.push_back(std::make_unique<ScriptedEnable>(p));
+    lights.push_back({enables_.back().get()});
+  }
+  interlock_input_ = std::make_unique<ScriptedInterlock>(*this);
+  lease_clock_ = std::make_unique<ScriptedClock>(*this);
+  light_ = LightGuard::Start(std::move(lights), interlock_input_.get(), stop, {.clock = lease_clock_.get()}).value();
+}
+
+std::set<int> ScriptedRig::lit() const {
+  std::set<int> lit;
+  for (int line = 0; line < static_cast<int>(enables_.size()); ++line) {
+    const auto wired = enable_wired.find(line);
+    const int projector = wired == enable_wired.end() ? line : wired->second;
+    if (projector >= 0 && static_cast<const ScriptedEnable&>(*enables_[line]).on()) lit.insert(projector);
+  }
+  return lit;
+}
+
+std::set<int> ScriptedRig::ever_lit() const {
+  std::set<int> lines;
+  for (int line = 0; line < static_cast<int>(enables_.size()); ++line)
+    if (static_cast<const ScriptedEnable&>(*enables_[line]).ever_on()) lines.insert(line);
+  return lines;
 }
 
 RigDevices ScriptedRig::devices() {
   std::vector<Projector*> all;
   for (const auto& projector : projectors_) all.push_back(projector.get());
-  return {*lines_, *camera_, all};
+  return {*light_, *lines_, *camera_, all};
 }
 
 void ScriptedRig::Pulse(int projector) {
@@ -140,7 +187,7 @@ void ScriptedRig::Pulse(int projector) {
   if (is(ProjectorTrouble::kIgnore)) return;
   if (!is(ProjectorTrouble::kStuck)) ++memory.shown;
   if (is(ProjectorTrouble::kDoubleStep)) ++memory.shown;
-  const MonotonicNs edge = now_ + std::chrono::microseconds(500);
+  const MonotonicNs edge = now() + std::chrono::microseconds(500);
   if (is(ProjectorTrouble::kNoEdge)) return;
   const auto wired = sync_wired.find(projector);
   edges_.push_back({wired == sync_wired.end() ? projector : wired->second, edge_sequence_++, edge});
@@ -153,9 +200,10 @@ void ScriptedRig::Pulse(int projector) {
 Image<uint16_t> ScriptedRig::Expose() const {
   Image<float> sum(kCameraWidth, kCameraHeight, 1, 0.0F);
   const double lamp = 1.0 + lamp_drift * static_cast<double>(camera_triggers);
+  const std::set<int> bright = lit();
   for (size_t p = 0; p < memories_.size(); ++p) {
     const Memory& memory = memories_[p];
-    if (!lit.contains(static_cast<int>(p)) || memory.shown < 0 ||
+    if (!bright.contains(static_cast<int>(p)) || memory.shown < 0 ||
         memory.shown >= static_cast<int64_t>(memory.sequence.size()))
       continue;
     Image<float> picture = memory.sequence[memory.shown].Render(width_, height_);

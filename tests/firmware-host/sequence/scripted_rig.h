@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/safety/light_guard.h"
 #include "firmware-host/sequence/shooter.h"
 #include "shared/capture/plan.h"
 
@@ -48,20 +49,25 @@ class ScriptedRig {
   std::map<int, int> enable_wired;  // line -> projector whose light it switches; not there: its own, -1: none
   std::map<int, int> sync_wired;    // projector -> SYNC line its edges come on; not there: its own
   bool inverted = false;            // pictures come out inverted
-  Interlock interlock = Interlock::kClosed;
+  std::atomic<StopReason> interlock = StopReason::kNone;
   std::function<void(int64_t trigger)> on_camera_trigger;
+  std::function<void()> on_load;
+  StopToken stop;
 
   // What the lines did.
-  std::set<int> lit;                   // projectors whose ENABLE is on
-  std::set<int> ever_lit;              // since the start
-  std::atomic<int> all_off_calls = 0;  // by the watchdog's thread, too
+  [[nodiscard]] std::set<int> lit() const;       // projectors whose light is on
+  [[nodiscard]] std::set<int> ever_lit() const;  // lines that were ever switched on
   int loads = 0;
   int64_t camera_triggers = 0;
   bool camera_running = false;
 
+  void Advance(std::chrono::nanoseconds time) { now_ = now() + time; }
   [[nodiscard]] int64_t PulsesOf(int projector) const { return memories_[projector].pulses; }
 
  private:
+  friend class ScriptedEnable;
+  friend class ScriptedInterlock;
+  friend class ScriptedClock;
   friend class ScriptedLines;
   friend class ScriptedCamera;
   friend class ScriptedProjector;
@@ -75,7 +81,17 @@ class ScriptedRig {
   void TriggerCamera(MonotonicNs time);
 
   int width_, height_;
-  MonotonicNs now_{1'000'000'000};
+  // The rig's clock, also seen by the guard's thread.
+  struct Clock {
+    std::atomic<int64_t> ns = 1'000'000'000;
+    operator MonotonicNs() const { return {ns.load()}; }
+    Clock& operator=(MonotonicNs time) {
+      ns.store(time.ns);
+      return *this;
+    }
+  };
+  [[nodiscard]] MonotonicNs now() const { return now_; }
+  Clock now_;
   std::vector<Memory> memories_;
   std::deque<SyncEdge> edges_;
   std::deque<CapturedFrame> frames_;
@@ -84,6 +100,10 @@ class ScriptedRig {
   int64_t edge_sequence_ = 0;
   int64_t driver_sequence_ = 100;
   double exposure_ms_ = 0.0;
+  std::vector<std::unique_ptr<LightSwitch>> enables_;
+  std::unique_ptr<InterlockInput> interlock_input_;
+  std::unique_ptr<LeaseClock> lease_clock_;
+  std::unique_ptr<LightGuard> light_;
   std::unique_ptr<LineBank> lines_;
   std::unique_ptr<FrameSource> camera_;
   std::vector<std::unique_ptr<Projector>> projectors_;

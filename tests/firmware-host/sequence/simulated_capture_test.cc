@@ -29,8 +29,10 @@ TEST(SimulatedCapture, AVisitorIsCompleteAndEveryCodedFrameIsWitnessed) {
   const CapturePlan plan = *BuildPlan({});
   SequencerOptions options;
   options.shooter.wait = [](std::chrono::nanoseconds) {};
-  const std::atomic<bool> stop = false;
-  Sequencer sequencer({(*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, logger, stop);
+  StopToken stop;
+  const auto light = GuardLight(**rig, stop);
+  ASSERT_TRUE(light.ok()) << light.status().message();
+  Sequencer sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, logger);
   CountingSink sink;
   const Result<CaptureReport> report = sequencer.Run(plan, sink);
   ASSERT_TRUE(report.ok()) << report.status().message();

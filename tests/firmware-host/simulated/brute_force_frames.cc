@@ -14,11 +14,11 @@ constexpr std::array<const char*, 3> kColours = {"R", "G", "B"};
 
 // The frame of one light alone; nullptr: of no light.
 Result<Image<uint16_t>> Shoot(SimulatedRig& rig, const ProjectedLight* light, double exposure_ms) {
-  SLX_RETURN_IF_ERROR(rig.lines().AllOff());
+  for (LightSwitch* one : rig.switches()) one->Set(false);
   SLX_RETURN_IF_ERROR(rig.camera().SetExposure(exposure_ms, 1.0));
   if (light != nullptr) {
     SLX_RETURN_IF_ERROR(rig.projectors()[light->projector]->Load({light->pattern}));
-    SLX_RETURN_IF_ERROR(rig.lines().SetEnable(light->projector, true));
+    rig.switches()[light->projector]->Set(true);
     SLX_ASSIGN_OR_RETURN(const auto projector, rig.lines().TriggerProjector(light->projector));
     static_cast<void>(projector);
     rig.Sleep(std::chrono::milliseconds(5));  // the picture is on a while after its trigger

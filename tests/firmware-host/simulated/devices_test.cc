@@ -34,7 +34,7 @@ class SimulatedDevices : public ::testing::Test {
     auto rig = SimulatedRig::Create(options, logger_);
     EXPECT_TRUE(rig.ok()) << rig.status().message();
     EXPECT_TRUE((*rig)->camera().Start().ok());
-    EXPECT_TRUE((*rig)->lines().SetEnable(1, true).ok());
+    (*rig)->switches()[1]->Set(true);
     return std::move(*rig);
   }
   static void Step(SimulatedRig& rig) {

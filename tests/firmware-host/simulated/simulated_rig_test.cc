@@ -34,9 +34,9 @@ class SimulatedRigTest : public ::testing::Test {
   // One frame of one projector, all others off.
   static Image<uint16_t> Shoot(SimulatedRig& rig, int projector, const Pattern& pattern, double gain = 1.0,
                                double exposure_ms = 16.0) {
-    EXPECT_TRUE(rig.lines().AllOff().ok());
+    for (LightSwitch* light : rig.switches()) light->Set(false);
     EXPECT_TRUE(rig.projectors()[projector]->Load({pattern}).ok());
-    EXPECT_TRUE(rig.lines().SetEnable(projector, true).ok());
+    rig.switches()[projector]->Set(true);
     EXPECT_TRUE(rig.camera().SetExposure(exposure_ms, gain).ok());
     EXPECT_TRUE(rig.lines().TriggerProjector(projector).ok());
     while ((*rig.lines().WaitSync({})).has_value()) {
@@ -188,7 +188,7 @@ TEST_F(SimulatedRigTest, AnotherSeedIsAnotherFace) {
 TEST_F(SimulatedRigTest, ProjectorsInTheDarkAddNothing) {
   const auto rig = Make(Small("plane"));
   const Image<uint16_t> black = Shoot(*rig, 0, {});
-  ASSERT_TRUE(rig->lines().AllOff().ok());
+  for (LightSwitch* light : rig->switches()) light->Set(false);
   ASSERT_TRUE(rig->lines().TriggerCamera().ok());
   const auto dark = rig->camera().Wait(std::chrono::milliseconds(100));
   ASSERT_TRUE(dark.ok() && dark->has_value());

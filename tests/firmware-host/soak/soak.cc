@@ -91,11 +91,13 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   EXPECT_TRUE(plan.ok()) << plan.status().message();
   SequencerOptions sequencer;
   sequencer.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
-  const std::atomic<bool> stop = false;
+  StopToken stop;
+  const auto light = GuardLight(**rig, stop);
+  EXPECT_TRUE(light.ok()) << light.status().message();
   SoakCapture capture;
   LastFrames frames;
-  const auto report =
-      Sequencer({(*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, sequencer, logger, stop).Run(*plan, frames);
+  const auto report = Sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, sequencer, logger)
+                          .Run(*plan, frames);
   EXPECT_TRUE(report.ok()) << report.status().message();
   if (!report.ok()) return capture;
   capture.report = *report;
