@@ -72,6 +72,8 @@ class LightGuard {
   // After a stop, for the next visit. kFailed while E-STOP or door are active.
   Status Reset();
   [[nodiscard]] StopToken& stop() const noexcept { return stop_; }
+  // Of the clock that leases run on.
+  [[nodiscard]] MonotonicNs Now() const noexcept;
   // False: the account may not use SCHED_FIFO, so that the guard's thread competes with others.
   [[nodiscard]] bool realtime() const noexcept { return realtime_.load(); }
 
@@ -95,7 +97,6 @@ class LightGuard {
   // False: there is no place left.
   bool Register() noexcept;
   void TakeForEver() noexcept;
-  [[nodiscard]] MonotonicNs Now() const noexcept;
   // Takes what the interlock and the leases say to the token.
   void Look() noexcept;
   // Writes the projector's switches off and reads them back; true when all say dark.

@@ -163,201 +163,48 @@ Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, 
 }
 
 Status CaptureRun::RunProjector(int projector) {
-  const std::vector<int> block = StepsOf(projector);
-  if (block.empty()) return Status::Ok();
+  const std::vector<int> steps = StepsOf(projector);
+  if (steps.empty()) return Status::Ok();
   witness_.StartProjector(projector);
   held_.clear();
-  memory_cut_ = false;
+  last_kept_.reset();
+  memory_at_ = steps.front();
   SLX_RETURN_IF_ERROR(SetLight(projector, true));
   // The sweep is judged by the codes, so these are settled first.
-  const auto sweep = std::find_if(block.begin(), block.end(), [&](int step) {
+  const auto sweep = std::find_if(steps.begin(), steps.end(), [&](int step) {
     const CapturePhase phase = plan_.steps[step].phase;
     return phase == CapturePhase::kSweep || phase == CapturePhase::kMotion;
   });
-  SLX_RETURN_IF_ERROR(ShootBlock({block.begin(), sweep}));
-  if (memory_cut_ && sweep != block.end()) SLX_RETURN_IF_ERROR(Reload(block, sweep - block.begin()));
-  SLX_RETURN_IF_ERROR(ShootBlock({sweep, block.end()}));
+  SLX_RETURN_IF_ERROR(ShootBlock({steps.begin(), sweep}));
+  SLX_RETURN_IF_ERROR(ShootBlock({sweep, steps.end()}));
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   for (std::string& reason : witness_.CheckProjector()) report_.reasons.push_back(std::move(reason));
   return Status::Ok();
 }
 
-Status CaptureRun::ShootBlock(std::vector<int> block) {
-  while (!block.empty()) {
-    SLX_RETURN_IF_ERROR(ShootSteps(block));
-    block = RetakeDoubtful(witness_.TakeDoubtful());
-    if (!block.empty()) SLX_RETURN_IF_ERROR(Reload(block, 0));
-  }
-  return Status::Ok();
-}
-
-std::vector<int> CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
-  std::vector<int> again;
-  for (int step : doubtful) {
-    const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
-    const int worst =
-        *std::max_element(group.begin(), group.end(), [&](int a, int b) { return retries_[a] < retries_[b]; });
-    if (!RetriesLeft(worst)) {
-      wrong_level_.insert(step);
-      proven_.erase(step);
-      continue;
-    }
-    again.push_back(step);
-  }
-  for (int step : again) {
-    ++retries_[step];
-    retake_cause_[step] = ShotFault::kWrongLevel;
-    proven_.erase(step);
-  }
-  if (again.empty()) return again;
-  report_.Note(ShotFault::kWrongLevel);
-  report_.retried += static_cast<int>(again.size());
-  logger_.Warning(Describe(again.front()) + " and " + std::to_string(again.size() - 1) +
-                  " more: the projector was out of step soon after; shot again");
-  return again;
-}
-
-Status CaptureRun::ShootSteps(const std::vector<int>& block) {
-  size_t position = 0;
-  while (true) {
-    SLX_RETURN_IF_ERROR(DrainBefore(block, position));
-    if (position == block.size()) return Status::Ok();
-    SLX_RETURN_IF_ERROR(BeginStep());
-    SLX_RETURN_IF_ERROR(ShootNext(block, position));
-  }
-}
-
-Status CaptureRun::DrainBefore(const std::vector<int>& block, size_t& position) {
-  SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.Drain());
-  if (fault == ShotFault::kNone) return Status::Ok();
-  if (position == 0) {  // left over from before this projector's first shot: nothing of it is spoilt
-    report_.Note(fault);
-    return fault == ShotFault::kExtraSync ? Reload(block, 0) : Status::Ok();
-  }
-  --position;
-  if (!held_.empty() && held_.back().record.step == block[position]) {
-    held_.pop_back();
-    ++spoilt_triggers_;
-  }
-  proven_.erase(block[position]);
-  return ShootAgain(block, position, fault);
-}
-
-Status CaptureRun::ShootNext(const std::vector<int>& block, size_t& position) {
-  const PlanStep& step = plan_.steps[block[position]];
-  const int64_t triggers_before = shooter_.camera_triggers();
-  SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(step, retries_[step.index]));
-  if (const auto cause = retake_cause_.find(step.index); cause != retake_cause_.end())
-    shot.record.retake_cause = ToString(cause->second);
-  if (shot.fault != ShotFault::kNone) {
-    spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
-    if (const Result<ShotFault> drained = shooter_.Drain(); !drained.ok()) return drained.status();
-    return ShootAgain(block, position, shot.fault);
-  }
-  silent_steps_ = 0;
-  witness_.Add(step, shot.pixels, shot.record.mean_dn);
-  held_.push_back(std::move(shot));
-  if (PatternWitness::GroupOf(plan_, step.index).back() == step.index) return JudgeGroup(block, position);
-  ++position;
-  Advance(step.index);
-  return Status::Ok();
-}
-
-Status CaptureRun::JudgeGroup(const std::vector<int>& block, size_t& position) {
-  const PlanStep& last = plan_.steps[block[position]];
-  const std::vector<int> group = PatternWitness::GroupOf(plan_, last.index);
-  const LevelCheck verdict = witness_.Check(last);
-  for (Shot& shot : held_) {
-    shot.record.level_check = verdict;
-    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
-  }
-  held_.clear();
-  Advance(last.index);
-  ++position;
-  if (verdict != LevelCheck::kFailed) {
-    for (int step : group) wrong_level_.erase(step);
-    return Status::Ok();
-  }
-  report_.Note(ShotFault::kWrongLevel);
-  wrong_level_.insert(group.begin(), group.end());
-  // Given up; but the memory may stand elsewhere than planned, so what follows starts afresh.
-  if (!RetriesLeft(last.index)) return Reload(block, position);
-  if (retries_[last.index] > 0 && last.phase != CapturePhase::kReference && witness_.ReferenceStandsAlone())
-    if (const std::optional<size_t> reference = ReferenceIn(block)) {
-      position = *reference;
-      return ShootReferenceAgain(block, position);
-    }
-  logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
-  for (int step : group) {
-    ++retries_[step];
-    retake_cause_[step] = ShotFault::kWrongLevel;
-  }
-  report_.retried += static_cast<int>(group.size());
-  position -= group.size();
-  return Reload(block, position);
-}
-
-std::optional<size_t> CaptureRun::ReferenceIn(const std::vector<int>& block) const {
-  for (size_t i = 0; i < block.size(); ++i)
-    if (plan_.steps[block[i]].phase == CapturePhase::kReference && RetriesLeft(block[i])) return i;
-  return std::nullopt;
-}
-
-Status CaptureRun::ShootReferenceAgain(const std::vector<int>& block, size_t position) {
-  logger_.Warning(Describe(block[position]) + ": what follows contradicts the reference; it is shot again");
-  for (int step : PatternWitness::GroupOf(plan_, block[position])) {
-    ++retries_[step];
-    ++report_.retried;
-    retake_cause_[step] = ShotFault::kWrongLevel;
-    proven_.erase(step);
-  }
-  return Reload(block, position);
-}
-
-Status CaptureRun::ShootAgain(const std::vector<int>& block, size_t& position, ShotFault fault) {
-  const int step = block[position];
-  report_.Note(fault);
-  if (RetriesLeft(step)) {
-    ++retries_[step];
-    retake_cause_[step] = fault;
-    ++report_.retried;
-    logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
-    return Reload(block, position);
-  }
-  logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
-                " retries; given up");
-  if (++silent_steps_ >= options_.max_silent_steps)
-    return Status::Failed(std::to_string(silent_steps_) + " steps in a row without a usable frame (" +
-                          report_.FaultSummary() + "); check the camera's and projectors' cables and power");
-  // A group that lacks a member cannot be judged: what was held goes out as not checked.
-  ++position;
-  Advance(step);
-  if (PatternWitness::GroupOf(plan_, step).back() == step) {
-    for (Shot& shot : held_) SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
-    held_.clear();
-  }
-  return Reload(block, position);
-}
-
-Status CaptureRun::Reload(const std::vector<int>& block, size_t position) {
-  memory_cut_ = true;
-  if (position == block.size()) return Status::Ok();
-  witness_.MemoryLoaded();
+Status CaptureRun::LoadFrom(int step) {
+  const int projector = plan_.steps[step].projector;
   std::vector<Pattern> sequence;
-  for (size_t i = position; i < block.size(); ++i) sequence.push_back(plan_.steps[block[i]].pattern);
-  const int projector = plan_.steps[block[position]].projector;
+  for (int later : StepsOf(projector))
+    if (later >= step) sequence.push_back(plan_.steps[later].pattern);
+  witness_.MemoryLoaded();
   // A memory that is stepped to its place shows everything on the way: to nobody.
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   SLX_RETURN_IF_ERROR(
       devices_.projectors[projector]->Load(sequence).WithContext("reloading projector " + std::to_string(projector)));
+  memory_at_ = step;
   return SetLight(projector, true);
+}
+
+int CaptureRun::StepAfter(int step) const {
+  for (size_t later = step + 1; later < plan_.steps.size(); ++later)
+    if (plan_.steps[later].projector == plan_.steps[step].projector) return static_cast<int>(later);
+  return kNoStep;
 }
 
 void CaptureRun::Advance(int step) {
   // A step shot again was counted before.
-  if (step <= furthest_step_) return;
-  furthest_step_ = step;
-  if (on_step_) on_step_();
+  if (seen_.insert(step).second && on_step_) on_step_();
 }
 
 Status CaptureRun::Emit(Shot shot) {

@@ -25,42 +25,56 @@ class CaptureRun {
   CaptureReport Conclude(const Status& ended);
 
  private:
+  static constexpr int kNoStep = -1;
+
   Status LoadMemories();
   Status RunPreroll();
   Result<bool> ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots);
   [[nodiscard]] PrerollReading ReadMarkers(const std::vector<Shot>& shots) const;
   Status RunProjector(int projector);
-  // Shoots the steps (whole groups, ascending), then again those that the witness came to doubt.
-  Status ShootBlock(std::vector<int> block);
-  Status ShootSteps(const std::vector<int>& block);
+  // Shoots the steps (whole groups, ascending); those that were spoilt or came into doubt are shot again together.
+  Status ShootBlock(const std::vector<int>& block);
+  // What goes on show next: where the memory stands if that step is pending, else the first that is; kNoStep: none.
+  [[nodiscard]] int NextStep() const;
+  // A frame that says nothing needs one behind it that does: only then is it known that the memory was in step.
+  void AskWitness(int last_of_block);
+  // Moves the projector on to the step and exposes it; looks at the frame before it.
+  Status ShootNext(int step);
+  // False where the exposed frame must be here before the projector moves on.
+  [[nodiscard]] bool MayOverlap(int step) const;
+  Status CollectExposed();
+  // Its frame, unlooked at.
+  Status Abandon(const Exposure& exposure);
+  Status Keep(Shot shot);
+  Status JudgeGroup(const std::vector<int>& group);
+  // What is refuted before anything was confirmed speaks against the reference.
+  bool RetakeReference(const std::vector<int>& refuted);
+  // A SYNC edge nobody asked for: the projector moved on while the last frame was exposed.
+  Status SpoilLast(ShotFault fault);
+  // A shot that does not count: its step is shot again, or given up once it has had its retries.
+  Status Spoil(int step, ShotFault fault);
+  void Retake(int step, ShotFault cause);
   // Of the doubtful steps, those that may be shot again; the others fail.
-  [[nodiscard]] std::vector<int> RetakeDoubtful(const std::vector<int>& doubtful);
+  void RetakeDoubtful(const std::vector<int>& doubtful);
   // Why to end here, if the light was taken away.
   Status CheckSafe();
   // The same, and another lease for the step that begins.
   Status BeginStep();
   [[nodiscard]] Status WhyDark(const Status& light) const;
-  // One step of the block: position moves on, or back where something has to be shot again.
-  Status ShootNext(const std::vector<int>& block, size_t& position);
   [[nodiscard]] bool RetriesLeft(int step) const {
     const auto found = retries_.find(step);
     return found == retries_.end() || found->second < options_.max_retries;
   }
-  // Where the block's reference begins, if it may be shot again.
-  [[nodiscard]] std::optional<size_t> ReferenceIn(const std::vector<int>& block) const;
-  Status ShootReferenceAgain(const std::vector<int>& block, size_t position);
-  Status JudgeGroup(const std::vector<int>& block, size_t& position);
-  // After a spoilt shot of block[position]: reloads the memory from there, or from the next step once the step has had
-  // its retries.
-  Status ShootAgain(const std::vector<int>& block, size_t& position, ShotFault fault);
-  // Frames or edges nobody asked for spoil the shot before `position`.
-  Status DrainBefore(const std::vector<int>& block, size_t& position);
-  Status Reload(const std::vector<int>& block, size_t position);
+  [[nodiscard]] bool AnyPending(const std::vector<int>& group) const;
+  // Brings the projector's memory to where `step` comes next, in the dark.
+  Status LoadFrom(int step);
   Status Emit(Shot shot);
   void Advance(int step);
   Status SetLight(int projector, bool on);
   Status SetLights(bool on);
   [[nodiscard]] std::vector<int> StepsOf(int projector) const;
+  // The step that stands behind it in its projector's memory; kNoStep: none.
+  [[nodiscard]] int StepAfter(int step) const;
   [[nodiscard]] std::string Describe(int step) const;
   void CheckProof();
 
@@ -74,15 +88,20 @@ class CaptureRun {
   Shooter shooter_;
   PatternWitness witness_;
   CaptureReport report_;
-  std::vector<Shot> held_;      // shots of the group that is not judged yet
-  std::map<int, int> retries_;  // by step
+  std::set<int> pending_;            // steps of the block that are still to be shot
+  std::set<int> given_up_;           // steps that had their retries without a usable frame
+  std::optional<Exposure> exposed_;  // the last step, until its frame is here
+  std::optional<int> memory_at_;     // the step that the projector's next pulse shows; nullopt: not known
+  std::optional<int> last_kept_;     // step of the last good frame of the projector
+  LevelCheck last_verdict_ = LevelCheck::kNotChecked;
+  std::map<int, std::vector<Shot>> held_;  // shots of groups that are not whole yet, by the group's first step
+  std::map<int, int> retries_;             // by step
   std::map<int, ShotFault> retake_cause_;
   std::map<int, FrameRecord> proven_;  // by step: the last good frame
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
-  bool memory_cut_ = false;            // the projector's memory ends with the steps of the block
-  int silent_steps_ = 0;
-  int furthest_step_ = -1;
-  int64_t spoilt_triggers_ = 0;  // camera triggers without a frame in the sink
+  int useless_shots_ = 0;              // in a row
+  std::set<int> seen_;                 // steps that were counted for `on_step_`
+  int64_t spoilt_triggers_ = 0;        // camera triggers without a frame in the sink
 };
 
 }  // namespace stratalux::rig

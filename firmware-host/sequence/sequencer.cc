@@ -28,8 +28,8 @@ Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
 Status SequencerOptions::Validate() const {
   if (max_retries < 0 || max_retries > 100)
     return Status::Usage("max_retries = " + std::to_string(max_retries) + ", allowed: 0 .. 100");
-  if (max_silent_steps < 1)
-    return Status::Usage("max_silent_steps = " + std::to_string(max_silent_steps) + ", allowed: 1 and more");
+  if (max_useless_shots < 1)
+    return Status::Usage("max_useless_shots = " + std::to_string(max_useless_shots) + ", allowed: 1 and more");
   if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
       shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || step_slack.count() < 0)
     return Status::Usage("sequencer: settling, deadlines, slack and on-time must not be negative");
@@ -37,9 +37,10 @@ Status SequencerOptions::Validate() const {
 }
 
 std::chrono::nanoseconds SequencerOptions::LongestStep(double exposure_ms) const {
-  // A stream's next whole exposure may begin an exposure later.
+  // A stream's next whole exposure may begin an exposure later; a triggered frame is awaited while the next one begins.
+  const CameraTiming& camera = shooter.camera;
   return shooter.sync_deadline + shooter.settle + std::chrono::nanoseconds(static_cast<int64_t>(2e6 * exposure_ms)) +
-         shooter.frame_deadline + step_slack;
+         camera.exposure_margin + camera.min_frame_period + shooter.frame_deadline + step_slack;
 }
 
 Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step)

@@ -3,7 +3,9 @@
 //
 //   load every projector's memory: pre-roll markers, then its own steps
 //   all lights on, pre-roll, all lights off; the code must decode
-//   for each projector: light on; each step shot, paired, checked, shot again where needed; light off
+//   for each projector: light on; each step shot, paired, checked, while the next is exposed; what was spoilt shot
+//   again,
+//                       together; light off
 //   at the end: triggers and frames match one to one, comb cycles add up
 //
 // Whatever happens, all lights are off when Run returns.
@@ -27,8 +29,8 @@ struct SequencerOptions {
   WitnessOptions witness;
   int max_retries = 2;                   // further shots of a step; a third failure is hardly chance
   double min_preroll_contrast_dn = 5.0;  // mean level of white over dark markers
-  // A rig that stays silent is broken, not unlucky: this many steps in a row without a frame end the capture.
-  int max_silent_steps = 5;
+  // A rig that gives nothing is broken, not unlucky: this many shots in a row without a usable frame end the capture.
+  int max_useless_shots = 10;
   // Longest time a projector's light may stay on at a stretch, on the rig's clock; 0: no limit.
   std::chrono::nanoseconds max_on_time = std::chrono::minutes(5);
   // What a step may take beyond its waits: our own computing, a disk that lets the sink wait. Light whose step takes
@@ -49,7 +51,8 @@ class Sequencer {
   Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step = {});
 
   // Fails with kUsage, before any light goes on, when the plan does not fit the devices. All later trouble is in the
-  // report: status complete, degraded or failed, with reasons. Frames go to the sink in the order they were shot.
+  // report: status complete, degraded or failed, with reasons. Frames go to the sink group by group, as they are
+  // judged.
   Result<CaptureReport> Run(const CapturePlan& plan, FrameSink& sink);
 
  private:

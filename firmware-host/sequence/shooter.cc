@@ -13,6 +13,7 @@ namespace stratalux::rig {
 namespace {
 
 using std::chrono::nanoseconds;
+constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
 constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
 
 nanoseconds FromMs(double ms) { return nanoseconds(static_cast<int64_t>(ms * 1e6)); }
@@ -51,60 +52,96 @@ Shooter::Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std:
 }
 
 Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
+  SLX_ASSIGN_OR_RETURN(std::optional<Exposure> exposure, Show(step, retry));
+  if (!exposure) {
+    Shot shot;
+    shot.fault = ShotFault::kMissingSync;
+    return shot;
+  }
+  SLX_RETURN_IF_ERROR(Expose(*exposure));
+  return Collect(*exposure);
+}
+
+Result<std::optional<Exposure>> Shooter::Show(const PlanStep& step, int retry) {
   SLX_RETURN_IF_ERROR(safe_());
   if (step.exposure_ms != exposure_ms_) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
   }
   if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
-  SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerProjector(step.projector));
-  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, pulse));
-  Shot shot;
-  if (!sync) {
-    shot.fault = ShotFault::kMissingSync;
-    return shot;
-  }
-  if (mode_ == SyncMode::kTriggered) {
-    SLX_RETURN_IF_ERROR(Settle());
-    SLX_ASSIGN_OR_RETURN(shot, TakeTriggered(step));
-  } else {
-    SLX_ASSIGN_OR_RETURN(shot, TakeFromStream(step, pulse, *sync));
-  }
-  FrameRecord& r = shot.record;
-  r.step = step.index;
-  r.projector = step.projector;
-  r.phase = step.phase;
-  r.pattern = step.pattern;
-  r.bracket = step.bracket;
-  r.retry = retry;
-  r.sync_time = *sync;
-  return shot;
+  Exposure exposure;
+  exposure.step = &step;
+  exposure.retry = retry;
+  SLX_ASSIGN_OR_RETURN(exposure.pulse, devices_.lines.TriggerProjector(step.projector));
+  last_pulse_ = exposure.pulse.time;
+  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, exposure.pulse));
+  if (!sync) return std::optional<Exposure>();
+  exposure.sync = *sync;
+  return std::optional(exposure);
 }
 
-Status Shooter::Settle() {
-  for (nanoseconds left = options_.settle; left.count() > 0; left -= kSlice) {
+Status Shooter::Expose(Exposure& exposure) {
+  if (mode_ == SyncMode::kFreeRunning) {
+    // Settling takes no wait of its own: the stream's frames tell when it is over.
+    last_trigger_ = exposure.pulse.time;
+    ++camera_triggers_;
+    return Status::Ok();
+  }
+  const MonotonicNs ready = std::max(exposure.sync + options_.settle, last_trigger_ + options_.camera.min_frame_period);
+  SLX_RETURN_IF_ERROR(Pass(ready - devices_.light.Now()));
+  SLX_ASSIGN_OR_RETURN(exposure.camera, devices_.lines.TriggerCamera());
+  last_trigger_ = exposure.camera.time;
+  // The bank's number may count the projectors' pulses, too; frames advance with the camera's own.
+  exposure.number = camera_triggers_++;
+  return Status::Ok();
+}
+
+Status Shooter::AwaitEnd(const Exposure& exposure) {
+  if (mode_ == SyncMode::kFreeRunning) return safe_();
+  const MonotonicNs end = exposure.camera.time + FromMs(exposure.step->exposure_ms) + options_.camera.exposure_margin;
+  return Pass(end - devices_.light.Now());
+}
+
+Status Shooter::Pass(nanoseconds time) {
+  for (nanoseconds left = time; left.count() > 0; left -= kSlice) {
     SLX_RETURN_IF_ERROR(safe_());
     options_.wait(std::min(left, kSlice));
   }
   return safe_();
 }
 
-Result<Shot> Shooter::TakeTriggered(const PlanStep& step) {
-  SLX_ASSIGN_OR_RETURN(const TriggerReceipt trigger, devices_.lines.TriggerCamera());
-  last_trigger_ = trigger.time;
-  // The bank's number may count the projectors' pulses, too; frames advance with the camera's own.
-  const TriggerReceipt camera_pulse{camera_triggers_++, trigger.time};
-  SLX_ASSIGN_OR_RETURN(
-      Shot shot, AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, [&](const CapturedFrame& frame) {
-        return pairing_.Match(camera_pulse, step.exposure_ms, frame);
-      }));
-  shot.record.trigger_number = trigger.number;
-  shot.record.trigger_time = trigger.time;
+Result<Shot> Shooter::Collect(const Exposure& exposure) {
+  SLX_ASSIGN_OR_RETURN(Shot shot,
+                       mode_ == SyncMode::kTriggered ? CollectTriggered(exposure) : CollectFromStream(exposure));
+  const PlanStep& step = *exposure.step;
+  FrameRecord& r = shot.record;
+  r.step = step.index;
+  r.projector = step.projector;
+  r.phase = step.phase;
+  r.pattern = step.pattern;
+  r.bracket = step.bracket;
+  r.retry = exposure.retry;
+  r.sync_time = exposure.sync;
+  return shot;
+}
+
+Result<Shot> Shooter::CollectTriggered(const Exposure& exposure) {
+  const PlanStep& step = *exposure.step;
+  const TriggerReceipt camera_pulse{exposure.number, exposure.camera.time};
+  const MonotonicNs next_trigger = last_trigger_ > exposure.camera.time ? last_trigger_ : kNever;
+  const auto match = [&](const CapturedFrame& frame) {
+    const ShotFault fault = pairing_.Match(camera_pulse, step.exposure_ms, frame);
+    const bool moved_on = last_pulse_ > exposure.camera.time && frame.time + FromMs(frame.exposure_ms) > last_pulse_;
+    return fault == ShotFault::kNone && moved_on ? ShotFault::kLateFrame : fault;
+  };
+  SLX_ASSIGN_OR_RETURN(Shot shot,
+                       AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, next_trigger, match));
+  shot.record.trigger_number = exposure.camera.number;
+  shot.record.trigger_time = exposure.camera.time;
   return shot;
 }
 
 Status Shooter::PassOverStream() {
-  constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
   while (true) {
     SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
     if (!frame) return Status::Ok();
@@ -115,23 +152,21 @@ Status Shooter::PassOverStream() {
   }
 }
 
-Result<Shot> Shooter::TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync) {
-  const MonotonicNs settled = sync + options_.settle;
-  last_trigger_ = pulse.time;
-  ++camera_triggers_;
-  // Settling takes no wait of its own: the stream's frames tell when it is over.
-  SLX_ASSIGN_OR_RETURN(Shot shot,
-                       AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline,
-                                  [&](const CapturedFrame& frame) {
-                                    ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
-                                    // A new exposure reaches the stream some frames later.
-                                    if (fault == ShotFault::kNone && !HasExposure(step, frame))
-                                      fault = ShotFault::kOutOfOrder;
-                                    transition_frames_ += fault == ShotFault::kOutOfOrder;
-                                    return fault;
-                                  }));
-  shot.record.trigger_number = pulse.number;
-  shot.record.trigger_time = pulse.time;
+Result<Shot> Shooter::CollectFromStream(const Exposure& exposure) {
+  const PlanStep& step = *exposure.step;
+  const MonotonicNs settled = exposure.sync + options_.settle;
+  SLX_ASSIGN_OR_RETURN(
+      Shot shot, AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline, kNever,
+                            [&](const CapturedFrame& frame) {
+                              ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
+                              // A new exposure reaches the stream some frames later.
+                              if (fault == ShotFault::kNone && !HasExposure(step, frame))
+                                fault = ShotFault::kOutOfOrder;
+                              transition_frames_ += fault == ShotFault::kOutOfOrder;
+                              return fault;
+                            }));
+  shot.record.trigger_number = exposure.pulse.number;
+  shot.record.trigger_time = exposure.pulse.time;
   return shot;
 }
 
@@ -153,13 +188,16 @@ Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const Trigg
   return std::optional<MonotonicNs>(latest);
 }
 
-Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left,
+Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, MonotonicNs next_trigger,
                                  const std::function<ShotFault(const CapturedFrame&)>& match) {
   Shot shot;
   while (true) {
-    SLX_ASSIGN_OR_RETURN(
-        std::optional<CapturedFrame> frame,
-        (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
+    std::optional<CapturedFrame> frame = std::exchange(early_, std::nullopt);
+    if (!frame) {
+      SLX_ASSIGN_OR_RETURN(
+          frame, (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
+    }
+    if (frame && frame->time >= next_trigger) early_ = std::exchange(frame, std::nullopt);
     if (!frame) {
       pairing_.TriggerLost();
       // A frame of the past is no answer: what was seen first stays the named cause.
@@ -224,22 +262,31 @@ Status Shooter::CheckFrame(const CapturedFrame& frame) {
   return Status::Ok();
 }
 
-Result<ShotFault> Shooter::Drain() {
-  ShotFault worst = ShotFault::kNone;
+Result<ShotFault> Shooter::DrainEdges() {
+  ShotFault fault = ShotFault::kNone;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const std::optional<SyncEdge> edge, devices_.lines.WaitSync({}));
-    if (!edge) break;
-    worst = ShotFault::kExtraSync;
+    if (!edge) return fault;
+    fault = ShotFault::kExtraSync;
   }
+}
+
+Result<ShotFault> Shooter::DrainFrames() {
   // A stream brings frames unasked; the next shot looks at their numbers and times.
-  if (mode_ == SyncMode::kFreeRunning) return worst;
+  if (mode_ == SyncMode::kFreeRunning) return ShotFault::kNone;
+  ShotFault first = ShotFault::kNone;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
-    if (!frame) break;
+    if (!frame) return first;
     const ShotFault fault = pairing_.Unexpected(*frame);
-    if (worst == ShotFault::kNone) worst = fault;
+    if (first == ShotFault::kNone) first = fault;
   }
-  return worst;
+}
+
+Result<ShotFault> Shooter::Drain() {
+  SLX_ASSIGN_OR_RETURN(const ShotFault edges, DrainEdges());
+  SLX_ASSIGN_OR_RETURN(const ShotFault frames, DrainFrames());
+  return edges != ShotFault::kNone ? edges : frames;
 }
 
 }  // namespace stratalux::rig

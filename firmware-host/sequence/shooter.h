@@ -4,6 +4,10 @@
 //   triggered      TRIGGER -> SYNC -> settle -> camera TRIGGER -> its frame, by number and time
 //   free_running   TRIGGER -> SYNC -> settle -> the first whole exposure that the streaming camera takes after that;
 //                  frames before it are the transition: looked at, counted and dropped
+//
+// The parts of a step can be called one by one, so that the next step goes on show while a frame is still read out:
+//
+//   Show(1) Expose(1) | AwaitEnd(1) Show(2) [Collect(1)] Expose(2) [or Collect(1)] | AwaitEnd(2) Show(3) ...
 #pragma once
 
 #include <chrono>
@@ -11,6 +15,7 @@
 #include <optional>
 #include <vector>
 
+#include "firmware-host/camera/camera_timing.h"
 #include "firmware-host/camera/frame_source.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/projector/projector.h"
@@ -33,6 +38,7 @@ struct RigDevices {
 struct ShooterOptions {
   // From SYNC to the camera trigger: the projector's light source and the camera's own trigger delay.
   std::chrono::nanoseconds settle = std::chrono::milliseconds(2);
+  CameraTiming camera;
   std::chrono::nanoseconds sync_deadline = std::chrono::milliseconds(100);
   std::chrono::nanoseconds frame_deadline = std::chrono::milliseconds(500);  // on top of the exposure
   std::chrono::nanoseconds frame_slack = std::chrono::milliseconds(20);      // of the frame's time after its trigger
@@ -44,6 +50,16 @@ struct ShooterOptions {
   double max_repeated_rows = 0.01;
   // How `settle` passes; empty: in real time. Set only for rigs with a clock of their own, such as the simulated one.
   std::function<void(std::chrono::nanoseconds)> wait;
+};
+
+// A step on show; once exposed, its frame is still to come.
+struct Exposure {
+  const PlanStep* step = nullptr;
+  int retry = 0;
+  TriggerReceipt pulse;   // of the projector
+  MonotonicNs sync;       // its answer
+  TriggerReceipt camera;  // triggered: the camera's pulse, of the bank's numbers
+  int64_t number = 0;     // of camera triggers
 };
 
 // A frame and its proof; `fault` says why it does not count.
@@ -58,10 +74,26 @@ class Shooter {
   // `safe` is asked before each shot and every 20 ms of waiting; its error ends the shot.
   Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std::function<Status()> safe);
 
-  // Fails only where going on is pointless (a device error, not safe, a frame of an unknown clock or of another size);
-  // what a second try may heal is a fault.
+  // Each fails only where going on is pointless (a device error, not safe, a frame of an unknown clock or of another
+  // size); what a second try may heal is a fault.
+  //
+  // The whole step, nothing else being exposed.
   Result<Shot> Take(const PlanStep& step, int retry);
-  // Reads away what came unasked since the last shot: kDoubledFrame, kExtraSync or kOutOfOrder spoil that last shot.
+  // Moves the projector on; nullopt: no SYNC edge. Another exposure time than the last step's is set here: nothing may
+  // be exposed then. `step` outlives its exposure.
+  Result<std::optional<Exposure>> Show(const PlanStep& step, int retry);
+  // Lets the light settle and triggers the camera, not before it can.
+  Status Expose(Exposure& exposure);
+  // Lets the exposure pass: now the projector may move on.
+  Status AwaitEnd(const Exposure& exposure);
+  // The frame. One whose exposure had not ended when a projector moved on is kLateFrame.
+  Result<Shot> Collect(const Exposure& exposure);
+  // No exposure was begun after it.
+  [[nodiscard]] bool IsLast(const Exposure& exposure) const { return last_trigger_ <= exposure.camera.time; }
+  // Read away what came unasked since the last shot, which it spoils: kExtraSync; kDoubledFrame or kOutOfOrder.
+  Result<ShotFault> DrainEdges();
+  Result<ShotFault> DrainFrames();
+  // Both.
   Result<ShotFault> Drain();
   // Time of the last shot's trigger, on the rig's clock.
   [[nodiscard]] MonotonicNs last_trigger() const { return last_trigger_; }
@@ -71,17 +103,18 @@ class Shooter {
   [[nodiscard]] int64_t transition_lost() const { return pairing_.lost_in_transition(); }
 
  private:
-  // Lets `settle` pass.
-  Status Settle();
+  // Lets time pass on the rig's clock, looking at safety.
+  Status Pass(std::chrono::nanoseconds time);
   // Waits for the SYNC edges of `projector` (-1: one of each); nullopt at the deadline.
   Result<std::optional<MonotonicNs>> AwaitSync(int projector, const TriggerReceipt& trigger);
-  // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting.
-  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit,
+  // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting. A frame exposed since `next_trigger` is
+  // kept for that exposure: this one's was lost.
+  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit, MonotonicNs next_trigger,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
-  Result<Shot> TakeTriggered(const PlanStep& step);
+  Result<Shot> CollectTriggered(const Exposure& exposure);
   // Reads away the frames of a stream that wait already: they are older than the shot.
   Status PassOverStream();
-  Result<Shot> TakeFromStream(const PlanStep& step, const TriggerReceipt& pulse, MonotonicNs sync);
+  Result<Shot> CollectFromStream(const Exposure& exposure);
   Status CheckFrame(const CapturedFrame& frame);
   // As the camera reports it.
   [[nodiscard]] bool HasExposure(const PlanStep& step, const CapturedFrame& frame) const;
@@ -92,7 +125,9 @@ class Shooter {
   std::function<Status()> safe_;
   FramePairing pairing_;
   RowMemory rows_;
-  double exposure_ms_ = -1.0;  // as last set
+  double exposure_ms_ = -1.0;           // as last set
+  MonotonicNs last_pulse_;              // of a projector
+  std::optional<CapturedFrame> early_;  // of the exposure that is collected next
   MonotonicNs last_trigger_;
   int64_t camera_triggers_ = 0;
   int64_t transition_frames_ = 0;

@@ -13,6 +13,11 @@ constexpr int kCameraHeight = 120;
 constexpr double kBlackDn = 64.0;
 constexpr double kWhiteDn = 1500.0;  // per projector, at albedo 1
 constexpr double kNoiseDn = 1.0;
+constexpr auto kReadOut = std::chrono::milliseconds(8);
+
+std::chrono::nanoseconds ExposureOf(const CapturedFrame& frame) {
+  return std::chrono::nanoseconds(static_cast<int64_t>(1e6 * frame.exposure_ms));
+}
 }  // namespace
 
 class ScriptedEnable final : public LightSwitch {
@@ -59,14 +64,14 @@ class ScriptedLines : public LineBank {
  public:
   explicit ScriptedLines(ScriptedRig& rig) : rig_(rig) {}
   Result<TriggerReceipt> TriggerProjector(int projector) override {
-    rig_.now_ = rig_.now() + std::chrono::milliseconds(1);
+    rig_.now_ = rig_.now() + rig_.pulse_time;
     const TriggerReceipt receipt{rig_.triggers_++, rig_.now()};
     for (int p = 0; p < static_cast<int>(rig_.memories_.size()); ++p)
       if (projector < 0 || projector == p) rig_.Pulse(p);
     return receipt;
   }
   Result<TriggerReceipt> TriggerCamera() override {
-    rig_.now_ = rig_.now() + std::chrono::milliseconds(1);
+    rig_.now_ = rig_.now() + rig_.pulse_time;
     const TriggerReceipt receipt{rig_.triggers_++, rig_.now()};
     rig_.TriggerCamera(receipt.time);
     return receipt;
@@ -112,7 +117,7 @@ class ScriptedCamera : public FrameSource {
     }
     std::optional<CapturedFrame> frame(std::move(rig_.frames_.front()));
     rig_.frames_.pop_front();
-    rig_.now_ = std::max(rig_.now(), frame->time + std::chrono::milliseconds(20));
+    rig_.now_ = std::max(rig_.now(), frame->time + ExposureOf(*frame) + kReadOut);
     return frame;
   }
 
@@ -181,6 +186,7 @@ RigDevices ScriptedRig::devices() {
 
 void ScriptedRig::Pulse(int projector) {
   Memory& memory = memories_[projector];
+  torn_exposures += now() < exposed_until_;
   const auto found = projector_trouble.find({projector, memory.pulses++});
   const bool troubled = found != projector_trouble.end();
   const auto is = [&](ProjectorTrouble kind) { return troubled && found->second == kind; };
@@ -195,18 +201,23 @@ void ScriptedRig::Pulse(int projector) {
     edges_.push_back({projector, edge_sequence_++, edge + std::chrono::milliseconds(1)});
 }
 
+std::map<int, Pattern> ScriptedRig::Shown() const {
+  std::map<int, Pattern> patterns;
+  for (const int p : lit()) {
+    const Memory& memory = memories_[p];
+    if (memory.shown >= 0 && memory.shown < static_cast<int64_t>(memory.sequence.size()))
+      patterns[p] = memory.sequence[memory.shown];
+  }
+  return patterns;
+}
+
 // Pixel (x, y) looks at column 0.8 .. of the projector, slightly sheared; what it sees is 60 % the spot itself,
 // blurred over three columns and rows, and 40 % light from the whole picture.
 Image<uint16_t> ScriptedRig::Expose() const {
   Image<float> sum(kCameraWidth, kCameraHeight, 1, 0.0F);
   const double lamp = 1.0 + lamp_drift * static_cast<double>(camera_triggers);
-  const std::set<int> bright = lit();
-  for (size_t p = 0; p < memories_.size(); ++p) {
-    const Memory& memory = memories_[p];
-    if (!bright.contains(static_cast<int>(p)) || memory.shown < 0 ||
-        memory.shown >= static_cast<int64_t>(memory.sequence.size()))
-      continue;
-    Image<float> picture = memory.sequence[memory.shown].Render(width_, height_);
+  for (const auto& [p, pattern] : Shown()) {
+    Image<float> picture = pattern.Render(width_, height_);
     if (inverted)
       for (float& value : picture.pixels()) value = 1.0F - value;
     double mean = 0.0;
@@ -214,7 +225,7 @@ Image<uint16_t> ScriptedRig::Expose() const {
     mean /= static_cast<double>(picture.size());
     for (int y = 0; y < kCameraHeight; ++y)
       for (int x = 0; x < kCameraWidth; ++x) {
-        const int column = static_cast<int>((x + 0.05 * y) * 0.9 * width_ / kCameraWidth) + static_cast<int>(p);
+        const int column = static_cast<int>((x + 0.05 * y) * 0.9 * width_ / kCameraWidth) + p;
         const int row = static_cast<int>((y + 0.03 * x) * 0.9 * height_ / kCameraHeight);
         double near = 0.0;
         for (int dy = -1; dy <= 1; ++dy)
@@ -245,11 +256,15 @@ void ScriptedRig::TriggerCamera(MonotonicNs time) {
   frame.pixels = Expose();
   frame.cfa = Cfa::kMono;
   frame.sequence = driver_sequence_++;
+  shown[frame.sequence] = Shown();
   frame.time = time + std::chrono::microseconds(50);
   if (is(CameraTrouble::kLate)) frame.time = time + std::chrono::milliseconds(90);
   frame.clock = clock;
   frame.exposure_ms = exposure_ms_;
   frame.corrupt = is(CameraTrouble::kCorrupt);
+  early_triggers += time < (overlapped ? exposed_until_ : read_out_until_);
+  exposed_until_ = frame.time + ExposureOf(frame);
+  read_out_until_ = exposed_until_ + kReadOut;
   if (is(CameraTrouble::kLose)) return;
   if (is(CameraTrouble::kDeliverAfter)) {
     held_back_.push_back(std::move(frame));

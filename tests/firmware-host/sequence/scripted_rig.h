@@ -50,6 +50,7 @@ class ScriptedRig {
   std::map<int, int> sync_wired;    // projector -> SYNC line its edges come on; not there: its own
   bool inverted = false;            // pictures come out inverted
   std::atomic<StopReason> interlock = StopReason::kNone;
+  std::chrono::nanoseconds pulse_time = std::chrono::milliseconds(1);  // that a call for a pulse takes
   std::function<void(int64_t trigger)> on_camera_trigger;
   std::function<void()> on_load;
   StopToken stop;
@@ -59,6 +60,10 @@ class ScriptedRig {
   [[nodiscard]] std::set<int> ever_lit() const;  // lines that were ever switched on
   int loads = 0;
   int64_t camera_triggers = 0;
+  int torn_exposures = 0;  // pulses of a projector while the camera exposed
+  int early_triggers = 0;  // of the camera, before it had delivered the frame before (or, overlapped, exposed it)
+  bool overlapped = false;
+  std::map<int64_t, std::map<int, Pattern>> shown;  // by driver number: what each lit projector showed
   bool camera_running = false;
 
   void Advance(std::chrono::nanoseconds time) { now_ = now() + time; }
@@ -76,6 +81,7 @@ class ScriptedRig {
     int64_t shown = -1;  // index into the sequence
     int64_t pulses = 0;
   };
+  [[nodiscard]] std::map<int, Pattern> Shown() const;
   [[nodiscard]] Image<uint16_t> Expose() const;
   void Pulse(int projector);
   void TriggerCamera(MonotonicNs time);
@@ -100,6 +106,7 @@ class ScriptedRig {
   int64_t edge_sequence_ = 0;
   int64_t driver_sequence_ = 100;
   double exposure_ms_ = 0.0;
+  MonotonicNs exposed_until_, read_out_until_;
   std::vector<std::unique_ptr<LightSwitch>> enables_;
   std::unique_ptr<InterlockInput> interlock_input_;
   std::unique_ptr<LeaseClock> lease_clock_;

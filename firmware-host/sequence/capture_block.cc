@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: Apache-2.0
+// The steps of one projector: shot one while the other is read out, judged, and shot again where they must be.
+#include <algorithm>
+#include <utility>
+
+#include "firmware-host/sequence/capture_run.h"
+
+namespace stratalux::rig {
+namespace {
+
+// Frames that wait in memory for others of their group; more of them are completed before the sweep goes on.
+constexpr size_t kMostHeld = 16;
+
+// The projector may show something else than the plan from here on.
+bool PutsOutOfStep(ShotFault fault) { return fault == ShotFault::kMissingSync || fault == ShotFault::kExtraSync; }
+
+}  // namespace
+
+Status CaptureRun::ShootBlock(const std::vector<int>& block) {
+  if (block.empty()) return Status::Ok();
+  pending_.insert(block.begin(), block.end());
+  while (true) {
+    if (!exposed_) AskWitness(block.back());
+    const int next = NextStep();
+    if (exposed_ && (next == kNoStep || next != memory_at_ || !MayOverlap(next))) {
+      SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
+      SLX_RETURN_IF_ERROR(CollectExposed());
+      SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
+      if (fault != ShotFault::kNone) SLX_RETURN_IF_ERROR(SpoilLast(fault));
+      continue;
+    }
+    if (next == kNoStep) {
+      RetakeDoubtful(witness_.TakeDoubtful());
+      if (pending_.empty()) return Status::Ok();
+      continue;
+    }
+    if (next != memory_at_) SLX_RETURN_IF_ERROR(LoadFrom(next));
+    SLX_RETURN_IF_ERROR(ShootNext(next));
+  }
+}
+
+int CaptureRun::NextStep() const {
+  if (pending_.empty()) return kNoStep;
+  size_t held = 0;
+  for (const auto& [group, shots] : held_) held += shots.size();
+  const bool goes_on = memory_at_ && pending_.contains(*memory_at_) && held < kMostHeld;
+  return goes_on ? *memory_at_ : *pending_.begin();
+}
+
+void CaptureRun::AskWitness(int last_of_block) {
+  if (last_verdict_ != LevelCheck::kNotChecked || !last_kept_ || !memory_at_) return;
+  const int next = *memory_at_;
+  // What follows in the memory is shot anyway, here or in the next block.
+  if (next == kNoStep || next > last_of_block || pending_.contains(next)) return;
+  last_verdict_ = LevelCheck::kPassed;  // asked once
+  if (!RetriesLeft(next) || given_up_.contains(next)) return;
+  const auto cause = retake_cause_.find(*last_kept_);
+  Retake(next, cause == retake_cause_.end() ? ShotFault::kWrongLevel : cause->second);
+}
+
+bool CaptureRun::MayOverlap(int step) const {
+  return plan_.options.sync_mode == SyncMode::kTriggered &&
+         plan_.steps[step].exposure_ms == exposed_->step->exposure_ms;
+}
+
+Status CaptureRun::ShootNext(int step) {
+  SLX_RETURN_IF_ERROR(BeginStep());
+  if (exposed_) SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
+  SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
+  if (fault != ShotFault::kNone) return SpoilLast(fault);
+  SLX_ASSIGN_OR_RETURN(std::optional<Exposure> shown, shooter_.Show(plan_.steps[step], retries_[step]));
+  const bool serial = options_.shooter.camera.read_out == ReadOut::kSerial;
+  if (exposed_ && (serial || !shown)) SLX_RETURN_IF_ERROR(CollectExposed());
+  if (!shown) return Spoil(step, ShotFault::kMissingSync);
+  // That frame may have told that the projector is out of step.
+  if (memory_at_ != step) return Status::Ok();
+  memory_at_ = StepAfter(step);
+  SLX_RETURN_IF_ERROR(shooter_.Expose(*shown));
+  if (exposed_) {
+    SLX_RETURN_IF_ERROR(CollectExposed());
+    if (!memory_at_) return Abandon(*shown);
+  }
+  exposed_ = shown;
+  return Status::Ok();
+}
+
+Status CaptureRun::Abandon(const Exposure& exposure) {
+  SLX_RETURN_IF_ERROR(BeginStep());
+  ++spoilt_triggers_;
+  SLX_RETURN_IF_ERROR(shooter_.Collect(exposure).status());
+  return shooter_.DrainFrames().status();
+}
+
+Status CaptureRun::CollectExposed() {
+  const Exposure exposure = *std::exchange(exposed_, std::nullopt);
+  SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Collect(exposure));
+  if (shooter_.IsLast(exposure)) {
+    SLX_ASSIGN_OR_RETURN(const ShotFault unasked, shooter_.DrainFrames());
+    if (shot.fault == ShotFault::kNone) shot.fault = unasked;
+  }
+  if (shot.fault == ShotFault::kNone) return Keep(std::move(shot));
+  last_kept_.reset();
+  ++spoilt_triggers_;
+  return Spoil(exposure.step->index, shot.fault);
+}
+
+Status CaptureRun::Keep(Shot shot) {
+  const PlanStep& step = plan_.steps[shot.record.step];
+  if (const auto cause = retake_cause_.find(step.index); cause != retake_cause_.end())
+    shot.record.retake_cause = ToString(cause->second);
+  useless_shots_ = 0;
+  last_kept_ = step.index;
+  last_verdict_ = LevelCheck::kNotChecked;
+  pending_.erase(step.index);
+  witness_.Add(step, shot.pixels, shot.record.mean_dn);
+  const std::vector<int> group = PatternWitness::GroupOf(plan_, step.index);
+  held_[group.front()].push_back(std::move(shot));
+  Advance(step.index);
+  return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
+}
+
+bool CaptureRun::AnyPending(const std::vector<int>& group) const {
+  return std::any_of(group.begin(), group.end(), [this](int step) { return pending_.contains(step); });
+}
+
+Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
+  const PlanStep& last = plan_.steps[group.back()];
+  // A group that lacks a member cannot be judged: what is there goes out as not checked.
+  const bool whole = std::none_of(group.begin(), group.end(), [this](int step) { return given_up_.contains(step); });
+  const LevelCheck verdict = whole ? witness_.Check(last) : LevelCheck::kNotChecked;
+  for (Shot& shot : held_[group.front()]) {
+    shot.record.level_check = verdict;
+    SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+  }
+  held_.erase(group.front());
+  last_verdict_ = verdict;
+  if (verdict != LevelCheck::kFailed) {
+    for (int step : group) wrong_level_.erase(step);
+    return Status::Ok();
+  }
+  report_.Note(ShotFault::kWrongLevel);
+  wrong_level_.insert(group.begin(), group.end());
+  memory_at_.reset();
+  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) return Status::Ok();
+  if (RetakeReference(group)) return Status::Ok();
+  logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
+  for (int step : group) Retake(step, ShotFault::kWrongLevel);
+  return Status::Ok();
+}
+
+bool CaptureRun::RetakeReference(const std::vector<int>& refuted) {
+  const PlanStep& last = plan_.steps[refuted.back()];
+  if (retries_[last.index] == 0 || last.phase == CapturePhase::kReference || !witness_.ReferenceStandsAlone())
+    return false;
+  const std::vector<int> steps = StepsOf(last.projector);
+  const auto reference = std::find_if(steps.begin(), steps.end(), [this](int step) {
+    return plan_.steps[step].phase == CapturePhase::kReference && RetriesLeft(step);
+  });
+  if (reference == steps.end()) return false;
+  logger_.Warning(Describe(*reference) + ": what follows contradicts the reference; it is shot again");
+  for (int step : PatternWitness::GroupOf(plan_, *reference)) Retake(step, ShotFault::kWrongLevel);
+  for (auto later = reference; later != steps.end() && *later <= last.index; ++later) pending_.insert(*later);
+  return true;
+}
+
+Status CaptureRun::SpoilLast(ShotFault fault) {
+  if (exposed_) {
+    const Exposure exposure = *std::exchange(exposed_, std::nullopt);
+    SLX_RETURN_IF_ERROR(Abandon(exposure));
+    return Spoil(exposure.step->index, fault);
+  }
+  memory_at_.reset();
+  if (!last_kept_) {  // left over from before this projector's first shot: nothing of it is spoilt
+    report_.Note(fault);
+    return Status::Ok();
+  }
+  const int step = *std::exchange(last_kept_, std::nullopt);
+  std::vector<Shot>& held = held_[PatternWitness::GroupOf(plan_, step).front()];
+  spoilt_triggers_ += static_cast<int64_t>(std::erase_if(held, [&](const Shot& s) { return s.record.step == step; }));
+  return Spoil(step, fault);
+}
+
+Status CaptureRun::Spoil(int step, ShotFault fault) {
+  report_.Note(fault);
+  proven_.erase(step);
+  if (PutsOutOfStep(fault) || plan_.steps[step].phase == CapturePhase::kReference) memory_at_.reset();
+  if (++useless_shots_ >= options_.max_useless_shots)
+    return Status::Failed(std::to_string(useless_shots_) + " shots in a row without a usable frame (" +
+                          report_.FaultSummary() + "); check the camera's and projectors' cables and power");
+  if (RetriesLeft(step)) {
+    Retake(step, fault);
+    logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
+    return Status::Ok();
+  }
+  logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
+                " retries; given up");
+  pending_.erase(step);
+  given_up_.insert(step);
+  Advance(step);
+  const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
+  return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
+}
+
+void CaptureRun::Retake(int step, ShotFault cause) {
+  ++retries_[step];
+  ++report_.retried;
+  retake_cause_[step] = cause;
+  proven_.erase(step);
+  pending_.insert(step);
+}
+
+void CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
+  std::vector<int> again;
+  for (int step : doubtful) {
+    const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
+    if (std::all_of(group.begin(), group.end(), [this](int member) { return RetriesLeft(member); })) {
+      again.push_back(step);
+    } else {
+      wrong_level_.insert(step);
+      proven_.erase(step);
+    }
+  }
+  if (again.empty()) return;
+  report_.Note(ShotFault::kWrongLevel);
+  logger_.Warning(Describe(again.front()) + " and " + std::to_string(again.size() - 1) +
+                  " more: the projector was out of step soon after; shot again");
+  for (int step : again) Retake(step, ShotFault::kWrongLevel);
+  memory_at_.reset();
+}
+
+}  // namespace stratalux::rig
