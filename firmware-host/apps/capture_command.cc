@@ -55,6 +55,7 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
   const RigConfig& config = capture.config;
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
+  options.shooter.camera = CameraTimingOf(config.camera);
   options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;

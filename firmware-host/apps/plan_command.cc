@@ -16,6 +16,10 @@
 namespace stratalux::rig {
 namespace {
 
+double Seconds(const CapturePlan& plan, const VisitTiming& timing) {
+  return 1e-9 * static_cast<double>(VisitTime(plan, timing).count());
+}
+
 nlohmann::ordered_json StepJson(const PlanStep& step) {
   return {{"step", step.index},
           {"projector", step.projector},
@@ -25,10 +29,10 @@ nlohmann::ordered_json StepJson(const PlanStep& step) {
           {"bracket", step.bracket}};
 }
 
-nlohmann::ordered_json PlanJson(const CapturePlan& plan, double settle_ms) {
+nlohmann::ordered_json PlanJson(const CapturePlan& plan, const VisitTiming& timing) {
   nlohmann::ordered_json json = {{"options", nlohmann::ordered_json::parse(PlanOptionsToJson(plan.options))},
                                  {"frames", plan.steps.size()},
-                                 {"seconds", plan.DurationSeconds(settle_ms)},
+                                 {"seconds", Seconds(plan, timing)},
                                  {"steps", nlohmann::ordered_json::array()}};
   for (const PlanStep& step : plan.steps) json["steps"].push_back(StepJson(step));
   return json;
@@ -56,7 +60,17 @@ Image<uint8_t> Render8(const Pattern& pattern, int width, int height) {
 
 }  // namespace
 
-std::string PlanAsText(const CapturePlan& plan, double settle_ms) {
+VisitTiming TimingOf(const RigConfig& config) {
+  VisitTiming timing;
+  timing.settle = FromMilliseconds(config.settle_ms);
+  timing.camera = CameraTimingOf(config.camera);
+  timing.sync_delay = FromMilliseconds(config.sync_delay_ms);
+  timing.transfer = FromMilliseconds(config.camera.transfer_ms);
+  if (config.camera.frame_rate_hz > 0.0) timing.frame_period = FromMilliseconds(1e3 / config.camera.frame_rate_hz);
+  return timing;
+}
+
+std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing) {
   std::string text = " step  projector  phase           exposure  pattern\n";
   char line[160];
   for (const PlanStep& step : plan.steps) {
@@ -65,18 +79,22 @@ std::string PlanAsText(const CapturePlan& plan, double settle_ms) {
                   step.exposure_ms);
     text += line + step.pattern.ToString() + "\n";
   }
-  std::snprintf(line, sizeof line, "%zu frames, %.1f s at %.1f ms of settling\n", plan.steps.size(),
-                plan.DurationSeconds(settle_ms), settle_ms);
+  const CameraTiming& camera = timing.camera;
+  std::snprintf(line, sizeof line, "%zu frames, %.1f s (%.1f ms of settling, %s read-out)\n", plan.steps.size(),
+                Seconds(plan, timing), 1e-6 * static_cast<double>(timing.settle.count()),
+                camera.read_out == ReadOut::kOverlapped ? "overlapped" : "serial");
   return text + line;
 }
 
-std::string PlanAsJson(const CapturePlan& plan, double settle_ms) { return PlanJson(plan, settle_ms).dump(2) + "\n"; }
+std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing) {
+  return PlanJson(plan, timing).dump(2) + "\n";
+}
 
-Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder) {
+Status RenderPlan(const CapturePlan& plan, const VisitTiming& timing, const std::filesystem::path& folder) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
-  nlohmann::ordered_json json = PlanJson(plan, settle_ms);
+  nlohmann::ordered_json json = PlanJson(plan, timing);
   const int width = plan.options.projector_width, height = plan.options.projector_height;
   struct Files {
     std::string png, memory;

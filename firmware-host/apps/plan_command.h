@@ -5,20 +5,24 @@
 #include <filesystem>
 #include <string>
 
+#include "firmware-host/config/rig_config.h"
+#include "firmware-host/sequence/visit_time.h"
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::rig {
 
+[[nodiscard]] VisitTiming TimingOf(const RigConfig& config);
+
 // A table for people: one line a step, then frames and duration.
-[[nodiscard]] std::string PlanAsText(const CapturePlan& plan, double settle_ms);
+[[nodiscard]] std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing);
 // {"options": {...}, "frames": n, "seconds": s, "steps": [{"step", "projector", "phase", "pattern", "exposure_ms",
 // "bracket"}]}.
-[[nodiscard]] std::string PlanAsJson(const CapturePlan& plan, double settle_ms);
+[[nodiscard]] std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing);
 // Each distinct pattern once as an 8-bit PNG of the projector's size (255 = white, linear light), "000-white.png"; once
 // more as bit planes for pattern memories, patterns-1bit.bin and, of grey ones, patterns-8bit.bin
 // (pattern_memory_file.h); and plan.json, whose steps name their files and whose sequences say what each TRIGGER pulse
 // of a projector shows. Creates `folder`; fails where a file cannot be written.
-Status RenderPlan(const CapturePlan& plan, double settle_ms, const std::filesystem::path& folder);
+Status RenderPlan(const CapturePlan& plan, const VisitTiming& timing, const std::filesystem::path& folder);
 
 }  // namespace stratalux::rig

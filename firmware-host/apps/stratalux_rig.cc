@@ -289,10 +289,10 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   if (!plan.ok()) return Report(plan.status());
   if (render.parsed()) {
-    const Status status = RenderPlan(*plan, config->settle_ms, flags.out);
+    const Status status = RenderPlan(*plan, TimingOf(*config), flags.out);
     return status.ok() ? 0 : Report(status);
   }
-  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, config->settle_ms));
+  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, TimingOf(*config)));
 }
 
 // It must work when all else is broken: the lights of the last rig that was opened go off, and those of the

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <string>
 
+#include "firmware-host/camera/camera_timing.h"
+
 namespace stratalux::rig {
 
 enum class CameraBackend : uint8_t { kNone, kV4l2, kLibcamera };
@@ -34,6 +36,10 @@ struct CameraWiring {
   double gain_unit = 1.0;
   // From the end of the exposure to the driver's time stamp, where that is taken at the end of a frame.
   double readout_ms = 0.0;
+  // How soon it can be triggered again (camera_timing.h); `transfer_ms`: from the end of an exposure until its frame is
+  // here, for estimates.
+  ReadOut read_out = ReadOut::kSerial;
+  double exposure_margin_ms = 1.0, min_frame_period_ms = 0.0, transfer_ms = 15.0;
   int reopen_tries = 10;  // in a row and half a second apart, after the device went or broke off
   // Figures of the sensor at gain 1, for the tolerance of single probes (pattern_witness.h).
   double gain_e_per_dn = 4.0;

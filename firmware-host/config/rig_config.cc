@@ -138,6 +138,10 @@ Status ReadCamera(TomlTable camera, CameraWiring& c) {
   GetWord(camera, "gain_control", c.gain_control, {"none", "gain", "analogue_gain"});
   camera.Get("gain_unit", c.gain_unit, 1e-3, 1e6);
   camera.Get("readout_ms", c.readout_ms, 0, 1000);
+  GetWord(camera, "read_out", c.read_out, {"serial", "overlapped"});
+  camera.Get("exposure_margin_ms", c.exposure_margin_ms, 0, 1000);
+  camera.Get("min_frame_period_ms", c.min_frame_period_ms, 0, 10000);
+  camera.Get("transfer_ms", c.transfer_ms, 0, 10000);
   camera.Get("reopen_tries", c.reopen_tries, 1, 100);
   camera.Get("gain_e_per_dn", c.gain_e_per_dn, 0.01, 1000);
   camera.Get("read_noise_dn", c.read_noise_dn, 0, 500);
@@ -194,6 +198,7 @@ Result<RigConfig> Read(TomlTable root) {
   SLX_ASSIGN_OR_RETURN(config.store, ReadStoreConfig(root));
   capture.Get("settle_ms", config.settle_ms, 0, kLongestSettleMs);
   capture.Get("deadline_ms", config.deadline_ms, 1, 600000);
+  capture.Get("sync_delay_ms", config.sync_delay_ms, 0, 1000);
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
   capture.Get("max_retries", config.max_retries, 0, 10);
   capture.Get("queue_frames", config.queue_frames, 1, 4096);
@@ -208,6 +213,10 @@ Result<RigConfig> Read(TomlTable root) {
 }
 
 }  // namespace
+
+CameraTiming CameraTimingOf(const CameraWiring& camera) {
+  return {camera.read_out, FromMilliseconds(camera.exposure_margin_ms), FromMilliseconds(camera.min_frame_period_ms)};
+}
 
 Result<RigConfig> LoadRigConfig(const std::filesystem::path& file) {
   SLX_ASSIGN_OR_RETURN(auto root, TomlTable::ParseFile(file));

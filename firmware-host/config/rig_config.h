@@ -24,10 +24,13 @@ inline constexpr double kLongestSettleMs = 10000.0;
   return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
 }
 
+[[nodiscard]] CameraTiming CameraTimingOf(const CameraWiring& camera);
+
 struct RigConfig {
   StoreConfig store;
   double settle_ms = 2.0;       // from SYNC to exposure
-  double deadline_ms = 2000.0;  // for a SYNC edge or a frame to arrive
+  double deadline_ms = 500.0;   // for a SYNC edge or a frame to arrive
+  double sync_delay_ms = 0.5;   // from TRIGGER to SYNC, for estimates
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer

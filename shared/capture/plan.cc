@@ -257,12 +257,6 @@ Status PlanOptions::Validate() const {
   return Status::Ok();
 }
 
-double CapturePlan::DurationSeconds(double settle_ms) const {
-  double milliseconds = 0.0;
-  for (const PlanStep& step : steps) milliseconds += step.exposure_ms + settle_ms;
-  return milliseconds * 1e-3;
-}
-
 std::vector<bool> PrerollCode(int markers) {
   // Aperiodic, so that a shift by any number of frames shows: the 7-bit Barker code, then its complement, repeated.
   constexpr std::array<bool, 7> kBarker = {true, true, true, false, false, true, false};

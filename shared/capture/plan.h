@@ -77,8 +77,6 @@ struct PlanOptions {
 struct CapturePlan {
   PlanOptions options;
   std::vector<PlanStep> steps;
-
-  [[nodiscard]] double DurationSeconds(double settle_ms) const;  // exposures and settling, no retries
 };
 
 // The marker code shown before the first projector: true = white.

@@ -24,7 +24,7 @@ CapturePlan SmallPlan() {
 
 TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
   const CapturePlan plan = SmallPlan();
-  const auto json = nlohmann::json::parse(PlanAsJson(plan, 2.0));
+  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}));
   ASSERT_EQ(json["steps"].size(), plan.steps.size());
   for (size_t i = 0; i < plan.steps.size(); ++i)
     EXPECT_EQ(*Pattern::Parse(json["steps"][i]["pattern"].get<std::string>()), plan.steps[i].pattern);
@@ -34,7 +34,7 @@ TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
 }
 
 TEST(PlanAsText, HasOneLineAStep) {
-  const std::string text = PlanAsText(SmallPlan(), 2.0);
+  const std::string text = PlanAsText(SmallPlan(), {});
   EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), static_cast<long>(SmallPlan().steps.size()) + 2);
 }
 
@@ -42,7 +42,7 @@ TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
   const CapturePlan plan = SmallPlan();
   const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / "stratalux-plan-render";
   std::filesystem::remove_all(folder);
-  ASSERT_TRUE(RenderPlan(plan, 2.0, folder).ok());
+  ASSERT_TRUE(RenderPlan(plan, {}, folder).ok());
   std::ifstream in(folder / "plan.json");
   const auto json = nlohmann::json::parse(in);
   for (const PlanStep& step : plan.steps) {
@@ -72,7 +72,7 @@ TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
 }
 
 TEST(RenderPlan, NamesAFolderItCannotMake) {
-  const Status status = RenderPlan(SmallPlan(), 2.0, "/proc/no-such-place/patterns");
+  const Status status = RenderPlan(SmallPlan(), {}, "/proc/no-such-place/patterns");
   EXPECT_EQ(status.code(), StatusCode::kFailed);
   EXPECT_NE(status.message().find("/proc/no-such-place/patterns"), std::string::npos);
 }

@@ -10,6 +10,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware-host/sequence/visit_time.h"
 #include "shared/base/random.h"
 #include "tests/firmware-host/sequence/scripted_rig.h"
 
@@ -147,6 +148,21 @@ TEST_F(SequencerTest, ACameraThatOverlapsIsTriggeredWhileItReadsOut) {
   // 8 ms of read-out a frame, less what settling takes anyway.
   const auto took = sink_.records.back().trigger_time - sink_.records.front().trigger_time;
   EXPECT_LT(took, serial_took - report.planned * std::chrono::milliseconds(3));
+}
+
+TEST_F(SequencerTest, AVisitTakesAsLongAsItsEstimateSays) {
+  rig_.pulse_time = std::chrono::nanoseconds(0);
+  for (const bool overlapped : {false, true}) {
+    if (overlapped) Overlap();
+    VisitTiming timing;
+    timing.settle = options_.shooter.settle;
+    timing.camera = options_.shooter.camera;
+    timing.transfer = std::chrono::milliseconds(8);
+    const MonotonicNs begin = rig_.devices().light.Now();
+    EXPECT_EQ(Run().status, SessionStatus::kComplete);
+    const auto took = static_cast<double>((rig_.devices().light.Now() - begin).count());
+    EXPECT_NEAR(static_cast<double>(VisitTime(plan_, timing).count()) / took, 1.0, 0.02) << overlapped;
+  }
 }
 
 TEST_F(SequencerTest, AFrameExposedWhileTheProjectorMovedOnIsLate) {

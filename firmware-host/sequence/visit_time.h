@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// How long a capture takes, from the first pulse to the last frame.
+#pragma once
+
+#include <chrono>
+
+#include "firmware-host/camera/camera_timing.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux::rig {
+
+struct VisitTiming {
+  std::chrono::nanoseconds settle = std::chrono::milliseconds(2);
+  CameraTiming camera;
+  // What the devices themselves take: from TRIGGER to SYNC, and from the end of an exposure until its frame is here.
+  std::chrono::nanoseconds sync_delay = std::chrono::microseconds(500);
+  std::chrono::nanoseconds transfer = std::chrono::milliseconds(15);
+  std::chrono::nanoseconds frame_period =
+      std::chrono::nanoseconds(0);  // of a free-running camera; 0: as fast as it can
+};
+
+// Nothing shot again. As the sequencer goes about it: markers one by one; a projector's steps while the last frame is
+// read out, except where the exposure changes.
+[[nodiscard]] std::chrono::nanoseconds VisitTime(const CapturePlan& plan, const VisitTiming& timing);
+
+}  // namespace stratalux::rig
