@@ -44,13 +44,15 @@ std::string Examples(const std::vector<std::string>& commands, const std::string
 }
 
 int Report(const Status& status) {
-  std::fprintf(stderr, "stratalux-db: %s\n", PrintableLines(status.message()).c_str());
+  Say(LogLevel::kError, "stratalux-db: " + status.message() + "\n");
   return status.exit_code();
 }
 
 int Print(const std::string& text) { return PrintBytes(PrintableLines(text)); }
 
+// Behind what was logged before.
 int PrintBytes(const std::string& bytes) {
+  FlushLoggers();
   if (std::fwrite(bytes.data(), 1, bytes.size(), stdout) == bytes.size() && std::fflush(stdout) == 0) return 0;
   return Report(Status::Failed("cannot write the output"));
 }

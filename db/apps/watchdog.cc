@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/apps/watchdog.h"
 
-#include <cstdio>
 #include <cstdlib>
 
+#include "shared/base/log.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
@@ -12,8 +12,7 @@ Watchdog::Watchdog(std::chrono::milliseconds time, std::string message)
     : thread_([this, time, message = std::move(message)] {
         std::unique_lock lock(mutex_);
         if (changed_.wait_for(lock, time, [this] { return done_; })) return;
-        std::fprintf(stderr, "%s\n", message.c_str());
-        std::fflush(stderr);
+        Say(LogLevel::kError, message + "\n");
         std::_Exit(static_cast<int>(StatusCode::kFailed));
       }) {}
 

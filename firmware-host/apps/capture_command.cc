@@ -13,6 +13,7 @@
 #include "db/catalogue/consent.h"
 #include "firmware-host/apps/open_rig.h"
 #include "firmware-host/apps/session_calibration.h"
+#include "firmware-host/apps/store_disk.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/realtime.h"
 #include "firmware-host/sequence/sequencer.h"
@@ -153,6 +154,9 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, StopToken& stop, L
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_RETURN_IF_ERROR(AskConsent(options));
+  SLX_RETURN_IF_ERROR(CheckFreeSpace(options.config.store.folder,
+                                     SessionBytes(static_cast<int64_t>(plan.steps.size()), options.config.camera.width,
+                                                  options.config.camera.height)));
   SLX_ASSIGN_OR_RETURN(const OpenedRig rig, OpenRig(options.config, plan, options.simulated, stop, logger));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
   SLX_ASSIGN_OR_RETURN(std::string calibration,
@@ -168,7 +172,8 @@ Result<CaptureOutcome> Capture(const CaptureOptions& options, StopToken& stop, L
                                           WriterOptionsFor(options.config.store)));
   CaptureOutcome outcome;
   outcome.session = writer.info().id;
-  logger.Info("session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames");
+  logger.Write(LogLevel::kInfo, "session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames",
+               {{"SESSION", outcome.session}});
 
   SessionArchive archive(std::move(writer), options.board_pose);
   {

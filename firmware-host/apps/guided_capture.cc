@@ -2,7 +2,6 @@
 #include "firmware-host/apps/guided_capture.h"
 
 #include <algorithm>
-#include <cstdio>
 
 #include <nlohmann/json.hpp>
 #include <poll.h>
@@ -145,9 +144,9 @@ AskOperator AskOnTerminal(StopToken& stop, bool poses) {
   return [&stop, poses](const std::string& text) {
     std::string line;
     while (true) {
-      std::fprintf(stderr, "%s\n[Enter: capture, %sq: end] ", text.c_str(), poses ? "b: the pose before, " : "");
+      Say(LogLevel::kInfo, text + "\n[Enter: capture, " + (poses ? "b: the pose before, " : "") + "q: end] ");
       if (!ReadLine(stop, line)) {
-        std::fprintf(stderr, "\nno answer on stdin (--yes captures without asking)\n");
+        Say(LogLevel::kWarning, "\nno answer on stdin (--yes captures without asking)\n");
         return Answer::kQuit;
       }
       if (line.empty()) return Answer::kGo;

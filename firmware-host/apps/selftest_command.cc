@@ -3,18 +3,13 @@
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <cmath>
 #include <cstdio>
-#include <cstring>
-#include <system_error>
 
-#include <fcntl.h>
 #include <nlohmann/json.hpp>
-#include <unistd.h>
 
-#include "db/base/durable_file.h"
 #include "db/segment/frame_codec.h"
+#include "firmware-host/apps/store_disk.h"
 
 namespace stratalux::rig {
 namespace {
@@ -23,31 +18,6 @@ using Json = nlohmann::ordered_json;
 using Clock = std::chrono::steady_clock;
 
 double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
-
-// Writes as the store does: groups of 16 frames, then a sync.
-Result<double> MeasureDisk(const std::filesystem::path& folder, size_t frame_bytes) {
-  constexpr int kGroups = 4, kFramesInGroup = 16;
-  const std::filesystem::path file = folder / "selftest.tmp";
-  const int fd = ::open(file.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC | O_NOFOLLOW, 0600);
-  if (fd < 0) return Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
-  // Bytes that no file system stores as a hole or compresses away.
-  std::vector<uint8_t> bytes(frame_bytes);
-  uint32_t state = 1;
-  for (uint8_t& b : bytes) b = static_cast<uint8_t>((state = state * 1664525U + 1013904223U) >> 24);
-  const auto start = Clock::now();
-  Status status;
-  for (int g = 0; g < kGroups && status.ok(); ++g) {
-    for (int k = 0; k < kFramesInGroup && status.ok(); ++k)
-      status = db::WriteAll(fd, bytes.data(), bytes.size(), file.string());
-    if (status.ok() && ::fdatasync(fd) != 0)
-      status = Status::Failed("cannot sync " + file.string() + ": " + std::strerror(errno));
-  }
-  const double seconds = SecondsSince(start);
-  ::close(fd);
-  ::unlink(file.c_str());
-  SLX_RETURN_IF_ERROR(status);
-  return static_cast<double>(frame_bytes) * kGroups * kFramesInGroup / std::max(1e-9, seconds);
-}
 
 Result<CodecSpeed> MeasureCodec(StoreCodec codec, const RigCheckReport& rig) {
   db::FrameEncoder encoder(codec);
@@ -91,10 +61,7 @@ void CheckDisk(const SelftestOptions& options, SelftestReport& report) {
     return;
   }
   const size_t frame_bytes = report.rig.samples.empty() ? 2175696 : report.rig.samples[0].size() * 3 / 2;
-  // The store may not be there yet: then its parent's disk is the one.
-  std::filesystem::path folder = std::filesystem::absolute(options.store);
-  std::error_code ignored;
-  while (!std::filesystem::is_directory(folder, ignored) && folder.has_relative_path()) folder = folder.parent_path();
+  const std::filesystem::path folder = ExistingFolder(options.store);
   const Result<double> speed = MeasureDisk(folder, frame_bytes);
   if (!speed.ok()) {
     items.push_back({"disk", CheckState::kFailed, speed.status().message(),

@@ -97,12 +97,13 @@ struct Flags {
 };
 
 int Report(const Status& status) {
-  std::fprintf(stderr, "stratalux-rig: %s\n", PrintableLines(status.message()).c_str());
+  Say(LogLevel::kError, "stratalux-rig: " + status.message() + "\n");
   return status.exit_code();
 }
 
-// Data go to stdout; a full pipe or disk must not pass for success.
+// Data go to stdout, behind what was logged before; a full pipe or disk must not pass for success.
 int Print(const std::string& text) {
+  FlushLoggers();
   if (std::fputs(text.c_str(), stdout) >= 0 && std::fflush(stdout) == 0) return 0;
   return Report(Status::Failed("cannot write the output"));
 }
@@ -335,7 +336,11 @@ void AddSimulationFlags(CLI::App& command, Flags& flags) {
                      "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
   command
       .add_option("--fault-rate", flags.fault_rate, "simulation: chance of a random fault at each exposure and pulse")
-      ->check(CLI::Range(0.0, 1.0));
+      // CLI::Range lets nan pass.
+      ->check([](const std::string& text) {
+        double rate = 0.0;
+        return ParseWhole(text, rate) && rate >= 0.0 && rate <= 1.0 ? "" : "'" + text + "' is no chance of 0 .. 1";
+      });
   command.add_option("--fault-seed", flags.fault_seed, "simulation: another seed, other random faults")
       ->capture_default_str();
   // CLI11 would wrap a negative seed and cut a long one.
@@ -348,6 +353,19 @@ void AddSimulationFlags(CLI::App& command, Flags& flags) {
   command.add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
   command.add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
   command.add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
+}
+
+// What only the simulated rig knows is not left unheard by a real one.
+Status CheckSimulationFlags(const CLI::App& command) {
+  if (command.count("--simulate") > 0) return Status::Ok();
+  for (const char* name :
+       {"--fault", "--fault-rate", "--fault-seed", "--seed", "--size", "--no-scattering", "--no-noise"}) {
+    const CLI::Option* given = command.get_option(name);
+    if (given->count() == 0) continue;
+    const std::string value = given->get_expected_max() > 0 ? " " + given->results().front() : "";
+    return Status::Usage(name + value + ": only the simulated rig has it; add --simulate, or leave it away");
+  }
+  return Status::Ok();
 }
 
 CLI::App* AddCapture(CLI::App& app, Flags& flags) {
@@ -425,6 +443,8 @@ int Main(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
   }
   if (safe->parsed()) return RunSafe(flags);
+  for (const CLI::App* command : {capture, selftest})
+    if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
   if (capture->parsed()) return RunCapture(flags);
   if (selftest->parsed()) return RunSelftestCommand(flags);
   return RunPlan(flags, *render);

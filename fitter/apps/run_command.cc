@@ -122,6 +122,7 @@ int Execute(Flags& f) {
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
   if (!outcome.ok()) return finish(outcome.status());
+  logger.Flush();  // before what stdout says
   const auto report = outcome->folder / "report" / "index.html";
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", outcome->session},
@@ -152,6 +153,7 @@ int PrintReport(const Flags& f) {
     return logged.exit_code();
   }
   if (!f.path_only) logger.Info("metrics: " + (*folder / "metrics.json").string());
+  logger.Flush();  // before what stdout says
   if (f.json) {
     const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", (*folder / "metrics.json").string()}};
     std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());

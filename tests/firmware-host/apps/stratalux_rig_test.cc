@@ -49,6 +49,15 @@ INSTANTIATE_TEST_SUITE_P(
                                 "behind the last"),
                       std::pair("capture --simulate --poses 3", "--kind calibration"),
                       std::pair("capture --simulate --seed minus", "seed"),
+                      std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is no chance of 0 .. 1"),
+                      std::pair("capture --simulate --fault-rate 1.5", "'1.5' is no chance"),
+                      std::pair("capture --fault-rate 0.1",
+                                "--fault-rate 0.1: only the simulated rig has it; add --simulate"),
+                      std::pair("capture --seed 7", "--seed 7: only the simulated rig"),
+                      std::pair("capture --size 696x520", "--size 696x520: only"),
+                      std::pair("capture --no-noise", "--no-noise: only"),
+                      std::pair("selftest --fault frame_lost@17", "--fault frame_lost@17: only"),
+                      std::pair("capture --simulate --config /dev/zero", "/dev/zero: it is a device, not a file"),
                       std::pair("capture --simulate --frobnicate", "frobnicate")));
 
 TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
@@ -71,6 +80,21 @@ TEST(StrataluxRig, AStoreMustBeNamed) {
   const Outcome outcome = Rig("capture --simulate");
   EXPECT_EQ(outcome.code, 2);
   EXPECT_THAT(outcome.out, HasSubstr("STRATALUX_STORE"));
+}
+
+// Before the rig is opened. A disk of a megabyte, which is gone with the shell's name space.
+TEST(StrataluxRig, NobodyIsLitForASessionThatTheDiskCannotTake) {
+  const std::string disk = (std::filesystem::path(::testing::TempDir()) / "stratalux-rig-small-disk").string();
+  std::filesystem::create_directories(disk);
+  const std::string within = "unshare --map-root-user --mount sh -c 'mount -t tmpfs -o size=1m small " + disk + " && ";
+  if (Shell(within + "true' 2>&1").code != 0) GTEST_SKIP() << "no mounts of one's own on this machine";
+  const Outcome outcome =
+      Shell(within + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig capture --simulate --size 696x520 --store " +
+            disk + "/store; code=$?; ls -A " + disk + "; exit $code' 2>&1");
+  EXPECT_EQ(outcome.code, 1) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr("has 0.00 GB free, the session may take 0.33 GB: make room"));
+  EXPECT_THAT(outcome.out, Not(HasSubstr("\nstore\n"))) << "nothing was made";
+  std::filesystem::remove_all(disk);
 }
 
 // Before any device is looked for: the lines and the camera of this file do not exist.

@@ -78,7 +78,10 @@ class V4l2FrameSourceTest : public ::testing::Test {
     }
     return frames;
   }
-  std::string LogText() { return TextOf(log_); }
+  std::string LogText() {
+    EXPECT_TRUE(logger_->Flush());
+    return TextOf(log_);
+  }
 
   std::unique_ptr<Vivid> vivid_;
   std::FILE* log_ = nullptr;

@@ -98,7 +98,10 @@ class GpiodLineBankTest : public ::testing::Test {
     while ((Lit(0) || Lit(1)) && std::chrono::steady_clock::now() < deadline) std::this_thread::sleep_for(1ms);
     return stop_.reason();
   }
-  std::string LogText() { return TextOf(log_); }
+  std::string LogText() {
+    EXPECT_TRUE(logger_->Flush());
+    return TextOf(log_);
+  }
 
   std::unique_ptr<GpioSim> sim_;
   std::FILE* log_ = nullptr;

@@ -30,6 +30,7 @@ TEST(Printable, LogLinesToo) {
   ASSERT_NE(file, nullptr);
   Logger logger(LogLevel::kInfo, file);
   logger.Warning("file \x1b]0;x\x07\nsecond line");
+  ASSERT_TRUE(logger.Flush());
   std::rewind(file);
   char text[200] = {};
   const size_t bytes = std::fread(text, 1, sizeof text - 1, file);

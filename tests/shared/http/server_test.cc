@@ -160,6 +160,7 @@ TEST_F(ServerTest, AnExceptionEndsOneRequestAndIsToldInTheLog) {
   const Answer answer = Get(server.port(), "/throws");
   EXPECT_EQ(answer.status, 500);
   EXPECT_EQ(answer.body.find("no luck"), std::string::npos);
+  ASSERT_TRUE(logger_.Flush());
   EXPECT_THAT(TextOf(log_), HasSubstr("GET %2Fthrows: no luck"));
   EXPECT_EQ(Get(server.port(), "/").status, 200);
 }
