@@ -15,6 +15,7 @@
 #include "firmware-host/apps/session_calibration.h"
 #include "firmware-host/apps/store_disk.h"
 #include "firmware-host/recording/session_archive.h"
+#include "firmware-host/sequence/probe_lattice.h"
 #include "firmware-host/sequence/realtime.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "shared/base/version.h"
@@ -64,6 +65,10 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
   double saturation_dn = config.camera.saturation_dn, read_noise_dn = config.camera.read_noise_dn;
   options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
   if (rig.simulation) {
+    const RigTiming& timing = rig.simulation->timing();
+    options.shooter.camera.read_out = timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial;
+    options.shooter.camera.min_frame_period =
+        FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms));
     const CameraCalibration& camera = rig.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
     read_noise_dn = capture.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;
@@ -79,7 +84,8 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
 Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePlan& plan) {
   const std::string exact = rig.calibration().ToJson();
   if (writer.info().calibration_json != exact) SLX_RETURN_IF_ERROR(writer.KeepTruthCalibration(exact));
-  for (const TruthMap& truth : rig.Truth(plan))
+  SLX_ASSIGN_OR_RETURN(const std::vector<TruthMap> maps, rig.Truth(plan));
+  for (const TruthMap& truth : maps)
     SLX_RETURN_IF_ERROR(writer.AppendTruth(truth.name, truth.map.view()).WithContext("truth map " + truth.name));
   return Status::Ok();
 }
@@ -141,6 +147,12 @@ Status CaptureOptions::Validate() const {
   // Told before the visitor is asked for anything.
   if (!simulated && config.projectors.empty())
     return Status::Usage("capture: the configuration wires no [[projector]]; --simulate runs the simulated rig");
+  // Below, pixels mix stripes that the witness expects apart: good frames fail its level check.
+  if (config.camera.width < ProbeLattice::kProbesPerRow)
+    return Status::Usage("a camera of " + std::to_string(config.camera.width) + "x" +
+                         std::to_string(config.camera.height) +
+                         " px: too few to tell whether a frame shows its pattern; use " +
+                         std::to_string(ProbeLattice::kProbesPerRow) + " columns or more (--size, [camera] width)");
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
   if (board_pose >= 0 && config.plan.kind != SessionKind::kCalibration && config.plan.kind != SessionKind::kFlat)

@@ -97,6 +97,8 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
   if (simulated) {
     SimulatedRigOptions options = *simulated;
     options.lens_covered = plan.options.kind == SessionKind::kDark;
+    options.stop = &stop;
+    for (int p = 0; p < plan.options.projectors; ++p) options.memories.push_back(MemoryOf(plan, p));
     SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));
     SLX_ASSIGN_OR_RETURN(rig.light, GuardLight(*rig.simulation, stop));
     return rig;

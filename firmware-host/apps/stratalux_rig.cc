@@ -22,6 +22,7 @@
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/safety/last_resort.h"
+#include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
@@ -183,6 +184,7 @@ Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& 
   simulated.camera_height = config.camera.height;
   simulated.projector_width = config.plan.projector_width;
   simulated.projector_height = config.plan.projector_height;
+  simulated.cache_folder = LightCache::FolderOfUser();
   return simulated;
 }
 
@@ -265,8 +267,11 @@ int RunSelftestCommand(const Flags& flags) {
     Result<SimulatedRigOptions> asked = SimulationFrom(flags, *config);
     if (!asked.ok()) return Report(asked.status());
     simulated = std::move(asked).value();
+    // Lamps, cables and camera are what is looked at: what happens inside the skin is not worth the minutes.
+    simulated->scattering = false;
   }
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
+  if (simulated) logger.Info("selftest of the simulated rig: " + simulated->scene + ", its skin without scattering");
   const Result<OpenedRig> rig = OpenRig(*config, *plan, simulated, StopOfProcess(), logger);
   if (!rig.ok()) return Report(rig.status());
   SelftestOptions options;

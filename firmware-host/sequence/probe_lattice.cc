@@ -7,10 +7,6 @@
 
 namespace stratalux::rig {
 
-namespace {
-constexpr int kProbesPerRow = 160;
-}
-
 double MeanDn(const Image<uint16_t>& pixels) {
   // Chunks that 32 bits hold: half the time of 64-bit sums.
   constexpr size_t kChunk = 65536;

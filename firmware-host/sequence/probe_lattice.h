@@ -21,7 +21,9 @@ class ProbeLattice {
   static constexpr int kBands = 8;
 
   ProbeLattice() = default;
-  // About 160 probes a row; all pixels of smaller frames.
+  // Of a frame that is wide enough; of a smaller one all pixels, each as wide as several columns of the projector.
+  static constexpr int kProbesPerRow = 160;
+  // About so many probes a row.
   ProbeLattice(int width, int height);
 
   [[nodiscard]] Probes Sample(const Image<uint16_t>& pixels) const;

@@ -85,6 +85,10 @@ Result<DeviceOptions> ReadDevices(TomlTable& root) {
   timing.Get("sync_delay_ms", devices.timing.sync_delay_ms, 0.0, 1000.0);
   timing.Get("shutter_delay_ms", devices.timing.shutter_delay_ms, 0.0, 1000.0);
   timing.Get("readout_ms", devices.timing.readout_ms, 0.0, 1000.0);
+  timing.Get("overlapped_readout", devices.timing.overlapped_readout);
+  timing.Get("min_frame_period_ms", devices.timing.min_frame_period_ms, 0.0, 1000.0);
+  timing.Get("memory_reset_ms", devices.timing.memory_reset_ms, 0.0, 10000.0);
+  timing.Get("memory_step_ms", devices.timing.memory_step_ms, 0.0, 1000.0);
   timing.Get("jitter_us", devices.timing.jitter_us, 0.0, 1e5);
   timing.Get("frame_period_ms", devices.timing.frame_period_ms, 0.1, 1000.0);
   return devices;

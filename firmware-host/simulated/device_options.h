@@ -64,7 +64,14 @@ struct RigTiming {
   double sync_delay_ms = 0.4;      // TRIGGER to light and SYNC edge
   double shutter_delay_ms = 0.02;  // TRIGGER to exposure
   double readout_ms = 8.0;
-  double jitter_us = 0.0;  // standard deviation of each of the above
+  // The camera exposes while the frame before is read out; an exposure may not end before that. Else it takes the next
+  // trigger when the read-out has ended.
+  bool overlapped_readout = false;
+  double min_frame_period_ms = 0.0;  // from one triggered exposure's start to the next, whatever else allows
+  double jitter_us = 0.0;            // standard deviation of each of the delays and of the read-out
+  // A pattern memory's way to what is loaded: RESET where it lies behind, then step by step.
+  double memory_reset_ms = 0.0;
+  double memory_step_ms = 0.0;
   // Of a free-running camera; at least exposure and read-out, else these set the pace.
   double frame_period_ms = 33.3;
 };

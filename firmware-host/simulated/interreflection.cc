@@ -18,19 +18,19 @@ constexpr double kDepthStepMm = 12.0;                  // receivers further in d
 }  // namespace
 
 Interreflection::Interreflection(const Scene& scene, const SkinAlbedo& albedo, const RigCalibration& rig, int projector,
-                                 const std::vector<SubjectPixel>& pixels)
+                                 const std::vector<SubjectPixel>& pixels, WorkWatch* watch)
     : rig_(rig), projector_(rig.projectors[projector]), pixels_(pixels) {
-  CastPatches(scene, albedo);
-  PlaceReceivers(scene);
+  CastPatches(scene, albedo, watch);
+  PlaceReceivers(scene, watch);
   for (const SubjectPixel& p : pixels_) albedo_.push_back(albedo.Of(CfaColour(rig_.camera.cfa, p.x, p.y), p.material));
   WeighPixels();
 }
 
-void Interreflection::CastPatches(const Scene& scene, const SkinAlbedo& albedo) {
+void Interreflection::CastPatches(const Scene& scene, const SkinAlbedo& albedo, WorkWatch* watch) {
   const Pinhole& m = projector_.model;
   const int columns = (m.width + kBlockPx - 1) / kBlockPx, rows = (m.height + kBlockPx - 1) / kBlockPx;
   std::vector<std::vector<Patch>> found(rows);
-  ParallelFor(rows, 1, [&](int64_t begin, int64_t end) {
+  WatchedParallelFor(watch, rows, 1, 0, [&](int64_t begin, int64_t end) {
     for (int row = static_cast<int>(begin); row < end; ++row)
       for (int column = 0; column < columns; ++column) CastBlock(scene, albedo, column, row, found[row]);
   });
@@ -75,12 +75,13 @@ void Interreflection::CastBlock(const Scene& scene, const SkinAlbedo& albedo, in
   }
 }
 
-void Interreflection::PlaceReceivers(const Scene& scene) {
+void Interreflection::PlaceReceivers(const Scene& scene, WorkWatch* watch) {
   const Pinhole& camera = rig_.camera.model;
   grid_width_ = (camera.width + kReceiverPx - 1) / kReceiverPx + 1;
   grid_height_ = (camera.height + kReceiverPx - 1) / kReceiverPx + 1;
   receivers_.resize(static_cast<size_t>(grid_width_) * grid_height_);
-  ParallelFor(static_cast<int64_t>(receivers_.size()), 16, [&](int64_t begin, int64_t end) {
+  if (watch != nullptr) watch->Expect(static_cast<int64_t>(receivers_.size()));
+  WatchedParallelFor(watch, static_cast<int64_t>(receivers_.size()), 16, 1, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       Receiver& receiver = receivers_[i];
       const Eigen::Vector2d at(static_cast<double>(i % grid_width_) * kReceiverPx,

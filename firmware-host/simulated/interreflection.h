@@ -13,8 +13,9 @@ namespace stratalux::rig {
 
 class Interreflection {
  public:
+  // Useless when `watch` says afterwards that it was stopped.
   Interreflection(const Scene& scene, const SkinAlbedo& albedo, const RigCalibration& rig, int projector,
-                  const std::vector<SubjectPixel>& pixels);
+                  const std::vector<SubjectPixel>& pixels, WorkWatch* watch = nullptr);
 
   // Adds, for every subject pixel, the light of `pattern` that reached it by one bounce and left it diffusely.
   void Render(const Pattern& pattern, std::vector<float>& indirect) const;
@@ -40,9 +41,9 @@ class Interreflection {
     std::vector<Link> links;
   };
 
-  void CastPatches(const Scene& scene, const SkinAlbedo& albedo);
+  void CastPatches(const Scene& scene, const SkinAlbedo& albedo, WorkWatch* watch);
   void CastBlock(const Scene& scene, const SkinAlbedo& albedo, int column, int row, std::vector<Patch>& patches) const;
-  void PlaceReceivers(const Scene& scene);
+  void PlaceReceivers(const Scene& scene, WorkWatch* watch);
   void WeighPixels();
   // Irradiance at every receiver when block (column, row) shows `level`.
   template <typename Level>

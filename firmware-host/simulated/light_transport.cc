@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 #include <span>
+#include <string_view>
+#include <utility>
 
 #include "firmware-host/simulated/near_field.h"
 #include "shared/base/parallel.h"
@@ -25,6 +27,22 @@ constexpr int kPad = 64;
 constexpr int kBlurNodes = 5;
 // Blocks per axis of each coarser level's window that the finer level covers.
 constexpr int kHole = 5;
+// What a pixel's gathering takes, in what its preparing takes.
+constexpr int64_t kGatherSteps = 8;
+// Of what the cache keeps: raised whenever the same input gives another result.
+constexpr int kCacheVersion = 1;
+// The compiler and how it was told to round.
+constexpr std::string_view kBuild = __VERSION__
+#ifdef __OPTIMIZE__
+    " optimised"
+#endif
+#ifdef __FMA__
+    " fma"
+#endif
+#ifdef __FAST_MATH__
+    " fast-math"
+#endif
+    ;
 
 // First block index of the window of each level, for a pixel at projector position c.
 std::array<int, kLevels> WindowStart(float c) {
@@ -115,11 +133,18 @@ float SampleFootprint(std::span<const float> profile, float position, float w) {
                   Sample(profile, position + 0.25F * w) + Sample(profile, position + 0.75F * w));
 }
 
+LightCache::Digest KeyWith(const LightCache::Digest& light, std::string_view what) {
+  CacheKey key;
+  key.AddAll(std::span<const uint64_t>(light));
+  key.AddAll(std::span<const char>(what));
+  return key.Digest();
+}
+
 }  // namespace
 
 LightTransport::LightTransport(const Scene& scene, const SkinTable& table, const SkinAlbedo& albedo,
                                const RigCalibration& rig, int projector, const std::vector<SubjectPixel>& pixels,
-                               const LightTransportOptions& options)
+                               const LightTransportOptions& options, WorkWatch* watch)
     : table_(table),
       albedo_(albedo),
       rig_(rig),
@@ -127,13 +152,21 @@ LightTransport::LightTransport(const Scene& scene, const SkinTable& table, const
       pixels_(pixels),
       options_(options),
       at_(pixels.size()) {
-  CastProjector(scene);
-  BuildPyramid();
-  ParallelFor(static_cast<int64_t>(pixels.size()), 1024, [&](int64_t begin, int64_t end) {
+  const auto count = static_cast<int64_t>(pixels.size());
+  const bool gathers = options_.scattering && std::any_of(pixels.begin(), pixels.end(), [](const SubjectPixel& pixel) {
+                         return pixel.material.Translucent();
+                       });
+  if (watch != nullptr)
+    watch->Expect(count + (gathers ? int64_t{projector_.model.width} * projector_.model.height + kGatherSteps * count
+                                   : int64_t{0}));
+  const bool prepared = WatchedParallelFor(watch, count, 1024, 1, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) PreparePixel(scene, static_cast<size_t>(i));
   });
   ChooseBlurNodes();
-  GatherResponses();
+  if (!gathers || !prepared) return;
+  CastProjector(scene, watch);
+  BuildPyramid();
+  GatherResponses(watch);
 }
 
 void LightTransport::ChooseBlurNodes() {
@@ -152,10 +185,10 @@ void LightTransport::ChooseBlurNodes() {
 
 // The surface patch that each projector pixel lights: its flux is intensity times solid angle, whatever the patch's
 // tilt.
-void LightTransport::CastProjector(const Scene& scene) {
+void LightTransport::CastProjector(const Scene& scene, WorkWatch* watch) {
   const Pinhole& m = projector_.model;
   pyramid_[0] = Image<Block>(m.width, m.height);
-  ParallelFor(m.height, 8, [&](int64_t begin, int64_t end) {
+  WatchedParallelFor(watch, m.height, 8, m.width, [&](int64_t begin, int64_t end) {
     for (int r = static_cast<int>(begin); r < end; ++r)
       for (int c = 0; c < m.width; ++c) {
         const Eigen::Vector3d ray = m.Unproject({double(c), double(r)});
@@ -364,12 +397,66 @@ void LightTransport::ForEachBlock(size_t i, SkinKernel& kernel, const Visit& vis
   }
 }
 
-void LightTransport::GatherResponses() {
-  if (!options_.scattering) return;
+CacheKey LightTransport::KeyOfLight() const {
+  CacheKey key;
+  key.Add(kCacheVersion);
+  // Builds that round otherwise keep apart: a kept result is the computed one, to the bit.
+  key.AddAll(std::span<const char>(kBuild));
+  key.Add(rig_.camera.cfa);
+  for (const Pinhole* m : {&rig_.camera.model, &projector_.model}) {
+    for (const double v : {m->fx, m->fy, m->cx, m->cy}) key.Add(v);
+    key.AddAll(std::span<const double>(m->distortion));
+    key.Add(m->width);
+    key.Add(m->height);
+  }
+  key.AddAll(std::span<const double>(projector_.camera_from_projector.rotation.coeffs().data(), 4));
+  key.AddAll(std::span<const double>(projector_.camera_from_projector.translation_mm.data(), 3));
+  key.Add(table_.nodes());
+  key.AddAll(table_.codes());
+  key.Add(pixels_.size());
+  for (size_t i = 0; i < pixels_.size(); ++i) {
+    const SubjectPixel& p = pixels_[i];
+    const std::array<double, 6> place = {p.point.x(),  p.point.y(),  p.point.z(),
+                                         p.normal.x(), p.normal.y(), p.normal.z()};
+    const std::array<float, 9> rest = {
+        static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.material.Translucent()),
+        p.material.skin.melanin, p.material.skin.blood,   p.material.skin.epidermis_mm,
+        at_[i].column_row.x(),   at_[i].column_row.y(),   static_cast<float>(at_[i].lit)};
+    key.AddBytes(std::as_bytes(std::span(place)));
+    key.AddBytes(std::as_bytes(std::span(rest)));
+  }
+  for (const Block& block : pyramid_[0].pixels()) {
+    const std::array<float, 6> lit = {block.position.x(), block.position.y(), block.position.z(),
+                                      block.flux[0],      block.flux[1],      block.flux[2]};
+    key.AddBytes(std::as_bytes(std::span(lit)));
+  }
+  return key;
+}
+
+bool LightTransport::LoadResponses(const LightCache::Digest& columns, const LightCache::Digest& rows) {
+  const size_t count = pixels_.size() * kResponses;
+  auto column_response = options_.cache->Load(columns, count);
+  auto row_response = column_response ? options_.cache->Load(rows, count) : std::nullopt;
+  if (!row_response) return false;
+  column_response_ = std::move(*column_response);
+  row_response_ = std::move(*row_response);
+  return true;
+}
+
+void LightTransport::GatherResponses(WorkWatch* watch) {
+  if (watch != nullptr && watch->stopped()) return;
+  LightCache::Digest columns_key{}, rows_key{};
+  if (options_.cache != nullptr) {
+    light_key_ = KeyOfLight().Digest();
+    columns_key = KeyWith(light_key_, "columns");
+    rows_key = KeyWith(light_key_, "rows");
+    if (LoadResponses(columns_key, rows_key)) return;
+  }
   column_response_.assign(pixels_.size() * kResponses, 0.0F);
   row_response_.assign(pixels_.size() * kResponses, 0.0F);
   constexpr std::array<int, kLevels> kFirst = {0, 20, 40};
-  ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {
+  const auto count = static_cast<int64_t>(pixels_.size());
+  const bool whole = WatchedParallelFor(watch, count, 512, kGatherSteps, [&](int64_t begin, int64_t end) {
     SkinKernel kernel;
     for (int64_t i = begin; i < end; ++i) {
       if (!pixels_[i].material.Translucent()) continue;
@@ -382,14 +469,18 @@ void LightTransport::GatherResponses() {
       });
     }
   });
+  if (!whole || options_.cache == nullptr) return;
+  options_.cache->Keep(columns_key, column_response_);
+  options_.cache->Keep(rows_key, row_response_);
 }
 
-void LightTransport::Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const {
+void LightTransport::Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct,
+                            WorkWatch* watch) const {
   if (pattern.kind == PatternKind::kBlack) return;
   if (pattern.IsOneDimensional()) {
     RenderOneDimensional(pattern, subsurface, direct);
   } else {
-    RenderTwoDimensional(pattern, subsurface, direct);
+    RenderTwoDimensional(pattern, subsurface, direct, watch);
   }
 }
 
@@ -454,12 +545,14 @@ void LightTransport::RenderOneDimensional(const Pattern& pattern, std::vector<fl
 }
 
 void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface,
-                                          std::vector<float>& direct) const {
+                                          std::vector<float>& direct, WorkWatch* watch) const {
   // Two-dimensional patterns take the blur of the subject's middle.
   Image<float> shown = pattern.Render(projector_.model.width, projector_.model.height);
   if (options_.optics.gamma != 1.0)
     for (float& v : shown.pixels()) v = std::pow(v, static_cast<float>(options_.optics.gamma));
   const Image<float> image = Blur2d(shown, blur_px_[blur_px_.size() / 2]);
+  AddDirect(image, direct);
+  if (column_response_.empty()) return;  // nothing scatters
   std::array<Image<float>, kLevels> levels = {image, {}, {}};
   for (int level = 1; level < kLevels; ++level) {
     const Image<Block>& size = pyramid_[level];
@@ -474,28 +567,52 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
         levels[level](x, y) = sum / static_cast<float>((right - x * block) * (bottom - y * block));
       }
   }
-  ParallelFor(static_cast<int64_t>(pixels_.size()), 512, [&](int64_t begin, int64_t end) {
-    SkinKernel kernel;
+  const std::vector<float> light = GatherImage(levels, watch);
+  for (size_t i = 0; i < light.size(); ++i) subsurface[i] += light[i];
+}
+
+void LightTransport::AddDirect(const Image<float>& image, std::vector<float>& direct) const {
+  ParallelFor(static_cast<int64_t>(pixels_.size()), 8192, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       const PixelLight& light = at_[i];
-      if (light.lit) {
-        float sum = 0.0F;
-        for (int k = 0; k < 9; ++k) {
-          const int x = static_cast<int>(
-              std::lround(light.column_row.x() + static_cast<float>(k % 3 - 1) * 0.6F * light.footprint_columns));
-          const int y = static_cast<int>(
-              std::lround(light.column_row.y() + static_cast<float>(k / 3 - 1) * 0.6F * light.footprint_rows));
-          if (image.contains(x, y)) sum += image(x, y) / 9.0F;
-        }
-        direct[i] += light.direct * sum;
+      if (!light.lit) continue;
+      float sum = 0.0F;
+      for (int k = 0; k < 9; ++k) {
+        const int x = static_cast<int>(
+            std::lround(light.column_row.x() + static_cast<float>(k % 3 - 1) * 0.6F * light.footprint_columns));
+        const int y = static_cast<int>(
+            std::lround(light.column_row.y() + static_cast<float>(k / 3 - 1) * 0.6F * light.footprint_rows));
+        if (image.contains(x, y)) sum += image(x, y) / 9.0F;
       }
-      if (!options_.scattering || !pixels_[i].material.Translucent()) continue;
+      direct[i] += light.direct * sum;
+    }
+  });
+}
+
+std::vector<float> LightTransport::GatherImage(const std::array<Image<float>, kLevels>& levels,
+                                               WorkWatch* watch) const {
+  LightCache::Digest key{};
+  if (options_.cache != nullptr) {
+    const auto bytes = std::as_bytes(levels[0].pixels());
+    key = KeyWith(light_key_, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    if (auto kept = options_.cache->Load(key, pixels_.size())) return std::move(*kept);
+  }
+  std::vector<float> gathered(pixels_.size(), 0.0F);
+  const auto count = static_cast<int64_t>(pixels_.size());
+  if (watch != nullptr) watch->Expect(count);
+  const bool whole = WatchedParallelFor(watch, count, 512, 1, [&](int64_t begin, int64_t end) {
+    SkinKernel kernel;
+    for (int64_t i = begin; i < end; ++i) {
+      if (!pixels_[i].material.Translucent()) continue;
       float sum = 0.0F;
       ForEachBlock(static_cast<size_t>(i), kernel,
                    [&](int level, int x, int y, float response) { sum += response * levels[level](x, y); });
-      subsurface[i] += sum;
+      gathered[i] = sum;
     }
   });
+  if (!whole) return {};
+  if (options_.cache != nullptr) options_.cache->Keep(key, gathered);
+  return gathered;
 }
 
 }  // namespace stratalux::rig

@@ -9,10 +9,12 @@
 #include <vector>
 
 #include "firmware-host/simulated/device_options.h"
+#include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/near_field.h"
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin_albedo.h"
+#include "firmware-host/simulated/work_watch.h"
 #include "shared/capture/rig_calibration.h"
 #include "shared/image/image.h"
 #include "shared/pattern/pattern.h"
@@ -36,15 +38,20 @@ inline constexpr int kResponses = 20 + 20 + 13;
 struct LightTransportOptions {
   bool scattering = true;
   ProjectorOptics optics = {};  // response and defocus; blur in focus, fall-off and black level are the calibration's
+  LightCache* cache = nullptr;  // keeps what takes long to compute; null: nothing does
 };
 
 class LightTransport {
  public:
+  // Keeps references to all but `scene` and `watch`. Useless when `watch` says afterwards that it was stopped.
   LightTransport(const Scene& scene, const SkinTable& table, const SkinAlbedo& albedo, const RigCalibration& rig,
-                 int projector, const std::vector<SubjectPixel>& pixels, const LightTransportOptions& options);
+                 int projector, const std::vector<SubjectPixel>& pixels, const LightTransportOptions& options,
+                 WorkWatch* watch = nullptr);
 
-  // Adds, for every subject pixel i, the light of `pattern` to subsurface[i] and direct[i].
-  void Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
+  // Adds, for every subject pixel i, the light of `pattern` to subsurface[i] and direct[i]; of some alone where `watch`
+  // was stopped. Patterns of two dimensions take nearly as long as the making.
+  void Render(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct,
+              WorkWatch* watch = nullptr) const;
   // Exact (column, row) of pixel i; NaN where the projector does not reach it.
   [[nodiscard]] Eigen::Vector2f ColumnRow(size_t i) const { return at_[i].lit ? at_[i].column_row : kNowhere; }
 
@@ -67,11 +74,14 @@ class LightTransport {
     float footprint_rows = 0.0F;
   };
 
-  void CastProjector(const Scene& scene);
+  void CastProjector(const Scene& scene, WorkWatch* watch);
   void ChooseBlurNodes();
   void BuildPyramid();
   void PreparePixel(const Scene& scene, size_t i);
-  void GatherResponses();
+  void GatherResponses(WorkWatch* watch);
+  // Key of what follows from the light at every point: all that ForEachBlock reads.
+  [[nodiscard]] CacheKey KeyOfLight() const;
+  [[nodiscard]] bool LoadResponses(const LightCache::Digest& columns, const LightCache::Digest& rows);
   // False where light or view graze the surface: no tangent plane describes the pixel then.
   [[nodiscard]] bool StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,
                                          const Eigen::Vector3d& ty, TangentSteps& steps) const;
@@ -89,7 +99,11 @@ class LightTransport {
   };
   [[nodiscard]] Split LightOf(size_t i, int axis, const Profiles& profiles) const;
   void RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
-  void RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
+  void RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct,
+                            WorkWatch* watch) const;
+  void AddDirect(const Image<float>& image, std::vector<float>& direct) const;
+  // Subsurface light of every pixel under an image, given at each level; empty where stopped.
+  [[nodiscard]] std::vector<float> GatherImage(const std::array<Image<float>, kLevels>& levels, WorkWatch* watch) const;
 
   const SkinTable& table_;
   const SkinAlbedo& albedo_;
@@ -99,8 +113,9 @@ class LightTransport {
   LightTransportOptions options_;
   std::array<Image<Block>, kLevels> pyramid_;
   std::vector<PixelLight> at_;
-  std::vector<double> blur_px_;  // where the blur differs over the subject: a few values between its ends
-  std::vector<float> column_response_, row_response_;  // [pixel][kResponses]
+  std::vector<double> blur_px_;     // where the blur differs over the subject: a few values between its ends
+  LightCache::Digest light_key_{};  // with a cache
+  std::vector<float> column_response_, row_response_;  // [pixel][kResponses]; empty: nothing scatters
 };
 
 }  // namespace stratalux::rig

@@ -22,9 +22,12 @@ constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultDrift = 0
 
 std::chrono::nanoseconds FromMs(double ms) { return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6)); }
 
+constexpr size_t kFramesRemembered = 4096, kFaultsRemembered = 65536;
+
 struct ProjectorState {
-  std::vector<Pattern> memory;
-  int64_t shown = -1;  // index into memory; -1: nothing yet (black)
+  std::vector<Pattern> memory;  // from what was loaded on
+  int64_t at = 0;               // where that begins in the whole memory
+  int64_t shown = -1;           // index into memory; -1: nothing yet (black)
   bool enabled = false;
   std::vector<Shown> timeline = {{std::nullopt, kStart}};
 };
@@ -38,6 +41,7 @@ struct PendingFrame {
   Exposure light;  // what it shows
   int64_t number = 0;
   MonotonicNs time;
+  MonotonicNs ready;         // read out
   double exposure_ms = 0.0;  // as reported
   Picture picture = Picture::kSound;
   std::optional<Exposure> remains;  // kTorn: what its lower rows still show
@@ -75,15 +79,24 @@ class Devices final : public SimulatedRig,
   }
   InterlockInput& interlock() override { return *this; }
   const LeaseClock& clock() const override { return *this; }
+  const RigTiming& timing() const override { return options_.devices.timing; }
   const RigCalibration& calibration() const override { return world_.calibration(); }
-  std::vector<TruthMap> Truth(const CapturePlan& plan) override { return world_.Truth(plan); }
+  Result<std::vector<TruthMap>> Truth(const CapturePlan& plan) override {
+    const std::lock_guard lock(world_mutex_);
+    return world_.Truth(plan);
+  }
+  Status SetSubject(const SubjectOptions& subject) override;
   void Sleep(std::chrono::nanoseconds time) override {
     const Turn turn(*this);
     clock_ = clock_ + time;
   }
   std::vector<InjectedFault> injected() const override {
     const std::lock_guard lock(mutex_);
-    return injected_;
+    return {injected_.begin(), injected_.end()};
+  }
+  int64_t ignored_triggers() const override {
+    const std::lock_guard lock(mutex_);
+    return ignored_triggers_;
   }
 
   ShownFrame ShownOf(int64_t sequence) const override {
@@ -107,6 +120,8 @@ class Devices final : public SimulatedRig,
     const Turn turn(*this);
     started_ = true;
     next_frame_ = clock_;
+    free_from_ = clock_;
+    last_start_.reset();
     return Status::Ok();
   }
   Status Stop() override {
@@ -133,10 +148,7 @@ class Devices final : public SimulatedRig,
     Status Load(const std::vector<Pattern>& sequence) override {
       for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
       const Turn turn(devices_);
-      ProjectorState& state = devices_.states_[index_];
-      state.memory = sequence;
-      state.shown = -1;
-      devices_.Show(state, devices_.clock_);
+      devices_.StepTo(index_, sequence);
       return Status::Ok();
     }
 
@@ -190,22 +202,30 @@ class Devices final : public SimulatedRig,
 
   // All with mutex_ held.
   void TakeSwitches();
-  void Show(ProjectorState& state, MonotonicNs since);
+  void Show(size_t projector, MonotonicNs since);
+  // The pattern memory goes to where `sequence` stands.
+  void StepTo(size_t projector, const std::vector<Pattern>& sequence);
   std::chrono::nanoseconds Jittered(double ms);
   void Log(const Fault& fault, int64_t number);
   [[nodiscard]] PendingFrame Expose();
+  [[nodiscard]] PendingFrame ExtraFrame(const PendingFrame& frame);
   void Deliver(PendingFrame frame);
+  [[nodiscard]] bool TakesTrigger() const;
+  // Time passes to the next frame's end, or by `timeout`.
+  void PassTime(std::chrono::nanoseconds timeout);
+  void Remember(const PendingFrame& frame);
   // One exposure with the faults that its number has.
   void ExposeWithFaults();
   // Free-running: exposes what the camera took since it was last asked, up to `until`.
   void StreamUntil(MonotonicNs until);
   [[nodiscard]] ShownFrame TruthOf(const PendingFrame& frame) const;
-  [[nodiscard]] Image<uint16_t> Develop(const Exposure& light);
+  [[nodiscard]] Result<Image<uint16_t>> Develop(const Exposure& light);
   // Pixels more than six standard deviations of their noise apart.
   [[nodiscard]] double ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b) const;
 
   SimulatedRigOptions options_;
   FaultScript faults_;
+  std::mutex world_mutex_;  // taken after mutex_ where both are
   World world_;
   Sensor sensor_;
   mutable std::mutex mutex_;  // guards what follows
@@ -219,20 +239,56 @@ class Devices final : public SimulatedRig,
   std::optional<PendingFrame> last_;
   MonotonicNs clock_ = kStart;
   int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
+  int64_t ignored_triggers_ = 0;
   bool started_ = false;
+  // Triggered: end of the last exposure and of its read-out, its start.
+  MonotonicNs exposed_ = kStart, free_from_ = kStart;
+  std::optional<MonotonicNs> last_start_;
   MonotonicNs next_frame_ = kStart;      // free-running: start of the next exposure
   std::map<int64_t, ShownFrame> shown_;  // by driver number
   double exposure_ms_ = 16.0, last_exposure_ms_ = 16.0, gain_ = 1.0;
   Eigen::Vector3d push_mm_ = Eigen::Vector3d::Zero();
   double light_ = 1.0;
-  std::vector<InjectedFault> injected_;
+  std::deque<InjectedFault> injected_;
 };
 
-void Devices::Show(ProjectorState& state, MonotonicNs since) {
+void Devices::Show(size_t projector, MonotonicNs since) {
+  ProjectorState& state = states_[projector];
   std::optional<Pattern> picture;
   if (state.enabled) picture = state.shown >= 0 ? state.memory[state.shown] : Pattern{};
   state.timeline.push_back({picture, since});
   if (state.timeline.size() > kTimeline) state.timeline.erase(state.timeline.begin());
+  if (options_.free_running) return;  // its frames are exposed when they are asked for
+  // Exposures under way see it, too. A rolling shutter's last row ends later.
+  const CameraElectronics& camera = options_.devices.camera;
+  const double rows_ms =
+      camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us * calibration().camera.model.height : 0.0;
+  auto add_to = [&](PendingFrame& frame) {
+    if (since < frame.light.start + FromMs(frame.light.exposure_ms + rows_ms))
+      frame.light.timeline[projector].push_back({picture, since});
+  };
+  for (PendingFrame& frame : pending_) add_to(frame);
+  if (last_) add_to(*last_);
+}
+
+void Devices::StepTo(size_t projector, const std::vector<Pattern>& sequence) {
+  ProjectorState& state = states_[projector];
+  int64_t target = 0;
+  if (projector < options_.memories.size()) {
+    const std::vector<Pattern>& memory = options_.memories[projector];
+    // What is reloaded mostly runs to the end of the memory.
+    const auto found = std::find_end(memory.begin(), memory.end(), sequence.begin(), sequence.end());
+    if (found != memory.end()) target = found - memory.begin();
+  }
+  const int64_t next = state.at + state.shown + 1;
+  const RigTiming& timing = options_.devices.timing;
+  const bool behind = state.memory.empty() || target < next;
+  clock_ = clock_ + FromMs((behind ? timing.memory_reset_ms : 0.0) +
+                           static_cast<double>(target - (behind ? 0 : next)) * timing.memory_step_ms);
+  state.memory = sequence;
+  state.at = target;
+  state.shown = -1;
+  Show(projector, clock_);
 }
 
 std::chrono::nanoseconds Devices::Jittered(double ms) {
@@ -243,6 +299,7 @@ std::chrono::nanoseconds Devices::Jittered(double ms) {
 }
 
 void Devices::Log(const Fault& fault, int64_t number) {
+  if (injected_.size() == kFaultsRemembered) injected_.pop_front();
   injected_.push_back({fault.kind, number, 1e-9 * static_cast<double>((clock_ - kStart).count())});
 }
 
@@ -251,7 +308,7 @@ void Devices::TakeSwitches() {
     const bool on = switches_[p].on();
     if (states_[p].enabled == on) continue;
     states_[p].enabled = on;
-    Show(states_[p], switches_[p].changed());
+    Show(p, switches_[p].changed());
   }
 }
 
@@ -275,7 +332,7 @@ Result<TriggerReceipt> Devices::TriggerProjector(int projector) {
     ProjectorState& s = states_[p];
     s.shown = std::min(s.shown + advance, static_cast<int64_t>(s.memory.size()) - 1);
     const MonotonicNs light = clock_ + Jittered(options_.devices.timing.sync_delay_ms);
-    Show(s, light);
+    Show(p, light);
     for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
     if (edges == 0) ++edge_number_;  // the kernel counted it
   }
@@ -289,8 +346,32 @@ PendingFrame Devices::Expose() {
   frame.exposure_ms = exposure_ms_;
   frame.light = {frame.time, exposure_ms_, gain_, frame.number, {}, push_mm_, light_};
   for (const ProjectorState& s : states_) frame.light.timeline.push_back(s.timeline);
-  clock_ = clock_ + FromMs(exposure_ms_) + Jittered(options_.devices.timing.readout_ms);
+  last_start_ = frame.time;
+  exposed_ = frame.time + FromMs(exposure_ms_);
+  free_from_ = exposed_ + Jittered(options_.devices.timing.readout_ms);
+  frame.ready = free_from_;
   return frame;
+}
+
+// One more than was asked for, of the same light: the driver hands out both.
+PendingFrame Devices::ExtraFrame(const PendingFrame& frame) {
+  PendingFrame extra = frame;
+  extra.number = frame_number_++;
+  extra.light.number = extra.number;
+  extra.time = frame.ready;
+  extra.picture = Picture::kSound;
+  extra.device_error = false;
+  return extra;
+}
+
+// An exposure's charge needs a place to go when it ends: the frame before must have been read out by then.
+bool Devices::TakesTrigger() const {
+  const RigTiming& timing = options_.devices.timing;
+  if (!last_start_) return true;
+  const MonotonicNs start = clock_ + FromMs(timing.shutter_delay_ms);
+  if (start < *last_start_ + FromMs(timing.min_frame_period_ms)) return false;
+  if (!timing.overlapped_readout) return clock_ >= free_from_;
+  return clock_ >= exposed_ && start + FromMs(exposure_ms_) >= free_from_;
 }
 
 ShownFrame Devices::TruthOf(const PendingFrame& frame) const {
@@ -316,16 +397,24 @@ ShownFrame Devices::TruthOf(const PendingFrame& frame) const {
 
 void Devices::Deliver(PendingFrame frame) {
   last_ = frame;
-  // A driver number that comes again (a stale buffer) brings the picture it brought before.
-  shown_.try_emplace(frame.number, TruthOf(frame));
   if (started_) pending_.push_back(std::move(frame));
 }
 
 Result<TriggerReceipt> Devices::TriggerCamera() {
   const Turn turn(*this);
   const TriggerReceipt receipt{triggers_++, clock_};
-  if (!options_.free_running) ExposeWithFaults();
+  if (options_.free_running) return receipt;
+  if (TakesTrigger())
+    ExposeWithFaults();
+  else
+    ++ignored_triggers_;
   return receipt;
+}
+
+void Devices::Remember(const PendingFrame& frame) {
+  // A driver number that comes again (a stale buffer) brings the picture it brought before.
+  shown_.try_emplace(frame.number, TruthOf(frame));
+  if (shown_.size() > kFramesRemembered) shown_.erase(shown_.begin());
 }
 
 void Devices::ExposeWithFaults() {
@@ -347,7 +436,11 @@ void Devices::ExposeWithFaults() {
     if (fault.kind == FaultKind::kFrameExtra) extra = true;
     if (fault.kind == FaultKind::kFrameLate)
       frame.time = frame.time + FromMs(fault.value != 0.0 ? fault.value : kDefaultLateMs);
-    if (fault.kind == FaultKind::kFrameStale && before) frame = *before;
+    if (fault.kind == FaultKind::kFrameStale && before) {
+      const MonotonicNs ready = frame.ready;
+      frame = *before;
+      frame.ready = ready;
+    }
     if (fault.kind == FaultKind::kFrameFrozen && before) frame.light = before->light;
     if (fault.kind == FaultKind::kFrameCorrupt) frame.picture = Picture::kShiftedAndFlagged;
     if (fault.kind == FaultKind::kFrameGarbled) frame.picture = Picture::kShifted;
@@ -360,7 +453,7 @@ void Devices::ExposeWithFaults() {
   }
   for (int k = 0; k < copies; ++k) Deliver(frame);
   if (copies == 0) last_ = frame;
-  if (extra) Deliver(Expose());
+  if (extra) Deliver(ExtraFrame(frame));
 }
 
 void Devices::StreamUntil(MonotonicNs until) {
@@ -400,8 +493,10 @@ void ShiftRows(Image<uint16_t>& pixels, int64_t number) {
     std::rotate(pixels.row(y), pixels.row(y) + shift % pixels.width(), pixels.row(y) + pixels.width());
 }
 
-Image<uint16_t> Devices::Develop(const Exposure& light) {
-  return sensor_.Expose(world_.Light(light), {light.exposure_ms, light.gain, light.number});
+Result<Image<uint16_t>> Devices::Develop(const Exposure& light) {
+  const std::lock_guard lock(world_mutex_);
+  SLX_ASSIGN_OR_RETURN(Image<float> perfect, world_.Light(light));
+  return sensor_.Expose(std::move(perfect), {light.exposure_ms, light.gain, light.number});
 }
 
 double Devices::ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b) const {
@@ -415,31 +510,34 @@ double Devices::ShareChanged(const Image<uint16_t>& a, const Image<uint16_t>& b)
   return static_cast<double>(changed) / static_cast<double>(a.size());
 }
 
+void Devices::PassTime(std::chrono::nanoseconds timeout) {
+  const MonotonicNs deadline = clock_ + timeout;
+  if (options_.free_running && started_ && pending_.empty()) {
+    const MonotonicNs ready = next_frame_ + FromMs(exposure_ms_ + options_.devices.timing.readout_ms);
+    const MonotonicNs until = std::max(clock_, std::min(ready, deadline));
+    StreamUntil(until);
+    clock_ = until;
+    return;
+  }
+  clock_ = pending_.empty() ? deadline : std::max(clock_, std::min(pending_.front().ready, deadline));
+}
+
 Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds timeout) {
   PendingFrame pending;
   {
     const Turn turn(*this);
-    if (options_.free_running && started_ && pending_.empty()) {
-      // Time passes to the end of the next frame, or to the deadline.
-      const auto busy = FromMs(exposure_ms_ + options_.devices.timing.readout_ms);
-      const MonotonicNs ready = next_frame_ + busy, deadline = clock_ + timeout;
-      const MonotonicNs until = std::max(clock_, std::min(ready, deadline));
-      StreamUntil(until);
-      clock_ = until;
-    }
-    if (pending_.empty()) {
-      if (!options_.free_running || !started_) clock_ = clock_ + timeout;
-      return std::optional<CapturedFrame>();
-    }
+    PassTime(timeout);
+    if (pending_.empty() || clock_ < pending_.front().ready) return std::optional<CapturedFrame>();
     pending = std::move(pending_.front());
     pending_.pop_front();
+    Remember(pending);
   }
   if (pending.device_error) return Status::Failed("simulated camera: the device is gone (ENODEV)");
   CapturedFrame frame;
-  frame.pixels = Develop(pending.light);
+  SLX_ASSIGN_OR_RETURN(frame.pixels, Develop(pending.light));
   const Image<uint16_t> sound = pending.picture != Picture::kSound ? frame.pixels : Image<uint16_t>();
   if (pending.picture == Picture::kTorn) {
-    const Image<uint16_t> old = Develop(*pending.remains);
+    SLX_ASSIGN_OR_RETURN(const Image<uint16_t> old, Develop(*pending.remains));
     const int first = FirstSpoiltRow(pending.number, old.height());
     std::copy(old.row(first), old.row(0) + old.size(), frame.pixels.row(first));
   } else if (pending.picture != Picture::kSound) {
@@ -447,7 +545,8 @@ Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds time
   }
   if (!sound.empty()) {
     const std::lock_guard lock(mutex_);
-    shown_[pending.number].spoilt = ShareChanged(sound, frame.pixels);
+    const auto found = shown_.find(pending.number);
+    if (found != shown_.end()) found->second.spoilt = ShareChanged(sound, frame.pixels);
   }
   frame.cfa = calibration().camera.cfa;
   frame.sequence = pending.number;
@@ -457,6 +556,46 @@ Result<std::optional<CapturedFrame>> Devices::Wait(std::chrono::nanoseconds time
   frame.gain = pending.light.gain;
   frame.corrupt = pending.picture == Picture::kShiftedAndFlagged;
   return std::optional(std::move(frame));
+}
+
+bool IsWax(const Scene& scene) { return scene.description().shape == ShapeKind::kSlab; }
+
+Result<Scene> SubjectOf(const SubjectOptions& options, SceneDescription description) {
+  SLX_RETURN_IF_ERROR(description.TakePose(options.board_pose).WithContext(options.scene));
+  return Scene::Create(description, options.seed);
+}
+
+Result<SkinTable> TableFor(const SimulatedRigOptions& options, const Scene& scene) {
+  const bool wax = IsWax(scene);
+  const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
+  Result<SkinTable> loaded = SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table);
+  if (loaded.status().code() == StatusCode::kNotFound && options.skin_table.empty()) {
+    std::string places;
+    for (const std::string& place : SkinTable::DefaultPlaces(wax ? SkinTable::kWaxFile : SkinTable::kSkinFile))
+      places += (places.empty() ? "" : ", ") + place;
+    return Status::NotFound("no skin table; looked for " + places + " (STRATALUX_SKIN_TABLE names another place)");
+  }
+  SLX_ASSIGN_OR_RETURN(SkinTable table, std::move(loaded));
+  if ((table.nodes() == 1) != wax)
+    return Status::Usage("skin table " + options.skin_table + ": of " +
+                         (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
+  return table;
+}
+
+Status Devices::SetSubject(const SubjectOptions& subject) {
+  SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(subject.scene));
+  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf(subject, simulation.scene));
+  const Turn turn(*this);
+  const std::lock_guard lock(world_mutex_);
+  std::optional<SkinTable> table;
+  if (IsWax(scene) != (world_.table().nodes() == 1)) {
+    SLX_ASSIGN_OR_RETURN(table, TableFor(options_, scene));
+  }
+  world_.SetSubject(std::move(scene), std::move(table), clock_);
+  pending_.clear();
+  last_.reset();
+  push_mm_.setZero();
+  return Status::Ok();
 }
 
 }  // namespace
@@ -477,7 +616,6 @@ Status SimulatedRigOptions::Validate() const {
 Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOptions& given, Logger& logger) {
   SLX_RETURN_IF_ERROR(given.Validate());
   SLX_ASSIGN_OR_RETURN(Simulation simulation, LoadSimulation(given.scene));
-  SLX_RETURN_IF_ERROR(simulation.scene.TakePose(given.board_pose).WithContext(given.scene));
   SimulatedRigOptions options = given;
   if (given.scene.ends_with(".toml")) {
     options.devices = simulation.devices;
@@ -489,13 +627,8 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
       options.faults.kinds = given.faults.kinds;
     }
   }
-  SLX_ASSIGN_OR_RETURN(auto scene, Scene::Create(simulation.scene, options.seed));
-  const bool wax = simulation.scene.shape == ShapeKind::kSlab;
-  const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
-  SLX_ASSIGN_OR_RETURN(auto table, SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table));
-  if ((table.nodes() == 1) != wax)
-    return Status::Usage("skin table " + options.skin_table + ": of " +
-                         (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
+  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf({given.scene, given.seed, given.board_pose}, simulation.scene));
+  SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, scene));
   return std::unique_ptr<SimulatedRig>(new Devices(options, std::move(scene), std::move(table), logger));
 }
 

@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -39,8 +40,21 @@ struct SimulatedRigOptions {
   DeviceOptions devices;       // replaced by those of a scene file
   FaultOptions faults;         // a scene file's come on top
   std::string skin_table;      // path; empty: the shipped table
+  // What each projector's pattern memory holds, in its order: a Load takes the way to there (RigTiming). Empty, or a
+  // sequence that is not in it: as if it stood at the memory's start.
+  std::vector<std::vector<Pattern>> memories;
+  // Ends what takes long (Wait and Truth then say why); outlives the rig. Null: nothing does.
+  const StopToken* stop = nullptr;
+  std::filesystem::path cache_folder;  // of computed light (LightCache); empty: nothing is kept
 
   [[nodiscard]] Status Validate() const;
+};
+
+// Who sits before the rig.
+struct SubjectOptions {
+  std::string scene = "head";  // as SimulatedRigOptions has it; of a scene file its subject alone
+  uint64_t seed = 1;           // of the subject; noise and faults keep the rig's
+  int board_pose = -1;
 };
 
 struct TruthMap {
@@ -60,6 +74,8 @@ struct ShownFrame {
 };
 
 // Owns the scene; the devices it hands out share it and must not outlive it. Thread-safe for one thread per device.
+// Light transport is computed when a frame first needs it: creating a rig takes no longer than reading its skin table.
+// A camera TRIGGER takes no time of the rig's clock: Wait passes it, until the frame is read out.
 class SimulatedRig {
  public:
   static Result<std::unique_ptr<SimulatedRig>> Create(const SimulatedRigOptions& options, Logger& logger);
@@ -72,16 +88,22 @@ class SimulatedRig {
   virtual std::vector<LightSwitch*> switches() = 0;
   virtual InterlockInput& interlock() = 0;
   [[nodiscard]] virtual const LeaseClock& clock() const = 0;
+  [[nodiscard]] virtual const RigTiming& timing() const = 0;
   // The exact calibration of the simulated devices.
   [[nodiscard]] virtual const RigCalibration& calibration() const = 0;
   // Lets the rig's own clock run: settling costs no real time.
   virtual void Sleep(std::chrono::nanoseconds time) = 0;
-  // The faults that happened so far.
+  // Another subject takes its place: devices, clock, calibration and all handles stay, faults that moved the subject
+  // are over, and frames that nobody fetched are gone. kUsage as Create.
+  virtual Status SetSubject(const SubjectOptions& subject) = 0;
+  // The faults that happened so far; the newest 65,536.
   [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
-  // What the frame of this driver number shows; of frames that were delivered.
+  // Camera triggers that came too early and that the camera passed over.
+  [[nodiscard]] virtual int64_t ignored_triggers() const = 0;
+  // What the frame of this driver number shows; of the newest 4,096 that were delivered.
   [[nodiscard]] virtual ShownFrame ShownOf(int64_t sequence) const = 0;
   // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
-  virtual std::vector<TruthMap> Truth(const CapturePlan& plan) = 0;
+  virtual Result<std::vector<TruthMap>> Truth(const CapturePlan& plan) = 0;
 };
 
 // The guard of its light. `rig` and `stop` outlive it.

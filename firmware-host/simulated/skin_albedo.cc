@@ -7,11 +7,11 @@
 
 namespace stratalux::rig {
 
-SkinAlbedo::SkinAlbedo(const SkinTable& table) : table_(table) {
+void SkinAlbedo::Retabulate() {
   for (int c = 0; c < kSkinChannels; ++c)
-    for (int node = 0; node < table.nodes(); ++node)
+    for (int node = 0; node < table_.nodes(); ++node)
       log_albedo_[c][node] =
-          static_cast<float>(std::log(table.Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
+          static_cast<float>(std::log(table_.Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
 }
 
 float SkinAlbedo::operator()(int channel, const SkinParameters& parameters) const {

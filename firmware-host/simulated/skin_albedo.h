@@ -15,7 +15,9 @@ namespace stratalux::rig {
 class SkinAlbedo {
  public:
   // Keeps a reference.
-  explicit SkinAlbedo(const SkinTable& table);
+  explicit SkinAlbedo(const SkinTable& table) : table_(table) { Retabulate(); }
+  // After the table was replaced.
+  void Retabulate();
   [[nodiscard]] float operator()(int channel, const SkinParameters& parameters) const;
   // Diffuse albedo of any material.
   [[nodiscard]] float Of(int channel, const Material& material) const {

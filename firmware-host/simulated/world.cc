@@ -66,20 +66,41 @@ World::World(const SimulatedRigOptions& options, Scene scene, SkinTable table, M
       table_(std::move(table)),
       albedo_(table_),
       start_(start),
-      calibration_(DescribeSimulatedRig(options)) {}
-
-World::Stage& World::StageIn(const SubjectState& state) {
-  if (!resting_) resting_ = MakeStage({});
-  if (state == resting_->state) return *resting_;
-  if (!moved_ || !(moved_->state == state)) moved_ = MakeStage(state);
-  return *moved_;
+      subject_start_(start),
+      calibration_(DescribeSimulatedRig(options)) {
+  if (!options.cache_folder.empty())
+    cache_ = std::make_unique<LightCache>(options.cache_folder, LightCache::kDefaultLimitBytes, logger);
 }
 
-std::unique_ptr<World::Stage> World::MakeStage(const SubjectState& state) const {
+void World::SetSubject(Scene scene, std::optional<SkinTable> table, MonotonicNs now) {
+  resting_.reset();
+  moved_.reset();
+  scene_ = std::move(scene);
+  subject_start_ = now;
+  if (!table) return;
+  table_ = std::move(*table);
+  albedo_.Retabulate();
+}
+
+Result<World::Stage*> World::StageIn(const SubjectState& state) {
+  if (!resting_) {
+    SLX_ASSIGN_OR_RETURN(resting_, MakeStage({}));
+  }
+  if (state == resting_->state) return resting_.get();
+  if (!moved_ || !(moved_->state == state)) {
+    moved_.reset();
+    SLX_ASSIGN_OR_RETURN(moved_, MakeStage(state));
+  }
+  return moved_.get();
+}
+
+Result<std::unique_ptr<World::Stage>> World::MakeStage(const SubjectState& state) const {
+  WorkWatch watch = Watch("what the camera sees of the subject");
   auto stage = std::make_unique<Stage>(Stage{state, scene_.In(state), {}, {}, {}, {}});
   const Pinhole& camera = calibration_.camera.model;
   std::vector<std::vector<SubjectPixel>> rows(camera.height);
-  ParallelFor(camera.height, 8, [&](int64_t begin, int64_t end) {
+  watch.Expect(camera.height);
+  const bool whole = WatchedParallelFor(&watch, camera.height, 8, 1, [&](int64_t begin, int64_t end) {
     for (int y = static_cast<int>(begin); y < end; ++y)
       for (int x = 0; x < camera.width; ++x) {
         const auto hit = stage->scene.Intersect({Eigen::Vector3d::Zero(), camera.Unproject({double(x), double(y)})});
@@ -91,6 +112,7 @@ std::unique_ptr<World::Stage> World::MakeStage(const SubjectState& state) const 
         rows[y].push_back({x, y, *hit, normal, material});
       }
   });
+  if (!whole) return watch.Check();
   for (const auto& row : rows) stage->pixels.insert(stage->pixels.end(), row.begin(), row.end());
   stage->transports.resize(calibration_.projectors.size());
   stage->bounces.resize(calibration_.projectors.size());
@@ -98,48 +120,69 @@ std::unique_ptr<World::Stage> World::MakeStage(const SubjectState& state) const 
   return stage;
 }
 
-const LightTransport& World::Transport(Stage& stage, size_t projector) const {
+Result<const LightTransport*> World::Transport(Stage& stage, size_t projector) const {
   auto& transport = stage.transports[projector];
-  if (!transport) {
-    logger_.Debug("simulated rig: light transport of projector " + std::to_string(projector));
-    LightTransportOptions options;
-    options.scattering = options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent;
-    options.optics = options_.devices.ForProjector(projector);
-    transport = std::make_unique<LightTransport>(stage.scene, table_, albedo_, calibration_,
-                                                 static_cast<int>(projector), stage.pixels, options);
-  }
-  return *transport;
+  if (transport) return transport.get();
+  WorkWatch watch = Watch("light of projector " + std::to_string(projector));
+  LightTransportOptions options;
+  options.scattering = options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent;
+  options.optics = options_.devices.ForProjector(projector);
+  // A subject that moves passes through many places once: they would drive out what is needed again.
+  if (stage.state == SubjectState{}) options.cache = cache_.get();
+  auto made = std::make_unique<LightTransport>(stage.scene, table_, albedo_, calibration_, static_cast<int>(projector),
+                                               stage.pixels, options, &watch);
+  SLX_RETURN_IF_ERROR(watch.Check());
+  transport = std::move(made);
+  return transport.get();
 }
 
-const Interreflection& World::Bounce(Stage& stage, size_t projector) const {
+Result<const Interreflection*> World::Bounce(Stage& stage, size_t projector) const {
   auto& bounce = stage.bounces[projector];
-  if (!bounce)
-    bounce = std::make_unique<Interreflection>(stage.scene, albedo_, calibration_, static_cast<int>(projector),
-                                               stage.pixels);
-  return *bounce;
+  if (bounce) return bounce.get();
+  WorkWatch watch = Watch("interreflection of projector " + std::to_string(projector));
+  auto made = std::make_unique<Interreflection>(stage.scene, albedo_, calibration_, static_cast<int>(projector),
+                                                stage.pixels, &watch);
+  SLX_RETURN_IF_ERROR(watch.Check());
+  bounce = std::move(made);
+  return bounce.get();
 }
 
-const std::vector<float>& World::White(Stage& stage, size_t projector) const {
+Status World::RenderTransport(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& subsurface,
+                              std::vector<float>& direct) const {
+  SLX_ASSIGN_OR_RETURN(const LightTransport* transport, Transport(stage, projector));
+  WorkWatch watch = Watch("picture of projector " + std::to_string(projector));
+  transport->Render(pattern, subsurface, direct, &watch);
+  return pattern.IsOneDimensional() ? Status::Ok() : watch.Check();
+}
+
+Result<const std::vector<float>*> World::White(Stage& stage, size_t projector) const {
   auto& white = stage.white[projector];
   if (white.empty()) {
-    white.assign(stage.pixels.size(), 0.0F);
-    Transport(stage, projector).Render(kWhite, white, white);
-    if (scene_.description().interreflection) Bounce(stage, projector).Render(kWhite, white);
+    std::vector<float> light(stage.pixels.size(), 0.0F);
+    SLX_RETURN_IF_ERROR(RenderTransport(stage, projector, kWhite, light, light));
+    if (scene_.description().interreflection) {
+      SLX_ASSIGN_OR_RETURN(const Interreflection* bounce, Bounce(stage, projector));
+      bounce->Render(kWhite, light);
+    }
+    white = std::move(light);
   }
-  return white;
+  return &white;
 }
 
-void World::Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const {
+Status World::Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const {
   if (pattern.kind == PatternKind::kWhite) {
-    const std::vector<float>& white = White(stage, projector);
-    for (size_t i = 0; i < light.size(); ++i) light[i] += white[i];
-    return;
+    SLX_ASSIGN_OR_RETURN(const std::vector<float>* white, White(stage, projector));
+    for (size_t i = 0; i < light.size(); ++i) light[i] += (*white)[i];
+    return Status::Ok();
   }
-  Transport(stage, projector).Render(pattern, light, light);
-  if (scene_.description().interreflection) Bounce(stage, projector).Render(pattern, light);
+  SLX_RETURN_IF_ERROR(RenderTransport(stage, projector, pattern, light, light));
+  if (!scene_.description().interreflection) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const Interreflection* bounce, Bounce(stage, projector));
+  bounce->Render(pattern, light);
+  return Status::Ok();
 }
 
-void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const {
+Status World::AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const {
   const std::vector<Shown>& timeline = exposure.timeline[projector];
   const ProjectorOptics& optics = options_.devices.ForProjector(projector);
   const CameraElectronics& camera = options_.devices.camera;
@@ -163,9 +206,9 @@ void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposur
     std::vector<float> pattern;
     if (timeline[k].pattern->kind != PatternKind::kBlack) {
       pattern.assign(stage.pixels.size(), 0.0F);
-      Render(stage, projector, *timeline[k].pattern, pattern);
+      SLX_RETURN_IF_ERROR(Render(stage, projector, *timeline[k].pattern, pattern));
     }
-    const std::vector<float>& white = White(stage, projector);
+    SLX_ASSIGN_OR_RETURN(const std::vector<float>* white, White(stage, projector));
     std::vector<std::array<float, 2>> weights;  // of black and of the picture, by row
     for (const auto& row : shares)
       weights.push_back(
@@ -174,24 +217,25 @@ void World::AddProjector(Stage& stage, size_t projector, const Exposure& exposur
     ParallelFor(static_cast<int64_t>(light.size()), 16384, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
         const auto& [dark, open] = weights[weights.size() == 1 ? 0 : stage.pixels[i].y];
-        light[i] += dark * white[i] + open * pattern[i];
+        light[i] += dark * (*white)[i] + open * pattern[i];
       }
     });
   }
+  return Status::Ok();
 }
 
-Image<float> World::Light(const Exposure& exposure) {
-  if (options_.lens_covered) return {calibration_.camera.model.width, calibration_.camera.model.height};
-  SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - start_));
-  state.offset_mm += exposure.push_mm;
-  Stage& stage = StageIn(state);
-  std::vector<float> light(stage.pixels.size(), 0.0F);
-  for (size_t p = 0; p < exposure.timeline.size(); ++p) AddProjector(stage, p, exposure, light);
-  const auto scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
+Result<Image<float>> World::Light(const Exposure& exposure) {
   const Pinhole& camera = calibration_.camera.model;
+  if (options_.lens_covered) return Image<float>(camera.width, camera.height);
+  SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - subject_start_));
+  state.offset_mm += exposure.push_mm;
+  SLX_ASSIGN_OR_RETURN(Stage * stage, StageIn(state));
+  std::vector<float> light(stage->pixels.size(), 0.0F);
+  for (size_t p = 0; p < exposure.timeline.size(); ++p) SLX_RETURN_IF_ERROR(AddProjector(*stage, p, exposure, light));
+  const auto scale = static_cast<float>(exposure.exposure_ms * exposure.gain);
   Image<float> image(camera.width, camera.height, 1,
                      static_cast<float>(scene_.description().ambient_dn_per_ms) * scale);
-  for (size_t i = 0; i < light.size(); ++i) image(stage.pixels[i].x, stage.pixels[i].y) += light[i] * scale;
+  for (size_t i = 0; i < light.size(); ++i) image(stage->pixels[i].x, stage->pixels[i].y) += light[i] * scale;
   return image;
 }
 

@@ -8,9 +8,11 @@
 
 #include "firmware-host/simulated/device_options.h"
 #include "firmware-host/simulated/interreflection.h"
+#include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/light_transport.h"
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/simulated_rig.h"
+#include "firmware-host/simulated/work_watch.h"
 
 namespace stratalux::rig {
 
@@ -35,15 +37,19 @@ struct Exposure {
 [[nodiscard]] std::vector<double> ShareOfPictures(const std::vector<Shown>& timeline, MonotonicNs start,
                                                   double exposure_ms, double lag_ms);
 
-// Used by one thread at a time.
+// Used by one thread at a time. What takes long is made when it is first looked at; where the options' stop token ends
+// it, kFailed says why, and the next look begins it anew.
 class World {
  public:
   World(const SimulatedRigOptions& options, Scene scene, SkinTable table, MonotonicNs start, Logger& logger);
 
   [[nodiscard]] const RigCalibration& calibration() const { return calibration_; }
   // Digital numbers above black of a perfect camera.
-  Image<float> Light(const Exposure& exposure);
-  std::vector<TruthMap> Truth(const CapturePlan& plan);
+  Result<Image<float>> Light(const Exposure& exposure);
+  Result<std::vector<TruthMap>> Truth(const CapturePlan& plan);
+  // Another subject, whose motion begins at `now`; devices and lamps stay. `table`: where the tissue is another.
+  void SetSubject(Scene scene, std::optional<SkinTable> table, MonotonicNs now);
+  [[nodiscard]] const SkinTable& table() const { return table_; }
 
  private:
   // The subject in one state, with the light transport of each projector, made on first use.
@@ -55,24 +61,31 @@ class World {
     std::vector<std::unique_ptr<Interreflection>> bounces;
     std::vector<std::vector<float>> white;  // light of each projector's full white
   };
-  Stage& StageIn(const SubjectState& state);
-  [[nodiscard]] std::unique_ptr<Stage> MakeStage(const SubjectState& state) const;
-  const LightTransport& Transport(Stage& stage, size_t projector) const;
-  const Interreflection& Bounce(Stage& stage, size_t projector) const;
-  const std::vector<float>& White(Stage& stage, size_t projector) const;
-  // Adds the light of one picture.
-  void Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const;
-  void AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const;
+  Result<Stage*> StageIn(const SubjectState& state);
+  [[nodiscard]] Result<std::unique_ptr<Stage>> MakeStage(const SubjectState& state) const;
+  Result<const LightTransport*> Transport(Stage& stage, size_t projector) const;
+  Result<const Interreflection*> Bounce(Stage& stage, size_t projector) const;
+  Result<const std::vector<float>*> White(Stage& stage, size_t projector) const;
+  [[nodiscard]] WorkWatch Watch(const std::string& label) const { return {logger_, label, options_.stop}; }
+  // Adds the light of one picture, surface and subsurface apart or together.
+  Status RenderTransport(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& subsurface,
+                         std::vector<float>& direct) const;
+  Status Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const;
+  Status AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const;
   void AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) const;
-  void AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const;
+  Status AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const;
+  Status AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,
+                         double exposure_ms, std::vector<TruthMap>& maps) const;
   [[nodiscard]] Image<float> ToQuads(const Stage& stage, const std::vector<float>& per_pixel, double exposure_ms) const;
 
   SimulatedRigOptions options_;
   Logger& logger_;
   Scene scene_;
   SkinTable table_;
-  SkinAlbedo albedo_;
-  MonotonicNs start_;
+  SkinAlbedo albedo_;                  // of table_, which it refers to
+  std::unique_ptr<LightCache> cache_;  // null: none is wanted
+  MonotonicNs start_;                  // of the lamps
+  MonotonicNs subject_start_;
   RigCalibration calibration_;
   std::unique_ptr<Stage> resting_, moved_;  // as described; where it is now
 };

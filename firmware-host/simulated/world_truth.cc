@@ -54,43 +54,51 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   for (TruthMap* map : {&depth, &normal, &mask, &optics, &material}) maps.push_back(std::move(*map));
 }
 
-void World::AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const {
+Status World::AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,
+                              double exposure_ms, std::vector<TruthMap>& maps) const {
+  const float open = 1.0F - static_cast<float>(calibration_.projectors[projector].black_level);
+  auto add = [&](const std::string& part, std::vector<float> light) {
+    for (float& v : light) v *= open;  // what a frame minus its black frame holds
+    maps.push_back({part + " " + name + " " + std::to_string(projector), ToQuads(stage, light, exposure_ms)});
+  };
+  std::vector<float> subsurface(stage.pixels.size(), 0.0F), direct(stage.pixels.size(), 0.0F);
+  SLX_RETURN_IF_ERROR(RenderTransport(stage, projector, pattern, subsurface, direct));
+  add("subsurface", std::move(subsurface));
+  add("direct", std::move(direct));
+  if (!scene_.description().interreflection) return Status::Ok();
+  std::vector<float> indirect(stage.pixels.size(), 0.0F);
+  SLX_ASSIGN_OR_RETURN(const Interreflection* bounce, Bounce(stage, projector));
+  bounce->Render(pattern, indirect);
+  add("interreflection", std::move(indirect));
+  return Status::Ok();
+}
+
+Status World::AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const {
   const PlanOptions& o = plan.options;
   const std::vector<std::pair<std::string, Pattern>> lights = {
       {"white", {.kind = PatternKind::kWhite}},
       {"stripe", {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}},
       {"spot", {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius}}};
   for (size_t p = 0; p < calibration_.projectors.size() && p < static_cast<size_t>(o.projectors); ++p) {
-    const float open = 1.0F - static_cast<float>(calibration_.projectors[p].black_level);
-    const std::string suffix = " " + std::to_string(p);
-    auto add = [&](const std::string& name, std::vector<float> light) {
-      for (float& v : light) v *= open;  // what a frame minus its black frame holds
-      maps.push_back({name + suffix, ToQuads(stage, light, o.exposure_ms)});
-    };
     for (const auto& [name, pattern] : lights) {
       if (name == "spot" && o.spot_radius == 0) continue;
-      std::vector<float> subsurface(stage.pixels.size(), 0.0F), direct(stage.pixels.size(), 0.0F);
-      Transport(stage, p).Render(pattern, subsurface, direct);
-      add("subsurface " + name, std::move(subsurface));
-      add("direct " + name, std::move(direct));
-      if (!scene_.description().interreflection) continue;
-      std::vector<float> indirect(stage.pixels.size(), 0.0F);
-      Bounce(stage, p).Render(pattern, indirect);
-      add("interreflection " + name, std::move(indirect));
+      SLX_RETURN_IF_ERROR(AddTruthOfLight(stage, p, name, pattern, o.exposure_ms, maps));
     }
-    TruthMap at{"column" + suffix,
+    TruthMap at{"column " + std::to_string(p),
                 Image<float>(calibration_.camera.model.width, calibration_.camera.model.height, 2, kNaN)};
+    SLX_ASSIGN_OR_RETURN(const LightTransport* transport, Transport(stage, p));
     for (size_t i = 0; i < stage.pixels.size(); ++i)
-      for (int k = 0; k < 2; ++k) at.map(stage.pixels[i].x, stage.pixels[i].y, k) = Transport(stage, p).ColumnRow(i)[k];
+      for (int k = 0; k < 2; ++k) at.map(stage.pixels[i].x, stage.pixels[i].y, k) = transport->ColumnRow(i)[k];
     maps.push_back(std::move(at));
   }
+  return Status::Ok();
 }
 
-std::vector<TruthMap> World::Truth(const CapturePlan& plan) {
-  Stage& stage = StageIn({});
+Result<std::vector<TruthMap>> World::Truth(const CapturePlan& plan) {
+  SLX_ASSIGN_OR_RETURN(Stage * stage, StageIn({}));
   std::vector<TruthMap> maps;
-  AddTruthOfShape(stage, maps);
-  AddTruthOfLights(stage, plan, maps);
+  AddTruthOfShape(*stage, maps);
+  SLX_RETURN_IF_ERROR(AddTruthOfLights(*stage, plan, maps));
   return maps;
 }
 

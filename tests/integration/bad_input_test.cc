@@ -44,7 +44,7 @@ TEST_F(WrongFlags, NumbersThatAreNone) {
       {"stratalux-rig capture --simulate --seed 99999999999999999999", "--seed", "99999999999999999999"},
       {"stratalux-rig capture --simulate --size 96", "--size '96'", "WIDTHxHEIGHT"},
       {"stratalux-rig capture --simulate --size 4294967392x72", "--size '4294967392x72'", "WIDTHxHEIGHT"},
-      {"stratalux-rig capture --simulate --size 95x72", "width = 95", "allowed: even, 64 .. 4096"},
+      {"stratalux-rig capture --simulate --size 195x146", "width = 195", "allowed: even, 64 .. 4096"},
       {"stratalux-rig capture --simulate --exposure nan", "exposure_ms = nan", "allowed: 0.01 .. 10000"},
       {"stratalux-rig capture --simulate --exposure soon", "--exposure", "soon"},
       {"stratalux-rig plan show --settle -5", "--settle -5", "allowed: 0 .. 10000 ms"},

@@ -143,7 +143,7 @@ TEST_F(CalibrationFaults, InvertedCodesAreNamedWithTheProjector) {
 
 TEST_F(CalibrationFaults, ASessionThatNamesNoCalibrationThatIsThereIsNotCaptured) {
   const std::string store = Store("empty");
-  const std::string visit = "stratalux-rig capture --simulate=plane --size 64x48 --store " + store;
+  const std::string visit = "stratalux-rig capture --simulate=plane --size 160x120 --store " + store;
   const Outcome none = Execute(visit + " --calibration latest");
   EXPECT_EQ(none.code, 4) << none.out;
   EXPECT_THAT(none.out, HasSubstr("--calibration latest"));
@@ -151,7 +151,7 @@ TEST_F(CalibrationFaults, ASessionThatNamesNoCalibrationThatIsThereIsNotCaptured
   WriteText(folder_ / "exact.json", exact_.dump());
   const Outcome other = Execute(visit + " --calibration " + (folder_ / "exact.json").string());
   EXPECT_EQ(other.code, 2) << other.out;
-  EXPECT_THAT(other.out, AllOf(HasSubstr("522x390"), HasSubstr("64x48")));
+  EXPECT_THAT(other.out, AllOf(HasSubstr("522x390"), HasSubstr("160x120")));
 }
 
 // The store's own calibration becomes a version, and is what a visitor's session names; the simulation's knowledge is

@@ -50,15 +50,35 @@ std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
   }
   if (t >= t_end) return std::nullopt;
   double low = std::max(0.0, before - 0.5), high = t + 0.5;
-  auto below = [&](double s) {
+  // How far the ray at s lies below the surface; NaN where there is none.
+  auto depth = [&](double s) {
     const Eigen::Vector3d p = ray.origin_mm + s * ray.direction;
-    return p.z() >= Height(p.x(), p.y());
+    return p.z() - Height(p.x(), p.y());
   };
-  if (!below(high)) return std::nullopt;
-  if (below(low)) low = before - 4.0;
-  for (int i = 0; i < 34; ++i) {
-    const double middle = 0.5 * (low + high);
-    (below(middle) ? high : low) = middle;
+  double at_high = depth(high), at_low = depth(low);
+  if (!(at_high >= 0.0)) return std::nullopt;
+  if (at_low >= 0.0) {
+    low = before - 4.0;
+    at_low = depth(low);
+  }
+  // Regula falsi (Illinois); halves the range where the surface ends in it, or where there is no change of sign.
+  constexpr double kExactMm = 1e-10;
+  double weight_low = at_low, weight_high = at_high;
+  for (int i = 0, side = 0; i < 60 && high - low > kExactMm && at_high > kExactMm; ++i) {
+    double middle = 0.5 * (low + high);
+    if (weight_low < 0.0) middle = std::clamp(low + (high - low) * weight_low / (weight_low - weight_high), low, high);
+    const double at_middle = depth(middle);
+    if (at_middle >= 0.0) {
+      high = middle;
+      at_high = weight_high = at_middle;
+      if (side > 0) weight_low *= 0.5;
+      side = 1;
+    } else {
+      low = middle;
+      weight_low = at_middle;
+      if (side < 0) weight_high *= 0.5;
+      side = -1;
+    }
   }
   return ray.origin_mm + high * ray.direction;
 }

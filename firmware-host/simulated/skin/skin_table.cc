@@ -371,13 +371,27 @@ double SkinTable::Albedo(int channel, const SkinParameters& parameters, double t
   return albedo;
 }
 
-std::string SkinTable::DefaultPath() {
-  if (const char* path = std::getenv("STRATALUX_SKIN_TABLE")) return path;
-  return STRATALUX_SKIN_TABLE_PATH;
+std::vector<std::string> SkinTable::DefaultPlaces(const std::string& file) {
+  namespace fs = std::filesystem;
+  if (const char* path = std::getenv("STRATALUX_SKIN_TABLE")) {
+    return {file == kSkinFile ? path : fs::path(path).replace_filename(file).string()};
+  }
+  std::vector<std::string> places;
+  std::error_code unknown;
+  const fs::path program = fs::read_symlink("/proc/self/exe", unknown);
+  if (!unknown) places.push_back((program.parent_path().parent_path() / "share" / "stratalux" / file).string());
+  const std::string installed = (fs::path(STRATALUX_DATA_FOLDER) / file).string();
+  if (places.empty() || places[0] != installed) places.push_back(installed);
+  return places;
 }
 
-std::string SkinTable::DefaultWaxPath() {
-  return std::filesystem::path(DefaultPath()).replace_filename("wax_table.bin").string();
+std::string SkinTable::DefaultPathOf(const std::string& file) {
+  const std::vector<std::string> places = DefaultPlaces(file);
+  for (const std::string& place : places) {
+    std::error_code ignored;
+    if (std::filesystem::exists(place, ignored)) return place;
+  }
+  return places.front();
 }
 
 }  // namespace stratalux::rig

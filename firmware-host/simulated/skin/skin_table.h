@@ -7,6 +7,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -91,9 +92,15 @@ class SkinTable {
  public:
   // kNotFound, kIntegrity (not a table, damaged), kNewerSchema.
   static Result<SkinTable> Load(const std::string& path);
-  // Skin: STRATALUX_SKIN_TABLE, else the shipped table. Wax: wax_table.bin beside it.
-  static std::string DefaultPath();
-  static std::string DefaultWaxPath();
+  // The shipped tables' files.
+  static constexpr const char* kSkinFile = "skin_table.bin";
+  static constexpr const char* kWaxFile = "wax_table.bin";
+  // Where a shipped table may lie: where STRATALUX_SKIN_TABLE says (wax: beside it), else in share/stratalux beside the
+  // program's folder, then in the data folder that the build was to be installed in.
+  static std::vector<std::string> DefaultPlaces(const std::string& file);
+  // The first of them that is there; where none is, the first.
+  static std::string DefaultPath() { return DefaultPathOf(kSkinFile); }
+  static std::string DefaultWaxPath() { return DefaultPathOf(kWaxFile); }
   Status Save(const std::string& path, const std::string& manifest_json) const;
 
   // S over the Fresnel transmittances of its two directions is linear in sin(theta) (through the normal: a theta below
@@ -108,9 +115,12 @@ class SkinTable {
   [[nodiscard]] std::array<SkinNodeWeight, 8> NodesAround(const SkinParameters& parameters) const;
   // S of one cell (bin averages), 1 / (mm^2 sr).
   [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
+  // All that the table says, as it is kept in memory.
+  [[nodiscard]] std::span<const uint16_t> codes() const { return codes_; }
   [[nodiscard]] const std::string& manifest() const { return manifest_; }
 
  private:
+  static std::string DefaultPathOf(const std::string& file);
   friend Result<SkinTable> GenerateSkinTable(int64_t, uint64_t, int, Logger&);
   friend Result<SkinTable> GenerateWaxTable(int64_t, uint64_t, int, Logger&);
   // S r^1.5 of one direction: `first_kernel` is that of its node 0.

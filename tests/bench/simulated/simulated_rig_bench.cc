@@ -36,7 +36,7 @@ CapturedFrame Shoot(SimulatedRig& rig, const Pattern& pattern) {
   while ((*rig.lines().WaitSync({})).has_value()) {
   }
   (void)rig.lines().TriggerCamera().ok();
-  return std::move(**rig.camera().Wait(std::chrono::milliseconds(1)));
+  return std::move(**rig.camera().Wait(std::chrono::seconds(60)));
 }
 
 std::unique_ptr<SimulatedRig> Make(const Case& c) {

@@ -35,6 +35,7 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(std::pair("capture", "--simulate"), std::pair("capture --simulate=moon", "head, plane, sphere"),
                       std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
                       std::pair("capture --simulate --size 695x520", "camera width = 695"),
+                      std::pair("capture --simulate=white --size 158x120", "a camera of 158x120 px: too few"),
                       std::pair("capture --simulate --kind party", "party"),
                       std::pair("capture --simulate --exposure 0", "exposure_ms"),
                       std::pair("capture --simulate --pose 2", "--kind calibration"),

@@ -213,7 +213,9 @@ TEST_P(TroubledPipelineTest, NoFrameIsTakenForAnothers) {
   EXPECT_NE(report.FaultSummary(), "");
   ExpectEveryFrameShowsItsPattern();
   // A camera that exposes late exposes while the projector moves on.
-  if (static_cast<CameraTrouble>(trouble) != CameraTrouble::kLate) EXPECT_EQ(rig_.torn_exposures, 0);
+  if (static_cast<CameraTrouble>(trouble) != CameraTrouble::kLate) {
+    EXPECT_EQ(rig_.torn_exposures, 0);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, TroubledPipelineTest, ::testing::Combine(::testing::Bool(), ::testing::Range(0, 12)));

@@ -25,7 +25,7 @@ Result<Image<uint16_t>> Shoot(SimulatedRig& rig, const ProjectedLight* light, do
   }
   SLX_ASSIGN_OR_RETURN(const auto trigger, rig.lines().TriggerCamera());
   static_cast<void>(trigger);
-  SLX_ASSIGN_OR_RETURN(auto frame, rig.camera().Wait(std::chrono::milliseconds(100)));
+  SLX_ASSIGN_OR_RETURN(auto frame, rig.camera().Wait(std::chrono::seconds(60)));
   if (!frame) return Status::Failed("the simulated camera gave no frame");
   return std::move(frame->pixels);
 }

@@ -42,7 +42,7 @@ class SimulatedRigTest : public ::testing::Test {
     while ((*rig.lines().WaitSync({})).has_value()) {
     }
     EXPECT_TRUE(rig.lines().TriggerCamera().ok());
-    auto frame = rig.camera().Wait(std::chrono::milliseconds(100));
+    auto frame = rig.camera().Wait(std::chrono::seconds(60));
     EXPECT_TRUE(frame.ok() && frame->has_value());
     return std::move((*frame)->pixels);
   }
@@ -190,7 +190,7 @@ TEST_F(SimulatedRigTest, ProjectorsInTheDarkAddNothing) {
   const Image<uint16_t> black = Shoot(*rig, 0, {});
   for (LightSwitch* light : rig->switches()) light->Set(false);
   ASSERT_TRUE(rig->lines().TriggerCamera().ok());
-  const auto dark = rig->camera().Wait(std::chrono::milliseconds(100));
+  const auto dark = rig->camera().Wait(std::chrono::seconds(60));
   ASSERT_TRUE(dark.ok() && dark->has_value());
   // A projector's black still shines (0.2 %); off, there is the black level and the ambient light alone.
   double off = 0.0, shining = 0.0;

@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: Apache-2.0
+// One rig for many visitors: it begins at once, a stop ends its preparations, subjects change, memory does not grow.
+#include <chrono>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <malloc.h>
+#include <unistd.h>
+
+#include "firmware-host/simulated/simulated_rig.h"
+#include "firmware-host/simulated/skin/skin_table.h"
+
+namespace stratalux::rig {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
+
+SimulatedRigOptions Small(const std::string& scene) {
+  SimulatedRigOptions options;
+  options.scene = scene;
+  options.camera_width = 88;
+  options.camera_height = 66;
+  options.projector_width = 128;
+  options.projector_height = 96;
+  return options;
+}
+
+std::unique_ptr<SimulatedRig> Open(const SimulatedRigOptions& options, Logger& logger) {
+  auto rig = SimulatedRig::Create(options, logger);
+  EXPECT_TRUE(rig.ok()) << rig.status().message();
+  EXPECT_TRUE((*rig)->camera().Start().ok());
+  (*rig)->switches()[1]->Set(true);
+  return std::move(*rig);
+}
+
+Result<std::optional<CapturedFrame>> Shoot(SimulatedRig& rig, const Pattern& pattern) {
+  EXPECT_TRUE(rig.projectors()[1]->Load({pattern}).ok());
+  EXPECT_TRUE(rig.lines().TriggerProjector(1).ok());
+  while ((*rig.lines().WaitSync({})).has_value()) {
+  }
+  EXPECT_TRUE(rig.lines().TriggerCamera().ok());
+  return rig.camera().Wait(std::chrono::seconds(1));
+}
+
+std::vector<uint16_t> PixelsOf(SimulatedRig& rig, const Pattern& pattern) {
+  const auto frame = Shoot(rig, pattern);
+  EXPECT_TRUE(frame.ok() && frame->has_value());
+  return {(*frame)->pixels.pixels().begin(), (*frame)->pixels.pixels().end()};
+}
+
+class LongLivedRig : public ::testing::Test {
+ protected:
+  Logger logger_{LogLevel::kError};
+};
+
+// At the size of the real camera; its light takes minutes.
+TEST_F(LongLivedRig, AStopEndsThePreparationWithinASecond) {
+  SimulatedRigOptions options;
+  StopToken stop;
+  options.stop = &stop;
+  const auto rig = Open(options, logger_);
+  // In what the camera sees, in the projector's light, and after it began anew.
+  for (const auto after : {std::chrono::milliseconds(200), std::chrono::milliseconds(8000)}) {
+    Clock::time_point stopped;
+    std::thread operator_thread([&] {
+      std::this_thread::sleep_for(after);
+      stopped = Clock::now();
+      stop.Request(StopReason::kOperator);
+    });
+    const auto frame = Shoot(*rig, kWhite);
+    const auto ended = Clock::now();
+    operator_thread.join();
+    ASSERT_FALSE(frame.ok());
+    EXPECT_EQ(frame.status().message(), stop.Check().message());
+    EXPECT_LT(std::chrono::duration<double>(ended - stopped).count(), 1.0);
+    const auto truth = rig->Truth(*BuildPlan({}));
+    EXPECT_FALSE(truth.ok());
+    stop.Reset();
+  }
+}
+
+TEST_F(LongLivedRig, AStopSpoilsNothing) {
+  const SimulatedRigOptions options = Small("head");
+  const auto undisturbed = PixelsOf(*Open(options, logger_), kWhite);
+  SimulatedRigOptions stoppable = options;
+  StopToken stop;
+  stoppable.stop = &stop;
+  const auto rig = Open(stoppable, logger_);
+  stop.Request(StopReason::kVisitorLeft);
+  EXPECT_FALSE(Shoot(*rig, kWhite).ok());
+  stop.Reset();
+  const auto later = PixelsOf(*rig, kWhite);
+  int most = 0;  // another frame's noise
+  for (size_t i = 0; i < later.size(); ++i) most = std::max(most, std::abs(int(later[i]) - int(undisturbed[i])));
+  EXPECT_LT(most, 500);
+  SimulatedRigOptions silent = options, silent_stoppable = stoppable;
+  silent.noise = silent_stoppable.noise = false;
+  const auto quiet = Open(silent_stoppable, logger_);
+  stop.Request(StopReason::kVisitorLeft);
+  EXPECT_FALSE(Shoot(*quiet, kWhite).ok());
+  stop.Reset();
+  EXPECT_EQ(PixelsOf(*quiet, kWhite), PixelsOf(*Open(silent, logger_), kWhite));
+}
+
+TEST_F(LongLivedRig, ANewVisitorIsWhomANewRigWouldSee) {
+  SimulatedRigOptions options = Small("head");
+  options.noise = false;
+  options.seed = 1;
+  const auto rig = Open(options, logger_);
+  const auto calibration = rig->calibration().ToJson();
+  FrameSource* camera = &rig->camera();
+  PixelsOf(*rig, kWhite);
+  MonotonicNs before = rig->clock().Now();
+  for (const SubjectOptions& visitor : std::vector<SubjectOptions>{{.scene = "head", .seed = 2},
+                                                                   {.scene = "plane", .seed = 5},
+                                                                   {.scene = "slab"},
+                                                                   {.scene = "head", .seed = 1}}) {
+    ASSERT_TRUE(rig->SetSubject(visitor).ok());
+    SimulatedRigOptions fresh = options;
+    fresh.scene = visitor.scene;
+    fresh.seed = visitor.seed;
+    EXPECT_EQ(PixelsOf(*rig, kWhite), PixelsOf(*Open(fresh, logger_), kWhite)) << visitor.scene << visitor.seed;
+    EXPECT_GT(rig->clock().Now(), before) << "its clock goes on";
+    before = rig->clock().Now();
+  }
+  EXPECT_EQ(&rig->camera(), camera);
+  EXPECT_EQ(rig->calibration().ToJson(), calibration);
+  const Status nobody = rig->SetSubject({.scene = "ghost"});
+  EXPECT_EQ(nobody.code(), StatusCode::kUsage);
+  EXPECT_TRUE(Shoot(*rig, kWhite).ok()) << "who sat there still sits";
+}
+
+TEST_F(LongLivedRig, AVisitorsFaultsOfPlaceAreOverWhenTheNextSits) {
+  SimulatedRigOptions options = Small("plane");
+  options.faults.script = {{FaultKind::kSubjectMoved, 1}};
+  const auto rig = Open(options, logger_);
+  PixelsOf(*rig, kWhite);
+  PixelsOf(*rig, kWhite);
+  EXPECT_GT(rig->ShownOf(1).push_mm.norm(), 1.0);
+  ASSERT_TRUE(rig->SetSubject({.scene = "plane"}).ok());
+  PixelsOf(*rig, kWhite);
+  EXPECT_EQ(rig->ShownOf(2).push_mm.norm(), 0.0);
+}
+
+TEST_F(LongLivedRig, TheOldestFramesTruthIsForgotten) {
+  SimulatedRigOptions options = Small("plane");
+  options.lens_covered = true;
+  const auto rig = Open(options, logger_);
+  for (int k = 0; k < 4200; ++k) ASSERT_TRUE(Shoot(*rig, kWhite).ok());
+  EXPECT_EQ(rig->ShownOf(0).exposure, -1);
+  EXPECT_EQ(rig->ShownOf(4200 - 4096).exposure, 4200 - 4096);
+  EXPECT_EQ(rig->ShownOf(4199).exposure, 4199);
+}
+
+TEST_F(LongLivedRig, AMissingSkinTableIsNamedWithAllPlaces) {
+  EXPECT_EQ(
+      SkinTable::DefaultPath(),
+      (std::filesystem::path(STRATALUX_BIN_DIR) / "../share/stratalux/skin_table.bin").lexically_normal().string())
+      << "beside the program, not in the sources";
+  setenv("STRATALUX_SKIN_TABLE", "/nowhere/mine.bin", 1);
+  const auto skin = SimulatedRig::Create(Small("head"), logger_), wax = SimulatedRig::Create(Small("slab"), logger_);
+  unsetenv("STRATALUX_SKIN_TABLE");
+  ASSERT_FALSE(skin.ok() || wax.ok());
+  EXPECT_EQ(skin.status().code(), StatusCode::kNotFound);
+  EXPECT_THAT(skin.status().message(), ::testing::HasSubstr("looked for /nowhere/mine.bin"));
+  EXPECT_THAT(wax.status().message(), ::testing::HasSubstr("looked for /nowhere/wax_table.bin"));
+  const auto places = SkinTable::DefaultPlaces(SkinTable::kSkinFile);
+  ASSERT_EQ(places.size(), 2U);
+  EXPECT_THAT(places[1], ::testing::EndsWith("/share/stratalux/skin_table.bin"));
+}
+
+int64_t ResidentBytes() {
+  malloc_trim(0);
+  std::ifstream in("/proc/self/statm");
+  int64_t size = 0, resident = 0;
+  in >> size >> resident;
+  return resident * ::sysconf(_SC_PAGESIZE);
+}
+
+// 200 captures of 500 frames, a visitor each.
+TEST_F(LongLivedRig, MemoryIsFlatOver200Captures) {
+  SimulatedRigOptions options = Small("plane");
+  options.scattering = false;
+  options.camera_width = 64;
+  options.camera_height = 48;
+  options.projector_width = 64;
+  options.projector_height = 48;
+  options.faults.rate = 0.02;
+  options.faults.kinds = {FaultKind::kFrameLost, FaultKind::kFrameDoubled, FaultKind::kEdgeDoubled};
+  const auto rig = Open(options, logger_);
+  int64_t early = 0;
+  for (int capture = 0; capture < 200; ++capture) {
+    ASSERT_TRUE(rig->SetSubject({.scene = "plane", .seed = static_cast<uint64_t>(capture)}).ok());
+    for (int k = 0; k < 500; ++k) {
+      const Pattern comb = {.kind = PatternKind::kComb, .period = 32, .width = 2, .shift = k % 16 * 2};
+      ASSERT_TRUE(Shoot(*rig, comb).ok());
+      while ((*rig->camera().Wait({})).has_value()) {
+      }
+    }
+    if (capture == 9) early = ResidentBytes();
+  }
+  const int64_t late = ResidentBytes();
+  EXPECT_LT(static_cast<double>(late), 1.05 * static_cast<double>(early)) << early << " bytes after 10 captures";
+}
+
+}  // namespace
+}  // namespace stratalux::rig
