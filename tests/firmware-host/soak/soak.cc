@@ -15,13 +15,16 @@ namespace stratalux::rig {
 namespace {
 
 // The last frame of each step that did not fail its check: what the store's readers take for the step's frame.
+// With what it really shows: the simulation does not keep that for long.
 struct LastFrames : FrameSink {
+  explicit LastFrames(const SimulatedRig& simulation) : rig(simulation) {}
   Status Put(FrameRecord record, Image<uint16_t>) override {
     ++shots;
-    if (record.level_check != LevelCheck::kFailed) of_step[record.step] = record;
+    if (record.level_check != LevelCheck::kFailed) of_step[record.step] = rig.ShownOf(record.driver_sequence);
     return Status::Ok();
   }
-  std::map<int, FrameRecord> of_step;
+  const SimulatedRig& rig;
+  std::map<int, ShownFrame> of_step;
   int shots = 0;
 };
 
@@ -40,14 +43,12 @@ bool Shows(const ShownFrame& shown, const PlanStep& step) {
   return true;
 }
 
-void HoldAgainstTruth(const SimulatedRig& rig, const CapturePlan& plan, const LastFrames& frames,
-                      SoakCapture& capture) {
+void HoldAgainstTruth(const CapturePlan& plan, const LastFrames& frames, SoakCapture& capture) {
   if (capture.report.status == SessionStatus::kFailed) return;
   const std::set<int> missing(capture.report.missing_steps.begin(), capture.report.missing_steps.end());
   std::map<int, ShownFrame> white;  // of each projector
-  for (const auto& [step, record] : frames.of_step) {
+  for (const auto& [step, shown] : frames.of_step) {
     const PlanStep& planned = plan.steps[step];
-    const ShownFrame shown = rig.ShownOf(record.driver_sequence);
     if (!missing.contains(step) && !Shows(shown, planned)) capture.mis_associated.push_back(step);
     capture.spoilt_most = std::max(capture.spoilt_most, missing.contains(step) ? 0.0 : shown.spoilt);
     if (planned.phase == CapturePhase::kReference && planned.pattern.kind == PatternKind::kWhite)
@@ -83,6 +84,8 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   rig_options.projector_width = options.plan.projector_width;
   rig_options.projector_height = options.plan.projector_height;
   rig_options.free_running = options.plan.sync_mode == SyncMode::kFreeRunning;
+  rig_options.devices.timing.overlapped_readout = options.overlapped;
+  rig_options.devices.timing.min_frame_period_ms = options.overlapped ? 16.6 : 0.0;
   rig_options.seed = options.seed;
   rig_options.faults = options.faults;
   const auto rig = SimulatedRig::Create(rig_options, logger);
@@ -90,12 +93,16 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   const auto plan = BuildPlan(options.plan);
   EXPECT_TRUE(plan.ok()) << plan.status().message();
   SequencerOptions sequencer;
+  if (options.overlapped) {
+    sequencer.shooter.camera.read_out = ReadOut::kOverlapped;
+    sequencer.shooter.camera.min_frame_period = std::chrono::microseconds(16'700);
+  }
   sequencer.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
   StopToken stop;
   const auto light = GuardLight(**rig, stop);
   EXPECT_TRUE(light.ok()) << light.status().message();
   SoakCapture capture;
-  LastFrames frames;
+  LastFrames frames(**rig);
   const auto report = Sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, sequencer, logger)
                           .Run(*plan, frames);
   EXPECT_TRUE(report.ok()) << report.status().message();
@@ -103,7 +110,7 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   capture.report = *report;
   capture.injected = (*rig)->injected();
   capture.shots = frames.shots;
-  HoldAgainstTruth(**rig, *plan, frames, capture);
+  HoldAgainstTruth(*plan, frames, capture);
   return capture;
 }
 

@@ -14,10 +14,13 @@ namespace {
 
 using ::testing::HasSubstr;
 
-SoakOptions With(SyncMode mode, const FaultOptions& faults = {}) {
+enum class Pace { kSerial, kOverlapped, kFreeRunning };
+
+SoakOptions With(Pace pace, const FaultOptions& faults = {}) {
   SoakOptions options;
   options.plan = SmallPlan();
-  options.plan.sync_mode = mode;
+  options.plan.sync_mode = pace == Pace::kFreeRunning ? SyncMode::kFreeRunning : SyncMode::kTriggered;
+  options.overlapped = pace == Pace::kOverlapped;
   options.faults = faults;
   return options;
 }
@@ -28,7 +31,7 @@ std::string Reasons(const SoakCapture& capture) {
   return text;
 }
 
-class Soak : public ::testing::TestWithParam<SyncMode> {};
+class Soak : public ::testing::TestWithParam<Pace> {};
 
 TEST_P(Soak, ACleanCaptureIsCompleteAndRepeatable) {
   const SoakCapture once = CaptureOnce(With(GetParam())), again = CaptureOnce(With(GetParam()));
@@ -87,14 +90,16 @@ TEST_P(Soak, SomeThousandFramesOfRandomFaults) {
     const SoakCapture capture = CaptureOnce(options);
     table.Add(capture);
     EXPECT_TRUE(capture.mis_associated.empty())
-        << "fault seed " << 77 + n << ", first step " << capture.mis_associated.front();
+        << "fault seed " << 77 + n << ", first step " << capture.mis_associated.front() << ", session "
+        << ToString(capture.report.status);
   }
   EXPECT_GE(table.complete(), table.captures() * 3 / 4);
 }
 
-INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(SyncMode::kTriggered, SyncMode::kFreeRunning),
-                         [](const auto& mode) {
-                           return mode.param == SyncMode::kTriggered ? "Triggered" : "FreeRunning";
+INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(Pace::kSerial, Pace::kOverlapped, Pace::kFreeRunning),
+                         [](const auto& pace) {
+                           constexpr const char* kNames[] = {"Serial", "Overlapped", "FreeRunning"};
+                           return kNames[static_cast<int>(pace.param)];
                          });
 
 TEST(SoakBrackets, TheyCarryTheirExposure) {
