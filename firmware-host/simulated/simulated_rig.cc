@@ -22,7 +22,7 @@ constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultDrift = 0
 
 std::chrono::nanoseconds FromMs(double ms) { return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6)); }
 
-constexpr size_t kFramesRemembered = 4096, kFaultsRemembered = 65536;
+constexpr size_t kFramesRemembered = 65536, kFaultsRemembered = 65536;
 
 struct ProjectorState {
   std::vector<Pattern> memory;  // from what was loaded on
@@ -119,6 +119,7 @@ class Devices final : public SimulatedRig,
   Status Start() override {
     const Turn turn(*this);
     started_ = true;
+    shown_.clear();  // of the capture before
     next_frame_ = clock_;
     free_from_ = clock_;
     last_start_.reset();
@@ -359,6 +360,8 @@ PendingFrame Devices::ExtraFrame(const PendingFrame& frame) {
   extra.number = frame_number_++;
   extra.light.number = extra.number;
   extra.time = frame.ready;
+  // A stream's frame was exposed when it says so: whoever goes by its time may take it.
+  if (options_.free_running) extra.light.start = extra.time;
   extra.picture = Picture::kSound;
   extra.device_error = false;
   return extra;

@@ -100,7 +100,7 @@ class SimulatedRig {
   [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
   // Camera triggers that came too early and that the camera passed over.
   [[nodiscard]] virtual int64_t ignored_triggers() const = 0;
-  // What the frame of this driver number shows; of the newest 4,096 that were delivered.
+  // What the frame of this driver number shows; of those delivered since the camera was started.
   [[nodiscard]] virtual ShownFrame ShownOf(int64_t sequence) const = 0;
   // Truth maps at quad resolution (width/2 x height/2), for a plan's comb frame k = 0, white and spot frames.
   virtual Result<std::vector<TruthMap>> Truth(const CapturePlan& plan) = 0;

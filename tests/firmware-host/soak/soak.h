@@ -16,7 +16,8 @@ struct SoakOptions {
   std::string scene = "head";
   bool scattering = false;  // opaque skin is quick
   int camera_width = 64, camera_height = 48;
-  PlanOptions plan;  // SmallPlan()
+  bool overlapped = false;  // the camera exposes while it reads out
+  PlanOptions plan;         // SmallPlan()
   uint64_t seed = 1;
   FaultOptions faults;
 };

@@ -31,6 +31,7 @@ int Main(int argc, char** argv) {
   app.add_option("--height", base.camera_height)->capture_default_str();
   app.add_option("--brackets", base.plan.brackets);
   app.add_flag("--free-running", free_running);
+  app.add_flag("--overlapped", base.overlapped, "the camera exposes while it reads out");
   app.add_flag("--clean", clean, "no faults");
   app.add_flag("--verbose", verbose, "each capture that went wrong");
   CLI11_PARSE(app, argc, argv);

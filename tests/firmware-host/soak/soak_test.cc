@@ -103,7 +103,7 @@ INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(Pace::kSerial, Pace::kOv
                          });
 
 TEST(SoakBrackets, TheyCarryTheirExposure) {
-  SoakOptions options = With(SyncMode::kTriggered);
+  SoakOptions options = With(Pace::kSerial);
   options.plan.brackets = {1.0, 0.4};
   // Among the combs, where the exposure changes from frame to frame: the frame is as bright as the one before.
   for (const int64_t place : {44, 45, 50, 51}) {
@@ -117,7 +117,7 @@ TEST(SoakBrackets, TheyCarryTheirExposure) {
 
 TEST(SoakBrackets, OfEveryPhaseCompleteUndisturbed) {
   // Black is darker in a short exposure and brighter in a long one; that is no fault.
-  SoakOptions options = With(SyncMode::kTriggered);
+  SoakOptions options = With(Pace::kSerial);
   options.faults = {};
   options.plan.brackets = {1.0, 2.0, 0.25};
   options.plan.reference_brackets = {1.0, 2.0};
