@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// Lines, projectors and the clock.
+#include "firmware-host/simulated/simulated_devices.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "shared/base/random.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr size_t kTimeline = 4;  // pictures of a projector that one exposure may see
+constexpr size_t kFaultsRemembered = 65536;
+
+}  // namespace
+
+void SimulatedDevices::Show(size_t projector, MonotonicNs since) {
+  ProjectorState& state = states_[projector];
+  std::optional<Pattern> picture;
+  if (state.enabled) picture = state.shown >= 0 ? state.memory[state.shown] : Pattern{};
+  state.timeline.push_back({picture, since});
+  if (state.timeline.size() > kTimeline) state.timeline.erase(state.timeline.begin());
+  if (options_.free_running) return;  // its frames are exposed when they are asked for
+  // Exposures under way see it, too. A rolling shutter's last row ends later.
+  const CameraElectronics& camera = options_.devices.camera;
+  const double rows_ms =
+      camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us * calibration().camera.model.height : 0.0;
+  auto add_to = [&](PendingFrame& frame) {
+    if (since < frame.light.start + FromMs(frame.light.exposure_ms + rows_ms))
+      frame.light.timeline[projector].push_back({picture, since});
+  };
+  for (PendingFrame& frame : pending_) add_to(frame);
+  if (last_) add_to(*last_);
+}
+
+void SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& sequence) {
+  ProjectorState& state = states_[projector];
+  int64_t target = 0;
+  if (projector < options_.memories.size()) {
+    const std::vector<Pattern>& memory = options_.memories[projector];
+    // What is reloaded mostly runs to the end of the memory.
+    const auto found = std::find_end(memory.begin(), memory.end(), sequence.begin(), sequence.end());
+    if (found != memory.end()) target = found - memory.begin();
+  }
+  const int64_t next = state.at + state.shown + 1;
+  const RigTiming& timing = options_.devices.timing;
+  const bool behind = state.memory.empty() || target < next;
+  clock_ = clock_ + FromMs((behind ? timing.memory_reset_ms : 0.0) +
+                           static_cast<double>(target - (behind ? 0 : next)) * timing.memory_step_ms);
+  state.memory = sequence;
+  state.at = target;
+  state.shown = -1;
+  Show(projector, clock_);
+}
+
+std::chrono::nanoseconds SimulatedDevices::Jittered(double ms) {
+  const double jitter_us = options_.devices.timing.jitter_us;
+  if (jitter_us <= 0.0) return FromMs(ms);
+  Random random(options_.seed, (uint64_t{1} << 48) + static_cast<uint64_t>(jitters_++));
+  return FromMs(std::max(0.0, ms + 1e-3 * jitter_us * random.Normal()));
+}
+
+void SimulatedDevices::Log(const Fault& fault, int64_t number) {
+  if (injected_.size() == kFaultsRemembered) injected_.pop_front();
+  injected_.push_back({fault.kind, number, 1e-9 * static_cast<double>((clock_ - kClockStart).count())});
+}
+
+void SimulatedDevices::TakeSwitches() {
+  for (size_t p = 0; p < states_.size(); ++p) {
+    const bool on = switches_[p].on();
+    if (states_[p].enabled == on) continue;
+    states_[p].enabled = on;
+    Show(p, switches_[p].changed());
+  }
+}
+
+Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
+  const Turn turn(*this);
+  const TriggerReceipt receipt{triggers_++, clock_};
+  const int64_t pulse = pulses_++;
+  int edges = 1, advance = 1;
+  for (const Fault& fault : faults_.AtPulse(pulse)) {
+    Log(fault, pulse);
+    if (fault.kind == FaultKind::kLinesGone) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
+    if (fault.kind == FaultKind::kEdgeLost || fault.kind == FaultKind::kSyncStuck) edges = 0;
+    if (fault.kind == FaultKind::kEdgeDoubled) edges = 2;
+    if (fault.kind == FaultKind::kProjectorLag) advance = 0;
+    if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
+    if (fault.kind == FaultKind::kEmergencyStop) opened_.store(StopReason::kEmergencyStop);
+    if (fault.kind == FaultKind::kDoorOpen) opened_.store(StopReason::kDoorOpen);
+  }
+  for (size_t p = 0; p < states_.size(); ++p) {
+    if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
+    ProjectorState& s = states_[p];
+    s.shown = std::min(s.shown + advance, static_cast<int64_t>(s.memory.size()) - 1);
+    const MonotonicNs light = clock_ + Jittered(options_.devices.timing.sync_delay_ms);
+    Show(p, light);
+    for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
+    if (edges == 0) ++edge_number_;  // the kernel counted it
+  }
+  return receipt;
+}
+
+Result<std::optional<SyncEdge>> SimulatedDevices::WaitSync(std::chrono::nanoseconds timeout) {
+  const Turn turn(*this);
+  if (edges_.empty()) {
+    clock_ = clock_ + timeout;
+    return std::optional<SyncEdge>();
+  }
+  const SyncEdge edge = edges_.front();
+  edges_.pop_front();
+  if (clock_ < edge.time) clock_ = edge.time;
+  return std::optional(edge);
+}
+
+}  // namespace stratalux::rig
