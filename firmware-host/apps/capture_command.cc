@@ -67,8 +67,7 @@ SequencerOptions OptionsFor(const CaptureOptions& capture, const OpenedRig& rig)
   if (rig.simulation) {
     const RigTiming& timing = rig.simulation->timing();
     options.shooter.camera.read_out = timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial;
-    options.shooter.camera.min_frame_period =
-        FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms));
+    options.shooter.camera.min_frame_period = FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms));
     const CameraCalibration& camera = rig.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
     read_noise_dn = capture.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;

@@ -313,10 +313,11 @@ int RunSafe(const Flags& flags) {
   Status off;
   if (last.ok()) off = TakeLights(*last);
   if (!config.ok()) Report(config.status().WithContext("not looked at"));
-  if (last.status().code() == StatusCode::kFailed) Report(last.status().WithContext("not looked at"));
+  if (!last.ok() && last.status().code() != StatusCode::kNotFound) Report(last.status().WithContext("not looked at"));
   if (config.ok() && !(last.ok() && *last == LightsOf(*config))) {
     const Status wired = TakeLights(LightsOf(*config));
-    if (off.ok()) off = wired;
+    // A configuration without lights says nothing against those that were taken, nor the other way round.
+    if (off.ok() ? !(last.ok() && wired.code() == StatusCode::kUsage) : off.code() == StatusCode::kUsage) off = wired;
   }
   return off.ok() ? 0 : Report(off);
 }

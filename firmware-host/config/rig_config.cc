@@ -203,7 +203,7 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("max_retries", config.max_retries, 0, 10);
   capture.Get("queue_frames", config.queue_frames, 1, 4096);
   capture.Get("calibration", config.calibration);
-  capture.Get("realtime_priority", config.realtime_priority, 0, 99);
+  capture.Get("realtime_priority", config.realtime_priority, 0, kHighestCapturePriority);
   SLX_RETURN_IF_ERROR(ReadPlan(plan, config.plan));
   const Status devices = ReadDevices(root, config);
   SLX_RETURN_IF_ERROR(root.Finish());

@@ -18,6 +18,8 @@
 namespace stratalux::rig {
 
 inline constexpr double kLongestSettleMs = 10000.0;
+// The light's guard has 99 (light_guard.h).
+inline constexpr int kHighestCapturePriority = 98;
 
 // A duration of the file.
 [[nodiscard]] inline std::chrono::nanoseconds FromMilliseconds(double ms) {

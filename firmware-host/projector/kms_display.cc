@@ -257,6 +257,7 @@ class KmsDisplay final : public Display, private LightSwitch {
     on = crtc.mode_valid != 0 && crtc.fb_id != 0 && crtc.fb_id != black_->id();
     return 0;
   }
+  [[nodiscard]] bool may_wait() const noexcept override { return true; }
   [[nodiscard]] const char* name() const noexcept override { return name_.c_str(); }
 
   std::shared_ptr<Card> card_;

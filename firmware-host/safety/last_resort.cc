@@ -2,6 +2,7 @@
 #include "firmware-host/safety/last_resort.h"
 
 #include <array>
+#include <atomic>
 #include <csignal>
 #include <cstddef>
 
@@ -17,20 +18,23 @@ StopToken* process_stop = nullptr;  // set before the first handler
 // A handler of a stack overflow needs a stack of its own.
 alignas(std::max_align_t) std::array<char, 64 * 1024> handler_stack;
 
+std::atomic<bool> stop_told = false;
+
 void OnFatal(int signal) {
+  // Any thread may be told, and several at once: the handler stays until the light is off, whoever comes first.
   LightGuard::TakeAllForEver();
-  // SA_RESETHAND has put the default action back; it comes when the handler returns and unblocks the signal.
+  struct sigaction action {};
+  action.sa_handler = SIG_DFL;
+  sigemptyset(&action.sa_mask);
+  sigaction(signal, &action, nullptr);
+  // The default action comes when the handler returns and unblocks the signal.
   raise(signal);
 }
 
 void OnStop(int signal) {
+  // The second one is fatal.
+  if (stop_told.exchange(true)) return OnFatal(signal);
   process_stop->Request(StopReason::kOperator);
-  // The handler is gone for this one (SA_RESETHAND): the second is fatal.
-  struct sigaction action {};
-  action.sa_handler = OnFatal;
-  action.sa_flags = static_cast<int>(SA_RESETHAND);
-  sigemptyset(&action.sa_mask);
-  sigaction(signal, &action, nullptr);
 }
 
 void Install(int signal, void (*handler)(int), int flags) {
@@ -39,7 +43,7 @@ void Install(int signal, void (*handler)(int), int flags) {
   if (before.sa_handler == SIG_IGN) return;
   struct sigaction action {};
   action.sa_handler = handler;
-  action.sa_flags = static_cast<int>(SA_RESETHAND) | flags;
+  action.sa_flags = flags;
   sigemptyset(&action.sa_mask);
   sigaction(signal, &action, nullptr);
 }
@@ -53,9 +57,12 @@ StopToken& StopOfProcess() {
     const stack_t stack{.ss_sp = handler_stack.data(), .ss_flags = 0, .ss_size = handler_stack.size()};
     sigaltstack(&stack, nullptr);
     for (const int signal : {SIGINT, SIGTERM}) Install(signal, OnStop, 0);
-    for (const int signal : {SIGHUP, SIGQUIT, SIGPIPE, SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS, SIGXCPU,
-                             SIGXFSZ, SIGALRM, SIGUSR1, SIGUSR2})
+    // Whatever would end or freeze the process; a stop by Ctrl-Z ends it, too: frozen, nobody would watch the light.
+    for (const int signal :
+         {SIGHUP,  SIGQUIT, SIGPIPE, SIGSEGV,   SIGBUS,  SIGFPE, SIGILL, SIGABRT, SIGSYS,  SIGTRAP,
+          SIGXCPU, SIGXFSZ, SIGALRM, SIGVTALRM, SIGPROF, SIGIO,  SIGPWR, SIGUSR1, SIGUSR2, SIGSTKFLT})
       Install(signal, OnFatal, SA_ONSTACK);
+    for (const int signal : {SIGTSTP, SIGTTIN, SIGTTOU}) Install(signal, OnStop, 0);
     return true;
   }();
   static_cast<void>(installed);

@@ -31,7 +31,7 @@ constexpr int kTriesOfTheDying = 50;  // a millisecond apart
 // Above every thread that captures; without the right to, as any other.
 bool BecomeUrgent() noexcept {
   rlimit limit{};
-  int priority = sched_get_priority_max(SCHED_FIFO);
+  int priority = sched_get_priority_max(SCHED_FIFO);  // captures stay below: rig_config.h
   sched_param parameters{.sched_priority = priority};
   if (pthread_setschedparam(pthread_self(), SCHED_FIFO, &parameters) == 0) return true;
   if (getrlimit(RLIMIT_RTPRIO, &limit) != 0 || limit.rlim_cur < 1) return false;
@@ -73,6 +73,9 @@ Result<std::unique_ptr<LightGuard>> LightGuard::Start(std::vector<std::vector<Li
 }
 
 LightGuard::~LightGuard() {
+  // Dark first, whatever the thread is at.
+  for (int p = 0; p < count_; ++p) lights_[p].until_ns.store(0);
+  Enforce();
   ending_.store(true);
   const uint64_t one = 1;
   if (thread_.joinable()) {
@@ -80,7 +83,6 @@ LightGuard::~LightGuard() {
     thread_.join();
   }
   const auto end = std::chrono::steady_clock::now() + kLastTries;
-  for (int p = 0; p < count_; ++p) lights_[p].until_ns.store(0);
   while (!Enforce() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(options_.watch_period);
   for (std::atomic<LightGuard*>& place : guards) {
     LightGuard* self = this;
@@ -111,10 +113,11 @@ void LightGuard::Look() noexcept {
   }
 }
 
-bool LightGuard::Darken(Light& light) noexcept {
+bool LightGuard::Darken(Light& light, bool waiting) noexcept {
   bool dark = true;
   for (int i = 0; i < light.count; ++i) {
     LightSwitch& one = *light.switches[i];
+    if (one.may_wait() != waiting) continue;
     bool on = true;
     int error = one.Read(on);
     if (error != 0 || on || !light.confirmed.load()) {
@@ -128,18 +131,26 @@ bool LightGuard::Darken(Light& light) noexcept {
     light.error.store(error);
     light.failed.store(&one);
   }
-  light.confirmed.store(dark);
   return dark;
 }
 
 bool LightGuard::Enforce() noexcept {
   const bool stopped = stop_.stopped() || dying.load();
+  std::array<bool, kMaxProjectors> dark{};
+  for (int p = 0; p < count_; ++p) {
+    if (stopped) lights_[p].until_ns.store(0);
+    dark[p] = lights_[p].until_ns.load() == 0;
+  }
   bool all = true;
+  // What answers at once comes first, of all projectors.
+  for (int p = 0; p < count_; ++p)
+    if (dark[p]) dark[p] = Darken(lights_[p], false);
   for (int p = 0; p < count_; ++p) {
     Light& light = lights_[p];
-    if (stopped) light.until_ns.store(0);
     if (light.until_ns.load() == 0) {
-      if (!Darken(light)) all = false;
+      const bool rest = Darken(light, true);
+      light.confirmed.store(dark[p] && rest);
+      all = all && dark[p] && rest;
       continue;
     }
     bool on = true;
@@ -216,16 +227,20 @@ Status LightGuard::Off(int projector) {
   Light& light = lights_[projector];
   light.until_ns.store(0);
   light.confirmed.store(false);
-  return Darken(light) ? Status::Ok() : MayBeLit(projector);
+  const bool at_once = Darken(light, false), rest = Darken(light, true);
+  light.confirmed.store(at_once && rest);
+  return at_once && rest ? Status::Ok() : MayBeLit(projector);
 }
 
 Status LightGuard::AllOff() {
-  Status first;
   for (int p = 0; p < count_; ++p) {
-    const Status off = Off(p);
-    if (first.ok()) first = off;
+    lights_[p].until_ns.store(0);
+    lights_[p].confirmed.store(false);
   }
-  return first;
+  if (Enforce()) return Status::Ok();
+  for (int p = 0; p < count_; ++p)
+    if (!lights_[p].confirmed.load()) return MayBeLit(p);
+  return Status::Ok();
 }
 
 Status LightGuard::Check() {

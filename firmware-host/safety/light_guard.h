@@ -99,8 +99,9 @@ class LightGuard {
   void TakeForEver() noexcept;
   // Takes what the interlock and the leases say to the token.
   void Look() noexcept;
-  // Writes the projector's switches off and reads them back; true when all say dark.
-  bool Darken(Light& light) noexcept;
+  // Writes those of the projector's switches off that may wait, or the others, and reads them back; true when all of
+  // these say dark.
+  bool Darken(Light& light, bool waiting) noexcept;
   // Darkens whatever must be dark; true: all of that says so. A light whose switch cannot be read stops the work.
   bool Enforce() noexcept;
   // How long nothing but an event needs looking at.

@@ -17,6 +17,8 @@ class LightSwitch {
   virtual int Set(bool on) noexcept = 0;
   // 0 or errno; what the hardware says, not what was last written.
   virtual int Read(bool& on) noexcept = 0;
+  // A call may wait in the kernel, as for a display's refresh: all others are served first.
+  [[nodiscard]] virtual bool may_wait() const noexcept { return false; }
   // For messages: "ENABLE0 (/dev/gpiochip0:4)".
   [[nodiscard]] virtual const char* name() const noexcept = 0;
 };

@@ -74,6 +74,9 @@ void StopToken::Reset() noexcept {
   // EAGAIN: it was not stopped.
   while (read(event_.get(), &count, sizeof count) < 0 && errno == EINTR) {
   }
+  // Requested anew meanwhile: the event that was read may have been that one's.
+  const uint64_t one = 1;
+  if (stopped()) static_cast<void>(!write(event_.get(), &one, sizeof one));
 }
 
 }  // namespace stratalux::rig

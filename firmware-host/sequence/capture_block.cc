@@ -23,6 +23,7 @@ Status CaptureRun::ShootBlock(const std::vector<int>& block) {
     if (!exposed_) AskWitness(block.back());
     const int next = NextStep();
     if (exposed_ && (next == kNoStep || next != memory_at_ || !MayOverlap(next))) {
+      SLX_RETURN_IF_ERROR(BeginStep());
       SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
       SLX_RETURN_IF_ERROR(CollectExposed());
       SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
@@ -53,8 +54,11 @@ void CaptureRun::AskWitness(int last_of_block) {
   // What follows in the memory is shot anyway, here or in the next block.
   if (next == kNoStep || next > last_of_block || pending_.contains(next)) return;
   last_verdict_ = LevelCheck::kPassed;  // asked once
+  if (!witness_.CanSpeak(plan_.steps[*last_kept_]) || !witness_.CanSpeak(plan_.steps[next])) return;
   if (!RetriesLeft(next) || given_up_.contains(next)) return;
   const auto cause = retake_cause_.find(*last_kept_);
+  const auto proven = proven_.find(next);
+  if (proven != proven_.end()) asked_[next] = proven->second;
   Retake(next, cause == retake_cause_.end() ? ShotFault::kWrongLevel : cause->second);
 }
 
@@ -68,7 +72,7 @@ Status CaptureRun::ShootNext(int step) {
   if (exposed_) SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
   SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
   if (fault != ShotFault::kNone) return SpoilLast(fault);
-  SLX_ASSIGN_OR_RETURN(std::optional<Exposure> shown, shooter_.Show(plan_.steps[step], retries_[step]));
+  SLX_ASSIGN_OR_RETURN(std::optional<StepExposure> shown, shooter_.Show(plan_.steps[step], retries_[step]));
   const bool serial = options_.shooter.camera.read_out == ReadOut::kSerial;
   if (exposed_ && (serial || !shown)) SLX_RETURN_IF_ERROR(CollectExposed());
   if (!shown) return Spoil(step, ShotFault::kMissingSync);
@@ -84,7 +88,7 @@ Status CaptureRun::ShootNext(int step) {
   return Status::Ok();
 }
 
-Status CaptureRun::Abandon(const Exposure& exposure) {
+Status CaptureRun::Abandon(const StepExposure& exposure) {
   SLX_RETURN_IF_ERROR(BeginStep());
   ++spoilt_triggers_;
   SLX_RETURN_IF_ERROR(shooter_.Collect(exposure).status());
@@ -92,7 +96,7 @@ Status CaptureRun::Abandon(const Exposure& exposure) {
 }
 
 Status CaptureRun::CollectExposed() {
-  const Exposure exposure = *std::exchange(exposed_, std::nullopt);
+  const StepExposure exposure = *std::exchange(exposed_, std::nullopt);
   SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Collect(exposure));
   if (shooter_.IsLast(exposure)) {
     SLX_ASSIGN_OR_RETURN(const ShotFault unasked, shooter_.DrainFrames());
@@ -110,13 +114,28 @@ Status CaptureRun::Keep(Shot shot) {
     shot.record.retake_cause = ToString(cause->second);
   useless_shots_ = 0;
   last_kept_ = step.index;
-  last_verdict_ = LevelCheck::kNotChecked;
   pending_.erase(step.index);
+  given_up_.erase(step.index);
+  asked_.erase(step.index);
   witness_.Add(step, shot.pixels, shot.record.mean_dn);
   const std::vector<int> group = PatternWitness::GroupOf(plan_, step.index);
-  held_[group.front()].push_back(std::move(shot));
+  std::vector<Shot>& held = held_[group.front()];
+  // Nobody looks at a frame whose step was shot again before its group was whole.
+  const auto older = std::find_if(held.begin(), held.end(), [&](const Shot& s) { return s.record.step == step.index; });
+  if (older != held.end()) {
+    SLX_RETURN_IF_ERROR(Emit(std::move(*older)));
+    held.erase(older);
+  }
+  held.push_back(std::move(shot));
   Advance(step.index);
+  last_verdict_ = LevelCheck::kPassed;  // nothing to ask for before the group is whole
   return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
+}
+
+Status CaptureRun::EmitHeld() {
+  for (auto& [group, shots] : std::exchange(held_, {}))
+    for (Shot& shot : shots) SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
+  return Status::Ok();
 }
 
 bool CaptureRun::AnyPending(const std::vector<int>& group) const {
@@ -165,14 +184,15 @@ bool CaptureRun::RetakeReference(const std::vector<int>& refuted) {
 
 Status CaptureRun::SpoilLast(ShotFault fault) {
   if (exposed_) {
-    const Exposure exposure = *std::exchange(exposed_, std::nullopt);
+    const StepExposure exposure = *std::exchange(exposed_, std::nullopt);
     SLX_RETURN_IF_ERROR(Abandon(exposure));
     return Spoil(exposure.step->index, fault);
   }
   memory_at_.reset();
   if (!last_kept_) {  // left over from before this projector's first shot: nothing of it is spoilt
     report_.Note(fault);
-    return Status::Ok();
+    logger_.Warning(std::string(ToString(fault)) + " before the first shot; the memory is loaded anew");
+    return CountUseless();
   }
   const int step = *std::exchange(last_kept_, std::nullopt);
   std::vector<Shot>& held = held_[PatternWitness::GroupOf(plan_, step).front()];
@@ -184,9 +204,14 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   report_.Note(fault);
   proven_.erase(step);
   if (PutsOutOfStep(fault) || plan_.steps[step].phase == CapturePhase::kReference) memory_at_.reset();
-  if (++useless_shots_ >= options_.max_useless_shots)
-    return Status::Failed(std::to_string(useless_shots_) + " shots in a row without a usable frame (" +
-                          report_.FaultSummary() + "); check the camera's and projectors' cables and power");
+  SLX_RETURN_IF_ERROR(CountUseless());
+  if (const auto asked = asked_.find(step); asked != asked_.end()) {
+    // It was only to speak for the frame before it, and has a frame of its own.
+    proven_[step] = asked->second;
+    asked_.erase(asked);
+    pending_.erase(step);
+    return Status::Ok();
+  }
   if (RetriesLeft(step)) {
     Retake(step, fault);
     logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
@@ -199,6 +224,12 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   Advance(step);
   const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
   return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
+}
+
+Status CaptureRun::CountUseless() {
+  if (++useless_shots_ < options_.max_useless_shots) return Status::Ok();
+  return Status::Failed(std::to_string(useless_shots_) + " shots in a row without a usable frame (" +
+                        report_.FaultSummary() + "); check the camera's and projectors' cables and power");
 }
 
 void CaptureRun::Retake(int step, ShotFault cause) {

@@ -21,6 +21,8 @@ class CaptureRun {
 
   // The whole capture; an error is why it failed. The report is valid in either case.
   Status Run();
+  // Hands on, not checked, what still waited for others of its group when the capture broke off.
+  Status EmitHeld();
   // Sets the final status and reasons; `ended` is what Run returned.
   CaptureReport Conclude(const Status& ended);
 
@@ -44,7 +46,7 @@ class CaptureRun {
   [[nodiscard]] bool MayOverlap(int step) const;
   Status CollectExposed();
   // Its frame, unlooked at.
-  Status Abandon(const Exposure& exposure);
+  Status Abandon(const StepExposure& exposure);
   Status Keep(Shot shot);
   Status JudgeGroup(const std::vector<int>& group);
   // What is refuted before anything was confirmed speaks against the reference.
@@ -53,6 +55,8 @@ class CaptureRun {
   Status SpoilLast(ShotFault fault);
   // A shot that does not count: its step is shot again, or given up once it has had its retries.
   Status Spoil(int step, ShotFault fault);
+  // Of shots without a usable frame, in a row: an error where the rig gives nothing any more.
+  Status CountUseless();
   void Retake(int step, ShotFault cause);
   // Of the doubtful steps, those that may be shot again; the others fail.
   void RetakeDoubtful(const std::vector<int>& doubtful);
@@ -88,11 +92,12 @@ class CaptureRun {
   Shooter shooter_;
   PatternWitness witness_;
   CaptureReport report_;
-  std::set<int> pending_;            // steps of the block that are still to be shot
-  std::set<int> given_up_;           // steps that had their retries without a usable frame
-  std::optional<Exposure> exposed_;  // the last step, until its frame is here
-  std::optional<int> memory_at_;     // the step that the projector's next pulse shows; nullopt: not known
-  std::optional<int> last_kept_;     // step of the last good frame of the projector
+  std::set<int> pending_;                // steps of the block that are still to be shot
+  std::map<int, FrameRecord> asked_;     // steps that only speak for the one before: the proof they have
+  std::set<int> given_up_;               // steps that had their retries without a usable frame
+  std::optional<StepExposure> exposed_;  // the last step, until its frame is here
+  std::optional<int> memory_at_;         // the step that the projector's next pulse shows; nullopt: not known
+  std::optional<int> last_kept_;         // step of the last good frame of the projector
   LevelCheck last_verdict_ = LevelCheck::kNotChecked;
   std::map<int, std::vector<Shot>> held_;  // shots of groups that are not whole yet, by the group's first step
   std::map<int, int> retries_;             // by step

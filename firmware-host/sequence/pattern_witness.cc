@@ -175,11 +175,16 @@ std::vector<int> PatternWitness::TakeDoubtful() {
   return steps;
 }
 
-PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<const int> group) {
+bool PatternWitness::CanSpeak(const PlanStep& step) const {
   // Brackets of other phases than the sweep have no white of their exposure to be held against.
-  if (step.bracket > 0 && step.phase != CapturePhase::kSweep) return Testimony::kSilent;
+  if (step.bracket > 0 && step.phase != CapturePhase::kSweep) return false;
+  if (step.phase == CapturePhase::kPreroll || step.phase == CapturePhase::kRadiometry) return false;
+  return step.phase == CapturePhase::kReference || !lit_.empty();
+}
+
+PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<const int> group) {
+  if (!CanSpeak(step)) return Testimony::kSilent;
   if (step.phase == CapturePhase::kReference) return group.size() < 2 ? Testimony::kSilent : JudgeReference();
-  if (lit_.empty()) return Testimony::kSilent;
   for (int member : group)
     if (!WithinReference(plan_.steps[member])) return Testimony::kRefutes;
   switch (step.phase) {

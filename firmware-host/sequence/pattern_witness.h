@@ -65,6 +65,9 @@ class PatternWitness {
   void Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn);
   // Checks the group that ends with this step (GroupOf). kNotChecked where the plan or the scene offers no check.
   [[nodiscard]] LevelCheck Check(const PlanStep& step);
+  // False where no check says anything of the step's frame, whatever it shows: further exposures of phases but the
+  // sweep, phases without patterns, and all while the reference lights nothing.
+  [[nodiscard]] bool CanSpeak(const PlanStep& step) const;
   // Nothing but the reference has been confirmed yet: when frames contradict it, it may be the reference that is wrong.
   [[nodiscard]] bool ReferenceStandsAlone() const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for. Empties the list.

@@ -24,7 +24,8 @@ Result<std::unique_ptr<RealtimeThread>> RealtimeThread::Enter(int priority) {
     const std::string cause = std::strerror(errno);
     munlockall();
     return Status::Failed("real time: SCHED_FIFO of priority " + std::to_string(priority) + ": " + cause +
-                          "; set LimitRTPRIO=" + std::to_string(priority) + " in the service (or `ulimit -r`)");
+                          "; set LimitRTPRIO=" + std::to_string(priority + 1) +
+                          " or more in the service (or `ulimit -r`): the light's guard must stand above");
   }
   return std::unique_ptr<RealtimeThread>(new RealtimeThread);
 }

@@ -226,10 +226,11 @@ class RigCheck {
   // Does the light of `projector` answer to another one's TRIGGER?
   Status ExplainDarkness(int projector, const std::string& name, const std::string& found) {
     const Pattern black, white = {.kind = PatternKind::kWhite};
-    SLX_RETURN_IF_ERROR(Light(projector));
     for (int other = 0; other < Projectors(); ++other) {
       if (other == projector) continue;
+      SLX_RETURN_IF_ERROR(devices_.light.Off(projector));
       for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(p->Load({black, white}));
+      SLX_RETURN_IF_ERROR(Light(projector));
       SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(other));
       SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(other));
       if (lit - dark < options_.min_contrast_dn) continue;

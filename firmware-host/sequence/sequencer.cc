@@ -55,6 +55,8 @@ Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   // Lights first: nothing that follows may keep a lamp on a face.
   const Status off = devices_.light.AllOff();
   const Status stopped = devices_.camera.Stop().WithContext("camera");
+  // What the sink refuses now is lost to a capture that failed anyway.
+  static_cast<void>(run.EmitHeld().ok());
   if (ended.ok()) ended = off.ok() ? stopped : off;
   CaptureReport report = run.Conclude(ended);
   if (!off.ok() && off.message() != ended.message()) report.reasons.push_back(off.message());

@@ -52,7 +52,7 @@ Shooter::Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std:
 }
 
 Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
-  SLX_ASSIGN_OR_RETURN(std::optional<Exposure> exposure, Show(step, retry));
+  SLX_ASSIGN_OR_RETURN(std::optional<StepExposure> exposure, Show(step, retry));
   if (!exposure) {
     Shot shot;
     shot.fault = ShotFault::kMissingSync;
@@ -62,25 +62,25 @@ Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
   return Collect(*exposure);
 }
 
-Result<std::optional<Exposure>> Shooter::Show(const PlanStep& step, int retry) {
+Result<std::optional<StepExposure>> Shooter::Show(const PlanStep& step, int retry) {
   SLX_RETURN_IF_ERROR(safe_());
   if (step.exposure_ms != exposure_ms_) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
   }
   if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
-  Exposure exposure;
+  StepExposure exposure;
   exposure.step = &step;
   exposure.retry = retry;
   SLX_ASSIGN_OR_RETURN(exposure.pulse, devices_.lines.TriggerProjector(step.projector));
   last_pulse_ = exposure.pulse.time;
   SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, exposure.pulse));
-  if (!sync) return std::optional<Exposure>();
+  if (!sync) return std::optional<StepExposure>();
   exposure.sync = *sync;
   return std::optional(exposure);
 }
 
-Status Shooter::Expose(Exposure& exposure) {
+Status Shooter::Expose(StepExposure& exposure) {
   if (mode_ == SyncMode::kFreeRunning) {
     // Settling takes no wait of its own: the stream's frames tell when it is over.
     last_trigger_ = exposure.pulse.time;
@@ -96,7 +96,7 @@ Status Shooter::Expose(Exposure& exposure) {
   return Status::Ok();
 }
 
-Status Shooter::AwaitEnd(const Exposure& exposure) {
+Status Shooter::AwaitEnd(const StepExposure& exposure) {
   if (mode_ == SyncMode::kFreeRunning) return safe_();
   const MonotonicNs end = exposure.camera.time + FromMs(exposure.step->exposure_ms) + options_.camera.exposure_margin;
   return Pass(end - devices_.light.Now());
@@ -110,7 +110,7 @@ Status Shooter::Pass(nanoseconds time) {
   return safe_();
 }
 
-Result<Shot> Shooter::Collect(const Exposure& exposure) {
+Result<Shot> Shooter::Collect(const StepExposure& exposure) {
   SLX_ASSIGN_OR_RETURN(Shot shot,
                        mode_ == SyncMode::kTriggered ? CollectTriggered(exposure) : CollectFromStream(exposure));
   const PlanStep& step = *exposure.step;
@@ -125,7 +125,7 @@ Result<Shot> Shooter::Collect(const Exposure& exposure) {
   return shot;
 }
 
-Result<Shot> Shooter::CollectTriggered(const Exposure& exposure) {
+Result<Shot> Shooter::CollectTriggered(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const TriggerReceipt camera_pulse{exposure.number, exposure.camera.time};
   const MonotonicNs next_trigger = last_trigger_ > exposure.camera.time ? last_trigger_ : kNever;
@@ -152,7 +152,7 @@ Status Shooter::PassOverStream() {
   }
 }
 
-Result<Shot> Shooter::CollectFromStream(const Exposure& exposure) {
+Result<Shot> Shooter::CollectFromStream(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const MonotonicNs settled = exposure.sync + options_.settle;
   SLX_ASSIGN_OR_RETURN(

@@ -53,7 +53,7 @@ struct ShooterOptions {
 };
 
 // A step on show; once exposed, its frame is still to come.
-struct Exposure {
+struct StepExposure {
   const PlanStep* step = nullptr;
   int retry = 0;
   TriggerReceipt pulse;   // of the projector
@@ -81,15 +81,15 @@ class Shooter {
   Result<Shot> Take(const PlanStep& step, int retry);
   // Moves the projector on; nullopt: no SYNC edge. Another exposure time than the last step's is set here: nothing may
   // be exposed then. `step` outlives its exposure.
-  Result<std::optional<Exposure>> Show(const PlanStep& step, int retry);
+  Result<std::optional<StepExposure>> Show(const PlanStep& step, int retry);
   // Lets the light settle and triggers the camera, not before it can.
-  Status Expose(Exposure& exposure);
+  Status Expose(StepExposure& exposure);
   // Lets the exposure pass: now the projector may move on.
-  Status AwaitEnd(const Exposure& exposure);
+  Status AwaitEnd(const StepExposure& exposure);
   // The frame. One whose exposure had not ended when a projector moved on is kLateFrame.
-  Result<Shot> Collect(const Exposure& exposure);
+  Result<Shot> Collect(const StepExposure& exposure);
   // No exposure was begun after it.
-  [[nodiscard]] bool IsLast(const Exposure& exposure) const { return last_trigger_ <= exposure.camera.time; }
+  [[nodiscard]] bool IsLast(const StepExposure& exposure) const { return last_trigger_ <= exposure.camera.time; }
   // Read away what came unasked since the last shot, which it spoils: kExtraSync; kDoubledFrame or kOutOfOrder.
   Result<ShotFault> DrainEdges();
   Result<ShotFault> DrainFrames();
@@ -111,10 +111,10 @@ class Shooter {
   // kept for that exposure: this one's was lost.
   Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit, MonotonicNs next_trigger,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
-  Result<Shot> CollectTriggered(const Exposure& exposure);
+  Result<Shot> CollectTriggered(const StepExposure& exposure);
   // Reads away the frames of a stream that wait already: they are older than the shot.
   Status PassOverStream();
-  Result<Shot> CollectFromStream(const Exposure& exposure);
+  Result<Shot> CollectFromStream(const StepExposure& exposure);
   Status CheckFrame(const CapturedFrame& frame);
   // As the camera reports it.
   [[nodiscard]] bool HasExposure(const PlanStep& step, const CapturedFrame& frame) const;

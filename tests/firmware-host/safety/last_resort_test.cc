@@ -63,7 +63,7 @@ __attribute__((noinline)) int Overflow(int depth) {
 
 TEST(LastResort, EveryFatalSignalTakesTheLightAndKillsAsBefore) {
   for (const int signal : {SIGHUP, SIGQUIT, SIGPIPE, SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ,
-                           SIGALRM, SIGUSR1, SIGUSR2}) {
+                           SIGALRM, SIGUSR1, SIGUSR2, SIGTRAP, SIGVTALRM, SIGPROF, SIGIO, SIGPWR}) {
     EXPECT_EQ(EndOf([signal](GuardedGpio&) {
                 raise(signal);
                 pause();
@@ -104,6 +104,14 @@ TEST(LastResort, TheFirstInterruptStopsAndTheSecondKills) {
   }
 }
 
+TEST(LastResort, AProcessThatIsToBeFrozenIsStoppedFirst) {
+  EXPECT_EQ(EndOf([](GuardedGpio&) {
+              raise(SIGTSTP);
+              _exit(GuardedGpio::DarkWithin(20s) && StopOfProcess().stopped() ? 0 : 1);
+            }),
+            0);
+}
+
 // A blocked standard error must hold nobody up.
 TEST(LastResort, APipeThatNobodyReadsKeepsNoLightOn) {
   EXPECT_EQ(EndOf([](GuardedGpio&) {
@@ -132,6 +140,10 @@ TEST(LastResort, DeathsAtRandomMomentsLeaveNoLight) {
     const int after_us = static_cast<int>(random.Uniform(0.0, 3000.0));
     const int ended = EndOf(
         [](GuardedGpio& rig) {
+          // The second signal finds another thread, whose mask has no hole in it.
+          std::thread([] {
+            while (true) pause();
+          }).detach();
           for (int i = 0;; ++i) {
             static_cast<void>(rig.guard->On(i % 2, kLong));
             static_cast<void>(rig.bank->TriggerProjector(-1));
@@ -142,6 +154,7 @@ TEST(LastResort, DeathsAtRandomMomentsLeaveNoLight) {
         [&](pid_t child) {
           AwaitLight();
           usleep(static_cast<useconds_t>(after_us));
+          kill(child, signal);
           kill(child, signal);
         });
     ASSERT_EQ(ended, signal);

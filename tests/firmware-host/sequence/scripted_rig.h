@@ -66,6 +66,8 @@ class ScriptedRig {
   std::map<int64_t, std::map<int, Pattern>> shown;  // by driver number: what each lit projector showed
   bool camera_running = false;
 
+  // A SYNC edge that no pulse asked for.
+  void Ring(int projector) { edges_.push_back({projector, edge_sequence_++, now()}); }
   void Advance(std::chrono::nanoseconds time) { now_ = now() + time; }
   [[nodiscard]] int64_t PulsesOf(int projector) const { return memories_[projector].pulses; }
 

@@ -384,6 +384,40 @@ TEST_F(SequencerTest, ADeadCameraEndsTheCaptureSoon) {
   EXPECT_LE(rig_.camera_triggers, 40 + options_.max_useless_shots + 1);
 }
 
+TEST_F(SequencerTest, EdgesThatNeverEndEndTheCapture) {
+  // A line that chatters: an edge more after each loading.
+  rig_.on_load = [this] {
+    if (rig_.camera_triggers > 20) rig_.Ring(1);
+  };
+  rig_.projector_trouble[{0, 25}] = ProjectorTrouble::kIgnore;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("shots in a row"));
+  EXPECT_LE(rig_.loads, 40);
+}
+
+TEST_F(SequencerTest, WhatNeverSpeaksIsAskedForNothing) {
+  PlanOptions options = SmallPlan();
+  options.kind = SessionKind::kDark;
+  plan_ = *BuildPlan(options);
+  const int step = static_cast<int>(plan_.steps.size()) / 2;
+  rig_.camera_trouble[step] = CameraTrouble::kLose;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.captured, report.planned);
+  EXPECT_EQ(report.retried, 1);
+}
+
+TEST_F(SequencerTest, AFailedCaptureHandsOnWhatWaitedForItsGroup) {
+  // Of a pair the first is here when the lines go.
+  const int step = StepOf(0, CapturePhase::kCorrespondence, 2);
+  rig_.on_camera_trigger = [this, step](int64_t trigger) {
+    if (trigger == step + 1) rig_.interlock = StopReason::kLinesGone;
+  };
+  EXPECT_EQ(Run().status, SessionStatus::kFailed);
+  ASSERT_EQ(sink_.ShotsOf(step).size(), 1U);
+  EXPECT_EQ(sink_.ShotsOf(step)[0].level_check, LevelCheck::kNotChecked);
+}
+
 TEST_F(SequencerTest, AnUnknownClockIsRefused) {
   rig_.clock = ClockSource::kUnknown;
   const CaptureReport report = Run();

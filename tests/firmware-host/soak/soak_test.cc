@@ -96,11 +96,12 @@ TEST_P(Soak, SomeThousandFramesOfRandomFaults) {
   EXPECT_GE(table.complete(), table.captures() * 3 / 4);
 }
 
-INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(Pace::kSerial, Pace::kOverlapped, Pace::kFreeRunning),
-                         [](const auto& pace) {
-                           constexpr const char* kNames[] = {"Serial", "Overlapped", "FreeRunning"};
-                           return kNames[static_cast<int>(pace.param)];
-                         });
+std::string NameOf(const ::testing::TestParamInfo<Pace>& pace) {
+  if (pace.param == Pace::kFreeRunning) return "FreeRunning";
+  return pace.param == Pace::kOverlapped ? "Overlapped" : "Serial";
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, Soak, ::testing::Values(Pace::kSerial, Pace::kOverlapped, Pace::kFreeRunning), NameOf);
 
 TEST(SoakBrackets, TheyCarryTheirExposure) {
   SoakOptions options = With(Pace::kSerial);
