@@ -73,7 +73,8 @@ Status CaptureRun::ShootNext(int step) {
   SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
   if (fault != ShotFault::kNone) return SpoilLast(fault);
   SLX_ASSIGN_OR_RETURN(std::optional<StepExposure> shown, shooter_.Show(plan_.steps[step], retries_[step]));
-  const bool serial = options_.shooter.camera.read_out == ReadOut::kSerial;
+  // Two frames under way are told apart by their numbers.
+  const bool serial = options_.shooter.camera.read_out == ReadOut::kSerial || !shooter_.CountsFrames();
   if (exposed_ && (serial || !shown)) SLX_RETURN_IF_ERROR(CollectExposed());
   if (!shown) return Spoil(step, ShotFault::kMissingSync);
   // That frame may have told that the projector is out of step.
@@ -203,7 +204,9 @@ Status CaptureRun::SpoilLast(ShotFault fault) {
 Status CaptureRun::Spoil(int step, ShotFault fault) {
   report_.Note(fault);
   proven_.erase(step);
-  if (PutsOutOfStep(fault) || plan_.steps[step].phase == CapturePhase::kReference) memory_at_.reset();
+  // What is judged as a group says nothing of the memory while one of it is missing: nothing may follow before that.
+  const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
+  if (PutsOutOfStep(fault) || group.size() > 1) memory_at_.reset();
   SLX_RETURN_IF_ERROR(CountUseless());
   if (const auto asked = asked_.find(step); asked != asked_.end()) {
     // It was only to speak for the frame before it, and has a frame of its own.
@@ -222,7 +225,6 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   pending_.erase(step);
   given_up_.insert(step);
   Advance(step);
-  const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
   return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
 }
 

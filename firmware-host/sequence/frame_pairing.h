@@ -23,6 +23,12 @@ class FramePairing {
   // kNone: the frame is this trigger's. kOutOfOrder: it belongs to the past, keep waiting. kDoubledFrame: a number seen
   // before, keep waiting. kSequenceGap, kLateFrame, kCorruptFrame: the shot is spoilt.
   [[nodiscard]] ShotFault Match(const TriggerReceipt& trigger, double exposure_ms, const CapturedFrame& frame);
+  // The frame's number is that of the trigger behind the one that is awaited, and so is its time.
+  [[nodiscard]] bool IsOfNext(const TriggerReceipt& next, const CapturedFrame& frame) const {
+    return offset_ && frame.sequence >= next.number + *offset_ && frame.time >= next.time;
+  }
+  // False until a frame was matched, and after one was lost.
+  [[nodiscard]] bool KnowsNumbers() const { return offset_.has_value(); }
   // The trigger stayed without a frame. Whether the driver counted it is unknown, so the next frame that fits in time
   // sets the difference anew.
   void TriggerLost() { offset_.reset(); }

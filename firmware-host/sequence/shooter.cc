@@ -128,14 +128,18 @@ Result<Shot> Shooter::Collect(const StepExposure& exposure) {
 Result<Shot> Shooter::CollectTriggered(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const TriggerReceipt camera_pulse{exposure.number, exposure.camera.time};
-  const MonotonicNs next_trigger = last_trigger_ > exposure.camera.time ? last_trigger_ : kNever;
+  std::optional<TriggerReceipt> next;
+  if (!IsLast(exposure)) next = TriggerReceipt{exposure.number + 1, last_trigger_};
   const auto match = [&](const CapturedFrame& frame) {
     const ShotFault fault = pairing_.Match(camera_pulse, step.exposure_ms, frame);
     const bool moved_on = last_pulse_ > exposure.camera.time && frame.time + FromMs(frame.exposure_ms) > last_pulse_;
-    return fault == ShotFault::kNone && moved_on ? ShotFault::kLateFrame : fault;
+    if (fault != ShotFault::kNone || !moved_on) return fault;
+    // Late, or the next one's where the camera passed over this trigger: numbers and triggers may no longer go
+    // together.
+    pairing_.TriggerLost();
+    return ShotFault::kLateFrame;
   };
-  SLX_ASSIGN_OR_RETURN(Shot shot,
-                       AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, next_trigger, match));
+  SLX_ASSIGN_OR_RETURN(Shot shot, AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, next, match));
   shot.record.trigger_number = exposure.camera.number;
   shot.record.trigger_time = exposure.camera.time;
   return shot;
@@ -155,16 +159,16 @@ Status Shooter::PassOverStream() {
 Result<Shot> Shooter::CollectFromStream(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const MonotonicNs settled = exposure.sync + options_.settle;
-  SLX_ASSIGN_OR_RETURN(
-      Shot shot, AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline, kNever,
-                            [&](const CapturedFrame& frame) {
-                              ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
-                              // A new exposure reaches the stream some frames later.
-                              if (fault == ShotFault::kNone && !HasExposure(step, frame))
-                                fault = ShotFault::kOutOfOrder;
-                              transition_frames_ += fault == ShotFault::kOutOfOrder;
-                              return fault;
-                            }));
+  SLX_ASSIGN_OR_RETURN(Shot shot,
+                       AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline, {},
+                                  [&](const CapturedFrame& frame) {
+                                    ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
+                                    // A new exposure reaches the stream some frames later.
+                                    if (fault == ShotFault::kNone && !HasExposure(step, frame))
+                                      fault = ShotFault::kOutOfOrder;
+                                    transition_frames_ += fault == ShotFault::kOutOfOrder;
+                                    return fault;
+                                  }));
   shot.record.trigger_number = exposure.pulse.number;
   shot.record.trigger_time = exposure.pulse.time;
   return shot;
@@ -188,7 +192,7 @@ Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const Trigg
   return std::optional<MonotonicNs>(latest);
 }
 
-Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, MonotonicNs next_trigger,
+Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, const std::optional<TriggerReceipt>& next,
                                  const std::function<ShotFault(const CapturedFrame&)>& match) {
   Shot shot;
   while (true) {
@@ -197,7 +201,11 @@ Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, Monoton
       SLX_ASSIGN_OR_RETURN(
           frame, (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
     }
-    if (frame && frame->time >= next_trigger) early_ = std::exchange(frame, std::nullopt);
+    if (frame && next && pairing_.IsOfNext(*next, *frame)) {
+      early_ = std::move(frame);
+      if (shot.fault == ShotFault::kNone) shot.fault = ShotFault::kLostFrame;
+      return shot;
+    }
     if (!frame) {
       pairing_.TriggerLost();
       // A frame of the past is no answer: what was seen first stays the named cause.

@@ -88,6 +88,8 @@ class Shooter {
   Status AwaitEnd(const StepExposure& exposure);
   // The frame. One whose exposure had not ended when a projector moved on is kLateFrame.
   Result<Shot> Collect(const StepExposure& exposure);
+  // Numbers and triggers are known to go together, so that a frame of two that are under way can be told by its number.
+  [[nodiscard]] bool CountsFrames() const { return pairing_.KnowsNumbers(); }
   // No exposure was begun after it.
   [[nodiscard]] bool IsLast(const StepExposure& exposure) const { return last_trigger_ <= exposure.camera.time; }
   // Read away what came unasked since the last shot, which it spoils: kExtraSync; kDoubledFrame or kOutOfOrder.
@@ -107,9 +109,10 @@ class Shooter {
   Status Pass(std::chrono::nanoseconds time);
   // Waits for the SYNC edges of `projector` (-1: one of each); nullopt at the deadline.
   Result<std::optional<MonotonicNs>> AwaitSync(int projector, const TriggerReceipt& trigger);
-  // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting. A frame exposed since `next_trigger` is
-  // kept for that exposure: this one's was lost.
-  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit, MonotonicNs next_trigger,
+  // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting. A frame of the `next` trigger, if there
+  // was one, is kept for that exposure: this one's was lost.
+  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit,
+                          const std::optional<TriggerReceipt>& next,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
   Result<Shot> CollectTriggered(const StepExposure& exposure);
   // Reads away the frames of a stream that wait already: they are older than the shot.

@@ -196,11 +196,11 @@ class TroubledPipelineTest : public SequencerTest, public ::testing::WithParamIn
 TEST_P(TroubledPipelineTest, NoFrameIsTakenForAnothers) {
   const auto [overlapped, trouble] = GetParam();
   if (overlapped) Overlap();
-  // Three troubles somewhere, the last of them twice in a row.
+  // Three troubles somewhere, the last of them twice in a row; apart, so that none meets a third try.
   Random random(overlapped ? 1 : 2, trouble);
-  const int last = static_cast<int>(plan_.steps.size()) - 1;
+  const int last = static_cast<int>(plan_.steps.size()) - 1, stretch = (last - 8) / 3;
   for (int k = 0; k < 3; ++k) {
-    const int at = 8 + static_cast<int>(random.Uniform(0.0, 1.0) * (last - 8));
+    const int at = 8 + k * stretch + static_cast<int>(random.Uniform(0.0, 1.0) * (stretch - 4));
     if (trouble < 8) {
       rig_.camera_trouble[at] = static_cast<CameraTrouble>(trouble);
       if (k == 2) rig_.camera_trouble[at + 1] = static_cast<CameraTrouble>(trouble);

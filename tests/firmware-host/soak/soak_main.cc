@@ -16,7 +16,7 @@ int Main(int argc, char** argv) {
   SoakOptions base;
   base.plan = SmallPlan();
   int64_t frames = 100000;
-  uint64_t seed = 1;
+  uint64_t seed = 1, first = 0;
   double rate = 0.005;
   std::string only;
   bool verbose = false, clean = false, free_running = false;
@@ -33,6 +33,7 @@ int Main(int argc, char** argv) {
   app.add_flag("--free-running", free_running);
   app.add_flag("--overlapped", base.overlapped, "the camera exposes while it reads out");
   app.add_flag("--clean", clean, "no faults");
+  app.add_option("--first", first, "number of the first capture: one that --verbose named is repeated by it");
   app.add_flag("--verbose", verbose, "each capture that went wrong");
   CLI11_PARSE(app, argc, argv);
   if (free_running) base.plan.sync_mode = SyncMode::kFreeRunning;
@@ -46,7 +47,7 @@ int Main(int argc, char** argv) {
     base.faults.kinds = {*kind};
   }
   SoakTable table;
-  for (uint64_t n = 0; table.frames() < frames; ++n) {
+  for (uint64_t n = first; table.frames() < frames; ++n) {
     SoakOptions options = base;
     options.seed = seed + n % 7;  // seven faces
     options.faults.seed = seed * 1000003 + n;
@@ -64,6 +65,7 @@ int Main(int argc, char** argv) {
       std::printf(" %s@%lld", ToString(fault.kind), static_cast<long long>(fault.number));
     std::printf("\n  %s\n", capture.report.FaultSummary().c_str());
     for (const std::string& reason : capture.report.reasons) std::printf("  %s\n", reason.c_str());
+    std::fflush(stdout);
   }
   table.Print();
   return table.mis_associated() == 0 ? 0 : 1;
