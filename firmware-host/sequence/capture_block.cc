@@ -11,9 +11,6 @@ namespace {
 // Frames that wait in memory for others of their group; more of them are completed before the sweep goes on.
 constexpr size_t kMostHeld = 16;
 
-// The projector may show something else than the plan from here on.
-bool PutsOutOfStep(ShotFault fault) { return fault == ShotFault::kMissingSync || fault == ShotFault::kExtraSync; }
-
 }  // namespace
 
 Status CaptureRun::ShootBlock(const std::vector<int>& block) {
@@ -204,9 +201,8 @@ Status CaptureRun::SpoilLast(ShotFault fault) {
 Status CaptureRun::Spoil(int step, ShotFault fault) {
   report_.Note(fault);
   proven_.erase(step);
-  // What is judged as a group says nothing of the memory while one of it is missing: nothing may follow before that.
-  const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
-  if (PutsOutOfStep(fault) || group.size() > 1) memory_at_.reset();
+  // Nothing was seen of what this frame would have told, so whether the memory is still in step is not known.
+  memory_at_.reset();
   SLX_RETURN_IF_ERROR(CountUseless());
   if (const auto asked = asked_.find(step); asked != asked_.end()) {
     // It was only to speak for the frame before it, and has a frame of its own.
@@ -222,9 +218,13 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   }
   logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
                 " retries; given up");
+  if (plan_.steps[step].phase == CapturePhase::kReference && plan_.steps[step].bracket == 0)
+    return Status::Failed(Describe(step) + ": " + ToString(fault) +
+                          " at each try; without this reference nothing can tell what the projector shows");
   pending_.erase(step);
   given_up_.insert(step);
   Advance(step);
+  const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
   return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
 }
 

@@ -175,20 +175,20 @@ TEST_F(SequencerTest, AFrameExposedWhileTheProjectorMovedOnIsLate) {
   EXPECT_GE(rig_.torn_exposures, 1);
 }
 
-TEST_F(SequencerTest, SpoiltStepsAreCollectedInOnePass) {
-  // Three lost frames of the sweep: the memory is taken back once, not three times.
+TEST_F(SequencerTest, ASpoiltStepIsShotAgainBeforeTheSequenceGoesOn) {
+  // Its frame would have told whether the memory is in step: it is loaded anew.
   Overlap();
   for (const int skip : {2, 5, 9}) rig_.camera_trouble[StepOf(0, CapturePhase::kSweep, skip)] = CameraTrouble::kLose;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
-  EXPECT_EQ(report.Count(ShotFault::kLostFrame), 3) << report.FaultSummary();
-  EXPECT_EQ(report.retried, 3);
+  EXPECT_GE(report.Count(ShotFault::kLostFrame), 2) << report.FaultSummary();
+  EXPECT_EQ(rig_.loads, 2 + report.retried);
   ExpectEveryFrameShowsItsPattern();
-  std::vector<int> again;
-  for (const FrameRecord& r : sink_.records)
-    if (r.retry > 0) again.push_back(r.step);
-  EXPECT_TRUE(std::is_sorted(again.begin(), again.end()));
-  EXPECT_EQ(again.size(), 3U);
+  int before = -1;
+  for (const FrameRecord& r : sink_.records) {
+    EXPECT_GE(r.step, before);
+    before = r.step;
+  }
 }
 
 class TroubledPipelineTest : public SequencerTest, public ::testing::WithParamInterface<std::tuple<bool, int>> {};
@@ -203,7 +203,9 @@ TEST_P(TroubledPipelineTest, NoFrameIsTakenForAnothers) {
     const int at = 8 + k * stretch + static_cast<int>(random.Uniform(0.0, 1.0) * (stretch - 4));
     if (trouble < 8) {
       rig_.camera_trouble[at] = static_cast<CameraTrouble>(trouble);
-      if (k == 2) rig_.camera_trouble[at + 1] = static_cast<CameraTrouble>(trouble);
+      // Frames that come after the next trigger spoil the third try, too.
+      if (k == 2 && rig_.camera_trouble[at] != CameraTrouble::kDeliverAfter)
+        rig_.camera_trouble[at + 1] = static_cast<CameraTrouble>(trouble);
     } else {
       rig_.projector_trouble[{k % 2, 8 + (at % (last / 2))}] = static_cast<ProjectorTrouble>(trouble - 8);
     }
@@ -348,9 +350,7 @@ TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
 
 TEST_F(SequencerTest, AStepThatFailsThreeTimesIsNamedAndTheRestGoesOn) {
   const int step = StepOf(0, CapturePhase::kSweep, 4);
-  // Its own trigger, and those after the projector's last step, when it is shot again.
-  rig_.camera_trouble[step] = CameraTrouble::kCorrupt;
-  for (int i = 0; i < 2; ++i) rig_.camera_trouble[StepOf(1, CapturePhase::kReference) + i] = CameraTrouble::kCorrupt;
+  for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kDegraded);
   EXPECT_THAT(report.missing_steps, ElementsAre(step));
@@ -382,6 +382,15 @@ TEST_F(SequencerTest, ADeadCameraEndsTheCaptureSoon) {
   EXPECT_EQ(report.status, SessionStatus::kFailed);
   EXPECT_THAT(report.reasons.front(), HasSubstr("shots in a row"));
   EXPECT_LE(rig_.camera_triggers, 40 + options_.max_useless_shots + 1);
+}
+
+TEST_F(SequencerTest, WithoutItsReferenceAProjectorIsNotGoneOnWith) {
+  const int step = StepOf(0, CapturePhase::kReference, 1);
+  for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.reasons.front(), HasSubstr("without this reference"));
+  EXPECT_EQ(rig_.camera_triggers, step + 3);
 }
 
 TEST_F(SequencerTest, EdgesThatNeverEndEndTheCapture) {

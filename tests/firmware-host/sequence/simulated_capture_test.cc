@@ -28,7 +28,7 @@ TEST(SimulatedCapture, AVisitorIsCompleteAndEveryCodedFrameIsWitnessed) {
   ASSERT_TRUE(rig.ok()) << rig.status().message();
   const CapturePlan plan = *BuildPlan({});
   SequencerOptions options;
-  options.shooter.wait = [](std::chrono::nanoseconds) {};
+  options.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
   StopToken stop;
   const auto light = GuardLight(**rig, stop);
   ASSERT_TRUE(light.ok()) << light.status().message();
