@@ -120,7 +120,8 @@ TEST_F(WrongPlan, IsRefusedBeforeTheFirstFrame) {
       {"projectors = 5", "5 projectors", "the rig has 4"},
   }};
   for (const auto& [line, place, remedy] : cases) {
-    const std::string file = File("rig.toml", std::string("[camera]\nwidth = 96\nheight = 72\n[plan]\n") + line + "\n");
+    const std::string file =
+        File("rig.toml", std::string("[camera]\nwidth = 160\nheight = 120\n[plan]\n") + line + "\n");
     ExpectRefused("stratalux-rig capture --simulate --config " + file, 2, {place, remedy});
   }
   ExpectUnharmed();
@@ -247,22 +248,28 @@ TEST_F(NoRoom, ADiskFullFromTheStartLeavesNoSession) {
   ExpectUnharmed();
 }
 
-TEST_F(NoRoom, AFullFileSystemSaysSo) {
+TEST_F(NoRoom, AFileSystemThatFillsUpSaysSoBeforeOrMeanwhile) {
   const fs::path room = folder_ / "room";
   fs::create_directory(room);
-  const std::string enter = "unshare -rm sh -c 'mount -t tmpfs -o size=512k none " + room.string();
-  if (std::system((enter + "' 2>/dev/null").c_str()) != 0) GTEST_SKIP() << "no file system may be mounted here";
-  const std::string bin = std::string(STRATALUX_BIN_DIR) + "/";
-  const std::string config = File("rig.toml", kTinyConfig);
-  const std::string script = enter + " && { " + bin + "stratalux-rig capture --simulate --config " + config +
-                             " --store " + room.string() + "; echo code=$?; " + bin + "stratalux-db verify --store " +
-                             room.string() + "; echo verify=$?; }' >" + (folder_ / "log").string() + " 2>&1";
-  ASSERT_EQ(std::system(script.c_str()), 0);
-  const std::string log = ReadText(folder_ / "log");
+  const std::string bin = std::string(STRATALUX_BIN_DIR) + "/", log = (folder_ / "log").string();
+  const std::string capture = bin + "stratalux-rig capture --simulate --config " + File("rig.toml", kTinyConfig) +
+                              " --store " + room.string() + "; echo code=$?; ";
+  const auto in_room = [&](const std::string& size, const std::string& script) {
+    const std::string enter = "unshare -rm sh -c 'mount -t tmpfs -o size=" + size + " none " + room.string();
+    if (std::system((enter + "' 2>/dev/null").c_str()) != 0) return false;
+    EXPECT_EQ(std::system((enter + " && { " + script + "}' >" + log + " 2>&1").c_str()), 0);
+    return true;
+  };
+  if (!in_room("512k", capture)) GTEST_SKIP() << "no file system may be mounted here";
+  EXPECT_THAT(ReadText(log), AllOf(HasSubstr("free, the session may take"), HasSubstr("code=1")));
+  // Somebody else's file takes what was free, once there are frames.
+  const std::string fill = "(until [ -e " + room.string() + "/sessions/*/frames-0001.seg ]; do sleep 0.01; done; " +
+                           "head -c 200M /dev/zero >" + room.string() + "/ballast) 2>/dev/null & ";
+  in_room("100m",
+          fill + capture + "wait; " + bin + "stratalux-db verify --store " + room.string() + "; echo verify=$?; ");
   // Frames or index, whichever meets the end first.
-  EXPECT_THAT(log, ::testing::AnyOf(HasSubstr("No space left on device"), HasSubstr("disk is full")));
-  EXPECT_THAT(log, HasSubstr("code=1"));
-  EXPECT_THAT(log, HasSubstr("verify=0"));
+  EXPECT_THAT(ReadText(log), ::testing::AnyOf(HasSubstr("No space left on device"), HasSubstr("disk is full")));
+  EXPECT_THAT(ReadText(log), AllOf(HasSubstr("code=1"), HasSubstr("verify=0")));
 }
 
 }  // namespace
