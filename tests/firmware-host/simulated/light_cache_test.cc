@@ -26,7 +26,6 @@ class LightCacheTest : public ::testing::Test {
   LightCacheTest() {
     std::string name = (fs::temp_directory_path() / "light-cache-XXXXXX").string();
     folder_ = ::mkdtemp(name.data());
-    log_ = std::tmpfile();
   }
   ~LightCacheTest() override {
     fs::permissions(folder_, fs::perms::owner_all);
@@ -40,6 +39,7 @@ class LightCacheTest : public ::testing::Test {
     return files;
   }
   std::string Logged() {
+    EXPECT_TRUE(logger_.Flush());
     std::string text(4096, '\0');
     std::rewind(log_);
     text.resize(std::fread(text.data(), 1, text.size(), log_));
@@ -59,7 +59,7 @@ class LightCacheTest : public ::testing::Test {
   }
 
   fs::path folder_;
-  std::FILE* log_;
+  std::FILE* log_ = std::tmpfile();  // before the logger that writes to it
   Logger logger_{LogLevel::kInfo, log_};
   const std::vector<float> values_ = {1.0F, -2.5F, 0.0F, 3e-30F, 7.0F};
 };
