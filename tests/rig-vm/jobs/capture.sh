@@ -6,6 +6,8 @@
 . /source/tests/rig-vm/guest-lib.sh
 
 plan=/source/tests/rig-vm/plans/loop.toml
+export STATE_DIRECTORY=/tmp/state  # as systemd's: the controller leaves the rig's lights there
+mkdir -p "$STATE_DIRECTORY"
 short_plan=/tmp/short.toml  # references, codes and guards: what a fault needs to be seen
 sed 's/^kind = "visitor"/kind = "calibration"/' "$plan" >$short_plan
 
@@ -30,6 +32,7 @@ capture() {
       break
     }
     tries=$((tries + 1))
+    load_camera  # what the fault set would meet the next try in its pre-roll
   done
   [ "$tries" -eq 1 ] || row="$row | try $tries"
   echo "$row" >>$cases
@@ -51,8 +54,9 @@ capture_once() {
   subject="--pose 0"
   [ "$config" = $short_plan ] || subject="--visitor loop-1 --consent-scope fit --consent-text test --consent-language en"
   rm -rf /tmp/store
+  # A busy machine's emulator takes minutes. No calibration: its warning would pass for a fault's sign.
   # shellcheck disable=SC2086
-  timeout 120 /build/bin/stratalux-rig capture --config "$config" --store /tmp/store $subject --json \
+  timeout 300 /build/bin/stratalux-rig capture --config "$config" --store /tmp/store $subject --calibration none --json \
     >"$out/outcome.json" 2>"$out/rig.log"
   ended=$?
   kill $responder 2>/dev/null
@@ -85,8 +89,8 @@ capture "no step" $short_plan "complete degraded" no-step@30
 capture "lost edge" $short_plan "complete degraded" lost-edge@30
 capture "doubled edge" $short_plan "complete degraded" doubled-edge@30
 capture "stuck SYNC" $short_plan "degraded failed" stuck-sync@30
-capture "dropped buffers" $short_plan "complete degraded" "control:Percentage of Dropped Buffers=30@20"
-v4l2-ctl -d "$camera" -c percentage_of_dropped_buffers=0
+capture "dropped buffers" $short_plan "complete degraded" "control:Percentage of Dropped Buffers=10@20"
+load_camera
 capture "buffer error flag" $short_plan "complete degraded" "control:Inject V4L2_BUF_FLAG_ERROR=1@30"
 capture "QBUF error" $short_plan "complete degraded" "control:Inject VIDIOC_QBUF Error=1@30"
 capture "fatal streaming error" $short_plan "complete degraded" "control:Inject Fatal Streaming Error=1@30"
