@@ -440,7 +440,7 @@ void Camera::SetTime(libcamera::Request& request, const libcamera::FrameBuffer& 
     frame.time = stamp;
   } else {
     const double before_stamp_ms = wiring_.readout_ms + frame.exposure_ms;
-    frame.time = stamp + std::chrono::nanoseconds(-static_cast<int64_t>(1e6 * before_stamp_ms));
+    frame.time = stamp + FromMilliseconds(-before_stamp_ms);
   }
   frame.clock = stamp.ns > 0 ? ClockSource::kMonotonic : ClockSource::kUnknown;
   if (frame.clock == ClockSource::kMonotonic && !stream_.StampFits(stamp, MonotonicNow())) {

@@ -414,7 +414,7 @@ void Camera::SetTime(const v4l2_buffer& buffer, CapturedFrame& frame) {
   auto start_if_exposed = [&](const Settings& settings) {
     if ((buffer.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK) == V4L2_BUF_FLAG_TSTAMP_SRC_SOE) return stamp;
     const double before_stamp_ms = wiring_.readout_ms + settings.exposure_ms;
-    return stamp + std::chrono::nanoseconds(-static_cast<int64_t>(1e6 * before_stamp_ms));
+    return stamp + FromMilliseconds(-before_stamp_ms);
   };
   const bool begun_before = start_if_exposed(current_) < changed_at_;
   const Settings& settings = begun_before ? before_ : current_;

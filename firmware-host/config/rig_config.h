@@ -21,11 +21,6 @@ inline constexpr double kLongestSettleMs = 10000.0;
 // The light's guard has 99 (light_guard.h).
 inline constexpr int kHighestCapturePriority = 98;
 
-// A duration of the file.
-[[nodiscard]] inline std::chrono::nanoseconds FromMilliseconds(double ms) {
-  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
-}
-
 [[nodiscard]] CameraTiming CameraTimingOf(const CameraWiring& camera);
 
 struct RigConfig {

@@ -6,12 +6,6 @@
 #include "firmware-host/sequence/capture_run.h"
 
 namespace stratalux::rig {
-namespace {
-
-// Frames that wait in memory for others of their group; more of them are completed before the sweep goes on.
-constexpr size_t kMostHeld = 16;
-
-}  // namespace
 
 Status CaptureRun::ShootBlock(const std::vector<int>& block) {
   if (block.empty()) return Status::Ok();
@@ -39,10 +33,7 @@ Status CaptureRun::ShootBlock(const std::vector<int>& block) {
 
 int CaptureRun::NextStep() const {
   if (pending_.empty()) return kNoStep;
-  size_t held = 0;
-  for (const auto& [group, shots] : held_) held += shots.size();
-  const bool goes_on = memory_at_ && pending_.contains(*memory_at_) && held < kMostHeld;
-  return goes_on ? *memory_at_ : *pending_.begin();
+  return memory_at_ && pending_.contains(*memory_at_) ? *memory_at_ : *pending_.begin();
 }
 
 void CaptureRun::AskWitness(int last_of_block) {

@@ -34,7 +34,8 @@ class CaptureRun {
   Result<bool> ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots);
   [[nodiscard]] PrerollReading ReadMarkers(const std::vector<Shot>& shots) const;
   Status RunProjector(int projector);
-  // Shoots the steps (whole groups, ascending); those that were spoilt or came into doubt are shot again together.
+  // Shoots the steps (whole groups, ascending); a spoilt one again before the next, those that came into doubt at the
+  // end.
   Status ShootBlock(const std::vector<int>& block);
   // What goes on show next: where the memory stands if that step is pending, else the first that is; kNoStep: none.
   [[nodiscard]] int NextStep() const;

@@ -17,7 +17,7 @@ ShotFault FramePairing::Match(const TriggerReceipt& trigger, double exposure_ms,
   const bool gap = offset_ && offset != *offset_;
   offset_ = offset;
   if (gap) return ShotFault::kSequenceGap;
-  const auto window = std::chrono::nanoseconds(static_cast<int64_t>(exposure_ms * 1e6)) + slack_;
+  const auto window = FromMilliseconds(exposure_ms) + slack_;
   if (frame.time > trigger.time + window) return ShotFault::kLateFrame;
   return frame.corrupt ? ShotFault::kCorruptFrame : ShotFault::kNone;
 }

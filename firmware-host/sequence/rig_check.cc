@@ -80,7 +80,7 @@ class RigCheck {
 
   // For as long as the frames of it may take.
   Status Light(int projector) {
-    const auto exposure = nanoseconds(static_cast<int64_t>(1e6 * options_.exposure_ms));
+    const auto exposure = FromMilliseconds(options_.exposure_ms);
     return devices_.light.On(projector,
                              {2 * (3 * (options_.deadline + 2 * exposure) + options_.settle), kLongestLight});
   }

@@ -39,8 +39,8 @@ Status SequencerOptions::Validate() const {
 std::chrono::nanoseconds SequencerOptions::LongestStep(double exposure_ms) const {
   // A stream's next whole exposure may begin an exposure later; a triggered frame is awaited while the next one begins.
   const CameraTiming& camera = shooter.camera;
-  return shooter.sync_deadline + shooter.settle + std::chrono::nanoseconds(static_cast<int64_t>(2e6 * exposure_ms)) +
-         camera.exposure_margin + camera.min_frame_period + shooter.frame_deadline + step_slack;
+  return shooter.sync_deadline + shooter.settle + FromMilliseconds(2.0 * exposure_ms) + camera.exposure_margin +
+         camera.min_frame_period + shooter.frame_deadline + step_slack;
 }
 
 Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step)

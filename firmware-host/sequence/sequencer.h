@@ -3,9 +3,8 @@
 //
 //   load every projector's memory: pre-roll markers, then its own steps
 //   all lights on, pre-roll, all lights off; the code must decode
-//   for each projector: light on; each step shot, paired, checked, while the next is exposed; what was spoilt shot
-//   again,
-//                       together; light off
+//   for each projector: light on; each step shot, paired and checked while the next is exposed, what was spoilt shot
+//                       again before the sequence goes on; light off
 //   at the end: triggers and frames match one to one, comb cycles add up
 //
 // Whatever happens, all lights are off when Run returns.

@@ -16,8 +16,6 @@ using std::chrono::nanoseconds;
 constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
 constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
 
-nanoseconds FromMs(double ms) { return nanoseconds(static_cast<int64_t>(ms * 1e6)); }
-
 // Waits with `wait` in slices until it gives something, `safe` objects or `left` has passed; takes from `left` what the
 // waiting took. A device's clock may be its own: a wait counts for no longer than it was told to be, and as long as
 // that when it gave nothing.
@@ -98,7 +96,8 @@ Status Shooter::Expose(StepExposure& exposure) {
 
 Status Shooter::AwaitEnd(const StepExposure& exposure) {
   if (mode_ == SyncMode::kFreeRunning) return safe_();
-  const MonotonicNs end = exposure.camera.time + FromMs(exposure.step->exposure_ms) + options_.camera.exposure_margin;
+  const MonotonicNs end =
+      exposure.camera.time + FromMilliseconds(exposure.step->exposure_ms) + options_.camera.exposure_margin;
   return Pass(end - devices_.light.Now());
 }
 
@@ -132,14 +131,16 @@ Result<Shot> Shooter::CollectTriggered(const StepExposure& exposure) {
   if (!IsLast(exposure)) next = TriggerReceipt{exposure.number + 1, last_trigger_};
   const auto match = [&](const CapturedFrame& frame) {
     const ShotFault fault = pairing_.Match(camera_pulse, step.exposure_ms, frame);
-    const bool moved_on = last_pulse_ > exposure.camera.time && frame.time + FromMs(frame.exposure_ms) > last_pulse_;
+    const bool moved_on =
+        last_pulse_ > exposure.camera.time && frame.time + FromMilliseconds(frame.exposure_ms) > last_pulse_;
     if (fault != ShotFault::kNone || !moved_on) return fault;
     // Late, or the next one's where the camera passed over this trigger: numbers and triggers may no longer go
     // together.
     pairing_.TriggerLost();
     return ShotFault::kLateFrame;
   };
-  SLX_ASSIGN_OR_RETURN(Shot shot, AwaitFrame(step, FromMs(step.exposure_ms) + options_.frame_deadline, next, match));
+  SLX_ASSIGN_OR_RETURN(Shot shot,
+                       AwaitFrame(step, FromMilliseconds(step.exposure_ms) + options_.frame_deadline, next, match));
   shot.record.trigger_number = exposure.camera.number;
   shot.record.trigger_time = exposure.camera.time;
   return shot;
@@ -159,16 +160,16 @@ Status Shooter::PassOverStream() {
 Result<Shot> Shooter::CollectFromStream(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const MonotonicNs settled = exposure.sync + options_.settle;
-  SLX_ASSIGN_OR_RETURN(Shot shot,
-                       AwaitFrame(step, options_.settle + 2 * FromMs(step.exposure_ms) + options_.frame_deadline, {},
-                                  [&](const CapturedFrame& frame) {
-                                    ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
-                                    // A new exposure reaches the stream some frames later.
-                                    if (fault == ShotFault::kNone && !HasExposure(step, frame))
-                                      fault = ShotFault::kOutOfOrder;
-                                    transition_frames_ += fault == ShotFault::kOutOfOrder;
-                                    return fault;
-                                  }));
+  SLX_ASSIGN_OR_RETURN(
+      Shot shot, AwaitFrame(step, options_.settle + 2 * FromMilliseconds(step.exposure_ms) + options_.frame_deadline,
+                            {}, [&](const CapturedFrame& frame) {
+                              ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
+                              // A new exposure reaches the stream some frames later.
+                              if (fault == ShotFault::kNone && !HasExposure(step, frame))
+                                fault = ShotFault::kOutOfOrder;
+                              transition_frames_ += fault == ShotFault::kOutOfOrder;
+                              return fault;
+                            }));
   shot.record.trigger_number = exposure.pulse.number;
   shot.record.trigger_time = exposure.pulse.time;
   return shot;

@@ -97,8 +97,6 @@ class Shooter {
   Result<ShotFault> DrainFrames();
   // Both.
   Result<ShotFault> Drain();
-  // Time of the last shot's trigger, on the rig's clock.
-  [[nodiscard]] MonotonicNs last_trigger() const { return last_trigger_; }
   // Camera triggers; free running: frames asked for.
   [[nodiscard]] int64_t camera_triggers() const { return camera_triggers_; }
   [[nodiscard]] int64_t transition_frames() const { return transition_frames_; }

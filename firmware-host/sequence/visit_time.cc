@@ -8,7 +8,7 @@ namespace {
 
 using std::chrono::nanoseconds;
 
-nanoseconds ExposureOf(const PlanStep& step) { return nanoseconds(static_cast<int64_t>(1e6 * step.exposure_ms)); }
+nanoseconds ExposureOf(const PlanStep& step) { return FromMilliseconds(step.exposure_ms); }
 
 // A stream's frame counts from the first exposure after settling; its frames come in whole periods.
 nanoseconds OfStreamStep(const PlanStep& step, const VisitTiming& t) {

@@ -36,7 +36,7 @@ PendingFrame SimulatedDevices::Expose() {
   frame.light = {frame.time, exposure_ms_, gain_, frame.number, {}, push_mm_, light_};
   for (const ProjectorState& s : states_) frame.light.timeline.push_back(s.timeline);
   last_start_ = frame.time;
-  exposed_ = frame.time + FromMs(exposure_ms_);
+  exposed_ = frame.time + FromMilliseconds(exposure_ms_);
   free_from_ = exposed_ + Jittered(options_.devices.timing.readout_ms);
   frame.ready = free_from_;
   return frame;
@@ -59,10 +59,10 @@ PendingFrame SimulatedDevices::ExtraFrame(const PendingFrame& frame) {
 bool SimulatedDevices::TakesTrigger() const {
   const RigTiming& timing = options_.devices.timing;
   if (!last_start_) return true;
-  const MonotonicNs start = clock_ + FromMs(timing.shutter_delay_ms);
-  if (start < *last_start_ + FromMs(timing.min_frame_period_ms)) return false;
+  const MonotonicNs start = clock_ + FromMilliseconds(timing.shutter_delay_ms);
+  if (start < *last_start_ + FromMilliseconds(timing.min_frame_period_ms)) return false;
   if (!timing.overlapped_readout) return clock_ >= free_from_;
-  return clock_ >= exposed_ && start + FromMs(exposure_ms_) >= free_from_;
+  return clock_ >= exposed_ && start + FromMilliseconds(exposure_ms_) >= free_from_;
 }
 
 ShownFrame SimulatedDevices::TruthOf(const PendingFrame& frame) const {
@@ -126,7 +126,7 @@ void SimulatedDevices::ExposeWithFaults() {
     if (fault.kind == FaultKind::kFrameDoubled) copies = 2;
     if (fault.kind == FaultKind::kFrameExtra) extra = true;
     if (fault.kind == FaultKind::kFrameLate)
-      frame.time = frame.time + FromMs(fault.value != 0.0 ? fault.value : kDefaultLateMs);
+      frame.time = frame.time + FromMilliseconds(fault.value != 0.0 ? fault.value : kDefaultLateMs);
     if (fault.kind == FaultKind::kFrameStale && before) {
       const MonotonicNs ready = frame.ready;
       frame = *before;
@@ -150,8 +150,8 @@ void SimulatedDevices::ExposeWithFaults() {
 void SimulatedDevices::StreamUntil(MonotonicNs until) {
   const MonotonicNs now = clock_;
   const double busy_ms = exposure_ms_ + options_.devices.timing.readout_ms;
-  const auto period = FromMs(std::max(options_.devices.timing.frame_period_ms, busy_ms));
-  while (next_frame_ + FromMs(busy_ms) <= until) {
+  const auto period = FromMilliseconds(std::max(options_.devices.timing.frame_period_ms, busy_ms));
+  while (next_frame_ + FromMilliseconds(busy_ms) <= until) {
     clock_ = next_frame_;
     next_frame_ = next_frame_ + period;
     ExposeWithFaults();
@@ -179,7 +179,7 @@ double SimulatedDevices::ShareChanged(const Image<uint16_t>& a, const Image<uint
 void SimulatedDevices::PassTime(std::chrono::nanoseconds timeout) {
   const MonotonicNs deadline = clock_ + timeout;
   if (options_.free_running && started_ && pending_.empty()) {
-    const MonotonicNs ready = next_frame_ + FromMs(exposure_ms_ + options_.devices.timing.readout_ms);
+    const MonotonicNs ready = next_frame_ + FromMilliseconds(exposure_ms_ + options_.devices.timing.readout_ms);
     const MonotonicNs until = std::max(clock_, std::min(ready, deadline));
     StreamUntil(until);
     clock_ = until;

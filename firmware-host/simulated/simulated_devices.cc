@@ -27,7 +27,7 @@ void SimulatedDevices::Show(size_t projector, MonotonicNs since) {
   const double rows_ms =
       camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us * calibration().camera.model.height : 0.0;
   auto add_to = [&](PendingFrame& frame) {
-    if (since < frame.light.start + FromMs(frame.light.exposure_ms + rows_ms))
+    if (since < frame.light.start + FromMilliseconds(frame.light.exposure_ms + rows_ms))
       frame.light.timeline[projector].push_back({picture, since});
   };
   for (PendingFrame& frame : pending_) add_to(frame);
@@ -46,8 +46,8 @@ void SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& sequ
   const int64_t next = state.at + state.shown + 1;
   const RigTiming& timing = options_.devices.timing;
   const bool behind = state.memory.empty() || target < next;
-  clock_ = clock_ + FromMs((behind ? timing.memory_reset_ms : 0.0) +
-                           static_cast<double>(target - (behind ? 0 : next)) * timing.memory_step_ms);
+  clock_ = clock_ + FromMilliseconds((behind ? timing.memory_reset_ms : 0.0) +
+                                     static_cast<double>(target - (behind ? 0 : next)) * timing.memory_step_ms);
   state.memory = sequence;
   state.at = target;
   state.shown = -1;
@@ -56,9 +56,9 @@ void SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& sequ
 
 std::chrono::nanoseconds SimulatedDevices::Jittered(double ms) {
   const double jitter_us = options_.devices.timing.jitter_us;
-  if (jitter_us <= 0.0) return FromMs(ms);
+  if (jitter_us <= 0.0) return FromMilliseconds(ms);
   Random random(options_.seed, (uint64_t{1} << 48) + static_cast<uint64_t>(jitters_++));
-  return FromMs(std::max(0.0, ms + 1e-3 * jitter_us * random.Normal()));
+  return FromMilliseconds(std::max(0.0, ms + 1e-3 * jitter_us * random.Normal()));
 }
 
 void SimulatedDevices::Log(const Fault& fault, int64_t number) {

@@ -19,10 +19,6 @@ namespace stratalux::rig {
 
 inline constexpr MonotonicNs kClockStart{1'000'000'000};
 
-[[nodiscard]] inline std::chrono::nanoseconds FromMs(double ms) {
-  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
-}
-
 struct ProjectorState {
   std::vector<Pattern> memory;  // from what was loaded on
   int64_t at = 0;               // where that begins in the whole memory

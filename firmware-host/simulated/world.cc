@@ -194,10 +194,8 @@ Status World::AddProjector(Stage& stage, size_t projector, const Exposure& expos
   // [row][picture]; one row stands for all of a global shutter's.
   std::vector<std::vector<double>> shares(line_ms > 0.0 ? calibration_.camera.model.height : 1);
   for (size_t y = 0; y < shares.size(); ++y)
-    shares[y] = ShareOfPictures(
-        timeline,
-        exposure.start + std::chrono::nanoseconds(static_cast<int64_t>(1e6 * line_ms * static_cast<double>(y))),
-        exposure.exposure_ms, optics.lag_ms);
+    shares[y] = ShareOfPictures(timeline, exposure.start + FromMilliseconds(line_ms * static_cast<double>(y)),
+                                exposure.exposure_ms, optics.lag_ms);
   // A projector's black still shines: b + (1 - b) pattern.
   const double black = optics.black_level;
   for (size_t k = 0; k < timeline.size(); ++k) {

@@ -59,7 +59,7 @@ struct FlatPoseReport {
 };
 
 // Width of one projected line on the matt target.
-struct LineProfile {
+struct ProjectedLine {
   int width_px = 0;               // planned
   double measured_px = 0.0;       // light of the line over the light of white: its equivalent width, columns
   double mm = 0.0;                // the same on the target, in the middle of its poses
@@ -81,7 +81,7 @@ struct ProjectorLightReport {
   std::array<double, 3> white_dn_mm2_per_ms{};
   std::optional<double> black_level;
   std::optional<double> line_blur_px;
-  std::optional<LineProfile> line;
+  std::optional<ProjectedLine> line;
 };
 
 struct LightReport {

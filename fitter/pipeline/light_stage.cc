@@ -439,7 +439,7 @@ void LightStage::UseLightField(std::vector<FlatTarget>& targets) {
 void LightStage::UseLines(const std::vector<FlatTarget>& targets) {
   std::vector<BlurSample> blurs;
   for (size_t p = 0; p < record_.projectors.size(); ++p) {
-    LineProfile line;
+    ProjectedLine line;
     double width = 0.0;
     int shapes = 0;
     for (const FlatTarget& target : targets) {

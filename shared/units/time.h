@@ -18,6 +18,10 @@ struct MonotonicNs {
   }
 };
 
+[[nodiscard]] constexpr std::chrono::nanoseconds FromMilliseconds(double ms) {
+  return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
+}
+
 // CLOCK_REALTIME, ns since 1970 UTC. Only shown to people; no order and no identity depends on it.
 struct WallNs {
   int64_t ns = 0;

@@ -10,20 +10,16 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::rig {
 namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-class LastLights : public ::testing::Test {
+class LastLights : public ScratchFolderTest {
  protected:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "stratalux-lights-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
   [[nodiscard]] fs::path File() const { return folder_ / "lights.json"; }
   void Write(const std::string& text) const { std::ofstream(File()) << text; }
   void ExpectRefused(StatusCode code, const std::string& part) const {
@@ -33,7 +29,6 @@ class LastLights : public ::testing::Test {
     EXPECT_THAT(lights.status().message(), HasSubstr(File().string()));
   }
 
-  fs::path folder_;
   const RigLights lights_ = {{{{"ENABLE0", "", -1}, ActiveLevel::kHigh}, {{"", "pinctrl-rp1", 17}, ActiveLevel::kLow}},
                              {{.device = "/dev/dri/card0", .connector = "HDMI-A-1"}}};
 };

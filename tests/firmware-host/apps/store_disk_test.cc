@@ -8,23 +8,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::rig {
 namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-class StoreDiskTest : public ::testing::Test {
+class StoreDiskTest : public ScratchFolderTest {
  public:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "stratalux-disk-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
   [[nodiscard]] auto Entries() const { return std::distance(fs::directory_iterator(folder_), {}); }
-
-  fs::path folder_;
 };
 
 TEST_F(StoreDiskTest, IsMeasuredWithoutATraceAndBesideWhatIsLeftOver) {

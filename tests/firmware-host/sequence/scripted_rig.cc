@@ -15,9 +15,7 @@ constexpr double kWhiteDn = 1500.0;  // per projector, at albedo 1
 constexpr double kNoiseDn = 1.0;
 constexpr auto kReadOut = std::chrono::milliseconds(8);
 
-std::chrono::nanoseconds ExposureOf(const CapturedFrame& frame) {
-  return std::chrono::nanoseconds(static_cast<int64_t>(1e6 * frame.exposure_ms));
-}
+std::chrono::nanoseconds ExposureOf(const CapturedFrame& frame) { return FromMilliseconds(frame.exposure_ms); }
 }  // namespace
 
 class ScriptedEnable final : public LightSwitch {

@@ -36,10 +36,10 @@ class CameraTiming : public ::testing::Test {
     start_ = rig_->clock().Now();
   }
   double NowMs() const { return 1e-6 * static_cast<double>((rig_->clock().Now() - start_).count()); }
-  void Until(double ms) { rig_->Sleep(nanoseconds(static_cast<int64_t>(1e6 * (ms - NowMs()) + 0.5))); }
+  void Until(double ms) { rig_->Sleep(FromMilliseconds(ms - NowMs() + 5e-7)); }
   void Trigger() { EXPECT_TRUE(rig_->lines().TriggerCamera().ok()); }
   std::optional<CapturedFrame> Wait(double ms) {
-    auto frame = rig_->camera().Wait(nanoseconds(static_cast<int64_t>(1e6 * ms)));
+    auto frame = rig_->camera().Wait(FromMilliseconds(ms));
     EXPECT_TRUE(frame.ok());
     return std::move(*frame);
   }

@@ -9,6 +9,7 @@
 #include "firmware-host/simulated/simulated_rig.h"
 #include "firmware-host/simulated/world.h"
 #include "shared/config/toml_reader.h"
+#include "tests/firmware-host/simulated/small_rig.h"
 
 namespace stratalux::rig {
 namespace {
@@ -16,20 +17,10 @@ namespace {
 constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 constexpr Pattern kBlack = {};
 
-MonotonicNs Ms(double ms) { return {static_cast<int64_t>(ms * 1e6)}; }
+MonotonicNs Ms(double ms) { return MonotonicNs{} + FromMilliseconds(ms); }
 
 class SimulatedDevices : public ::testing::Test {
  protected:
-  static SimulatedRigOptions Target() {
-    SimulatedRigOptions options;
-    options.scene = "white";
-    options.camera_width = 174;
-    options.camera_height = 130;
-    options.projector_width = 256;
-    options.projector_height = 192;
-    options.noise = false;
-    return options;
-  }
   std::unique_ptr<SimulatedRig> Make(const SimulatedRigOptions& options) {
     auto rig = SimulatedRig::Create(options, logger_);
     EXPECT_TRUE(rig.ok()) << rig.status().message();
@@ -94,7 +85,7 @@ TEST_F(SimulatedDevices, LagIsAnExponential) {
     EXPECT_NEAR(ShareOfPictures(timeline, Ms(a), 8.0, tau)[1], expected, 1e-9);
   }
   // And so reads the camera: the first exposure after the step is darker, in that proportion.
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.lag_ms = tau;
   options.devices.projector.black_level = 0.0;
   const auto rig = Make(options);
@@ -108,7 +99,7 @@ TEST_F(SimulatedDevices, LagIsAnExponential) {
 }
 
 TEST_F(SimulatedDevices, GreyLevelsFollowTheResponseAndBitsDoNot) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.gamma = 2.2;
   options.devices.projector.black_level = 0.0;
   const auto bent = Make(options);
@@ -128,7 +119,7 @@ TEST_F(SimulatedDevices, GreyLevelsFollowTheResponseAndBitsDoNot) {
 }
 
 TEST_F(SimulatedDevices, BlurGrowsAwayFromFocus) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.camera_width = 696;
   options.camera_height = 520;
   options.devices.projector.blur_px = 0.3;
@@ -161,7 +152,7 @@ TEST_F(SimulatedDevices, BlurGrowsAwayFromFocus) {
 }
 
 TEST_F(SimulatedDevices, FlickerHasItsStatedSpreadAndFollowsTheSeed) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.flicker = 0.02;
   auto series = [&](uint64_t seed) {
     options.seed = seed;
@@ -181,7 +172,7 @@ TEST_F(SimulatedDevices, FlickerHasItsStatedSpreadAndFollowsTheSeed) {
 }
 
 TEST_F(SimulatedDevices, ALampDriftsWithTheClock) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.drift_per_minute = -0.1;
   const auto rig = Make(options);
   const double before = MeanOf(ShowAndExpose(*rig, kWhite));
@@ -190,7 +181,7 @@ TEST_F(SimulatedDevices, ALampDriftsWithTheClock) {
 }
 
 TEST_F(SimulatedDevices, ARollingShutterSeesThePictureChangeRowByRow) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.black_level = 0.0;
   options.devices.camera.shutter = Shutter::kRolling;
   options.devices.camera.line_time_us = 100.0;
@@ -216,7 +207,7 @@ TEST_F(SimulatedDevices, ARollingShutterSeesThePictureChangeRowByRow) {
 }
 
 TEST_F(SimulatedDevices, TimingJittersWithinItsSpread) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.timing.jitter_us = 50.0;
   options.devices.timing.sync_delay_ms = 2.0;
   const auto rig = Make(options);
@@ -235,7 +226,7 @@ TEST_F(SimulatedDevices, TimingJittersWithinItsSpread) {
 }
 
 TEST_F(SimulatedDevices, AMonoCameraGivesFullSizeTruth) {
-  SimulatedRigOptions options = Target();
+  SimulatedRigOptions options = SmallRig("white");
   options.devices.camera.cfa = Cfa::kMono;
   const auto rig = Make(options);
   EXPECT_EQ(rig->calibration().camera.cfa, Cfa::kMono);

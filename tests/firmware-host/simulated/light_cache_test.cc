@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "firmware-host/simulated/simulated_rig.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
@@ -21,17 +22,9 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-class LightCacheTest : public ::testing::Test {
+class LightCacheTest : public ScratchFolderTest {
  protected:
-  LightCacheTest() {
-    std::string name = (fs::temp_directory_path() / "light-cache-XXXXXX").string();
-    folder_ = ::mkdtemp(name.data());
-  }
-  ~LightCacheTest() override {
-    fs::permissions(folder_, fs::perms::owner_all);
-    fs::remove_all(folder_);
-    std::fclose(log_);
-  }
+  ~LightCacheTest() override { std::fclose(log_); }
   std::vector<fs::path> Files() const {
     std::vector<fs::path> files;
     for (const auto& entry : fs::directory_iterator(folder_)) files.push_back(entry.path());
@@ -58,7 +51,6 @@ class LightCacheTest : public ::testing::Test {
     std::ofstream(file, std::ios::binary | std::ios::trunc) << bytes;
   }
 
-  fs::path folder_;
   std::FILE* log_ = std::tmpfile();  // before the logger that writes to it
   Logger logger_{LogLevel::kInfo, log_};
   const std::vector<float> values_ = {1.0F, -2.5F, 0.0F, 3e-30F, 7.0F};

@@ -9,22 +9,13 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/simulated/skin/skin_table.h"
+#include "tests/firmware-host/simulated/small_rig.h"
 
 namespace stratalux::rig {
 namespace {
 
 class SimulatedRigTest : public ::testing::Test {
  protected:
-  static SimulatedRigOptions Small(const std::string& scene = "head") {
-    SimulatedRigOptions options;
-    options.scene = scene;
-    options.camera_width = 174;
-    options.camera_height = 130;
-    options.projector_width = 256;
-    options.projector_height = 192;
-    options.noise = false;
-    return options;
-  }
   std::unique_ptr<SimulatedRig> Make(const SimulatedRigOptions& options) {
     auto rig = SimulatedRig::Create(options, logger_);
     EXPECT_TRUE(rig.ok()) << rig.status().message();
@@ -57,7 +48,7 @@ constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 constexpr Pattern kBlack = {.kind = PatternKind::kBlack};
 
 TEST_F(SimulatedRigTest, CombFramesOfOneCycleAddUpToTheWhiteFrameInDigitalNumbers) {
-  const auto rig = Make(Small("plane"));
+  const auto rig = Make(SmallRig("plane"));
   const Image<uint16_t> black = Shoot(*rig, 1, {}), white = Shoot(*rig, 1, kWhite);
   constexpr int kPeriod = 32, kFrames = 16;
   for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
@@ -83,7 +74,7 @@ TEST_F(SimulatedRigTest, CombFramesOfOneCycleAddUpToTheWhiteFrameInDigitalNumber
 }
 
 TEST_F(SimulatedRigTest, LightIsLinearInExposureAndSaturatesAtTheTop) {
-  const auto rig = Make(Small("sphere"));
+  const auto rig = Make(SmallRig("sphere"));
   const Image<uint16_t> once = Shoot(*rig, 0, kWhite, 1.0, 3.0), twice = Shoot(*rig, 0, kWhite, 1.0, 6.0),
                         gained = Shoot(*rig, 0, kWhite, 2.0, 3.0), burnt = Shoot(*rig, 0, kWhite, 1.0, 3000.0);
   int top = 0;
@@ -98,7 +89,7 @@ TEST_F(SimulatedRigTest, LightIsLinearInExposureAndSaturatesAtTheTop) {
 
 TEST_F(SimulatedRigTest, ASlabOfWaxGlowsBesideALine) {
   // Light of a line is spread over centimetres; without scattering it stays in the line. White light is the same.
-  SimulatedRigOptions options = Small("slab");
+  SimulatedRigOptions options = SmallRig("slab");
   const Pattern line = {.kind = PatternKind::kComb, .period = 64, .width = 2, .shift = 30};
   double inside[2] = {}, beside[2] = {}, white[2] = {};
   for (const bool scattering : {false, true}) {
@@ -121,7 +112,7 @@ TEST_F(SimulatedRigTest, ASlabOfWaxGlowsBesideALine) {
 }
 
 TEST_F(SimulatedRigTest, ATableOfAnotherTissueIsRefused) {
-  SimulatedRigOptions options = Small("slab");
+  SimulatedRigOptions options = SmallRig("slab");
   options.skin_table = SkinTable::DefaultPath();
   const auto rig = SimulatedRig::Create(options, logger_);
   ASSERT_FALSE(rig.ok());
@@ -131,7 +122,7 @@ TEST_F(SimulatedRigTest, ATableOfAnotherTissueIsRefused) {
 TEST_F(SimulatedRigTest, NoiseKnowsTheAnalogueGain) {
   // At gain g one digital number stands for gain_e_per_dn / g electrons: variance = signal g / gain_e_per_dn + g^2
   // read^2.
-  SimulatedRigOptions options = Small("plane");
+  SimulatedRigOptions options = SmallRig("plane");
   const auto clean = Make(options);
   options.noise = true;
   const auto noisy = Make(options);
@@ -155,7 +146,7 @@ TEST_F(SimulatedRigTest, NoiseKnowsTheAnalogueGain) {
 }
 
 TEST_F(SimulatedRigTest, SameSeedSameBitsWhateverTheThreads) {
-  SimulatedRigOptions options = Small();
+  SimulatedRigOptions options = SmallRig("head");
   options.noise = true;
   const Pattern comb = {.kind = PatternKind::kComb, .period = 32, .width = 2, .shift = 6};
   std::vector<std::vector<uint16_t>> frames;
@@ -172,7 +163,7 @@ TEST_F(SimulatedRigTest, SameSeedSameBitsWhateverTheThreads) {
 }
 
 TEST_F(SimulatedRigTest, AnotherSeedIsAnotherFace) {
-  SimulatedRigOptions options = Small();
+  SimulatedRigOptions options = SmallRig("head");
   const Image<uint16_t> one = Shoot(*Make(options), 0, kWhite);
   options.seed = 2;
   const Image<uint16_t> other = Shoot(*Make(options), 0, kWhite);
@@ -186,7 +177,7 @@ TEST_F(SimulatedRigTest, AnotherSeedIsAnotherFace) {
 }
 
 TEST_F(SimulatedRigTest, ProjectorsInTheDarkAddNothing) {
-  const auto rig = Make(Small("plane"));
+  const auto rig = Make(SmallRig("plane"));
   const Image<uint16_t> black = Shoot(*rig, 0, {});
   for (LightSwitch* light : rig->switches()) light->Set(false);
   ASSERT_TRUE(rig->lines().TriggerCamera().ok());
@@ -203,13 +194,13 @@ TEST_F(SimulatedRigTest, ProjectorsInTheDarkAddNothing) {
 }
 
 TEST_F(SimulatedRigTest, RefusesSizesItCannotSimulateAndNamesThem) {
-  SimulatedRigOptions options = Small();
+  SimulatedRigOptions options = SmallRig("head");
   options.camera_width = 173;
   const auto odd = SimulatedRig::Create(options, logger_);
   ASSERT_FALSE(odd.ok());
   EXPECT_EQ(odd.status().code(), StatusCode::kUsage);
   EXPECT_NE(odd.status().message().find("camera width = 173"), std::string::npos) << odd.status().message();
-  options = Small();
+  options = SmallRig("head");
   options.skin_table = "/nowhere/skin_table.bin";
   const auto lost = SimulatedRig::Create(options, logger_);
   ASSERT_FALSE(lost.ok());

@@ -19,6 +19,7 @@
 
 #include "shared/base/log_queue.h"
 #include "shared/base/unique_fd.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux {
 namespace {
@@ -49,15 +50,9 @@ Fields Parsed(const std::string& datagram) {
   return fields;
 }
 
-class JournalTest : public ::testing::Test {
+class JournalTest : public ScratchFolderTest {
  public:
-  void SetUp() override {
-    std::string name = (std::filesystem::temp_directory_path() / "stratalux-journal-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-    Listen();
-  }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
+  void SetUp() override { Listen(); }
   [[nodiscard]] std::string path() const { return folder_ / "socket"; }
   void Listen() {
     listener_ = UniqueFd(socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
@@ -79,7 +74,6 @@ class JournalTest : public ::testing::Test {
     return size < 0 ? Fields() : Parsed({datagram.data(), static_cast<size_t>(size)});
   }
 
-  std::filesystem::path folder_;
   UniqueFd listener_;
 };
 

@@ -8,49 +8,46 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::http {
 namespace {
 
 namespace fs = std::filesystem;
 
-class OpenBelowTest : public ::testing::Test {
+class OpenBelowTest : public ScratchFolderTest {
  protected:
   void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "stratalux-http-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    top_ = name;
-    fs::create_directories(top_ / "root" / "sub");
-    std::ofstream(top_ / "secret") << "secret";
-    std::ofstream(top_ / "root" / "a.html") << "hello";
-    std::ofstream(top_ / "root" / "sub" / "b.png") << "png";
+    fs::create_directories(folder_ / "root" / "sub");
+    std::ofstream(folder_ / "secret") << "secret";
+    std::ofstream(folder_ / "root" / "a.html") << "hello";
+    std::ofstream(folder_ / "root" / "sub" / "b.png") << "png";
   }
-  void TearDown() override { fs::remove_all(top_); }
-  fs::path top_;
 };
 
 TEST_F(OpenBelowTest, OpensRegularFilesBelow) {
-  const auto file = OpenBelow(top_ / "root", "a.html");
+  const auto file = OpenBelow(folder_ / "root", "a.html");
   ASSERT_TRUE(file.ok()) << file.status().message();
   EXPECT_EQ(file->bytes, 5U);
-  EXPECT_TRUE(OpenBelow(top_ / "root", "sub/b.png").ok());
+  EXPECT_TRUE(OpenBelow(folder_ / "root", "sub/b.png").ok());
 }
 
 TEST_F(OpenBelowTest, LeavesTheRootByNoName) {
-  fs::create_symlink(top_ / "secret", top_ / "root" / "link");
-  fs::create_symlink(top_, top_ / "root" / "up");
-  fs::create_symlink("a.html", top_ / "root" / "inside");
-  fs::create_symlink(top_ / "root", top_ / "linked-root");
-  ASSERT_EQ(mkfifo((top_ / "root" / "pipe").c_str(), 0600), 0);
+  fs::create_symlink(folder_ / "secret", folder_ / "root" / "link");
+  fs::create_symlink(folder_, folder_ / "root" / "up");
+  fs::create_symlink("a.html", folder_ / "root" / "inside");
+  fs::create_symlink(folder_ / "root", folder_ / "linked-root");
+  ASSERT_EQ(mkfifo((folder_ / "root" / "pipe").c_str(), 0600), 0);
   for (const std::string& name :
-       {std::string("../secret"), std::string("sub/../../secret"), (top_ / "secret").string(), std::string("link"),
+       {std::string("../secret"), std::string("sub/../../secret"), (folder_ / "secret").string(), std::string("link"),
         std::string("up/secret"), std::string("inside"), std::string("sub"), std::string("pipe"), std::string(""),
         std::string("."), std::string("sub//b.png"), std::string("a.html/"), std::string("a.html/x"),
         std::string("none"), std::string("a.html\0x", 8), std::string(5000, 'a')}) {
-    const auto file = OpenBelow(top_ / "root", name);
+    const auto file = OpenBelow(folder_ / "root", name);
     ASSERT_FALSE(file.ok()) << name;
     EXPECT_EQ(file.status().code(), StatusCode::kNotFound) << name;
   }
-  EXPECT_EQ(OpenBelow(top_ / "linked-root", "a.html").status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(OpenBelow(folder_ / "linked-root", "a.html").status().code(), StatusCode::kNotFound);
 }
 
 TEST(ContentTypeOf, KnowsWhatBrowsersShow) {
