@@ -22,6 +22,8 @@ using Json = nlohmann::ordered_json;
 
 namespace {
 
+constexpr int64_t kSchema = 2;  // 1: may lack its own hash and the list of its files
+
 // XXH3-128 of a file's bytes, 32 hex digits.
 Result<std::string> HashOf(const fs::path& file) {
   std::ifstream in(file, std::ios::binary);
@@ -80,7 +82,7 @@ Status CheckFile(const fs::path& folder, const std::string& name, int64_t bytes,
 
 Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
   // Options and metrics as texts: the index holds them byte for byte.
-  Json json = {{"schema", 1},
+  Json json = {{"schema", kSchema},
                {"fit", fit.id},
                {"session", fit.session},
                {"created_wall_ns", fit.created_wall.ns},
@@ -100,21 +102,32 @@ Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
 
 namespace {
 
-// Its text, as it was written; older records carry no hash.
-Result<std::string> ReadRecordText(const fs::path& file) {
-  SLX_ASSIGN_OR_RETURN(std::string text, ReadFile(file));
-  if (CheckOwnHash(text) == OwnHash::kWrong) return Status::Integrity(file.string() + " does not match its own hash");
-  return text;
+// As it was written.
+Result<Json> ReadRecord(const fs::path& file) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  const OwnHash hash = CheckOwnHash(text);
+  if (hash == OwnHash::kWrong) return Status::Integrity(file.string() + " does not match its own hash");
+  try {
+    Json json = Json::parse(text);
+    const auto schema = json.at("schema").get<int64_t>();
+    if (schema < 1 || schema > kSchema)
+      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
+                                                  " is newer than this program's " + std::to_string(kSchema) +
+                                                  "; use a newer stratalux");
+    if (schema == kSchema && hash == OwnHash::kNone) return Status::Integrity(file.string() + " lost its own hash");
+    return json;
+  } catch (const nlohmann::json::exception& error) {
+    return Status::Integrity(file.string() + ": " + error.what());
+  }
 }
 
 }  // namespace
 
 Status CheckFitFiles(const fs::path& folder) {
   const fs::path file = folder / kFitRecordFile;
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadRecordText(file));
+  SLX_ASSIGN_OR_RETURN(const Json json, ReadRecord(file));
   try {
-    const Json json = Json::parse(text);
-    if (!json.contains("files")) return Status::Ok();
+    if (json.at("schema") != kSchema && !json.contains("files")) return Status::Ok();
     for (const Json& entry : json.at("files"))
       SLX_RETURN_IF_ERROR(CheckFile(folder, entry.at("name").get<std::string>(), entry.at("bytes").get<int64_t>(),
                                     entry.at("xxh3_128").get<std::string>()));
@@ -143,12 +156,8 @@ Result<FitRow> FromMetrics(const std::filesystem::path& folder, const std::strin
 Result<FitRow> ReadFitRecord(const std::filesystem::path& folder, const std::string& session) {
   const auto file = folder / kFitRecordFile;
   if (std::error_code error; !std::filesystem::exists(file, error)) return FromMetrics(folder, session);
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadRecordText(file));
+  SLX_ASSIGN_OR_RETURN(const Json json, ReadRecord(file));
   try {
-    const Json json = Json::parse(text);
-    if (const auto schema = json.at("schema").get<int64_t>(); schema != 1)
-      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
-                                                  " is newer than this program's 1; use a newer stratalux");
     FitRow fit;
     json.at("fit").get_to(fit.id);
     json.at("session").get_to(fit.session);

@@ -308,8 +308,15 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   refused(StatusCode::kIntegrity, "is of fit f2");
   edited(session_, "s000099-00000000");
   refused(StatusCode::kIntegrity, "of session s000099-00000000");
-  edited("\"schema\": 1", "\"schema\": 2");
+  edited("\"schema\": 2", "\"schema\": 3");
   refused(StatusCode::kNewerSchema, "newer");
+  auto stripped = nlohmann::ordered_json::parse(record);
+  stripped.erase("hash");
+  WriteText(made / "fit.json", stripped.dump(1) + "\n");
+  refused(StatusCode::kIntegrity, "lost its own hash");
+  stripped.erase("files");
+  WriteText(made / "fit.json", WithOwnHash(stripped.dump(1)));
+  refused(StatusCode::kIntegrity, "fit.json");
   edited("5000", "-1");
   refused(StatusCode::kIntegrity, "position.exr");
   for (const std::string& text : {std::string("{"), std::string("[]"), std::string(R"({"files": [7]})")}) {
