@@ -3,6 +3,8 @@
 
 #include <algorithm>
 
+#include "shared/units/time.h"
+
 namespace stratalux::rig {
 namespace {
 
