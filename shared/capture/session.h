@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "shared/capture/finding.h"
 #include "shared/capture/plan.h"
 #include "shared/units/time.h"
 
@@ -53,6 +54,9 @@ struct SessionInfo {
   WallNs finished_wall;  // 0 while recording
   SessionStatus status = SessionStatus::kRecording;
   std::vector<std::string> reasons;  // why degraded or failed
+  std::string visit;                 // names the visit that its attempts share; empty: not one of several
+  int attempt = 0;                   // of the visit, from 1; 0: not counted
+  CaptureFindings found;             // what the capture saw, as data
   std::string program_version;
   std::string plan_json;         // PlanOptionsToJson, empty for imports
   std::string calibration_json;  // RigCalibration::ToJson, empty when unknown
