@@ -41,6 +41,12 @@ BoardWatchOptions BoardOptions(const RigConfig& config) {
   return options;
 }
 
+// What cannot go well is refused before the rig moves.
+Result<std::unique_ptr<CaptureStation>> OpenFor(const CaptureJob& job, StopToken& stop, Logger& logger) {
+  SLX_RETURN_IF_ERROR(CaptureStation::MayBegin(job.station, job.request));
+  return CaptureStation::Open(job.station, stop, logger);
+}
+
 struct Attempt {
   CaptureOutcome capture;
   BoardSighting sighting;
@@ -52,12 +58,13 @@ struct Attempt {
   }
 };
 
-Result<Attempt> CapturePose(CaptureOptions options, int pose, StopToken& stop, Logger& logger) {
-  options.board_pose = pose;
-  if (options.simulated) options.simulated->board_pose = pose;
-  BoardWatch watch(BoardOptions(options.config));
+Result<Attempt> CapturePose(CaptureStation& station, const CaptureJob& job, int pose, Logger& logger) {
+  CaptureRequest request = job.request;
+  request.board_pose = pose;
+  if (const auto& simulated = job.station.simulated) request.subject = {simulated->scene, simulated->seed, pose, false};
+  BoardWatch watch(BoardOptions(job.station.config));
   Attempt attempt;
-  SLX_ASSIGN_OR_RETURN(attempt.capture, Capture(options, stop, logger, &watch));
+  SLX_ASSIGN_OR_RETURN(attempt.capture, CaptureWithProgress(station, request, logger, &watch));
   attempt.sighting = watch.Judge();
   return attempt;
 }
@@ -86,17 +93,18 @@ std::string CoverageMaps(const SeriesOutcome& outcome) {
 
 std::string Reasons(const CaptureOutcome& capture) {
   std::string text;
-  for (const std::string& reason : capture.report.reasons) text += (text.empty() ? "" : "; ") + reason;
+  for (const std::string& reason : capture.report.Reasons()) text += (text.empty() ? "" : "; ") + reason;
   return text;
 }
 
 // Captures one pose until it is usable. Else than kGo: the operator went back; the operator or a signal ended the
 // series.
-Result<Answer> CaptureUntilUsable(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
-                                  StopToken& stop, Logger& logger, PoseOutcome& pose, SeriesOutcome& outcome) {
+Result<Answer> CaptureUntilUsable(CaptureStation& station, const CaptureJob& job, const SeriesOptions& series,
+                                  const AskOperator& ask, StopToken& stop, Logger& logger, PoseOutcome& pose,
+                                  SeriesOutcome& outcome) {
   const std::string name = "pose " + std::to_string(pose.pose);
   while (pose.attempts < series.max_attempts) {
-    SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(options, pose.pose, stop, logger));
+    SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(station, job, pose.pose, logger));
     ++pose.attempts;
     pose.capture = std::move(attempt.capture);
     pose.notes = attempt.sighting.notes;
@@ -156,10 +164,11 @@ AskOperator AskOnTerminal(StopToken& stop, bool poses) {
   };
 }
 
-Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& series, const AskOperator& ask,
                                     StopToken& stop, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
   SeriesOutcome outcome;
-  outcome.projectors.resize(static_cast<size_t>(options.config.plan.projectors));
+  outcome.projectors.resize(static_cast<size_t>(job.request.plan.projectors));
   outcome.first = series.first;
   outcome.end = series.poses;
   int& pose = outcome.next;
@@ -179,7 +188,7 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
       logger.Info(text);
     }
     SLX_ASSIGN_OR_RETURN(const Answer answer,
-                         CaptureUntilUsable(options, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
+                         CaptureUntilUsable(*station, job, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
     logger.Info(CoverageLine(outcome));
     if (answer == Answer::kQuit) return outcome;
     pose = answer == Answer::kBack ? std::max(series.first, pose - 1) : pose + 1;
@@ -188,24 +197,26 @@ Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesO
   return outcome;
 }
 
-Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, StopToken& stop,
-                                  Logger& logger) {
-  const RigConfig& config = options.config;
-  if (config.plan.kind == SessionKind::kVisitor) return Capture(options, stop, logger);
-  if (config.plan.kind == SessionKind::kCalibration) {
+Result<CaptureOutcome> CaptureOne(const CaptureJob& job, const AskOperator& ask, StopToken& stop, Logger& logger) {
+  const RigConfig& config = job.station.config;
+  const SessionKind kind = job.request.plan.kind;
+  const bool of_light = kind != SessionKind::kVisitor && kind != SessionKind::kCalibration;
+  if (of_light && ask && ask(LightInstruction(kind, job.request.board_pose)) != Answer::kGo)
+    return Status::Failed("ended before the capture; nothing was stored");
+  SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
+  if (kind == SessionKind::kVisitor) return CaptureWithProgress(*station, job.request, logger);
+  if (kind == SessionKind::kCalibration) {
     // Who captures a single pose knows which.
     BoardWatch watch(BoardOptions(config));
-    return Capture(options, stop, logger, &watch);
+    return CaptureWithProgress(*station, job.request, logger, &watch);
   }
-  if (ask && ask(LightInstruction(config.plan.kind, options.board_pose)) != Answer::kGo)
-    return Status::Failed("ended before the capture; nothing was stored");
   LightWatchOptions light;
-  light.kind = config.plan.kind;
+  light.kind = kind;
   light.projectors = config.plan.projectors;
   light.saturation_dn = config.camera.saturation_dn;
   light.exposure_ms = config.plan.exposure_ms;
   LightWatch watch(light);
-  return Capture(options, stop, logger, &watch);
+  return CaptureWithProgress(*station, job.request, logger, &watch);
 }
 
 std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store) {
@@ -236,7 +247,7 @@ std::string SeriesAsJson(const SeriesOutcome& outcome) {
                      {"status", ToString(pose.capture.report.status)},
                      {"usable", pose.usable},
                      {"attempts", pose.attempts},
-                     {"reasons", pose.capture.report.reasons},
+                     {"reasons", pose.capture.report.Reasons()},
                      {"notes", pose.notes}});
   for (const CoverageMap& map : outcome.projectors) projectors.push_back(CoverageJson(map));
   const Json json = {{"poses", poses},

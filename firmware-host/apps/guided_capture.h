@@ -46,13 +46,13 @@ struct SeriesOutcome {
   int end = 0;            // behind the last pose
 };
 
-// One session a pose. A pose that went wrong is captured again at once: after the operator mended what is named, or,
-// where nobody is asked (`ask` empty), if another try may go well. Fails as Capture does.
-[[nodiscard]] Result<SeriesOutcome> CaptureSeries(const CaptureOptions& options, const SeriesOptions& series,
+// One session a pose, all with one opened rig. A pose that went wrong is captured again at once: after the operator
+// mended what is named, or, where nobody is asked (`ask` empty), if another try may go well. Fails as Capture does.
+[[nodiscard]] Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& series,
                                                   const AskOperator& ask, StopToken& stop, Logger& logger);
 // One session: a board pose, or of kind dark, flat or response, looked at while it is captured: board_watch.h,
 // light_watch.h. A visitor's is captured as it is. Fails as Capture does.
-[[nodiscard]] Result<CaptureOutcome> CaptureOne(const CaptureOptions& options, const AskOperator& ask, StopToken& stop,
+[[nodiscard]] Result<CaptureOutcome> CaptureOne(const CaptureJob& job, const AskOperator& ask, StopToken& stop,
                                                 Logger& logger);
 
 // For people: one line a pose, coverage, and the command that calibrates. One JSON object for programs: {"poses":

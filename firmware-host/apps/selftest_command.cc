@@ -9,7 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/segment/frame_codec.h"
-#include "firmware-host/apps/store_disk.h"
+#include "firmware-host/session/store_disk.h"
 
 namespace stratalux::rig {
 namespace {

@@ -15,13 +15,13 @@
 #include "db/catalogue/consent.h"
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/guided_capture.h"
-#include "firmware-host/apps/last_lights.h"
-#include "firmware-host/apps/open_rig.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/safety/last_resort.h"
+#include "firmware-host/session/last_lights.h"
+#include "firmware-host/session/open_rig.h"
 #include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/mistyped_command.h"
@@ -169,6 +169,7 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
 Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& config) {
   SimulatedRigOptions simulated;
   simulated.board_pose = flags.board_pose;
+  simulated.lens_covered = config.plan.kind == SessionKind::kDark;
   simulated.scene = flags.scene;
   simulated.seed = flags.seed;
   simulated.scattering = !flags.no_scattering;
@@ -188,27 +189,31 @@ Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& 
   return simulated;
 }
 
-Result<CaptureOptions> CaptureFrom(const Flags& flags) {
-  CaptureOptions options;
-  SLX_ASSIGN_OR_RETURN(options.config, ConfigFrom(flags));
-  if (options.config.store.folder.empty())
+Result<CaptureJob> CaptureFrom(const Flags& flags) {
+  CaptureJob job;
+  RigConfig& config = job.station.config;
+  CaptureRequest& request = job.request;
+  SLX_ASSIGN_OR_RETURN(config, ConfigFrom(flags));
+  if (config.store.folder.empty())
     return Status::Usage(
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
-  options.visitor = flags.visitor;
-  options.board_pose = flags.board_pose;
-  SLX_RETURN_IF_ERROR(ReadConsent(flags, options.consent));
-  SLX_ASSIGN_OR_RETURN(options.retention, ParseRetention(flags.retention).WithContext("--retention"));
-  if (flags.encrypt) options.config.store.encrypt = true;
-  if (flags.sign) options.config.store.sign = true;
+  request.plan = config.plan;
+  request.calibration = config.calibration;
+  request.visitor = flags.visitor;
+  request.board_pose = flags.board_pose;
+  SLX_RETURN_IF_ERROR(ReadConsent(flags, request.consent));
+  SLX_ASSIGN_OR_RETURN(request.retention, ParseRetention(flags.retention).WithContext("--retention"));
+  if (flags.encrypt) config.store.encrypt = true;
+  if (flags.sign) config.store.sign = true;
   if (!flags.scene.empty()) {
-    SLX_ASSIGN_OR_RETURN(options.simulated, SimulationFrom(flags, options.config));
+    SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags, config));
   }
-  return options;
+  return job;
 }
 
 // The poses of a series; nullopt: a single capture. A simulated board has the poses that its scene lists.
-Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const CaptureOptions& options) {
-  if (options.config.plan.kind != SessionKind::kCalibration) {
+Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const CaptureJob& job) {
+  if (job.request.plan.kind != SessionKind::kCalibration) {
     if (flags.poses > 0) return Status::Usage("--poses counts the board's poses of --kind calibration");
     return std::optional<SeriesOptions>();
   }
@@ -216,8 +221,8 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
   SeriesOptions series;
   series.first = std::max(0, flags.board_pose);
   series.poses = flags.poses > 0 ? flags.poses : kAdvisedPoses;
-  if (options.simulated) {
-    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(options.simulated->scene));
+  if (const auto& simulated = job.station.simulated) {
+    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(simulated->scene));
     const int listed = static_cast<int>(simulation.scene.poses.size());
     if (listed == 0 && flags.poses == 0) return std::optional<SeriesOptions>();
     if (flags.poses > listed)
@@ -231,26 +236,27 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
   return std::optional(series);
 }
 
-int RunSeries(const Flags& flags, const CaptureOptions& options, const SeriesOptions& series, const AskOperator& ask,
+int RunSeries(const Flags& flags, const CaptureJob& job, const SeriesOptions& series, const AskOperator& ask,
               Logger& logger) {
-  const Result<SeriesOutcome> outcome = CaptureSeries(options, series, ask, StopOfProcess(), logger);
+  const Result<SeriesOutcome> outcome = CaptureSeries(job, series, ask, StopOfProcess(), logger);
   if (!outcome.ok()) return Report(outcome.status());
-  const int printed = Print(flags.json ? SeriesAsJson(*outcome) : SeriesAsText(*outcome, options.config.store.folder));
+  const int printed =
+      Print(flags.json ? SeriesAsJson(*outcome) : SeriesAsText(*outcome, job.station.config.store.folder));
   const int captured = ExitCode(*outcome);
   return captured != 0 ? captured : printed;
 }
 
 int RunCapture(const Flags& flags) {
-  const Result<CaptureOptions> options = CaptureFrom(flags);
-  if (!options.ok()) return Report(options.status());
+  const Result<CaptureJob> job = CaptureFrom(flags);
+  if (!job.ok()) return Report(job.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
-  const Result<std::optional<SeriesOptions>> series = SeriesFrom(flags, *options);
+  const Result<std::optional<SeriesOptions>> series = SeriesFrom(flags, *job);
   if (!series.ok()) return Report(series.status());
   // A simulated board needs nobody's hands.
   AskOperator ask;
-  if (!flags.yes && !options->simulated) ask = AskOnTerminal(StopOfProcess(), series->has_value());
-  if (*series) return RunSeries(flags, *options, **series, ask, logger);
-  const Result<CaptureOutcome> outcome = CaptureOne(*options, ask, StopOfProcess(), logger);
+  if (!flags.yes && !job->station.simulated) ask = AskOnTerminal(StopOfProcess(), series->has_value());
+  if (*series) return RunSeries(flags, *job, **series, ask, logger);
+  const Result<CaptureOutcome> outcome = CaptureOne(*job, ask, StopOfProcess(), logger);
   if (!outcome.ok()) return Report(outcome.status());
   const int printed = Print((flags.json ? OutcomeAsJson : OutcomeAsText)(*outcome));
   const int captured = ExitCode(*outcome);

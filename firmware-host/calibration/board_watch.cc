@@ -45,7 +45,7 @@ struct BoardWatch::Lit {
   [[nodiscard]] double Signal(size_t i) const { return double((*white)[i]) - (*black)[i]; }
 };
 
-void BoardWatch::See(const FrameRecord& record, const Image<uint16_t>& pixels) {
+void BoardWatch::OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) {
   if (record.projector < 0 || record.bracket != 0 || record.level_check == LevelCheck::kFailed) return;
   if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
   frames_[{record.projector, record.pattern.ToString()}] = lattice_.Sample(pixels);

@@ -10,8 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "firmware-host/calibration/capture_watch.h"
+#include "firmware-host/calibration/capture_fault.h"
 #include "firmware-host/calibration/coverage.h"
+#include "firmware-host/sequence/capture_observer.h"
 #include "firmware-host/sequence/probe_lattice.h"
 
 namespace stratalux::rig {
@@ -34,12 +35,12 @@ struct BoardWatchOptions {
 };
 
 // Thread-bound. Frames may come in any order; a later shot of a step replaces an earlier one.
-class BoardWatch : public CaptureWatch {
+class BoardWatch : public CaptureObserver {
  public:
   explicit BoardWatch(const BoardWatchOptions& options) : options_(options) {}
 
-  void See(const FrameRecord& record, const Image<uint16_t>& pixels) override;
-  [[nodiscard]] std::vector<CaptureFault> Faults() const override { return Judge().faults; }
+  void OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) override;
+  [[nodiscard]] std::vector<Finding> Objections() const override { return FindingsOf(Judge().faults); }
   [[nodiscard]] BoardSighting Judge() const;
 
  private:

@@ -57,7 +57,7 @@ LightWatch::Levels LightWatch::LevelsOf(const Image<uint16_t>& pixels) const {
   return levels;
 }
 
-void LightWatch::See(const FrameRecord& record, const Image<uint16_t>& pixels) {
+void LightWatch::OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) {
   if (record.projector < 0 || record.projector >= options_.projectors || record.bracket != 0 ||
       record.level_check == LevelCheck::kFailed)
     return;

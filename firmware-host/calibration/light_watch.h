@@ -5,7 +5,8 @@
 
 #include <vector>
 
-#include "firmware-host/calibration/capture_watch.h"
+#include "firmware-host/calibration/capture_fault.h"
+#include "firmware-host/sequence/capture_observer.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::rig {
@@ -23,12 +24,13 @@ struct LightWatchOptions {
 };
 
 // Thread-bound. Judges the frames of the plan's nominal exposure.
-class LightWatch : public CaptureWatch {
+class LightWatch : public CaptureObserver {
  public:
   explicit LightWatch(const LightWatchOptions& options);
 
-  void See(const FrameRecord& record, const Image<uint16_t>& pixels) override;
-  [[nodiscard]] std::vector<CaptureFault> Faults() const override;
+  void OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) override;
+  [[nodiscard]] std::vector<Finding> Objections() const override { return FindingsOf(Faults()); }
+  [[nodiscard]] std::vector<CaptureFault> Faults() const;
 
  private:
   struct Levels {

@@ -14,7 +14,7 @@ Status CaptureRun::ShootBlock(const std::vector<int>& block) {
     if (!exposed_) AskWitness(block.back());
     const int next = NextStep();
     if (exposed_ && (next == kNoStep || next != memory_at_ || !MayOverlap(next))) {
-      SLX_RETURN_IF_ERROR(BeginStep());
+      SLX_RETURN_IF_ERROR(RenewLight());
       SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
       SLX_RETURN_IF_ERROR(CollectExposed());
       SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
@@ -56,7 +56,7 @@ bool CaptureRun::MayOverlap(int step) const {
 }
 
 Status CaptureRun::ShootNext(int step) {
-  SLX_RETURN_IF_ERROR(BeginStep());
+  SLX_RETURN_IF_ERROR(BeginShot(step));
   if (exposed_) SLX_RETURN_IF_ERROR(shooter_.AwaitEnd(*exposed_));
   SLX_ASSIGN_OR_RETURN(const ShotFault fault, shooter_.DrainEdges());
   if (fault != ShotFault::kNone) return SpoilLast(fault);
@@ -78,7 +78,7 @@ Status CaptureRun::ShootNext(int step) {
 }
 
 Status CaptureRun::Abandon(const StepExposure& exposure) {
-  SLX_RETURN_IF_ERROR(BeginStep());
+  SLX_RETURN_IF_ERROR(RenewLight());
   ++spoilt_triggers_;
   SLX_RETURN_IF_ERROR(shooter_.Collect(exposure).status());
   return shooter_.DrainFrames().status();
@@ -146,7 +146,7 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
     for (int step : group) wrong_level_.erase(step);
     return Status::Ok();
   }
-  report_.Note(ShotFault::kWrongLevel);
+  NoteFault(last.index, ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
   memory_at_.reset();
   if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) return Status::Ok();
@@ -190,7 +190,7 @@ Status CaptureRun::SpoilLast(ShotFault fault) {
 }
 
 Status CaptureRun::Spoil(int step, ShotFault fault) {
-  report_.Note(fault);
+  NoteFault(step, fault);
   proven_.erase(step);
   // Nothing was seen of what this frame would have told, so whether the memory is still in step is not known.
   memory_at_.reset();
@@ -210,8 +210,9 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
                 " retries; given up");
   if (plan_.steps[step].phase == CapturePhase::kReference && plan_.steps[step].bracket == 0)
-    return Status::Failed(Describe(step) + ": " + ToString(fault) +
-                          " at each try; without this reference nothing can tell what the projector shows");
+    return EndFor({FindingKind::kNoProof, plan_.steps[step].projector, step, 0.0, 0.0,
+                   std::string(ToString(fault)) +
+                       " at each try; without this reference nothing can tell what the projector shows"});
   pending_.erase(step);
   given_up_.insert(step);
   Advance(step);
@@ -221,8 +222,8 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
 
 Status CaptureRun::CountUseless() {
   if (++useless_shots_ < options_.max_useless_shots) return Status::Ok();
-  return Status::Failed(std::to_string(useless_shots_) + " shots in a row without a usable frame (" +
-                        report_.FaultSummary() + "); check the camera's and projectors' cables and power");
+  return EndFor({FindingKind::kSilentRig, -1, -1, static_cast<double>(useless_shots_),
+                 static_cast<double>(options_.max_useless_shots), report_.FaultSummary()});
 }
 
 void CaptureRun::Retake(int step, ShotFault cause) {
@@ -245,7 +246,7 @@ void CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
     }
   }
   if (again.empty()) return;
-  report_.Note(ShotFault::kWrongLevel);
+  NoteFault(again.front(), ShotFault::kWrongLevel);
   logger_.Warning(Describe(again.front()) + " and " + std::to_string(again.size() - 1) +
                   " more: the projector was out of step soon after; shot again");
   for (int step : again) Retake(step, ShotFault::kWrongLevel);

@@ -11,6 +11,13 @@ const char* ToString(ShotFault fault) {
   return kNames[static_cast<size_t>(fault)];
 }
 
+CaptureFindings CaptureReport::Found() const {
+  CaptureFindings found{findings, {}};
+  for (int i = 1; i < kShotFaultCount; ++i)
+    if (faults[i] > 0) found.faults[ToString(static_cast<ShotFault>(i))] = faults[i];
+  return found;
+}
+
 std::string CaptureReport::FaultSummary() const {
   std::string text;
   for (int i = 1; i < kShotFaultCount; ++i)

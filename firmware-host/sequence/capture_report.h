@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "shared/capture/finding.h"
 #include "shared/capture/session.h"
 
 namespace stratalux::rig {
@@ -39,10 +40,14 @@ struct CaptureReport {
   std::array<int, kShotFaultCount> faults{};
   std::vector<int> missing_steps;  // steps left without a proven frame
   SessionStatus status = SessionStatus::kRecording;
-  std::vector<std::string> reasons;  // why not complete, for people
+  std::vector<Finding> findings;  // why not complete, in the order they came up
 
   [[nodiscard]] int Count(ShotFault fault) const { return faults[static_cast<size_t>(fault)]; }
   void Note(ShotFault fault) { ++faults[static_cast<size_t>(fault)]; }
+  // The findings, and the faults that happened by their names.
+  [[nodiscard]] CaptureFindings Found() const;
+  // The findings for people.
+  [[nodiscard]] std::vector<std::string> Reasons() const { return ToText(findings); }
   // "lost frame 2, corrupt frame 1", empty when nothing went wrong.
   [[nodiscard]] std::string FaultSummary() const;
 };

@@ -18,12 +18,12 @@ ShooterOptions ShooterOptionsOf(const SequencerOptions& options) {
 }  // namespace
 
 CaptureRun::CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
-                       const std::function<void()>& on_step, FrameSink& sink)
+                       CaptureObserver& observer, FrameSink& sink)
     : plan_(plan),
       devices_(devices),
       options_(options),
       logger_(logger),
-      on_step_(on_step),
+      observer_(observer),
       sink_(sink),
       shooter_(std::move(devices), ShooterOptionsOf(options), plan.options.sync_mode, [this] { return CheckSafe(); }),
       witness_(plan, options.witness) {
@@ -75,7 +75,30 @@ Status CaptureRun::SetLights(bool on) {
 
 Status CaptureRun::CheckSafe() { return WhyDark(devices_.light.Check()); }
 
-Status CaptureRun::BeginStep() { return WhyDark(devices_.light.Renew()); }
+Status CaptureRun::RenewLight() { return WhyDark(devices_.light.Renew()); }
+
+Status CaptureRun::BeginShot(int step) {
+  if (Status ended = observer_.BeforeShot(plan_.steps[step], retries_[step]); !ended.ok())
+    return EndFor({FindingKind::kStopped, -1, step, 0.0, 0.0, ended.message()});
+  return RenewLight();
+}
+
+Status CaptureRun::EndFor(Finding why) {
+  ended_for_ = std::move(why);
+  return Status::Failed(ToText({*ended_for_}).front());
+}
+
+void CaptureRun::NoteFault(int step, ShotFault fault) {
+  report_.Note(fault);
+  observer_.OnFault(plan_.steps[step], fault);
+}
+
+Status CaptureRun::Add(Finding finding) {
+  report_.findings.push_back(finding);
+  if (Status ended = observer_.OnFinding(finding); !ended.ok())
+    return EndFor({FindingKind::kStopped, finding.projector, finding.step, 0.0, 0.0, ended.message()});
+  return Status::Ok();
+}
 
 Status CaptureRun::WhyDark(const Status& light) const {
   if (light.ok() || devices_.light.stop().reason() == StopReason::kOperator) return light;
@@ -96,7 +119,7 @@ Status CaptureRun::RunPreroll() {
     if (whole && readable) reading = ReadMarkers(shots);
     if (whole && reading.decoded) break;
     if (whole) {
-      report_.Note(ShotFault::kWrongLevel);
+      NoteFault(steps.front(), ShotFault::kWrongLevel);
       for (int step : steps) retake_cause_[step] = ShotFault::kWrongLevel;
       logger_.Warning(reading.reason);
     }
@@ -104,8 +127,9 @@ Status CaptureRun::RunPreroll() {
     // The markers only mean something in a row, so the whole pre-roll is shot again.
     spoilt_triggers_ += shooter_.camera_triggers() - triggers_before;
     if (retry == options_.max_retries)
-      return Status::Failed("pre-roll: no unbroken marker code in " + std::to_string(retry + 1) + " attempts (" +
-                            report_.FaultSummary() + ")");
+      return EndFor({FindingKind::kPreroll, -1, -1, retry + 1.0, 0.0,
+                     "pre-roll: no unbroken marker code in " + std::to_string(retry + 1) + " attempts (" +
+                         report_.FaultSummary() + ")"});
     ++report_.retried;
     SLX_RETURN_IF_ERROR(SetLights(false));
     SLX_RETURN_IF_ERROR(LoadMemories());
@@ -118,7 +142,7 @@ Status CaptureRun::RunPreroll() {
     if (readable && reading.decoded) witness_.AddPreroll(plan_.steps[shot.record.step], shot.pixels);
     SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
   }
-  return reading.decoded ? Status::Ok() : Status::Failed(reading.reason);
+  return reading.decoded ? Status::Ok() : EndFor({FindingKind::kPreroll, -1, -1, 0.0, 0.0, reading.reason});
 }
 
 PrerollReading CaptureRun::ReadMarkers(const std::vector<Shot>& shots) const {
@@ -143,7 +167,7 @@ PrerollReading CaptureRun::ReadMarkers(const std::vector<Shot>& shots) const {
 Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots) {
   shots.clear();
   for (int step : steps) {
-    SLX_RETURN_IF_ERROR(BeginStep());
+    SLX_RETURN_IF_ERROR(BeginShot(step));
     SLX_ASSIGN_OR_RETURN(Shot shot, shooter_.Take(plan_.steps[step], retry));
     ShotFault fault = shot.fault;
     if (fault == ShotFault::kNone) {
@@ -151,7 +175,7 @@ Result<bool> CaptureRun::ShootPreroll(const std::vector<int>& steps, int retry, 
     }
     if (fault != ShotFault::kNone) {
       logger_.Warning(Describe(step) + ": " + ToString(fault) + "; the pre-roll is shot again");
-      report_.Note(fault);
+      NoteFault(step, fault);
       for (int spoilt : steps) retake_cause_[spoilt] = fault;
       return false;
     }
@@ -178,7 +202,7 @@ Status CaptureRun::RunProjector(int projector) {
   SLX_RETURN_IF_ERROR(ShootBlock({steps.begin(), sweep}));
   SLX_RETURN_IF_ERROR(ShootBlock({sweep, steps.end()}));
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
-  for (std::string& reason : witness_.CheckProjector()) report_.reasons.push_back(std::move(reason));
+  for (Finding& finding : witness_.CheckProjector()) SLX_RETURN_IF_ERROR(Add(std::move(finding)));
   return Status::Ok();
 }
 
@@ -204,13 +228,14 @@ int CaptureRun::StepAfter(int step) const {
 
 void CaptureRun::Advance(int step) {
   // A step shot again was counted before.
-  if (seen_.insert(step).second && on_step_) on_step_();
+  if (seen_.insert(step).second) observer_.OnStepDone(plan_.steps[step]);
 }
 
 Status CaptureRun::Emit(Shot shot) {
   if (shot.record.level_check != LevelCheck::kFailed) proven_[shot.record.step] = shot.record;
   if (shot.record.projector < 0) Advance(shot.record.step);
   ++report_.frames;
+  observer_.OnFrame(shot.record, shot.pixels);
   return sink_.Put(std::move(shot.record), std::move(shot.pixels)).WithContext("recording");
 }
 

@@ -17,14 +17,14 @@ namespace stratalux::rig {
 class CaptureRun {
  public:
   CaptureRun(const CapturePlan& plan, RigDevices devices, const SequencerOptions& options, Logger& logger,
-             const std::function<void()>& on_step, FrameSink& sink);
+             CaptureObserver& observer, FrameSink& sink);
 
   // The whole capture; an error is why it failed. The report is valid in either case.
   Status Run();
   // Hands on, not checked, what still waited for others of its group when the capture broke off.
   Status EmitHeld();
-  // Sets the final status and reasons; `ended` is what Run returned.
-  CaptureReport Conclude(const Status& ended);
+  // Sets the final status and findings; `ended` is what Run returned.
+  CaptureReport Conclude(Status ended);
 
  private:
   static constexpr int kNoStep = -1;
@@ -63,8 +63,16 @@ class CaptureRun {
   void RetakeDoubtful(const std::vector<int>& doubtful);
   // Why to end here, if the light was taken away.
   Status CheckSafe();
-  // The same, and another lease for the step that begins.
-  Status BeginStep();
+  // The same, and another lease for what is done next.
+  Status RenewLight();
+  // The same before a shot, if the observer agrees.
+  Status BeginShot(int step);
+  // An error that ends the capture, and what it is.
+  Status EndFor(Finding why);
+  // A shot of the step that does not count.
+  void NoteFault(int step, ShotFault fault);
+  // Among the report's; the observer may end the capture for it.
+  Status Add(Finding finding);
   [[nodiscard]] Status WhyDark(const Status& light) const;
   [[nodiscard]] bool RetriesLeft(int step) const {
     const auto found = retries_.find(step);
@@ -81,13 +89,13 @@ class CaptureRun {
   // The step that stands behind it in its projector's memory; kNoStep: none.
   [[nodiscard]] int StepAfter(int step) const;
   [[nodiscard]] std::string Describe(int step) const;
-  void CheckProof();
+  Status CheckProof();
 
   const CapturePlan& plan_;
   RigDevices devices_;
   const SequencerOptions& options_;
   Logger& logger_;
-  const std::function<void()>& on_step_;
+  CaptureObserver& observer_;
   FrameSink& sink_;
 
   Shooter shooter_;
@@ -106,7 +114,8 @@ class CaptureRun {
   std::map<int, FrameRecord> proven_;  // by step: the last good frame
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
   int useless_shots_ = 0;              // in a row
-  std::set<int> seen_;                 // steps that were counted for `on_step_`
+  std::set<int> seen_;                 // steps that were told to the observer as done
+  std::optional<Finding> ended_for_;   // what ended the capture, where its error alone does not say
   int64_t spoilt_triggers_ = 0;        // camera triggers without a frame in the sink
 };
 

@@ -26,6 +26,7 @@
 
 #include "firmware-host/sequence/pattern_score.h"
 #include "firmware-host/sequence/probe_lattice.h"
+#include "shared/capture/finding.h"
 #include "shared/capture/frame_record.h"
 #include "shared/capture/plan.h"
 #include "shared/image/image.h"
@@ -72,11 +73,11 @@ class PatternWitness {
   [[nodiscard]] bool ReferenceStandsAlone() const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for. Empties the list.
   [[nodiscard]] std::vector<int> TakeDoubtful();
-  // Comb cycle and whites of the projector: what does not add up, for people; empty when all is well.
-  [[nodiscard]] std::vector<std::string> CheckProjector();
+  // Comb cycle and whites of the projector: what does not add up; empty when all is well.
+  [[nodiscard]] std::vector<Finding> CheckProjector();
   // The projectors' whites against the pre-roll, which shows their sum: a visitor or a lamp that changed between two
   // projectors. After the last CheckProjector().
-  [[nodiscard]] std::vector<std::string> CheckSession() const;
+  [[nodiscard]] std::vector<Finding> CheckSession() const;
 
   // Steps that are judged together: {white, black}, a Gray bit and its inverse, the shifts of a sinusoid; else the step
   // alone. Plan indices, ascending and adjacent.

@@ -6,6 +6,7 @@
 #include "firmware-host/sequence/capture_run.h"
 
 namespace stratalux::rig {
+
 Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
   const PlanOptions& o = plan.options;
   if (plan.steps.empty()) return Status::Usage("plan: it has no steps");
@@ -43,13 +44,14 @@ std::chrono::nanoseconds SequencerOptions::LongestStep(double exposure_ms) const
          camera.min_frame_period + shooter.frame_deadline + step_slack;
 }
 
-Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step)
-    : devices_(std::move(devices)), options_(std::move(options)), logger_(logger), on_step_(std::move(on_step)) {}
+Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, CaptureObserver* observer)
+    : devices_(std::move(devices)), options_(std::move(options)), logger_(logger), observer_(observer) {}
 
 Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   SLX_RETURN_IF_ERROR(options_.Validate());
   SLX_RETURN_IF_ERROR(CheckFits(plan, devices_));
-  CaptureRun run(plan, devices_, options_, logger_, on_step_, sink);
+  CaptureObserver silent;
+  CaptureRun run(plan, devices_, options_, logger_, observer_ != nullptr ? *observer_ : silent, sink);
   Status ended = devices_.camera.Start().WithContext("camera");
   if (ended.ok()) ended = run.Run();
   // Lights first: nothing that follows may keep a lamp on a face.
@@ -59,7 +61,8 @@ Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   static_cast<void>(run.EmitHeld().ok());
   if (ended.ok()) ended = off.ok() ? stopped : off;
   CaptureReport report = run.Conclude(ended);
-  if (!off.ok() && off.message() != ended.message()) report.reasons.push_back(off.message());
+  if (!off.ok() && off.message() != ended.message())
+    report.findings.push_back({FindingKind::kDevice, -1, -1, 0.0, 0.0, off.message()});
   return report;
 }
 

@@ -11,8 +11,8 @@
 #pragma once
 
 #include <chrono>
-#include <functional>
 
+#include "firmware-host/sequence/capture_observer.h"
 #include "firmware-host/sequence/capture_report.h"
 #include "firmware-host/sequence/frame_sink.h"
 #include "firmware-host/sequence/pattern_witness.h"
@@ -46,11 +46,11 @@ struct SequencerOptions {
 
 class Sequencer {
  public:
-  // Ends within 20 ms of waiting once devices.light is stopped; `on_step`, if set, is called after each planned step.
-  Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, std::function<void()> on_step = {});
+  // Ends within 20 ms of waiting once devices.light is stopped. `observer` may be null, and outlives the runs.
+  Sequencer(RigDevices devices, SequencerOptions options, Logger& logger, CaptureObserver* observer = nullptr);
 
   // Fails with kUsage, before any light goes on, when the plan does not fit the devices. All later trouble is in the
-  // report: status complete, degraded or failed, with reasons. Frames go to the sink group by group, as they are
+  // report: status complete, degraded or failed, with findings. Frames go to the sink group by group, as they are
   // judged.
   Result<CaptureReport> Run(const CapturePlan& plan, FrameSink& sink);
 
@@ -58,7 +58,7 @@ class Sequencer {
   RigDevices devices_;
   SequencerOptions options_;
   Logger& logger_;
-  std::function<void()> on_step_;
+  CaptureObserver* observer_;
 };
 
 }  // namespace stratalux::rig

@@ -2,26 +2,15 @@
 // What must add up over all frames of a projector, and over all projectors.
 #include <Eigen/Dense>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 
 #include "firmware-host/sequence/pattern_witness.h"
 
 namespace stratalux::rig {
-namespace {
 
-std::string Percent(double fraction) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.1f %%", 100.0 * fraction);
-  return text;
-}
-
-}  // namespace
-
-std::vector<std::string> PatternWitness::CheckProjector() {
-  std::vector<std::string> reasons;
-  if (lit_.empty()) return reasons;
-  const std::string name = "projector " + std::to_string(projector_);
+std::vector<Finding> PatternWitness::CheckProjector() {
+  std::vector<Finding> findings;
+  if (lit_.empty()) return findings;
   std::vector<float>& contrast = contrast_[projector_];
   contrast.assign(white_.probes.size(), std::numeric_limits<float>::quiet_NaN());
   for (size_t i = 0; i < contrast.size(); ++i)
@@ -32,11 +21,9 @@ std::vector<std::string> PatternWitness::CheckProjector() {
     if (white == nullptr || white->testimony != Testimony::kRefutes) continue;
     const double mean = MeanLevel(white->probes);
     if (std::abs(mean - 1.0) > options_.steady_tolerance)
-      reasons.push_back(name + ": white of step " + std::to_string(i) + " has " + Percent(mean) +
-                        " of the reference's light; the lamp changed, or something stands in its way");
+      findings.push_back({FindingKind::kLamp, projector_, i, mean, options_.steady_tolerance});
     else
-      reasons.push_back(name + ": white of step " + std::to_string(i) + " differs from the reference by " +
-                        Percent(StillnessOf(white->probes)) + "; the visitor moved");
+      findings.push_back({FindingKind::kMoved, projector_, i, StillnessOf(white->probes), options_.still_tolerance});
     break;
   }
   // The mean black over reference and guards: a whole cycle takes it off period / step times.
@@ -63,13 +50,12 @@ std::vector<std::string> PatternWitness::CheckProjector() {
     if (count == 0 || count != o.comb_period / o.comb_step) continue;
     const double whites = sum * o.comb_step / o.comb_width / (1.0 - black);
     if (std::abs(whites - 1.0) > options_.steady_tolerance)
-      reasons.push_back(name + ": the comb cycle adds up to " + Percent(whites) +
-                        " of white; the visitor moved, the light drifted or frames are mixed up");
+      findings.push_back({FindingKind::kMixedUp, projector_, -1, whites, options_.steady_tolerance});
   }
-  return reasons;
+  return findings;
 }
 
-std::vector<std::string> PatternWitness::CheckSession() const {
+std::vector<Finding> PatternWitness::CheckSession() const {
   // P_W - P_B = sum_p g_p (W_p - B_p): the pre-roll shows all projectors at once. Least squares over the probes gives
   // g_p, which is 1 where lamp p is as it was, and a rest that vanishes where the visitor is.
   const auto projectors = static_cast<Eigen::Index>(contrast_.size());
@@ -98,20 +84,18 @@ std::vector<std::string> PatternWitness::CheckSession() const {
   const Eigen::VectorXd gain = solver.solve(right);
   const double rest = std::sqrt(std::max(0.0, all - right.dot(gain) - noise) / all);
   if (rest > options_.still_tolerance)  // no gain means anything then
-    return {"the projectors' whites and the pre-roll, which shows them all, differ by " + Percent(rest) +
-            "; the visitor moved between projectors"};
-  std::vector<std::string> reasons;
+    return {{FindingKind::kMoved, -1, -1, rest, options_.still_tolerance}};
+  std::vector<Finding> findings;
   // Of each gain's own uncertainty: alike pictures of two projectors are told apart badly.
   const Eigen::MatrixXd covariance = solver.solve(Eigen::MatrixXd::Identity(projectors, projectors));
   Eigen::Index p = 0;
   for (const auto& [projector, contrast] : contrast_) {
     const double deviation = std::sqrt(std::max(0.0, covariance(p, p)) * noise / probes);
     if (std::abs(gain[p] - 1.0) > options_.steady_tolerance + 4.0 * deviation)
-      reasons.push_back("projector " + std::to_string(projector) + ": its white had " + Percent(gain[p]) +
-                        " of its later light during the pre-roll; the lamp is not steady");
+      findings.push_back({FindingKind::kLamp, projector, -1, gain[p], options_.steady_tolerance});
     ++p;
   }
-  return reasons;
+  return findings;
 }
 
 }  // namespace stratalux::rig

@@ -60,13 +60,27 @@ Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
   return Collect(*exposure);
 }
 
-Result<std::optional<StepExposure>> Shooter::Show(const PlanStep& step, int retry) {
+Status Shooter::Prepare(const PlanStep& step) {
   SLX_RETURN_IF_ERROR(safe_());
   if (step.exposure_ms != exposure_ms_) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
   }
-  if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
+  return mode_ == SyncMode::kFreeRunning ? PassOverStream() : Status::Ok();
+}
+
+Result<Shot> Shooter::Snap(const PlanStep& like) {
+  SLX_RETURN_IF_ERROR(Prepare(like));
+  StepExposure exposure;
+  exposure.step = &like;
+  exposure.pulse = {camera_triggers_, devices_.light.Now()};
+  exposure.sync = exposure.pulse.time + -options_.settle;  // nothing has to settle
+  SLX_RETURN_IF_ERROR(Expose(exposure));
+  return Collect(exposure);
+}
+
+Result<std::optional<StepExposure>> Shooter::Show(const PlanStep& step, int retry) {
+  SLX_RETURN_IF_ERROR(Prepare(step));
   StepExposure exposure;
   exposure.step = &step;
   exposure.retry = retry;

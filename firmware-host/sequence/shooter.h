@@ -79,6 +79,8 @@ class Shooter {
   //
   // The whole step, nothing else being exposed.
   Result<Shot> Take(const PlanStep& step, int retry);
+  // A frame of what is on show, no projector moved on. Of `like` count exposure and what the record repeats.
+  Result<Shot> Snap(const PlanStep& like);
   // Moves the projector on; nullopt: no SYNC edge. Another exposure time than the last step's is set here: nothing may
   // be exposed then. `step` outlives its exposure.
   Result<std::optional<StepExposure>> Show(const PlanStep& step, int retry);
@@ -113,6 +115,8 @@ class Shooter {
                           const std::optional<TriggerReceipt>& next,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
   Result<Shot> CollectTriggered(const StepExposure& exposure);
+  // Brings the camera to the step's exposure; nothing may be exposed then.
+  Status Prepare(const PlanStep& step);
   // Reads away the frames of a stream that wait already: they are older than the shot.
   Status PassOverStream();
   Result<Shot> CollectFromStream(const StepExposure& exposure);

@@ -45,6 +45,7 @@ Status SimulatedDevices::SetSubject(const SubjectOptions& subject) {
     SLX_ASSIGN_OR_RETURN(table, TableFor(options_, scene));
   }
   world_.SetSubject(std::move(scene), std::move(table), clock_);
+  world_.CoverLens(subject.lens_covered);
   pending_.clear();
   last_.reset();
   push_mm_.setZero();
@@ -78,7 +79,8 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
       options.faults.kinds = given.faults.kinds;
     }
   }
-  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf({given.scene, given.seed, given.board_pose}, simulation.scene));
+  SLX_ASSIGN_OR_RETURN(Scene scene,
+                       SubjectOf({given.scene, given.seed, given.board_pose, given.lens_covered}, simulation.scene));
   SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, scene));
   return std::unique_ptr<SimulatedRig>(new SimulatedDevices(options, std::move(scene), std::move(table), logger));
 }

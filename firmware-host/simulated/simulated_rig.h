@@ -32,11 +32,11 @@ struct SimulatedRigOptions {
   int projector_height = 768;
   bool scattering = true;  // false: an opaque matt skin of the same albedo (ablation)
   bool noise = true;
-  bool lens_covered = false;  // a cap on the lens, as dark sessions want it
   // The camera streams by itself, a frame every `devices.timing.frame_period_ms`, and answers no trigger.
   bool free_running = false;
   std::string scene = "head";  // a shape's name or a scene file (simulation_file.h)
   int board_pose = -1;         // which of the scene's poses; -1: the subject's own
+  bool lens_covered = false;   // a cap on the lens, as dark sessions want it
   DeviceOptions devices;       // replaced by those of a scene file
   FaultOptions faults;         // a scene file's come on top
   std::string skin_table;      // path; empty: the shipped table
@@ -55,6 +55,7 @@ struct SubjectOptions {
   std::string scene = "head";  // as SimulatedRigOptions has it; of a scene file its subject alone
   uint64_t seed = 1;           // of the subject; noise and faults keep the rig's
   int board_pose = -1;
+  bool lens_covered = false;
 };
 
 struct TruthMap {

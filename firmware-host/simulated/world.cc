@@ -65,6 +65,7 @@ World::World(const SimulatedRigOptions& options, Scene scene, SkinTable table, M
       scene_(std::move(scene)),
       table_(std::move(table)),
       albedo_(table_),
+      lens_covered_(options.lens_covered),
       start_(start),
       subject_start_(start),
       calibration_(DescribeSimulatedRig(options)) {
@@ -224,7 +225,7 @@ Status World::AddProjector(Stage& stage, size_t projector, const Exposure& expos
 
 Result<Image<float>> World::Light(const Exposure& exposure) {
   const Pinhole& camera = calibration_.camera.model;
-  if (options_.lens_covered) return Image<float>(camera.width, camera.height);
+  if (lens_covered_) return Image<float>(camera.width, camera.height);
   SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - subject_start_));
   state.offset_mm += exposure.push_mm;
   SLX_ASSIGN_OR_RETURN(Stage * stage, StageIn(state));

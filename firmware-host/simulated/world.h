@@ -49,6 +49,7 @@ class World {
   Result<std::vector<TruthMap>> Truth(const CapturePlan& plan);
   // Another subject, whose motion begins at `now`; devices and lamps stay. `table`: where the tissue is another.
   void SetSubject(Scene scene, std::optional<SkinTable> table, MonotonicNs now);
+  void CoverLens(bool covered) { lens_covered_ = covered; }
   [[nodiscard]] const SkinTable& table() const { return table_; }
 
  private:
@@ -84,7 +85,8 @@ class World {
   SkinTable table_;
   SkinAlbedo albedo_;                  // of table_, which it refers to
   std::unique_ptr<LightCache> cache_;  // null: none is wanted
-  MonotonicNs start_;                  // of the lamps
+  bool lens_covered_;
+  MonotonicNs start_;  // of the lamps
   MonotonicNs subject_start_;
   RigCalibration calibration_;
   std::unique_ptr<Stage> resting_, moved_;  // as described; where it is now

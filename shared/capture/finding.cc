@@ -34,8 +34,9 @@ std::string ListSteps(const std::vector<int>& steps) {
   return text;
 }
 
-bool SharesALine(FindingKind kind) {
-  return kind == FindingKind::kNoProof || kind == FindingKind::kWrongPattern || kind == FindingKind::kProofReused;
+bool SharesALine(const Finding& f) {
+  return f.detail.empty() && (f.kind == FindingKind::kNoProof || f.kind == FindingKind::kWrongPattern ||
+                              f.kind == FindingKind::kProofReused);
 }
 
 std::string OfSteps(FindingKind kind, const std::vector<int>& steps) {
@@ -54,8 +55,8 @@ std::string OfOne(const Finding& f) {
                             (f.step >= 0 ? "step " + std::to_string(f.step) + ": " : "");
   switch (f.kind) {
     case FindingKind::kSilentRig:
-      return Text("%.0f", f.value) +
-             " shots in a row without a usable frame; check the camera's and projectors' cables and power";
+      return Text("%.0f", f.value) + " shots in a row without a usable frame" +
+             (f.detail.empty() ? "" : " (" + f.detail + ")") + "; check the camera's and projectors' cables and power";
     case FindingKind::kTriggersUnmatched:
       return Text("%.0f", f.value) + " camera triggers and " + Text("%.0f", f.limit) +
              " frames and named losses do not match";
@@ -93,7 +94,7 @@ std::vector<std::string> ToText(const std::vector<Finding>& findings) {
   std::vector<std::string> lines;
   std::map<FindingKind, std::pair<size_t, std::vector<int>>> shared;  // line, steps
   for (const Finding& f : findings) {
-    if (!SharesALine(f.kind)) {
+    if (!SharesALine(f)) {
       lines.push_back(OfOne(f));
       continue;
     }

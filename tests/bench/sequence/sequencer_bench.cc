@@ -221,12 +221,21 @@ CapturePlan ThousandFrames() {
   return *BuildPlan(options);
 }
 
-Result<CaptureReport> Run(Rig& rig, FrameSink& sink, const CapturePlan& plan, const std::function<void()>& on_step) {
+class Told final : public CaptureObserver {
+ public:
+  explicit Told(TimedSink& sink) : sink_(sink) {}
+  void OnStepDone(const PlanStep& /*step*/) override { sink_.OnStep(); }
+
+ private:
+  TimedSink& sink_;
+};
+
+Result<CaptureReport> Run(Rig& rig, FrameSink& sink, const CapturePlan& plan, CaptureObserver* observer) {
   static Logger logger(LogLevel::kError);
   SequencerOptions options;
   options.shooter.settle = std::chrono::nanoseconds(0);
   options.max_on_time = std::chrono::nanoseconds(0);
-  return Sequencer({rig.light(), rig, rig, {&rig}}, options, logger, on_step).Run(plan, sink);
+  return Sequencer({rig.light(), rig, rig, {&rig}}, options, logger, observer).Run(plan, sink);
 }
 
 void PrintReport(const char* what, const Result<CaptureReport>& report, int frames, double seconds, double cpu) {
@@ -236,7 +245,7 @@ void PrintReport(const char* what, const Result<CaptureReport>& report, int fram
   }
   std::printf("%s: %s, %d frames, %d shot again, %.1f frames/s, %.2f cores, peak %.0f MiB\n", what,
               ToString(report->status), frames, report->retried, frames / seconds, cpu / seconds, PeakMiB());
-  for (const std::string& reason : report->reasons) std::printf("  %s\n", reason.c_str());
+  for (const std::string& reason : report->Reasons()) std::printf("  %s\n", reason.c_str());
 }
 
 int Main(const std::filesystem::path& folder) {
@@ -246,7 +255,8 @@ int Main(const std::filesystem::path& folder) {
     Rig rig(0.0);
     Discard discard;
     TimedSink sink(discard, rig);
-    const auto report = Run(rig, sink, plan, [&] { sink.OnStep(); });
+    Told told(sink);
+    const auto report = Run(rig, sink, plan, &told);
     std::vector<double>& ms = sink.overhead_ms;
     std::sort(ms.begin(), ms.end());
     if (!ms.empty())
@@ -278,7 +288,7 @@ int Main(const std::filesystem::path& folder) {
     Result<CaptureReport> report = Status::Ok();
     {
       Recorder recorder(archive, 32, rig.stop());
-      report = Run(rig, recorder, plan, {});
+      report = Run(rig, recorder, plan, nullptr);
       status = recorder.Close();
     }
     if (status.ok()) status = archive.writer().Finish(report.ok() ? report->status : SessionStatus::kFailed);

@@ -7,7 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "firmware-host/apps/last_lights.h"
+#include "firmware-host/session/last_lights.h"
 #include "tests/support/run_program.h"
 
 namespace stratalux {

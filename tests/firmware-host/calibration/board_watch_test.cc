@@ -77,7 +77,7 @@ BoardSighting Watch(const World& world, int projectors = 2, int dark_projector =
       record.projector = p;
       record.pattern = patterns[k];
       const Pattern shown = p == dark_projector ? Pattern{.kind = PatternKind::kBlack} : patterns[k];
-      watch.See(record, Shoot(world, shown, static_cast<int>(k), random));
+      watch.OnFrame(record, Shoot(world, shown, static_cast<int>(k), random));
     }
   return watch.Judge();
 }
@@ -151,9 +151,9 @@ TEST(BoardWatch, AShotAgainReplacesTheDoubtfulOne) {
     record.pattern = patterns[k];
     record.projector = 0;
     record.level_check = LevelCheck::kFailed;
-    watch.See(record, Shoot({.white_dn = 9000.0}, patterns[k], 0, random));
+    watch.OnFrame(record, Shoot({.white_dn = 9000.0}, patterns[k], 0, random));
     record.level_check = LevelCheck::kPassed;
-    watch.See(record, Shoot({}, patterns[k], 0, random));
+    watch.OnFrame(record, Shoot({}, patterns[k], 0, random));
   }
   EXPECT_THAT(watch.Judge().faults, IsEmpty());
 }

@@ -37,9 +37,9 @@ std::vector<CaptureFault> Faults(SessionKind kind, double level_dn, double signa
   FrameRecord record;
   record.projector = 0;
   record.pattern.kind = PatternKind::kBlack;
-  watch.See(record, Picture(level_dn, kind == SessionKind::kDark ? signal_dn : 0.0));
+  watch.OnFrame(record, Picture(level_dn, kind == SessionKind::kDark ? signal_dn : 0.0));
   record.pattern.kind = PatternKind::kWhite;
-  if (kind != SessionKind::kDark) watch.See(record, Picture(level_dn, signal_dn));
+  if (kind != SessionKind::kDark) watch.OnFrame(record, Picture(level_dn, signal_dn));
   return watch.Faults();
 }
 

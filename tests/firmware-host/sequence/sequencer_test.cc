@@ -17,6 +17,7 @@
 namespace stratalux::rig {
 namespace {
 
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -39,6 +40,29 @@ class KeepingSink : public FrameSink {
   int fail_after = -1;
 };
 
+// Counts what it is told, and may end the capture.
+class CountingObserver : public CaptureObserver {
+ public:
+  Status BeforeShot(const PlanStep& step, int /*retry*/) override {
+    ++shots;
+    return step.index == end_before ? Status::Failed("the visitor left") : Status::Ok();
+  }
+  void OnFault(const PlanStep& step, ShotFault fault) override { faults.emplace_back(step.index, fault); }
+  void OnStepDone(const PlanStep& /*step*/) override { ++steps; }
+  void OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) override {
+    frames += pixels.size() > 0 && record.mean_dn > 0.0;
+  }
+  Status OnFinding(const Finding& finding) override {
+    findings.push_back(finding);
+    return end_at_finding ? Status::Failed("not worth going on") : Status::Ok();
+  }
+  std::vector<std::pair<int, ShotFault>> faults;
+  std::vector<Finding> findings;
+  int shots = 0, steps = 0, frames = 0;
+  int end_before = -1;
+  bool end_at_finding = false;
+};
+
 PlanOptions SmallPlan() {
   PlanOptions options;
   options.projectors = 2;
@@ -59,7 +83,7 @@ class SequencerTest : public ::testing::Test {
   }
 
   CaptureReport Run() {
-    Sequencer sequencer(rig_.devices(), options_, logger_, [this] { ++steps_seen_; });
+    Sequencer sequencer(rig_.devices(), options_, logger_, &observer_);
     Result<CaptureReport> report = sequencer.Run(plan_, sink_);
     EXPECT_TRUE(report.ok()) << report.status().message();
     EXPECT_THAT(rig_.lit(), IsEmpty()) << "a lamp stayed on";
@@ -74,7 +98,7 @@ class SequencerTest : public ::testing::Test {
   }
   // With no trouble before it, a step's camera trigger has the step's number.
   void ExpectHealed(const CaptureReport& report, ShotFault fault, int step) {
-    EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+    EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
     EXPECT_EQ(report.Count(fault), 1) << report.FaultSummary();
     EXPECT_EQ(report.captured, report.planned);
     EXPECT_EQ(report.retried, 1);
@@ -104,15 +128,18 @@ class SequencerTest : public ::testing::Test {
   SequencerOptions options_;
   Logger logger_{LogLevel::kError, stderr};
   KeepingSink sink_;
-  int steps_seen_ = 0;
+  CountingObserver observer_;
 };
 
 TEST_F(SequencerTest, AHealthyRigGivesOneProvenFrameAStep) {
   const CaptureReport report = Run();
-  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
   EXPECT_EQ(report.captured, static_cast<int>(plan_.steps.size()));
   EXPECT_EQ(report.FaultSummary(), "");
-  EXPECT_EQ(steps_seen_, report.planned);
+  EXPECT_EQ(observer_.steps, report.planned);
+  EXPECT_EQ(observer_.shots, report.planned);
+  EXPECT_EQ(observer_.frames, report.frames);
+  EXPECT_THAT(observer_.faults, IsEmpty());
   ASSERT_EQ(sink_.records.size(), plan_.steps.size());
   std::set<int64_t> sequences;
   for (size_t i = 0; i < sink_.records.size(); ++i) {
@@ -140,7 +167,7 @@ TEST_F(SequencerTest, ACameraThatOverlapsIsTriggeredWhileItReadsOut) {
   sink_.records.clear();
   Overlap();
   const CaptureReport report = Run();
-  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
   EXPECT_EQ(report.FaultSummary(), "");
   EXPECT_EQ(rig_.torn_exposures, 0) << "a projector moved on while the camera exposed";
   EXPECT_EQ(rig_.early_triggers, 0) << "the camera was triggered while it exposed";
@@ -180,7 +207,7 @@ TEST_F(SequencerTest, ASpoiltStepIsShotAgainBeforeTheSequenceGoesOn) {
   Overlap();
   for (const int skip : {2, 5, 9}) rig_.camera_trouble[StepOf(0, CapturePhase::kSweep, skip)] = CameraTrouble::kLose;
   const CaptureReport report = Run();
-  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
   EXPECT_GE(report.Count(ShotFault::kLostFrame), 2) << report.FaultSummary();
   EXPECT_EQ(rig_.loads, 2 + report.retried);
   ExpectEveryFrameShowsItsPattern();
@@ -211,7 +238,7 @@ TEST_P(TroubledPipelineTest, NoFrameIsTakenForAnothers) {
     }
   }
   const CaptureReport report = Run();
-  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
   EXPECT_NE(report.FaultSummary(), "");
   ExpectEveryFrameShowsItsPattern();
   // A camera that exposes late exposes while the projector moves on.
@@ -322,7 +349,7 @@ TEST_P(WrongPatternTest, AStuckPictureWithAllEdgesInPlaceIsSeenInTheImage) {
   const int step = StepOf(0, GetParam().first, GetParam().second);
   rig_.projector_trouble[{0, step}] = ProjectorTrouble::kStuck;
   const CaptureReport report = Run();
-  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.reasons.empty() ? "" : report.reasons.front());
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
   EXPECT_GE(report.Count(ShotFault::kWrongLevel), 1);
   bool failed_once = false;
   for (const FrameRecord& r : sink_.records) failed_once |= r.level_check == LevelCheck::kFailed;
@@ -344,8 +371,8 @@ TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kDegraded);
   EXPECT_THAT(report.missing_steps, ElementsAre(first, first + 1));
-  ASSERT_FALSE(report.reasons.empty());
-  EXPECT_THAT(report.reasons.front(), HasSubstr("level check failed"));
+  ASSERT_FALSE(report.Reasons().empty());
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("level check failed"));
 }
 
 TEST_F(SequencerTest, AStepThatFailsThreeTimesIsNamedAndTheRestGoesOn) {
@@ -356,15 +383,15 @@ TEST_F(SequencerTest, AStepThatFailsThreeTimesIsNamedAndTheRestGoesOn) {
   EXPECT_THAT(report.missing_steps, ElementsAre(step));
   EXPECT_EQ(report.captured, report.planned - 1);
   EXPECT_EQ(report.Count(ShotFault::kCorruptFrame), 3);
-  ASSERT_EQ(report.reasons.size(), 1U);
-  EXPECT_THAT(report.reasons[0], HasSubstr("step " + std::to_string(step)));
+  ASSERT_EQ(report.Reasons().size(), 1U);
+  EXPECT_THAT(report.Reasons()[0], HasSubstr("step " + std::to_string(step)));
 }
 
 TEST_F(SequencerTest, AShiftedPrerollAbortsWithTheShift) {
   rig_.preroll_offset = 1;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("shifted by 1 frame"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("shifted by 1 frame"));
   EXPECT_EQ(rig_.camera_triggers, 3 * 8);  // it may have been chance: shot again, twice
 }
 
@@ -380,7 +407,7 @@ TEST_F(SequencerTest, ADeadCameraEndsTheCaptureSoon) {
   rig_.camera_dead_from = 40;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("shots in a row"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("shots in a row"));
   EXPECT_LE(rig_.camera_triggers, 40 + options_.max_useless_shots + 1);
 }
 
@@ -389,7 +416,7 @@ TEST_F(SequencerTest, WithoutItsReferenceAProjectorIsNotGoneOnWith) {
   for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("without this reference"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("without this reference"));
   EXPECT_EQ(rig_.camera_triggers, step + 3);
 }
 
@@ -401,7 +428,7 @@ TEST_F(SequencerTest, EdgesThatNeverEndEndTheCapture) {
   rig_.projector_trouble[{0, 25}] = ProjectorTrouble::kIgnore;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("shots in a row"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("shots in a row"));
   EXPECT_LE(rig_.loads, 40);
 }
 
@@ -431,7 +458,7 @@ TEST_F(SequencerTest, AnUnknownClockIsRefused) {
   rig_.clock = ClockSource::kUnknown;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("unknown clock"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("unknown clock"));
 }
 
 TEST_F(SequencerTest, StopSwitchesTheLightsOffBeforeTheNextShot) {
@@ -440,16 +467,49 @@ TEST_F(SequencerTest, StopSwitchesTheLightsOffBeforeTheNextShot) {
   };
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_EQ(report.reasons.front(), "interrupted");
+  EXPECT_EQ(report.Reasons().front(), "interrupted");
   EXPECT_EQ(rig_.camera_triggers, 21);
   EXPECT_FALSE(rig_.ever_lit().empty());
+}
+
+TEST_F(SequencerTest, AnObserverSeesFaultsAndFindingsAsTheyComeUp) {
+  const int step = StepOf(0, CapturePhase::kSweep, 4);
+  for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
+  const CaptureReport report = Run();
+  EXPECT_THAT(observer_.faults,
+              ElementsAre(std::pair(step, ShotFault::kCorruptFrame), std::pair(step, ShotFault::kCorruptFrame),
+                          std::pair(step, ShotFault::kCorruptFrame)));
+  EXPECT_THAT(observer_.findings, ElementsAre(Finding{FindingKind::kNoProof, 0, step}));
+  EXPECT_EQ(report.findings, observer_.findings);
+  EXPECT_EQ(report.Found().faults, (std::map<std::string, int64_t>{{"corrupt frame", 3}}));
+  EXPECT_EQ(observer_.steps, report.planned) << "a step that was given up is done, too";
+}
+
+TEST_F(SequencerTest, AnObserverEndsTheCaptureBeforeTheNextShot) {
+  observer_.end_before = StepOf(1, CapturePhase::kSweep);
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  ASSERT_EQ(report.findings.size(), 1U);
+  EXPECT_EQ(report.findings[0], (Finding{FindingKind::kStopped, -1, observer_.end_before, 0, 0, "the visitor left"}));
+  EXPECT_EQ(rig_.camera_triggers, observer_.end_before);
+}
+
+TEST_F(SequencerTest, ALostCaptureEndsAtOnceWhereTheObserverWantsIt) {
+  rig_.lamp_drift = 0.003;
+  observer_.end_at_finding = true;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_EQ(report.findings.front().kind, FindingKind::kStopped);
+  EXPECT_EQ(report.findings.front().detail, "not worth going on");
+  EXPECT_EQ(observer_.findings.size(), 1U);
+  EXPECT_LT(report.captured, report.planned * 3 / 4) << "the other projector was not begun";
 }
 
 TEST_F(SequencerTest, AFailingSinkEndsTheCaptureWithItsReason) {
   sink_.fail_after = 30;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("disk full"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("disk full"));
 }
 
 TEST_F(SequencerTest, AnOpenInterlockEndsTheCaptureWithItsName) {
@@ -462,7 +522,7 @@ TEST_F(SequencerTest, AnOpenInterlockEndsTheCaptureWithItsName) {
     };
     const CaptureReport report = Run();
     EXPECT_EQ(report.status, SessionStatus::kFailed);
-    EXPECT_THAT(report.reasons.front(), HasSubstr(ToString(cause)));
+    EXPECT_THAT(report.Reasons().front(), HasSubstr(ToString(cause)));
     EXPECT_EQ(rig_.camera_triggers, before + 31) << "no shot after the button";
   }
 }
@@ -499,7 +559,7 @@ TEST_F(SequencerTest, ADeviceThatHangsLosesItsLight) {
   const CaptureReport report = Run();
   EXPECT_TRUE(dark) << "the lights burned while the camera hung";
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("no progress"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("no progress"));
 }
 
 TEST_F(SequencerTest, AMemoryIsReloadedInTheDark) {
@@ -516,15 +576,14 @@ TEST_F(SequencerTest, TheOnTimeLimitEndsTheCapture) {
   options_.max_on_time = std::chrono::milliseconds(300);
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
-  EXPECT_THAT(report.reasons.front(), HasSubstr("on for as long as it may be"));
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("on for as long as it may be"));
 }
 
 TEST_F(SequencerTest, ADriftingLampBreaksTheSumOfTheComb) {
   rig_.lamp_drift = 0.003;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kDegraded);
-  EXPECT_TRUE(std::any_of(report.reasons.begin(), report.reasons.end(),
-                          [](const std::string& r) { return r.find("adds up to") != std::string::npos; }));
+  EXPECT_THAT(report.Reasons(), Contains(HasSubstr("adds up to")));
 }
 
 TEST_F(SequencerTest, OnlyTheProjectorOfTheStepIsLit) {

@@ -37,7 +37,7 @@ TEST(SimulatedCapture, AVisitorIsCompleteAndEveryCodedFrameIsWitnessed) {
   const Result<CaptureReport> report = sequencer.Run(plan, sink);
   ASSERT_TRUE(report.ok()) << report.status().message();
   std::string reasons;
-  for (const std::string& reason : report->reasons) reasons += reason + "\n";
+  for (const std::string& reason : report->Reasons()) reasons += reason + "\n";
   EXPECT_EQ(report->status, SessionStatus::kComplete) << reasons;
   EXPECT_EQ(report->retried, 0) << report->FaultSummary();
   for (CapturePhase phase : {CapturePhase::kPreroll, CapturePhase::kReference, CapturePhase::kCorrespondence,

@@ -64,7 +64,7 @@ int Main(int argc, char** argv) {
     for (const InjectedFault& fault : capture.injected)
       std::printf(" %s@%lld", ToString(fault.kind), static_cast<long long>(fault.number));
     std::printf("\n  %s\n", capture.report.FaultSummary().c_str());
-    for (const std::string& reason : capture.report.reasons) std::printf("  %s\n", reason.c_str());
+    for (const std::string& reason : capture.report.Reasons()) std::printf("  %s\n", reason.c_str());
     std::fflush(stdout);
   }
   table.Print();

@@ -27,7 +27,7 @@ SoakOptions With(Pace pace, const FaultOptions& faults = {}) {
 
 std::string Reasons(const SoakCapture& capture) {
   std::string text;
-  for (const std::string& reason : capture.report.reasons) text += reason + "\n";
+  for (const std::string& reason : capture.report.Reasons()) text += reason + "\n";
   return text;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/apps/store_disk.h"
+#include "firmware-host/session/store_disk.h"
 
 #include <cstdlib>
 #include <fstream>

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/apps/open_rig.h"
+#include "firmware-host/session/open_rig.h"
 
 #include <string>
 #include <utility>
 
-#include "firmware-host/apps/last_lights.h"
 #include "firmware-host/camera/libcamera_frame_source.h"
 #include "firmware-host/camera/v4l2_frame_source.h"
 #include "firmware-host/gpio/gpiod_line_bank.h"
 #include "firmware-host/projector/display_line_bank.h"
 #include "firmware-host/projector/kms_display.h"
 #include "firmware-host/projector/pattern_memory_projector.h"
+#include "firmware-host/session/last_lights.h"
 
 namespace stratalux::rig {
 namespace {
@@ -96,7 +96,6 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
   OpenedRig rig;
   if (simulated) {
     SimulatedRigOptions options = *simulated;
-    options.lens_covered = plan.options.kind == SessionKind::kDark;
     options.stop = &stop;
     for (int p = 0; p < plan.options.projectors; ++p) options.memories.push_back(MemoryOf(plan, p));
     SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What `stratalux-rig safe` goes by when all else is broken: kept whole, and taken from nobody else.
-#include "firmware-host/apps/last_lights.h"
+#include "firmware-host/session/last_lights.h"
 
 #include <cstdlib>
 #include <fstream>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/apps/session_calibration.h"
+#include "firmware-host/session/session_calibration.h"
 
 #include <cstdio>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/apps/last_lights.h"
+#include "firmware-host/session/last_lights.h"
 
 #include <cerrno>
 #include <cstdlib>

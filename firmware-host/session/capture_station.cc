@@ -1,0 +1,280 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/session/capture_station.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <numbers>
+#include <utility>
+
+#include "db/catalogue/consent.h"
+#include "firmware-host/recording/session_archive.h"
+#include "firmware-host/sequence/realtime.h"
+#include "firmware-host/sequence/sequencer.h"
+#include "firmware-host/session/session_calibration.h"
+#include "firmware-host/session/store_disk.h"
+#include "shared/base/version.h"
+
+namespace stratalux::rig {
+namespace {
+
+// Projector columns that a camera pixel may see: at 8 a white target's sessions were degraded without any fault, at 7.1
+// they were complete.
+constexpr double kMostColumnsAPixel = 6.4;
+
+// Mean light of a sinusoid as the projector gives it.
+double SinusoidMean(const ProjectorCalibration& projector) {
+  constexpr int kSamples = 256;
+  double sum = 0.0;
+  for (int k = 0; k < kSamples; ++k)
+    sum += projector.Response(0.5 + 0.5 * std::cos(2.0 * std::numbers::pi * k / kSamples)) / kSamples;
+  return sum;
+}
+
+Status StoreTruth(db::SessionWriter& writer, SimulatedRig& rig, const CapturePlan& plan) {
+  const std::string exact = rig.calibration().ToJson();
+  if (writer.info().calibration_json != exact) SLX_RETURN_IF_ERROR(writer.KeepTruthCalibration(exact));
+  SLX_ASSIGN_OR_RETURN(const std::vector<TruthMap> maps, rig.Truth(plan));
+  for (const TruthMap& truth : maps)
+    SLX_RETURN_IF_ERROR(writer.AppendTruth(truth.name, truth.map.view()).WithContext("truth map " + truth.name));
+  return Status::Ok();
+}
+
+// BeginSession asks again.
+Status AskConsent(const StationOptions& station, const CaptureRequest& request) {
+  if (request.plan.kind != SessionKind::kVisitor) return Status::Ok();
+  const bool nobody = request.visitor.empty() || request.visitor == db::kSimulatedVisitor;
+  if (nobody && station.simulated) return Status::Ok();
+  if (nobody)
+    return Status::Usage(
+        "a visitor's session needs a pseudonym whose consent is recorded (--visitor; `stratalux-db consent give` "
+        "records it); --kind calibration, flat or dark show nobody");
+  return request.consent ? Status::Ok() : db::ValidConsent(station.config.store.folder, request.visitor).status();
+}
+
+db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
+  db::WriterOptions options;
+  options.codec = config.codec;
+  options.encryption = config.encrypt.value_or(false) ? db::Encryption::kPerSession : db::Encryption::kNone;
+  options.signing = config.sign ? db::Signing::kRigKey : db::Signing::kNone;
+  return options;
+}
+
+void Object(CaptureReport& report, const CaptureObserver& observer) {
+  if (report.status == SessionStatus::kFailed) return;
+  for (Finding& objection : observer.Objections()) {
+    report.status = SessionStatus::kDegraded;
+    report.findings.push_back(std::move(objection));
+  }
+}
+
+void Fail(CaptureReport& report, const Status& status) {
+  if (status.ok()) return;
+  report.status = SessionStatus::kFailed;
+  // A writer's error ends the capture, too: it need not be told twice.
+  for (const Finding& finding : report.findings)
+    if (finding.detail.find(status.message()) != std::string::npos) return;
+  report.findings.push_back({FindingKind::kDevice, -1, -1, 0.0, 0.0, status.message()});
+}
+
+}  // namespace
+
+Status StationOptions::Validate() const {
+  if (!simulated && config.projectors.empty())
+    return Status::Usage("capture: the configuration wires no [[projector]]; --simulate runs the simulated rig");
+  // Below, pixels mix stripes that the witness expects apart: good frames fail its level check.
+  const int least = static_cast<int>(std::ceil(config.plan.projector_width / kMostColumnsAPixel));
+  if (config.camera.width < least)
+    return Status::Usage("a camera of " + std::to_string(config.camera.width) + "x" +
+                         std::to_string(config.camera.height) +
+                         " px: too few to tell whether a frame shows its pattern; use " + std::to_string(least) +
+                         " columns or more (--size, [camera] width)");
+  return Status::Ok();
+}
+
+Status CaptureRequest::Validate() const {
+  if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
+  if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
+  if (board_pose >= 0 && plan.kind != SessionKind::kCalibration && plan.kind != SessionKind::kFlat)
+    return Status::Usage("--pose numbers the board's poses of --kind calibration, or the target's of --kind flat");
+  if (consent && !consent->fit) return Status::Usage("--consent-scope: a capture needs the scope fit");
+  return Status::Ok();
+}
+
+Result<std::unique_ptr<CaptureStation>> CaptureStation::Open(const StationOptions& options, StopToken& stop,
+                                                             Logger& logger) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
+  SLX_ASSIGN_OR_RETURN(OpenedRig rig, OpenRig(options.config, plan, options.simulated, stop, logger));
+  SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
+  return std::unique_ptr<CaptureStation>(new CaptureStation(options, std::move(rig), stop, logger));
+}
+
+CaptureStation::CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger)
+    : options_(std::move(options)), rig_(std::move(rig)), stop_(stop), logger_(logger) {}
+
+CaptureStation::~CaptureStation() = default;
+
+Status CaptureStation::MayBegin(const StationOptions& options, const CaptureRequest& request) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_RETURN_IF_ERROR(request.Validate());
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(request.plan));
+  SLX_RETURN_IF_ERROR(AskConsent(options, request));
+  return CheckFreeSpace(
+      options.config.store.folder,
+      SessionBytes(static_cast<int64_t>(plan.steps.size()), options.config.camera.width, options.config.camera.height));
+}
+
+Status CaptureStation::OpenStore() {
+  if (store_) return Status::Ok();
+  const std::string& folder = options_.config.store.folder;
+  SLX_RETURN_IF_ERROR(db::SessionStore::Create(folder));
+  SLX_ASSIGN_OR_RETURN(store_, db::SessionStore::Open(folder, db::AccessMode::kReadWrite));
+  for (const std::string& note : store_->notes()) logger_.Warning(note);
+  return Status::Ok();
+}
+
+// The tolerances of a single probe follow the camera at hand.
+SequencerOptions CaptureStation::SequencerOptionsFor() const {
+  const RigConfig& config = options_.config;
+  SequencerOptions options;
+  options.shooter.settle = FromMilliseconds(config.settle_ms);
+  options.shooter.camera = CameraTimingOf(config.camera);
+  options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
+  options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
+  options.max_retries = config.max_retries;
+  options.shooter.wait = rig_.wait();
+  double saturation_dn = config.camera.saturation_dn, read_noise_dn = config.camera.read_noise_dn;
+  options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
+  if (rig_.simulation) {
+    const RigTiming& timing = rig_.simulation->timing();
+    options.shooter.camera.read_out = timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial;
+    options.shooter.camera.min_frame_period = FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms));
+    const CameraCalibration& camera = rig_.simulation->calibration().camera;
+    options.witness.gain_e_per_dn = camera.gain_e_per_dn;
+    read_noise_dn = options_.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;
+    saturation_dn = camera.saturation_dn;
+    for (const ProjectorCalibration& p : rig_.simulation->calibration().projectors)
+      options.witness.sinusoid_mean.push_back(SinusoidMean(p));
+  }
+  options.witness.read_noise_dn = read_noise_dn;
+  options.witness.saturation_dn = 0.975 * saturation_dn;
+  return options;
+}
+
+SessionInfo CaptureStation::Describe(const CaptureRequest& request, std::string calibration_json) const {
+  SessionInfo info;
+  info.kind = request.plan.kind;
+  info.rig = options_.config.store.rig;
+  info.visitor = request.visitor;
+  info.visit = request.visit;
+  info.attempt = request.attempt;
+  info.retention = request.retention;
+  info.started_wall = WallNow();
+  info.program_version = kVersion;
+  info.plan_json = PlanOptionsToJson(request.plan);
+  info.simulated = rig_.simulation != nullptr;
+  if (info.simulated) info.seed = request.subject ? request.subject->seed : options_.simulated->seed;
+  info.calibration_json = std::move(calibration_json);
+  return info;
+}
+
+Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, CaptureObserver* observer) {
+  const auto start = std::chrono::steady_clock::now();
+  SLX_RETURN_IF_ERROR(MayBegin(options_, request));
+  SLX_RETURN_IF_ERROR(stop_.Check());
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(request.plan));
+  SLX_RETURN_IF_ERROR(CheckFits(plan, rig_.devices()));
+  SimulatedRig* simulation = rig_.simulation.get();
+  SLX_ASSIGN_OR_RETURN(std::string calibration,
+                       ChooseCalibration(request.calibration, options_.config,
+                                         simulation != nullptr ? &simulation->calibration() : nullptr, logger_));
+  if (simulation != nullptr && request.subject) SLX_RETURN_IF_ERROR(simulation->SetSubject(*request.subject));
+  SLX_RETURN_IF_ERROR(OpenStore());
+  if (request.consent)
+    SLX_RETURN_IF_ERROR(db::GiveConsent(options_.config.store.folder, request.visitor, *request.consent));
+  SLX_ASSIGN_OR_RETURN(db::SessionWriter writer, store_->BeginSession(Describe(request, std::move(calibration)),
+                                                                      WriterOptionsFor(options_.config.store)));
+  CaptureOutcome outcome;
+  outcome.session = writer.info().id;
+  logger_.Write(LogLevel::kInfo, "session " + outcome.session + ": " + std::to_string(plan.steps.size()) + " frames",
+                {{"SESSION", outcome.session}});
+  const size_t injected_before = simulation != nullptr ? simulation->injected().size() : 0;
+  CaptureObserver silent;
+  outcome.report = Record(plan, std::move(writer), request, observer != nullptr ? *observer : silent);
+  if (simulation != nullptr) {
+    outcome.injected = simulation->injected();
+    outcome.injected.erase(outcome.injected.begin(),
+                           outcome.injected.begin() + static_cast<std::ptrdiff_t>(injected_before));
+  }
+  outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return outcome;
+}
+
+CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter writer, const CaptureRequest& request,
+                                     CaptureObserver& observer) {
+  CaptureReport report;
+  SessionArchive archive(std::move(writer), request.board_pose);
+  {
+    Recorder recorder(archive, options_.config.queue_frames, stop_);
+    Sequencer sequencer(rig_.devices(), SequencerOptionsFor(), logger_, &observer);
+    std::unique_ptr<RealtimeThread> realtime;
+    if (const int priority = options_.config.realtime_priority; priority > 0) {
+      Result<std::unique_ptr<RealtimeThread>> entered = RealtimeThread::Enter(priority);
+      // A capture at the mercy of other programs is slower at worst: late frames are shot again.
+      if (!entered.ok()) logger_.Warning(entered.status().message());
+      if (entered.ok()) realtime = std::move(entered).value();
+    }
+    Result<CaptureReport> ran = sequencer.Run(plan, recorder);
+    if (ran.ok()) report = std::move(ran).value();
+    Fail(report, ran.status());
+    Fail(report, recorder.Close());
+  }
+  Object(report, observer);
+  if (rig_.simulation && report.status != SessionStatus::kFailed)
+    Fail(report, StoreTruth(archive.writer(), *rig_.simulation, plan));
+  Fail(report, archive.writer().Finish(report.status, report.Reasons()));
+  return report;
+}
+
+Result<Shot> CaptureStation::Snap(double exposure_ms) {
+  PlanStep step;
+  step.exposure_ms = exposure_ms;
+  return Shoot(step, [&](Shooter& shooter) { return shooter.Snap(step); });
+}
+
+Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, double exposure_ms) {
+  PlanStep step;
+  step.projector = projector;
+  step.pattern = pattern;
+  step.exposure_ms = exposure_ms;
+  const SequencerOptions options = SequencerOptionsFor();
+  return Shoot(step, [&](Shooter& shooter) -> Result<Shot> {
+    SLX_RETURN_IF_ERROR(rig_.devices().projectors[static_cast<size_t>(projector)]->Load({pattern}));
+    SLX_RETURN_IF_ERROR(rig_.light->On(projector, {options.LongestStep(exposure_ms), options.max_on_time}));
+    Result<Shot> shot = shooter.Take(step, 0);
+    const Status off = rig_.light->Off(projector);
+    return shot.ok() && !off.ok() ? off : std::move(shot);
+  });
+}
+
+Result<Shot> CaptureStation::Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take) {
+  const RigDevices devices = rig_.devices();
+  if (step.projector >= static_cast<int>(devices.projectors.size()))
+    return Status::Usage("no projector " + std::to_string(step.projector) + ": the rig has " +
+                         std::to_string(devices.projectors.size()));
+  const SequencerOptions options = SequencerOptionsFor();
+  SLX_RETURN_IF_ERROR(devices.camera.Start().WithContext("camera"));
+  Shooter shooter(devices, options.shooter, options_.config.plan.sync_mode, [&] { return devices.light.Check(); });
+  Result<Shot> shot = take(shooter);
+  for (int retry = 0; retry < options.max_retries && shot.ok() && shot->fault != ShotFault::kNone; ++retry)
+    shot = take(shooter);
+  const Status stopped = devices.camera.Stop().WithContext("camera");
+  if (!shot.ok()) return shot;
+  if (shot->fault != ShotFault::kNone)
+    return Status::Failed(std::string("no frame: ") + ToString(shot->fault) + " in " +
+                          std::to_string(options.max_retries + 1) + " tries");
+  return stopped.ok() ? std::move(shot) : stopped;
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// CaptureStation: a rig and a store, opened once, that serve one visit after another.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "db/catalogue/session_store.h"
+#include "firmware-host/config/rig_config.h"
+#include "firmware-host/sequence/capture_observer.h"
+#include "firmware-host/sequence/sequencer.h"
+#include "firmware-host/session/open_rig.h"
+#include "firmware-host/simulated/simulated_rig.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+#include "shared/capture/session.h"
+
+namespace stratalux::rig {
+
+struct StationOptions {
+  RigConfig config;                              // store, devices, deadlines, queue; `plan`: what the memories hold
+  std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
+
+  // kUsage: no devices and no simulation, a camera of too few pixels to tell patterns apart.
+  [[nodiscard]] Status Validate() const;
+};
+
+// One capture.
+struct CaptureRequest {
+  PlanOptions plan;
+  std::string visitor;  // pseudonym
+  // Recorded for the visitor before the capture; without one, the store must hold a consent already.
+  std::optional<Consent> consent;
+  Retention retention = Retention::kStandard;
+  int board_pose = -1;      // calibration: number of the board's pose; -1: none
+  std::string calibration;  // that the session names: ChooseCalibration
+  std::string visit;        // names the visit that its attempts share; empty: not one of several
+  int attempt = 0;          // of the visit, from 1; 0: not counted
+  // Simulation: who sits before the rig from now on; unset: who sat there before.
+  std::optional<SubjectOptions> subject;
+
+  // kUsage: a pseudonym that not every list and JSON file can show, a consent without a visitor or without the scope
+  // fit, a pose of a plan that has none.
+  [[nodiscard]] Status Validate() const;
+};
+
+struct CaptureOutcome {
+  std::string session;
+  CaptureReport report;
+  std::vector<InjectedFault> injected;  // simulation: of this capture
+  double seconds = 0.0;
+};
+
+// Used by one thread. When it goes, all lights are off.
+class CaptureStation {
+ public:
+  // Opens the rig; the store only with the first capture, which makes a new one where there is none. kUsage where the
+  // plan does not fit the devices. `stop` and `logger` outlive the station.
+  static Result<std::unique_ptr<CaptureStation>> Open(const StationOptions& options, StopToken& stop, Logger& logger);
+  ~CaptureStation();
+
+  // Whether a capture could begin, before the visitor is asked for anything and the rig moves: request, consent, disk.
+  // Needs no open station.
+  [[nodiscard]] static Status MayBegin(const StationOptions& options, const CaptureRequest& request);
+
+  // A whole capture, stored; a simulated one with its truth maps. `observer` may be null; it sees all and may end the
+  // capture, and what it objects to makes a complete session a degraded one. Fails where no session came to be (a bad
+  // plan, no such store, a visitor without consent: kUsage with the command that records it, a station that was
+  // stopped); a session that went wrong is an outcome whose report says why. After a stop: light().Reset().
+  Result<CaptureOutcome> Capture(const CaptureRequest& request, CaptureObserver* observer = nullptr);
+
+  // A frame without a pattern step, of whatever is on show, and the room's light: a preview. Nothing is stored.
+  Result<Shot> Snap(double exposure_ms);
+  // The same with this projector alone showing a pattern that its memory holds; dark again when it returns.
+  Result<Shot> SnapPattern(int projector, const Pattern& pattern, double exposure_ms);
+
+  [[nodiscard]] const OpenedRig& rig() const { return rig_; }
+  [[nodiscard]] LightGuard& light() const { return *rig_.light; }
+
+ private:
+  CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger);
+  Status OpenStore();
+  [[nodiscard]] SequencerOptions SequencerOptionsFor() const;
+  [[nodiscard]] SessionInfo Describe(const CaptureRequest& request, std::string calibration_json) const;
+  // Sequencer, recorder and archive over one session.
+  CaptureReport Record(const CapturePlan& plan, db::SessionWriter writer, const CaptureRequest& request,
+                       CaptureObserver& observer);
+  // With the camera running; what a second try may heal is tried again.
+  Result<Shot> Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take);
+
+  StationOptions options_;
+  OpenedRig rig_;
+  StopToken& stop_;
+  Logger& logger_;
+  std::optional<db::SessionStore> store_;  // once a capture began
+};
+
+}  // namespace stratalux::rig
