@@ -31,6 +31,24 @@ Result<CaptureOutcome> CaptureWithProgress(CaptureStation& station, const Captur
   return station.Capture(request, &all);
 }
 
+Result<CaptureRequest> WithChosenExposure(CaptureStation& station, const CaptureJob& job, Logger& logger) {
+  CaptureRequest request = job.request;
+  const auto longest = FromMilliseconds(1000.0 * job.station.config.max_visit_s);
+  SLX_ASSIGN_OR_RETURN(const ExposureChoice choice, station.ChooseExposure(request.plan, job.timing, longest));
+  request.plan.exposure_ms = choice.exposure_ms;
+  request.prescan = choice.findings;
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(request.plan));
+  char line[200];
+  std::snprintf(line, sizeof line,
+                "exposure %.1f ms: the darkest tenth has a signal-to-noise ratio of %.0f, %.2f %% saturates; the visit "
+                "takes %.1f s",
+                choice.exposure_ms, choice.snr, 100.0 * choice.saturated,
+                1e-9 * static_cast<double>(VisitTime(plan, job.timing).count()));
+  logger.Info(line);
+  for (const std::string& finding : ToText(choice.findings)) logger.Warning(finding);
+  return request;
+}
+
 std::string OutcomeAsText(const CaptureOutcome& outcome) {
   const CaptureReport& r = outcome.report;
   char line[160];

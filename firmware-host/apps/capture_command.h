@@ -13,11 +13,17 @@ namespace stratalux::rig {
 struct CaptureJob {
   StationOptions station;
   CaptureRequest request;
+  // A visitor's: the pre-scan chooses the exposure, such that the visit takes no longer than the configuration allows.
+  bool choose_exposure = false;
+  VisitTiming timing;
 };
 
 // As CaptureStation::Capture, with a progress bar. `watch` may be null.
 [[nodiscard]] Result<CaptureOutcome> CaptureWithProgress(CaptureStation& station, const CaptureRequest& request,
                                                          Logger& logger, CaptureObserver* watch = nullptr);
+
+// The pre-scan: the request with the exposure that it chose, told to people.
+[[nodiscard]] Result<CaptureRequest> WithChosenExposure(CaptureStation& station, const CaptureJob& job, Logger& logger);
 
 // One line and the reasons for people; one JSON object for programs.
 [[nodiscard]] std::string OutcomeAsText(const CaptureOutcome& outcome);

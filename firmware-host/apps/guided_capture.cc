@@ -61,7 +61,8 @@ struct Attempt {
 Result<Attempt> CapturePose(CaptureStation& station, const CaptureJob& job, int pose, Logger& logger) {
   CaptureRequest request = job.request;
   request.board_pose = pose;
-  if (const auto& simulated = job.station.simulated) request.subject = {simulated->scene, simulated->seed, pose, false};
+  if (const auto& simulated = job.station.simulated)
+    SLX_RETURN_IF_ERROR(station.SetSubject({simulated->scene, simulated->seed, pose, false}));
   BoardWatch watch(BoardOptions(job.station.config));
   Attempt attempt;
   SLX_ASSIGN_OR_RETURN(attempt.capture, CaptureWithProgress(station, request, logger, &watch));
@@ -204,7 +205,13 @@ Result<CaptureOutcome> CaptureOne(const CaptureJob& job, const AskOperator& ask,
   if (of_light && ask && ask(LightInstruction(kind, job.request.board_pose)) != Answer::kGo)
     return Status::Failed("ended before the capture; nothing was stored");
   SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
-  if (kind == SessionKind::kVisitor) return CaptureWithProgress(*station, job.request, logger);
+  if (kind == SessionKind::kVisitor) {
+    CaptureRequest request = job.request;
+    if (job.choose_exposure) {
+      SLX_ASSIGN_OR_RETURN(request, WithChosenExposure(*station, job, logger));
+    }
+    return CaptureWithProgress(*station, request, logger);
+  }
   if (kind == SessionKind::kCalibration) {
     // Who captures a single pose knows which.
     BoardWatch watch(BoardOptions(config));

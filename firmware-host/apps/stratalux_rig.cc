@@ -77,7 +77,8 @@ display, 5 a running program holds a line or a display.)";
 struct Flags {
   std::string config;
   std::optional<std::string> store, size, kind, sync_mode, calibration;  // unset: as the configuration says
-  std::optional<double> exposure_ms, settle_ms;
+  std::optional<std::string> exposure;
+  std::optional<double> settle_ms;
   std::string scene;
   std::string visitor;
   std::string consent_scope, consent_text, consent_language;
@@ -124,6 +125,8 @@ Status ParseSize(const std::string& text, int& width, int& height) {
   return Status::Usage("--size '" + text + "': expected WIDTHxHEIGHT in pixels, such as 696x520");
 }
 
+bool ChoosesExposure(const Flags& flags) { return flags.exposure == "auto"; }
+
 // Defaults < /etc/stratalux/rig.toml or --config < flags.
 Result<RigConfig> ConfigFrom(const Flags& flags) {
   RigConfig config;
@@ -140,7 +143,8 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
     SLX_ASSIGN_OR_RETURN(config.plan.sync_mode, ParseSyncMode(*flags.sync_mode));
   }
   config.calibration = flags.calibration.value_or(config.calibration);
-  config.plan.exposure_ms = flags.exposure_ms.value_or(config.plan.exposure_ms);
+  if (flags.exposure && !ChoosesExposure(flags) && !ParseWhole(*flags.exposure, config.plan.exposure_ms))
+    return Status::Usage("--exposure '" + *flags.exposure + "': expected ms, or auto");
   config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
   if (!(config.settle_ms >= 0.0 && config.settle_ms <= kLongestSettleMs)) {
     std::ostringstream message;
@@ -198,6 +202,10 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
     return Status::Usage(
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
   request.plan = config.plan;
+  job.choose_exposure = ChoosesExposure(flags);
+  if (job.choose_exposure && config.plan.kind != SessionKind::kVisitor)
+    return Status::Usage("--exposure auto: only a visitor's exposure is chosen; give it in ms");
+  job.timing = TimingOf(config);
   request.calibration = config.calibration;
   request.visitor = flags.visitor;
   request.board_pose = flags.board_pose;
@@ -333,7 +341,8 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--kind", flags.kind, "visitor (default), calibration, dark, flat or response");
   command.add_option("--sync-mode", flags.sync_mode,
                      "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
-  command.add_option("--exposure", flags.exposure_ms, "exposure, ms (default: 16)");
+  command.add_option("--exposure", flags.exposure,
+                     "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
 }
 
 void AddSimulationFlags(CLI::App& command, Flags& flags) {
@@ -457,6 +466,8 @@ int Main(int argc, char** argv) {
   if (safe->parsed()) return RunSafe(flags);
   for (const CLI::App* command : {capture, selftest})
     if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
+  if (ChoosesExposure(flags) && !capture->parsed())
+    return Report(Status::Usage("--exposure auto: a capture alone looks at who is there; give it in ms"));
   if (capture->parsed()) return RunCapture(flags);
   if (selftest->parsed()) return RunSelftestCommand(flags);
   return RunPlan(flags, *render);

@@ -200,6 +200,7 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("deadline_ms", config.deadline_ms, 1, 600000);
   capture.Get("sync_delay_ms", config.sync_delay_ms, 0, 1000);
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
+  capture.Get("max_visit_s", config.max_visit_s, 1, 600);
   capture.Get("max_retries", config.max_retries, 0, 10);
   capture.Get("queue_frames", config.queue_frames, 1, 4096);
   capture.Get("calibration", config.calibration);

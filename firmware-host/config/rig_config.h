@@ -29,6 +29,7 @@ struct RigConfig {
   double deadline_ms = 500.0;   // for a SYNC edge or a frame to arrive
   double sync_delay_ms = 0.5;   // from TRIGGER to SYNC, for estimates
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
+  double max_visit_s = 20.0;    // that a chosen exposure may make a visit take
   int max_retries = 2;          // shots again of a doubtful frame
   int queue_frames = 32;        // between capture and writer
   std::string calibration;      // that sessions name: latest, an id or a file; empty: as `capture --help` says

@@ -174,7 +174,7 @@ SessionInfo CaptureStation::Describe(const CaptureRequest& request, std::string 
   info.program_version = kVersion;
   info.plan_json = PlanOptionsToJson(request.plan);
   info.simulated = rig_.simulation != nullptr;
-  if (info.simulated) info.seed = request.subject ? request.subject->seed : options_.simulated->seed;
+  if (info.simulated) info.seed = options_.simulated->seed;
   info.calibration_json = std::move(calibration_json);
   return info;
 }
@@ -189,7 +189,6 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   SLX_ASSIGN_OR_RETURN(std::string calibration,
                        ChooseCalibration(request.calibration, options_.config,
                                          simulation != nullptr ? &simulation->calibration() : nullptr, logger_));
-  if (simulation != nullptr && request.subject) SLX_RETURN_IF_ERROR(simulation->SetSubject(*request.subject));
   SLX_RETURN_IF_ERROR(OpenStore());
   if (request.consent)
     SLX_RETURN_IF_ERROR(db::GiveConsent(options_.config.store.folder, request.visitor, *request.consent));
@@ -233,8 +232,49 @@ CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter 
   Object(report, observer);
   if (rig_.simulation && report.status != SessionStatus::kFailed)
     Fail(report, StoreTruth(archive.writer(), *rig_.simulation, plan));
-  Fail(report, archive.writer().Finish(report.status, report.Reasons()));
+  const std::vector<std::string> reasons = report.Reasons();
+  report.findings.insert(report.findings.end(), request.prescan.begin(), request.prescan.end());
+  Fail(report, archive.writer().Finish(report.status, reasons));
   return report;
+}
+
+Status CaptureStation::SetSubject(const SubjectOptions& subject) {
+  if (!rig_.simulation) return Status::Usage("only a simulated rig can be told who sits before it");
+  SLX_RETURN_IF_ERROR(rig_.simulation->SetSubject(subject));
+  options_.simulated->scene = subject.scene;
+  options_.simulated->seed = subject.seed;
+  return Status::Ok();
+}
+
+ExposureRule CaptureStation::RuleOfCamera() const {
+  const WitnessOptions witness = SequencerOptionsFor().witness;
+  ExposureRule rule;
+  rule.saturation_dn = witness.saturation_dn;
+  rule.gain_e_per_dn = witness.gain_e_per_dn;
+  rule.read_noise_dn = witness.read_noise_dn;
+  return rule;
+}
+
+Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, const VisitTiming& timing,
+                                                      std::chrono::nanoseconds longest_visit) {
+  ExposureRule rule = RuleOfCamera();
+  rule.nominal_ms = plan.exposure_ms;
+  rule.longest_ms = LongestExposureMs(plan, timing, longest_visit);
+  constexpr int kHalvings = 5;
+  double scan_ms = std::min(plan.exposure_ms, rule.longest_ms);
+  for (int halving = 0;; ++halving) {
+    std::vector<Shot> shots;
+    for (int p = 0; p < plan.projectors; ++p)
+      for (const PatternKind kind : {PatternKind::kWhite, PatternKind::kBlack}) {
+        SLX_ASSIGN_OR_RETURN(Shot shot, SnapPattern(p, {.kind = kind}, scan_ms));
+        shots.push_back(std::move(shot));
+      }
+    std::vector<PreScan> scans;
+    for (size_t i = 0; i < shots.size(); i += 2) scans.push_back({shots[i].pixels, shots[i + 1].pixels});
+    SLX_ASSIGN_OR_RETURN(ExposureChoice choice, stratalux::rig::ChooseExposure(scans, scan_ms, rule));
+    if (!choice.prescan_saturated || halving == kHalvings || 0.5 * scan_ms < rule.shortest_ms) return choice;
+    scan_ms *= 0.5;
+  }
 }
 
 Result<Shot> CaptureStation::Snap(double exposure_ms) {

@@ -2,6 +2,7 @@
 // CaptureStation: a rig and a store, opened once, that serve one visit after another.
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -12,6 +13,8 @@
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/sequence/capture_observer.h"
 #include "firmware-host/sequence/sequencer.h"
+#include "firmware-host/sequence/visit_time.h"
+#include "firmware-host/session/exposure_choice.h"
 #include "firmware-host/session/open_rig.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/log.h"
@@ -39,8 +42,8 @@ struct CaptureRequest {
   std::string calibration;  // that the session names: ChooseCalibration
   std::string visit;        // names the visit that its attempts share; empty: not one of several
   int attempt = 0;          // of the visit, from 1; 0: not counted
-  // Simulation: who sits before the rig from now on; unset: who sat there before.
-  std::optional<SubjectOptions> subject;
+  // Of the pre-scan: stored with the session, no reason against it.
+  std::vector<Finding> prescan = {};
 
   // kUsage: a pseudonym that not every list and JSON file can show, a consent without a visitor or without the scope
   // fit, a pose of a plan that has none.
@@ -72,6 +75,14 @@ class CaptureStation {
   // stopped); a session that went wrong is an outcome whose report says why. After a stop: light().Reset().
   Result<CaptureOutcome> Capture(const CaptureRequest& request, CaptureObserver* observer = nullptr);
 
+  // Simulation: who sits before the rig from now on. kUsage on a real one.
+  Status SetSubject(const SubjectOptions& subject);
+
+  // The pre-scan: a white and a black of each projector, again at half the exposure while they saturate. One exposure
+  // for all, such that the plan takes `longest_visit` at most. Nothing is stored.
+  Result<ExposureChoice> ChooseExposure(const PlanOptions& plan, const VisitTiming& timing,
+                                        std::chrono::nanoseconds longest_visit);
+
   // A frame without a pattern step, of whatever is on show, and the room's light: a preview. Nothing is stored.
   Result<Shot> Snap(double exposure_ms);
   // The same with this projector alone showing a pattern that its memory holds; dark again when it returns.
@@ -90,6 +101,8 @@ class CaptureStation {
                        CaptureObserver& observer);
   // With the camera running; what a second try may heal is tried again.
   Result<Shot> Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take);
+
+  [[nodiscard]] ExposureRule RuleOfCamera() const;
 
   StationOptions options_;
   OpenedRig rig_;

@@ -70,7 +70,7 @@ TEST_F(CaptureStationTest, OneRigAndStoreServeManyVisits) {
   for (int visit = 0; visit < 3; ++visit) {
     request_.visit = "visit-" + std::to_string(visit);
     request_.attempt = 1;
-    request_.subject = {"plane", static_cast<uint64_t>(visit), -1, false};
+    ASSERT_TRUE(station->SetSubject({"plane", static_cast<uint64_t>(visit), -1, false}).ok());
     const auto outcome = station->Capture(request_);
     ASSERT_TRUE(outcome.ok()) << outcome.status().message();
     EXPECT_EQ(outcome->report.status, SessionStatus::kComplete)
@@ -161,15 +161,39 @@ TEST_F(CaptureStationTest, SnapsWhatIsOnShowAndWhatItIsToldToShow) {
   EXPECT_EQ(outcome->report.status, SessionStatus::kComplete);
 }
 
+TEST_F(CaptureStationTest, APreScanChoosesWhatTheSubjectNeeds) {
+  options_.simulated->scene = "white";
+  const auto station = Open();
+  const auto seconds = std::chrono::seconds(20);
+  const auto choice = station->ChooseExposure(request_.plan, {}, seconds);
+  ASSERT_TRUE(choice.ok()) << choice.status().message();
+  EXPECT_GE(choice->snr, 16.0);
+  EXPECT_LE(choice->saturated, 0.00525);
+  EXPECT_TRUE(Dark(*station));
+  // A plan whose exposure saturates is scanned at shorter ones, and shortened.
+  PlanOptions long_plan = request_.plan;
+  long_plan.exposure_ms = 40.0 * choice->exposure_ms;
+  const auto shortened = station->ChooseExposure(long_plan, {}, std::chrono::seconds(600));
+  ASSERT_TRUE(shortened.ok()) << shortened.status().message();
+  EXPECT_LT(shortened->exposure_ms, 0.5 * long_plan.exposure_ms);
+  EXPECT_LE(shortened->saturated, 0.00525);
+  request_.plan.exposure_ms = choice->exposure_ms;
+  request_.prescan = {{FindingKind::kDim, 2, -1, 31.0, 40.0}};
+  const auto outcome = station->Capture(request_);
+  ASSERT_TRUE(outcome.ok());
+  EXPECT_EQ(outcome->report.status, SessionStatus::kComplete) << "a dim corner is nothing against the proof";
+  EXPECT_EQ(outcome->report.findings, request_.prescan);
+}
+
 TEST_F(CaptureStationTest, ALensCapStaysOnForItsCaptureAlone) {
   const auto station = Open();
   request_.plan.kind = SessionKind::kDark;
-  request_.subject = {"plane", 1, -1, true};
+  ASSERT_TRUE(station->SetSubject({"plane", 1, -1, true}).ok());
   const auto dark = station->Capture(request_);
   ASSERT_TRUE(dark.ok()) << dark.status().message();
   EXPECT_EQ(dark->report.status, SessionStatus::kComplete);
   request_.plan.kind = SessionKind::kVisitor;
-  request_.subject = {"plane", 1, -1, false};
+  ASSERT_TRUE(station->SetSubject({"plane", 1, -1, false}).ok());
   const auto open = station->Capture(request_);
   ASSERT_TRUE(open.ok()) << open.status().message();
   EXPECT_EQ(open->report.status, SessionStatus::kComplete);
