@@ -13,6 +13,7 @@
 #include "db/apps/watchdog.h"
 #include "db/catalogue/named_query.h"
 #include "db/catalogue/session_filter.h"
+#include "shared/base/nearest.h"
 
 namespace stratalux::db {
 namespace {
@@ -23,7 +24,7 @@ constexpr int64_t kDefaultRows = 10'000;
 struct QueryFlags {
   bool csv = false;
   std::string since, until, now;
-  std::vector<std::string> statuses, kinds, rigs, visitors, max_error, min_quality;
+  std::vector<std::string> statuses, kinds, rigs, visitors, visits, max_error, min_quality;
   std::string calibration, fitted, sort;
   std::optional<int64_t> limit;
   bool list = false, show_sql = false;
@@ -113,6 +114,7 @@ Result<SessionFilter> FilterOf(const QueryFlags& flags) {
   }
   filter.rigs = flags.rigs;
   filter.visitors = flags.visitors;
+  filter.visits = flags.visits;
   if (!flags.calibration.empty()) filter.calibration = flags.calibration == "none" ? "" : flags.calibration;
   if (!flags.fitted.empty() && flags.fitted != "yes" && flags.fitted != "no")
     return Status::Usage("--fitted '" + flags.fitted + "' must be yes or no");
@@ -150,11 +152,22 @@ Status CheckParameters(const NamedQuery& query, const QueryFlags& flags) {
   const std::pair<const char*, bool> kGiven[] = {{"since", !flags.since.empty()},
                                                  {"until", !flags.until.empty()},
                                                  {"rig", !flags.rigs.empty()},
+                                                 {"kind", !flags.kinds.empty()},
                                                  {"limit", flags.limit.has_value()}};
   for (const auto& [name, given] : kGiven)
     if (given && !knows(name)) return Status::Usage("query " + query.name + " does not take --" + name);
   if (flags.rigs.size() > 1) return Status::Usage("query " + query.name + " takes one --rig");
+  if (flags.kinds.size() > 1) return Status::Usage("query " + query.name + " takes one --kind");
   return Status::Ok();
+}
+
+// A mistyped one must not answer that nothing was found.
+Result<FindingKind> FindingKindOf(const std::string& word) {
+  std::vector<std::string> words;
+  for (int i = 0; i < kFindingKindCount; ++i) words.emplace_back(ToString(static_cast<FindingKind>(i)));
+  const auto at = std::find(words.begin(), words.end(), word);
+  if (at == words.end()) return Status::Usage(UnknownName("kind of finding", word, words));
+  return static_cast<FindingKind>(at - words.begin());
 }
 
 ResultTable ListOfQueries() {
@@ -175,6 +188,10 @@ Result<ResultTable> AnswerOf(const CommonFlags& common, const QueryFlags& flags,
   if (span.since) parameters["since_ns"] = span.since->ns;
   if (span.until) parameters["until_ns"] = span.until->ns;
   if (!flags.rigs.empty()) parameters["rig"] = flags.rigs.front();
+  if (!flags.kinds.empty()) {
+    SLX_ASSIGN_OR_RETURN(const FindingKind kind, FindingKindOf(flags.kinds.front()));
+    parameters["kind"] = std::string(ToString(kind));
+  }
   if (flags.limit) parameters["limit"] = *flags.limit;
   SLX_ASSIGN_OR_RETURN(auto index, ReadOnlyIndex::Open(common.store));
   QueryLimits limits;
@@ -253,6 +270,7 @@ void AddList(Commands& commands, const std::shared_ptr<QueryFlags>& flags) {
       ->delimiter(',');
   ls->add_option("--rig", flags->rigs, "name of the rig; may be repeated")->take_all();
   ls->add_option("--visitor", flags->visitors, "pseudonym; may be repeated")->take_all();
+  ls->add_option("--visit", flags->visits, "the attempts of this visit; may be repeated")->take_all();
   ls->add_option("--calibration", flags->calibration, "prefix of the calibration's id, or none");
   ls->add_option("--fitted", flags->fitted, "yes or no");
   ls->add_option("--max-error", flags->max_error,
@@ -284,11 +302,13 @@ void AddQueryCommands(Commands& commands) {
   query->add_flag("--sql", flags->show_sql, "print the query's SQL, which says what its columns mean");
   AddSpan(query, *flags);
   query->add_option("--rig", flags->rigs, "this rig only");
+  query->add_option("--kind", flags->kinds, "findings of this kind only, such as moved");
   AddOutput(query, *flags);
   query->footer(R"(Examples:
   stratalux-db query --list
   stratalux-db query last-night
   stratalux-db query retakes --since 7d --rig kiosk
+  stratalux-db query findings --kind moved --since 12h
   stratalux-db query oldest-unfitted --limit 5 --json
   stratalux-db query fit-quality --csv > quality.csv)");
 

@@ -157,6 +157,22 @@ Status LoadFromViews(const SessionStore& store, SessionDetails& details) {
   return Status::Ok();
 }
 
+std::string VisitAsText(const SessionInfo& info) {
+  const std::string attempt = info.attempt > 0 ? "attempt " + std::to_string(info.attempt) : "";
+  return info.visit + (info.visit.empty() || attempt.empty() ? "" : ", ") + attempt;
+}
+
+// Findings that are no reason, and how many shots did not count for which fault: "lost frame 2, wrong level 14".
+std::string FoundAsText(const SessionInfo& info) {
+  std::string text, faults;
+  for (const std::string& line : ToText(info.found.findings))
+    if (std::find(info.reasons.begin(), info.reasons.end(), line) == info.reasons.end())
+      text += Line("  finding", line);
+  for (const auto& [fault, shots] : info.found.faults)
+    faults += (faults.empty() ? "" : ", ") + fault + " " + std::to_string(shots);
+  return text + Line("spoilt shots", faults);
+}
+
 std::string RetentionAsText(const SessionDetails& details) {
   const std::string retention = stratalux::ToString(details.row.info.retention);
   if (details.due.empty()) return retention;
@@ -179,9 +195,11 @@ std::string DetailsAsText(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   std::string text = Line("session", info.id) + Line("started", ToIso8601(info.started_wall)) +
                      Line("kind", stratalux::ToString(info.kind)) + Line("rig", info.rig) +
-                     Line("visitor", info.visitor) + Line("consent", ConsentAsText(details.consent_json)) +
+                     Line("visitor", info.visitor) + Line("visit", VisitAsText(info)) +
+                     Line("consent", ConsentAsText(details.consent_json)) +
                      Line("retention", RetentionAsText(details)) + Line("status", stratalux::ToString(info.status));
   for (const std::string& reason : info.reasons) text += Line("  reason", reason);
+  text += FoundAsText(info);
   if (info.simulated) text += Line("simulated", "seed " + std::to_string(info.seed));
   text += Line("program", info.program_version) +
           Line("frames", std::to_string(details.row.frames) + ", " + SizeText(details.row.bytes) +
@@ -201,6 +219,10 @@ std::string DetailsAsText(const SessionDetails& details) {
 std::string DetailsAsJson(const SessionDetails& details) {
   const SessionInfo& info = details.row.info;
   Json json = SessionJson(details.row);
+  json["visit"] = info.visit;
+  json["attempt"] = info.attempt;
+  json["findings"] = ParsedOrNull(FindingsToJson(info.found.findings));
+  json["faults"] = ParsedOrNull(FaultsToJson(info.found.faults));
   json["consent"] = ParsedOrNull(details.consent_json);
   json["retention"] = stratalux::ToString(info.retention);
   json["due"] = details.due.empty() ? Json() : Json(details.due);

@@ -28,8 +28,9 @@ struct SessionDetails {
 // From the index alone: no segment is opened (`verify` does that).
 [[nodiscard]] Result<SessionDetails> LoadDetails(const SessionStore& store, const std::string& selector);
 [[nodiscard]] std::string DetailsAsText(const SessionDetails& details);
-// {"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "consent",
-// "retention", "due", "seed", "program_version", "plan", "calibration", "phases", "fits" as objects}.
+// {"session", "started", "kind", "rig", "visitor", "status", "reasons", "simulated", "frames", "bytes", "visit",
+// "attempt", "findings" and "faults" as in the manifest, "consent", "retention", "due", "seed", "program_version",
+// "plan", "calibration", "phases", "fits" as objects}.
 [[nodiscard]] std::string DetailsAsJson(const SessionDetails& details);
 
 struct FrameFilter {

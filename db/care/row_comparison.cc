@@ -184,19 +184,22 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
     // Being written, or to be ended by the next opening: its ending is not there yet.
     if (session.info.status == SessionStatus::kRecording) {
       if (table == "sessions")
-        rule = With(rule, "status, reasons_json, finished_wall_ns, frame_count, stored_bytes, key_id", Extent::kSame);
+        rule = With(rule,
+                    "status, reasons_json, finished_wall_ns, findings_json, faults_json, frame_count, stored_bytes,"
+                    " key_id",
+                    Extent::kSame);
       if (table == "frames" || table == "proofs") rule.extent = Extent::kRebuildHasMore;
     } else if (table == "sessions" && !manifest.ok()) {
       // Lost, or never written by a disk that was full: what only a manifest tells is the index's alone.
       rule = With(rule,
                   "kind, rig, visitor, consent, simulated, seed, started_wall_ns, status, reasons_json,"
                   " program_version, plan_json, planned_steps, calibration_id, consent_json, retention,"
-                  " finished_wall_ns, key_id",
+                  " finished_wall_ns, visit, attempt, findings_json, faults_json, key_id",
                   Extent::kSame);
     } else if (table == "sessions" && session.info.status == SessionStatus::kFailed &&
                manifest->status == SessionStatus::kRecording) {
-      // It failed on a disk that took no second manifest: the reason is the index's alone.
-      rule = With(rule, "reasons_json, finished_wall_ns, key_id", Extent::kSame);
+      // It failed on a disk that took no second manifest: reason and findings are the index's alone.
+      rule = With(rule, "reasons_json, finished_wall_ns, findings_json, faults_json, key_id", Extent::kSame);
     } else if (table == "sessions" && session.frames == 0) {
       rule = With(rule, "key_id", Extent::kSame);  // known by its frames
     } else if (table == "sessions" && contents.ok() && contents->schema == 1) {

@@ -30,6 +30,9 @@ constexpr const char* kComplaints[] = {
     " HAVING q.seq IS NULL OR typeof(q.seq) <> 'integer' OR q.seq < max(s.number)",
     "SELECT 'sessions.reasons_json of ' || id || ' is ' || quote(reasons_json) || ' while it is being recorded'"
     " FROM sessions WHERE status = 'recording' AND (reasons_json IS NOT '[]' OR finished_wall_ns IS NOT NULL)",
+    "SELECT 'sessions.findings_json of ' || id || ' is ' || quote(findings_json) || ' and faults_json '"
+    " || quote(faults_json) || ' while it is being recorded'"
+    " FROM sessions WHERE status = 'recording' AND (findings_json IS NOT '[]' OR faults_json IS NOT '{}')",
     // A record's rig is that of a session that names it or accepted it.
     "SELECT 'calibrations.rig of ' || c.id || ' is ' || quote(c.rig) || '; no session that uses the record is of that "
     "rig'"

@@ -13,6 +13,7 @@ Status CheckInfo(const SessionInfo& info) {
   for (const auto& [name, text] : {std::pair<const char*, const std::string*>{"rig", &info.rig},
                                    {"visitor", &info.visitor},
                                    {"program version", &info.program_version},
+                                   {"visit", &info.visit},
                                    {"consent", &info.consent.text_version},
                                    {"language", &info.consent.language}})
     if (text->find('\0') != std::string::npos) return Status::Integrity(std::string(name) + " holds a zero byte");
@@ -20,6 +21,9 @@ Status CheckInfo(const SessionInfo& info) {
                                    {"end", info.finished_wall.ns},
                                    {"consent's time", info.consent.given_wall.ns}})
     if (time < 0) return Status::Integrity(std::string(name) + " " + std::to_string(time) + " ns lies before 1970");
+  if (info.attempt < 0 || info.attempt > kMostAttempts)
+    return Status::Integrity("attempt " + std::to_string(info.attempt) + " is none");
+  SLX_RETURN_IF_ERROR(CheckFound(info.found));
   if (!info.plan_json.empty()) {
     const auto plan = PlanOptionsFromJson(info.plan_json);
     // What no version plans is damage, not somebody's wrong flag.
@@ -31,6 +35,11 @@ Status CheckInfo(const SessionInfo& info) {
       !nlohmann::ordered_json::parse(info.calibration_json, nullptr, false).is_object())
     return Status::Integrity("its calibration is no JSON object");
   return Status::Ok();
+}
+
+Status CheckFound(const CaptureFindings& found) {
+  SLX_RETURN_IF_ERROR(FindingsFromJson(FindingsToJson(found.findings)).status());
+  return FaultsFromJson(FaultsToJson(found.faults)).status();
 }
 
 }  // namespace stratalux::db

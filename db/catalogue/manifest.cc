@@ -8,6 +8,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/own_hash.h"
+#include "db/catalogue/info_check.h"
 #include "db/catalogue/known_word.h"
 #include "db/segment/segment.h"
 #include "shared/base/read_file.h"
@@ -23,7 +24,8 @@ std::string TextOf(const Json& json, int indent) {
   return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
-constexpr uint64_t kManifestSchema = 3;
+// 4: visit, attempt, findings, faults. A program of before would have lost them with the next manifest it wrote.
+constexpr uint64_t kManifestSchema = 4;
 constexpr uint64_t kMostFrames = 1'000'000'000'000;
 
 // Those that lie there; a segment that is named and missing is for `verify` to find.
@@ -40,7 +42,7 @@ Json FilesOf(const std::filesystem::path& folder, std::vector<std::string> names
   return files;
 }
 
-// Every file of schema 3 has its hash; one that has it although it says to be older was changed.
+// Every file since schema 3 has its hash; one that has it although it says to be older was changed.
 Status CheckHash(const Json& json, const std::string& text) {
   const OwnHash hash = CheckOwnHash(text);
   if (hash == OwnHash::kRight) return Status::Ok();
@@ -108,6 +110,8 @@ Status CheckTypes(const Json& json) {
       {"plan", json.contains("plan") && (value("plan").is_null() || value("plan").is_object())},
       {"calibration",
        json.contains("calibration") && (value("calibration").is_null() || value("calibration").is_object())},
+      {"visit", !json.contains("visit") || is_text(value("visit"))},
+      {"attempt", !json.contains("attempt") || (is_count(value("attempt")) && value("attempt") <= kMostAttempts)},
       {"frames", is_count(value("frames"))},
       {"segments", is_texts(value("segments"))}};
   for (const Field& field : fields)
@@ -122,6 +126,17 @@ Status CheckSchema(const Json& json) {
   if (schema.get<uint64_t>() <= kManifestSchema) return Status::Ok();
   return Status(StatusCode::kNewerSchema,
                 "schema " + schema.dump() + " is newer than this program (" + std::to_string(kManifestSchema) + ")");
+}
+
+// Members that came with schema 4; a transcode raises a manifest of before and adds none, so that its signature stays.
+Status ReadFound(const Json& json, CaptureFindings& found) {
+  if (json.contains("findings")) {
+    SLX_ASSIGN_OR_RETURN(found.findings, FindingsFromJson(json.at("findings").dump()));
+  }
+  if (json.contains("faults")) {
+    SLX_ASSIGN_OR_RETURN(found.faults, FaultsFromJson(json.at("faults").dump()));
+  }
+  return Status::Ok();
 }
 
 Result<SessionInfo> InfoFrom(const Json& json) {
@@ -141,6 +156,9 @@ Result<SessionInfo> InfoFrom(const Json& json) {
   info.started_wall.ns = json.at("started_wall_ns").get<int64_t>();
   SLX_ASSIGN_OR_RETURN(info.status, Known(ParseSessionStatus(json.at("status").get<std::string>())));
   json.at("reasons").get_to(info.reasons);
+  info.visit = json.value("visit", "");
+  info.attempt = json.value("attempt", 0);
+  SLX_RETURN_IF_ERROR(ReadFound(json, info.found));
   json.at("program_version").get_to(info.program_version);
   if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
   if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
@@ -172,6 +190,13 @@ std::vector<std::string> ReasonsFromJson(const std::string& text) {
   return reasons;
 }
 
+CaptureFindings FoundFromJson(const std::string& findings_json, const std::string& faults_json) {
+  CaptureFindings found;
+  if (auto findings = FindingsFromJson(findings_json); findings.ok()) found.findings = std::move(findings).value();
+  if (auto faults = FaultsFromJson(faults_json); faults.ok()) found.faults = std::move(faults).value();
+  return found;
+}
+
 std::string ManifestText(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
                          const std::vector<std::string>& segments) {
   const Json json = {
@@ -188,6 +213,10 @@ std::string ManifestText(const std::filesystem::path& folder, const SessionInfo&
       {"finished_wall_ns", info.finished_wall.ns},
       {"status", ToString(info.status)},
       {"reasons", info.reasons},
+      {"visit", info.visit},
+      {"attempt", info.attempt},
+      {"findings", Json::parse(FindingsToJson(info.found.findings))},
+      {"faults", Json::parse(FaultsToJson(info.found.faults))},
       {"program_version", info.program_version},
       {"plan", info.plan_json.empty() ? Json() : Json::parse(info.plan_json, nullptr, false)},
       {"calibration", info.calibration_json.empty() ? Json() : Json::parse(info.calibration_json, nullptr, false)},

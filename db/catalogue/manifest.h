@@ -26,7 +26,7 @@ struct ManifestContents {
     int64_t bytes = 0;
     std::string hash;  // of a sealed segment's footer and trailer, of all bytes of other files; empty: not sealed
   };
-  std::vector<File> files;  // of schema 3: segments, truth.seg, truth_calibration.json
+  std::vector<File> files;  // since schema 3: segments, truth.seg, truth_calibration.json
   int schema = 0;
 };
 Result<ManifestContents> ReadManifestContents(const std::filesystem::path& session_folder);
@@ -44,5 +44,7 @@ Result<ManifestContents::File> DescribeFile(const std::filesystem::path& session
 
 [[nodiscard]] std::string ReasonsToJson(const std::vector<std::string>& reasons);
 [[nodiscard]] std::vector<std::string> ReasonsFromJson(const std::string& text);
+// Of the index's columns. Other texts are none, so that they hide no frame: `verify` names the column.
+[[nodiscard]] CaptureFindings FoundFromJson(const std::string& findings_json, const std::string& faults_json);
 
 }  // namespace stratalux::db

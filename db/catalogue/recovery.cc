@@ -136,7 +136,7 @@ Status RecoverOne(SessionIndex& index, const fs::path& store, const SessionRow& 
   if (const auto end = EndOf(store / "sessions" / id, id); end.ok()) {
     SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
     SLX_RETURN_IF_ERROR(SyncTree(store / "sessions" / id));  // seen in memory, perhaps not yet on the disk
-    SLX_RETURN_IF_ERROR(index.SetStatus(number, {end->status, end->reasons, end->finished_wall}));
+    SLX_RETURN_IF_ERROR(index.SetStatus(number, EndingOf(*end)));
     notes.push_back("session " + id + ": ended as its manifest says: " + ToString(end->status));
     return Status::Ok();
   }
@@ -166,7 +166,7 @@ Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionR
   if (!manifest.ok()) manifest = WriteEnding(store, info, found.frames, found.segments, EndingSignature::kNone);
   // On a full disk the row alone must do, unless an older manifest says that the session ended otherwise.
   if (!manifest.ok() && EndOf(folder, session.info.id).ok()) return manifest;
-  return index.SetStatus(number, {info.status, info.reasons, info.finished_wall});
+  return index.SetStatus(number, EndingOf(info));
 }
 
 Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const fs::path& store) {

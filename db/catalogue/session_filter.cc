@@ -13,7 +13,7 @@ listed AS (
   SELECT s.number, s.id AS session, s.started_wall_ns AS started, s.kind, s.rig, s.visitor, s.status,
          s.frame_count AS frames, s.stored_bytes AS bytes, s.reasons_json AS reasons, s.simulated, s.retention,
          (SELECT o.consent FROM session_overview o WHERE o.number = s.number) AS consent,
-         s.calibration_id AS calibration, s.finished_wall_ns AS finished,
+         s.calibration_id AS calibration, s.finished_wall_ns AS finished, s.visit, s.attempt,
          (SELECT count(*) FROM fits f WHERE f.session = s.number) AS fits,
          (SELECT f.id FROM fits f WHERE f.session = s.number ORDER BY f.created_wall_ns DESC, f.id DESC LIMIT 1)
            AS newest_fit,
@@ -24,7 +24,7 @@ listed AS (
 constexpr const char* kColumns = R"(
 SELECT session, started, kind, rig, visitor, status, frames, bytes, fits,
        (SELECT m.value FROM metrics m WHERE m.session = number AND m.fit = newest_fit AND m.name = :nrmse) AS nrmse,
-       calibration_age_days, reasons, simulated, retention, consent, calibration, finished, newest_fit
+       calibration_age_days, reasons, simulated, retention, consent, calibration, finished, newest_fit, visit, attempt
 FROM listed
 WHERE true)";
 
@@ -95,6 +95,7 @@ std::string SessionConditions(const SessionFilter& filter, QueryParameters& para
   where.AndOneOf("s.kind", Names(filter.kinds));
   where.AndOneOf("s.rig", filter.rigs);
   where.AndOneOf("s.visitor", filter.visitors);
+  where.AndOneOf("s.visit", filter.visits);
   if (filter.calibration && filter.calibration->empty()) where.And("s.calibration_id IS NULL");
   if (filter.calibration && !filter.calibration->empty()) {
     const std::string prefix = where.Bind(*filter.calibration);

@@ -31,6 +31,7 @@ struct SessionFilter {
   std::vector<SessionKind> kinds;
   std::vector<std::string> rigs;
   std::vector<std::string> visitors;
+  std::vector<std::string> visits;
   std::optional<std::string> calibration;  // prefix of its id; empty: sessions without one
   Fitted fitted = Fitted::kAny;
   std::vector<FitBound> bounds;
@@ -50,8 +51,8 @@ struct SessionQuery {
 [[nodiscard]] SessionQuery QueryOf(const SessionFilter& filter);
 
 // Columns: session, started, kind, rig, visitor, status, frames, bytes, fits, nrmse, calibration_age_days and, as
-// details, reasons, simulated, retention, consent, calibration, finished, newest_fit. The age is that at the session's
-// start; consent as in the view session_overview.
+// details, reasons, simulated, retention, consent, calibration, finished, newest_fit, visit, attempt. The age is that
+// at the session's start; consent as in the view session_overview.
 Result<ResultTable> ListSessions(ReadOnlyIndex& index, const SessionFilter& filter);
 
 }  // namespace stratalux::db

@@ -16,6 +16,7 @@
 #include "db/migration_0003.h"
 #include "db/migration_0004.h"
 #include "db/migration_0005.h"
+#include "db/migration_0006.h"
 #include "db/segment/pixel_hash.h"
 #include "db/session_tables.h"
 #include "shared/capture/plan.h"
@@ -161,6 +162,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
     SLX_RETURN_IF_ERROR(connection.Execute(kMigration0005));
     SLX_RETURN_IF_ERROR(WritePlannedStepsOfAllSessions(connection));
   }
+  if (version < 6) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0006));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -235,8 +237,9 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
       auto insert,
       connection_.Prepare(
           "INSERT INTO sessions (id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
-          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number, planned_steps)"
-          " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"));
+          " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, number, planned_steps,"
+          " visit, attempt, findings_json, faults_json) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13,"
+          " ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21)"));
   std::random_device random;
   char suffix[16];
   std::snprintf(suffix, sizeof suffix, "%08x", random());
@@ -256,6 +259,8 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
   insert.Bind(14, ConsentToJson(info.consent)).Bind(15, std::string(ToString(info.retention)));
   if (known_number) insert.Bind(16, *known_number);
   if (const auto steps = PlannedSteps(info.plan_json)) insert.Bind(17, *steps);
+  insert.Bind(18, info.visit).Bind(19, int64_t{info.attempt});
+  insert.Bind(20, FindingsToJson(info.found.findings)).Bind(21, FaultsToJson(info.found.faults));
   SLX_RETURN_IF_ERROR(insert.Run());
   const int64_t number = connection_.LastInsertId();
   if (named) {
@@ -271,13 +276,20 @@ Result<int64_t> SessionIndex::InsertSession(SessionInfo& info, std::optional<int
   return number;
 }
 
+SessionIndex::Ending EndingOf(const SessionInfo& info) {
+  return {info.status, info.reasons, info.finished_wall, info.found};
+}
+
 Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
   SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2,"
-                                                        " finished_wall_ns = ?3 WHERE number = ?4"));
+                                                        " finished_wall_ns = ?3, findings_json = ?5, faults_json = ?6"
+                                                        " WHERE number = ?4"));
   return update.Bind(1, std::string(ToString(ending.status)))
       .Bind(2, ReasonsToJson(ending.reasons))
       .Bind(3, ending.finished_wall.ns)
       .Bind(4, number)
+      .Bind(5, FindingsToJson(ending.found.findings))
+      .Bind(6, FaultsToJson(ending.found.faults))
       .Run();
 }
 

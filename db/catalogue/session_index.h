@@ -33,6 +33,7 @@ class SessionIndex {
     SessionStatus status = SessionStatus::kFailed;
     std::vector<std::string> reasons;
     WallNs finished_wall;
+    CaptureFindings found;
   };
   Status SetStatus(int64_t number, const Ending& ending);
   // Frames, proofs and totals in one transaction: the group's commit.
@@ -67,5 +68,7 @@ class SessionIndex {
   static Status Migrate(Connection& connection, const std::filesystem::path& folder);
   Connection connection_;
 };
+
+[[nodiscard]] SessionIndex::Ending EndingOf(const SessionInfo& info);
 
 }  // namespace stratalux::db

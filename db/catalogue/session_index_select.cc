@@ -6,12 +6,12 @@
 namespace stratalux::db {
 namespace {
 
-// What a summary has; the plan and the calibration follow in whole rows.
+// What a summary has; plan, calibration and findings follow in whole rows.
 constexpr const char* kSummaryColumns =
     "SELECT s.id, s.kind, s.rig, s.visitor, s.consent_json, s.simulated, s.seed, s.started_wall_ns, s.status,"
     " s.reasons_json, s.program_version, s.frame_count, s.stored_bytes, s.retention, coalesce(s.finished_wall_ns, 0),"
-    " s.consent, lower(hex(s.key_id))";
-constexpr int kPlanColumn = 17, kCalibrationColumn = 18;
+    " s.consent, lower(hex(s.key_id)), s.visit, s.attempt";
+constexpr int kPlanColumn = 19, kCalibrationColumn = 20, kFindingsColumn = 21, kFaultsColumn = 22;
 
 Status ReadSummary(const Statement& select, SessionSummary& row) {
   row.info.id = select.Text(0);
@@ -34,6 +34,8 @@ Status ReadSummary(const Statement& select, SessionSummary& row) {
   SLX_ASSIGN_OR_RETURN(row.info.retention, ParseRetention(select.Text(13)).WithContext(column("retention")));
   row.info.finished_wall.ns = select.Integer(14);
   row.key_id = select.Text(16);
+  row.info.visit = select.Text(17);
+  row.info.attempt = static_cast<int>(select.Integer(18));
   return Status::Ok();
 }
 
@@ -55,13 +57,14 @@ Result<std::vector<SessionRow>> ReadRows(Statement& select) {
     SLX_RETURN_IF_ERROR(ReadSummary(select, row));
     row.info.plan_json = select.Text(kPlanColumn);
     row.info.calibration_json = select.Text(kCalibrationColumn);
+    row.info.found = FoundFromJson(select.Text(kFindingsColumn), select.Text(kFaultsColumn));
   }
 }
 
 std::string WholeRows(const std::string& where) {
   return std::string(kSummaryColumns) +
-         ", s.plan_json, coalesce(c.record_json, '') FROM sessions s LEFT JOIN calibrations c ON c.id ="
-         " s.calibration_id WHERE " +
+         ", s.plan_json, coalesce(c.record_json, ''), s.findings_json, s.faults_json FROM sessions s"
+         " LEFT JOIN calibrations c ON c.id = s.calibration_id WHERE " +
          where;
 }
 

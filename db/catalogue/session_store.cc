@@ -100,7 +100,7 @@ struct SessionWriter::Impl {
     // Rows of a commit that failed may come back with the log at the next opening, until another commit has taken their
     // place in it. Cut before that, their bytes would be missing. Where this fails, too, the session stays `recording`
     // and the next opening ends it, by the rows it then finds.
-    if (commit_in_doubt && !index.SetStatus(number, {SessionStatus::kRecording, {status.message()}, {}}).ok())
+    if (commit_in_doubt && !index.SetStatus(number, {SessionStatus::kRecording, {status.message()}, {}, {}}).ok())
       return failure;
     std::vector<std::string> doubtful;
     if (segment && segment->sync_failed()) doubtful.push_back(SegmentName(segments));
@@ -227,7 +227,8 @@ Status SessionWriter::KeepTruthCalibration(const std::string& record_json) {
 Status SessionWriter::Flush() { return impl_->Flush(); }
 Status SessionWriter::FlushIfDue() { return impl_->FlushIfDue(); }
 
-Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons) {
+Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reasons, CaptureFindings found) {
+  SLX_RETURN_IF_ERROR(Refused(CheckFound(found)));
   SLX_RETURN_IF_ERROR(Flush());
   Impl& w = *impl_;
   if (!w.segment) {
@@ -239,12 +240,13 @@ Status SessionWriter::Finish(SessionStatus status, std::vector<std::string> reas
   }
   w.info.status = status;
   w.info.reasons = std::move(reasons);
+  w.info.found = std::move(found);
   w.info.finished_wall = WallNow();
   std::vector<std::string> names;
   for (int64_t i = 1; i <= w.segments; ++i) names.push_back(SegmentName(i));
   const auto signature = w.options.signing == Signing::kRigKey ? EndingSignature::kByRigKey : EndingSignature::kNone;
   if (Status s = WriteEnding(w.store, w.info, w.frames, names, signature); !s.ok()) return w.Fail(s);
-  return w.Committed(w.index.SetStatus(w.number, {status, w.info.reasons, w.info.finished_wall}));
+  return w.Committed(w.index.SetStatus(w.number, EndingOf(w.info)));
 }
 
 SessionStore::SessionStore(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -288,10 +290,11 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   SLX_RETURN_IF_ERROR(Refused(CheckInfo(info)));
   SLX_RETURN_IF_ERROR(RequireConsent(impl_->folder, info));
   info.status = SessionStatus::kRecording;
+  info.found = {};  // told by Finish()
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info));
   const auto folder = SessionFolder(info.id);
   const auto fail = [&](Status status) {
-    (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow()}).ok();
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {status.message()}, WallNow(), {}}).ok();
     return status;
   };
   if (const Status made = MakeFolder(folder); !made.ok()) return fail(made);
@@ -307,7 +310,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
   }
   // What the index knows of an unfinished session, for `reindex`.
   if (const Status begun = WriteManifest(folder, info, 0, {}); !begun.ok()) {
-    (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow()}).ok();
+    (void)index.SetStatus(number, {SessionStatus::kFailed, {begun.message()}, WallNow(), {}}).ok();
     return begun;
   }
   auto writer = std::make_unique<SessionWriter::Impl>(std::move(index), options.codec);

@@ -24,11 +24,12 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 5;
+inline constexpr int kSchemaVersion = 6;
 
-// A session without what only its own work needs: a list of a hundred thousand carries no plan and no calibration.
+// A session without what only its own work needs: a list of a hundred thousand carries no plan, no calibration and no
+// findings.
 struct SessionSummary {
-  SessionInfo info;  // plan_json and calibration_json empty
+  SessionInfo info;  // plan_json, calibration_json and found empty
   int64_t frames = 0;
   int64_t bytes = 0;   // payload bytes on disk
   std::string key_id;  // 32 hex digits; empty: not encrypted
@@ -113,8 +114,8 @@ class SessionWriter {
   Status FlushIfDue();
   [[nodiscard]] int64_t acknowledged_frames() const;
   // Seals the segment, writes manifest.json, then the final status. A power cut after the manifest: the next open finds
-  // the session finished.
-  Status Finish(SessionStatus status, std::vector<std::string> reasons = {});
+  // the session finished. kUsage for findings that no manifest takes (CheckFound): nothing was done.
+  Status Finish(SessionStatus status, std::vector<std::string> reasons = {}, CaptureFindings found = {});
 
  private:
   friend class SessionStore;

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/catalogue/consent.h"
+#include "db/catalogue/info_check.h"
 #include "db/catalogue/known_word.h"
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
@@ -16,7 +17,7 @@ namespace stratalux::db {
 namespace {
 
 using Json = nlohmann::ordered_json;
-constexpr int kSessionSchema = 1;
+constexpr int kSessionSchema = 2;  // 1: without visit, attempt, findings and faults
 
 bool Covers(const Consent& consent, CrateScope scope) {
   return scope == CrateScope::kResearch ? consent.research : consent.publication;
@@ -31,6 +32,17 @@ Result<Consent> ReadConsent(const Json& json) {
   if (consent.text_version.empty() || consent.language.empty() || consent.given_wall.ns <= 0)
     return Status::Integrity("the consent lacks text_version, language or given_wall_ns");
   return consent;
+}
+
+// What came with schema 2.
+Status ReadVisit(const Json& json, SessionInfo& info) {
+  json.at("visit").get_to(info.visit);
+  if (!json.at("attempt").is_number_unsigned() || json.at("attempt") > kMostAttempts)
+    return Status::Integrity("attempt is no whole number from 0 to " + std::to_string(kMostAttempts));
+  json.at("attempt").get_to(info.attempt);
+  SLX_ASSIGN_OR_RETURN(info.found.findings, FindingsFromJson(json.at("findings").dump()));
+  SLX_ASSIGN_OR_RETURN(info.found.faults, FaultsFromJson(json.at("faults").dump()));
+  return Status::Ok();
 }
 
 Result<CrateSession> FromJson(const Json& json) {
@@ -60,6 +72,7 @@ Result<CrateSession> FromJson(const Json& json) {
   SLX_ASSIGN_OR_RETURN(info.status, Known(ParseSessionStatus(json.at("status").get<std::string>())));
   if (info.status == SessionStatus::kRecording) return Status::Integrity("the session is not finished");
   json.at("reasons").get_to(info.reasons);
+  if (json.at("schema") >= 2) SLX_RETURN_IF_ERROR(ReadVisit(json, info));
   json.at("program_version").get_to(info.program_version);
   if (!json.at("frames").is_number_unsigned()) return Status::Integrity("frames is no whole number from 0");
   json.at("frames").get_to(session.frames);
@@ -128,6 +141,10 @@ std::string CrateSessionText(const SessionInfo& info, int64_t frames, CrateScope
                      {"finished_wall_ns", info.finished_wall.ns},
                      {"status", ToString(info.status)},
                      {"reasons", info.reasons},
+                     {"visit", info.visit},
+                     {"attempt", info.attempt},
+                     {"findings", Json::parse(FindingsToJson(info.found.findings))},
+                     {"faults", Json::parse(FaultsToJson(info.found.faults))},
                      {"program_version", info.program_version},
                      {"frames", frames},
                      {"plan", !info.plan_json.empty()},

@@ -156,7 +156,7 @@ Result<std::map<std::string, int64_t>> FaultsFromJson(const std::string& text) {
   if (!counts.is_object()) return Status::Integrity("faults: not an object of counts");
   std::map<std::string, int64_t> faults;
   for (const auto& [name, count] : counts.items()) {
-    if (!count.is_number_unsigned() || count > INT64_MAX)
+    if (!count.is_number_unsigned() || count.get<uint64_t>() > uint64_t{INT64_MAX})
       return Status::Integrity("faults: '" + name + "' is no count");
     faults[name] = count.get<int64_t>();
   }

@@ -122,6 +122,8 @@ class RowWriter {
     info.rig = "kiosk-" + std::to_string(Below(3));
     info.visitor = info.kind == SessionKind::kVisitor ? "v" + std::to_string(Below(options_.sessions)) : "";
     info.started_wall = StartOf(i);
+    info.visit = "visit-" + std::to_string(i / 3);
+    info.attempt = 1 + i % 3;
     const int fate = Below(100);
     info.status = fate < 90 ? SessionStatus::kComplete : fate < 97 ? SessionStatus::kDegraded : SessionStatus::kFailed;
     if (Below(20) != 0) {
@@ -163,7 +165,8 @@ class RowWriter {
     auto insert = Must(connection_.Prepare(
         "INSERT INTO sessions (number, id, kind, rig, visitor, consent, simulated, seed, started_wall_ns, status,"
         " reasons_json, program_version, plan_json, calibration_id, consent_json, retention, finished_wall_ns,"
-        " planned_steps) VALUES (?1, ?2, ?3, ?4, ?5, '3', 0, 0, ?6, ?7, ?8, '0.1.0', ?9, ?10, ?11, 'long', ?12, ?13)"));
+        " planned_steps, visit, attempt)"
+        " VALUES (?1, ?2, ?3, ?4, ?5, '3', 0, 0, ?6, ?7, ?8, '0.1.0', ?9, ?10, ?11, 'long', ?12, ?13, ?14, ?15)"));
     insert.Bind(1, int64_t{number}).Bind(2, info.id).Bind(3, std::string(ToString(info.kind))).Bind(4, info.rig);
     insert.Bind(5, info.visitor).Bind(6, info.started_wall.ns).Bind(7, std::string(ToString(info.status)));
     insert.Bind(8, std::string(info.status == SessionStatus::kComplete ? "[]" : "[\"no proven frame for step 7\"]"));
@@ -171,6 +174,7 @@ class RowWriter {
     if (!s.calibration.empty()) insert.Bind(10, s.calibration);
     insert.Bind(11, std::string(R"({"text_version":"3","language":"de","scope":["fit"],"given_wall_ns":0})"));
     insert.Bind(12, info.started_wall.ns + 33'000'000'000).Bind(13, int64_t{PlannedStepsOfRows()});
+    insert.Bind(14, info.visit).Bind(15, int64_t{info.attempt});
     Must(insert.Run());
   }
 

@@ -51,6 +51,12 @@ SessionInfo SimulatedVisit() {
   return info;
 }
 
+CaptureFindings SomeFindings() {
+  return {{{FindingKind::kMoved, 2, 117, 0.0625, 0.03, ""},
+           {FindingKind::kDevice, -1, -1, 0.0, 0.0, "/dev/video0: \"gone\""}},
+          {{"lost frame", 2}, {"wrong level", 14}}};
+}
+
 FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels) {
   FrameRecord r;
   r.step = step;

@@ -35,6 +35,8 @@ class StoreTest : public ::testing::Test {
 
 // A simulated visitor's session, whose consent records itself.
 [[nodiscard]] SessionInfo SimulatedVisit();
+// A finding with all that one can have, one with words alone, and two faults.
+[[nodiscard]] CaptureFindings SomeFindings();
 [[nodiscard]] FrameRecord RecordFor(int step, PixelFormat format, int width, int height, int channels = 1);
 // Samples over the format's whole range, different in each frame.
 [[nodiscard]] Image<uint16_t> PixelsFor(const FrameRecord& record);

@@ -6,6 +6,7 @@
 #include "db/apps/serve/html.h"
 #include "db/apps/serve/site.h"
 #include "db/catalogue/named_query.h"
+#include "shared/capture/finding.h"
 
 namespace stratalux::db {
 namespace {
@@ -29,7 +30,9 @@ Result<QueryParameters> ParametersOf(const NamedQuery& query, const Request& req
   for (const std::string& name : query.parameters) {
     const std::string text = request.Query(name);
     if (text.empty()) continue;
-    if (name == "rig") parameters["rig"] = text;
+    if (name == "rig" || name == "kind") parameters[name] = text;
+    if (name == "kind" && !ParseFindingKind(text).ok())
+      return Status::Usage("kind '" + text + "' is no kind of finding; such as moved, lamp, no-proof");
     if (name == "since" || name == "until") {
       SLX_ASSIGN_OR_RETURN(const WallNs moment, ParseMoment(text, now).WithContext(name));
       parameters[name + "_ns"] = moment.ns;
@@ -47,7 +50,10 @@ Result<QueryParameters> ParametersOf(const NamedQuery& query, const Request& req
 std::string Form(const NamedQuery& query, const Request& request) {
   std::string inputs;
   for (const std::string& name : query.parameters) {
-    const char* hint = name == "rig" ? "name" : name == "limit" ? "rows" : "7d or 2026-11-21";
+    const char* hint = name == "rig"     ? "name"
+                       : name == "kind"  ? "such as moved"
+                       : name == "limit" ? "rows"
+                                         : "7d or 2026-11-21";
     inputs += "<p><label for=\"" + Escape(name) + "\">" + Escape(name) + "</label><input id=\"" + Escape(name) +
               "\" name=\"" + Escape(name) + "\" value=\"" + Escape(request.Query(name)) + "\" placeholder=\"" + hint +
               "\"></p>";

@@ -35,6 +35,7 @@ Result<SessionFilter> FilterOf(const Request& request) {
   }
   if (const std::string text = request.Query("rig"); !text.empty()) filter.rigs.push_back(text);
   if (const std::string text = request.Query("visitor"); !text.empty()) filter.visitors.push_back(text);
+  if (const std::string text = request.Query("visit"); !text.empty()) filter.visits.push_back(text);
   if (const std::string text = request.Query("since"); !text.empty()) {
     SLX_ASSIGN_OR_RETURN(filter.since, ParseMoment(text, WallNow()).WithContext("since"));
   }
@@ -75,6 +76,7 @@ Result<std::string> FilterForm(ReadOnlyIndex& index, const Request& request) {
          Select("kind", "Kind", {"visitor", "calibration", "dark", "flat", "response"}, request.Query("kind")) +
          Select("rig", "Rig", rigs, request.Query("rig")) +
          Input("visitor", "Visitor", request.Query("visitor"), "pseudonym") +
+         Input("visit", "Visit", request.Query("visit"), "its attempts") +
          Input("since", "Since", request.Query("since"), "7d or 2026-11-21") +
          "<p class=\"buttons\"><button type=\"submit\">Filter</button> <a href=\"/sessions\">Show all</a></p></form>";
 }
@@ -143,12 +145,16 @@ std::string FactsOf(const ServedSession& session) {
   const auto visitor = info.visitor.empty()
                            ? std::string()
                            : Link("/sessions?visitor=" + http::PercentEncode(info.visitor), info.visitor);
+  const auto visit =
+      info.visit.empty() ? std::string() : Link("/sessions?visit=" + http::PercentEncode(info.visit), info.visit);
   return Facts({{"Status", StatusWord(ToString(info.status))},
                 {"Started", Escape(ToIso8601(info.started_wall))},
                 {"Finished", info.finished_wall.ns > 0 ? Escape(ToIso8601(info.finished_wall)) : "not yet"},
                 {"Kind", Escape(ToString(info.kind))},
                 {"Rig", info.rig.empty() ? "" : Link("/sessions?rig=" + http::PercentEncode(info.rig), info.rig)},
                 {"Visitor", visitor},
+                {"Visit", visit},
+                {"Attempt", info.attempt > 0 ? std::to_string(info.attempt) : ""},
                 {"Consent", info.kind == SessionKind::kVisitor ? Escape(ConsentText(info.consent)) : ""},
                 {"Retention", Escape(ToString(info.retention))},
                 {"Encrypted", session.encrypted ? "yes" : "no"},
@@ -158,10 +164,16 @@ std::string FactsOf(const ServedSession& session) {
                 {"Frames", std::to_string(session.frames) + ", " + Escape(SizeText(session.bytes))}});
 }
 
-std::string Reasons(const SessionInfo& info) {
-  if (info.reasons.empty()) return "";
+// Reasons, what else was found, and the shots that did not count.
+std::string Findings(const SessionInfo& info) {
+  std::vector<std::string> lines = info.reasons;
+  for (const std::string& line : ToText(info.found.findings))
+    if (std::find(info.reasons.begin(), info.reasons.end(), line) == info.reasons.end()) lines.push_back(line);
+  for (const auto& [fault, shots] : info.found.faults)
+    lines.push_back(std::to_string(shots) + (shots == 1 ? " shot" : " shots") + " spoilt: " + fault);
+  if (lines.empty()) return "";
   std::string items;
-  for (const std::string& reason : info.reasons) items += "<li>" + Escape(reason) + "</li>";
+  for (const std::string& line : lines) items += "<li>" + Escape(line) + "</li>";
   return "<h2>Findings</h2><ul class=\"findings\">" + items + "</ul>";
 }
 
@@ -213,7 +225,7 @@ Response ShowSession(Site& site, const Request& request) {
           : "<p>" + Thumbnail(session->info.id, session->frames) + "</p><p>" +
                 Link(SessionPlace(session->info.id) + "/frames", "All frames with pictures") + "</p>";
   return Page("Sessions", session->info.id,
-              FactsOf(*session) + Reasons(session->info) + "<h2>Frames</h2>" + frames + *proofs + *fits);
+              FactsOf(*session) + Findings(session->info) + "<h2>Frames</h2>" + frames + *proofs + *fits);
 }
 
 }  // namespace

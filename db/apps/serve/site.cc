@@ -14,7 +14,8 @@ constexpr const char* kSession = R"(
 SELECT number, id, kind, rig, visitor, consent_json, retention, simulated, seed, started_wall_ns,
        coalesce(finished_wall_ns, 0), status, reasons_json, program_version, frame_count, stored_bytes,
        key_id IS NOT NULL, coalesce(calibration_id, ''),
-       (SELECT c.withdrawn_wall_ns FROM session_consents c WHERE c.session = sessions.number)
+       (SELECT c.withdrawn_wall_ns FROM session_consents c WHERE c.session = sessions.number),
+       visit, attempt, findings_json, faults_json
 FROM sessions WHERE id = :session)";
 
 constexpr const char* kIcon =
@@ -50,6 +51,9 @@ Result<ServedSession> SessionOf(const std::vector<Cell>& row) {
   session.encrypted = IntegerOf(row[16]) != 0;
   session.calibration = TextOf(row[17]);
   session.withheld = WhyWithheld(session, row[18]);
+  info.visit = TextOf(row[19]);
+  info.attempt = static_cast<int>(IntegerOf(row[20]));
+  info.found = FoundFromJson(TextOf(row[21]), TextOf(row[22]));
   return session;
 }
 

@@ -22,7 +22,7 @@ CREATE TABLE sessions (
   key_id            BLOB,                                -- of keys.sqlite; NULL: not encrypted
   frame_count       INTEGER NOT NULL DEFAULT 0,          -- kept with each commit of frames
   stored_bytes      INTEGER NOT NULL DEFAULT 0           -- of the payloads, kept with each commit of frames
-, planned_steps INTEGER /* steps of the plan; NULL: no plan, or one this program cannot read */) STRICT;
+, planned_steps INTEGER /* steps of the plan; NULL: no plan, or one this program cannot read */, visit TEXT NOT NULL DEFAULT '' /* shared by the attempts of one visit; empty: not one of several */, attempt INTEGER NOT NULL DEFAULT 0 /* of the visit, from 1; 0: not counted */, findings_json TEXT NOT NULL DEFAULT '[]' /* array of findings, as in the manifest; rows: session_findings */, faults_json TEXT NOT NULL DEFAULT '{}' /* shots that did not count, by the fault's name; rows: session_faults */) STRICT;
 CREATE TABLE calibrations (
   id                TEXT    PRIMARY KEY,                 -- XXH3-128 of the record
   record_json       TEXT    NOT NULL,                    -- as calibration.json holds it

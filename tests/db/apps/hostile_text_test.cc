@@ -59,7 +59,9 @@ TEST_F(HostileText, NeverReachesTheTerminal) {
   Execute("INSERT INTO visitors (id, created_wall_ns) VALUES (" + text + ", 0);" +
           "INSERT INTO consents (visitor, text_version, language, fit, research, publication, given_wall_ns) VALUES (" +
           text + ", " + text + ", " + text + ", 1, 0, 0, 5);" + "UPDATE sessions SET rig = " + text +
-          ", visitor = " + text + ", program_version = " + text +
+          ", visitor = " + text + ", program_version = " + text + ", visit = " + text +
+          ", findings_json = json_array(json_object('kind', 'device', 'value', 0, 'limit', 0, 'detail', substr(" +
+          text + ", 1, 20))), faults_json = json_object(substr(" + text + ", 1, 20), 3)" +
           ", status = 'failed', reasons_json = json_array(substr(" + text + ", 1, 20)), consent = " + text +
           ", consent_json = '';" + "INSERT INTO access_log (at_wall_ns, who, action, session_id, detail) VALUES (5, " +
           text + ", " + text + ", " + text + ", " + text + ");");
@@ -75,6 +77,9 @@ TEST_F(HostileText, NeverReachesTheTerminal) {
                                     "query last-night --since 1970-01-01",
                                     "query failures",
                                     "query failures --json",
+                                    "query findings",
+                                    "query findings --json",
+                                    "sql 'SELECT * FROM session_faults'",
                                     "query retention-due",
                                     "query recent-access",
                                     "query rigs",

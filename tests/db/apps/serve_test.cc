@@ -117,6 +117,27 @@ TEST_F(ServePages, FilterAsLsDoes) {
   EXPECT_EQ(Get("/sessions?limit=0").status, 400);
 }
 
+TEST_F(ServePages, ASessionSaysWhatWasFoundAndOfWhichVisitItIs) {
+  const std::string other = StoreSession(1);
+  SessionStore store = OpenStore();
+  SessionInfo info = SimulatedVisit();
+  info.visit = "evening";
+  info.attempt = 2;
+  auto writer = store.BeginSession(info);
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded, {"/dev/video0: \"gone\""}, SomeFindings()).ok());
+  const std::string id = writer->info().id, page = Get("/sessions/" + id).body;
+  EXPECT_THAT(page, HasSubstr("projector 2: step 117: differs by"));
+  EXPECT_THAT(page, HasSubstr("2 shots spoilt: lost frame"));
+  EXPECT_EQ(page.find("/dev/video0"), page.rfind("/dev/video0"));
+  EXPECT_THAT(page, HasSubstr("href=\"/sessions?visit=evening\""));
+  const std::string listed = Get("/sessions?visit=evening").body;
+  EXPECT_THAT(listed, HasSubstr(id));
+  EXPECT_THAT(listed, Not(HasSubstr(other)));
+  EXPECT_THAT(Get("/queries/findings?kind=moved").body, HasSubstr("href=\"/sessions/" + id + "\""));
+  EXPECT_EQ(Get("/queries/findings?kind=mvoed").status, 400);
+}
+
 TEST_F(ServePages, NothingWrites) {
   const std::string id = StoreSession(1);
   for (const char* method : {"POST", "PUT", "DELETE", "PATCH", "OPTIONS"})

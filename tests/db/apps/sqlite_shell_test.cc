@@ -35,6 +35,9 @@ class SqliteShell : public StoreTest {
       UPDATE sessions SET consent_json = '', consent = '' WHERE number % 5 = 0;
       UPDATE sessions SET retention = CASE number % 4 WHEN 0 THEN 'short' WHEN 1 THEN 'keep' ELSE retention END;
       UPDATE sessions SET reasons_json = '["step 3 of 300 dark", "lamp 0.5"]' WHERE status = 'degraded' AND number % 2 = 0;
+      UPDATE sessions SET faults_json = '{"lost frame": 2, "late frame": 1}', findings_json =
+        '[{"kind": "moved", "projector": 2, "step": 117, "value": 0.0625, "limit": 0.03},
+          {"kind": "device", "value": 0.0, "limit": 0.0, "detail": "/dev/video0: gone"}]' WHERE number % 3 = 0;
       INSERT INTO access_log (at_wall_ns, who, action, session_id, detail) VALUES (1700000000000000007, 'ada', 'export', 's', '/x');
       INSERT INTO jobs (key, session, kind, state, priority, options_json, created_wall_ns, not_before_wall_ns, attempts,
                         max_attempts, owner, fence, boot, until_boot_ns, last_error, finished_wall_ns)
@@ -110,6 +113,7 @@ TEST_F(SqliteShell, GivesTheSameAnswerToEveryNamedQuery) {
       {"since", {" --since 2027-01-01", ".parameter set :since_ns 1798761600000000000\n"}},
       {"until", {" --until 2027-01-14", ".parameter set :until_ns 1799884800000000000\n"}},
       {"rig", {" --rig kiosk-1", ".parameter set :rig \"'kiosk-1'\"\n"}},
+      {"kind", {" --kind moved", ".parameter set :kind \"'moved'\"\n"}},
       {"limit", {" --limit 3", ".parameter set :limit 3\n"}}};
   for (const NamedQuery& query : NamedQueries())
     for (const bool narrowed : {false, true}) {

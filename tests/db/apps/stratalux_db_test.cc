@@ -43,6 +43,48 @@ TEST_F(StrataluxDb, ListsAndShowsSessions) {
   EXPECT_THAT(Db("show s000001").out, HasSubstr(first));
 }
 
+TEST_F(StrataluxDb, ShowsVisitAndFindingsAsWordsAndAsNumbers) {
+  StoreSession(1);
+  std::string id;
+  {
+    SessionStore store = OpenStore();
+    SessionInfo info = SimulatedVisit();
+    info.visit = "evening";
+    info.attempt = 2;
+    auto writer = store.BeginSession(info);
+    ASSERT_TRUE(AppendTo(*writer, 0).ok());
+    // A reason that is a finding's own words is said once.
+    const std::string reason = ToText(SomeFindings().findings)[1];
+    ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded, {reason}, SomeFindings()).ok());
+    id = writer->info().id;
+  }
+  const std::string text = Db("show latest").out;
+  EXPECT_THAT(text, HasSubstr("visit             evening, attempt 2\n"));
+  EXPECT_THAT(text,
+              HasSubstr("  reason          /dev/video0: \"gone\"\n  finding         projector 2: step 117: differs by"
+                        " 6.2 %"));
+  EXPECT_EQ(text.find("gone"), text.rfind("gone"));
+  EXPECT_THAT(text, HasSubstr("spoilt shots      lost frame 2, wrong level 14\n"));
+  const auto show = Json("show latest");
+  EXPECT_EQ(show["visit"], "evening");
+  EXPECT_EQ(show["attempt"], 2);
+  EXPECT_EQ(show["findings"], nlohmann::json::parse(FindingsToJson(SomeFindings().findings)));
+  EXPECT_EQ(show["faults"], nlohmann::json::parse(FaultsToJson(SomeFindings().faults)));
+  EXPECT_EQ(Json("show s000001")["findings"], nlohmann::json::array());
+  const auto listed = Json("ls --visit evening");
+  ASSERT_EQ(listed.size(), 1U);
+  EXPECT_EQ(listed[0]["session"], id);
+  EXPECT_EQ(listed[0]["attempt"], 2);
+  EXPECT_EQ(Json("ls --visit morning").size(), 0U);
+  const auto moved = Json("query findings --kind moved");
+  ASSERT_EQ(moved.size(), 1U);
+  EXPECT_EQ(moved[0]["step"], 117);
+  EXPECT_EQ(moved[0]["limit"], 0.03);
+  EXPECT_EQ(Db("query findings --kind mvoed").code, 2);
+  EXPECT_THAT(Db("query findings --kind mvoed", "2>&1").out, HasSubstr("did you mean 'moved'"));
+  EXPECT_EQ(Db("query failures --kind moved").code, 2) << "a flag the query does not know";
+}
+
 TEST_F(StrataluxDb, FiltersAndExtractsFrames) {
   StoreSession(6);
   const auto frames = Json("frames latest --projector 1 --phase correspondence");

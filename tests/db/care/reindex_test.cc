@@ -52,11 +52,13 @@ class ReindexTest : public StoreTest {
     info.program_version = "0.2";
     info.plan_json = PlanOptionsToJson({});
     info.calibration_json = R"({"schema":1,"id":"c1","source":"somebody"})";
+    info.visit = "evening \"7\"";
+    info.attempt = 3;
     EXPECT_TRUE(GiveConsent(folder_, visitor, info.consent).ok());
     auto writer = store.BeginSession(info, {.group_frames = 2, .max_segment_bytes = 900});
     EXPECT_TRUE(writer.ok()) << writer.status().message();
     for (int i = 0; i < 7; ++i) EXPECT_TRUE(AppendTo(*writer, i).ok());
-    EXPECT_TRUE(writer->Finish(SessionStatus::kDegraded, {"a reason, \"quoted\"", "another"}).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kDegraded, {"a reason, \"quoted\"", "another"}, SomeFindings()).ok());
     return writer->info().id;
   }
   ReindexReport Rebuild() {

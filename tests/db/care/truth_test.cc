@@ -42,11 +42,13 @@ class TruthTest : public StoreTest {
     info.rig = "bench";
     info.started_wall = {5'000};
     info.calibration_json = Record().ToJson();
+    info.visit = "evening";
+    info.attempt = 1;
     SessionStore store = OpenStore();
     auto writer = store.BeginSession(info, {.encryption = Encryption::kPerSession});
     ASSERT_TRUE(writer.ok()) << writer.status().message();
     for (int i = 0; i < 3; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
-    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete, {}, SomeFindings()).ok());
     id_ = writer->info().id;
     const auto fit = store.FitFolder(id_, "f1");
     fs::create_directories(fit);

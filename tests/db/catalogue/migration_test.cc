@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores of schema 1, as version 0.1 left them, and of schema 4 open for ever.
+// Stores of schema 1, as version 0.1 left them, and of schemas 4 and 5 open for ever.
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
@@ -8,9 +8,12 @@
 #include <gmock/gmock.h>
 
 #include "db/base/sqlite.h"
+#include "db/care/reindex.h"
+#include "db/care/transcode.h"
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
+#include "db/catalogue/manifest.h"
 #include "db/catalogue/read_only_index.h"
 #include "db/catalogue/session_store.h"
 #include "db/ledger/old_tombstones.h"
@@ -176,16 +179,17 @@ TEST_F(MigrationTest, RefusesANewerSchema) {
   EXPECT_EQ(ReadOnlyIndex::Open(folder_).status().exit_code(), 7);
 }
 
-// A store that a program of schema 4 left, packed with what it said of itself: rows of every table, the samples of
-// every frame, the verdict of `verify --deep` (tests/db/samples/README.md).
-class SchemaFourTest : public StoreTest {
+// A store that a program of an older schema left, packed with what it said of itself: rows of every table, the samples
+// of every frame, the verdict of `verify --deep` (tests/db/samples/README.md).
+class FrozenStoreTest : public StoreTest {
  protected:
+  explicit FrozenStoreTest(std::string name) : name_(std::move(name)) {}
   void SetUp() override {
     StoreTest::SetUp();
     const std::string unpack =
-        "tar -xzf " STRATALUX_SOURCE_DIR "/tests/db/samples/store-schema4.tar.gz -C " + folder_.string();
+        "tar -xzf " STRATALUX_SOURCE_DIR "/tests/db/samples/" + name_ + ".tar.gz -C " + folder_.string();
     ASSERT_EQ(std::system(unpack.c_str()), 0);
-    store_ = folder_ / "store-schema4";
+    store_ = folder_ / name_;
     std::ifstream expected(folder_ / "expected.txt");
     for (std::string line; std::getline(expected, line);) expected_.push_back(line);
     ASSERT_GT(expected_.size(), 80U);
@@ -201,61 +205,82 @@ class SchemaFourTest : public StoreTest {
     for (size_t at = 0; (at = text.find('\n', at)) != std::string::npos;) text.replace(at, 1, "\\n");
     return text;
   }
+  void ExpectEveryRow() const {
+    auto connection = Connection::Open(store_ / "index.sqlite", Connection::Mode::kReadOnly);
+    ASSERT_TRUE(connection.ok());
+    EXPECT_EQ(*connection->QueryInteger("PRAGMA user_version"), kSchemaVersion);
+    EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM pragma_foreign_key_check"), 0);
+    std::vector<std::string> found;
+    for (const std::string& line : expected_) {
+      if (!line.starts_with("? ")) continue;
+      found.push_back(line);
+      auto select = connection->Prepare(line.substr(2));
+      ASSERT_TRUE(select.ok()) << select.status().message();
+      while (*select->Step()) found.push_back("= " + OneLine(select->Text(0)));
+    }
+    std::vector<std::string> said;
+    for (const std::string& line : expected_)
+      if (line.starts_with("? ") || line.starts_with("= ")) said.push_back(line);
+    ASSERT_EQ(found.size(), said.size());
+    for (size_t i = 0; i < said.size(); ++i) EXPECT_EQ(found[i], said[i]) << "line " << i;
+  }
+  // Returns how many there are.
+  int ExpectEveryFrame(const SessionStore& store) const {
+    int frames = 0;
+    for (const std::string& line : Expected("pixels")) {
+      std::istringstream in(line);
+      std::string session;
+      size_t frame = 0;
+      in >> session >> frame;
+      const std::vector<uint16_t> samples{std::istream_iterator<uint16_t>(in), {}};
+      const auto rows = store.ListFrames(session);
+      EXPECT_TRUE(rows.ok() && frame < rows->size()) << rows.status().message();
+      if (!rows.ok() || frame >= rows->size()) continue;
+      const auto image = store.ReadFrame(session, (*rows)[frame]);
+      EXPECT_TRUE(image.ok()) << image.status().message();
+      EXPECT_TRUE(image.ok() &&
+                  std::equal(samples.begin(), samples.end(), image->pixels().begin(), image->pixels().end()))
+          << session << " frame " << frame;
+      ++frames;
+    }
+    return frames;
+  }
+  void ExpectEveryVerdict(const SessionStore& store) const {
+    for (const std::string& verdict : Expected("verdict")) {
+      ASSERT_THAT(verdict, HasSubstr("\"problems\": []"));
+      const size_t at = verdict.find(": \"") + 3;
+      const auto row = store.FindSession(verdict.substr(at, verdict.find('"', at) - at));
+      ASSERT_TRUE(row.ok()) << row.status().message();
+      const auto report = VerifySession(store, *row, {VerifyDepth::kDeep});
+      EXPECT_THAT(report->problems, ::testing::IsEmpty());
+      const bool was_signed =
+          verdict.find("signed_by") != std::string::npos && verdict.find("\"signed_by\": null") == std::string::npos;
+      EXPECT_EQ(report->signed_by.has_value(), was_signed) << verdict;
+    }
+  }
 
+  std::string name_;
   std::filesystem::path store_;
   std::vector<std::string> expected_;
 };
 
+class SchemaFourTest : public FrozenStoreTest {
+ protected:
+  SchemaFourTest() : FrozenStoreTest("store-schema4") {}
+};
+
 TEST_F(SchemaFourTest, KeepsEveryRow) {
   ASSERT_TRUE(SessionStore::Open(store_, AccessMode::kReadWrite).ok());
-  auto connection = Connection::Open(store_ / "index.sqlite", Connection::Mode::kReadOnly);
-  ASSERT_TRUE(connection.ok());
-  EXPECT_EQ(*connection->QueryInteger("PRAGMA user_version"), kSchemaVersion);
-  EXPECT_EQ(*connection->QueryInteger("SELECT count(*) FROM pragma_foreign_key_check"), 0);
-  std::vector<std::string> found;
-  for (const std::string& line : expected_) {
-    if (!line.starts_with("? ")) continue;
-    found.push_back(line);
-    auto select = connection->Prepare(line.substr(2));
-    ASSERT_TRUE(select.ok()) << select.status().message();
-    while (*select->Step()) found.push_back("= " + OneLine(select->Text(0)));
-  }
-  std::vector<std::string> said;
-  for (const std::string& line : expected_)
-    if (line.starts_with("? ") || line.starts_with("= ")) said.push_back(line);
-  ASSERT_EQ(found.size(), said.size());
-  for (size_t i = 0; i < said.size(); ++i) EXPECT_EQ(found[i], said[i]) << "line " << i;
+  ExpectEveryRow();
 }
 
 TEST_F(SchemaFourTest, KeepsEveryFrameAndEveryVerdict) {
   const auto store = SessionStore::Open(store_, AccessMode::kReadOnly);
   ASSERT_TRUE(store.ok()) << store.status().message();
   EXPECT_TRUE(store->notes().empty());
-  int frames = 0;
-  for (const std::string& line : Expected("pixels")) {
-    std::istringstream in(line);
-    std::string session;
-    size_t frame = 0;
-    in >> session >> frame;
-    const std::vector<uint16_t> samples{std::istream_iterator<uint16_t>(in), {}};
-    const auto rows = store->ListFrames(session);
-    ASSERT_TRUE(rows.ok() && frame < rows->size()) << rows.status().message();
-    const auto image = store->ReadFrame(session, (*rows)[frame]);
-    ASSERT_TRUE(image.ok()) << image.status().message();
-    EXPECT_TRUE(std::equal(samples.begin(), samples.end(), image->pixels().begin(), image->pixels().end()))
-        << session << " frame " << frame;
-    ++frames;
-  }
-  EXPECT_EQ(frames, 17);
-  const auto verdicts = Expected("verdict");
-  EXPECT_EQ(verdicts.size(), 4U);
-  for (const std::string& verdict : verdicts) {
-    ASSERT_THAT(verdict, HasSubstr("\"problems\": []"));
-    const size_t at = verdict.find(": \"") + 3;
-    const auto row = store->FindSession(verdict.substr(at, verdict.find('"', at) - at));
-    ASSERT_TRUE(row.ok()) << row.status().message();
-    EXPECT_THAT(VerifySession(*store, *row, {VerifyDepth::kDeep})->problems, ::testing::IsEmpty());
-  }
+  EXPECT_EQ(ExpectEveryFrame(*store), 17);
+  EXPECT_EQ(Expected("verdict").size(), 4U);
+  ExpectEveryVerdict(*store);
   const std::string forgotten = Expected("forgotten").at(0);
   EXPECT_TRUE(*IsForgotten(store_, forgotten));
   EXPECT_EQ(store->FindSession(forgotten).status().code(), StatusCode::kNotFound);
@@ -278,6 +303,76 @@ TEST_F(SchemaFourTest, IsSoundAsAWholeBeforeItsLedgerIsMadeAndAfter) {
     made |= mode == AccessMode::kReadWrite;
     EXPECT_EQ(ReadOldTombstones(store_).empty(), made);
   }
+}
+
+// Of schema 5: manifests of schema 3, one signed; a session that its writer left when it was killed.
+class SchemaFiveTest : public FrozenStoreTest {
+ protected:
+  SchemaFiveTest() : FrozenStoreTest("store-schema5") {}
+  // All of each row of `sessions`, as one text.
+  [[nodiscard]] std::vector<std::string> Sessions() const {
+    auto connection = *Connection::Open(store_ / "index.sqlite", Connection::Mode::kReadOnly);
+    auto columns = *connection.Prepare(
+        "SELECT group_concat('quote(' || name || ')', '||''|''||') FROM pragma_table_info('sessions')");
+    EXPECT_TRUE(*columns.Step());
+    auto select = *connection.Prepare("SELECT " + columns.Text(0) + " FROM sessions ORDER BY number");
+    std::vector<std::string> rows;
+    while (*select.Step()) rows.push_back(select.Text(0));
+    return rows;
+  }
+};
+
+TEST_F(SchemaFiveTest, KeepsEveryRowAndFindsNothing) {
+  ASSERT_TRUE(SessionStore::Open(store_, AccessMode::kReadOnly).ok());  // which ends no session
+  ExpectEveryRow();
+  auto now = *Connection::Open(store_ / "index.sqlite", Connection::Mode::kReadOnly);
+  EXPECT_EQ(*now.QueryInteger("SELECT count(*) FROM sessions WHERE visit = '' AND attempt = 0 AND findings_json = '[]'"
+                              " AND faults_json = '{}'"),
+            5);
+  EXPECT_EQ(*now.QueryInteger("SELECT (SELECT count(*) FROM session_findings) + (SELECT count(*) FROM session_faults)"),
+            0);
+}
+
+TEST_F(SchemaFiveTest, EndsWhatWasRecordedAndKeepsEveryFrameAndVerdict) {
+  const auto store = SessionStore::Open(store_, AccessMode::kReadWrite);
+  ASSERT_TRUE(store.ok()) << store.status().message();
+  EXPECT_THAT(store->notes(), ::testing::Contains(HasSubstr("ended as failed")));
+  EXPECT_EQ(ExpectEveryFrame(*store), 15);
+  EXPECT_EQ(Expected("verdict").size(), 5U);
+  ExpectEveryVerdict(*store);
+  const auto report = VerifyStore(*store, {VerifyDepth::kDeep});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_THAT(report->problems, ::testing::IsEmpty());
+  EXPECT_TRUE(*IsForgotten(store_, Expected("forgotten").at(0)));
+  EXPECT_TRUE(ListConsents(store_, "v-2b")->at(0).withdrawn);
+}
+
+TEST_F(SchemaFiveTest, ItsManifestsRebuildToEqualRows) {
+  ASSERT_TRUE(SessionStore::Open(store_, AccessMode::kReadWrite).ok());
+  const auto before = Sessions();
+  ASSERT_EQ(before.size(), 5U);
+  Logger quiet(LogLevel::kError);
+  const auto report = Reindex(store_, quiet);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_THAT(report->problems, ::testing::IsEmpty());
+  EXPECT_EQ(Sessions(), before);
+}
+
+// A transcode raises the manifest's schema and adds no member: what was signed is what stands there.
+TEST_F(SchemaFiveTest, ASignatureOutlivesTheManifestsNewSchema) {
+  const auto store = SessionStore::Open(store_, AccessMode::kReadWrite);
+  ASSERT_TRUE(store.ok()) << store.status().message();
+  const auto row = store->FindSession("s000001");
+  ASSERT_TRUE(row.ok()) << row.status().message();
+  EXPECT_EQ(ReadManifestContents(store->SessionFolder(row->info.id))->schema, 3);
+  Logger quiet(LogLevel::kError);
+  Progress progress(quiet, "transcode", row->frames);
+  const auto done = TranscodeSession(*store, *row, {.codec = StoreCodec::kRaw12}, progress);
+  ASSERT_TRUE(done.ok()) << done.status().message();
+  EXPECT_EQ(ReadManifestContents(store->SessionFolder(row->info.id))->schema, 4);
+  const auto report = VerifySession(*store, *store->FindSession("s000001"), {VerifyDepth::kDeep});
+  EXPECT_THAT(report->problems, ::testing::IsEmpty());
+  EXPECT_TRUE(report->signed_by);
 }
 
 }  // namespace

@@ -84,7 +84,7 @@ TEST_F(NamedQueryTest, EachSaysWhatItAnswersAndGivesThoseColumns) {
 
 TEST_F(NamedQueryTest, EachTakesTheParametersItNamesAndNoOther) {
   const std::map<std::string, std::string> placeholders = {
-      {"since", ":since_ns"}, {"until", ":until_ns"}, {"rig", ":rig"}, {"limit", ":limit"}};
+      {"since", ":since_ns"}, {"until", ":until_ns"}, {"rig", ":rig"}, {"kind", ":kind"}, {"limit", ":limit"}};
   for (const NamedQuery& query : NamedQueries()) {
     const std::set<std::string> named(query.parameters.begin(), query.parameters.end());
     for (const auto& [name, placeholder] : placeholders)
@@ -246,6 +246,39 @@ TEST_F(NamedQueryTest, FailuresCountsEqualReasonsTogether) {
   EXPECT_THAT(rows[0], ElementsAre(Cell("degraded"_s), Cell("no proven frame for step N"_s), Cell(int64_t{2}),
                                    Cell(int64_t{2}), Cell(int64_t{20}), Cell("s2"_s)));
   EXPECT_THAT(Texts(rows, 1), ElementsAre("no proven frame for step N", "lamp", "(no reason kept)", "lamp"));
+}
+
+TEST_F(NamedQueryTest, FindingsAreListedNewestSessionFirstInTheOrderOfTheCapture) {
+  for (int i = 1; i <= 4; ++i) Insert({i, 10 * i, i == 3 ? "b" : "a", "degraded"});
+  Execute("UPDATE sessions SET visit = 'evening', attempt = number, findings_json = '" +
+          FindingsToJson(SomeFindings().findings) +
+          "' WHERE number IN (1, 3); UPDATE sessions SET findings_json ="
+          " '[7, \"x\", {\"kind\": \"lamp\", \"value\": 0.5, \"limit\": 0.1}]' WHERE number = 2;"
+          "UPDATE sessions SET findings_json = 'no json' WHERE number = 4");
+  const auto rows = Rows("findings");
+  EXPECT_THAT(Texts(rows, 0), ElementsAre("s3", "s3", "s2", "s1", "s1"));
+  EXPECT_THAT(Texts(rows, 6), ElementsAre("moved", "device", "lamp", "moved", "device"));
+  EXPECT_THAT(rows[0], ElementsAre(Cell("s3"_s), Cell(int64_t{30}), Cell("b"_s), Cell("evening"_s), Cell(int64_t{3}),
+                                   Cell("degraded"_s), Cell("moved"_s), Cell(int64_t{2}), Cell(int64_t{117}),
+                                   Cell(0.0625), Cell(0.03), Cell()));
+  EXPECT_EQ(rows[1][11], Cell("/dev/video0: \"gone\""_s));
+  EXPECT_THAT(Texts(Rows("findings", {{"kind", "moved"_s}}), 0), ElementsAre("s3", "s1"));
+  EXPECT_THAT(Texts(Rows("findings", {{"rig", "b"_s}, {"limit", int64_t{1}}}), 0), ElementsAre("s3"));
+  EXPECT_THAT(Texts(Rows("findings", {{"until_ns", int64_t{20}}}), 0), ElementsAre("s1", "s1"));
+}
+
+// Nine sessions in ten have none.
+TEST_F(NamedQueryTest, FindingsReadsSessionsWithFindingsAlone) {
+  auto index = *ReadOnlyIndex::Open(folder_);
+  const auto plan_of = [&index](const std::string& sql) {
+    const auto plan = index.Run("EXPLAIN QUERY PLAN " + sql);
+    EXPECT_TRUE(plan.ok()) << plan.status().message();
+    return plan.ok() && !plan->rows.empty() ? std::get<std::string>(plan->rows[0][3]) : "";
+  };
+  EXPECT_EQ(plan_of((*FindQuery("findings"))->sql), "SCAN s USING INDEX sessions_found");
+  EXPECT_EQ(plan_of("SELECT * FROM session_faults ORDER BY session DESC"), "SCAN s USING INDEX sessions_faulty");
+  EXPECT_EQ(plan_of("SELECT id FROM sessions WHERE visit = 'evening' ORDER BY attempt"),
+            "SEARCH sessions USING INDEX sessions_by_visit (visit=?)");
 }
 
 TEST_F(NamedQueryTest, ConsentMissingAndRetentionDueFollowTheConsentOfTheSession) {

@@ -32,6 +32,7 @@ bool Passes(const RowsOfSession& s, const SessionFilter& f) {
   if (f.until && info.started_wall >= *f.until) return false;
   if (!OneOf(f.statuses, info.status) || !OneOf(f.kinds, info.kind)) return false;
   if (!OneOf(f.rigs, info.rig) || !OneOf(f.visitors, info.visitor)) return false;
+  if (!OneOf(f.visits, info.visit)) return false;
   if (f.calibration && f.calibration->empty() && !s.calibration.empty()) return false;
   if (f.calibration && !s.calibration.starts_with(*f.calibration)) return false;
   if (f.fitted != Fitted::kAny && (f.fitted == Fitted::kYes) == s.fits.empty()) return false;
@@ -89,6 +90,7 @@ TEST_F(SessionFilterTest, AgreesWithReadingEveryRow) {
     if (below(4) == 0) f.kinds = {any().row.info.kind};
     if (below(3) == 0) f.rigs = {any().row.info.rig, any().row.info.rig};
     if (below(8) == 0) f.visitors = {any().row.info.visitor, any().row.info.visitor};
+    if (below(8) == 0) f.visits = {any().row.info.visit, any().row.info.visit};
     if (below(4) == 0) f.calibration = any().calibration.substr(0, below(6));
     if (below(3) == 0) f.fitted = below(2) == 0 ? Fitted::kYes : Fitted::kNo;
     if (below(3) == 0) f.bounds.push_back({"nrmse", FitBound::Side::kAtMost, static_cast<int>(below(1000)) / 1000.0});

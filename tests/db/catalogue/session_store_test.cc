@@ -232,9 +232,11 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
   info.started_wall = {1'700'000'000'000'000'000};
   info.program_version = "9.9";
   info.plan_json = PlanOptionsToJson({});
+  info.visit = "2026-03-07/12";
+  info.attempt = 2;
   auto writer = store.BeginSession(info);
   ASSERT_TRUE(writer.ok());
-  ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded, {"step 3 has no frame"}).ok());
+  ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded, {"step 3 has no frame"}, SomeFindings()).ok());
   const auto row = store.FindSession(writer->info().id);
   const auto manifest = ReadManifest(store.SessionFolder(writer->info().id));
   ASSERT_TRUE(row.ok() && manifest.ok()) << manifest.status().message();
@@ -251,6 +253,9 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
     EXPECT_EQ(read->started_wall, info.started_wall);
     EXPECT_EQ(read->status, SessionStatus::kDegraded);
     EXPECT_THAT(read->reasons, ::testing::ElementsAre("step 3 has no frame"));
+    EXPECT_EQ(read->visit, info.visit);
+    EXPECT_EQ(read->attempt, 2);
+    EXPECT_EQ(read->found, SomeFindings());
     EXPECT_EQ(read->program_version, info.program_version);
     EXPECT_TRUE(PlanOptionsFromJson(read->plan_json).ok());
   }

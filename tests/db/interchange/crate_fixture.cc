@@ -77,10 +77,13 @@ std::string CrateTest::Visit() {
   info.program_version = "0.9-test";
   info.plan_json = PlanOptionsToJson({});
   info.calibration_json = SomeCalibration().ToJson();
+  info.visit = "evening";
+  info.attempt = 2;
   auto writer = store.BeginSession(info);
   EXPECT_TRUE(writer.ok()) << writer.status().message();
   for (int i = 0; i < 4; ++i) EXPECT_TRUE(AppendFrame(*writer, i, PixelFormat::kMono12, 40, 30).ok());
-  EXPECT_TRUE(writer->Finish(SessionStatus::kDegraded, {"only four steps of the plan were captured"}).ok());
+  EXPECT_TRUE(
+      writer->Finish(SessionStatus::kDegraded, {"only four steps of the plan were captured"}, SomeFindings()).ok());
   const std::string id = writer->info().id;
   const fs::path fit = store.FitFolder(id, "0badcafe") / "report";
   fs::create_directories(fit);
@@ -105,7 +108,8 @@ std::string CrateTest::Flats() {
   int step = 0;
   for (const PixelFormat format : {PixelFormat::kMono8, PixelFormat::kMono12, PixelFormat::kMono16})
     for (int i = 0; i < 2; ++i) EXPECT_TRUE(AppendFrame(*writer, step++, format, 41, 31).ok());
-  EXPECT_TRUE(writer->Finish(SessionStatus::kDegraded, {"lamp 2 flickered", "a \"quoted\" reason"}).ok());
+  EXPECT_TRUE(
+      writer->Finish(SessionStatus::kDegraded, {"lamp 2 flickered", "a \"quoted\" reason"}, SomeFindings()).ok());
   return writer->info().id;
 }
 

@@ -126,7 +126,8 @@ TEST_F(HostileCrates, OfLaterVersionsAreLeftToLaterPrograms) {
   with(crate_ / kCrateFormatFile, "\"version\": 1", "\"version\": 2");
   with(crate_ / kCrateMetadataFile, "crate/1.3\"", "crate/1.4\"");
   with(crate_ / kCrateMetadataFile, "crate/1.3\"", "crate/2.0\"");
-  with(In("session.json"), "\"schema\": 1", "\"schema\": 2");
+  with(In("session.json"), "\"schema\": 2", "\"schema\": 3");
+  with(In("session.json"), "\"kind\": \"moved\"", "\"kind\": \"sneezed\"");
   with(In("frames.csv"), "stored_xxh3_128\n", "stored_xxh3_128,temperature\n");
   EXPECT_TRUE(Import().ok());
 }
@@ -169,7 +170,7 @@ TEST_F(HostileCrates, OddFactsAreRefused) {
     for (const ordered_json& value :
          {ordered_json(), ordered_json(-1.5), ordered_json("\x1b["), ordered_json::array({1})}) {
       if (entry.value() == value || (key == "consent" && value.is_null())) continue;
-      if ((key == "rig" || key == "program_version") && value.is_string()) continue;  // free texts
+      if ((key == "rig" || key == "program_version" || key == "visit") && value.is_string()) continue;  // free texts
       if (key == "reasons" && value.is_array()) continue;
       Edit(file, [&](auto& json) { json[key] = value; });
       Reseal();
@@ -185,6 +186,22 @@ TEST_F(HostileCrates, OddFactsAreRefused) {
   }
 }
 
+// Crates of before schema 2 know neither visits nor findings.
+TEST_F(HostileCrates, OfTheFirstSchemaAreTakenAndMeanTheDefaults) {
+  Edit(In("session.json"), [](auto& json) {
+    json["schema"] = 1;
+    for (const char* key : {"visit", "attempt", "findings", "faults"}) json.erase(key);
+  });
+  Reseal();
+  const auto report = Import();
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  const SessionInfo info = SessionStore::Open(other_, AccessMode::kReadOnly)->FindSession(id_)->info;
+  EXPECT_EQ(info.visit, "");
+  EXPECT_EQ(info.attempt, 0);
+  EXPECT_EQ(info.found, CaptureFindings());
+  EXPECT_EQ(info.reasons.size(), 2U);
+}
+
 // Each value is one that its file may hold; together they are a session that no index takes (CheckSession).
 TEST_F(HostileCrates, PassTheGateIntoTheIndexOrStayOutside) {
   const fs::path facts = In("session.json"), table = In("frames.csv");
@@ -197,6 +214,7 @@ TEST_F(HostileCrates, PassTheGateIntoTheIndexOrStayOutside) {
   };
   with_fact("rig", std::string("a\0b", 3), "rig holds a zero byte");
   with_fact("program_version", std::string("a\0b", 3), "program version holds a zero byte");
+  with_fact("visit", std::string("a\0b", 3), "visit holds a zero byte");
   with_fact("started_wall_ns", -7, "start -7 ns lies before 1970");
   const auto with_cell = [&](const std::string& column, const std::string& value, const std::string& complaint) {
     const std::string head = table_before.substr(0, table_before.find('\n'));

@@ -50,11 +50,12 @@ SessionInfo Visit(const std::string& visitor, int64_t started) {
 }
 
 std::string Capture(const fs::path& folder, SessionInfo info, int frames, const WriterOptions& options = {},
-                    SessionStatus status = SessionStatus::kComplete, std::vector<std::string> reasons = {}) {
+                    SessionStatus status = SessionStatus::kComplete, std::vector<std::string> reasons = {},
+                    CaptureFindings found = {}) {
   SessionStore store = Must(SessionStore::Open(folder, AccessMode::kReadWrite));
   SessionWriter writer = Must(store.BeginSession(std::move(info), options));
   for (int i = 0; i < frames; ++i) Must(Append(writer, i));
-  Must(writer.Finish(status, std::move(reasons)));
+  Must(writer.Finish(status, std::move(reasons), std::move(found)));
   return writer.info().id;
 }
 
@@ -77,7 +78,9 @@ SampleStore Plain(const fs::path& root) {
   Capture(sample.folder, Visit("v-5f3a91a1", 5'000), 4, {.max_segment_bytes = 900});
   SessionInfo planned = Visit("v-5f3a91a1", 6'000);
   planned.plan_json = PlanOptionsToJson({});
-  Capture(sample.folder, planned, 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"});
+  planned.visit = "evening";
+  planned.attempt = 2;
+  Capture(sample.folder, planned, 3, {}, SessionStatus::kDegraded, {"no proven frame for step 7"}, SomeFindings());
   return sample;
 }
 
@@ -114,7 +117,8 @@ SampleStore Signed(const fs::path& root) {
   sample.signed_by = Must(RigKey::Create(sample.folder)).public_key();
   Agree(sample.folder, "v-5f3a91d4", 10'500);
   Capture(sample.folder, Visit("v-5f3a91d4", 11'000), 4, {.max_segment_bytes = 900, .signing = Signing::kRigKey});
-  const std::string id = Capture(sample.folder, Visit("v-5f3a91d4", 12'000), 3, {.signing = Signing::kRigKey});
+  const std::string id = Capture(sample.folder, Visit("v-5f3a91d4", 12'000), 3, {.signing = Signing::kRigKey},
+                                 SessionStatus::kComplete, {}, SomeFindings());
   const SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
   Logger logger(LogLevel::kError);
   Progress progress(logger, "transcode", 6);
@@ -174,6 +178,8 @@ SampleStore Recording(const fs::path& root) {
   Capture(alive.folder, Visit("v-5f3a91f7", 18'000), 2);
   SessionInfo info = Visit("v-5f3a91f7", 19'000);
   info.plan_json = PlanOptionsToJson({});
+  info.visit = "night";
+  info.attempt = 1;
   SessionStore store = Must(SessionStore::Open(alive.folder, AccessMode::kReadWrite));
   SessionWriter writer = Must(store.BeginSession(info, {.group_frames = 1, .max_segment_bytes = 900}));
   for (int i = 0; i < 4; ++i) Must(Append(writer, i));

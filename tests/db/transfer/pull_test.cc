@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Pull: what arrives is whole, what is damaged or of a later version does not keep the others away, what was forgotten
 // stays away, also of what an earlier pull left behind.
+#include <nlohmann/json.hpp>
+
+#include "db/base/own_hash.h"
 #include "db/care/incoming.h"
 #include "db/care/reindex.h"
 #include "db/care/verify.h"
@@ -98,6 +101,31 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   WriteBytes(manifest, good_manifest);
   EXPECT_EQ(Db(command).code, 0);
   EXPECT_THAT(Ids(other_), SizeIs(3));
+}
+
+TEST_F(PullTest, FindingsComeAlongAndThoseOfALaterVersionStayOutside) {
+  const auto capture = [this] {
+    SessionStore store = OpenStore();
+    SessionInfo info = SimulatedVisit();
+    info.visit = "evening";
+    info.attempt = 2;
+    auto writer = store.BeginSession(info);
+    EXPECT_TRUE(AppendTo(*writer, 0).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kDegraded, {"the visitor moved"}, SomeFindings()).ok());
+    return writer->info().id;
+  };
+  const std::string good = capture(), later = capture();
+  const auto manifest = folder_ / "sessions" / later / "manifest.json";
+  auto json = nlohmann::ordered_json::parse(ReadBytes(manifest));
+  json["findings"][0]["kind"] = "sneezed";
+  json.erase("hash");
+  WriteText(manifest, WithOwnHash(json.dump(1)));
+  EXPECT_THAT(PullHere()->problems, ElementsAre(AllOf(HasSubstr(later), HasSubstr("sneezed"))));
+  ASSERT_EQ(Ids(other_), std::vector{good});
+  const auto info = SessionStore::Open(other_, AccessMode::kReadOnly)->FindSession(good)->info;
+  EXPECT_EQ(info.visit, "evening");
+  EXPECT_EQ(info.attempt, 2);
+  EXPECT_EQ(info.found, SomeFindings());
 }
 
 // Right hashes all over, but not those of which the manifest speaks.

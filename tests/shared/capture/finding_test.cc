@@ -48,7 +48,8 @@ TEST(Finding, WhatIsNoListOfThemIsRefused) {
         R"([{"kind":"moved","value":1,"limit":0,"step":-4}])", R"([{"kind":"moved","value":1,"limit":0,"step":1.5}])",
         R"([{"kind":"watch","value":0,"limit":0,"detail":[]}])"})
     EXPECT_EQ(FindingsFromJson(text).status().code(), StatusCode::kIntegrity) << text;
-  for (const char* text : {"", "[]", R"({"lost frame":-1})", R"({"lost frame":1.5})", R"({"lost frame":"2"})"})
+  for (const char* text : {"", "[]", R"({"lost frame":-1})", R"({"lost frame":1.5})", R"({"lost frame":"2"})",
+                           R"({"lost frame":18446744073709551615})"})
     EXPECT_EQ(FaultsFromJson(text).status().code(), StatusCode::kIntegrity) << text;
 }
 
