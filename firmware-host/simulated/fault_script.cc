@@ -13,10 +13,10 @@ namespace stratalux::rig {
 namespace {
 
 constexpr std::array<std::string_view, kFaultKinds> kNames = {
-    "frame_lost",    "frame_doubled",  "frame_extra",  "frame_late",     "frame_stale",   "frame_frozen",
-    "frame_corrupt", "frame_garbled",  "frame_torn",   "exposure_latch", "subject_moved", "lamp_drift",
-    "camera_gone",   "edge_lost",      "edge_doubled", "sync_stuck",     "projector_lag", "projector_skip",
-    "lines_gone",    "emergency_stop", "door_open"};
+    "frame_lost",    "frame_doubled",  "frame_extra", "frame_late",     "frame_stale",   "frame_frozen",
+    "frame_corrupt", "frame_garbled",  "frame_torn",  "exposure_latch", "subject_moved", "subject_swayed",
+    "lamp_drift",    "lamp_blink",     "camera_gone", "edge_lost",      "edge_doubled",  "sync_stuck",
+    "projector_lag", "projector_skip", "lines_gone",  "emergency_stop", "door_open"};
 
 std::string Names() {
   std::string list;
@@ -80,6 +80,13 @@ Result<FaultOptions> ReadFaults(TomlTable& root) {
     table.Get("at", at, 0, 1 << 30);
     table.Get("count", count, 1, 1 << 30);
     table.Get("value", fault.value, -1e6, 1e6);
+    if (table.Has("along")) {
+      std::vector<double> along;
+      table.Get("along", along, -1e6, 1e6);
+      if (along.size() != 3 || along == std::vector<double>(3))
+        return Status::Usage(table.Where("along") + ": along takes a direction, [x, y, z]");
+      std::copy(along.begin(), along.end(), fault.along.begin());
+    }
     SLX_ASSIGN_OR_RETURN(fault.kind, ParseFaultKind(kind).WithContext(table.Where("kind")));
     fault.at = at;
     fault.count = count;
@@ -110,7 +117,7 @@ std::vector<Fault> FaultScript::At(int64_t number, Where where) const {
   Random random(options_.seed, static_cast<uint64_t>(number) * 2 + (where == Where::kPulse ? 1 : 0));
   if (!kinds.empty() && random.Uniform() < options_.rate) {
     const auto pick = static_cast<size_t>(random.Uniform() * static_cast<double>(kinds.size()));
-    faults.push_back({kinds[pick], number, 1, 0.0});
+    faults.push_back({.kind = kinds[pick], .at = number});
   }
   return faults;
 }

@@ -2,6 +2,7 @@
 // Faults of the simulated devices, by script and by random seed: the same script and seed, the same faults.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -27,7 +28,10 @@ enum class FaultKind {
   kFrameTorn,      // from one row on, the rows of the frame before; not flagged
   kExposureLatch,  // a change of exposure takes effect one frame late
   kSubjectMoved,   // by `value` mm to the side, from then on (default 2)
+  kSubjectSwayed,  // out and back over `count` exposures, half a sine in steps of its half; `value` mm `along`
+                   // (default 0.5)
   kLampDrift,      // the projectors' light is `value` times what it was, from then on (default 0.9)
+  kLampBlink,      // the projectors' light is `value` times what it was, in `count` exposures alone (default 0.8)
   kCameraGone,     // the driver reports an error for `count` frames
   // At projector TRIGGER pulse `at` (0-based).
   kEdgeLost,       // the SYNC edge does not come; the pattern does
@@ -39,7 +43,7 @@ enum class FaultKind {
   kEmergencyStop,  // the button is pressed after the pulse: the lines drop every ENABLE, and the interlock opens
   kDoorOpen,       // as the door
 };
-inline constexpr int kFaultKinds = 21;
+inline constexpr int kFaultKinds = 23;
 
 [[nodiscard]] const char* ToString(FaultKind kind);  // "frame_lost", ...
 [[nodiscard]] Result<FaultKind> ParseFaultKind(const std::string& text);
@@ -48,8 +52,9 @@ inline constexpr int kFaultKinds = 21;
 struct Fault {
   FaultKind kind = FaultKind::kFrameLost;
   int64_t at = 0;
-  int64_t count = 1;   // from `at` on, that many in a row
-  double value = 0.0;  // 0: the kind's default
+  int64_t count = 1;                              // from `at` on, that many in a row
+  double value = 0.0;                             // 0: the kind's default
+  std::array<double, 3> along = {1.0, 0.0, 0.0};  // of a sway, in the rig's frame; any length but 0
 };
 
 struct FaultOptions {
@@ -61,7 +66,7 @@ struct FaultOptions {
 
 // "frame_lost@17", "lamp_drift@40=0.95", "edge_lost@3x2".
 [[nodiscard]] Result<Fault> ParseFault(const std::string& text);
-// [[fault]] kind, at, count, value; [faults] seed, rate, kinds.
+// [[fault]] kind, at, count, value, along; [faults] seed, rate, kinds.
 [[nodiscard]] Result<FaultOptions> ReadFaults(TomlTable& root);
 
 // What a script and a seed say. Reentrant.

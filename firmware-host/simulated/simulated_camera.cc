@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The camera: what it exposes, when, and what becomes of the frame.
 #include <algorithm>
+#include <cmath>
+#include <numbers>
 #include <utility>
 
 #include "firmware-host/simulated/simulated_devices.h"
@@ -9,7 +11,8 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultDrift = 0.9;
+constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultSwayMm = 0.5, kDefaultDrift = 0.9,
+                 kDefaultBlink = 0.8;
 constexpr size_t kFramesRemembered = 65536;
 constexpr double kWholeShare = 0.98;  // of an exposure that a picture must fill to be the one shown
 
@@ -24,6 +27,14 @@ void ShiftRows(Image<uint16_t>& pixels, int64_t number) {
   const int shift = 2 * static_cast<int>(share * pixels.width());
   for (int y = FirstSpoiltRow(number, pixels.height()); y < pixels.height(); ++y)
     std::rotate(pixels.row(y), pixels.row(y) + shift % pixels.width(), pixels.row(y) + pixels.width());
+}
+
+// Half a sine over the fault's exposures, in steps of half its height: each place costs a new light transport.
+Eigen::Vector3d SwayAt(const Fault& fault, int64_t number) {
+  const double phase = static_cast<double>(number - fault.at + 1) / static_cast<double>(fault.count + 1);
+  const double height = fault.value != 0.0 ? fault.value : kDefaultSwayMm;
+  return height * 0.5 * std::round(2.0 * std::sin(std::numbers::pi * phase)) *
+         Eigen::Vector3d(fault.along[0], fault.along[1], fault.along[2]).normalized();
 }
 
 }  // namespace
@@ -140,6 +151,8 @@ void SimulatedDevices::ExposeWithFaults() {
       frame.remains = before->light;
     }
     if (fault.kind == FaultKind::kExposureLatch) frame.light.exposure_ms = last_exposure_ms_;
+    if (fault.kind == FaultKind::kSubjectSwayed) frame.light.push_mm += SwayAt(fault, number);
+    if (fault.kind == FaultKind::kLampBlink) frame.light.light *= fault.value != 0.0 ? fault.value : kDefaultBlink;
     if (fault.kind == FaultKind::kCameraGone) frame.device_error = true;
   }
   for (int k = 0; k < copies; ++k) Deliver(frame);
