@@ -1,0 +1,277 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a single group of frames says of its pattern.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include "firmware-host/sequence/pattern_witness.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr int kFewestInBand = 40;  // lit probes; of fewer, no share is taken
+
+// Share of the picture that the pattern lights.
+double MeanIntensity(const Pattern& pattern, int width, int height) {
+  if (pattern.IsOneDimensional()) {
+    const std::vector<float> profile = pattern.Profile(pattern.axis == PatternAxis::kColumns ? width : height);
+    return std::accumulate(profile.begin(), profile.end(), 0.0) / static_cast<double>(profile.size());
+  }
+  const Image<float> picture = pattern.Render(width, height);
+  return std::accumulate(picture.pixels().begin(), picture.pixels().end(), 0.0) / static_cast<double>(picture.size());
+}
+
+}  // namespace
+
+PatternWitness::Testimony PatternWitness::JudgeReference() {
+  const Frame* white = nullptr;
+  const Frame* black = nullptr;
+  for (int i : StepsOf(CapturePhase::kReference)) {
+    const PatternKind kind = plan_.steps[i].pattern.kind;
+    if (kind == PatternKind::kWhite) white = Find(i);
+    if (kind == PatternKind::kBlack) black = Find(i);
+  }
+  lit_.clear();
+  decoded_ = false;
+  if (white == nullptr || black == nullptr) return Testimony::kRefutes;
+  white_ = *white;
+  black_ = *black;
+  for (size_t i = 0; i < white_.probes.size(); ++i)
+    if (white_.probes[i] - black_.probes[i] >= options_.min_contrast_dn && white_.probes[i] < options_.saturation_dn)
+      lit_.push_back(static_cast<int>(i));
+  bool good = static_cast<int>(lit_.size()) >= options_.min_lit_probes;
+  // All projectors' white is at least this one's, their black too.
+  if (good && !preroll_black_.empty()) {
+    double excess = 0.0, contrast = 0.0;
+    for (int i : lit_) {
+      excess += black_.probes[i] - preroll_black_[i];
+      contrast += white_.probes[i] - black_.probes[i];
+    }
+    good = excess <= options_.dark_tolerance * contrast;
+  }
+  if (good && !preroll_white_.empty()) {
+    std::array<int, ProbeLattice::kBands> off{}, all{};
+    for (size_t i = 0; i < white_.probes.size(); ++i) {
+      const double limit =
+          preroll_white_[i] * (1.0 + options_.sum_tolerance) + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
+      const int band = lattice_.BandOf(static_cast<int>(i));
+      ++all[band];
+      off[band] += preroll_white_[i] < options_.saturation_dn && white_.probes[i] > limit;
+    }
+    for (int b = 0; b < ProbeLattice::kBands; ++b) good = good && off[b] <= options_.max_off_fraction * all[b];
+  }
+  if (good) return Testimony::kConfirms;
+  lit_.clear();
+  return Testimony::kRefutes;
+}
+
+bool PatternWitness::WithinReference(const PlanStep& step) const {
+  if (step.exposure_ms != plan_.options.exposure_ms) return true;
+  const Probes& frame = Find(step.index)->probes;
+  // Bands of few probes are no evidence; elsewhere light where white gives none is a picture out of place.
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (size_t i = 0; i < frame.size(); ++i) {
+    const double white = white_.probes[i], black = black_.probes[i], level = frame[i];
+    const int band = lattice_.BandOf(static_cast<int>(i));
+    ++all[band];
+    if (white >= options_.saturation_dn || (level <= white && level >= black)) continue;
+    const double beyond = std::max(level - white, black - level);
+    const double share = options_.steady_tolerance * std::max(0.0, white - black);
+    if (beyond > share + 4.0 * std::sqrt(2.0 * VarianceDn(std::max(level, white)))) ++off[band];
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (off[b] > 0.2 * options_.max_off_fraction * all[b] + 3.0) return false;
+  return true;
+}
+
+bool PatternWitness::AddsUp(std::span<const int> steps, double mean) const {
+  // 2/N sum I - 2 (mean W + (1 - mean) B) vanishes; its variance is about that of W and B plus (2/N)^2 of each frame.
+  const double scale = 2.0 / static_cast<double>(steps.size());
+  std::vector<const Probes*> frames;
+  for (int step : steps) frames.push_back(&frames_.at(step).probes);
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (int i : lit_) {
+    double sum = 0.0;
+    for (const Probes* frame : frames) sum += (*frame)[i];
+    const double white = white_.probes[i], black = black_.probes[i];
+    const double variance = (1.0 + scale) * (VarianceDn(white) + VarianceDn(black));
+    const int band = lattice_.BandOf(i);
+    ++all[band];
+    if (std::abs(scale * sum - 2.0 * (mean * white + (1.0 - mean) * black)) >
+        options_.sum_tolerance * (white - black) + 4.0 * std::sqrt(variance))
+      ++off[band];
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return false;
+  return std::accumulate(off.begin(), off.end(), 0) <= options_.max_off_fraction * static_cast<double>(lit_.size());
+}
+
+PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) const {
+  if (!AddsUp(pair, 0.5)) return Testimony::kRefutes;
+  // What is left of the sum against the contrast of the two, both less their noise: a bit beside another bit's inverse
+  // leaves as much as it differs by.
+  const Probes& bit = frames_.at(pair[0]).probes;
+  const Probes& inverse = frames_.at(pair[1]).probes;
+  double rest = 0.0, contrast = 0.0, noise = 0.0;
+  for (int i : lit_) {
+    const double white = white_.probes[i], black = black_.probes[i];
+    const double sum = double(bit[i]) + inverse[i] - white - black, difference = double(bit[i]) - inverse[i];
+    const double two = VarianceDn(bit[i]) + VarianceDn(inverse[i]);
+    const double four = two + VarianceDn(white) + VarianceDn(black);
+    rest += sum * sum - four;
+    contrast += difference * difference - two;
+    noise += 2.0 * four * four;
+  }
+  noise = std::sqrt(noise);
+  if (rest > 0.4 * std::max(0.0, contrast) + 10.0 * noise) return Testimony::kRefutes;
+  return contrast > 10.0 * noise && rest < 0.2 * contrast ? Testimony::kConfirms : Testimony::kSilent;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeShifts(const PlanStep& step, std::span<const int> group) {
+  const bool whole =
+      step.pattern.kind == PatternKind::kSinusoid && static_cast<int>(group.size()) == step.pattern.shifts;
+  const auto& means = options_.sinusoid_mean;
+  const double mean = step.projector < static_cast<int>(means.size()) ? means[step.projector] : 0.5;
+  if (whole && !AddsUp(group, mean)) return Testimony::kRefutes;
+  Testimony testimony = Testimony::kConfirms;
+  std::vector<float> level;
+  for (int member : group) {
+    const LevelsAt frame = LevelsOf(plan_.steps[member], level);
+    const double evidence = ShiftEvidence(plan_.steps[member].pattern, frame);
+    if (evidence < -options_.min_evidence) return Testimony::kRefutes;
+    if (evidence < options_.min_evidence) testimony = Testimony::kSilent;
+  }
+  return testimony;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
+  std::vector<float> level;
+  const LevelsAt frame = LevelsOf(step, level);
+  if (frame.level.empty()) return Testimony::kSilent;
+  // A comb spreads the light it has: more would be another pattern, none would be black.
+  const double share = static_cast<double>(step.pattern.width) / step.pattern.period;
+  const double mean = MeanLevel(Find(step.index)->probes) * plan_.options.exposure_ms / step.exposure_ms;
+  // The black that MeanLevel takes off is that of the nominal exposure.
+  const double black = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0);
+  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black || mean < 0.25 * share - black)
+    return Testimony::kRefutes;
+  if (!BrightAsTheExposure(step) || LinesElsewhere(step, frame)) return Testimony::kRefutes;
+  const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
+  if (std::abs(evidence) < options_.min_evidence) return Testimony::kSilent;
+  return evidence > 0.0 ? Testimony::kConfirms : Testimony::kRefutes;
+}
+
+bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const {
+  // In some band, probes far from the lines that are as bright as those on them.
+  const Pattern& comb = step.pattern;
+  const std::span<const int> at = comb.axis == PatternAxis::kColumns ? frame.column : frame.row;
+  std::vector<int> beyond;  // px from the nearest line, by position
+  for (int position = 0; position < (comb.axis == PatternAxis::kColumns ? frame.width : frame.height); ++position) {
+    const int distance = ((position - comb.shift) % comb.period + comb.period) % comb.period;
+    beyond.push_back(distance < comb.width ? 0 : std::min(distance - comb.width + 1, comb.period - distance));
+  }
+  double on = 0.0;
+  int lines = 0;
+  for (size_t i = 0; i < at.size(); ++i)
+    if (at[i] >= 0 && beyond[at[i]] == 0) {
+      on += frame.level[i];
+      ++lines;
+    }
+  if (lines == 0) return false;
+  const double bright = 0.6 * on / lines;
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (size_t i = 0; i < at.size(); ++i) {
+    const int band = lattice_.BandOf(lit_[i]);
+    ++all[band];
+    if (at[i] < 0 || frame.level[i] <= bright || beyond[at[i]] <= 2 * comb.width) continue;
+    const double contrast = white_.probes[lit_[i]] - black_.probes[lit_[i]];
+    off[band] += frame.level[i] > bright + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[lit_[i]])) / contrast;
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (off[b] > 0.2 * options_.max_off_fraction * all[b] + 2.0) return true;
+  return false;
+}
+
+bool PatternWitness::BrightAsTheExposure(const PlanStep& step) const {
+  // A change of exposure that came late shows the exposure before. The comb before of the same bracket, or the share of
+  // the picture that a comb lights, says how bright the frame should be.
+  const double before_ms = step.index > 0 ? plan_.steps[step.index - 1].exposure_ms : step.exposure_ms;
+  if (before_ms == step.exposure_ms) return true;
+  const double share =
+      static_cast<double>(step.pattern.width) / step.pattern.period * step.exposure_ms / plan_.options.exposure_ms;
+  double expected = share;
+  for (const auto& [index, frame] : frames_) {
+    const PlanStep& other = plan_.steps[index];
+    if (index < step.index && other.phase == step.phase && other.bracket == step.bracket &&
+        frame.testimony == Testimony::kConfirms)
+      expected = MeanLevel(frame.probes);
+  }
+  // Nearer to it than to the level of the exposure before: in differences, since a black of another exposure is taken
+  // off, or in ratios, since scenes spread the comb's light unlike each other.
+  const double level = MeanLevel(Find(step.index)->probes), ratio = before_ms / step.exposure_ms;
+  return std::abs(level - expected) < 0.5 * std::max(expected, share) * std::abs(ratio - 1.0) ||
+         (level > 0.0 && expected > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(ratio)));
+}
+
+double PatternWitness::StillnessOf(const Probes& white) const {
+  const double mean = MeanLevel(white);
+  double rest = 0.0, contrast = 0.0;
+  for (int i : lit_) {
+    const double reference = mean * (white_.probes[i] - black_.probes[i]);
+    const double difference = white[i] - black_.probes[i] - reference;
+    rest += difference * difference - VarianceDn(white[i]) - mean * mean * VarianceDn(white_.probes[i]) -
+            (1.0 - mean) * (1.0 - mean) * VarianceDn(black_.probes[i]);
+    contrast += reference * reference;
+  }
+  return contrast > 0.0 ? std::sqrt(std::max(0.0, rest) / contrast) : 0.0;
+}
+
+PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const {
+  const Probes& white = Find(step.index)->probes;
+  const double mean = MeanLevel(white);
+  if (std::abs(mean - 1.0) > options_.steady_tolerance) return Testimony::kRefutes;
+  std::array<int, ProbeLattice::kBands> off{}, all{};
+  for (int i : lit_) {
+    const double reference = mean * (white_.probes[i] - black_.probes[i]);
+    const double limit = options_.sum_tolerance * reference + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
+    const int band = lattice_.BandOf(i);
+    ++all[band];
+    off[band] += std::abs(white[i] - black_.probes[i] - reference) > limit;
+  }
+  for (int b = 0; b < ProbeLattice::kBands; ++b)
+    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return Testimony::kRefutes;
+  return StillnessOf(white) > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
+}
+
+double PatternWitness::WholeLevel(const Frame& frame) const {
+  return (frame.mean_dn - black_.mean_dn) / std::max(1e-9, white_.mean_dn - black_.mean_dn);
+}
+
+double PatternWitness::ExpectedLevel(const Pattern& pattern) {
+  const Coordinates& at = Where();
+  if (at.column.empty() || at.row.empty())
+    return MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height);
+  double sum = 0.0, white = 0.0;
+  for (size_t k = 0; k < lit_.size(); ++k) {
+    if (at.column[k] < 0 || at.row[k] < 0) continue;
+    const double contrast = white_.probes[lit_[k]] - black_.probes[lit_[k]];
+    sum += contrast * pattern.Intensity(at.column[k], at.row[k]);
+    white += contrast;
+  }
+  return sum / std::max(1e-9, white);
+}
+
+PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
+  // Spots light so little of the picture that only the mean of all pixels tells them from black.
+  double spots = 0.0;
+  for (int i : StepsOf(CapturePhase::kSpot)) spots = ExpectedLevel(plan_.steps[i].pattern);
+  const Frame& frame = *Find(step.index);
+  const double level = WholeLevel(frame);
+  if (step.phase == CapturePhase::kSpot)
+    return level > 0.3 * spots && level < 0.5 ? Testimony::kConfirms : Testimony::kRefutes;
+  if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;
+  return spots == 0.0 || level < 0.3 * spots ? Testimony::kConfirms : Testimony::kRefutes;
+}
+
+}  // namespace stratalux::rig
