@@ -214,17 +214,20 @@ bool PatternWitness::BrightAsTheExposure(const PlanStep& step) const {
          (level > 0.0 && expected > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(ratio)));
 }
 
-double PatternWitness::StillnessOf(const Probes& white) const {
+PatternWitness::Stillness PatternWitness::StillnessOf(const Probes& white) const {
   const double mean = MeanLevel(white);
-  double rest = 0.0, contrast = 0.0;
+  double rest = 0.0, contrast = 0.0, squares = 0.0;
   for (int i : lit_) {
     const double reference = mean * (white_.probes[i] - black_.probes[i]);
     const double difference = white[i] - black_.probes[i] - reference;
-    rest += difference * difference - VarianceDn(white[i]) - mean * mean * VarianceDn(white_.probes[i]) -
-            (1.0 - mean) * (1.0 - mean) * VarianceDn(black_.probes[i]);
+    const double noise = VarianceDn(white[i]) + mean * mean * VarianceDn(white_.probes[i]) +
+                         (1.0 - mean) * (1.0 - mean) * VarianceDn(black_.probes[i]);
+    rest += difference * difference - noise;
+    squares += 2.0 * noise * noise;  // of a normal deviation's square
     contrast += reference * reference;
   }
-  return contrast > 0.0 ? std::sqrt(std::max(0.0, rest) / contrast) : 0.0;
+  if (contrast <= 0.0) return {};
+  return {std::sqrt(std::max(0.0, rest) / contrast), std::sqrt(4.0 * std::sqrt(squares) / contrast)};
 }
 
 PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const {
@@ -241,7 +244,7 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
   }
   for (int b = 0; b < ProbeLattice::kBands; ++b)
     if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return Testimony::kRefutes;
-  return StillnessOf(white) > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
+  return StillnessOf(white).rms > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
 }
 
 double PatternWitness::WholeLevel(const Frame& frame) const {

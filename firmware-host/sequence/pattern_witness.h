@@ -11,6 +11,7 @@
 //   checkerboard each frame agrees best with its own shift;
 //   comb         the frame agrees best with its own shift among all of the cycle; its mean level is a comb's;
 //   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
+//   cycle        each probe's combs add up to its white (comb_cycle.h);
 //   spot, guard  the mean level is that of the spots, and that of black.
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
 //
@@ -20,10 +21,12 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/comb_cycle.h"
 #include "firmware-host/sequence/pattern_score.h"
 #include "firmware-host/sequence/probe_lattice.h"
 #include "shared/capture/finding.h"
@@ -43,8 +46,11 @@ struct WitnessOptions {
   double sum_tolerance = 0.03;     // of W - B, for one probe, beyond its noise
   double steady_tolerance = 0.08;  // mean n of motion frames and of the comb cycle
   double still_tolerance = 0.03;   // rms difference of a white from the reference, after its mean, over W - B
+  double moved_tolerance = 0.01;   // the same of a visitor who held still; between the two no frame is shot again
+  double blink_tolerance = 0.15;   // of one comb's light, against the combs beside it
   double dark_tolerance = 0.01;    // mean n of guard frames
   double min_evidence = 5.0;       // standard deviations by which the planned shift must beat all others, or be beaten
+  MotionOptions motion;
   // By projector: mean light of a whole set of sinusoid shifts, as its response gives it; empty: 1/2, all linear.
   std::vector<double> sinusoid_mean;
 
@@ -73,7 +79,11 @@ class PatternWitness {
   [[nodiscard]] bool ReferenceStandsAlone() const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for. Empties the list.
   [[nodiscard]] std::vector<int> TakeDoubtful();
-  // Comb cycle and whites of the projector: what does not add up; empty when all is well.
+  // A motion white that was added: the lamp has changed, or the visitor moved. At once, before the projector is
+  // through.
+  [[nodiscard]] std::optional<Finding> CheckWhite(const PlanStep& step) const;
+  // Whites and comb cycles of the projector: moved, lamp, blink, mixed-up; empty when all is well. Can be asked when
+  // its last step was checked.
   [[nodiscard]] std::vector<Finding> CheckProjector();
   // The projectors' whites against the pre-roll, which shows their sum: a visitor or a lamp that changed between two
   // projectors. After the last CheckProjector().
@@ -120,7 +130,19 @@ class PatternWitness {
   [[nodiscard]] double ExpectedLevel(const Pattern& pattern);
   // Of all pixels: mean level above black over that of white.
   [[nodiscard]] double WholeLevel(const Frame& frame) const;
-  [[nodiscard]] double StillnessOf(const Probes& white) const;
+  // rms difference of a white from the reference after its mean, over W - B, beyond the noise; and what four standard
+  // deviations of the noise make of that.
+  struct Stillness {
+    double rms = 0.0, noise = 0.0;
+  };
+  [[nodiscard]] Stillness StillnessOf(const Probes& white) const;
+  void CheckWhites(std::vector<Finding>& findings) const;
+  // Light and motion of the axis' comb cycle, as far as the plan has it.
+  void CheckCycle(PatternAxis axis, std::vector<Finding>& findings);
+  // Steps of the axis' cycle at the nominal exposure, in its order; empty where one is missing.
+  [[nodiscard]] std::vector<int> StepsOfCycle(PatternAxis axis) const;
+  [[nodiscard]] CombCycle CycleOf(PatternAxis axis, const std::vector<int>& steps);
+  [[nodiscard]] std::vector<double> MeanBlack() const;
   [[nodiscard]] double VarianceDn(double dn) const { return options_.VarianceDn(dn); }
   [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
   const Coordinates& Where();

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// One comb cycle, probe by probe: each probe is passed by one line of the comb, over some frames in a row. What a whole
+// cycle gives a probe is w / q of its white, wherever it is and however the skin scatters; so a probe whose surface
+// shifts while the line passes gets less or more of it, and a lamp that blinks gives less to all.
+//
+// Motion. With the probe's mean over the far frames taken off (which takes the black's noise with it), what the near
+// frames gave it is L = sum of the near levels. Among neighbours L is even: a plane through each cell of the lattice is
+// taken off. A subject that jumps by t shifts the lines under probe i by
+//     d_i = a + b dc/dx + c dc/dy,      c(x, y) the projector position that the camera sees at (x, y):
+// the projector sees the surface slide (a), the camera sees it slide (b, c); and probes that the line passes just then
+// gain or lose light in proportion to d_i. In each stretch of frames a, b, c are fitted, by the probes' known noise;
+// their squares over their covariance are the score, about 3 for a subject that holds still.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+namespace stratalux::rig {
+
+struct CombCycle {
+  int frames = 0;  // of the cycle, K
+  // By frame, then probe: (I - B) / (W - B), and its variance.
+  std::vector<std::vector<float>> level, variance;
+  // By probe.
+  std::vector<float> contrast;  // W - B, weighs the frames' gains
+  std::vector<int> passed_in;   // frame whose line passes it; -1: not known
+  std::vector<int> position;    // of the projector along the comb's axis, px
+  std::vector<int> x, y;        // in the lattice
+};
+
+// Light of each frame over what the whole cycle's mean passage says of the probes that it meets; about 1, and on uneven
+// scenes a few per cent off, the same in each capture. Empty where too few probes are known.
+[[nodiscard]] std::vector<double> FrameGains(const CombCycle& cycle);
+
+struct MotionOptions {
+  int near_frames = 9;              // to both sides of the passage; must hold what blur and footprint spread
+  int stretch = 3;                  // frames fitted together
+  int cell = 10;                    // probes a side
+  double uneven_light = 0.02;       // of L, of all probes of a stretch alike: a lamp that flickers is no motion
+  double uneven_slope = 0.005;      // of L, as the rms slope gives it: what a still scene's shape does
+  double model_error = 0.02;        // of L, of one probe
+  double largest_still_score = 40;  // of still captures at most 18, in 0.5 mm out and back 100 and more
+};
+
+struct CombMotion {
+  double score = 0.0;   // the largest of all stretches
+  double change = 0.0;  // rms of the fitted gain and loss of that stretch's probes, of their white
+  int frame = 0;        // in the middle of the first stretch that is too much; where none is, of the largest
+};
+
+// nullopt where the cycle is too short to tell near frames from far ones, or too few probes are known.
+// `spoilt`: frames (by number) that say nothing of motion, since their light was another.
+[[nodiscard]] std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<bool>& spoilt,
+                                                   const MotionOptions& options);
+
+// The frame that shows another comb than its own: lines passed probes with no frame to show for it, and others twice.
+// `gain`: FrameGains. nullopt: none.
+struct MissingComb {
+  int frame = 0;
+  double sum = 1.0;    // of the cycle at the probes that its line passes, over the mean of all
+  double limit = 0.0;  // of its deviation from 1: half of what one frame gives
+};
+[[nodiscard]] std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::vector<double>& gain);
+
+}  // namespace stratalux::rig
