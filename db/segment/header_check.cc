@@ -21,7 +21,7 @@ struct Choice {
 
 Status CheckChoices(const FrameHeader& h) {
   const Choice choices[] = {
-      {"phase", h.phase, 0, static_cast<uint32_t>(CapturePhase::kRadiometry)},
+      {"phase", h.phase, 0, static_cast<uint32_t>(CapturePhase::kRepeat)},
       {"clock", h.frame_clock, 0, static_cast<uint32_t>(ClockSource::kSimulated)},
       {"level check", h.level_check, 0, static_cast<uint32_t>(LevelCheck::kFailed)},
       {"format", h.format, static_cast<uint32_t>(PixelFormat::kMono8), static_cast<uint32_t>(PixelFormat::kF32)},

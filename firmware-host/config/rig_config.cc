@@ -34,6 +34,7 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
   plan.Get("motion_whites", o.motion_whites, 0, 64);
   plan.Get("spot_radius", o.spot_radius, 0, 256);
   plan.Get("spot_pitch", o.spot_pitch, 2, 8192);
+  plan.Get("second_takes", o.second_takes);
   plan.Get("guards", o.guards, 0, 16);
   SLX_ASSIGN_OR_RETURN(o.kind, ParseSessionKind(kind).WithContext(plan.Where("kind")));
   SLX_ASSIGN_OR_RETURN(o.sync_mode, ParseSyncMode(sync).WithContext(plan.Where("sync_mode")));

@@ -186,6 +186,8 @@ PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<
     case CapturePhase::kSpot:
     case CapturePhase::kGuard:
       return JudgeLevel(step);
+    case CapturePhase::kRepeat:
+      return step.pattern.kind == PatternKind::kComb ? JudgeComb(step) : JudgeLevel(step);
     default:
       return Testimony::kSilent;
   }

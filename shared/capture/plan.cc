@@ -9,8 +9,8 @@
 namespace stratalux {
 namespace {
 
-constexpr std::array<std::string_view, 9> kPhases = {"preroll", "reference", "correspondence", "separation", "sweep",
-                                                     "motion",  "spot",      "guard",          "radiometry"};
+constexpr std::array<std::string_view, 10> kPhases = {"preroll", "reference", "correspondence", "separation", "sweep",
+                                                      "motion",  "spot",      "guard",          "radiometry", "repeat"};
 constexpr std::array<std::string_view, 5> kKinds = {"visitor", "calibration", "dark", "flat", "response"};
 constexpr std::array<std::string_view, 2> kSyncModes = {"triggered", "free_running"};
 
@@ -104,12 +104,13 @@ class PlanBuilder {
   }
 
   // One comb cycle along `axis`, with `whites` all-white frames in it: the first before it, the last after it, the
-  // others evenly between. A single one stands after it.
+  // others evenly between. A single one stands after it. The first comb of the columns comes again behind the last.
   void AddSweep(int projector, PatternAxis axis, int whites) {
     const PlanOptions& o = plan_.options;
     const int frames = o.comb_period / o.comb_step;
     int shown = 0;
     for (int k = 0; k <= frames; ++k) {
+      if (k == frames && axis == PatternAxis::kColumns) AddSecondTake(projector, CapturePhase::kSweep);
       while (shown < whites && k == (whites == 1 ? frames : shown * frames / (whites - 1))) {
         Add(projector, CapturePhase::kMotion, {.kind = PatternKind::kWhite});
         ++shown;
@@ -125,17 +126,33 @@ class PlanBuilder {
     }
   }
 
+  // Both takes of the spots stand a sweep apart, as those of its first comb do: what moves or drifts meanwhile shows in
+  // their difference. Beside spots stands nothing about as dark as they are but not black: only the mean level tells
+  // them from what a projector out of step shows (PatternWitness).
   void AddVisitor(int projector) {
     const PlanOptions& o = plan_.options;
     AddReference(projector);
     AddCorrespondence(projector);
     AddSeparation(projector);
-    AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
-    if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
     for (int bracket = 0; o.spot_radius > 0 && bracket < Brackets(CapturePhase::kSpot); ++bracket)
       Add(projector, CapturePhase::kSpot, {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius},
           bracket);
+    AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
+    if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
+    AddSecondTake(projector, CapturePhase::kSpot);
     AddGuards(projector);
+  }
+
+  // Of the phase's first frame.
+  void AddSecondTake(int projector, CapturePhase phase) {
+    const auto first = std::find_if(plan_.steps.begin(), plan_.steps.end(), [&](const PlanStep& step) {
+      return step.projector == projector && step.phase == phase;
+    });
+    if (!plan_.options.second_takes || first == plan_.steps.end()) return;
+    PlanStep again = *first;
+    again.index = static_cast<int>(plan_.steps.size());
+    again.phase = CapturePhase::kRepeat;
+    plan_.steps.push_back(again);
   }
 
   void AddReferenceAndCodes(int projector) {

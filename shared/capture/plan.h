@@ -20,7 +20,8 @@ enum class CapturePhase {
   kMotion,
   kSpot,
   kGuard,
-  kRadiometry
+  kRadiometry,
+  kRepeat  // a light that is evaluated, shown a second time: no training data
 };
 enum class SyncMode { kTriggered, kFreeRunning };
 
@@ -66,10 +67,13 @@ struct PlanOptions {
   int motion_whites = 4;  // whites before, during and after the sweep
   int spot_radius = 4;    // px; 0 leaves the spot frame out
   int spot_pitch = 160;   // px
-  int guards = 2;         // black guard frames after each projector
+  // The sweep's first comb and the spots once more after the sweep: what differs from the first take is noise.
+  bool second_takes = true;
+  int guards = 2;  // black guard frames after each projector
 
   // Exposure factors of a phase; {1} for those that have no brackets. Those of `radiometry` follow from the kind: a
-  // ramp for the camera's linearity and photon transfer (flat), a few for dark current (dark).
+  // ramp for the camera's linearity and photon transfer (flat), a few for dark current (dark). A repeat has the first
+  // factor of the phase that it repeats.
   [[nodiscard]] const std::vector<double>& BracketsOf(CapturePhase phase) const;
   [[nodiscard]] Status Validate() const;
 };

@@ -35,6 +35,7 @@ std::string PlanOptionsToJson(const PlanOptions& o) {
                      {"motion_whites", o.motion_whites},
                      {"spot_radius", o.spot_radius},
                      {"spot_pitch", o.spot_pitch},
+                     {"second_takes", o.second_takes},
                      {"guards", o.guards}};
   return json.dump();
 }
@@ -72,6 +73,7 @@ Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
     json.at("motion_whites").get_to(o.motion_whites);
     json.at("spot_radius").get_to(o.spot_radius);
     json.at("spot_pitch").get_to(o.spot_pitch);
+    o.second_takes = json.value("second_takes", false);  // plans from before these have none
     json.at("guards").get_to(o.guards);
     SLX_RETURN_IF_ERROR(BuildPlan(o).status());
     return o;

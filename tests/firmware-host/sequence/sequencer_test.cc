@@ -252,7 +252,7 @@ INSTANTIATE_TEST_SUITE_P(Each, TroubledPipelineTest, ::testing::Combine(::testin
 TEST_F(SequencerTest, EveryCodeSinusoidAndCombFrameIsChecked) {
   Run();
   for (const FrameRecord& r : sink_.records) {
-    if (r.phase == CapturePhase::kSpot) continue;
+    if (r.pattern.kind == PatternKind::kSpots) continue;
     EXPECT_EQ(r.level_check, LevelCheck::kPassed) << r.step << " " << r.pattern.ToString();
   }
 }
@@ -354,6 +354,7 @@ TEST_P(WrongPatternTest, AStuckPictureWithAllEdgesInPlaceIsSeenInTheImage) {
   bool failed_once = false;
   for (const FrameRecord& r : sink_.records) failed_once |= r.level_check == LevelCheck::kFailed;
   EXPECT_TRUE(failed_once);
+  ExpectEveryFrameShowsItsPattern();
 }
 
 INSTANTIATE_TEST_SUITE_P(Phases, WrongPatternTest,
@@ -361,8 +362,9 @@ INSTANTIATE_TEST_SUITE_P(Phases, WrongPatternTest,
                                            std::pair(CapturePhase::kCorrespondence, 0),
                                            std::pair(CapturePhase::kCorrespondence, 3),
                                            std::pair(CapturePhase::kCorrespondence, 17),
-                                           std::pair(CapturePhase::kSeparation, 1), std::pair(CapturePhase::kMotion, 0),
-                                           std::pair(CapturePhase::kGuard, 0)));
+                                           std::pair(CapturePhase::kSeparation, 1), std::pair(CapturePhase::kSpot, 0),
+                                           std::pair(CapturePhase::kMotion, 0), std::pair(CapturePhase::kRepeat, 0),
+                                           std::pair(CapturePhase::kRepeat, 1), std::pair(CapturePhase::kGuard, 0)));
 
 TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
   const int first = StepOf(0, CapturePhase::kCorrespondence, 2);

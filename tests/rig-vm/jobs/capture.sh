@@ -1,7 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # `stratalux-rig capture` on the kernel's interfaces, in front of a scene that shows what the projectors are told
-# (responder.cc): a plan of 200 frames, then every fault. A row each:
+# (responder.cc): a plan of 204 frames, then every fault. A row each:
 #   fault | injected | detected as | session | frames proven | mis-associated
 . /source/tests/rig-vm/guest-lib.sh
 
@@ -78,7 +78,7 @@ capture_once() {
 modprobe gpio-sim
 load_camera
 echo "        fault | injected | detected as | session | frames proven | mis-associated" >$cases
-capture "none, 200 frames" "$plan" "complete"
+capture "none, 204 frames" "$plan" "complete"
 /build/bin/stratalux-db verify --deep --store /tmp/store latest >/share/verify.log 2>&1 || {
   echo "FAILED  stratalux-db verify --deep" >>$cases
   failures=$((failures + 1))

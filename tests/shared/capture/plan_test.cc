@@ -13,11 +13,11 @@ namespace {
 TEST(CapturePlan, DefaultHasTheFrameCountOfTheModel) {
   const auto plan = BuildPlan({});
   ASSERT_TRUE(plan.ok());
-  EXPECT_EQ(plan->steps.size(), 492U);  // 4 x 121 + 8 pre-roll markers (model section 2)
+  EXPECT_EQ(plan->steps.size(), 500U);  // 4 x 123 + 8 pre-roll markers (model section 2)
   std::map<int, int> per_projector;
   for (const PlanStep& step : plan->steps) ++per_projector[step.projector];
   EXPECT_EQ(per_projector[-1], 8);
-  for (int p = 0; p < 4; ++p) EXPECT_EQ(per_projector[p], 121);
+  for (int p = 0; p < 4; ++p) EXPECT_EQ(per_projector[p], 123);
 }
 
 TEST(CapturePlan, StepsAreNumberedInOrder) {
@@ -52,6 +52,78 @@ TEST(CapturePlan, SweepLightsEveryColumnOncePerWidthOverStep) {
   EXPECT_EQ(bracketed, 128);
 }
 
+std::vector<int> StepsOf(const CapturePlan& plan, int projector, CapturePhase phase) {
+  std::vector<int> steps;
+  for (const PlanStep& step : plan.steps)
+    if (step.projector == projector && step.phase == phase) steps.push_back(step.index);
+  return steps;
+}
+
+TEST(SecondTakes, ShowStripeAndSpotsOfEachProjectorOnceMoreASweepLater) {
+  PlanOptions options;
+  options.brackets = {0.5, 2.0};
+  options.spot_brackets = {1.0, 4.0};
+  options.row_sweep = true;
+  const CapturePlan plan = *BuildPlan(options);
+  for (int p = 0; p < options.projectors; ++p) {
+    const std::vector<int> repeats = StepsOf(plan, p, CapturePhase::kRepeat);
+    ASSERT_EQ(repeats.size(), 2U);
+    const std::vector<int> sweep = StepsOf(plan, p, CapturePhase::kSweep),
+                           spots = StepsOf(plan, p, CapturePhase::kSpot);
+    for (const auto& [again, first] : {std::pair{repeats[0], sweep[0]}, {repeats[1], spots[0]}}) {
+      EXPECT_EQ(plan.steps[again].pattern, plan.steps[first].pattern);
+      EXPECT_EQ(plan.steps[again].exposure_ms, plan.steps[first].exposure_ms) << "the first factor of the phase";
+      EXPECT_EQ(plan.steps[again].bracket, 0);
+      EXPECT_GE(again - first, options.comb_period / options.comb_step);
+    }
+    EXPECT_EQ(plan.steps[sweep[0]].pattern.shift, 0);
+  }
+}
+
+// The mean level alone tells spots from what a projector shows that is a step behind or ahead: nothing beside them may
+// be nearly as dark as they are.
+TEST(SecondTakes, SpotsStandBesideWhiteBlackAndSinusoidsAlone) {
+  const CapturePlan plan = *BuildPlan({});
+  for (const PlanStep& step : plan.steps) {
+    if (step.pattern.kind != PatternKind::kSpots) continue;
+    for (const int beside : {step.index - 1, step.index + 1}) {
+      const PatternKind kind = plan.steps[beside].pattern.kind;
+      EXPECT_TRUE(kind == PatternKind::kWhite || kind == PatternKind::kBlack || kind == PatternKind::kSinusoid)
+          << step.index;
+    }
+  }
+}
+
+TEST(SecondTakes, ChangeNothingElse) {
+  for (const bool rows : {false, true}) {
+    PlanOptions options;
+    options.row_sweep = rows;
+    const CapturePlan with = *BuildPlan(options);
+    options.second_takes = false;
+    const CapturePlan without = *BuildPlan(options);
+    std::vector<PlanStep> others;
+    for (const PlanStep& step : with.steps)
+      if (step.phase != CapturePhase::kRepeat) others.push_back(step);
+    ASSERT_EQ(others.size(), without.steps.size());
+    for (size_t i = 0; i < others.size(); ++i) {
+      EXPECT_EQ(others[i].pattern, without.steps[i].pattern) << i;
+      EXPECT_EQ(others[i].phase, without.steps[i].phase) << i;
+    }
+  }
+}
+
+TEST(SecondTakes, LeaveOutWhatThePlanLeavesOut) {
+  PlanOptions options;
+  options.spot_radius = 0;
+  for (const int step : StepsOf(*BuildPlan(options), 0, CapturePhase::kRepeat))
+    EXPECT_EQ(BuildPlan(options)->steps[step].pattern.kind, PatternKind::kComb);
+  for (const SessionKind kind :
+       {SessionKind::kCalibration, SessionKind::kDark, SessionKind::kFlat, SessionKind::kResponse}) {
+    options.kind = kind;
+    EXPECT_TRUE(StepsOf(*BuildPlan(options), 0, CapturePhase::kRepeat).empty()) << ToString(kind);
+  }
+}
+
 TEST(PrerollCode, NoCyclicOrTruncatingShiftLooksLikeTheCode) {
   const std::vector<bool> code = PrerollCode(8);
   for (int shift = 1; shift < 8; ++shift) {
@@ -84,6 +156,11 @@ TEST(PlanJson, RoundTripsAndRefusesNewerSchemas) {
   std::string newer = text;
   newer.replace(newer.find("\"schema\":1"), 10, "\"schema\":2");
   EXPECT_EQ(PlanOptionsFromJson(newer).status().code(), StatusCode::kNewerSchema);
+  // Sessions from before the second takes have none.
+  std::string older = text;
+  older.erase(older.find("\"second_takes\":true,"), 20);
+  ASSERT_TRUE(PlanOptionsFromJson(older).ok()) << older;
+  EXPECT_FALSE(PlanOptionsFromJson(older)->second_takes);
   EXPECT_EQ(PlanOptionsFromJson("{").status().code(), StatusCode::kIntegrity);
 }
 
