@@ -234,7 +234,7 @@ CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter 
     Fail(report, StoreTruth(archive.writer(), *rig_.simulation, plan));
   const std::vector<std::string> reasons = report.Reasons();
   report.findings.insert(report.findings.end(), request.prescan.begin(), request.prescan.end());
-  Fail(report, archive.writer().Finish(report.status, reasons));
+  Fail(report, archive.writer().Finish(report.status, reasons, report.Found()));
   return report;
 }
 

@@ -75,7 +75,10 @@ TEST_F(CaptureStationTest, OneRigAndStoreServeManyVisits) {
     ASSERT_TRUE(outcome.ok()) << outcome.status().message();
     EXPECT_EQ(outcome->report.status, SessionStatus::kComplete)
         << (outcome->report.Reasons().empty() ? "" : outcome->report.Reasons().front());
-    EXPECT_EQ(Row(outcome->session).info.seed, visit);
+    const SessionInfo info = Row(outcome->session).info;
+    EXPECT_EQ(info.seed, visit);
+    EXPECT_EQ(info.visit, request_.visit);
+    EXPECT_EQ(info.attempt, 1);
     EXPECT_TRUE(Dark(*station));
     sessions.push_back(outcome->session);
   }
@@ -135,6 +138,7 @@ TEST_F(CaptureStationTest, ObjectionsDegradeAndFaultsAreThoseOfTheCapture) {
   EXPECT_THAT(outcome->report.Reasons(), ElementsAre("the board is upside down"));
   EXPECT_EQ(outcome->injected.size(), 1U);
   EXPECT_EQ(outcome->report.Found().faults.at("lost frame"), 1);
+  EXPECT_EQ(Row(outcome->session).info.found, outcome->report.Found());
   const auto next = station->Capture(request_);
   ASSERT_TRUE(next.ok()) << next.status().message();
   EXPECT_EQ(next->report.status, SessionStatus::kComplete);
@@ -183,6 +187,8 @@ TEST_F(CaptureStationTest, APreScanChoosesWhatTheSubjectNeeds) {
   ASSERT_TRUE(outcome.ok());
   EXPECT_EQ(outcome->report.status, SessionStatus::kComplete) << "a dim corner is nothing against the proof";
   EXPECT_EQ(outcome->report.findings, request_.prescan);
+  EXPECT_EQ(Row(outcome->session).info.found.findings, request_.prescan);
+  EXPECT_THAT(Row(outcome->session).info.reasons, IsEmpty());
 }
 
 TEST_F(CaptureStationTest, ALensCapStaysOnForItsCaptureAlone) {
