@@ -240,7 +240,7 @@ TEST_F(TruthTest, AManifestThatLostItsHashIsRefusedAndOlderOnesAreRead) {
     EXPECT_EQ(info->consent.text_version, "3");
     EXPECT_TRUE(ReadManifestContents(Session())->files.empty());
   }
-  json["schema"] = 4;
+  json["schema"] = 5;
   WriteText(Session() / "manifest.json", json.dump(1) + "\n");
   EXPECT_EQ(ReadManifest(Session()).status().code(), StatusCode::kNewerSchema);
 }
