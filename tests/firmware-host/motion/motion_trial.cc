@@ -2,13 +2,36 @@
 #include "tests/firmware-host/motion/motion_trial.h"
 
 #include <algorithm>
+#include <map>
+#include <utility>
+
+#include "firmware-host/sequence/pattern_witness.h"
 
 namespace stratalux::rig {
 namespace {
 
-struct NoSink : FrameSink {
-  Status Put(FrameRecord, Image<uint16_t>) override { return Status::Ok(); }
+struct LastFrames : FrameSink {
+  Status Put(FrameRecord record, Image<uint16_t> pixels) override {
+    of_step[record.step] = std::move(pixels);
+    return Status::Ok();
+  }
+  std::map<int, Image<uint16_t>> of_step;
 };
+
+// What the comb cycle was judged by before each probe was: the sum of its frames over white, all lit pixels in one.
+double MeanSum(const CapturePlan& plan, const std::map<int, Image<uint16_t>>& frames, const WitnessOptions& options) {
+  const Image<uint16_t>& white = frames.at(0);
+  const Image<uint16_t>& black = frames.at(1);
+  double combs = 0.0, whites = 0.0;
+  for (size_t i = 0; i < white.size(); ++i) {
+    const double contrast = double(white.data()[i]) - black.data()[i];
+    if (contrast < options.min_contrast_dn || white.data()[i] >= options.saturation_dn) continue;
+    whites += contrast;
+    for (const PlanStep& step : plan.steps)
+      if (step.phase == CapturePhase::kSweep) combs += double(frames.at(step.index).data()[i]) - black.data()[i];
+  }
+  return combs * plan.options.comb_step / plan.options.comb_width / whites;
+}
 
 Result<CapturePlan> PlanOfOne(int projector) {
   PlanOptions options;
@@ -39,12 +62,30 @@ Result<std::unique_ptr<MotionRig>> MotionRig::Create(const MotionRigOptions& opt
   return made;
 }
 
-Result<CaptureReport> MotionRig::Capture(FrameSink* sink) {
-  NoSink nowhere;
+bool MotionCapture::Says(FindingKind kind) const {
+  return std::any_of(findings.begin(), findings.end(), [kind](const Finding& f) { return f.kind == kind; });
+}
+
+Result<MotionCapture> MotionRig::Capture() {
+  LastFrames frames;
   SequencerOptions options;
+  options.witness.gain_e_per_dn = rig_->calibration().camera.gain_e_per_dn;
+  options.witness.read_noise_dn = rig_->calibration().camera.read_noise_dn;
   options.shooter.wait = [this](std::chrono::nanoseconds time) { rig_->Sleep(time); };
   Sequencer sequencer({*light_, rig_->lines(), rig_->camera(), rig_->projectors()}, options, logger_);
-  return sequencer.Run(plan_, sink != nullptr ? *sink : nowhere);
+  SLX_ASSIGN_OR_RETURN(const CaptureReport report, sequencer.Run(plan_, frames));
+  if (frames.of_step.size() != plan_.steps.size()) return Status::Failed("a frame is missing");
+  MotionCapture capture{.status = report.status, .retried = report.retried};
+  capture.mean_sum = MeanSum(plan_, frames.of_step, options.witness);
+  PatternWitness witness(plan_, options.witness);
+  witness.StartProjector(plan_.steps[0].projector);
+  for (const PlanStep& step : plan_.steps) {
+    const Image<uint16_t>& pixels = frames.of_step.at(step.index);
+    witness.Add(step, pixels, MeanDn(pixels));
+    if (PatternWitness::GroupOf(plan_, step.index).back() == step.index) static_cast<void>(witness.Check(step));
+  }
+  capture.findings = witness.CheckProjector();
+  return capture;
 }
 
 int MotionRig::first_comb() const {

@@ -5,6 +5,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
@@ -20,12 +21,20 @@ struct MotionRigOptions {
   FaultOptions faults;                          // exposures are counted from the first capture's reference on
 };
 
+struct MotionCapture {
+  SessionStatus status = SessionStatus::kFailed;
+  int retried = 0;
+  std::vector<Finding> findings = {};  // of the projector, by a witness that is given the frames that count
+  double mean_sum = 0.0;               // of the comb cycle over white, one mean over all lit probes
+  [[nodiscard]] bool Says(FindingKind kind) const;
+};
+
 class MotionRig {
  public:
   static Result<std::unique_ptr<MotionRig>> Create(const MotionRigOptions& options);
 
-  // Without pre-roll: codes, sinusoids, a comb cycle with its whites, guards. Null: no frame is kept.
-  Result<CaptureReport> Capture(FrameSink* sink = nullptr);
+  // Without pre-roll: codes, sinusoids, a comb cycle with its whites, guards.
+  Result<MotionCapture> Capture();
   [[nodiscard]] const CapturePlan& plan() const { return plan_; }
   // Index of the first comb in the plan, and of the last; white frames stand between.
   [[nodiscard]] int first_comb() const;

@@ -151,8 +151,39 @@ TEST_F(WitnessTest, ADimmerSweepDoesNotAddUp) {
     if (step.phase == CapturePhase::kSweep) Show(step, See(step.pattern, 0.8));
   const std::vector<Finding> findings = witness_.CheckProjector();
   ASSERT_EQ(findings.size(), 1U);
+  EXPECT_EQ(findings[0].kind, FindingKind::kLamp);
+  EXPECT_NEAR(findings[0].value, 0.8, 0.02);
+}
+
+TEST_F(WitnessTest, ACombInAnothersPlaceIsMixedUpThoughTheMeanAddsUp) {
+  const PlanStep& first = First(CapturePhase::kSweep);
+  ShowUpTo(first.index - 1);
+  const int wrong = first.index + 9;
+  for (const PlanStep& step : plan_.steps) {
+    if (step.phase != CapturePhase::kSweep) continue;
+    Pattern shown = step.pattern;
+    if (step.index == wrong) shown.shift = (shown.shift + 14) % shown.period;
+    Show(step, See(shown));
+  }
+  const std::vector<Finding> findings = witness_.CheckProjector();
+  ASSERT_EQ(findings.size(), 1U);
   EXPECT_EQ(findings[0].kind, FindingKind::kMixedUp);
-  EXPECT_LT(findings[0].value, 0.9) << ToText(findings)[0];
+  EXPECT_EQ(findings[0].step, wrong);
+}
+
+TEST_F(WitnessTest, AWhiteThatDiffersIsTheLampOrTheVisitorAtOnce) {
+  const PlanStep& white = First(CapturePhase::kMotion);
+  ShowUpTo(white.index);
+  EXPECT_FALSE(witness_.CheckWhite(white).has_value());
+  Show(white, See(white.pattern, 0.85));
+  ASSERT_TRUE(witness_.CheckWhite(white).has_value());
+  EXPECT_EQ(witness_.CheckWhite(white)->kind, FindingKind::kLamp);
+  Image<uint16_t> moved = See(white.pattern);
+  for (int y = 0; y < moved.height(); ++y)
+    for (int x = 0; x < 40; ++x) moved(x, y) = static_cast<uint16_t>(64 + (moved(x, y) - 64) * 9 / 10);
+  Show(white, moved);
+  ASSERT_TRUE(witness_.CheckWhite(white).has_value());
+  EXPECT_EQ(witness_.CheckWhite(white)->kind, FindingKind::kMoved);
 }
 
 }  // namespace

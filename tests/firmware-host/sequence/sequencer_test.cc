@@ -581,11 +581,11 @@ TEST_F(SequencerTest, TheOnTimeLimitEndsTheCapture) {
   EXPECT_THAT(report.Reasons().front(), HasSubstr("on for as long as it may be"));
 }
 
-TEST_F(SequencerTest, ADriftingLampBreaksTheSumOfTheComb) {
+TEST_F(SequencerTest, ADriftingLampIsNamed) {
   rig_.lamp_drift = 0.003;
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kDegraded);
-  EXPECT_THAT(report.Reasons(), Contains(HasSubstr("adds up to")));
+  EXPECT_THAT(report.Reasons(), Contains(HasSubstr("of the reference's light")));
 }
 
 TEST_F(SequencerTest, OnlyTheProjectorOfTheStepIsLit) {
