@@ -70,6 +70,16 @@ VisitTiming TimingOf(const RigConfig& config) {
   return timing;
 }
 
+VisitTiming TimingOf(const RigConfig& config, const RigTiming& simulated) {
+  VisitTiming timing;
+  timing.settle = FromMilliseconds(config.settle_ms);
+  timing.camera = CameraTimingOf(simulated, CameraTimingOf(config.camera));
+  timing.sync_delay = FromMilliseconds(simulated.sync_delay_ms);
+  timing.transfer = FromMilliseconds(simulated.shutter_delay_ms + simulated.readout_ms);  // after the planned end
+  timing.frame_period = FromMilliseconds(simulated.frame_period_ms);
+  return timing;
+}
+
 std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing) {
   std::string text = " step  projector  phase           exposure  pattern\n";
   char line[160];

@@ -7,12 +7,15 @@
 
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/sequence/visit_time.h"
+#include "firmware-host/simulated/device_options.h"
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::rig {
 
 [[nodiscard]] VisitTiming TimingOf(const RigConfig& config);
+// Of a capture on the simulated rig: its devices' timing in place of the configured one.
+[[nodiscard]] VisitTiming TimingOf(const RigConfig& config, const RigTiming& simulated);
 
 // A table for people: one line a step, then frames and duration.
 [[nodiscard]] std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing);

@@ -64,6 +64,7 @@ Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5
 constexpr const char* kPlanExamples = R"(Examples:
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration
+  stratalux-rig plan show --simulate=docs/examples/scenes/overlapped.toml
   stratalux-rig plan render --out patterns)";
 constexpr const char* kSafeExamples = R"(Examples:
   stratalux-rig safe
@@ -308,11 +309,17 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   if (!config.ok()) return Report(config.status());
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   if (!plan.ok()) return Report(plan.status());
+  VisitTiming timing = TimingOf(*config);
   if (render.parsed()) {
-    const Status status = RenderPlan(*plan, TimingOf(*config), flags.out);
+    const Status status = RenderPlan(*plan, timing, flags.out);
     return status.ok() ? 0 : Report(status);
   }
-  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, TimingOf(*config)));
+  if (!flags.scene.empty()) {
+    const Result<Simulation> simulation = LoadSimulation(flags.scene);
+    if (!simulation.ok()) return Report(simulation.status());
+    timing = TimingOf(*config, simulation->devices.timing);
+  }
+  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing));
 }
 
 // It must work when all else is broken: the lights of the last rig that was opened go off, and those of the
@@ -345,14 +352,18 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
                      "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
 }
 
-void AddSimulationFlags(CLI::App& command, Flags& flags) {
+void AddSimulate(CLI::App& command, Flags& flags, const std::string& what) {
   command
-      .add_option(
-          "--simulate", flags.scene,
-          "use the simulated rig; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-          "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab")
+      .add_option("--simulate", flags.scene,
+                  what +
+                      "; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
+                      "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab")
       ->expected(0, 1)
       ->default_str("head");
+}
+
+void AddSimulationFlags(CLI::App& command, Flags& flags) {
+  AddSimulate(command, flags, "use the simulated rig");
   command.add_option("--fault", flags.faults,
                      "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
   command
@@ -446,6 +457,7 @@ int Main(int argc, char** argv) {
   plan->footer(kPlanExamples);
   CLI::App* show = plan->add_subcommand("show", "List the steps");
   AddPlanFlags(*show, flags);
+  AddSimulate(*show, flags, "reckon with the timing of the simulated rig, not with the configuration's devices");
   show->add_flag("--json", flags.json, "print JSON");
   show->add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");

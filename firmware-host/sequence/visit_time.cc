@@ -2,6 +2,9 @@
 #include "firmware-host/sequence/visit_time.h"
 
 #include <algorithm>
+#include <optional>
+
+#include "shared/units/time.h"
 
 #include "shared/units/time.h"
 
@@ -20,31 +23,77 @@ nanoseconds OfStreamStep(const PlanStep& step, const VisitTiming& t) {
   return period * ((whole + period - nanoseconds(1)) / period);
 }
 
-// From the camera's trigger to that of the next step.
-nanoseconds ToNext(const PlanStep& step, const VisitTiming& t) {
-  const nanoseconds shown = ExposureOf(step) + t.camera.exposure_margin + t.sync_delay + t.settle;
-  const bool serial = t.camera.read_out == ReadOut::kSerial;
-  return std::max({shown, t.camera.min_frame_period, serial ? ExposureOf(step) + t.transfer : nanoseconds(0)});
+bool OfSweep(const PlanStep& step) { return step.phase == CapturePhase::kSweep || step.phase == CapturePhase::kMotion; }
+
+// Whether `step` is shown while the frame of `before` is read out.
+bool Follows(const PlanStep& step, const PlanStep& before, bool sweep_begun) {
+  return step.projector >= 0 && step.projector == before.projector && step.exposure_ms == before.exposure_ms &&
+         (sweep_begun || !OfSweep(step));
+}
+
+// The clock of a triggered capture.
+class TriggeredClock {
+ public:
+  explicit TriggeredClock(const VisitTiming& timing) : t_(timing) {}
+
+  void Shoot(const PlanStep& step) {
+    if (exposed_) PassTo(exposed_->end);
+    const nanoseconds sync = now_ + t_.sync_delay;
+    PassTo(sync);
+    if (t_.camera.read_out == ReadOut::kSerial) Collect();
+    PassTo(std::max(sync + t_.settle, triggered_ ? *triggered_ + t_.camera.min_frame_period : nanoseconds(0)));
+    triggered_ = now_;
+    Collect();
+    const nanoseconds exposed = *triggered_ + ExposureOf(step);
+    exposed_ = {exposed + t_.camera.exposure_margin, exposed + t_.transfer};
+  }
+
+  // The frame under way comes before anything else happens.
+  void Finish() {
+    if (exposed_) PassTo(exposed_->end);
+    Collect();
+  }
+
+  [[nodiscard]] nanoseconds now() const { return now_; }
+
+ private:
+  struct Exposure {
+    nanoseconds end, frame;  // when the projector may step on, when the frame is here
+  };
+
+  void PassTo(nanoseconds time) { now_ = std::max(now_, time); }
+  void Collect() {
+    if (exposed_) PassTo(exposed_->frame);
+    exposed_.reset();
+  }
+
+  const VisitTiming& t_;
+  nanoseconds now_ = nanoseconds(0);
+  std::optional<nanoseconds> triggered_;
+  std::optional<Exposure> exposed_;
+};
+
+nanoseconds OfTriggered(const CapturePlan& plan, const VisitTiming& timing) {
+  TriggeredClock clock(timing);
+  const PlanStep* before = nullptr;
+  bool sweep_begun = false;
+  for (const PlanStep& step : plan.steps) {
+    if (before != nullptr && before->projector != step.projector) sweep_begun = false;
+    if (before != nullptr && !Follows(step, *before, sweep_begun)) clock.Finish();
+    clock.Shoot(step);
+    sweep_begun = sweep_begun || OfSweep(step);
+    before = &step;
+  }
+  clock.Finish();
+  return clock.now();
 }
 
 }  // namespace
 
 nanoseconds VisitTime(const CapturePlan& plan, const VisitTiming& timing) {
+  if (plan.options.sync_mode == SyncMode::kTriggered) return OfTriggered(plan, timing);
   nanoseconds sum(0);
-  for (size_t i = 0; i < plan.steps.size(); ++i) {
-    const PlanStep& step = plan.steps[i];
-    if (plan.options.sync_mode == SyncMode::kFreeRunning) {
-      sum += OfStreamStep(step, timing);
-      continue;
-    }
-    const bool goes_on = i + 1 < plan.steps.size() && step.projector >= 0 &&
-                         plan.steps[i + 1].projector == step.projector &&
-                         plan.steps[i + 1].exposure_ms == step.exposure_ms;
-    const bool follows = i > 0 && step.projector >= 0 && plan.steps[i - 1].projector == step.projector &&
-                         plan.steps[i - 1].exposure_ms == step.exposure_ms;
-    if (!follows) sum += timing.sync_delay + timing.settle;
-    sum += goes_on ? ToNext(step, timing) : ExposureOf(step) + timing.transfer;
-  }
+  for (const PlanStep& step : plan.steps) sum += OfStreamStep(step, timing);
   return sum;
 }
 

@@ -19,8 +19,9 @@ struct VisitTiming {
       std::chrono::nanoseconds(0);  // of a free-running camera; 0: as fast as it can
 };
 
-// Nothing shot again. As the sequencer goes about it: markers one by one; a projector's steps while the last frame is
-// read out, except where the exposure changes.
+// Nothing shot again, and what the computer does for a frame done while the next one is exposed. Step by step as the
+// sequencer goes about it: markers one by one; a projector's steps while the last frame is read out, except where the
+// exposure changes and before the sweep, whose judges, the codes, are settled first.
 [[nodiscard]] std::chrono::nanoseconds VisitTime(const CapturePlan& plan, const VisitTiming& timing);
 
 }  // namespace stratalux::rig

@@ -147,9 +147,7 @@ SequencerOptions CaptureStation::SequencerOptionsFor() const {
   double saturation_dn = config.camera.saturation_dn, read_noise_dn = config.camera.read_noise_dn;
   options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
   if (rig_.simulation) {
-    const RigTiming& timing = rig_.simulation->timing();
-    options.shooter.camera.read_out = timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial;
-    options.shooter.camera.min_frame_period = FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms));
+    options.shooter.camera = CameraTimingOf(rig_.simulation->timing(), options.shooter.camera);
     const CameraCalibration& camera = rig_.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
     read_noise_dn = options_.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;

@@ -6,6 +6,7 @@
 #include <string_view>
 
 #include "shared/config/toml_reader.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 namespace {
@@ -72,6 +73,11 @@ Status ReadProjector(TomlTable t, ProjectorOptics& projector) {
 }
 
 }  // namespace
+
+CameraTiming CameraTimingOf(const RigTiming& timing, const CameraTiming& configured) {
+  return {timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial, configured.exposure_margin,
+          FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms))};
+}
 
 Result<DeviceOptions> ReadDevices(TomlTable& root) {
   DeviceOptions devices;

@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "firmware-host/camera/camera_timing.h"
 #include "shared/base/result.h"
 #include "shared/image/pixel_format.h"
 
@@ -75,6 +76,9 @@ struct RigTiming {
   // Of a free-running camera; at least exposure and read-out, else these set the pace.
   double frame_period_ms = 33.3;
 };
+
+// How soon the camera of that timing can be triggered again; what else the sequencer keeps to is as `configured`.
+[[nodiscard]] CameraTiming CameraTimingOf(const RigTiming& timing, const CameraTiming& configured);
 
 struct DeviceOptions {
   CameraElectronics camera;

@@ -161,10 +161,10 @@ TEST_F(RebuildTest, APlannedStepWithoutAFrameIsMissed) {
 // The fourth mutant of its third, and the fifth: right hashes, wrong values.
 TEST_F(RebuildTest, ASessionOfTheNextVersionIsNotListedAndTheOthersAre) {
   const std::string first = StoreSession(3), newer = StoreSession(3), last = StoreSession(3);
-  ForgeHeaders(Segment(newer), [](FrameHeader& h) { h.phase = h.frame == 1 ? 9 : h.phase; });
+  ForgeHeaders(Segment(newer), [](FrameHeader& h) { h.phase = h.frame == 1 ? 10 : h.phase; });
   const auto before = Segments();
   EXPECT_EQ(Command("reindex"), 7);
-  EXPECT_THAT(Said(), AllOf(HasSubstr("2 sessions"), HasSubstr(newer), HasSubstr("phase 9"), HasSubstr("newer")));
+  EXPECT_THAT(Said(), AllOf(HasSubstr("2 sessions"), HasSubstr(newer), HasSubstr("phase 10"), HasSubstr("newer")));
   ExpectReadable(first, 3);
   ExpectReadable(last, 3);
   EXPECT_EQ(OpenStore(AccessMode::kReadOnly).FindSession(newer).status().code(), StatusCode::kNotFound);

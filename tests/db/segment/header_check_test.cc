@@ -37,7 +37,7 @@ TEST(CheckHeader, TakesWhatWritersWrite) {
 }
 
 TEST(CheckHeader, ValuesOfTheNextVersionAreSaidToBeNewer) {
-  const Case cases[] = {{"phase", [](FrameHeader& h) { h.phase = 9; }},
+  const Case cases[] = {{"phase", [](FrameHeader& h) { h.phase = 10; }},
                         {"format", [](FrameHeader& h) { h.format = 5; }},
                         {"colour filter array", [](FrameHeader& h) { h.cfa = 5; }},
                         {"codec", [](FrameHeader& h) { h.codec = 6; }},

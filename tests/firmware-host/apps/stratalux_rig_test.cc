@@ -166,10 +166,19 @@ TEST(StrataluxRig, HelpShowsExamples) {
   EXPECT_THAT(outcome.out, HasSubstr("stratalux-rig capture --simulate --store store"));
 }
 
-TEST(StrataluxRig, ThePlanHas492Frames) {
+TEST(StrataluxRig, ThePlanHas500Frames) {
   const Outcome outcome = Rig("plan show");
   EXPECT_EQ(outcome.code, 0);
-  EXPECT_THAT(outcome.out, HasSubstr("492 frames"));
+  EXPECT_THAT(outcome.out, HasSubstr("500 frames"));
+}
+
+TEST(StrataluxRig, PlanShowReckonsWithTheSimulatedRigWhereThatIsAskedFor) {
+  const std::string scene = "--simulate=" STRATALUX_SOURCE_DIR "/docs/examples/scenes/overlapped.toml";
+  EXPECT_THAT(Rig("plan show").out, HasSubstr("serial read-out"));
+  EXPECT_THAT(Rig("plan show " + scene).out, HasSubstr("overlapped read-out"));
+  const Outcome no_scene = Rig("plan show --simulate=/no/such/scene.toml");
+  EXPECT_EQ(no_scene.code, 2) << no_scene.out;
+  EXPECT_THAT(no_scene.out, HasSubstr("/no/such/scene.toml"));
 }
 
 }  // namespace
