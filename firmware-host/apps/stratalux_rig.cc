@@ -216,6 +216,8 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   if (flags.sign) config.store.sign = true;
   if (!flags.scene.empty()) {
     SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags, config));
+    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(flags.scene));
+    job.timing = TimingOf(config, simulation.devices.timing);
   }
   return job;
 }

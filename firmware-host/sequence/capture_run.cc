@@ -95,6 +95,10 @@ void CaptureRun::NoteFault(int step, ShotFault fault) {
 
 Status CaptureRun::Add(Finding finding) {
   report_.findings.push_back(finding);
+  return Tell(finding);
+}
+
+Status CaptureRun::Tell(const Finding& finding) {
   if (Status ended = observer_.OnFinding(finding); !ended.ok())
     return EndFor({FindingKind::kStopped, finding.projector, finding.step, 0.0, 0.0, ended.message()});
   return Status::Ok();

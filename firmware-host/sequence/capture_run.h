@@ -71,8 +71,10 @@ class CaptureRun {
   Status EndFor(Finding why);
   // A shot of the step that does not count.
   void NoteFault(int step, ShotFault fault);
-  // Among the report's; the observer may end the capture for it.
+  // Among the report's, and told.
   Status Add(Finding finding);
+  // The observer may end the capture for it.
+  Status Tell(const Finding& finding);
   [[nodiscard]] Status WhyDark(const Status& light) const;
   [[nodiscard]] bool RetriesLeft(int step) const {
     const auto found = retries_.find(step);

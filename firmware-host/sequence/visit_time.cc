@@ -2,9 +2,6 @@
 #include "firmware-host/sequence/visit_time.h"
 
 #include <algorithm>
-#include <optional>
-
-#include "shared/units/time.h"
 
 #include "shared/units/time.h"
 
@@ -37,40 +34,38 @@ class TriggeredClock {
   explicit TriggeredClock(const VisitTiming& timing) : t_(timing) {}
 
   void Shoot(const PlanStep& step) {
-    if (exposed_) PassTo(exposed_->end);
+    PassTo(end_);
     const nanoseconds sync = now_ + t_.sync_delay;
     PassTo(sync);
     if (t_.camera.read_out == ReadOut::kSerial) Collect();
-    PassTo(std::max(sync + t_.settle, triggered_ ? *triggered_ + t_.camera.min_frame_period : nanoseconds(0)));
-    triggered_ = now_;
+    PassTo(std::max(sync + t_.settle, next_trigger_));
+    const nanoseconds exposed = now_ + ExposureOf(step);
+    next_trigger_ = now_ + t_.camera.min_frame_period;
     Collect();
-    const nanoseconds exposed = *triggered_ + ExposureOf(step);
-    exposed_ = {exposed + t_.camera.exposure_margin, exposed + t_.transfer};
+    end_ = exposed + t_.camera.exposure_margin;
+    frame_ = exposed + t_.transfer;
   }
 
   // The frame under way comes before anything else happens.
   void Finish() {
-    if (exposed_) PassTo(exposed_->end);
+    PassTo(end_);
     Collect();
   }
 
   [[nodiscard]] nanoseconds now() const { return now_; }
 
  private:
-  struct Exposure {
-    nanoseconds end, frame;  // when the projector may step on, when the frame is here
-  };
-
   void PassTo(nanoseconds time) { now_ = std::max(now_, time); }
   void Collect() {
-    if (exposed_) PassTo(exposed_->frame);
-    exposed_.reset();
+    PassTo(frame_);
+    end_ = now_;
   }
 
   const VisitTiming& t_;
   nanoseconds now_ = nanoseconds(0);
-  std::optional<nanoseconds> triggered_;
-  std::optional<Exposure> exposed_;
+  nanoseconds next_trigger_ = nanoseconds(0);  // not before
+  // Of the last exposure: when the projector may step on, when the frame is here.
+  nanoseconds end_ = nanoseconds(0), frame_ = nanoseconds(0);
 };
 
 nanoseconds OfTriggered(const CapturePlan& plan, const VisitTiming& timing) {
