@@ -124,8 +124,9 @@ void AddCell(const CombCycle& cycle, const std::vector<size_t>& probes, const Mo
                    {1.0, slope.at[1], slope.at[2]}});
 }
 
-std::vector<Excess> ExcessOfAll(const CombCycle& cycle, const std::vector<size_t>& known,
-                                const MotionOptions& options) {
+// `slope`: rms of the projector position's change from camera pixel to camera pixel, px.
+std::vector<Excess> ExcessOfAll(const CombCycle& cycle, const std::vector<size_t>& known, const MotionOptions& options,
+                                double& slope) {
   std::map<std::pair<int, int>, std::vector<size_t>> cells;
   for (const size_t i : known) cells[{cycle.y[i] / options.cell, cycle.x[i] / options.cell}].push_back(i);
   std::vector<Excess> all;
@@ -136,6 +137,7 @@ std::vector<Excess> ExcessOfAll(const CombCycle& cycle, const std::vector<size_t
   for (const Excess& e : all) squares += e.effect.tail<2>().squaredNorm();
   const double rms = std::sqrt(squares / std::max(1.0, static_cast<double>(all.size()))) + 1e-9;
   for (Excess& e : all) e.effect.tail<2>() /= rms;
+  slope = rms / cycle.pitch;
   return all;
 }
 
@@ -184,7 +186,9 @@ std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<b
                                      const MotionOptions& options) {
   const std::vector<size_t> known = KnownProbes(cycle);
   if (known.size() < kFewestProbes || cycle.frames < 2 * options.near_frames + 1 + kFewestFar) return std::nullopt;
-  const std::vector<Excess> all = ExcessOfAll(cycle, known, options);
+  double slope = 0.0;
+  const std::vector<Excess> all = ExcessOfAll(cycle, known, options, slope);
+  const double limit = slope > options.coarse_px ? options.largest_still_score_coarse : options.largest_still_score;
   if (all.size() < kFewestProbes) return std::nullopt;
   // A frame of another light spoils what the probes have that a line passes next to it.
   constexpr int kReach = 3;
@@ -204,8 +208,9 @@ std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<b
     if (stretch.size() < kFewestInCell) continue;
     const Fit fit = FitStretch(stretch, options);
     const int middle = first + options.stretch / 2;
-    if (!begin && fit.score > options.largest_still_score) begin = middle;
-    if (!most || fit.score > most->score) most = {fit.score, fit.change, middle};
+    if (!begin && fit.score > limit) begin = middle;
+    if (!most || fit.score > most->score)
+      most = {.limit = limit, .score = fit.score, .change = fit.change, .frame = middle};
   }
   if (most && begin) most->frame = *begin;
   return most;

@@ -26,6 +26,7 @@ struct CombCycle {
   std::vector<int> passed_in;   // frame whose line passes it; -1: not known
   std::vector<int> position;    // of the projector along the comb's axis, px
   std::vector<int> x, y;        // in the lattice
+  int pitch = 1;                // camera pixels from probe to probe
 };
 
 // Light of each frame over what the whole cycle's mean passage says of the probes that it meets; about 1, and on uneven
@@ -36,13 +37,17 @@ struct MotionOptions {
   int near_frames = 9;              // to both sides of the passage; must hold what blur and footprint spread
   int stretch = 3;                  // frames fitted together
   int cell = 10;                    // probes a side
-  double uneven_light = 0.02;       // of L, of all probes of a stretch alike: a lamp that flickers is no motion
-  double uneven_slope = 0.005;      // of L, as the rms slope gives it: what a still scene's shape does
+  double uneven_light = 0.01;       // of L, of all probes of a stretch alike: a lamp that flickers is no motion
+  double uneven_slope = 0.001;      // of L, as the rms slope gives it: what a still scene's shape does
   double model_error = 0.02;        // of L, of one probe
-  double largest_still_score = 40;  // of still captures at most 18, in 0.5 mm out and back 100 and more
+  double largest_still_score = 20;  // at 464x348 camera pixels: of 16 still captures at most 6, of 8 sways at least 51
+  // A camera that mixes more than `coarse_px` of the projector in a pixel reads its finest codes badly, and where lines
+  // pass with them: at 232x174 pixels, still captures reach 38.
+  double coarse_px = 3.0, largest_still_score_coarse = 45;
 };
 
 struct CombMotion {
+  double limit = 0.0;   // of the score of a subject that holds still
   double score = 0.0;   // the largest of all stretches
   double change = 0.0;  // rms of the fitted gain and loss of that stretch's probes, of their white
   int frame = 0;        // in the middle of the first stretch that is too much; where none is, of the largest

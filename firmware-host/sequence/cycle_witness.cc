@@ -89,6 +89,7 @@ CombCycle PatternWitness::CycleOf(PatternAxis axis, const std::vector<int>& step
   const std::vector<int>& position = axis == PatternAxis::kColumns ? at.column : at.row;
   const std::vector<double> black = MeanBlack();
   CombCycle cycle;
+  cycle.pitch = lattice_.pitch();
   cycle.frames = static_cast<int>(steps.size());
   cycle.level.resize(steps.size());
   cycle.variance.resize(steps.size());
@@ -143,9 +144,9 @@ void PatternWitness::CheckCycle(PatternAxis axis, std::vector<Finding>& findings
   // Under a lamp that changed meanwhile, neighbours differ by when their line passed.
   if (Has(findings, FindingKind::kLamp)) return;
   const auto motion = FindMotion(cycle, spoilt, options_.motion);
-  const double limit = options_.motion.largest_still_score;
-  if (motion && motion->score > limit)
-    found(FindingKind::kMoved, motion->frame, motion->change, motion->change * std::sqrt(limit / motion->score));
+  if (motion && motion->score > motion->limit)
+    found(FindingKind::kMoved, motion->frame, motion->change,
+          motion->change * std::sqrt(motion->limit / motion->score));
 }
 
 std::vector<Finding> PatternWitness::CheckProjector() {

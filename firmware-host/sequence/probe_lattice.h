@@ -28,6 +28,7 @@ class ProbeLattice {
 
   [[nodiscard]] Probes Sample(const Image<uint16_t>& pixels) const;
   [[nodiscard]] size_t size() const { return static_cast<size_t>(columns_) * rows_; }
+  [[nodiscard]] int pitch() const { return pitch_; }  // camera pixels from probe to probe
   // Probes a row: probe i + 1 stands beside i, probe i + columns() below it.
   [[nodiscard]] int columns() const { return columns_; }
   [[nodiscard]] int BandOf(int probe) const { return band_[probe]; }

@@ -48,6 +48,7 @@ Result<CapturePlan> PlanOfOne(int projector) {
 Result<std::unique_ptr<MotionRig>> MotionRig::Create(const MotionRigOptions& options) {
   std::unique_ptr<MotionRig> made(new MotionRig);
   SLX_ASSIGN_OR_RETURN(made->plan_, PlanOfOne(options.projector));
+  made->witness_ = options.witness;
   SimulatedRigOptions rig;
   rig.seed = options.seed;
   rig.scene = options.scene;
@@ -69,6 +70,7 @@ bool MotionCapture::Says(FindingKind kind) const {
 Result<MotionCapture> MotionRig::Capture() {
   LastFrames frames;
   SequencerOptions options;
+  options.witness = witness_;
   options.witness.gain_e_per_dn = rig_->calibration().camera.gain_e_per_dn;
   options.witness.read_noise_dn = rig_->calibration().camera.read_noise_dn;
   options.shooter.wait = [this](std::chrono::nanoseconds time) { rig_->Sleep(time); };

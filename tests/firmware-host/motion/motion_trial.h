@@ -17,7 +17,8 @@ struct MotionRigOptions {
   int projector = 0;  // the one that is captured; the rig has four
   std::string scene = "head";
   bool scattering = true;
-  int camera_width = 232, camera_height = 174;  // the projectors have their full size
+  int camera_width = 464, camera_height = 348;  // the projectors have their full size
+  WitnessOptions witness;                       // gain and read noise are the camera's
   FaultOptions faults;                          // exposures are counted from the first capture's reference on
 };
 
@@ -45,6 +46,7 @@ class MotionRig {
   MotionRig() = default;
   Logger logger_{LogLevel::kError};
   CapturePlan plan_;
+  WitnessOptions witness_;
   StopToken stop_;
   std::unique_ptr<SimulatedRig> rig_;
   std::unique_ptr<LightGuard> light_;

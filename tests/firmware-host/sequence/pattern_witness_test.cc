@@ -166,7 +166,7 @@ TEST_F(WitnessTest, ACombInAnothersPlaceIsMixedUpThoughTheMeanAddsUp) {
     Show(step, See(shown));
   }
   const std::vector<Finding> findings = witness_.CheckProjector();
-  ASSERT_EQ(findings.size(), 1U);
+  ASSERT_EQ(findings.size(), 1U) << ::testing::PrintToString(ToText(findings));
   EXPECT_EQ(findings[0].kind, FindingKind::kMixedUp);
   EXPECT_EQ(findings[0].step, wrong);
 }
