@@ -46,6 +46,16 @@ TEST(Faults, TextAndTablesAreReadAndWrongOnesNamed) {
   ASSERT_TRUE(faults.ok() && root->Finish().ok());
   EXPECT_EQ(faults->script[0].kind, FaultKind::kEdgeLost);
   EXPECT_EQ(faults->kinds[0], FaultKind::kFrameLost);
+  auto sway = TomlTable::ParseText(
+      "[[fault]]\nkind = \"subject_swayed\"\nat = 3\ncount = 9\nvalue = 0.5\nalong = [0, 0, 2]\n", "f.toml");
+  const auto swayed = ReadFaults(*sway);
+  ASSERT_TRUE(swayed.ok() && sway->Finish().ok());
+  EXPECT_EQ(swayed->script[0].along, (std::array<double, 3>{0, 0, 2}));
+  for (const char* wrong : {"[0, 0, 0]", "[1, 2]"}) {
+    auto nowhere = TomlTable::ParseText(
+        "[[fault]]\nkind = \"subject_swayed\"\nat = 3\nalong = " + std::string(wrong) + "\n", "f.toml");
+    EXPECT_EQ(ReadFaults(*nowhere).status().code(), StatusCode::kUsage) << wrong;
+  }
   auto unknown = TomlTable::ParseText("[[fault]]\nkind = \"gremlin\"\nat = 3\n", "f.toml");
   EXPECT_THAT(ReadFaults(*unknown).status().message(), ::testing::HasSubstr("f.toml:2"));
 }

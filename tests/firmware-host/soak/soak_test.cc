@@ -60,8 +60,11 @@ TEST_P(Soak, NoFaultPassesOffAFrameForAnother) {
       EXPECT_EQ(capture.injected[0].number, place);
       const bool ends = kind == FaultKind::kCameraGone || kind >= FaultKind::kLinesGone;
       const bool lasts = kind == FaultKind::kSubjectMoved || kind == FaultKind::kLampDrift;
+      const bool passes = kind == FaultKind::kSubjectSwayed || kind == FaultKind::kLampBlink;
       if (ends) {
         EXPECT_EQ(capture.report.status, SessionStatus::kFailed) << ToString(kind);
+      } else if (passes) {  // whether it is seen at this size depends on the step; nothing is lost by it
+        EXPECT_NE(capture.report.status, SessionStatus::kFailed) << ToString(kind) << " at " << place;
       } else if (lasts) {
         // During the pre-roll, one that is shot again after the change is sound.
         if (place > 8) {
