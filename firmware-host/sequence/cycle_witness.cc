@@ -130,17 +130,17 @@ void PatternWitness::CheckCycle(PatternAxis axis, std::vector<Finding>& findings
   if (std::abs(whites - 1.0) > options_.steady_tolerance && !Has(findings, FindingKind::kLamp))
     found(FindingKind::kLamp, -1, whites, options_.steady_tolerance);
   const std::vector<double> gain = FrameGains(cycle);
+  if (gain.empty()) return;
+  // A comb in another's place lights other probes, so its light says nothing of the lamp.
+  const auto missing = FindMissingComb(cycle, gain);
+  if (missing) found(FindingKind::kMixedUp, missing->frame, missing->sum, missing->limit);
   std::vector<bool> spoilt(gain.size());
   for (int k = 0; k < static_cast<int>(gain.size()); ++k) {
     const double light = gain[k] / std::max(1e-9, GainBeside(gain, k));
-    spoilt[k] = std::abs(light - 1.0) > options_.blink_tolerance;
+    spoilt[k] = std::abs(light - 1.0) > options_.blink_tolerance && !(missing && missing->frame == k);
     if (spoilt[k]) found(FindingKind::kBlink, k, light, options_.blink_tolerance);
   }
-  if (gain.empty()) return;
-  if (const auto missing = FindMissingComb(cycle, gain)) {
-    found(FindingKind::kMixedUp, missing->frame, missing->sum, missing->limit);
-    return;
-  }
+  if (missing) return;
   // Under a lamp that changed meanwhile, neighbours differ by when their line passed.
   if (Has(findings, FindingKind::kLamp)) return;
   const auto motion = FindMotion(cycle, spoilt, options_.motion);
