@@ -1,21 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/holdout.h"
 
+#include "fitter/pipeline/heldout_takes.h"
 #include "fitter/pipeline/measured_surface.h"
 
 namespace stratalux::fit {
 namespace {
-
-Pattern PatternOf(const std::string& light, const PlanOptions& o) {
-  if (light == "stripe")
-    return {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0};
-  if (light == "spot") return {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius};
-  return {.kind = PatternKind::kWhite};
-}
-
-CapturePhase PhaseOf(const std::string& light) {
-  return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
-}
 
 Image<float> Sum(const Image<float>& a, const Image<float>& b) {
   Image<float> sum = a;
@@ -57,8 +47,8 @@ Result<std::vector<LightComparison>> CompareHeldOut(const HoldOutInput& in, cons
                      rho_trained = SurfaceReflectance(*models[0].map, in.surface, lit.light, in.pool);
   std::vector<LightComparison> comparisons;
   for (const std::string& light : lights) {
-    const Pattern pattern = PatternOf(light, plan);
-    SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.Read(in.projector, PhaseOf(light), pattern));
+    const Pattern pattern = HeldOutPattern(light, plan);
+    SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.Read(in.projector, HeldOutPhase(light), pattern));
     const Image<float> variance = QuadVariance(raw, rig.camera);
     const LitPyramid pyramid = LightWith(lit, pattern, open);
     LightComparison comparison{light, QuadSignal(raw, dark, rig.camera), {}, {}, {}, {}};
