@@ -114,12 +114,6 @@ TEST_F(VisitTimeTest, AStreamGoesInWholePeriods) {
   ExpectTold("free running");
 }
 
-TEST_F(VisitTimeTest, ChangesOfExposureAreShotOneByOne) {
-  config_.plan.comb_period = 32;
-  config_.plan.brackets = {1.0, 2.0};
-  ExpectTold("brackets");
-}
-
 TEST_F(VisitTimeTest, TwoLostFramesCostLittleBeyondTheMemorysSteps) {
   timing_.memory_reset_ms = 50.0;
   timing_.memory_step_ms = 4.0;
