@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/sequence/capture_report.h"
 
+#include <cmath>
+
 namespace stratalux::rig {
 
 const char* ToString(ShotFault fault) {
@@ -13,6 +15,9 @@ const char* ToString(ShotFault fault) {
 
 CaptureFindings CaptureReport::Found() const {
   CaptureFindings found{findings, {}};
+  for (Finding& finding : found.findings)
+    for (double* figure : {&finding.value, &finding.limit})
+      if (!std::isfinite(*figure)) *figure = 0.0;
   for (int i = 1; i < kShotFaultCount; ++i)
     if (faults[i] > 0) found.faults[ToString(static_cast<ShotFault>(i))] = faults[i];
   return found;

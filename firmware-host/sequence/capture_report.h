@@ -44,7 +44,8 @@ struct CaptureReport {
 
   [[nodiscard]] int Count(ShotFault fault) const { return faults[static_cast<size_t>(fault)]; }
   void Note(ShotFault fault) { ++faults[static_cast<size_t>(fault)]; }
-  // The findings, and the faults that happened by their names.
+  // The findings, and the faults that happened by their names. A figure that is not finite becomes 0: the store takes
+  // none, and would not seal the session.
   [[nodiscard]] CaptureFindings Found() const;
   // The findings for people.
   [[nodiscard]] std::vector<std::string> Reasons() const { return ToText(findings); }
