@@ -61,7 +61,8 @@ std::string OutcomeAsText(const CaptureOutcome& outcome) {
 
 std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   const CaptureReport& r = outcome.report;
-  const CaptureFindings found = r.Found();
+  CaptureFindings found = r.Found();
+  found.findings.insert(found.findings.end(), outcome.prescan.begin(), outcome.prescan.end());
   Json injected = Json::array();
   for (const InjectedFault& fault : outcome.injected)
     injected.push_back({{"kind", ToString(fault.kind)}, {"number", fault.number}, {"seconds", fault.seconds}});

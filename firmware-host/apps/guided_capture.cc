@@ -58,14 +58,14 @@ struct Attempt {
   }
 };
 
-Result<Attempt> CapturePose(CaptureStation& station, const CaptureJob& job, int pose, Logger& logger) {
-  CaptureRequest request = job.request;
-  request.board_pose = pose;
-  if (const auto& simulated = job.station.simulated)
-    SLX_RETURN_IF_ERROR(station.SetSubject({simulated->scene, simulated->seed, pose, false}));
+Result<Attempt> CapturePose(CaptureJob job, int pose, int number, StopToken& stop, Logger& logger) {
+  job.request.board_pose = pose;
+  job.request.attempt = number;
+  if (job.station.simulated) job.station.simulated->board_pose = pose;
+  SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
   BoardWatch watch(BoardOptions(job.station.config));
   Attempt attempt;
-  SLX_ASSIGN_OR_RETURN(attempt.capture, CaptureWithProgress(station, request, logger, &watch));
+  SLX_ASSIGN_OR_RETURN(attempt.capture, CaptureWithProgress(*station, job.request, logger, &watch));
   attempt.sighting = watch.Judge();
   return attempt;
 }
@@ -100,12 +100,14 @@ std::string Reasons(const CaptureOutcome& capture) {
 
 // Captures one pose until it is usable. Else than kGo: the operator went back; the operator or a signal ended the
 // series.
-Result<Answer> CaptureUntilUsable(CaptureStation& station, const CaptureJob& job, const SeriesOptions& series,
-                                  const AskOperator& ask, StopToken& stop, Logger& logger, PoseOutcome& pose,
-                                  SeriesOutcome& outcome) {
+Result<Answer> CaptureUntilUsable(const CaptureJob& job, const SeriesOptions& series, const AskOperator& ask,
+                                  StopToken& stop, Logger& logger, PoseOutcome& pose, SeriesOutcome& outcome) {
   const std::string name = "pose " + std::to_string(pose.pose);
   while (pose.attempts < series.max_attempts) {
-    SLX_ASSIGN_OR_RETURN(auto attempt, CapturePose(station, job, pose.pose, logger));
+    Result<Attempt> captured = CapturePose(job, pose.pose, pose.attempts + 1, stop, logger);
+    // What was captured before is not lost to a stop between two captures.
+    if (!captured.ok() && stop.stopped()) return Answer::kQuit;
+    SLX_ASSIGN_OR_RETURN(Attempt attempt, std::move(captured));
     ++pose.attempts;
     pose.capture = std::move(attempt.capture);
     pose.notes = attempt.sighting.notes;
@@ -167,7 +169,7 @@ AskOperator AskOnTerminal(StopToken& stop, bool poses) {
 
 Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& series, const AskOperator& ask,
                                     StopToken& stop, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
+  SLX_RETURN_IF_ERROR(CaptureStation::MayBegin(job.station, job.request));
   SeriesOutcome outcome;
   outcome.projectors.resize(static_cast<size_t>(job.request.plan.projectors));
   outcome.first = series.first;
@@ -189,7 +191,7 @@ Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& 
       logger.Info(text);
     }
     SLX_ASSIGN_OR_RETURN(const Answer answer,
-                         CaptureUntilUsable(*station, job, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
+                         CaptureUntilUsable(job, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
     logger.Info(CoverageLine(outcome));
     if (answer == Answer::kQuit) return outcome;
     pose = answer == Answer::kBack ? std::max(series.first, pose - 1) : pose + 1;

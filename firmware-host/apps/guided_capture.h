@@ -46,8 +46,10 @@ struct SeriesOutcome {
   int end = 0;            // behind the last pose
 };
 
-// One session a pose, all with one opened rig. A pose that went wrong is captured again at once: after the operator
-// mended what is named, or, where nobody is asked (`ask` empty), if another try may go well. Fails as Capture does.
+// One session a pose, the rig opened for each: between them the operator's hands are in the box, and an open door or a
+// pressed E-STOP stops nobody who captures nothing. A pose that went wrong is captured again at once: after the
+// operator mended what is named, or, where nobody is asked (`ask` empty), if another try may go well. Fails as Capture
+// does.
 [[nodiscard]] Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& series,
                                                   const AskOperator& ask, StopToken& stop, Logger& logger);
 // One session: a board pose, or of kind dark, flat or response, looked at while it is captured: board_watch.h,

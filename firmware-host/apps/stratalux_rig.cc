@@ -81,7 +81,8 @@ struct Flags {
   std::optional<std::string> exposure;
   std::optional<double> settle_ms;
   std::string scene;
-  std::string visitor;
+  std::string visitor, visit;
+  int attempt = 0;
   std::string consent_scope, consent_text, consent_language;
   std::string retention = "standard";
   std::string out;
@@ -209,6 +210,8 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   job.timing = TimingOf(config);
   request.calibration = config.calibration;
   request.visitor = flags.visitor;
+  request.visit = flags.visit;
+  request.attempt = flags.attempt;
   request.board_pose = flags.board_pose;
   SLX_RETURN_IF_ERROR(ReadConsent(flags, request.consent));
   SLX_ASSIGN_OR_RETURN(request.retention, ParseRetention(flags.retention).WithContext("--retention"));
@@ -410,6 +413,8 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   capture->add_option(
       "--visitor", flags.visitor,
       "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the next three)");
+  capture->add_option("--visit", flags.visit, "name of the visit, which its attempts share; names nobody");
+  capture->add_option("--attempt", flags.attempt, "of the visit, from 1")->check(CLI::Range(1, 999));
   capture->add_option("--consent-scope", flags.consent_scope,
                       "what the visitor agrees to now: fit, research, publication, joined by commas");
   capture->add_option("--consent-text", flags.consent_text, "version of the text that was shown");

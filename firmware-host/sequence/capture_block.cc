@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The steps of one projector: shot one while the other is read out, judged, and shot again where they must be.
 #include <algorithm>
-#include <optional>
 #include <utility>
 
 #include "firmware-host/sequence/capture_run.h"
@@ -145,16 +144,12 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   last_verdict_ = verdict;
   if (verdict != LevelCheck::kFailed) {
     for (int step : group) wrong_level_.erase(step);
-    return Status::Ok();
+    return TellWhite(last);
   }
   NoteFault(last.index, ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
   memory_at_.reset();
-  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) {
-    // The rest of the projector's steps need not be waited for; the report has it at their end.
-    const std::optional<Finding> white = witness_.CheckWhite(last);
-    return white ? Tell(*white) : Status::Ok();
-  }
+  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) return TellWhite(last);
   if (RetakeReference(group)) return Status::Ok();
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
   for (int step : group) Retake(step, ShotFault::kWrongLevel);

@@ -25,7 +25,8 @@ class CaptureObserver {
   virtual void OnStepDone(const PlanStep& /*step*/) {}
   // Each frame on its way to the store, its verdict in level_check; steps shot again have several.
   virtual void OnFrame(const FrameRecord& /*record*/, const Image<uint16_t>& /*pixels*/) {}
-  // As it comes up: of a projector after its last step, of the session at its end.
+  // As it comes up: a motion white that differs at once, else of a projector after its last step, of the session at
+  // its end.
   virtual Status OnFinding(const Finding& /*finding*/) { return Status::Ok(); }
   // After the last frame: why the session is worth less than its proofs say (FindingKind::kWatch).
   [[nodiscard]] virtual std::vector<Finding> Objections() const { return {}; }

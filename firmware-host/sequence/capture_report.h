@@ -47,8 +47,8 @@ struct CaptureReport {
   // The findings, and the faults that happened by their names. A figure that is not finite becomes 0: the store takes
   // none, and would not seal the session.
   [[nodiscard]] CaptureFindings Found() const;
-  // The findings for people.
-  [[nodiscard]] std::vector<std::string> Reasons() const { return ToText(findings); }
+  // The same findings for people.
+  [[nodiscard]] std::vector<std::string> Reasons() const { return ToText(Found().findings); }
   // "lost frame 2, corrupt frame 1", empty when nothing went wrong.
   [[nodiscard]] std::string FaultSummary() const;
 };

@@ -94,8 +94,18 @@ void CaptureRun::NoteFault(int step, ShotFault fault) {
 }
 
 Status CaptureRun::Add(Finding finding) {
+  const bool told = finding.step >= 0 && told_whites_.contains(finding.step);
   report_.findings.push_back(finding);
-  return Tell(finding);
+  return told ? Status::Ok() : Tell(finding);
+}
+
+Status CaptureRun::TellWhite(const PlanStep& white) {
+  const std::optional<Finding> finding = witness_.CheckWhite(white);
+  if (!finding || !told_whites_.insert(white.index).second) return Status::Ok();
+  Status ended = Tell(*finding);
+  // The projector's own check, which adds it, is never come to.
+  if (!ended.ok()) report_.findings.push_back(*finding);
+  return ended;
 }
 
 Status CaptureRun::Tell(const Finding& finding) {

@@ -73,8 +73,10 @@ class CaptureRun {
   void NoteFault(int step, ShotFault fault);
   // Among the report's, and told.
   Status Add(Finding finding);
-  // The observer may end the capture for it.
+  // The observer may end the capture for it, which then is what the report says first.
   Status Tell(const Finding& finding);
+  // A motion white that will not be shot again: the rest of the projector's steps need not be waited for.
+  Status TellWhite(const PlanStep& white);
   [[nodiscard]] Status WhyDark(const Status& light) const;
   [[nodiscard]] bool RetriesLeft(int step) const {
     const auto found = retries_.find(step);
@@ -117,6 +119,7 @@ class CaptureRun {
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
   int useless_shots_ = 0;              // in a row
   std::set<int> seen_;                 // steps that were told to the observer as done
+  std::set<int> told_whites_;          // steps of motion whites whose finding the observer has
   std::optional<Finding> ended_for_;   // what ended the capture, where its error alone does not say
   int64_t spoilt_triggers_ = 0;        // camera triggers without a frame in the sink
 };

@@ -195,8 +195,9 @@ std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<b
   std::vector<std::vector<const Excess*>> passed(cycle.frames);
   for (const Excess& e : all) {
     bool sound = true;
-    for (int k = std::max(0, e.passed_in - kReach); k <= std::min(cycle.frames - 1, e.passed_in + kReach); ++k)
-      sound = sound && !(k < static_cast<int>(spoilt.size()) && spoilt[k]);
+    // The cycle closes: what the last frames give is near to the first passages, too.
+    for (int k = 0; k < std::min(cycle.frames, static_cast<int>(spoilt.size())); ++k)
+      sound = sound && !(spoilt[k] && std::abs(Offset(k, e.passed_in, cycle.frames)) <= kReach);
     if (sound) passed[e.passed_in].push_back(&e);
   }
   std::optional<CombMotion> most;

@@ -128,12 +128,29 @@ PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) c
   return contrast > 10.0 * noise && rest < 0.2 * contrast ? Testimony::kConfirms : Testimony::kSilent;
 }
 
+bool PatternWitness::OneIsDimmer(std::span<const int> shifts) const {
+  // Each shift gives the lit probes the same light, where they stand over several periods: the sum of all hides a lamp
+  // that blinked in one of few.
+  const Pattern& pattern = plan_.steps[shifts[0]].pattern;
+  const PlanOptions& o = plan_.options;
+  const int extent = pattern.axis == PatternAxis::kColumns ? o.projector_width : o.projector_height;
+  if (extent < 6 * pattern.period || shifts.size() < 3) return false;
+  double all = 0.0;
+  for (int step : shifts) all += MeanLevel(frames_.at(step).probes);
+  for (int step : shifts) {
+    const double level = MeanLevel(frames_.at(step).probes);
+    const double others = (all - level) / static_cast<double>(shifts.size() - 1);
+    if (std::abs(level - others) > 2.0 * options_.steady_tolerance * others) return true;
+  }
+  return false;
+}
+
 PatternWitness::Testimony PatternWitness::JudgeShifts(const PlanStep& step, std::span<const int> group) {
   const bool whole =
       step.pattern.kind == PatternKind::kSinusoid && static_cast<int>(group.size()) == step.pattern.shifts;
   const auto& means = options_.sinusoid_mean;
   const double mean = step.projector < static_cast<int>(means.size()) ? means[step.projector] : 0.5;
-  if (whole && !AddsUp(group, mean)) return Testimony::kRefutes;
+  if (whole && (!AddsUp(group, mean) || OneIsDimmer(group))) return Testimony::kRefutes;
   Testimony testimony = Testimony::kConfirms;
   std::vector<float> level;
   for (int member : group) {
@@ -271,9 +288,13 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
   for (int i : StepsOf(CapturePhase::kSpot)) spots = ExpectedLevel(plan_.steps[i].pattern);
   const Frame& frame = *Find(step.index);
   const double level = WholeLevel(frame);
-  if (step.pattern.kind == PatternKind::kSpots)
-    // Beside them in the memory stand white, black and sinusoids.
-    return level > 0.3 * spots && level < 0.25 + 0.5 * spots ? Testimony::kConfirms : Testimony::kRefutes;
+  if (step.pattern.kind == PatternKind::kSpots) {
+    // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios.
+    const double comb = static_cast<double>(plan_.options.comb_width) / plan_.options.comb_period;
+    double highest = 0.25 + 0.5 * spots;
+    if (comb >= 4.0 * spots) highest = std::min(highest, std::sqrt(spots * comb));
+    return level > 0.3 * spots && level < highest ? Testimony::kConfirms : Testimony::kRefutes;
+  }
   if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;
   return spots == 0.0 || level < 0.3 * spots ? Testimony::kConfirms : Testimony::kRefutes;
 }

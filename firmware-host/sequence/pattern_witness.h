@@ -121,6 +121,8 @@ class PatternWitness {
   [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
   // Whether the frames' mean lies at `mean` on the way from black to white.
   [[nodiscard]] bool AddsUp(std::span<const int> steps, double mean) const;
+  // One of a sinusoid's shifts has another light than the others: the lamp blinked.
+  [[nodiscard]] bool OneIsDimmer(std::span<const int> shifts) const;
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
   [[nodiscard]] bool LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const;

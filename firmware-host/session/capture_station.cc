@@ -94,6 +94,8 @@ Status StationOptions::Validate() const {
 
 Status CaptureRequest::Validate() const {
   if (!visitor.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visitor));
+  if (!visit.empty()) SLX_RETURN_IF_ERROR(db::CheckPseudonym(visit).WithContext("the visit's name"));
+  if (attempt < 0) return Status::Usage("attempt " + std::to_string(attempt) + ": attempts count from 1");
   if (consent && visitor.empty()) return Status::Usage("--consent-scope: say who consents with --visitor");
   if (board_pose >= 0 && plan.kind != SessionKind::kCalibration && plan.kind != SessionKind::kFlat)
     return Status::Usage("--pose numbers the board's poses of --kind calibration, or the target's of --kind flat");
@@ -199,6 +201,9 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   const size_t injected_before = simulation != nullptr ? simulation->injected().size() : 0;
   CaptureObserver silent;
   outcome.report = Record(plan, std::move(writer), request, observer != nullptr ? *observer : silent);
+  outcome.prescan = request.prescan;
+  // The next opening ends what a writer could not even mark as failed.
+  if (outcome.report.status == SessionStatus::kFailed) store_.reset();
   if (simulation != nullptr) {
     outcome.injected = simulation->injected();
     outcome.injected.erase(outcome.injected.begin(),
@@ -230,9 +235,9 @@ CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter 
   Object(report, observer);
   if (rig_.simulation && report.status != SessionStatus::kFailed)
     Fail(report, StoreTruth(archive.writer(), *rig_.simulation, plan));
-  const std::vector<std::string> reasons = report.Reasons();
-  report.findings.insert(report.findings.end(), request.prescan.begin(), request.prescan.end());
-  Fail(report, archive.writer().Finish(report.status, reasons, report.Found()));
+  CaptureFindings found = report.Found();
+  found.findings.insert(found.findings.end(), request.prescan.begin(), request.prescan.end());
+  Fail(report, archive.writer().Finish(report.status, report.Reasons(), std::move(found)));
   return report;
 }
 
@@ -248,6 +253,8 @@ ExposureRule CaptureStation::RuleOfCamera() const {
   const WitnessOptions witness = SequencerOptionsFor().witness;
   ExposureRule rule;
   rule.saturation_dn = witness.saturation_dn;
+  // A rig's is not known before it is calibrated; 0 sees saturation rather too early.
+  if (rig_.simulation) rule.black_level_dn = rig_.simulation->calibration().camera.black_level_dn;
   rule.gain_e_per_dn = witness.gain_e_per_dn;
   rule.read_noise_dn = witness.read_noise_dn;
   return rule;
@@ -257,7 +264,13 @@ Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, c
                                                       std::chrono::nanoseconds longest_visit) {
   ExposureRule rule = RuleOfCamera();
   rule.nominal_ms = plan.exposure_ms;
-  rule.longest_ms = LongestExposureMs(plan, timing, longest_visit);
+  SLX_ASSIGN_OR_RETURN(const double longest_ms, LongestExposureMs(plan, timing, longest_visit));
+  rule.longest_ms = std::min(rule.longest_ms, longest_ms);
+  if (rule.longest_ms < rule.shortest_ms)
+    return Status::Usage("a visit of " +
+                         std::to_string(std::chrono::duration_cast<std::chrono::seconds>(longest_visit).count()) +
+                         " s has room for an exposure of " + std::to_string(longest_ms) + " ms only, the least is " +
+                         std::to_string(rule.shortest_ms) + " ms; raise [capture] max_visit_s or plan fewer steps");
   constexpr int kHalvings = 5;
   double scan_ms = std::min(plan.exposure_ms, rule.longest_ms);
   for (int halving = 0;; ++halving) {
@@ -287,6 +300,7 @@ Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, 
   step.pattern = pattern;
   step.exposure_ms = exposure_ms;
   const SequencerOptions options = SequencerOptionsFor();
+  if (projector < 0) return Status::Usage("projector " + std::to_string(projector) + ": they count from 0");
   return Shoot(step, [&](Shooter& shooter) -> Result<Shot> {
     SLX_RETURN_IF_ERROR(rig_.devices().projectors[static_cast<size_t>(projector)]->Load({pattern}));
     SLX_RETURN_IF_ERROR(rig_.light->On(projector, {options.LongestStep(exposure_ms), options.max_on_time}));
@@ -298,7 +312,7 @@ Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, 
 
 Result<Shot> CaptureStation::Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take) {
   const RigDevices devices = rig_.devices();
-  if (step.projector >= static_cast<int>(devices.projectors.size()))
+  if (step.projector < -1 || step.projector >= static_cast<int>(devices.projectors.size()))
     return Status::Usage("no projector " + std::to_string(step.projector) + ": the rig has " +
                          std::to_string(devices.projectors.size()));
   const SequencerOptions options = SequencerOptionsFor();

@@ -53,6 +53,7 @@ struct CaptureRequest {
 struct CaptureOutcome {
   std::string session;
   CaptureReport report;
+  std::vector<Finding> prescan;         // of the request: stored beside the report's, no reason against the session
   std::vector<InjectedFault> injected;  // simulation: of this capture
   double seconds = 0.0;
 };

@@ -40,7 +40,7 @@ std::vector<Block> BlocksOf(const PreScan& scan) {
 
 struct Lit {
   std::vector<float> quads;    // mean signal of each block's quads, DN at the pre-scan's exposure
-  std::vector<float> samples;  // signal of each sample of these blocks
+  std::vector<float> samples;  // all light of each sample of these blocks, the room's too: what saturates
   bool saturated = false;      // more samples than allowed at the pre-scan already
 };
 
@@ -48,7 +48,7 @@ Lit LitOf(const PreScan& scan, const ExposureRule& rule) {
   Lit lit;
   const double noise = kQuad * rule.read_noise_dn * std::sqrt(2.0 / (kBlock * kBlock));
   std::vector<Block> blocks = BlocksOf(scan);
-  std::erase_if(blocks, [&](const Block& block) { return block.signal < kLeastSigmas * noise; });
+  std::erase_if(blocks, [&](const Block& block) { return block.signal <= kLeastSigmas * noise; });
   if (blocks.size() < kLeastBlocks) return lit;
   std::vector<float> signals;
   for (const Block& block : blocks) signals.push_back(block.signal);
@@ -60,7 +60,7 @@ Lit LitOf(const PreScan& scan, const ExposureRule& rule) {
     for (int j = 0; j < kBlock; ++j)
       for (int i = 0; i < kBlock; ++i) {
         const uint16_t white = scan.white(block.x + i, block.y + j);
-        lit.samples.push_back(static_cast<float>(white) - static_cast<float>(scan.black(block.x + i, block.y + j)));
+        lit.samples.push_back(static_cast<float>(white - rule.black_level_dn));
         saturated += white >= rule.saturation_dn;
       }
   }
@@ -97,23 +97,27 @@ Result<ExposureChoice> ChooseExposure(const std::vector<PreScan>& scans, double 
   for (const PreScan& scan : scans) {
     Lit& one = lit.emplace_back(LitOf(scan, rule));
     darkest.push_back(0.0);
-    if (one.quads.empty()) continue;
+    if (one.quads.empty()) {
+      choice.findings.push_back({FindingKind::kDim, static_cast<int>(darkest.size()) - 1, -1, 0.0, rule.wanted_snr});
+      continue;
+    }
     choice.prescan_saturated = choice.prescan_saturated || one.saturated;
     darkest.back() = Percentile(one.quads, 0.1) / scan_ms;
     wanted_ms = std::max(wanted_ms, SignalFor(rule.wanted_snr, rule) / darkest.back());
-    allowed_ms = std::min(allowed_ms, range_dn / Percentile(one.samples, 1.0 - rule.max_saturated) * scan_ms);
+    // Samples of the same number saturate together.
+    allowed_ms = std::min(allowed_ms, range_dn / (Percentile(one.samples, 1.0 - rule.max_saturated) + 1.0) * scan_ms);
   }
   if (wanted_ms == 0.0) return Status::Failed("pre-scan: no projector lights anything; is somebody there?");
   wanted_ms = std::max(wanted_ms, rule.nominal_ms);
-  choice.exposure_ms = std::clamp(std::min(wanted_ms, allowed_ms), rule.shortest_ms, rule.longest_ms);
+  choice.exposure_ms = std::min(std::max(std::min(wanted_ms, allowed_ms), rule.shortest_ms), rule.longest_ms);
   choice.snr = std::numeric_limits<double>::infinity();
   for (size_t p = 0; p < scans.size(); ++p) {
     if (darkest[p] == 0.0) continue;
     const int projector = static_cast<int>(p);
     const double snr = SnrOf(darkest[p] * choice.exposure_ms, rule);
     const auto saturated =
-        static_cast<double>(std::count_if(lit[p].samples.begin(), lit[p].samples.end(), [&](float signal) {
-          return signal / scan_ms * choice.exposure_ms >= range_dn;
+        static_cast<double>(std::count_if(lit[p].samples.begin(), lit[p].samples.end(), [&](float light) {
+          return light / scan_ms * choice.exposure_ms >= range_dn;
         }));
     const double share = saturated / static_cast<double>(lit[p].samples.size());
     choice.snr = std::min(choice.snr, snr);
@@ -126,17 +130,15 @@ Result<ExposureChoice> ChooseExposure(const std::vector<PreScan>& scans, double 
   return choice;
 }
 
-double LongestExposureMs(PlanOptions plan, const VisitTiming& timing, std::chrono::nanoseconds visit) {
-  double low = 0.1, high = 1000.0;
-  Result<CapturePlan> built = BuildPlan(plan);
-  if (!built.ok()) return low;
-  const double nominal_ms = plan.exposure_ms;
+Result<double> LongestExposureMs(const PlanOptions& plan, const VisitTiming& timing, std::chrono::nanoseconds visit) {
+  SLX_ASSIGN_OR_RETURN(CapturePlan built, BuildPlan(plan));
   std::vector<double> factors;
-  for (const PlanStep& step : built->steps) factors.push_back(step.exposure_ms / nominal_ms);
+  for (const PlanStep& step : built.steps) factors.push_back(step.exposure_ms / plan.exposure_ms);
+  double low = 0.0, high = 1000.0;
   while (high - low > 0.01) {
     const double middle = 0.5 * (low + high);
-    for (size_t i = 0; i < factors.size(); ++i) built->steps[i].exposure_ms = middle * factors[i];
-    (VisitTime(*built, timing) <= visit ? low : high) = middle;
+    for (size_t i = 0; i < factors.size(); ++i) built.steps[i].exposure_ms = middle * factors[i];
+    (VisitTime(built, timing) <= visit ? low : high) = middle;
   }
   return low;
 }

@@ -23,7 +23,7 @@ struct ExposureRule {
   double nominal_ms = 16.0;
   double shortest_ms = 0.5, longest_ms = 100.0;
   // Of the camera.
-  double black_level_dn = 64.0, saturation_dn = 4095.0, gain_e_per_dn = 4.0, read_noise_dn = 3.0;
+  double black_level_dn = 0.0, saturation_dn = 4095.0, gain_e_per_dn = 4.0, read_noise_dn = 3.0;
 };
 
 // Raw mosaics of one projector, of the same exposure.
@@ -46,7 +46,9 @@ struct ExposureChoice {
 [[nodiscard]] Result<ExposureChoice> ChooseExposure(const std::vector<PreScan>& scans, double scan_ms,
                                                     const ExposureRule& rule);
 
-// The longest exposure, ms, at which the plan takes no longer than this; to a hundredth. 0.1 at least.
-[[nodiscard]] double LongestExposureMs(PlanOptions plan, const VisitTiming& timing, std::chrono::nanoseconds visit);
+// The longest exposure, ms, at which the plan takes no longer than this; to a hundredth, 0 where none does. Fails as
+// BuildPlan.
+[[nodiscard]] Result<double> LongestExposureMs(const PlanOptions& plan, const VisitTiming& timing,
+                                               std::chrono::nanoseconds visit);
 
 }  // namespace stratalux::rig

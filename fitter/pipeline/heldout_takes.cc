@@ -48,6 +48,9 @@ CapturePhase HeldOutPhase(const std::string& light) {
 }
 
 Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int projector, const std::string& light) {
+  if (!frames.plan() || !frames.calibration())
+    return Status::NotFound("session " + frames.info().id +
+                            " has no plan or no calibration: which frames are takes is not known");
   const std::vector<const db::FrameRow*> takes = TakesOf(frames, projector, light);
   if (takes.size() < 2)
     return Status::NotFound("session " + frames.info().id + " has less than two good takes of the " + light +

@@ -68,7 +68,7 @@ std::string OfOne(const Finding& f) {
     case FindingKind::kBlink:
       return where + Percent(f.value) + " of its light in this frame alone; the lamp blinked";
     case FindingKind::kMixedUp:
-      return where + "a comb cycle adds up to " + Percent(f.value) + " of white; frames are mixed up";
+      return where + "the comb's line gave " + Percent(f.value) + " of what the others give; frames are mixed up";
     case FindingKind::kSaturated:
       return where + Percent(f.value) + " of the lit skin saturates (allowed " + Percent(f.limit) + ")";
     case FindingKind::kDim:

@@ -26,7 +26,7 @@ enum class FindingKind {
   kLamp,       // light of the step, of a comb cycle or of the pre-roll, as a share of the reference's | largest
                // deviation from 1
   kBlink,      // the same of one frame whose neighbours are as they should be
-  kMixedUp,    // sum of a comb cycle over white | largest deviation from 1
+  kMixedUp,    // sum of a comb cycle where one line passes, over the mean of all lines | largest deviation from 1
   kSaturated,  // share of the lit subject that saturates | largest
   kDim,        // signal-to-noise ratio of the darkest tenth of the lit subject | smallest
   kWatch,      // what the session is captured for (a board, a matt target) objects; in `detail`

@@ -134,13 +134,20 @@ class PlanBuilder {
     AddReference(projector);
     AddCorrespondence(projector);
     AddSeparation(projector);
+    // Plans of sessions from before second takes have the spots behind the sweep.
+    if (o.second_takes) AddSpots(projector);
+    AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
+    if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
+    if (!o.second_takes) AddSpots(projector);
+    AddSecondTake(projector, CapturePhase::kSpot);
+    AddGuards(projector);
+  }
+
+  void AddSpots(int projector) {
+    const PlanOptions& o = plan_.options;
     for (int bracket = 0; o.spot_radius > 0 && bracket < Brackets(CapturePhase::kSpot); ++bracket)
       Add(projector, CapturePhase::kSpot, {.kind = PatternKind::kSpots, .period = o.spot_pitch, .width = o.spot_radius},
           bracket);
-    AddSweep(projector, PatternAxis::kColumns, o.motion_whites);
-    if (o.row_sweep) AddSweep(projector, PatternAxis::kRows, 0);
-    AddSecondTake(projector, CapturePhase::kSpot);
-    AddGuards(projector);
   }
 
   // Of the phase's first frame.

@@ -125,7 +125,7 @@ TEST_F(SessionStoreTest, TakesNoSessionThatARebuildWouldRefuse) {
        {append([&](FrameRecord& r) { r.exposure_ms = nan; }), append([&](FrameRecord& r) { r.gain = infinity; }),
         append([&](FrameRecord& r) { r.mean_dn = -infinity; }), append([](FrameRecord& r) { r.exposure_ms = -1.0; }),
         append([](FrameRecord& r) { r.step = -1; }), append([](FrameRecord& r) { r.projector = -2; }),
-        append([](FrameRecord& r) { r.phase = static_cast<CapturePhase>(9); }),
+        append([](FrameRecord& r) { r.phase = static_cast<CapturePhase>(10); }),
         append([](FrameRecord& r) { r.frame_clock = static_cast<ClockSource>(7); }),
         append([&](FrameRecord& r) { r.retake_cause = zero; })}) {
     EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();

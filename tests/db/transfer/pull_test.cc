@@ -85,7 +85,7 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   const std::string first = StoreSession(1), later = StoreSession(2), last = StoreSession(1);
   const std::filesystem::path manifest = folder_ / "sessions" / later / "manifest.json";
   const auto good = ReadBytes(Segment(later)), good_manifest = ReadBytes(manifest);
-  RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 9; });
+  RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 10; });
   const std::string command = "pull --from " + folder_.string() + " --store " + other_.string();
   for (int i = 0; i < 2; ++i) {
     const Outcome outcome = Db(command);

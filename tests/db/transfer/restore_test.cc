@@ -174,7 +174,7 @@ TEST_F(RestoreTest, MergingKeepsWhatIsThereAndObeysTheLedgersOfBothSides) {
 
 TEST_F(RestoreTest, ValuesOfALaterVersionAreOneSessionsProblem) {
   const std::string later = StoreSession(2), whole = StoreSession(1);
-  RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 9; });
+  RewriteSegment(Segment(later), [](FrameHeader& header) { header.phase = 10; });
   const auto made = Backup(folder_, {backup_, {}}, logger_);
   ASSERT_TRUE(made.ok()) << made.status().message();
   EXPECT_THAT(made->problems, IsEmpty()) << "its bytes are whole: a later program may read them";

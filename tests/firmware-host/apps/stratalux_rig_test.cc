@@ -6,8 +6,12 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
+#include "db/catalogue/session_store.h"
 #include "firmware-host/session/last_lights.h"
+#include "shared/capture/finding.h"
+#include "shared/capture/plan.h"
 #include "tests/support/run_program.h"
 
 namespace stratalux {
@@ -32,34 +36,38 @@ TEST_P(WrongUse, ExitsWith2AndSaysWhy) {
 
 INSTANTIATE_TEST_SUITE_P(
     Capture, WrongUse,
-    ::testing::Values(std::pair("capture", "--simulate"), std::pair("capture --simulate=moon", "head, plane, sphere"),
-                      std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
-                      std::pair("capture --simulate --size 695x520", "camera width = 695"),
-                      std::pair("capture --simulate=white --size 158x120", "a camera of 158x120 px: too few"),
-                      std::pair("capture --simulate --kind party", "party"),
-                      std::pair("capture --simulate --exposure 0", "exposure_ms"),
-                      std::pair("capture --simulate --pose 2", "--kind calibration"),
-                      std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR
-                                "/docs/examples/scenes/charuco_poses.toml",
-                                "poses 0 .. 11"),
-                      std::pair("capture --kind calibration --poses 13 --simulate=" STRATALUX_SOURCE_DIR
-                                "/docs/examples/scenes/charuco_poses.toml",
-                                "lists 12 poses"),
-                      std::pair("capture --kind calibration --pose 7 --poses 7 --simulate=" STRATALUX_SOURCE_DIR
-                                "/docs/examples/scenes/charuco_poses.toml",
-                                "behind the last"),
-                      std::pair("capture --simulate --poses 3", "--kind calibration"),
-                      std::pair("capture --simulate --seed minus", "seed"),
-                      std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is no chance of 0 .. 1"),
-                      std::pair("capture --simulate --fault-rate 1.5", "'1.5' is no chance"),
-                      std::pair("capture --fault-rate 0.1",
-                                "--fault-rate 0.1: only the simulated rig has it; add --simulate"),
-                      std::pair("capture --seed 7", "--seed 7: only the simulated rig"),
-                      std::pair("capture --size 696x520", "--size 696x520: only"),
-                      std::pair("capture --no-noise", "--no-noise: only"),
-                      std::pair("selftest --fault frame_lost@17", "--fault frame_lost@17: only"),
-                      std::pair("capture --simulate --config /dev/zero", "/dev/zero: it is a device, not a file"),
-                      std::pair("capture --simulate --frobnicate", "frobnicate")));
+    ::testing::Values(
+        std::pair("capture", "--simulate"), std::pair("capture --simulate=moon", "head, plane, sphere"),
+        std::pair("capture --simulate --size 696", "WIDTHxHEIGHT"),
+        std::pair("capture --simulate --size 695x520", "camera width = 695"),
+        std::pair("capture --simulate=white --size 158x120", "a camera of 158x120 px: too few"),
+        std::pair("capture --simulate --kind party", "party"),
+        std::pair("capture --simulate --exposure 0", "exposure_ms"),
+        std::pair("capture --simulate --exposure bright", "expected ms, or auto"),
+        std::pair("capture --simulate --exposure auto --kind dark", "only a visitor's exposure is chosen"),
+        std::pair("selftest --simulate --exposure auto", "a capture alone looks at who is there"),
+        std::pair("capture --simulate --attempt 0", "--attempt"),
+        std::pair("capture --simulate --pose 2", "--kind calibration"),
+        std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR
+                  "/docs/examples/scenes/charuco_poses.toml",
+                  "poses 0 .. 11"),
+        std::pair("capture --kind calibration --poses 13 --simulate=" STRATALUX_SOURCE_DIR
+                  "/docs/examples/scenes/charuco_poses.toml",
+                  "lists 12 poses"),
+        std::pair("capture --kind calibration --pose 7 --poses 7 --simulate=" STRATALUX_SOURCE_DIR
+                  "/docs/examples/scenes/charuco_poses.toml",
+                  "behind the last"),
+        std::pair("capture --simulate --poses 3", "--kind calibration"),
+        std::pair("capture --simulate --seed minus", "seed"),
+        std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is no chance of 0 .. 1"),
+        std::pair("capture --simulate --fault-rate 1.5", "'1.5' is no chance"),
+        std::pair("capture --fault-rate 0.1", "--fault-rate 0.1: only the simulated rig has it; add --simulate"),
+        std::pair("capture --seed 7", "--seed 7: only the simulated rig"),
+        std::pair("capture --size 696x520", "--size 696x520: only"),
+        std::pair("capture --no-noise", "--no-noise: only"),
+        std::pair("selftest --fault frame_lost@17", "--fault frame_lost@17: only"),
+        std::pair("capture --simulate --config /dev/zero", "/dev/zero: it is a device, not a file"),
+        std::pair("capture --simulate --frobnicate", "frobnicate")));
 
 TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-test.toml";
@@ -93,7 +101,7 @@ TEST(StrataluxRig, NobodyIsLitForASessionThatTheDiskCannotTake) {
       Shell(within + std::string(STRATALUX_BIN_DIR) + "/stratalux-rig capture --simulate --size 696x520 --store " +
             disk + "/store; code=$?; ls -A " + disk + "; exit $code' 2>&1");
   EXPECT_EQ(outcome.code, 1) << outcome.out;
-  EXPECT_THAT(outcome.out, HasSubstr("has 0.00 GB free, the session may take 0.33 GB: make room"));
+  EXPECT_THAT(outcome.out, HasSubstr("has 0.00 GB free, the session may take 0.34 GB: make room"));
   EXPECT_THAT(outcome.out, Not(HasSubstr("\nstore\n"))) << "nothing was made";
   std::filesystem::remove_all(disk);
 }
@@ -179,6 +187,33 @@ TEST(StrataluxRig, PlanShowReckonsWithTheSimulatedRigWhereThatIsAskedFor) {
   const Outcome no_scene = Rig("plan show --simulate=/no/such/scene.toml");
   EXPECT_EQ(no_scene.code, 2) << no_scene.out;
   EXPECT_THAT(no_scene.out, HasSubstr("/no/such/scene.toml"));
+}
+
+TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {
+  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-visit";
+  std::filesystem::remove_all(store);
+  // Hardly any light comes back from what stands so dark: the pre-scan finds it dim, the proof is whole.
+  const auto scene = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-dark.toml";
+  std::ofstream(scene) << "[subject]\nshape = \"head\"\n[skin]\nopaque = true\nmelanin = 0.3\n";
+  const Outcome outcome =
+      Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) +
+            "/stratalux-rig capture --simulate=" + scene.string() +
+            " --size 174x130 --visit v-7 --attempt 2 --exposure auto --json 2>/dev/null --store " + store.string());
+  const auto json = nlohmann::json::parse(outcome.out, nullptr, false);
+  ASSERT_TRUE(json.is_object()) << outcome.out;
+  if (json["status"] == "complete") {
+    EXPECT_EQ(json["reasons"].size(), 0U) << json["reasons"];
+  }
+  const auto opened = db::SessionStore::Open(store, db::AccessMode::kReadOnly);
+  ASSERT_TRUE(opened.ok()) << opened.status().message();
+  const auto row = opened->FindSession("latest");
+  ASSERT_TRUE(row.ok()) << row.status().message();
+  EXPECT_EQ(row->info.visit, "v-7");
+  EXPECT_EQ(row->info.attempt, 2);
+  EXPECT_EQ(row->info.reasons, json["reasons"].get<std::vector<std::string>>());
+  EXPECT_EQ(nlohmann::json::parse(FindingsToJson(row->info.found.findings)), json["findings"]);
+  EXPECT_GT(PlanOptionsFromJson(row->info.plan_json)->exposure_ms, 16.0) << "dark skin gets more light";
+  std::filesystem::remove_all(store);
 }
 
 }  // namespace

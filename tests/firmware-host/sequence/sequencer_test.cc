@@ -366,6 +366,21 @@ INSTANTIATE_TEST_SUITE_P(Phases, WrongPatternTest,
                                            std::pair(CapturePhase::kMotion, 0), std::pair(CapturePhase::kRepeat, 0),
                                            std::pair(CapturePhase::kRepeat, 1), std::pair(CapturePhase::kGuard, 0)));
 
+TEST_F(SequencerTest, ACombInThePlaceOfSpotsIsSeen) {
+  // With the sweep over rows a comb stands before the second spots.
+  PlanOptions options = SmallPlan();
+  options.row_sweep = true;
+  plan_ = *BuildPlan(options);
+  const int step = StepOf(0, CapturePhase::kRepeat, 1);
+  ASSERT_EQ(plan_.steps[step].pattern.kind, PatternKind::kSpots);
+  ASSERT_EQ(plan_.steps[step - 1].pattern.kind, PatternKind::kComb);
+  rig_.projector_trouble[{0, step}] = ProjectorTrouble::kStuck;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
+  EXPECT_GE(report.Count(ShotFault::kWrongLevel), 1);
+  ExpectEveryFrameShowsItsPattern();
+}
+
 TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
   const int first = StepOf(0, CapturePhase::kCorrespondence, 2);
   // The next step is on show before the pair is judged: three pulses a try.
@@ -503,7 +518,8 @@ TEST_F(SequencerTest, ALostCaptureEndsAtOnceWhereTheObserverWantsIt) {
   EXPECT_EQ(report.status, SessionStatus::kFailed);
   EXPECT_EQ(report.findings.front().kind, FindingKind::kStopped);
   EXPECT_EQ(report.findings.front().detail, "not worth going on");
-  EXPECT_EQ(observer_.findings.size(), 1U);
+  ASSERT_EQ(observer_.findings.size(), 1U);
+  EXPECT_THAT(report.findings, Contains(observer_.findings[0])) << "what ended it is stored with it";
   EXPECT_LT(report.captured, report.planned * 3 / 4) << "the other projector was not begun";
 }
 

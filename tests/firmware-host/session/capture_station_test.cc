@@ -87,6 +87,9 @@ TEST_F(CaptureStationTest, OneRigAndStoreServeManyVisits) {
 }
 
 TEST_F(CaptureStationTest, WhatCannotBeginLeavesNoStore) {
+  request_.visit = "caf\xe9";
+  EXPECT_EQ(CaptureStation::MayBegin(options_, request_).code(), StatusCode::kUsage) << "no text";
+  request_.visit.clear();
   request_.visitor = "somebody";
   EXPECT_EQ(CaptureStation::MayBegin(options_, request_).code(), StatusCode::kUsage) << "nobody asked for consent";
   const auto station = Open();
@@ -157,6 +160,7 @@ TEST_F(CaptureStationTest, SnapsWhatIsOnShowAndWhatItIsToldToShow) {
   EXPECT_NEAR((half->record.mean_dn - dark->record.mean_dn) / (white->record.mean_dn - dark->record.mean_dn), 0.5,
               0.05);
   EXPECT_TRUE(Dark(*station));
+  EXPECT_EQ(station->SnapPattern(-1, {.kind = PatternKind::kWhite}, 16.0).status().code(), StatusCode::kUsage);
   EXPECT_EQ(station->SnapPattern(4, {.kind = PatternKind::kWhite}, 16.0).status().code(), StatusCode::kUsage);
   EXPECT_FALSE(std::filesystem::exists(folder_ / "store")) << "a preview is never stored";
   // Nothing of it disturbs a capture.
@@ -181,12 +185,14 @@ TEST_F(CaptureStationTest, APreScanChoosesWhatTheSubjectNeeds) {
   ASSERT_TRUE(shortened.ok()) << shortened.status().message();
   EXPECT_LT(shortened->exposure_ms, 0.5 * long_plan.exposure_ms);
   EXPECT_LE(shortened->saturated, 0.00525);
+  EXPECT_EQ(station->ChooseExposure(request_.plan, {}, std::chrono::seconds(1)).status().code(), StatusCode::kUsage);
   request_.plan.exposure_ms = choice->exposure_ms;
   request_.prescan = {{FindingKind::kDim, 2, -1, 31.0, 40.0}};
   const auto outcome = station->Capture(request_);
   ASSERT_TRUE(outcome.ok());
   EXPECT_EQ(outcome->report.status, SessionStatus::kComplete) << "a dim corner is nothing against the proof";
-  EXPECT_EQ(outcome->report.findings, request_.prescan);
+  EXPECT_THAT(outcome->report.findings, IsEmpty());
+  EXPECT_EQ(outcome->prescan, request_.prescan);
   EXPECT_EQ(Row(outcome->session).info.found.findings, request_.prescan);
   EXPECT_THAT(Row(outcome->session).info.reasons, IsEmpty());
 }

@@ -74,7 +74,7 @@ class ExposureChoiceTest : public ::testing::Test {
     return mean / std::sqrt(squares / kTries - mean * mean);
   }
 
-  ExposureRule rule_;
+  ExposureRule rule_{.black_level_dn = 64.0};
   std::mt19937_64 random_{7};
 };
 
@@ -130,6 +130,34 @@ TEST_F(ExposureChoiceTest, SaturationIsThatOfTheFrameThatIsTaken) {
   EXPECT_LT(saturated / lit, 1.5 * rule_.max_saturated);
 }
 
+TEST_F(ExposureChoiceTest, TheRoomsLightSaturatesToo) {
+  const Subject subject{.middle_dn = 1500.0, .edge = 0.02};
+  Frames scan = Scan(subject);
+  for (Image<uint16_t>* image : {&scan.white, &scan.black})
+    for (uint16_t& value : image->pixels()) value = static_cast<uint16_t>(value + 800);
+  rule_.wanted_snr = 400.0;
+  const auto choice = ChooseExposure({{scan.white, scan.black}}, kScanMs, rule_);
+  ASSERT_TRUE(choice.ok());
+  const Frames taken = Scan(subject, choice->exposure_ms);
+  const double room_dn = 800.0 * choice->exposure_ms / kScanMs;
+  double lit = 0.0, saturated = 0.0;
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      if (SignalDn(subject, x, y) <= 0.0) continue;
+      lit += 1.0;
+      saturated += taken.white(x, y) + room_dn >= rule_.saturation_dn;
+    }
+  EXPECT_GT(saturated / lit, 0.2 * rule_.max_saturated);
+  EXPECT_LT(saturated / lit, 1.5 * rule_.max_saturated);
+}
+
+TEST_F(ExposureChoiceTest, AProjectorThatLightsNothingIsTold) {
+  const Frames good = Scan({.middle_dn = 1000.0}), dead = Scan({.middle_dn = 0.0});
+  const auto choice = ChooseExposure({{good.white, good.black}, {dead.white, dead.black}}, kScanMs, rule_);
+  ASSERT_TRUE(choice.ok());
+  EXPECT_THAT(choice->findings, ElementsAre(Finding{FindingKind::kDim, 1, -1, 0.0, rule_.wanted_snr}));
+}
+
 TEST_F(ExposureChoiceTest, BrightSkinKeepsTheNominalExposureUnlessItSaturates) {
   const Frames bright = Scan({.middle_dn = 3000.0});
   const auto kept = ChooseExposure({{bright.white, bright.black}}, kScanMs, rule_);
@@ -163,11 +191,15 @@ TEST_F(ExposureChoiceTest, AScanThatSaturatesIsToldAndAnEmptyBoxFails) {
 TEST_F(ExposureChoiceTest, TheLongestExposureFillsTheVisit) {
   PlanOptions plan;
   VisitTiming timing;
-  const double longest = LongestExposureMs(plan, timing, std::chrono::seconds(20));
-  plan.exposure_ms = longest;
+  plan.exposure_ms = LongestExposureMs(plan, timing, std::chrono::seconds(20)).value();
   const double seconds = 1e-9 * static_cast<double>(VisitTime(*BuildPlan(plan), timing).count());
   EXPECT_LE(seconds, 20.0);
   EXPECT_GT(seconds, 19.9);
+  plan.exposure_ms = 16.0;
+  EXPECT_DOUBLE_EQ(LongestExposureMs(plan, timing, std::chrono::seconds(1)).value(), 0.0)
+      << "settling alone takes more";
+  plan.comb_width = 0;
+  EXPECT_EQ(LongestExposureMs(plan, timing, std::chrono::seconds(20)).status().code(), StatusCode::kUsage);
 }
 
 }  // namespace

@@ -110,7 +110,10 @@ TEST(SoakBrackets, TheyCarryTheirExposure) {
   SoakOptions options = With(Pace::kSerial);
   options.plan.brackets = {1.0, 0.4};
   // Among the combs, where the exposure changes from frame to frame: the frame is as bright as the one before.
-  for (const int64_t place : {44, 45, 50, 51}) {
+  const CapturePlan plan = *BuildPlan(options.plan);
+  const auto comb = std::find_if(plan.steps.begin(), plan.steps.end(),
+                                 [](const PlanStep& step) { return step.phase == CapturePhase::kSweep; });
+  for (const int64_t place : {comb->index + 1, comb->index + 2, comb->index + 7, comb->index + 8}) {
     options.faults.script = {{FaultKind::kExposureLatch, place, 1, 0.0}};
     const SoakCapture capture = CaptureOnce(options);
     EXPECT_TRUE(capture.mis_associated.empty()) << place;
