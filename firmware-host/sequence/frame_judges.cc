@@ -289,10 +289,13 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
   const Frame& frame = *Find(step.index);
   const double level = WholeLevel(frame);
   if (step.pattern.kind == PatternKind::kSpots) {
-    // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios.
-    const double comb = static_cast<double>(plan_.options.comb_width) / plan_.options.comb_period;
+    // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios, of
+    // the whole picture's light.
+    const PlanOptions& o = plan_.options;
+    const double share = MeanIntensity(step.pattern, o.projector_width, o.projector_height);
+    const double comb = static_cast<double>(o.comb_width) / o.comb_period;
     double highest = 0.25 + 0.5 * spots;
-    if (comb >= 4.0 * spots) highest = std::min(highest, std::sqrt(spots * comb));
+    if (comb >= 4.0 * share) highest = std::min(highest, std::sqrt(share * comb));
     return level > 0.3 * spots && level < highest ? Testimony::kConfirms : Testimony::kRefutes;
   }
   if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;

@@ -108,7 +108,7 @@ TEST_F(WrongConfig, MustBeAFile) {
 
 TEST_F(WrongPlan, IsRefusedBeforeTheFirstFrame) {
   const std::array<std::array<const char*, 3>, 10> cases = {{
-      {"projector_width = 24", "comb columns period=128", "exceeds the projector's 24 px"},
+      {"projector_width = 24", "spots period=160 radius=4", "pitch exceeds the projector"},
       {"comb_period = 2000", "comb columns period=2000", "exceeds the projector's 1024 px"},
       {"separation_period = 2", "separation_period: value 2", "allowed: 3 .. "},
       {"separation_period = 1025", "sinusoid columns period=1025", "must lie in 3 .. 1024 px"},

@@ -55,7 +55,10 @@ void HoldAgainstTruth(const CapturePlan& plan, const LastFrames& frames, SoakCap
       white[planned.projector] = shown;
     if (capture.report.status != SessionStatus::kComplete || !white.contains(planned.projector)) continue;
     const ShownFrame& reference = white[planned.projector];
-    if ((shown.push_mm - reference.push_mm).norm() > 1.0 || std::abs(shown.light / reference.light - 1.0) > 0.101)
+    // A lamp that blinks while it is dark changes nothing.
+    const bool lit = planned.pattern.kind != PatternKind::kBlack;
+    if ((shown.push_mm - reference.push_mm).norm() > 1.0 ||
+        (lit && std::abs(shown.light / reference.light - 1.0) > 0.101))
       capture.changed_unsaid.push_back(step);
   }
 }
