@@ -21,6 +21,25 @@ function(stratalux_program name)
   install(TARGETS ${name} RUNTIME)
 endfunction()
 
+# stratalux_test_build(TARGET): how a test is compiled. Of its own lines nothing needs speed, and GoogleTest's headers are
+# read once for all: otherwise tests take most of the time that the whole build takes.
+function(stratalux_test_build name)
+  target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
+  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O0>)
+  target_link_libraries(${name} PRIVATE GTest::gtest GTest::gmock GTest::gtest_main)
+  if(NOT name STREQUAL "stratalux_test_headers")
+    target_precompile_headers(${name} REUSE_FROM stratalux_test_headers)
+  endif()
+endfunction()
+if(STRATALUX_BUILD_TESTS)
+  # A program, since tests are: headers read with other flags could not be used.
+  file(CONFIGURE OUTPUT "${CMAKE_BINARY_DIR}/generated/test_headers.cc" CONTENT "" @ONLY)
+  add_executable(stratalux_test_headers "${CMAKE_BINARY_DIR}/generated/test_headers.cc")
+  target_precompile_headers(stratalux_test_headers PRIVATE <algorithm> <cmath> <filesystem> <fstream> <map> <string> <vector>
+                            <gmock/gmock.h> <gtest/gtest.h>)
+  stratalux_test_build(stratalux_test_headers)
+endif()
+
 # stratalux_tests(NAME LABEL unit|integration SOURCES x_test.cc ... DEPS ...): one test binary a folder, one ctest a TEST().
 function(stratalux_tests name)
   cmake_parse_arguments(ARG "" "LABEL;TIMEOUT" "SOURCES;DEPS" ${ARGN})
@@ -31,10 +50,8 @@ function(stratalux_tests name)
     set(ARG_TIMEOUT 300)
   endif()
   add_executable(${name} ${ARG_SOURCES})
-  target_link_libraries(${name} PRIVATE ${ARG_DEPS} GTest::gtest GTest::gmock GTest::gtest_main)
-  target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
-  # Of the tests' own lines nothing needs speed; at -O3 they take most of the time that the whole build takes.
-  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
+  target_link_libraries(${name} PRIVATE ${ARG_DEPS})
+  stratalux_test_build(${name})
   # No test may pass because an earlier program computed it.
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${ARG_TIMEOUT}
                        ENVIRONMENT "STRATALUX_CACHE=")

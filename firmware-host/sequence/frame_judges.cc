@@ -289,8 +289,8 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
   const Frame& frame = *Find(step.index);
   const double level = WholeLevel(frame);
   if (step.pattern.kind == PatternKind::kSpots) {
-    // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios, of
-    // the whole picture's light.
+    // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios,
+    // of the whole picture's light.
     const PlanOptions& o = plan_.options;
     const double share = MeanIntensity(step.pattern, o.projector_width, o.projector_height);
     const double comb = static_cast<double>(o.comb_width) / o.comb_period;

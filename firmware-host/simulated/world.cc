@@ -97,7 +97,7 @@ Result<World::Stage*> World::StageIn(const SubjectState& state) {
 
 Result<std::unique_ptr<World::Stage>> World::MakeStage(const SubjectState& state) const {
   WorkWatch watch = Watch("what the camera sees of the subject");
-  auto stage = std::make_unique<Stage>(Stage{state, scene_.In(state), {}, {}, {}, {}});
+  auto stage = std::make_unique<Stage>(Stage{state, scene_.In(state), {}, {}, {}, {}, {}});
   const Pinhole& camera = calibration_.camera.model;
   std::vector<std::vector<SubjectPixel>> rows(camera.height);
   watch.Expect(camera.height);
@@ -117,6 +117,7 @@ Result<std::unique_ptr<World::Stage>> World::MakeStage(const SubjectState& state
   for (const auto& row : rows) stage->pixels.insert(stage->pixels.end(), row.begin(), row.end());
   stage->transports.resize(calibration_.projectors.size());
   stage->bounces.resize(calibration_.projectors.size());
+  stage->pictures.resize(calibration_.projectors.size());
   stage->white.resize(calibration_.projectors.size());
   return stage;
 }
@@ -151,9 +152,23 @@ Result<const Interreflection*> World::Bounce(Stage& stage, size_t projector) con
 Status World::RenderTransport(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& subsurface,
                               std::vector<float>& direct) const {
   SLX_ASSIGN_OR_RETURN(const LightTransport* transport, Transport(stage, projector));
-  WorkWatch watch = Watch("picture of projector " + std::to_string(projector));
-  transport->Render(pattern, subsurface, direct, &watch);
-  return pattern.IsOneDimensional() ? Status::Ok() : watch.Check();
+  if (pattern.IsOneDimensional()) {
+    transport->Render(pattern, subsurface, direct);
+    return Status::Ok();
+  }
+  auto& kept = stage.pictures[projector];
+  if (!kept || kept->pattern != pattern) {
+    kept.reset();
+    WorkWatch watch = Watch("picture of projector " + std::to_string(projector));
+    Stage::Picture made{pattern, std::vector<float>(stage.pixels.size(), 0.0F),
+                        std::vector<float>(stage.pixels.size(), 0.0F)};
+    transport->Render(pattern, made.subsurface, made.direct, &watch);
+    SLX_RETURN_IF_ERROR(watch.Check());
+    kept = std::move(made);
+  }
+  for (size_t i = 0; i < subsurface.size(); ++i) subsurface[i] += kept->subsurface[i];
+  for (size_t i = 0; i < direct.size(); ++i) direct[i] += kept->direct[i];
+  return Status::Ok();
 }
 
 Result<const std::vector<float>*> World::White(Stage& stage, size_t projector) const {

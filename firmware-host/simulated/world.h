@@ -61,6 +61,13 @@ class World {
     std::vector<std::unique_ptr<LightTransport>> transports;
     std::vector<std::unique_ptr<Interreflection>> bounces;
     std::vector<std::vector<float>> white;  // light of each projector's full white
+    // Of each projector, the last picture of two dimensions: its sum over all columns and rows takes seconds, and a
+    // visit shows it twice and asks for its truth.
+    struct Picture {
+      Pattern pattern;
+      std::vector<float> subsurface, direct;
+    };
+    std::vector<std::optional<Picture>> pictures;
   };
   Result<Stage*> StageIn(const SubjectState& state);
   [[nodiscard]] Result<std::unique_ptr<Stage>> MakeStage(const SubjectState& state) const;

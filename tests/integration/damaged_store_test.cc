@@ -133,15 +133,17 @@ TEST_F(DamagedStore, AnotherSessionsSegmentIsNotMistakenForItsOwn) {
 TEST_F(DamagedStore, AManifestThatIsNoneIsFoundAndTheFramesStayReadable) {
   const fs::path manifest = Session("s000001") / "manifest.json";
   const std::string intact = ReadText(manifest);
-  std::string kind = intact, newer = intact;
+  std::string kind = intact;
   kind.replace(kind.find("\"visitor\""), 9, "\"partygo\"");
-  newer.replace(newer.find("\"schema\": 3"), 11, "\"schema\": 9");
+  Json next = Json::parse(intact);
+  next["schema"] = 99;
+  const std::string newer = next.dump(1);
   const std::array<std::array<std::string, 2>, 6> cases = {{{"", "parse error at line 1"},
                                                             {intact.substr(0, 100), "parse error at line "},
                                                             {"[1, 2]\n", "not a JSON object"},
                                                             {"{\"schema\": \"one\"}", "'schema' is no number"},
                                                             {kind, "not what its own hash says"},
-                                                            {newer, "schema 9 is newer"}}};
+                                                            {newer, "schema 99 is newer"}}};
   for (const auto& [text, part] : cases) {
     WriteText(manifest, text);
     ExpectFoundByVerify({manifest.string() + ": ", part, text == newer ? ": 2 problem(s)" : ": 1 problem(s)"});

@@ -5,6 +5,7 @@
 # JOB: tests/rig-vm/jobs/JOB.sh. BUILD: the build folder whose binaries the guest runs (/build there). OUT: this boot's
 # folder, emptied first (/share there, the only place the guest can write to): console.log, cases, and what the job
 # leaves. Exit 0: every case passed; 1: one did not, or the guest hung or died; 77: no guest on this machine.
+# STRATALUX_RIG_FAULTS: how many faults the job `capture` draws by STRATALUX_SEED.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 source_folder=$(cd "$here/../.." && pwd)
@@ -23,7 +24,8 @@ share() {  # TAG FOLDER [OPTION]: one 9p share
 timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi,tb-size=256 -machine q35 -cpu max -smp 2 -m 1024 \
   -nodefaults -display none -no-reboot -serial "file:$out/console.log" \
   -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
-  -append "console=ttyS0 quiet panic=-1 mitigations=off nokaslr random.trust_cpu=on tsc=reliable no_timer_check rig.job=$job" \
+  -append "console=ttyS0 quiet panic=-1 mitigations=off nokaslr random.trust_cpu=on tsc=reliable no_timer_check rig.job=$job \
+rig.faults=${STRATALUX_RIG_FAULTS:-3} rig.seed=${STRATALUX_SEED:-1}" \
   $(share root "$guest/rootfs" readonly=on) $(share source "$source_folder" readonly=on) \
   $(share build "$build" readonly=on) $(share share "$out") </dev/null || emulator=$?
 

@@ -54,7 +54,7 @@ TEST_F(BadStoreTest, AFlippedBitInTheIndexGivesNoWrongPixels) {
   std::map<StatusCode, int> outcomes;
   int flips = 0;
   const auto note = [&outcomes](const Status& status) { ++outcomes[status.code()]; };
-  for (size_t i = 0; i < intact.size(); i += 1 + (i * 7) % 97, ++flips) {
+  for (size_t i = 0; i < intact.size(); i += 1 + (i * 7) % 487, ++flips) {
     SCOPED_TRACE("byte " + std::to_string(i));
     FlipBits(Index(), i, static_cast<uint8_t>(1U << (i % 8)));
     const auto store = SessionStore::Open(folder_, AccessMode::kReadOnly);
@@ -74,7 +74,7 @@ TEST_F(BadStoreTest, AFlippedBitInTheIndexGivesNoWrongPixels) {
   std::printf("%d bits of the index flipped:", flips);
   for (const auto& [code, count] : outcomes) std::printf(" %d x code %d", count, static_cast<int>(code));
   std::printf("; no wrong pixel\n");
-  EXPECT_GT(flips, 1000);
+  EXPECT_GT(flips, 200);
   EXPECT_GT(outcomes[StatusCode::kIntegrity], 0);
   EXPECT_EQ(outcomes[StatusCode::kUsage], 0) << "damage is nobody's wrong flag";
   ExpectReadable(OpenStore(), first_, 3);

@@ -7,6 +7,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <latch>
 #include <string>
 #include <thread>
 
@@ -151,13 +152,17 @@ TEST_F(GpiodLineBankTest, PulsesEndLowAndAreCounted) {
 }
 
 TEST_F(GpiodLineBankTest, APulseIsSeenOutside) {
-  wiring_.camera_pulse = 300ms;
+  wiring_.camera_pulse = 1s;
   Open();
   bool high = false;
+  std::latch watching(1);  // on a busy machine a thread may start later than a pulse ends
   std::thread watcher([&] {
     const auto deadline = std::chrono::steady_clock::now() + 10s;
+    EXPECT_FALSE(sim_->Level(kCamera));
+    watching.count_down();
     while (!high && std::chrono::steady_clock::now() < deadline) high = sim_->Level(kCamera);
   });
+  watching.wait();
   EXPECT_TRUE(bank_->TriggerCamera().ok());
   watcher.join();
   EXPECT_TRUE(high);

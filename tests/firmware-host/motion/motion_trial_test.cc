@@ -50,8 +50,8 @@ std::string Text(const MotionCapture& capture) {
 }
 
 TEST(MotionTrials, HalfAMillimetreOutAndBackIsFoundAndAStillVisitorIsLeftAlone) {
-  const int trials = FromEnvironment("STRATALUX_MOTION_TRIALS", 8),
-            stills = FromEnvironment("STRATALUX_MOTION_STILL", 2);
+  const int trials = FromEnvironment("STRATALUX_MOTION_TRIALS", 4),
+            stills = FromEnvironment("STRATALUX_MOTION_STILL", 1);
   const double steady = WitnessOptions().steady_tolerance;
   int found = 0, found_by_mean = 0, alarms = 0;
   for (int n = 0; n < trials; ++n) {

@@ -1,7 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # `stratalux-rig capture` on the kernel's interfaces, in front of a scene that shows what the projectors are told
-# (responder.cc): a plan of 204 frames, then every fault. A row each:
+# (responder.cc): a plan of 204 frames, then `rig.faults` of the faults, drawn by `rig.seed`. A row each:
 #   fault | injected | detected as | session | frames proven | mis-associated
 . /source/tests/rig-vm/guest-lib.sh
 
@@ -75,6 +75,34 @@ capture_once() {
   [ "$verdict" = "ok     " ]
 }
 
+# name; plan; allowed ends of the session; control of vivid given before the capture; fault of the responder
+faults() {
+  sed 's/ *; */;/g' <<'ROWS'
+swapped patterns      ; whole ; degraded          ;                                ; swap@60
+bit for its inverse   ; short ; degraded          ;                                ; swap@20
+no step               ; short ; complete degraded ;                                ; no-step@30
+lost edge             ; short ; complete degraded ;                                ; lost-edge@30
+doubled edge          ; short ; complete degraded ;                                ; doubled-edge@30
+stuck SYNC            ; short ; degraded failed   ;                                ; stuck-sync@30
+dropped buffers       ; short ; complete degraded ;                                ; control:Percentage of Dropped Buffers=10@20
+buffer error flag     ; short ; complete degraded ;                                ; control:Inject V4L2_BUF_FLAG_ERROR=1@30
+QBUF error            ; short ; complete degraded ;                                ; control:Inject VIDIOC_QBUF Error=1@30
+fatal streaming error ; short ; complete degraded ;                                ; control:Inject Fatal Streaming Error=1@30
+STREAMON error        ; short ; complete degraded ; inject_vidioc_streamon_error=1 ;
+time stamps wrap      ; short ; degraded failed   ; wrap_timestamp=1               ;
+emergency stop        ; short ; failed            ;                                ; emergency-stop@30
+door                  ; short ; failed            ;                                ; door@30
+lines unplugged       ; short ; failed            ;                                ; unplug@30
+camera unplugged      ; short ; degraded failed   ;                                ; control:Disconnect=1@30
+ROWS
+}
+# sample N SEED: N of the lines given, in their order.
+sample() {
+  awk -v wanted="$1" -v seed="$2" '{line[NR] = $0}
+    END {srand(seed); for (i = 1; i <= NR; i++) if (rand() * (NR - i + 1) < wanted) {print line[i]; wanted--}}'
+}
+option() { sed -nE "s/.*rig\.$1=([0-9]+).*/\1/p" /proc/cmdline; }
+
 modprobe gpio-sim
 load_camera
 echo "        fault | injected | detected as | session | frames proven | mis-associated" >$cases
@@ -83,31 +111,14 @@ capture "none, 204 frames" "$plan" "complete"
   echo "FAILED  stratalux-db verify --deep" >>$cases
   failures=$((failures + 1))
 }
-capture "swapped patterns" "$plan" "degraded" swap@60
-capture "bit for its inverse" $short_plan "degraded" swap@20
-capture "no step" $short_plan "complete degraded" no-step@30
-capture "lost edge" $short_plan "complete degraded" lost-edge@30
-capture "doubled edge" $short_plan "complete degraded" doubled-edge@30
-capture "stuck SYNC" $short_plan "degraded failed" stuck-sync@30
-capture "dropped buffers" $short_plan "complete degraded" "control:Percentage of Dropped Buffers=10@20"
-load_camera
-capture "buffer error flag" $short_plan "complete degraded" "control:Inject V4L2_BUF_FLAG_ERROR=1@30"
-capture "QBUF error" $short_plan "complete degraded" "control:Inject VIDIOC_QBUF Error=1@30"
-capture "fatal streaming error" $short_plan "complete degraded" "control:Inject Fatal Streaming Error=1@30"
-load_camera
-control=inject_vidioc_streamon_error=1
-capture "STREAMON error" $short_plan "complete degraded"
-control=
-# A wrap is no fault: the numbers go on.
+# A wrap of the numbers is no fault: they go on.
 v4l2-ctl -d "$camera" -c wrap_sequence_number=1
 capture "sequence wraps" $short_plan "complete"
-v4l2-ctl -d "$camera" -c wrap_sequence_number=0
-control=wrap_timestamp=1
-capture "time stamps wrap" $short_plan "degraded failed"
-control=
-load_camera
-capture "emergency stop" $short_plan "failed" emergency-stop@30
-capture "door" $short_plan "failed" door@30
-capture "lines unplugged" $short_plan "failed" unplug@30
-capture "camera unplugged" $short_plan "degraded failed" "control:Disconnect=1@30"
+faults | sample "$(option faults)" "$(option seed)" >/tmp/faults
+while IFS=';' read -r name which wanted control fault; do
+  load_camera
+  [ "$which" = whole ] && chosen=$plan || chosen=$short_plan
+  if [ -n "$fault" ]; then set -- "$fault"; else set --; fi
+  capture "$name" "$chosen" "$wanted" "$@" </dev/null
+done </tmp/faults
 finish
