@@ -99,9 +99,9 @@ class Guide : public StoreTest {
     replace("kiosk@rig-1:/var/lib/stratalux", (place_ / "rig").string());
     replace("/media/", (place_ / "media").string() + "/");
     if (text.starts_with("stratalux-db serve "))
-      text +=
-          " > served 2>&1 & pid=$!; for i in $(seq 600); do grep -q http:// served && break;"
-          " kill -0 $pid || break; sleep 0.1; done; kill $pid; wait $pid; code=$?; cat served; exit $code";
+      text = "rm -f served; " + text +  // an earlier one's would say that this one is ready
+             " > served 2>&1 & pid=$!; for i in $(seq 600); do grep -q http:// served && break;"
+             " kill -0 $pid || break; sleep 0.1; done; kill $pid; wait $pid; code=$?; cat served; exit $code";
     return Shell("exec 2>&1; cd " + place_.string() + " && export STRATALUX_STORE=store PATH=" + STRATALUX_BIN_DIR +
                  ":$PATH; " + text);
   }

@@ -94,20 +94,30 @@ TEST(SecondTakes, SpotsStandBesideWhiteBlackAndSinusoidsAlone) {
   }
 }
 
-TEST(SecondTakes, ChangeNothingElse) {
+TEST(SecondTakes, MoveTheSpotsAndChangeNothingElse) {
   for (const bool rows : {false, true}) {
     PlanOptions options;
     options.row_sweep = rows;
     const CapturePlan with = *BuildPlan(options);
     options.second_takes = false;
     const CapturePlan without = *BuildPlan(options);
-    std::vector<PlanStep> others;
-    for (const PlanStep& step : with.steps)
-      if (step.phase != CapturePhase::kRepeat) others.push_back(step);
-    ASSERT_EQ(others.size(), without.steps.size());
-    for (size_t i = 0; i < others.size(); ++i) {
-      EXPECT_EQ(others[i].pattern, without.steps[i].pattern) << i;
-      EXPECT_EQ(others[i].phase, without.steps[i].phase) << i;
+    // Where the first take of the spots stands is all that differs: before the sweep, so that the second is far from
+    // it.
+    const auto steps_of = [](const CapturePlan& plan, bool spots) {
+      std::vector<PlanStep> steps;
+      for (const PlanStep& step : plan.steps)
+        if (step.phase != CapturePhase::kRepeat && (step.phase == CapturePhase::kSpot) == spots) steps.push_back(step);
+      return steps;
+    };
+    for (const bool spots : {false, true}) {
+      const std::vector<PlanStep> here = steps_of(with, spots), there = steps_of(without, spots);
+      ASSERT_EQ(here.size(), there.size());
+      ASSERT_FALSE(here.empty());
+      for (size_t i = 0; i < here.size(); ++i) {
+        EXPECT_EQ(here[i].pattern, there[i].pattern) << i;
+        EXPECT_EQ(here[i].phase, there[i].phase) << i;
+        EXPECT_EQ(here[i].projector, there[i].projector) << i;
+      }
     }
   }
 }
