@@ -4,6 +4,8 @@
 
 #include <cstdio>
 #include <cstring>
+#include <mutex>
+#include <optional>
 #include <random>
 #include <set>
 
@@ -133,7 +135,6 @@ Status SessionIndex::Create(const std::filesystem::path& folder) {
     return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
-  // Its own migrations take longer than all else that a rebuild of a small store does.
   SLX_ASSIGN_OR_RETURN(const auto empty, InMemory());
   return connection.FillFrom(empty.connection_);
 }
@@ -206,8 +207,17 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
 }
 
 Result<SessionIndex> SessionIndex::InMemory() {
+  // The migrations take longer than all else that the verification of a small store does: once for the whole process.
+  static std::mutex mutex;
+  static std::optional<Connection> migrated;
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
-  SLX_RETURN_IF_ERROR(Migrate(connection, {}));
+  const std::lock_guard lock(mutex);
+  if (!migrated) {
+    SLX_ASSIGN_OR_RETURN(auto first, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+    SLX_RETURN_IF_ERROR(Migrate(first, {}));
+    migrated.emplace(std::move(first));
+  }
+  SLX_RETURN_IF_ERROR(connection.FillFrom(*migrated));
   return SessionIndex(std::move(connection));
 }
 
