@@ -6,7 +6,6 @@
 #include <charconv>
 #include <string_view>
 
-#include "shared/base/random.h"
 #include "shared/config/toml_reader.h"
 
 namespace stratalux::rig {
@@ -17,6 +16,8 @@ constexpr std::array<std::string_view, kFaultKinds> kNames = {
     "frame_corrupt", "frame_garbled",  "frame_torn",  "exposure_latch", "subject_moved", "subject_swayed",
     "lamp_drift",    "lamp_blink",     "camera_gone", "edge_lost",      "edge_doubled",  "sync_stuck",
     "projector_lag", "projector_skip", "lines_gone",  "emergency_stop", "door_open"};
+
+constexpr int kLongestBurst = 1000;
 
 std::string Names() {
   std::string list;
@@ -97,6 +98,8 @@ Result<FaultOptions> ReadFaults(TomlTable& root) {
   random.Get("seed", seed, 0, 1 << 30);
   options.seed = static_cast<uint64_t>(seed);
   random.Get("rate", options.rate, 0.0, 1.0);
+  random.Get("burst", options.burst, 1, kLongestBurst);
+  random.Get("pair", options.pair, 0.0, 1.0);
   std::vector<std::string> kinds;
   random.Get("kinds", kinds);
   for (const std::string& kind : kinds) {
@@ -104,6 +107,22 @@ Result<FaultOptions> ReadFaults(TomlTable& root) {
     options.kinds.push_back(parsed);
   }
   return options;
+}
+
+// Each number draws for itself: whether a run begins there, which kind it meets in one, how long its run is, and the
+// pair.
+Random FaultScript::DrawsAt(int64_t number, Where where) const {
+  return Random(options_.seed, static_cast<uint64_t>(number) * 2 + (where == Where::kPulse ? 1 : 0));
+}
+
+bool FaultScript::InBurst(int64_t number, Where where) const {
+  for (int64_t start = std::max<int64_t>(0, number - options_.burst + 1); start <= number; ++start) {
+    Random random = DrawsAt(start, where);
+    if (random.Uniform() >= options_.rate) continue;
+    random.Uniform();  // the kind
+    if (number < start + 1 + static_cast<int64_t>(random.Uniform() * options_.burst)) return true;
+  }
+  return false;
 }
 
 std::vector<Fault> FaultScript::At(int64_t number, Where where) const {
@@ -114,11 +133,17 @@ std::vector<Fault> FaultScript::At(int64_t number, Where where) const {
   if (options_.rate <= 0.0) return faults;
   std::vector<FaultKind> kinds = options_.kinds.empty() ? Survivable() : options_.kinds;
   std::erase_if(kinds, [&](FaultKind k) { return IsLineFault(k) != (where == Where::kPulse); });
-  Random random(options_.seed, static_cast<uint64_t>(number) * 2 + (where == Where::kPulse ? 1 : 0));
-  if (!kinds.empty() && random.Uniform() < options_.rate) {
+  if (kinds.empty() || !InBurst(number, where)) return faults;
+  Random random = DrawsAt(number, where);
+  random.Uniform();  // whether a run begins
+  const auto draw = [&] {
     const auto pick = static_cast<size_t>(random.Uniform() * static_cast<double>(kinds.size()));
     faults.push_back({.kind = kinds[pick], .at = number});
-  }
+    kinds.erase(kinds.begin() + static_cast<std::ptrdiff_t>(pick));
+  };
+  draw();
+  random.Uniform();  // how long it is
+  if (!kinds.empty() && random.Uniform() < options_.pair) draw();
   return faults;
 }
 

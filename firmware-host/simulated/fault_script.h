@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "shared/base/random.h"
 #include "shared/base/result.h"
 
 namespace stratalux {
@@ -62,6 +63,10 @@ struct FaultOptions {
   uint64_t seed = 1;
   double rate = 0.0;             // chance of a random fault at each exposure and each pulse
   std::vector<FaultKind> kinds;  // of the random faults; empty: all that do not end a session
+  // Of the random faults: they come in runs of 1 to `burst` exposures or pulses, each of its own kind, and with the
+  // chance `pair` a second kind comes at once.
+  int burst = 1;
+  double pair = 0.0;
 };
 
 // "frame_lost@17", "lamp_drift@40=0.95", "edge_lost@3x2".
@@ -79,6 +84,8 @@ class FaultScript {
  private:
   enum class Where { kExposure, kPulse };
   [[nodiscard]] std::vector<Fault> At(int64_t number, Where where) const;
+  [[nodiscard]] Random DrawsAt(int64_t number, Where where) const;
+  [[nodiscard]] bool InBurst(int64_t number, Where where) const;
   FaultOptions options_;
 };
 

@@ -77,6 +77,8 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
       options.faults.rate = given.faults.rate;
       options.faults.seed = given.faults.seed;
       options.faults.kinds = given.faults.kinds;
+      options.faults.burst = given.faults.burst;
+      options.faults.pair = given.faults.pair;
     }
   }
   SLX_ASSIGN_OR_RETURN(Scene scene,

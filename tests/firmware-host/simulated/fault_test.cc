@@ -30,6 +30,28 @@ TEST(Faults, SeedsDecideAndRepeat) {
   EXPECT_GT(differences, 500);
 }
 
+TEST(Faults, ComeInRunsAndInPairsOfTwoKinds) {
+  FaultOptions options{.seed = 7, .rate = 0.02};
+  const FaultScript alone(options);
+  options.burst = 5;
+  options.pair = 0.3;
+  const FaultScript script(options);
+  int faulty = 0, pairs = 0, run = 0, longest = 0;
+  for (int64_t n = 0; n < 20000; ++n) {
+    const auto faults = script.AtExposure(n);
+    EXPECT_TRUE(alone.AtExposure(n).empty() || !faults.empty()) << "a run begins where a single fault would be";
+    run = faults.empty() ? 0 : run + 1;
+    longest = std::max(longest, run);
+    faulty += !faults.empty();
+    if (faults.size() < 2) continue;
+    EXPECT_NE(faults[0].kind, faults[1].kind);
+    ++pairs;
+  }
+  EXPECT_NEAR(faulty, 400.0 * 3.0, 150.0);  // runs of 3 on average, less where they meet
+  EXPECT_NEAR(pairs, 0.3 * faulty, 5.0 * std::sqrt(0.21 * faulty));
+  EXPECT_GE(longest, 5);
+}
+
 TEST(Faults, TextAndTablesAreReadAndWrongOnesNamed) {
   const auto fault = ParseFault("lamp_drift@40x3=0.95");
   ASSERT_TRUE(fault.ok());
@@ -41,11 +63,15 @@ TEST(Faults, TextAndTablesAreReadAndWrongOnesNamed) {
                             "frame_lost@3=", "@3", "", "frame_lost@3 "})
     EXPECT_EQ(ParseFault(wrong).status().code(), StatusCode::kUsage) << wrong;
   auto root = TomlTable::ParseText(
-      "[[fault]]\nkind = \"edge_lost\"\nat = 3\n[faults]\nrate = 0.5\nkinds = [\"frame_lost\"]\n", "f.toml");
+      "[[fault]]\nkind = \"edge_lost\"\nat = 3\n[faults]\nrate = 0.5\nkinds = [\"frame_lost\"]\nburst = 3\npair = "
+      "0.25\n",
+      "f.toml");
   const auto faults = ReadFaults(*root);
   ASSERT_TRUE(faults.ok() && root->Finish().ok());
   EXPECT_EQ(faults->script[0].kind, FaultKind::kEdgeLost);
   EXPECT_EQ(faults->kinds[0], FaultKind::kFrameLost);
+  EXPECT_EQ(faults->burst, 3);
+  EXPECT_EQ(faults->pair, 0.25);
   auto sway = TomlTable::ParseText(
       "[[fault]]\nkind = \"subject_swayed\"\nat = 3\ncount = 9\nvalue = 0.5\nalong = [0, 0, 2]\n", "f.toml");
   const auto swayed = ReadFaults(*sway);

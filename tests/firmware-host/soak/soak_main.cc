@@ -26,6 +26,8 @@ int Main(int argc, char** argv) {
   app.add_option("--frames", frames)->capture_default_str();
   app.add_option("--seed", seed, "of scenes, noise and faults; STRATALUX_SEED without it")->capture_default_str();
   app.add_option("--rate", rate, "chance of a fault at each exposure and each pulse")->capture_default_str();
+  app.add_option("--burst", base.faults.burst, "faults come in runs of so many at most")->capture_default_str();
+  app.add_option("--pair", base.faults.pair, "chance that a second kind comes at once")->capture_default_str();
   app.add_option("--kind", only, "one kind of fault only, such as projector_lag");
   app.add_option("--scene", base.scene)->capture_default_str();
   app.add_flag("--scattering", base.scattering);
