@@ -31,7 +31,7 @@ TEST(Faults, SeedsDecideAndRepeat) {
 }
 
 TEST(Faults, ComeInRunsAndInPairsOfTwoKinds) {
-  FaultOptions options{.seed = 7, .rate = 0.02};
+  FaultOptions options{{}, 7, 0.02, {}};
   const FaultScript alone(options);
   options.burst = 5;
   options.pair = 0.3;

@@ -187,7 +187,7 @@ TEST_F(LightTransportValidation, EnergyIsConserved) {
     double sum = t.specular.mean + t.reflectance.mean + t.transmittance.mean + t.dropped.mean;
     for (const auto& a : t.absorbed) sum += a.mean;
     // Roulette conserves the mean only: a photon that survives it carries 9e-4 too much at most, the others 1e-4 less.
-    Expect(std::string("skin ") + "RGB"[channel] + ": reflected + absorbed + dropped",
+    Expect("skin " + std::string(1, "RGB"[channel]) + ": reflected + absorbed + dropped",
            {sum, 3e-4 / std::sqrt(kPhotons)}, 1.0, 0.0, "exact");
   }
 }
