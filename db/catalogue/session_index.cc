@@ -135,8 +135,7 @@ Status SessionIndex::Create(const std::filesystem::path& folder) {
     return Open(folder, AccessMode::kReadWrite).status();
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(file, Connection::Mode::kCreate));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA journal_mode = WAL"));
-  SLX_ASSIGN_OR_RETURN(const auto empty, InMemory());
-  return connection.FillFrom(empty.connection_);
+  return FillWithSchema(connection);
 }
 
 Status SessionIndex::CreateNew(const std::filesystem::path& folder) {
@@ -206,18 +205,22 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   return SessionIndex(std::move(connection));
 }
 
-Result<SessionIndex> SessionIndex::InMemory() {
-  // The migrations take longer than all else that the verification of a small store does: once for the whole process.
+Status SessionIndex::FillWithSchema(Connection& connection) {
+  // The migrations take longer than all else that is done to a small store: once for the whole process.
   static std::mutex mutex;
   static std::optional<Connection> migrated;
-  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
   const std::lock_guard lock(mutex);
   if (!migrated) {
     SLX_ASSIGN_OR_RETURN(auto first, Connection::Open(":memory:", Connection::Mode::kReadWrite));
     SLX_RETURN_IF_ERROR(Migrate(first, {}));
     migrated.emplace(std::move(first));
   }
-  SLX_RETURN_IF_ERROR(connection.FillFrom(*migrated));
+  return connection.FillFrom(*migrated);
+}
+
+Result<SessionIndex> SessionIndex::InMemory() {
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(":memory:", Connection::Mode::kReadWrite));
+  SLX_RETURN_IF_ERROR(FillWithSchema(connection));
   return SessionIndex(std::move(connection));
 }
 

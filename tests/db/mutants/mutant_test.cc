@@ -2,7 +2,7 @@
 // Whatever happens to a store's bytes: no command aborts or hangs, no acknowledged frame is lost, nothing false is
 // taken in silence.
 //
-// STRATALUX_MUTANTS: how many (200; a night run takes 20000 and more). STRATALUX_SEED: which; without it, one fixed and
+// STRATALUX_MUTANTS: how many (500; a night run takes 20000 and more). STRATALUX_SEED: which; without it, one fixed and
 // one of the day. STRATALUX_MUTANT: this one of the seed alone, and its store is kept.
 #include <chrono>
 #include <csignal>
@@ -188,7 +188,7 @@ TEST_F(Mutants, UnchangedStoresAreSound) {
 }
 
 TEST_F(Mutants, AreFoundOrHarmlessAndLoseNoFrame) {
-  const int64_t count = Number("STRATALUX_MUTANTS", 200);
+  const int64_t count = Number("STRATALUX_MUTANTS", 500);
   if (std::getenv("STRATALUX_SEED") != nullptr)
     return RunAll(static_cast<uint64_t>(Number("STRATALUX_SEED", 0)), count);
   const auto day = std::chrono::duration_cast<std::chrono::hours>(std::chrono::system_clock::now().time_since_epoch());
