@@ -42,7 +42,11 @@ void CaptureRun::AskWitness(int last_of_block) {
   // What follows in the memory is shot anyway, here or in the next block.
   if (next == kNoStep || next > last_of_block || pending_.contains(next)) return;
   last_verdict_ = LevelCheck::kPassed;  // asked once
-  if (!witness_.CanSpeak(plan_.steps[*last_kept_]) || !witness_.CanSpeak(plan_.steps[next])) return;
+  if (!witness_.IsSpokenFor(plan_.steps[*last_kept_])) return;
+  int speaker = next;
+  while (speaker != kNoStep && speaker <= last_of_block && !witness_.CanSpeak(plan_.steps[speaker]))
+    speaker = StepAfter(speaker);
+  if (speaker == kNoStep || speaker > last_of_block) return;
   if (!RetriesLeft(next) || given_up_.contains(next)) return;
   const auto cause = retake_cause_.find(*last_kept_);
   const auto proven = proven_.find(next);
@@ -148,7 +152,7 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   }
   NoteFault(last.index, ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
-  memory_at_.reset();
+  LoseMemory();
   if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) return TellWhite(last);
   if (RetakeReference(group)) return Status::Ok();
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
@@ -177,7 +181,7 @@ Status CaptureRun::SpoilLast(ShotFault fault) {
     SLX_RETURN_IF_ERROR(Abandon(exposure));
     return Spoil(exposure.step->index, fault);
   }
-  memory_at_.reset();
+  LoseMemory();
   if (!last_kept_) {  // left over from before this projector's first shot: nothing of it is spoilt
     report_.Note(fault);
     logger_.Warning(std::string(ToString(fault)) + " before the first shot; the memory is loaded anew");
@@ -193,7 +197,7 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   NoteFault(step, fault);
   proven_.erase(step);
   // Nothing was seen of what this frame would have told, so whether the memory is still in step is not known.
-  memory_at_.reset();
+  LoseMemory();
   SLX_RETURN_IF_ERROR(CountUseless());
   if (const auto asked = asked_.find(step); asked != asked_.end()) {
     // It was only to speak for the frame before it, and has a frame of its own.
@@ -220,6 +224,11 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   return AnyPending(group) ? Status::Ok() : JudgeGroup(group);
 }
 
+void CaptureRun::LoseMemory() {
+  memory_at_.reset();
+  witness_.EndLoad();
+}
+
 Status CaptureRun::CountUseless() {
   if (++useless_shots_ < options_.max_useless_shots) return Status::Ok();
   return EndFor({FindingKind::kSilentRig, -1, -1, static_cast<double>(useless_shots_),
@@ -240,7 +249,7 @@ void CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
     const std::vector<int> group = PatternWitness::GroupOf(plan_, step);
     if (std::all_of(group.begin(), group.end(), [this](int member) { return RetriesLeft(member); })) {
       again.push_back(step);
-    } else {
+    } else if (!given_up_.contains(step)) {
       wrong_level_.insert(step);
       proven_.erase(step);
     }
@@ -250,7 +259,7 @@ void CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
   logger_.Warning(Describe(again.front()) + " and " + std::to_string(again.size() - 1) +
                   " more: the projector was out of step soon after; shot again");
   for (int step : again) Retake(step, ShotFault::kWrongLevel);
-  memory_at_.reset();
+  LoseMemory();
 }
 
 }  // namespace stratalux::rig

@@ -225,7 +225,7 @@ Status CaptureRun::LoadFrom(int step) {
   std::vector<Pattern> sequence;
   for (int later : StepsOf(projector))
     if (later >= step) sequence.push_back(plan_.steps[later].pattern);
-  witness_.MemoryLoaded();
+  witness_.EndLoad();
   // A memory that is stepped to its place shows everything on the way: to nobody.
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   SLX_RETURN_IF_ERROR(

@@ -56,6 +56,8 @@ class CaptureRun {
   Status SpoilLast(ShotFault fault);
   // A shot that does not count: its step is shot again, or given up once it has had its retries.
   Status Spoil(int step, ShotFault fault);
+  // What the projector's next pulse shows is not known any more.
+  void LoseMemory();
   // Of shots without a usable frame, in a row: an error where the rig gives nothing any more.
   Status CountUseless();
   void Retake(int step, ShotFault cause);

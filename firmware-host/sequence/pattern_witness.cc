@@ -74,7 +74,6 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
     if (Find(member) == nullptr) return LevelCheck::kNotChecked;
   Testimony testimony = Judge(step, group);
   for (int member : group) frames_.at(member).testimony = testimony;
-  if (testimony == Testimony::kRefutes) DoubtSilentBefore(group);
   if (step.phase == CapturePhase::kCorrespondence && testimony != Testimony::kRefutes &&
       JudgeOrder(step.pattern.axis, group) == Testimony::kRefutes)
     testimony = Testimony::kRefutes;
@@ -87,18 +86,6 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
       break;
   }
   return LevelCheck::kNotChecked;
-}
-
-void PatternWitness::DoubtSilentBefore(std::span<const int> group) {
-  const int load = frames_.at(group.front()).load;
-  std::map<int64_t, int> before;  // shot -> step, of this load
-  for (const auto& [step, frame] : frames_)
-    if (frame.load == load && frame.shot < frames_.at(group.front()).shot) before[frame.shot] = step;
-  for (auto it = before.rbegin(); it != before.rend(); ++it) {
-    const Testimony testimony = frames_.at(it->second).testimony;
-    if (testimony == Testimony::kConfirms) return;
-    if (testimony == Testimony::kSilent) doubtful_.push_back(it->second);
-  }
 }
 
 PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span<const int> group) {
@@ -152,7 +139,20 @@ bool PatternWitness::ReferenceStandsAlone() const {
   });
 }
 
+void PatternWitness::DoubtUnspokenFor() {
+  std::map<int64_t, int> by_shot;  // shot -> step
+  for (const auto& [step, frame] : frames_) by_shot[frame.shot] = step;
+  int spoken_for = load_;  // of this load, all earlier frames
+  for (auto it = by_shot.rbegin(); it != by_shot.rend(); ++it) {
+    const Frame& frame = frames_.at(it->second);
+    if (frame.testimony == Testimony::kConfirms) spoken_for = frame.load;
+    const bool unspoken_for = frame.testimony == Testimony::kSilent && frame.load != spoken_for;
+    if (unspoken_for && IsSpokenFor(plan_.steps[it->second])) doubtful_.push_back(it->second);
+  }
+}
+
 std::vector<int> PatternWitness::TakeDoubtful() {
+  DoubtUnspokenFor();
   std::vector<int> steps;
   for (int step : doubtful_)
     for (int member : GroupOf(plan_, step)) steps.push_back(member);
@@ -167,6 +167,10 @@ bool PatternWitness::CanSpeak(const PlanStep& step) const {
   if (step.bracket > 0 && step.phase != CapturePhase::kSweep) return false;
   if (step.phase == CapturePhase::kPreroll || step.phase == CapturePhase::kRadiometry) return false;
   return step.phase == CapturePhase::kReference || !lit_.empty();
+}
+
+bool PatternWitness::IsSpokenFor(const PlanStep& step) const {
+  return step.phase != CapturePhase::kPreroll && step.phase != CapturePhase::kRadiometry && !lit_.empty();
 }
 
 PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<const int> group) {

@@ -16,8 +16,8 @@
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
-// memory that is out of step stays so, hence a silent frame is trusted when the next frame that speaks is confirmed;
-// when that is refuted, the silent ones before it are doubtful as well.
+// memory that is out of step stays so until it is loaded anew, hence a silent frame is trusted when the next frame of
+// that load that speaks is confirmed; it is doubtful when that is refuted, or when the load ends before one speaks.
 #pragma once
 
 #include <map>
@@ -66,8 +66,9 @@ class PatternWitness {
   void AddPreroll(const PlanStep& step, const Image<uint16_t>& pixels);
   // Forgets the projector before; call where a new projector's steps begin.
   void StartProjector(int projector);
-  // The projector's memory was loaded anew: what follows is in step, whatever was before.
-  void MemoryLoaded() { ++load_; }
+  // Where the projector's memory stands is not known any more, or it is loaded anew: nothing that follows speaks for
+  // the frames before.
+  void EndLoad() { ++load_; }
   // Keeps the probes of a step's frame, and the mean of all its pixels; a later shot of the step replaces them.
   void Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn);
   // Checks the group that ends with this step (GroupOf). kNotChecked where the plan or the scene offers no check.
@@ -75,9 +76,12 @@ class PatternWitness {
   // False where no check says anything of the step's frame, whatever it shows: further exposures of phases but the
   // sweep, phases without patterns, and all while the reference lights nothing.
   [[nodiscard]] bool CanSpeak(const PlanStep& step) const;
+  // Whether frames of other steps are to speak for the step's where its own check is silent. Not in phases without
+  // patterns, which nothing follows that speaks.
+  [[nodiscard]] bool IsSpokenFor(const PlanStep& step) const;
   // Nothing but the reference has been confirmed yet: when frames contradict it, it may be the reference that is wrong.
   [[nodiscard]] bool ReferenceStandsAlone() const;
-  // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for. Empties the list.
+  // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for.
   [[nodiscard]] std::vector<int> TakeDoubtful();
   // A motion white that was added: the lamp has changed, or the visitor moved. At once, before the projector is
   // through.
@@ -114,7 +118,8 @@ class PatternWitness {
   [[nodiscard]] Testimony JudgeComb(const PlanStep& step);
   [[nodiscard]] Testimony JudgeWhite(const PlanStep& step) const;
   [[nodiscard]] Testimony JudgeLevel(const PlanStep& step);
-  void DoubtSilentBefore(std::span<const int> group);
+  // The silent ones of loads that ended before a frame spoke for them.
+  void DoubtUnspokenFor();
   // A bit whose frame shows its inverse and the other way round still adds up; but with it, stretches of the picture
   // run backwards. Not to be told: the top bit, which mirrors the whole picture, and bits finer than the lattice.
   // Doubts the pair's frames, or refutes them where they are `group`.

@@ -139,6 +139,32 @@ TEST_F(WitnessTest, ABitExchangedWithItsInverseIsDoubted) {
     }
 }
 
+TEST_F(WitnessTest, SilenceIsDoubtedWhenItsLoadEndsBeforeAFrameSpeaks) {
+  const PlanStep& bit = First(CapturePhase::kCorrespondence, 2);
+  const PlanStep& inverse = plan_.steps[bit.index + 1];
+  ShowUpTo(bit.index - 1);
+  Show(bit, See(bit.pattern));  // half of a pair: nothing is said of it
+  EXPECT_THAT(witness_.TakeDoubtful(), ::testing::IsEmpty());
+  witness_.EndLoad();
+  EXPECT_THAT(witness_.TakeDoubtful(), ::testing::ElementsAre(bit.index, inverse.index));
+  Show(inverse, See(inverse.pattern));
+  EXPECT_EQ(witness_.Check(inverse), LevelCheck::kPassed);
+  EXPECT_THAT(witness_.TakeDoubtful(), ::testing::IsEmpty());
+}
+
+TEST_F(WitnessTest, SilenceIsTrustedWhenALaterFrameOfItsLoadSpeaks) {
+  const PlanStep& silent = First(CapturePhase::kCorrespondence, 2);
+  const PlanStep& bit = First(CapturePhase::kCorrespondence, 4);
+  const PlanStep& inverse = plan_.steps[bit.index + 1];
+  ShowUpTo(silent.index - 1);
+  Show(silent, See(silent.pattern));
+  Show(bit, See(bit.pattern));
+  Show(inverse, See(inverse.pattern));
+  EXPECT_EQ(witness_.Check(inverse), LevelCheck::kPassed);
+  witness_.EndLoad();
+  EXPECT_THAT(witness_.TakeDoubtful(), ::testing::IsEmpty());
+}
+
 TEST_F(WitnessTest, ADarkSceneHasNoReference) {
   for (int skip : {0, 1}) Show(First(CapturePhase::kReference, skip), See({.kind = PatternKind::kBlack}));
   EXPECT_EQ(witness_.Check(First(CapturePhase::kReference, 1)), LevelCheck::kFailed);
