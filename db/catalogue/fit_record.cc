@@ -128,7 +128,11 @@ Status CheckFitFiles(const fs::path& folder) {
   SLX_ASSIGN_OR_RETURN(const Json json, ReadRecord(file));
   try {
     if (json.at("schema") != kSchema && !json.contains("files")) return Status::Ok();
-    for (const Json& entry : json.at("files"))
+    const auto& files = json.at("files").get_ref<const Json::array_t&>();
+    SLX_ASSIGN_OR_RETURN(const auto found, FilesOf(folder));
+    if (files.empty() && !found.empty())
+      return Status::Integrity(file.string() + " names no file, and " + folder.string() + " holds " + found.front());
+    for (const Json& entry : files)
       SLX_RETURN_IF_ERROR(CheckFile(folder, entry.at("name").get<std::string>(), entry.at("bytes").get<int64_t>(),
                                     entry.at("xxh3_128").get<std::string>()));
     return Status::Ok();

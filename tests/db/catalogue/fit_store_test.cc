@@ -317,6 +317,11 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   stripped.erase("files");
   WriteText(made / "fit.json", WithOwnHash(stripped.dump(1)));
   refused(StatusCode::kIntegrity, "fit.json");
+  for (const auto& none : {nlohmann::ordered_json::object(), nlohmann::ordered_json::array()}) {
+    stripped["files"] = none;
+    WriteText(made / "fit.json", WithOwnHash(stripped.dump(1)));
+    refused(StatusCode::kIntegrity, none.is_array() ? "names no file" : "fit.json");
+  }
   edited("5000", "-1");
   refused(StatusCode::kIntegrity, "position.exr");
   for (const std::string& text : {std::string("{"), std::string("[]"), std::string(R"({"files": [7]})")}) {
