@@ -153,7 +153,10 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   NoteFault(last.index, ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
   LoseMemory();
-  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) return TellWhite(last);
+  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); }))
+    return last.phase == CapturePhase::kReference && last.bracket == 0
+               ? EndWithoutReference(last, "its frames do not show it at any try")
+               : TellWhite(last);
   if (RetakeReference(group)) return Status::Ok();
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
   for (int step : group) Retake(step, ShotFault::kWrongLevel);
@@ -214,9 +217,7 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
   logger_.Error(Describe(step) + ": " + ToString(fault) + " after " + std::to_string(options_.max_retries) +
                 " retries; given up");
   if (plan_.steps[step].phase == CapturePhase::kReference && plan_.steps[step].bracket == 0)
-    return EndFor({FindingKind::kNoProof, plan_.steps[step].projector, step, 0.0, 0.0,
-                   std::string(ToString(fault)) +
-                       " at each try; without this reference nothing can tell what the projector shows"});
+    return EndWithoutReference(plan_.steps[step], std::string(ToString(fault)) + " at each try");
   pending_.erase(step);
   given_up_.insert(step);
   Advance(step);
@@ -227,6 +228,11 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
 void CaptureRun::LoseMemory() {
   memory_at_.reset();
   witness_.EndLoad();
+}
+
+Status CaptureRun::EndWithoutReference(const PlanStep& step, const std::string& why) {
+  return EndFor({FindingKind::kNoProof, step.projector, step.index, 0.0, 0.0,
+                 why + "; without this reference nothing can tell what the projector shows"});
 }
 
 Status CaptureRun::CountUseless() {

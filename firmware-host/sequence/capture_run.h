@@ -71,6 +71,8 @@ class CaptureRun {
   Status BeginShot(int step);
   // An error that ends the capture, and what it is.
   Status EndFor(Finding why);
+  // A reference that cannot be had.
+  Status EndWithoutReference(const PlanStep& step, const std::string& why);
   // A shot of the step that does not count.
   void NoteFault(int step, ShotFault fault);
   // Among the report's, and told.

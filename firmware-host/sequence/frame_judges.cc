@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <ranges>
 
 #include "firmware-host/sequence/pattern_witness.h"
 
@@ -11,6 +12,26 @@ namespace stratalux::rig {
 namespace {
 
 constexpr int kFewestInBand = 40;  // lit probes; of fewer, no share is taken
+
+using PerBand = std::array<int, ProbeLattice::kBands>;
+
+// Whether more than `share` of the probes are off in some band; bands of few probes are taken with the next ones, from
+// the top and from the bottom.
+bool AnyBandOff(const PerBand& off, const PerBand& all, double share) {
+  const auto any_from = [&](const auto& order) {
+    int off_here = 0, all_here = 0;
+    for (const int band : order) {
+      off_here += off[band];
+      all_here += all[band];
+      if (all_here < kFewestInBand) continue;
+      if (off_here > share * all_here) return true;
+      off_here = all_here = 0;
+    }
+    return false;
+  };
+  const auto down = std::views::iota(0, ProbeLattice::kBands);
+  return any_from(down) || any_from(down | std::views::reverse);
+}
 
 // Share of the picture that the pattern lights.
 double MeanIntensity(const Pattern& pattern, int width, int height) {
@@ -51,7 +72,7 @@ PatternWitness::Testimony PatternWitness::JudgeReference() {
     good = excess <= options_.dark_tolerance * contrast;
   }
   if (good && !preroll_white_.empty()) {
-    std::array<int, ProbeLattice::kBands> off{}, all{};
+    PerBand off{}, all{};
     for (size_t i = 0; i < white_.probes.size(); ++i) {
       const double limit =
           preroll_white_[i] * (1.0 + options_.sum_tolerance) + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
@@ -70,7 +91,7 @@ bool PatternWitness::WithinReference(const PlanStep& step) const {
   if (step.exposure_ms != plan_.options.exposure_ms) return true;
   const Probes& frame = Find(step.index)->probes;
   // Bands of few probes are no evidence; elsewhere light where white gives none is a picture out of place.
-  std::array<int, ProbeLattice::kBands> off{}, all{};
+  PerBand off{}, all{};
   for (size_t i = 0; i < frame.size(); ++i) {
     const double white = white_.probes[i], black = black_.probes[i], level = frame[i];
     const int band = lattice_.BandOf(static_cast<int>(i));
@@ -90,7 +111,7 @@ bool PatternWitness::AddsUp(std::span<const int> steps, double mean) const {
   const double scale = 2.0 / static_cast<double>(steps.size());
   std::vector<const Probes*> frames;
   for (int step : steps) frames.push_back(&frames_.at(step).probes);
-  std::array<int, ProbeLattice::kBands> off{}, all{};
+  PerBand off{}, all{};
   for (int i : lit_) {
     double sum = 0.0;
     for (const Probes* frame : frames) sum += (*frame)[i];
@@ -102,8 +123,7 @@ bool PatternWitness::AddsUp(std::span<const int> steps, double mean) const {
         options_.sum_tolerance * (white - black) + 4.0 * std::sqrt(variance))
       ++off[band];
   }
-  for (int b = 0; b < ProbeLattice::kBands; ++b)
-    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return false;
+  if (AnyBandOff(off, all, options_.max_off_fraction)) return false;
   return std::accumulate(off.begin(), off.end(), 0) <= options_.max_off_fraction * static_cast<double>(lit_.size());
 }
 
@@ -197,7 +217,7 @@ bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame)
     }
   if (lines == 0) return false;
   const double bright = 0.6 * on / lines;
-  std::array<int, ProbeLattice::kBands> off{}, all{};
+  PerBand off{}, all{};
   for (size_t i = 0; i < at.size(); ++i) {
     const int band = lattice_.BandOf(lit_[i]);
     ++all[band];
@@ -251,7 +271,7 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
   const Probes& white = Find(step.index)->probes;
   const double mean = MeanLevel(white);
   if (std::abs(mean - 1.0) > options_.steady_tolerance) return Testimony::kRefutes;
-  std::array<int, ProbeLattice::kBands> off{}, all{};
+  PerBand off{}, all{};
   for (int i : lit_) {
     const double reference = mean * (white_.probes[i] - black_.probes[i]);
     const double limit = options_.sum_tolerance * reference + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
@@ -259,8 +279,7 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
     ++all[band];
     off[band] += std::abs(white[i] - black_.probes[i] - reference) > limit;
   }
-  for (int b = 0; b < ProbeLattice::kBands; ++b)
-    if (all[b] >= kFewestInBand && off[b] > options_.max_off_fraction * all[b]) return Testimony::kRefutes;
+  if (AnyBandOff(off, all, options_.max_off_fraction)) return Testimony::kRefutes;
   return StillnessOf(white).rms > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
 }
 

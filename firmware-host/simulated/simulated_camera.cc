@@ -29,6 +29,8 @@ void ShiftRows(Image<uint16_t>& pixels, int64_t number) {
     std::rotate(pixels.row(y), pixels.row(y) + shift % pixels.width(), pixels.row(y) + pixels.width());
 }
 
+double LateBy(const Fault& fault) { return fault.value != 0.0 ? fault.value : kDefaultLateMs; }
+
 // Half a sine over the fault's exposures, in steps of half its height: each place costs a new light transport.
 Eigen::Vector3d SwayAt(const Fault& fault, int64_t number) {
   const double phase = static_cast<double>(number - fault.at + 1) / static_cast<double>(fault.count + 1);
@@ -113,10 +115,10 @@ Result<TriggerReceipt> SimulatedDevices::TriggerCamera() {
   return receipt;
 }
 
-void SimulatedDevices::Remember(const PendingFrame& frame) {
-  // A driver number that comes again (a stale buffer) brings the picture it brought before.
-  shown_.try_emplace(frame.number, TruthOf(frame));
+bool SimulatedDevices::Remember(const PendingFrame& frame) {
+  const bool first = shown_.try_emplace(frame.number, TruthOf(frame)).second;
   if (shown_.size() > kFramesRemembered) shown_.erase(shown_.begin());
+  return first;
 }
 
 void SimulatedDevices::ExposeWithFaults() {
@@ -136,8 +138,8 @@ void SimulatedDevices::ExposeWithFaults() {
     if (fault.kind == FaultKind::kFrameLost) copies = 0;
     if (fault.kind == FaultKind::kFrameDoubled) copies = 2;
     if (fault.kind == FaultKind::kFrameExtra) extra = true;
-    if (fault.kind == FaultKind::kFrameLate)
-      frame.time = frame.time + FromMilliseconds(fault.value != 0.0 ? fault.value : kDefaultLateMs);
+    if (fault.kind == FaultKind::kFrameLate && !options_.free_running)
+      frame.time = frame.time + FromMilliseconds(LateBy(fault));
     if (fault.kind == FaultKind::kFrameStale && before) {
       const MonotonicNs ready = frame.ready;
       frame = *before;
@@ -160,11 +162,20 @@ void SimulatedDevices::ExposeWithFaults() {
   if (extra) Deliver(ExtraFrame(frame));
 }
 
+// A stream's frames show what is on when they say that they began, whoever asked for them: where one begins late, the
+// stream stalls.
+MonotonicNs SimulatedDevices::NextOfStream() {
+  if (std::exchange(stall_looked_at_, exposures_) == exposures_) return next_frame_;
+  for (const Fault& fault : faults_.AtExposure(exposures_))
+    if (fault.kind == FaultKind::kFrameLate) next_frame_ = next_frame_ + FromMilliseconds(LateBy(fault));
+  return next_frame_;
+}
+
 void SimulatedDevices::StreamUntil(MonotonicNs until) {
   const MonotonicNs now = clock_;
   const double busy_ms = exposure_ms_ + options_.devices.timing.readout_ms;
   const auto period = FromMilliseconds(std::max(options_.devices.timing.frame_period_ms, busy_ms));
-  while (next_frame_ + FromMilliseconds(busy_ms) <= until) {
+  while (NextOfStream() + FromMilliseconds(busy_ms) <= until) {
     clock_ = next_frame_;
     next_frame_ = next_frame_ + period;
     ExposeWithFaults();
@@ -192,7 +203,7 @@ double SimulatedDevices::ShareChanged(const Image<uint16_t>& a, const Image<uint
 void SimulatedDevices::PassTime(std::chrono::nanoseconds timeout) {
   const MonotonicNs deadline = clock_ + timeout;
   if (options_.free_running && started_ && pending_.empty()) {
-    const MonotonicNs ready = next_frame_ + FromMilliseconds(exposure_ms_ + options_.devices.timing.readout_ms);
+    const MonotonicNs ready = NextOfStream() + FromMilliseconds(exposure_ms_ + options_.devices.timing.readout_ms);
     const MonotonicNs until = std::max(clock_, std::min(ready, deadline));
     StreamUntil(until);
     clock_ = until;
@@ -203,13 +214,14 @@ void SimulatedDevices::PassTime(std::chrono::nanoseconds timeout) {
 
 Result<std::optional<CapturedFrame>> SimulatedDevices::Wait(std::chrono::nanoseconds timeout) {
   PendingFrame pending;
+  bool comes_first = false;
   {
     const Turn turn(*this);
     PassTime(timeout);
     if (pending_.empty() || clock_ < pending_.front().ready) return std::optional<CapturedFrame>();
     pending = std::move(pending_.front());
     pending_.pop_front();
-    Remember(pending);
+    comes_first = Remember(pending);
   }
   if (pending.device_error) return Status::Failed("simulated camera: the device is gone (ENODEV)");
   CapturedFrame frame;
@@ -222,7 +234,7 @@ Result<std::optional<CapturedFrame>> SimulatedDevices::Wait(std::chrono::nanosec
   } else if (pending.picture != Picture::kSound) {
     ShiftRows(frame.pixels, pending.number);
   }
-  if (!sound.empty()) {
+  if (!sound.empty() && comes_first) {
     const std::lock_guard lock(mutex_);
     const auto found = shown_.find(pending.number);
     if (found != shown_.end()) found->second.spoilt = ShareChanged(sound, frame.pixels);

@@ -208,11 +208,14 @@ class SimulatedDevices final : public SimulatedRig,
   [[nodiscard]] bool TakesTrigger() const;
   // Time passes to the next frame's end, or by `timeout`.
   void PassTime(std::chrono::nanoseconds timeout);
-  void Remember(const PendingFrame& frame);
+  // What it shows; true where its number had not come before: a stale buffer brings an old picture again.
+  bool Remember(const PendingFrame& frame);
   // One exposure with the faults that its number has.
   void ExposeWithFaults();
   // Free-running: exposes what the camera took since it was last asked, up to `until`.
   void StreamUntil(MonotonicNs until);
+  // Start of the stream's next exposure.
+  [[nodiscard]] MonotonicNs NextOfStream();
   [[nodiscard]] ShownFrame TruthOf(const PendingFrame& frame) const;
   [[nodiscard]] Result<Image<uint16_t>> Develop(const Exposure& light);
   // Pixels more than six standard deviations of their noise apart.
@@ -240,6 +243,7 @@ class SimulatedDevices final : public SimulatedRig,
   MonotonicNs exposed_ = kClockStart, free_from_ = kClockStart;
   std::optional<MonotonicNs> last_start_;
   MonotonicNs next_frame_ = kClockStart;  // free-running: start of the next exposure
+  int64_t stall_looked_at_ = -1;          // free-running: the exposure whose lateness next_frame_ has
   std::map<int64_t, ShownFrame> shown_;   // by driver number
   double exposure_ms_ = 16.0, last_exposure_ms_ = 16.0, gain_ = 1.0;
   Eigen::Vector3d push_mm_ = Eigen::Vector3d::Zero();

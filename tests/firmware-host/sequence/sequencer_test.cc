@@ -437,6 +437,16 @@ TEST_F(SequencerTest, WithoutItsReferenceAProjectorIsNotGoneOnWith) {
   EXPECT_EQ(rig_.camera_triggers, step + 3);
 }
 
+TEST_F(SequencerTest, AReferenceThatNeverShowsEndsTheCapture) {
+  // Black and all that follows would be held against nothing.
+  const int white = StepOf(0, CapturePhase::kReference);
+  for (int pulse = white; pulse < white + 40; ++pulse) rig_.projector_trouble[{0, pulse}] = ProjectorTrouble::kStuck;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_THAT(report.Reasons().front(), HasSubstr("without this reference"));
+  EXPECT_LE(rig_.camera_triggers, white + 2 * 3 + 1);
+}
+
 TEST_F(SequencerTest, EdgesThatNeverEndEndTheCapture) {
   // A line that chatters: an edge more after each loading.
   rig_.on_load = [this] {

@@ -225,6 +225,32 @@ TEST_F(SimulatedDevices, TimingJittersWithinItsSpread) {
   EXPECT_NEAR(std::sqrt(variance), 50.0, 10.0);
 }
 
+TEST_F(SimulatedDevices, AStreamThatStallsShowsWhatIsOnByThen) {
+  SimulatedRigOptions options = SmallRig("white");
+  options.free_running = true;
+  options.faults.script = {{.kind = FaultKind::kFrameLate, .at = 0}};
+  const auto rig = Make(options);
+  ASSERT_TRUE(rig->projectors()[1]->Load({kWhite}).ok());
+  rig->Sleep(std::chrono::milliseconds(5));  // into what would have been the exposure
+  const auto pulse = rig->lines().TriggerProjector(1);
+  auto frame = rig->camera().Wait(std::chrono::seconds(1));
+  if (frame.ok() && !frame->has_value()) frame = rig->camera().Wait(std::chrono::seconds(1));
+  ASSERT_TRUE(frame.ok() && frame->has_value());
+  EXPECT_GE((*frame)->time, pulse->time + std::chrono::milliseconds(190));
+  const ShownFrame shown = rig->ShownOf((*frame)->sequence);
+  EXPECT_TRUE(shown.whole);
+  EXPECT_EQ(shown.pictures[1], kWhite);
+}
+
+TEST_F(SimulatedDevices, AnOldBufferThatComesAgainInPiecesLeavesTheFirstOneWhole) {
+  SimulatedRigOptions options = SmallRig("white");
+  options.faults.script = {{.kind = FaultKind::kFrameStale, .at = 1}, {.kind = FaultKind::kFrameGarbled, .at = 1}};
+  const auto rig = Make(options);
+  ShowAndExpose(*rig, {.kind = PatternKind::kGray, .bit = 1, .bits = 6});
+  Expose(*rig);
+  EXPECT_EQ(rig->ShownOf(0).spoilt, 0.0);
+}
+
 TEST_F(SimulatedDevices, AMonoCameraGivesFullSizeTruth) {
   SimulatedRigOptions options = SmallRig("white");
   options.devices.camera.cfa = Cfa::kMono;
