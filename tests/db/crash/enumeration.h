@@ -38,7 +38,7 @@ EnumerationReport Enumerate(const DiskLog& log, const CheckFunction& check, cons
 // The promises of a workload, by marks.
 EnumerationReport Enumerate(const DiskLog& log, const std::vector<Promise>& promises,
                             const std::filesystem::path& folder, const EnumerationOptions& options = {});
-// STRATALUX_CRASH_STRIDE: 1 at night (every call), a sample without it.
+// STRATALUX_CRASH_STRIDE: one call of so many; 2 at night, a sample without it.
 [[nodiscard]] int SampledStride();
 // Below `stride`, by STRATALUX_SEED.
 [[nodiscard]] int64_t SampledStart(int64_t stride);
