@@ -52,6 +52,7 @@ bool IncomingLock::IsHeld(const fs::path& store) { return FileLock::IsHeld(store
 fs::path IncomingFolder(const fs::path& store, const std::string& id) { return store / "incoming" / id; }
 fs::path IncomingFits(const fs::path& store, const std::string& id) { return store / "incoming" / ".fits" / id; }
 fs::path IncomingSources(const fs::path& store) { return store / "incoming" / ".sources"; }
+fs::path ForgettingFolder(const fs::path& store) { return store / "forgetting"; }
 
 std::vector<IncomingSession> ListIncoming(const fs::path& store) {
   std::map<std::string, IncomingSession> found;

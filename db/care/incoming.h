@@ -28,6 +28,8 @@ class IncomingLock {
 [[nodiscard]] std::filesystem::path IncomingFolder(const std::filesystem::path& store, const std::string& session_id);
 [[nodiscard]] std::filesystem::path IncomingFits(const std::filesystem::path& store, const std::string& session_id);
 [[nodiscard]] std::filesystem::path IncomingSources(const std::filesystem::path& store);
+// What a forgetting has taken out of sessions/ and not deleted yet.
+[[nodiscard]] std::filesystem::path ForgettingFolder(const std::filesystem::path& store);
 
 // What was found of one session; the visitor as far as a manifest of it tells.
 struct IncomingSession {

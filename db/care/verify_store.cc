@@ -72,9 +72,9 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
 
 bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
-      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",      "deletions",
-      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",      "incoming.lock",
-      "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json"};
+      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",       "deletions",
+      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",       "incoming.lock",
+      "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json", "forgetting"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 
@@ -84,6 +84,10 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
   for (const auto& entry : fs::directory_iterator(store.folder(), error))
     if (!IsOurs(entry.path().filename().string()))
       report.notes.push_back(entry.path().string() + " is no file of a store");
+  for (const auto& entry : fs::directory_iterator(ForgettingFolder(store.folder()), error))
+    report.problems.push_back(entry.path().string() +
+                              " is of a session whose forgetting was broken off, or goes on: `stratalux-db forget"
+                              " --resume`");
   for (const auto& entry : fs::directory_iterator(store.folder() / "sessions", error)) {
     const std::string id = entry.path().filename().string();
     if (ledger.IsForgotten(id)) {

@@ -37,7 +37,9 @@ class Forgetting {
   Status RemoveIncoming();
   Status DestroyKeys();
   void RemoveExports();
-  Status RemoveFolders();
+  Status SetFoldersAside();
+  Status RemoveFolder(const fs::path& folder) const;
+  Status RemoveFoldersAside();
   Status RemoveRows(SessionIndex& index);
   Status RemoveVisitorKeys(SessionIndex& index);
   Status Compact(SessionIndex& index);
@@ -172,22 +174,55 @@ void Forgetting::RemoveExports() {
     }
 }
 
-Status Forgetting::RemoveFolders() {
+// In one step each: the deletion of a large session takes a second, and captures would wait for it. Where that cannot
+// be (a session that is a mount, a full disk), they wait.
+Status Forgetting::SetFoldersAside() {
+  const fs::path aside = ForgettingFolder(store_);
   for (const ForgetIntent& intent : intents_) {
     const fs::path folder = store_ / "sessions" / intent.session;
     std::error_code error;
-    std::vector<fs::path> files;
-    for (const auto& entry : fs::recursive_directory_iterator(folder, error))
-      if (!entry.is_directory()) files.push_back(entry.path());
-    for (const fs::path& file : files) {
-      fs::remove(file, error);
-      if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
-      Done(ForgetStep::kFile);
+    if (!fs::exists(fs::symlink_status(folder, error))) continue;
+    const bool made = MakeFolder(aside).ok();
+    if (made) {
+      SLX_RETURN_IF_ERROR(RemoveFolder(aside / intent.session));  // it was set aside before, and came back since
+      fs::rename(folder, aside / intent.session, error);
     }
-    fs::remove_all(folder, error);
-    if (error) return Status::Failed("cannot delete " + folder.string() + ": " + error.message());
+    if (!made || error) {
+      SLX_RETURN_IF_ERROR(RemoveFolder(folder));
+    } else {
+      SLX_RETURN_IF_ERROR(SyncFolder(aside));
+    }
+    Done(ForgetStep::kSetAside);
   }
   return SyncFolder(store_ / "sessions");
+}
+
+Status Forgetting::RemoveFolder(const fs::path& folder) const {
+  std::error_code error;
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::recursive_directory_iterator(folder, error))
+    if (!entry.is_directory()) files.push_back(entry.path());
+  for (const fs::path& file : files) {
+    fs::remove(file, error);
+    if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
+    Done(ForgetStep::kFile);
+  }
+  fs::remove_all(folder, error);
+  if (error) return Status::Failed("cannot delete " + folder.string() + ": " + error.message());
+  return Status::Ok();
+}
+
+// Also what another forgetting left that was broken off.
+Status Forgetting::RemoveFoldersAside() {
+  const fs::path aside = ForgettingFolder(store_);
+  std::error_code error;
+  if (!fs::is_directory(fs::symlink_status(aside, error))) return Status::Ok();
+  std::vector<fs::path> folders;
+  for (const auto& entry : fs::directory_iterator(aside, error)) folders.push_back(entry.path());
+  for (const fs::path& folder : folders) SLX_RETURN_IF_ERROR(RemoveFolder(folder));
+  if (!folders.empty()) SLX_RETURN_IF_ERROR(SyncFolder(aside));
+  fs::remove(aside, error);  // stays where another forgetting has just set something aside
+  return SyncFolder(store_);
 }
 
 Status Forgetting::RemoveRows(SessionIndex& index) {
@@ -304,7 +339,7 @@ Status Forgetting::Remove() {
   SLX_RETURN_IF_ERROR(EnterForgettings());
   SLX_RETURN_IF_ERROR(DestroyKeys());
   RemoveExports();
-  SLX_RETURN_IF_ERROR(RemoveFolders());
+  SLX_RETURN_IF_ERROR(SetFoldersAside());
   SLX_RETURN_IF_ERROR(RemoveIncoming());
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(RemoveVisitorKeys(index));
@@ -347,8 +382,10 @@ Status Forgetting::Scan() {
 }
 
 Result<ForgetReport> Forgetting::Run() {
-  SLX_RETURN_IF_ERROR(Remove());
-  Done(ForgetStep::kUnlocked);
+  const Status removed = Remove();
+  if (removed.ok()) Done(ForgetStep::kUnlocked);
+  SLX_RETURN_IF_ERROR(RemoveFoldersAside());  // whoever reads the index keeps no frame alive
+  SLX_RETURN_IF_ERROR(removed);
   SLX_RETURN_IF_ERROR(Scan());
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(Certify(index));

@@ -37,12 +37,13 @@ enum class ForgetStep {
   kEntered,  // in the ledger: from here on it is
   kKey,
   kExport,
-  kFile,
+  kSetAside,  // out of sessions/
   kIncoming,
   kVisitorKey,
   kRows,
   kCompacted,
   kUnlocked,  // captures start again
+  kFile,      // deleted
   kScanned,
   kEntry,      // certificates stand in the ledger
   kCertified,  // and in the index
@@ -54,8 +55,8 @@ struct ForgetRequest {
   std::vector<std::string>
       visitors;  // removed with their consents, also without a session; their sessions must be listed
   ForgetReason reason = ForgetReason::kForget;
-  // May be empty; kIntent, kEntered, kKey .. kFile, kVisitorKey, kEntry, kCertified come once for each session, key,
-  // export, file, visitor.
+  // May be empty; kIntent, kEntered, kKey .. kSetAside, kVisitorKey, kFile, kEntry, kCertified come once for each
+  // session, key, export, file, visitor.
   std::function<void(ForgetStep)> after_step;
   std::vector<std::string> leftovers = {};  // ids that incoming/ alone knows: wiped there, with no entry in the ledger
 };
