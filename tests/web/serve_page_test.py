@@ -121,6 +121,12 @@ class Pages(unittest.TestCase):
         self.browser.get(self.base + place)
         return self.browser.find_element("tag name", "body").text
 
+    # A click or a key begins to go somewhere; the page before is still there for a while.
+    def arrive(self, is_there):
+        from selenium.webdriver.support.ui import WebDriverWait
+        WebDriverWait(self.browser, 30).until(
+            lambda b: is_there(b.current_url) and b.execute_script("return document.readyState") == "complete")
+
     def complaints(self):
         return [entry for entry in self.browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
 
@@ -170,6 +176,7 @@ class Pages(unittest.TestCase):
         self.assertEqual(2, len(self.browser.find_elements("css selector", "tbody tr")))
         Select(self.browser.find_element("id", "kind")).select_by_visible_text("visitor")
         self.browser.find_element("css selector", "button[type=submit]").click()
+        self.arrive(lambda url: "kind=visitor" in url)
         rows = self.browser.find_elements("css selector", "tbody tr")
         self.assertEqual(1, len(rows))
         self.assertIn(self.store.visit, rows[0].text)
@@ -200,10 +207,9 @@ class Pages(unittest.TestCase):
     def follow(self, href):
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
-        from selenium.webdriver.support.ui import WebDriverWait
         self.press_until(Keys.TAB, lambda e: (e.get_attribute("href") or "").endswith(href))
         ActionChains(self.browser).send_keys(Keys.ENTER).perform()
-        WebDriverWait(self.browser, 30).until(lambda b: b.current_url.endswith(href))
+        self.arrive(lambda url: url.endswith(href))
 
     def test_the_keyboard_alone_opens_a_session_and_its_report(self):
         self.open("/")
