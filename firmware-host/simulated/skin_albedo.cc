@@ -3,20 +3,12 @@
 
 #include <cmath>
 
-#include "shared/units/angle.h"
-
 namespace stratalux::rig {
 
-void SkinAlbedo::Retabulate() {
-  for (int c = 0; c < kSkinChannels; ++c)
-    for (int node = 0; node < table_.nodes(); ++node)
-      log_albedo_[c][node] =
-          static_cast<float>(std::log(table_.Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
-}
-
 float SkinAlbedo::operator()(int channel, const SkinParameters& parameters) const {
+  const SkinTable::NodeAlbedos& logarithms = table_.LogAlbedos();
   float sum = 0.0F;
-  for (const SkinNodeWeight& n : table_.NodesAround(parameters)) sum += n.weight * log_albedo_[channel][n.node];
+  for (const SkinNodeWeight& n : table_.NodesAround(parameters)) sum += n.weight * logarithms[channel][n.node];
   return std::exp(sum);
 }
 

@@ -4,9 +4,6 @@
 // them as the table's is.
 #pragma once
 
-#include <array>
-#include <vector>
-
 #include "firmware-host/simulated/scene/material.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 
@@ -14,10 +11,8 @@ namespace stratalux::rig {
 
 class SkinAlbedo {
  public:
-  // Keeps a reference.
-  explicit SkinAlbedo(const SkinTable& table) : table_(table) { Retabulate(); }
-  // After the table was replaced.
-  void Retabulate();
+  // Keeps a reference; the table may be replaced by another one.
+  explicit SkinAlbedo(const SkinTable& table) : table_(table) {}
   [[nodiscard]] float operator()(int channel, const SkinParameters& parameters) const;
   // Diffuse albedo of any material.
   [[nodiscard]] float Of(int channel, const Material& material) const {
@@ -26,7 +21,6 @@ class SkinAlbedo {
 
  private:
   const SkinTable& table_;
-  std::array<std::array<float, SkinGrid::kNodes>, kSkinChannels> log_albedo_{};
 };
 
 }  // namespace stratalux::rig

@@ -80,7 +80,6 @@ void World::SetSubject(Scene scene, std::optional<SkinTable> table, MonotonicNs 
   subject_start_ = now;
   if (!table) return;
   table_ = std::move(*table);
-  albedo_.Retabulate();
 }
 
 Result<World::Stage*> World::StageIn(const SubjectState& state) {

@@ -11,6 +11,7 @@
 #include <span>
 
 #include "firmware-host/simulated/skin/skin_table_code.h"
+#include "shared/units/angle.h"
 
 namespace stratalux::rig {
 namespace {
@@ -306,19 +307,32 @@ double SkinKernel::Integral() const {
 }
 
 std::array<SkinNodeWeight, 8> SkinTable::NodesAround(const SkinParameters& parameters) const {
-  if (nodes_ == SkinGrid::kNodes) return SkinNodesAround(parameters);
+  if (nodes() == SkinGrid::kNodes) return SkinNodesAround(parameters);
   std::array<SkinNodeWeight, 8> only{};
   only[0].weight = 1.0F;
   return only;
 }
 
-void SkinTable::Encode(const std::vector<float>& flat) {
-  codes_.resize(flat.size());
-  std::transform(flat.begin(), flat.end(), codes_.begin(), EncodeEntry);
+SkinTable::SkinTable(int nodes, const std::vector<float>& flat) {
+  auto contents = std::make_shared<Contents>();
+  contents->nodes = nodes;
+  contents->codes.resize(flat.size());
+  std::transform(flat.begin(), flat.end(), contents->codes.begin(), EncodeEntry);
+  contents_ = std::move(contents);
+}
+
+const SkinTable::NodeAlbedos& SkinTable::LogAlbedos() const {
+  std::call_once(contents_->albedos_made, [&] {
+    for (int c = 0; c < kSkinChannels; ++c)
+      for (int node = 0; node < nodes(); ++node)
+        contents_->log_albedos[c][node] =
+            static_cast<float>(std::log(Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
+  });
+  return contents_->log_albedos;
 }
 
 double SkinTable::Cell(size_t kernel, int radius, int psi) const {
-  const uint16_t code = codes_[kernel * G::kCells + radius * G::kPolar + psi];
+  const uint16_t code = contents_->codes[kernel * G::kCells + radius * G::kPolar + psi];
   return code == 0 ? 0.0 : DecodeEntry(code) / std::pow(BinCentreMm(radius), 1.5);
 }
 
@@ -337,7 +351,7 @@ void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const
         const float weight = in.weight * ex.weight * (k != 0 ? f_az : 1 - f_az);
         if (weight == 0.0F) continue;
         const int azimuth_bin = in.across == ex.across ? az + k : G::kAzimuths - 1 - az - k;
-        DecodeCells(G::DirectionIndex(channel, in.bin, ex.bin, azimuth_bin) * nodes_, nodes, cells.data());
+        DecodeCells(G::DirectionIndex(channel, in.bin, ex.bin, azimuth_bin) * this->nodes(), nodes, cells.data());
         mirror.Add(weight, cells.data(), sum);
       }
     }
@@ -348,7 +362,7 @@ void SkinTable::DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight
   std::fill_n(cells, G::kCells, 0.0F);
   for (const SkinNodeWeight& n : nodes) {
     if (n.weight == 0.0F) continue;
-    const uint16_t* codes = codes_.data() + (first_kernel + n.node) * G::kCells;
+    const uint16_t* codes = contents_->codes.data() + (first_kernel + n.node) * G::kCells;
     for (int k = 0; k < G::kCells; ++k) cells[k] += n.weight * static_cast<float>(static_cast<int32_t>(codes[k]));
   }
   for (int k = 0; k < G::kCells; ++k) cells[k] = DecodeEntry(cells[k]);

@@ -7,8 +7,11 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <memory>
+#include <mutex>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "firmware-host/simulated/skin/skin_optics.h"
@@ -88,9 +91,11 @@ class SkinKernel {
   std::array<float, SkinGrid::kRadii*(SkinGrid::kPolar + 1)> flat_{};
 };
 
+// Copies share what was read.
 class SkinTable {
  public:
-  // kNotFound, kIntegrity (not a table, damaged), kNewerSchema.
+  // kNotFound, kIntegrity (not a table, damaged), kNewerSchema. The table read last is kept: as long as the file is the
+  // same, it is not read again.
   static Result<SkinTable> Load(const std::string& path);
   // The shipped tables' files.
   static constexpr const char* kSkinFile = "skin_table.bin";
@@ -110,27 +115,37 @@ class SkinTable {
   // Hemispherical diffuse reflectance for light at theta_in.
   [[nodiscard]] double Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const;
   // Kernels a direction: one each node of skin, or one where the tissue has no parameters (wax).
-  [[nodiscard]] int nodes() const { return nodes_; }
+  [[nodiscard]] int nodes() const { return contents_->nodes; }
   // SkinNodesAround, or the only node.
   [[nodiscard]] std::array<SkinNodeWeight, 8> NodesAround(const SkinParameters& parameters) const;
   // S of one cell (bin averages), 1 / (mm^2 sr).
   [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
   // All that the table says, as it is kept in memory.
-  [[nodiscard]] std::span<const uint16_t> codes() const { return codes_; }
-  [[nodiscard]] const std::string& manifest() const { return manifest_; }
+  [[nodiscard]] std::span<const uint16_t> codes() const { return contents_->codes; }
+  [[nodiscard]] const std::string& manifest() const { return contents_->manifest; }
+  // Logarithm of the diffuse albedo for light at 30 degrees, [channel][node]; computed once.
+  using NodeAlbedos = std::array<std::array<float, SkinGrid::kNodes>, kSkinChannels>;
+  [[nodiscard]] const NodeAlbedos& LogAlbedos() const;
 
  private:
+  struct Contents {
+    int nodes = SkinGrid::kNodes;
+    std::vector<uint16_t> codes;  // [direction][node][radius][psi], of log2(S r^1.5): skin_table_code.h
+    std::string manifest;
+    mutable std::once_flag albedos_made;
+    mutable NodeAlbedos log_albedos{};
+  };
+  explicit SkinTable(std::shared_ptr<const Contents> contents) : contents_(std::move(contents)) {}
+  // Codes of S r^1.5 from [kernel][radius][psi].
+  SkinTable(int nodes, const std::vector<float>& flat);
+  static Result<std::shared_ptr<const Contents>> Read(const std::string& path);
   static std::string DefaultPathOf(const std::string& file);
   friend Result<SkinTable> GenerateSkinTable(int64_t, uint64_t, int, Logger&);
   friend Result<SkinTable> GenerateWaxTable(int64_t, uint64_t, int, Logger&);
   // S r^1.5 of one direction: `first_kernel` is that of its node 0.
   void DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight, 8>& nodes, float* cells) const;
-  // Codes of S r^1.5 from [kernel][radius][psi].
-  void Encode(const std::vector<float>& flat);
 
-  int nodes_ = SkinGrid::kNodes;
-  std::vector<uint16_t> codes_;  // [direction][node][radius][psi], of log2(S r^1.5): skin_table_code.h
-  std::string manifest_;
+  std::shared_ptr<const Contents> contents_;
 };
 
 // Monte Carlo of every kernel with `photons` for each channel and incidence bin. Deterministic by seed.

@@ -3,12 +3,17 @@
 // of the manifest), manifest (JSON), packed entries. Packed: of every two directions that reciprocity makes equal only
 // the one with incidence <= exit; each entry as its difference from the neighbouring node's (the nodes share their
 // photons, so these are small), low bytes, then high bytes, zstd.
+#include <array>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <memory>
+#include <mutex>
+#include <optional>
 
+#include <sys/stat.h>
 #include <xxhash.h>
 #include <zstd.h>
 
@@ -86,15 +91,24 @@ std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes, int nodes) 
   return codes;
 }
 
+// Device, file, bytes, time of the last change; a file that is written anew in place changes the last of them.
+using FileIdentity = std::optional<std::array<int64_t, 5>>;
+FileIdentity IdentityOf(const std::string& path) {
+  struct stat s {};
+  if (stat(path.c_str(), &s) != 0) return std::nullopt;
+  return std::array<int64_t, 5>{static_cast<int64_t>(s.st_dev), static_cast<int64_t>(s.st_ino), s.st_size,
+                                s.st_mtim.tv_sec, s.st_mtim.tv_nsec};
+}
+
 }  // namespace
 
 Status SkinTable::Save(const std::string& path, const std::string& manifest_json) const {
-  const std::vector<uint8_t> planes = ToPlanes(codes_, nodes_);
+  const std::vector<uint8_t> planes = ToPlanes(contents_->codes, nodes());
   std::vector<char> packed(ZSTD_compressBound(planes.size()));
   const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), 19);
   if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
   std::ofstream out(path, std::ios::binary | std::ios::trunc);
-  const uint64_t header[4] = {kStored * nodes_, size, XXH3_64bits(packed.data(), size), manifest_json.size()};
+  const uint64_t header[4] = {kStored * nodes(), size, XXH3_64bits(packed.data(), size), manifest_json.size()};
   out.write(kMagic, sizeof kMagic);
   out.write(reinterpret_cast<const char*>(header), sizeof header);
   out.write(manifest_json.data(), static_cast<std::streamsize>(manifest_json.size()));
@@ -105,6 +119,19 @@ Status SkinTable::Save(const std::string& path, const std::string& manifest_json
 }
 
 Result<SkinTable> SkinTable::Load(const std::string& path) {
+  static std::mutex mutex;
+  static FileIdentity last_file;
+  static std::shared_ptr<const Contents> last;
+  const FileIdentity file = IdentityOf(path);
+  const std::lock_guard lock(mutex);
+  if (last == nullptr || !file.has_value() || file != last_file) {
+    SLX_ASSIGN_OR_RETURN(last, Read(path));
+    last_file = file;
+  }
+  return SkinTable(last);
+}
+
+Result<std::shared_ptr<const SkinTable::Contents>> SkinTable::Read(const std::string& path) {
   std::ifstream in(path, std::ios::binary);
   if (!in)
     return Status::NotFound("skin table " + path + ": " + std::strerror(errno) +
@@ -128,11 +155,11 @@ Result<SkinTable> SkinTable::Load(const std::string& path) {
   std::vector<uint8_t> planes(2 * kStored * nodes);
   if (ZSTD_decompress(planes.data(), planes.size(), packed, header[1]) != planes.size())
     return Status::Integrity("skin table " + path + ": cannot be decompressed");
-  SkinTable table;
-  table.manifest_.assign(bytes.data() + kHeaderBytes, header[3]);
-  table.nodes_ = nodes;
-  table.codes_ = FromPlanes(planes, nodes);
-  return table;
+  auto contents = std::make_shared<Contents>();
+  contents->nodes = nodes;
+  contents->manifest.assign(bytes.data() + kHeaderBytes, header[3]);
+  contents->codes = FromPlanes(planes, nodes);
+  return std::shared_ptr<const Contents>(std::move(contents));
 }
 
 }  // namespace stratalux::rig

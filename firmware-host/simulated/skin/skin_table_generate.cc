@@ -195,9 +195,7 @@ Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads,
   }
   Symmetrise(kNodes, flat);
   SmoothFarRings(flat);
-  SkinTable table;
-  table.Encode(flat);
-  return table;
+  return SkinTable(kNodes, flat);
 }
 
 Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
@@ -215,10 +213,7 @@ Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, 
     }
   Symmetrise(1, flat);
   SmoothFarRings(flat);
-  SkinTable table;
-  table.nodes_ = 1;
-  table.Encode(flat);
-  return table;
+  return SkinTable(1, flat);
 }
 
 std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channel, int in, int out, int azimuth,

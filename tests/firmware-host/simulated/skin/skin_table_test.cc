@@ -399,6 +399,19 @@ TEST_F(SkinTableFile, SizesThatOverflowAreDamage) {
   }
 }
 
+TEST_F(SkinTableFile, IsReadAgainWhenItIsAnother) {
+  std::filesystem::copy_file(SkinTable::DefaultPath(), path_, std::filesystem::copy_options::overwrite_existing);
+  const auto once = SkinTable::Load(path_), again = SkinTable::Load(path_);
+  ASSERT_TRUE(once.ok() && again.ok());
+  EXPECT_EQ(once->codes().data(), again->codes().data()) << "read once";
+  bytes_.back() = static_cast<char>(bytes_.back() ^ 1);  // of the same length, in its place
+  EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity);
+  EXPECT_EQ(SkinTable::Load(path_).status().code(), StatusCode::kIntegrity) << "nor is a bad one taken the second time";
+  std::filesystem::remove(path_);
+  EXPECT_EQ(SkinTable::Load(path_).status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(once->codes().size(), again->codes().size()) << "whoever has it keeps it";
+}
+
 TEST_F(SkinTableFile, SavedAndLoadedIsTheSame) {
   ASSERT_TRUE(Shipped().Save(path_, "{\"made\": \"by a test\"}").ok());
   const auto again = SkinTable::Load(path_);
