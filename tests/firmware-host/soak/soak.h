@@ -30,7 +30,8 @@ struct SoakCapture {
   std::vector<InjectedFault> injected;
   int shots = 0;  // frames that reached the sink
   // Steps whose frame shows another picture than the plan says (another pattern, a mixture, rows out of place, another
-  // exposure), though the report does not list them as missing and the session has not failed.
+  // exposure) on more than 6 % of the pixels that its projector lights, though the report does not list them as missing
+  // and the session has not failed.
   std::vector<int> mis_associated;
   double spoilt_most = 0.0;  // largest share of spoilt pixels of a frame that counts
   // In a complete session: steps during which the subject stood > 1 mm elsewhere, or the light was > 10 % other, than
@@ -57,6 +58,7 @@ class SoakTable {
   std::map<FaultKind, Row> rows_;
   int64_t frames_ = 0, captures_ = 0, complete_ = 0, degraded_ = 0, failed_ = 0, mis_associated_ = 0, changed_ = 0,
           clean_ = 0, false_alarms_ = 0;
+  double spoilt_most_ = 0.0;
 };
 
 }  // namespace stratalux::rig
