@@ -9,6 +9,7 @@
 
 #include "db/apps/display_text.h"
 #include "shared/base/log.h"
+#include "shared/base/standard_output.h"
 
 namespace stratalux::db {
 
@@ -50,11 +51,9 @@ int Report(const Status& status) {
 
 int Print(const std::string& text) { return PrintBytes(PrintableLines(text)); }
 
-// Behind what was logged before.
 int PrintBytes(const std::string& bytes) {
-  FlushLoggers();
-  if (std::fwrite(bytes.data(), 1, bytes.size(), stdout) == bytes.size() && std::fflush(stdout) == 0) return 0;
-  return Report(Status::Failed("cannot write the output"));
+  const Status written = WriteStdout(bytes);
+  return written.ok() ? 0 : Report(written);
 }
 
 std::string TextOf(const nlohmann::ordered_json& json) {

@@ -26,6 +26,7 @@
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
+#include "shared/base/standard_output.h"
 #include "shared/base/version.h"
 
 namespace stratalux::rig {
@@ -105,11 +106,9 @@ int Report(const Status& status) {
   return status.exit_code();
 }
 
-// Data go to stdout, behind what was logged before; a full pipe or disk must not pass for success.
 int Print(const std::string& text) {
-  FlushLoggers();
-  if (std::fputs(text.c_str(), stdout) >= 0 && std::fflush(stdout) == 0) return 0;
-  return Report(Status::Failed("cannot write the output"));
+  const Status written = WriteStdout(text);
+  return written.ok() ? 0 : Report(written);
 }
 
 // The whole of `text` as a number that T can hold.

@@ -19,6 +19,7 @@
 #include "fitter/pipeline/light_stage.h"
 #include "fitter/report/calibration_page.h"
 #include "shared/base/read_file.h"
+#include "shared/base/standard_output.h"
 #include "shared/base/version.h"
 
 namespace stratalux::fit {
@@ -193,7 +194,7 @@ Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_jso
     text += "page " + (file.parent_path() / "calibration_report.html").string() + "\n";
     json["record"] = f.out.empty() ? file.string() : f.out;
   }
-  std::printf("%s", (f.json ? json.dump(1) + "\n" : text).c_str());
+  SLX_RETURN_IF_ERROR(WriteStdout(f.json ? json.dump(1) + "\n" : text));
   if (!IsRefused(page.findings)) return accepted;
   logger.Error("calibration refused; nothing was stored");
   return static_cast<int>(StatusCode::kFailed);

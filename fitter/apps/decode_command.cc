@@ -2,9 +2,9 @@
 // `stratalux-fit decode`: projector coordinates of every camera pixel, for visitors and for imported boards alike.
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <iomanip>
 #include <memory>
 #include <sstream>
 
@@ -17,6 +17,7 @@
 #include "fitter/pipeline/geometry_stage.h"
 #include "fitter/report/html_report.h"
 #include "fitter/structured_light/local_homography.h"
+#include "shared/base/standard_output.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
@@ -89,6 +90,20 @@ Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohman
   return Status::Ok();
 }
 
+std::string AsText(const nlohmann::ordered_json& results) {
+  std::ostringstream text;
+  for (const auto& r : results) {
+    text << "projector " << r["projector"].get<int>() << " pose " << r["pose"].get<int>() << ":";
+    for (const auto& [reason, count] : r["pixels"].items()) text << "  " << reason << " " << count.get<int64_t>();
+    if (r.contains("reference"))
+      text << "  reference: " << r["reference"]["found"].get<int>() << " of " << r["reference"]["corners"].get<int>()
+           << " corners, median " << std::fixed << std::setprecision(3) << r["reference"]["median_px"].get<double>()
+           << " px";
+    text << "\n";
+  }
+  return text.str();
+}
+
 Status Decode(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, f.session));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
@@ -98,20 +113,7 @@ Status Decode(const Flags& f, Logger& logger) {
     if (f.pose < 0 || pose == f.pose) SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, results));
   if (results.empty())
     return Status::NotFound("session " + frames.info().id + " has no pose " + std::to_string(f.pose));
-  if (f.json) {
-    std::printf("%s\n", results.dump(1).c_str());
-    return Status::Ok();
-  }
-  for (const auto& r : results) {
-    std::printf("projector %d pose %d:", r["projector"].get<int>(), r["pose"].get<int>());
-    for (const auto& [reason, count] : r["pixels"].items())
-      std::printf("  %s %lld", reason.c_str(), count.get<long long>());
-    if (r.contains("reference"))
-      std::printf("  reference: %d of %d corners, median %.3f px", r["reference"]["found"].get<int>(),
-                  r["reference"]["corners"].get<int>(), r["reference"]["median_px"].get<double>());
-    std::printf("\n");
-  }
-  return Status::Ok();
+  return WriteStdout(f.json ? results.dump(1) + "\n" : AsText(results));
 }
 
 }  // namespace

@@ -14,6 +14,7 @@
 #include "fitter/apps/run_command.h"
 #include "fitter/profiles/profile_model.h"
 #include "shared/base/log.h"
+#include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
 namespace {
@@ -24,10 +25,7 @@ struct Flags {
 };
 
 Status WriteText(const std::string& path, const std::string& text) {
-  if (path == "-") {
-    std::cout << text << std::flush;
-    return std::cout ? Status::Ok() : Status::Failed("cannot write to standard output");
-  }
+  if (path == "-") return WriteStdout(text);
   std::ofstream out(path, std::ios::trunc);
   out << text;
   out.flush();

@@ -10,6 +10,7 @@
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/relight.h"
 #include "fitter/pipeline/run.h"
+#include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
 namespace {
@@ -55,15 +56,14 @@ Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto fit, LoadFit(folder));
   logger.Info("relighting fit " + folder.filename().string() + " of session " + session);
   SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, *frames.calibration(), light));
+  for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", session}, {"fit", folder.filename().string()}, {"folder", f.out}};
-    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
-  } else {
-    std::printf("%s\n", (std::filesystem::path(f.out) / "total.png").c_str());
+    return WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
   }
-  return Status::Ok();
+  return WriteStdout((std::filesystem::path(f.out) / "total.png").string() + "\n");
 }
 
 }  // namespace

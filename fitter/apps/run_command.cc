@@ -11,6 +11,7 @@
 
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
+#include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
 namespace {
@@ -122,7 +123,6 @@ int Execute(Flags& f) {
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
   if (!outcome.ok()) return finish(outcome.status());
-  logger.Flush();  // before what stdout says
   const auto report = outcome->folder / "report" / "index.html";
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", outcome->session},
@@ -130,37 +130,23 @@ int Execute(Flags& f) {
                                          {"folder", outcome->folder.string()},
                                          {"report", report.string()},
                                          {"was_complete", outcome->was_complete}};
-    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
-  } else {
-    std::printf("%s\n", f.run.until == Stage::kReport ? report.c_str() : outcome->folder.c_str());
+    return finish(WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n"));
   }
-  return 0;
+  return finish(WriteStdout((f.run.until == Stage::kReport ? report : outcome->folder).string() + "\n"));
 }
 
-int PrintReport(const Flags& f) {
-  Logger logger;
-  const auto folder = NewestFit(f.run.store, f.run.session);
-  if (!folder.ok()) {
-    logger.Error(folder.status().message());
-    return folder.status().exit_code();
-  }
-  const auto page = *folder / "report" / "index.html";
+Status PrintReport(const Flags& f, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session));
+  const auto page = folder / "report" / "index.html", metrics = folder / "metrics.json";
+  if (!std::filesystem::exists(page))
+    return Status::NotFound(page.string() + " is missing; `stratalux-fit run --force` makes it again");
   // STORE/sessions/<id>/fits/<fit>
-  const std::string session = folder->parent_path().parent_path().filename().string();
-  if (const Status logged = db::LogAccess(f.run.store, "report", session, "fit " + folder->filename().string());
-      !logged.ok()) {
-    logger.Error(logged.message());
-    return logged.exit_code();
-  }
-  if (!f.path_only) logger.Info("metrics: " + (*folder / "metrics.json").string());
-  logger.Flush();  // before what stdout says
-  if (f.json) {
-    const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", (*folder / "metrics.json").string()}};
-    std::printf("%s\n", json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
-  } else {
-    std::printf("%s\n", page.c_str());
-  }
-  return 0;
+  const std::string session = folder.parent_path().parent_path().filename().string();
+  SLX_RETURN_IF_ERROR(db::LogAccess(f.run.store, "report", session, "fit " + folder.filename().string()));
+  if (!f.path_only) logger.Info("metrics: " + metrics.string());
+  if (!f.json) return WriteStdout(page.string() + "\n");
+  const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", metrics.string()}};
+  return WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
 
 }  // namespace
@@ -192,7 +178,12 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
   auto* report = app.add_subcommand("report", "Where the newest report of a session is");
   AddStore(*report, *flags);
   report->add_flag("--path-only", flags->path_only, "Nothing but the path");
-  report->callback([flags, &exit_code] { exit_code = PrintReport(*flags); });
+  report->callback([flags, &exit_code] {
+    Logger logger;
+    const Status status = PrintReport(*flags, logger);
+    if (!status.ok()) logger.Error(status.message());
+    exit_code = status.exit_code();
+  });
 }
 
 }  // namespace stratalux::fit

@@ -4,6 +4,7 @@
 #include <string>
 
 #include <CLI/CLI.hpp>
+#include <sys/stat.h>
 
 #include "fitter/apps/run_command.h"
 #include "shared/base/mistyped_command.h"
@@ -22,6 +23,7 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", stratalux::kVersion);
   app.require_subcommand(1);
   int exit_code = 0;
+  umask(0027);  // maps and pictures of a face are as private as its frames
   stratalux::fit::AddRunCommands(app, exit_code);
   stratalux::fit::AddDecodeCommand(app, exit_code);
   stratalux::fit::AddCalibrateCommand(app, exit_code);

@@ -14,6 +14,9 @@
 #include <optional>
 #include <sstream>
 
+#include "shared/base/printable.h"
+#include "shared/base/standard_output.h"
+
 namespace stratalux::fit {
 namespace {
 
@@ -166,6 +169,8 @@ Result<ProfileFile> ReadProfiles(const std::string& path, bool with_radiance) {
     LineProfile p;
     p.source = table.rows[r][column[0]];
     if (p.source.empty()) return At(table, table.line[r], "source is empty");
+    if (!IsUtf8(p.source))
+      return At(table, table.line[r], "source '" + Printable(p.source) + "' is no UTF-8; save the table as UTF-8");
     SLX_ASSIGN_OR_RETURN(p.incidence_deg, Number(table, r, column[1]));
     SLX_ASSIGN_OR_RETURN(p.exit_deg, Number(table, r, column[2]));
     SLX_ASSIGN_OR_RETURN(p.slit_mm, Number(table, r, column[3]));
@@ -226,10 +231,7 @@ Status WriteProfiles(const std::string& path, const CsvTable& table, const std::
     const auto end = std::to_chars(number.data(), number.data() + number.size(), radiance[r]).ptr;
     write(table.rows[r], std::string(number.data(), end));
   }
-  if (path == "-") {
-    std::cout << text.str() << std::flush;
-    return std::cout ? Status::Ok() : Status::Failed("cannot write to standard output");
-  }
+  if (path == "-") return WriteStdout(text.str());
   std::ofstream out(path, std::ios::trunc);
   out << text.str();
   out.flush();

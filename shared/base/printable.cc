@@ -93,6 +93,15 @@ DecodedUtf8 DecodeUtf8(std::string_view text) {
   return {character, length};
 }
 
+bool IsUtf8(std::string_view text) {
+  while (!text.empty()) {
+    const size_t bytes = DecodeUtf8(text).bytes;
+    if (bytes == 0) return false;
+    text.remove_prefix(bytes);
+  }
+  return true;
+}
+
 std::string Printable(std::string_view text) { return Rewrite(text, Style::kText); }
 std::string PrintableLines(std::string_view text) { return Rewrite(text, Style::kLines); }
 std::string PrintableJson(std::string_view json) { return Rewrite(json, Style::kJson); }

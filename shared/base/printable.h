@@ -23,5 +23,6 @@ struct DecodedUtf8 {
 // The first character of `text`, which is not empty. Strict: no overlong forms, no surrogates, nothing above U+10FFFF
 // (RFC 3629).
 [[nodiscard]] DecodedUtf8 DecodeUtf8(std::string_view text);
+[[nodiscard]] bool IsUtf8(std::string_view text);
 
 }  // namespace stratalux

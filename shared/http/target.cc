@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <cstdio>
 
+#include "shared/base/printable.h"
+
 namespace stratalux::http {
 namespace {
 
@@ -14,23 +16,6 @@ int HexDigit(char c) {
   if (c >= 'a' && c <= 'f') return c - 'a' + 10;
   if (c >= 'A' && c <= 'F') return c - 'A' + 10;
   return -1;
-}
-
-// Bytes of the character that begins here; 0: none does.
-size_t CharacterBytes(std::string_view text) {
-  const auto first = static_cast<uint8_t>(text.front());
-  const size_t bytes = first < 0x80 ? 1 : first >> 5 == 6 ? 2 : first >> 4 == 14 ? 3 : first >> 3 == 30 ? 4 : 0;
-  if (bytes == 0 || bytes > text.size()) return 0;
-  if (bytes == 1) return 1;
-  uint32_t code = first & (0x7fU >> bytes);
-  for (size_t i = 1; i < bytes; ++i) {
-    const auto next = static_cast<uint8_t>(text[i]);
-    if (next >> 6 != 2) return 0;
-    code = code << 6 | (next & 0x3fU);
-  }
-  constexpr uint32_t kSmallest[] = {0, 0, 0x80, 0x800, 0x10000};
-  const bool surrogate = code >= 0xd800 && code < 0xe000;
-  return code < kSmallest[bytes] || code > 0x10ffff || surrogate ? 0 : bytes;
 }
 
 bool NamesAPlace(const std::string& segment) {
@@ -61,15 +46,6 @@ Status ParseQuery(std::string_view text, std::map<std::string, std::string>& que
 }
 
 }  // namespace
-
-bool IsUtf8(std::string_view text) {
-  while (!text.empty()) {
-    const size_t bytes = CharacterBytes(text);
-    if (bytes == 0) return false;
-    text.remove_prefix(bytes);
-  }
-  return true;
-}
 
 Result<std::string> PercentDecode(std::string_view text) {
   std::string decoded;

@@ -25,6 +25,5 @@ struct Target {
 [[nodiscard]] Result<std::string> PercentDecode(std::string_view text);
 // For a segment of a path or a value of a query: all but letters, digits and -._~ is escaped.
 [[nodiscard]] std::string PercentEncode(std::string_view text);
-[[nodiscard]] bool IsUtf8(std::string_view text);
 
 }  // namespace stratalux::http

@@ -69,7 +69,8 @@ TEST_F(WrongFlags, APseudonymIsTextThatAnyListCanShow) {
 }
 
 TEST_F(WrongFlags, AFullPipeIsNoSuccess) {
-  for (const char* command : {"stratalux-db ls", "stratalux-rig plan show"}) {
+  for (const char* command : {"stratalux-db ls", "stratalux-rig plan show", "stratalux-fit decode s000001",
+                              "stratalux-fit decode s000001 --json"}) {
     const Outcome outcome = Run(std::string(command) + " >/dev/full");
     EXPECT_EQ(outcome.code, 1) << command;
     EXPECT_THAT(outcome.err, HasSubstr("cannot write")) << command;

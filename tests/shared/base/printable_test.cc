@@ -25,6 +25,14 @@ TEST(Printable, JsonStaysTheSameValue) {
             "{\n  \"a\": \"\\u007f\\u009b\\u202e\\udb40\\udc41 ë\"\n}");
 }
 
+// RFC 3629: no overlong forms, no surrogates, nothing above U+10FFFF, nothing cut off.
+TEST(IsUtf8, IsStrict) {
+  for (const char* text : {"", "skin", "H\xc3\xa4ut", "\xe7\x9a\xae\xe8\x86\x9a", "\xf0\x9f\x98\x80"})
+    EXPECT_TRUE(IsUtf8(text)) << text;
+  for (const char* text : {"gr\xfcn", "\xc3", "\xc0\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\xe0\x80\xaf", "\x80"})
+    EXPECT_FALSE(IsUtf8(text)) << Printable(text);
+}
+
 TEST(Printable, LogLinesToo) {
   std::FILE* file = std::tmpfile();
   ASSERT_NE(file, nullptr);
