@@ -14,7 +14,8 @@ endif()
 option(STRATALUX_BUILD_FITTER "Build the fitter (needs Ceres and OpenEXR); off on the single-board computer" ON)
 option(STRATALUX_BUILD_TESTS "Build the tests" ON)
 option(STRATALUX_BUILD_BENCH "Build the benchmarks" OFF)
-option(STRATALUX_WERROR "Treat warnings as errors" ON)
+# Our presets set it; a compiler that none of us has seen must not stop who builds without them.
+option(STRATALUX_WERROR "Treat warnings as errors" OFF)
 set(STRATALUX_SANITIZE "" CACHE STRING "Sanitizers to switch on: address, undefined, thread (comma separated)")
 
 # -Wno-restrict: GCC 12 warns of its own std::string operator+ (GCC bug 105651).
