@@ -53,6 +53,11 @@ struct MixtureMap {
 
   [[nodiscard]] int64_t profiles() const { return int64_t{width} * height * channels; }
   [[nodiscard]] int64_t ProfileIndex(int x, int y, int c) const { return (int64_t{y} * width + x) * channels + c; }
+  // Of a quad of the surface, where `pool` x `pool` quads share a profile; -1: the map ends before it.
+  [[nodiscard]] int64_t ProfileOfQuad(int i, int j, int c, int pool) const {
+    const int x = i / pool, y = j / pool;
+    return x < width && y < height ? ProfileIndex(x, y, c) : -1;
+  }
   [[nodiscard]] bool Fitted(int64_t profile) const {
     const auto r = static_cast<FitReason>(reason[profile]);
     return r == FitReason::kFitted || r == FitReason::kDepthNotEstimable;

@@ -36,6 +36,23 @@ Extent ExtentOf(const SurfaceMap& surface, const Eigen::Vector3d& position) {
   return extent;
 }
 
+// A colour that was not fitted is unknown, not dark.
+void MaskUnfitted(const SavedFit& fit, Relit& relit) {
+  for (int j = 0; j < relit.total.height(); ++j)
+    for (int i = 0; i < relit.total.width(); ++i) {
+      if (fit.surface.mask(i, j) == 0) continue;
+      ++relit.face;
+      bool complete = true;
+      for (int c = 0; c < relit.total.channels(); ++c) {
+        const int64_t profile = fit.map.ProfileOfQuad(i, j, c, fit.pool);
+        if (profile >= 0 && fit.map.Fitted(profile)) continue;
+        complete = false;
+        for (Image<float>* image : {&relit.subsurface, &relit.surface, &relit.total}) (*image)(i, j, c) = std::nanf("");
+      }
+      relit.incomplete += complete ? 0 : 1;
+    }
+}
+
 Result<ProjectorCalibration> LightFor(const SavedFit& fit, const RigCalibration& rig, const VirtualLight& light,
                                       double& exposure_ms) {
   exposure_ms = 1.0;
@@ -86,7 +103,22 @@ Result<Relit> Relight(const SavedFit& fit, const RigCalibration& rig, const Virt
       RenderSurface(SurfaceReflectance(fit.map, fit.surface, projector, fit.pool), fit.surface, rig, pyramid, lit);
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
+  MaskUnfitted(fit, relit);
   return relit;
+}
+
+std::vector<std::string> Relit::Notes() const {
+  std::vector<std::string> notes;
+  if (face == 0) notes.push_back("the fit has no face: the picture is black");
+  const bool lit = std::any_of(total.pixels().begin(), total.pixels().end(), [](float v) { return v > 0.0F; });
+  if (face > 0 && !lit)
+    notes.push_back(
+        "no light reaches the face: the picture is black (+z points away from the camera, so a light before the face "
+        "has a smaller z than the face, and a direction towards one a negative z)");
+  if (incomplete > 0)
+    notes.push_back(std::to_string(incomplete) + " of " + std::to_string(face) +
+                    " quads of the face lack a colour that was not fitted: NaN in the EXR files, black in the PNGs");
+  return notes;
 }
 
 std::vector<std::string> RelitFiles() {

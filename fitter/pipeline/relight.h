@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "fitter/pipeline/saved_fit.h"
 #include "shared/base/log.h"
@@ -25,7 +26,12 @@ struct VirtualLight {
 };
 
 struct Relit {
-  Image<float> subsurface, surface, total;  // quads x colours, linear, 0 outside the face
+  // Quads x colours, linear; 0 outside the face, NaN where that colour was not fitted.
+  Image<float> subsurface, surface, total;
+  int64_t face = 0;        // quads of it
+  int64_t incomplete = 0;  // of them without one colour or more: black in the PNGs
+  // What a look at the pictures would not tell: no light reaches the face, colours are missing.
+  [[nodiscard]] std::vector<std::string> Notes() const;
 };
 
 // kUsage: the light is inside the face, the projector does not exist, the pattern does not fit it.

@@ -213,11 +213,6 @@ double NarrowLayer(const Receiver& r, const LitPyramid& light, const LitSurface&
   return sum * lit.light.WhiteTargetDn(centre, r.normal, channel, lit.exposure_ms);
 }
 
-int64_t ProfileOf(const MixtureMap& map, int i, int j, int c, int pool) {
-  const int x = i / pool, y = j / pool;
-  return x < map.width && y < map.height ? map.ProfileIndex(x, y, c) : -1;
-}
-
 template <typename PixelLight>
 Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
                           const LitSurface& lit, const RenderOptions& options, const PixelLight& light_of) {
@@ -229,7 +224,7 @@ Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, cons
       for (int i = 0; i < surface.width(); ++i) {
         if (surface.mask(i, j) == 0) continue;
         for (int c = 0; c < map.channels; ++c) {
-          const int64_t profile = ProfileOf(map, i, j, c, options.pool);
+          const int64_t profile = map.ProfileOfQuad(i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
           double sum = 0.0;
           for (const Eigen::Vector2d& site : sites[c])
@@ -302,7 +297,7 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
   for (int j = 0; j < reflectance.height(); ++j)
     for (int i = 0; i < reflectance.width(); ++i)
       for (int c = 0; c < map.channels; ++c) {
-        const int64_t profile = ProfileOf(map, i, j, c, pool);
+        const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
         if (profile < 0 || !map.Fitted(profile)) continue;
         if (map.reflection.Known()) {
           const Eigen::Vector3d point = surface.Point(i, j);

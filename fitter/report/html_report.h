@@ -66,7 +66,7 @@ struct Report {
 
 [[nodiscard]] Result<std::string> RenderHtml(const Report& report);
 
-// Linear light -> sRGB bytes (IEC 61966-2-1), `white` maps to 255; NaN is black.
+// Linear light -> sRGB bytes (IEC 61966-2-1), `white` maps to 255; a pixel with a NaN in any colour is black.
 [[nodiscard]] Image<uint8_t> ToSrgb(ImageView<const float> linear, double white);
 // Scalar map through a perceptual colour scale between low and high; NaN is dark grey.
 [[nodiscard]] Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high);

@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <span>
 
 #include "fitter/report/html_report.h"
 
@@ -23,9 +24,12 @@ uint8_t SrgbByte(double linear) {
 
 Image<uint8_t> ToSrgb(ImageView<const float> linear, double white) {
   Image<uint8_t> out(linear.width(), linear.height(), linear.channels());
-  for (size_t i = 0; i < out.size(); ++i) {
-    const float v = linear.data()[i];
-    out.pixels()[i] = std::isfinite(v) && white > 0.0 ? SrgbByte(v / white) : 0;
+  const int channels = linear.channels();
+  for (size_t first = 0; first < out.size(); first += channels) {
+    const std::span<const float> pixel(linear.data() + first, channels);
+    // Red and green without the blue would be another colour.
+    if (!(white > 0.0) || !std::all_of(pixel.begin(), pixel.end(), [](float v) { return std::isfinite(v); })) continue;
+    for (int c = 0; c < channels; ++c) out.pixels()[first + c] = SrgbByte(pixel[c] / white);
   }
   return out;
 }

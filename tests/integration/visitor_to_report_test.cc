@@ -161,6 +161,27 @@ TEST_F(Visitor, IsRelitByLightsThatNobodyCaptured) {
   EXPECT_EQ(Execute(render + "--projector 1 --fit 0123").code, 4);
 }
 
+TEST_F(Visitor, ALightBehindTheFaceIsSaid) {
+  const Outcome outcome = Execute("stratalux-fit render latest --store " + store_ + " --direction=0,0,1 --out " +
+                                  (folder_ / "behind").string());
+  EXPECT_EQ(outcome.code, 0);
+  EXPECT_NE(outcome.out.find("warning: no light reaches the face"), std::string::npos) << outcome.out;
+}
+
+TEST_F(Visitor, AFullPipeIsNoSuccess) {
+  const std::string full = " --store " + store_ + " >/dev/full";
+  for (const std::string& command :
+       {std::string("run latest"), std::string("run latest --json"), std::string("report latest --path-only"),
+        "render latest --direction=0,0,-1 --out " + (folder_ / "full").string()})
+    EXPECT_EQ(Execute("stratalux-fit " + command + full).code, 1) << command;
+}
+
+TEST_F(Visitor, MapsAndReportAreAsPrivateAsTheFrames) {
+  constexpr auto kOthers = fs::perms::others_all;
+  for (const auto& entry : fs::recursive_directory_iterator(fit_))
+    EXPECT_EQ(entry.status().permissions() & kOthers, fs::perms::none) << entry.path();
+}
+
 TEST_F(Visitor, ReportHoldsEveryPictureAndNothingFromOutside) {
   const std::string html = ReadText(fit_ / "report" / "index.html");
   for (const char* title : {"figure 4", "Shape", "Direct and global", "figure 5", "figure 7", "figure 8", "figure 9",

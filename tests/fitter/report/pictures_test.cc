@@ -29,6 +29,16 @@ TEST(ToSrgb, FollowsTheStandardCurve) {
   for (int x = 0; x < 6; ++x) EXPECT_EQ(bytes(x, 0), expected[x]) << values[x];
 }
 
+TEST(ToSrgb, APixelWithoutOneColourIsBlack) {
+  Image<float> linear(2, 1, 3, 0.5F);
+  linear(0, 0, 2) = kNan;
+  const auto bytes = ToSrgb(linear, 1.0);
+  for (int c = 0; c < 3; ++c) {
+    EXPECT_EQ(bytes(0, 0, c), 0) << c;
+    EXPECT_GT(bytes(1, 0, c), 0) << c;
+  }
+}
+
 TEST(ToSrgb, DependsOnTheRatioToWhiteAlone) {
   Image<float> one(50, 1), many(50, 1);
   for (int x = 0; x < 50; ++x) {

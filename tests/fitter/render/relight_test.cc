@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/relight.h"
+
+#include <cmath>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fitter/render/lit_scene.h"
+
+namespace stratalux::fit {
+namespace {
+
+using ::testing::Contains;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+class RelightTest : public ::testing::Test {
+ protected:
+  [[nodiscard]] Relit Under(const Eigen::Vector3d& towards) const {
+    VirtualLight light;
+    light.kind = VirtualLight::Kind::kDirectional;
+    light.vector = towards;
+    auto relit = Relight(fit_, scene_.rig, light);
+    EXPECT_TRUE(relit.ok()) << relit.status().message();
+    return std::move(*relit);
+  }
+  static SavedFit FitOf(const LitScene& scene) {
+    SavedFit fit{scene.surface, UniformSkin(scene, SkinLayers()), 1};
+    fit.map.training_projectors = {0};
+    fit.map.surface.assign(static_cast<size_t>(fit.map.profiles()), 0.04F);
+    return fit;
+  }
+
+  LitScene scene_ = MakeScene(FrontalPlane(), Eigen::Vector3d::Zero(), Cfa::kRggb);
+  SavedFit fit_ = FitOf(scene_);
+};
+
+TEST_F(RelightTest, ALightBehindTheFaceIsSaid) {
+  EXPECT_THAT(Under({0.0, 0.0, -1.0}).Notes(), IsEmpty());
+  EXPECT_THAT(Under({0.0, 0.0, 1.0}).Notes(), Contains(HasSubstr("no light reaches the face")));
+}
+
+TEST_F(RelightTest, AColourThatWasNotFittedIsUnknownNotDark) {
+  const Relit whole = Under({0.0, 0.0, -1.0});
+  EXPECT_EQ(whole.incomplete, 0);
+  fit_.map.reason[fit_.map.ProfileIndex(20, 15, 2)] = static_cast<uint8_t>(FitReason::kTooDark);
+  const Relit relit = Under({0.0, 0.0, -1.0});
+  EXPECT_EQ(relit.face, whole.face);
+  EXPECT_EQ(relit.incomplete, 1);
+  EXPECT_THAT(relit.Notes(), Contains(HasSubstr("1 of " + std::to_string(whole.face))));
+  for (const Image<float>* image : {&relit.subsurface, &relit.surface, &relit.total}) {
+    EXPECT_TRUE(std::isnan((*image)(20, 15, 2)));
+    EXPECT_TRUE(std::isfinite((*image)(20, 15, 1)));
+    EXPECT_TRUE(std::isfinite((*image)(21, 15, 2)));
+  }
+  EXPECT_EQ(relit.total(20, 15, 0), whole.total(20, 15, 0)) << "the others stay";
+}
+
+}  // namespace
+}  // namespace stratalux::fit
