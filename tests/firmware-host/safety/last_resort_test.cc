@@ -115,13 +115,15 @@ TEST(LastResort, TheGuardMeetsTheFirstInterruptAndTheSecond) {
                 sigfillset(&all);
                 pthread_sigmask(SIG_BLOCK, &all, nullptr);
                 std::thread([&rig, signal] {
+                  usleep(5000);  // as above
                   kill(getpid(), signal);
                   if (!GuardedGpio::DarkWithin(20s)) _exit(1);
                   if (StopOfProcess().reason() != StopReason::kOperator) _exit(2);
                   if (!rig.guard->Reset().ok() || !rig.guard->On(0, kLong).ok()) _exit(3);
                   kill(getpid(), signal);
                 }).detach();
-                while (true) pause();
+                pthread_sigmask(SIG_UNBLOCK, &all, nullptr);
+                BeOutOfReach();
               }),
               signal);
     EXPECT_TRUE(GuardedGpio::ReadBackDark());
