@@ -62,6 +62,8 @@ Row MeasureWatchdog(int stops) {
     LightSwitch& light = *rig.lights->enable(0);
     std::atomic<bool> stopped = false, ended = false;
     std::thread watchdog([&] {
+      const sched_param ordinary{};
+      pthread_setschedparam(pthread_self(), SCHED_OTHER, &ordinary);
       while (!ended) {
         if (stopped) light.Set(false);
         std::this_thread::sleep_for(milliseconds(5));

@@ -187,7 +187,7 @@ echo mono >$tracing/trace_clock
 echo 4096 >$tracing/buffer_size_kb
 echo 1 >$tracing/events/gpio/gpio_value/enable
 dd if=/dev/zero of=/tmp/disk.img bs=1M count=96 2>/dev/null
-mke2fs /tmp/disk.img >/dev/null 2>&1
+mke2fs -F /tmp/disk.img >/dev/null
 echo "        death | ms after the first light | exit | session | ENABLE lines: times on, last written, last read" >$cases
 lit_ms=0
 death "none" none 0
