@@ -4,6 +4,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <exception>
 #include <filesystem>
 #include <functional>
 #include <random>
@@ -33,16 +34,49 @@ constexpr int kSignals[] = {SIGHUP,  SIGQUIT, SIGPIPE, SIGSEGV,   SIGBUS,  SIGFP
                             SIGSYS,  SIGTRAP, SIGXCPU, SIGXFSZ,   SIGALRM, SIGPROF, SIGIO,  SIGVTALRM,
                             SIGUSR1, SIGPWR,  SIGUSR2, SIGSTKFLT, SIGINT,  SIGTERM};
 
-void Fault(int kind) {
-  if (kind == 0) *static_cast<volatile int*>(nullptr) = 1;
-  if (kind == 1) throw std::runtime_error("sink");
-  if (kind == 2) SLX_CHECK(1 + 1 == 3);
+void WriteToNobody(std::atomic<int64_t>& due_ns) {
   int ends[2];
   if (pipe(ends) != 0) _exit(98);
   close(ends[0]);
+  due_ns.store(MonotonicNow().ns);
   static_cast<void>(!write(ends[1], "x", 1));
 }
-constexpr int kFaults[] = {SIGSEGV, SIGABRT, SIGABRT, SIGPIPE};
+
+struct Fault {
+  const char* name;
+  int signal;
+  void (*make)(std::atomic<int64_t>& due_ns);
+};
+constexpr Fault kFaults[] = {
+    {"death by a null pointer", SIGSEGV,
+     [](std::atomic<int64_t>& due_ns) {
+       due_ns.store(MonotonicNow().ns);
+       *static_cast<volatile int*>(nullptr) = 1;
+     }},
+    {"death by a broken pipe", SIGPIPE, WriteToNobody},
+    {"death by a failed check", SIGABRT,
+     [](std::atomic<int64_t>& due_ns) {
+       due_ns.store(MonotonicNow().ns);
+       SLX_CHECK(1 + 1 == 3);
+     }},
+    // Until the search for a handler has ended, nobody knows that it is a death.
+    {"death by an exception", SIGABRT,
+     [](std::atomic<int64_t>& due_ns) {
+       static std::atomic<int64_t>* due = &due_ns;
+       static const std::terminate_handler before = std::get_terminate();
+       std::set_terminate([] {
+         due->store(MonotonicNow().ns);
+         before();
+       });
+       throw std::runtime_error("sink");
+     }},
+};
+
+// A thread that has worked has its stack in memory.
+__attribute__((noinline)) void TouchStack() {
+  volatile char stack[65536];
+  for (size_t i = 0; i < sizeof stack; i += 1024) stack[i] = 0;
+}
 
 // A process with both lights on whose main thread is at work at an ordinary priority; beside it runs `beside`.
 pid_t Live(const std::function<void()>& beside) {
@@ -72,6 +106,29 @@ bool Bury(pid_t child, int signal) {
   int status = 0;
   return waitpid(child, &status, 0) == child && WIFSIGNALED(status) && WTERMSIG(status) == signal &&
          GuardedGpio::ReadBackDark();
+}
+
+Row MeasureFault(const Fault& fault, int deaths) {
+  Row row;
+  std::mt19937 random(7);
+  void* shared = mmap(nullptr, sizeof(std::atomic<int64_t>), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  SLX_CHECK(shared != MAP_FAILED);
+  auto& due_ns = *new (shared) std::atomic<int64_t>(0);
+  for (int i = 0; i < deaths; ++i) {
+    const auto wait_us = std::uniform_int_distribution<useconds_t>(500, 20000)(random);
+    due_ns.store(0);
+    const pid_t child = Live([&due_ns, make = fault.make, wait_us] {
+      TouchStack();
+      usleep(wait_us);
+      make(due_ns);
+    });
+    for (int tries = 0; due_ns.load() == 0 && tries < 300000; ++tries) usleep(100);
+    const bool dark = due_ns.load() != 0 && GuardedGpio::DarkWithin(10s);
+    if (!dark) kill(child, SIGKILL);
+    row.Add(Bury(child, fault.signal) && dark, due_ns.load());
+  }
+  munmap(shared, sizeof(std::atomic<int64_t>));
+  return row;
 }
 
 bool BothLit() { return GuardedGpio::Lit(0) && GuardedGpio::Lit(1); }
@@ -119,28 +176,8 @@ Row MeasureSignals(int deaths) {
   return row;
 }
 
-Row MeasureFaults(int deaths) {
-  Row row;
-  std::mt19937 random(7);
-  void* shared = mmap(nullptr, sizeof(std::atomic<int64_t>), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-  SLX_CHECK(shared != MAP_FAILED);
-  auto& due_ns = *new (shared) std::atomic<int64_t>(0);
-  for (int i = 0; i < deaths; ++i) {
-    const int kind = i % static_cast<int>(std::size(kFaults));
-    const auto wait_us = std::uniform_int_distribution<useconds_t>(500, 20000)(random);
-    due_ns.store(0);
-    const pid_t child = Live([&due_ns, kind, wait_us] {
-      usleep(wait_us);
-      due_ns.store(MonotonicNow().ns);
-      Fault(kind);
-    });
-    for (int tries = 0; due_ns.load() == 0 && tries < 300000; ++tries) usleep(100);
-    const bool dark = due_ns.load() != 0 && GuardedGpio::DarkWithin(10s);
-    if (!dark) kill(child, SIGKILL);
-    row.Add(Bury(child, kFaults[kind]) && dark, due_ns.load());
-  }
-  munmap(shared, sizeof(std::atomic<int64_t>));
-  return row;
+void MeasureFaults(const char* what, int deaths) {
+  for (const Fault& fault : kFaults) MeasureFault(fault, deaths).Print(what, fault.name);
 }
 
 }  // namespace stratalux::rig

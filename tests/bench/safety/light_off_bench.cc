@@ -84,7 +84,7 @@ void Measure(const char* what, int stops, int deaths) {
   for (const Cause cause : {Cause::kStop, Cause::kButton, Cause::kDoor, Cause::kLease})
     MeasureGuard(cause, stops).Print(what, kNames[static_cast<int>(cause)]);
   MeasureSignals(deaths).Print(what, "death by a signal from outside");
-  MeasureFaults(deaths).Print(what, "death by its own fault");
+  MeasureFaults(what, deaths);
 }
 
 int Main(int stops, int deaths) {

@@ -98,7 +98,7 @@ death() {
 }
 # One try; leaves `row`, `late` and `lit_ms`, fails where the verdict does.
 death_once() {
-  local tries=$1 at_ms=$2 name=$3 how=$4 exits=$5 out verdict="ok     " ended since lit_count store why=""
+  local tries=$1 at_ms=$2 name=$3 how=$4 exits=$5 out verdict="ok     " ended since lit_count store wanted why=""
   out=/share/$(echo "$name" | tr -c 'a-zA-Z0-9\n' -)$tries store=$disk/store late=0 timer=
   mkdir -p "$out"
   load_camera
@@ -134,15 +134,19 @@ death_once() {
   lit_count=$(lights)
   echo "$lit_count" | grep -qE '^[1-9][0-9]* 0 0, [1-9][0-9]* 0 0$' || why="${why:+$why; }not written off and read back"
   kill -CONT $responder
-  kill $responder
+  # Busy with what it missed it takes no notice of the first one.
+  while kill $responder 2>/dev/null; do usleep 100000; done
   wait $responder
   [ "$timer" = "" ] || kill $timer
-  /build/bin/stratalux-db reindex --store $store >>"$out/rig.log" 2>&1
-  session=$(/build/bin/stratalux-db show latest --json --store $store 2>>"$out/rig.log" | sed -nE 's/^ *"status": "([a-z]+)".*/\1/p')
   rm -f $disk/filler
+  /build/bin/stratalux-db reindex --store $store >>"$out/rig.log" 2>&1
+  session=$(/build/bin/stratalux-db show s000001 --json --store $store 2>>"$out/rig.log" | sed -nE 's/^ *"status": "([a-z]+)".*/\1/p')
   umount $disk || why="${why:+$why; }the disk is held"
   case " $exits " in *" $ended "*) ;; *) why="${why:+$why; }exit" ;; esac
-  if [ "$how" = none ]; then [ "$session" = complete ]; else [ "$session" = failed ]; fi || why="${why:+$why; }session"
+  wanted=failed
+  # The emulator may stall until the capture gives up: nothing to be learnt from.
+  [ "$how" != none ] || wanted=complete late=1
+  [ "$session" = $wanted ] || why="${why:+$why; }session"
   [ -z "$why" ] || verdict="FAILED "
   row=$(printf '%s %-26s | %6s | %3s | %-8s | %s%s%s' "$verdict" "$name" "$at_ms" "$ended" "${session:-none}" "$lit_count" \
     "${why:+ | $why}" "$([ "$tries" -eq 1 ] || echo " | try $tries")")
