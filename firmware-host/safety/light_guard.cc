@@ -26,7 +26,12 @@ using std::chrono::nanoseconds;
 
 constexpr int64_t kNever = std::numeric_limits<int64_t>::max();
 constexpr auto kLastTries = std::chrono::seconds(1);
-constexpr int kTriesOfTheDying = 50;  // a millisecond apart
+// Of the dying, a millisecond apart: to have it dark, and for other threads that are about to write an 'on'. Beside
+// real-time threads that never sleep the kernel leaves the others 50 ms of each second (sched_rt_runtime_us).
+constexpr int kTriesOfTheDying = 50, kTriesForOthers = 1500;
+
+// The guard whose light this thread is switching on. A handler must not wait for the thread that it interrupted.
+__attribute__((tls_model("initial-exec"))) constinit thread_local const void* switching_here = nullptr;
 
 // Above every thread that captures; without the right to, as any other.
 bool BecomeUrgent() noexcept {
@@ -44,6 +49,8 @@ bool BecomeUrgent() noexcept {
 
 std::array<std::atomic<LightGuard*>, LightGuard::kMaxGuards> LightGuard::guards{};
 std::atomic<bool> LightGuard::dying = false;
+std::atomic<void (*)() noexcept> LightGuard::answer_signals = nullptr;
+std::atomic<int> LightGuard::signals_fd = -1;
 
 LightGuard::LightGuard(StopToken& stop, InterlockInput* interlock, LightGuardOptions options)
     : stop_(stop), interlock_(interlock), options_(options), wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -177,6 +184,7 @@ Status LightGuard::On(int projector, const LightLease& lease) {
   const std::string stays_dark = "projector " + std::to_string(projector) + " stays dark";
   Light& light = lights_[projector];
   ++switching_;
+  switching_here = this;
   int refused = 0;
   LightSwitch* refuser = nullptr;
   Status may = Check();
@@ -195,6 +203,7 @@ Status LightGuard::On(int projector, const LightLease& lease) {
     may = stop_.Check();
     if (dying.load()) may = Status::Failed(ToString(StopReason::kDying));
   }
+  switching_here = nullptr;
   --switching_;
   if (may.ok() && refused == 0) {
     const uint64_t one = 1;
@@ -271,13 +280,21 @@ void LightGuard::TakeAllForEver() noexcept {
   errno = before;
 }
 
+void LightGuard::MeetSignals(int fd, void (*answer)() noexcept) noexcept {
+  answer_signals.store(answer);
+  signals_fd.store(fd);
+}
+
 void LightGuard::TakeForEver() noexcept {
+  // Wakes the guard's thread, too: a handler's own may get no processor from here on.
   stop_.Request(StopReason::kDying);
   for (int p = 0; p < count_; ++p) lights_[p].confirmed.store(false);
-  for (int i = 0; i < kTriesOfTheDying; ++i) {
+  for (int tries = 0;; ++tries) {
     const bool dark = Enforce();
     // A thread may have asked before and be about to write its 'on'; it asks again afterwards.
-    if (dark && switching_.load() == 0) return;
+    const int others = switching_.load() - static_cast<int>(switching_here == this);
+    if (dark && others <= 0) return;
+    if (tries >= (dark ? kTriesForOthers : kTriesOfTheDying)) return;
     poll(nullptr, 0, 1);
   }
 }
@@ -295,10 +312,10 @@ nanoseconds LightGuard::Pause(bool enforced) const noexcept {
 }
 
 void LightGuard::Watch() noexcept {
-  // Handlers run on other threads: this one has no time for them.
+  // Never interrupted, but by its own faults: what is sent to the process it takes from `signals_fd`, in its turn.
   sigset_t all;
   sigfillset(&all);
-  for (const int fatal : {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT}) sigdelset(&all, fatal);
+  for (const int fault : {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS}) sigdelset(&all, fault);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);
   prctl(PR_SET_NAME, "light-guard");
   realtime_.store(BecomeUrgent());
@@ -312,8 +329,10 @@ void LightGuard::Watch() noexcept {
     const bool stopped = stop_.stopped();
     pollfd events[] = {{stopped ? -1 : stop_.fd(), POLLIN, 0},
                        {wake_.get(), POLLIN, 0},
-                       {interlock_ != nullptr && !stopped ? interlock_->fd() : -1, POLLIN, 0}};
+                       {interlock_ != nullptr && !stopped ? interlock_->fd() : -1, POLLIN, 0},
+                       {signals_fd.load(), POLLIN, 0}};
     ppoll(events, std::size(events), &limit, nullptr);
+    if ((events[3].revents & POLLIN) != 0) answer_signals.load()();
     uint64_t count = 0;
     if ((events[1].revents & POLLIN) != 0) static_cast<void>(!read(wake_.get(), &count, sizeof count));
   }

@@ -80,6 +80,9 @@ class LightGuard {
   // Every light of this process's guards off, now, from wherever it is called: async-signal-safe. Nothing can be
   // switched on afterwards.
   static void TakeAllForEver() noexcept;
+  // Signals of the process, met by the guards' threads: once `fd` is readable, `answer` takes what is pending. `fd`
+  // must not block, and stays open. Once a process, from any thread.
+  static void MeetSignals(int fd, void (*answer)() noexcept) noexcept;
 
  private:
   struct Light {
@@ -121,6 +124,8 @@ class LightGuard {
 
   static std::array<std::atomic<LightGuard*>, kMaxGuards> guards;
   static std::atomic<bool> dying;
+  static std::atomic<void (*)() noexcept> answer_signals;
+  static std::atomic<int> signals_fd;  // -1: nobody's
 };
 
 }  // namespace stratalux::rig

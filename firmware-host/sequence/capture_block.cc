@@ -116,8 +116,9 @@ Status CaptureRun::Keep(Shot shot) {
   // Nobody looks at a frame whose step was shot again before its group was whole.
   const auto older = std::find_if(held.begin(), held.end(), [&](const Shot& s) { return s.record.step == step.index; });
   if (older != held.end()) {
-    SLX_RETURN_IF_ERROR(Emit(std::move(*older)));
+    Shot replaced = std::move(*older);
     held.erase(older);
+    SLX_RETURN_IF_ERROR(Emit(std::move(replaced)));
   }
   held.push_back(std::move(shot));
   Advance(step.index);
@@ -140,11 +141,13 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   // A group that lacks a member cannot be judged: what is there goes out as not checked.
   const bool whole = std::none_of(group.begin(), group.end(), [this](int step) { return given_up_.contains(step); });
   const LevelCheck verdict = whole ? witness_.Check(last) : LevelCheck::kNotChecked;
-  for (Shot& shot : held_[group.front()]) {
+  // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
+  std::vector<Shot> shots = std::exchange(held_[group.front()], {});
+  held_.erase(group.front());
+  for (Shot& shot : shots) {
     shot.record.level_check = verdict;
     SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
   }
-  held_.erase(group.front());
   last_verdict_ = verdict;
   if (verdict != LevelCheck::kFailed) {
     for (int step : group) wrong_level_.erase(step);

@@ -5,7 +5,7 @@
 # JOB: tests/rig-vm/jobs/JOB.sh. BUILD: the build folder whose binaries the guest runs (/build there). OUT: this boot's
 # folder, emptied first (/share there, the only place the guest can write to): console.log, cases, and what the job
 # leaves. Exit 0: every case passed; 1: one did not, or the guest hung or died; 77: no guest on this machine.
-# STRATALUX_RIG_FAULTS: how many faults the job `capture` draws by STRATALUX_SEED.
+# STRATALUX_RIG_FAULTS: how many faults the job `capture` draws by STRATALUX_SEED, how many deaths `deaths`.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 source_folder=$(cd "$here/../.." && pwd)

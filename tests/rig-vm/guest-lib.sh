@@ -27,3 +27,21 @@ start_udev() {
   udevadm trigger
   udevadm settle -t 20
 }
+
+# load_camera: vivid anew, its output looped to its capture side; sets `camera` and `screen`.
+load_camera() {
+  modprobe -r vivid 2>/dev/null
+  modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
+  camera=$(v4l2_node vid-cap) screen=$(v4l2_node vid-out)
+  # 30 frames a second: what the emulator can take.
+  for node in "$camera" "$screen"; do v4l2-ctl -d "$node" --set-dv-bt-timings cvt,width=800,height=600,fps=30; done >/dev/null 2>&1
+  v4l2-ctl -d "$camera" -c loop_video=1,osd_text_mode=2,timestamp_source=1
+}
+v4l2_node() { echo /dev/"$(basename "$(dirname "$(grep -l "$1" /sys/class/video4linux/*/name)")")"; }
+
+# sample N SEED: N of the lines given, in their order.
+sample() {
+  awk -v wanted="$1" -v seed="$2" '{line[NR] = $0}
+    END {srand(seed); for (i = 1; i <= NR; i++) if (rand() * (NR - i + 1) < wanted) {print line[i]; wanted--}}'
+}
+option() { sed -nE "s/.*rig\.$1=([0-9]+).*/\1/p" /proc/cmdline; }

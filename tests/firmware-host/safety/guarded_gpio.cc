@@ -41,6 +41,11 @@ bool GuardedGpio::Lit(int projector) {
   return projector == 0 ? level != 0 : level == 0;
 }
 
+bool GuardedGpio::ReadBackDark() {
+  return !Lit(0) && !Lit(1) && TheGpio().lines[kEnable0].last_read.load() == 0 &&
+         TheGpio().lines[kEnable1].last_read.load() == 1;
+}
+
 bool GuardedGpio::DarkWithin(std::chrono::nanoseconds time) {
   const auto end = std::chrono::steady_clock::now() + time;
   while (Lit(0) || Lit(1)) {

@@ -20,6 +20,8 @@ struct GuardedGpio {
   [[nodiscard]] static GpioWiring Wiring();
   // As the hardware has it: projector 1 is lit while its line is low.
   [[nodiscard]] static bool Lit(int projector);
+  // Every light off, and the last that anybody read of each.
+  [[nodiscard]] static bool ReadBackDark();
   // Every light off; waits for it.
   [[nodiscard]] static bool DarkWithin(std::chrono::nanoseconds time);
 

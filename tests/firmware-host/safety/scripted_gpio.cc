@@ -10,6 +10,7 @@
 
 #include "firmware-host/gpio/gpio_adapter.h"
 #include "shared/base/check.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 namespace {
@@ -35,7 +36,7 @@ class Outputs final : public OutputRequest {
       ScriptedGpio::Line& line = TheGpio().lines[offsets_[i]];
       if (Refused(line.refuse_writes)) return EIO;
       const int level = static_cast<int>(levels >> i & 1U);
-      line.level.store(level);
+      if (line.level.exchange(level) != level) line.changed_ns.store(MonotonicNow().ns);
       ++line.writes;
     }
     return 0;
@@ -45,7 +46,9 @@ class Outputs final : public OutputRequest {
     for (size_t i = 0; i < offsets_.size(); ++i) {
       ScriptedGpio::Line& line = TheGpio().lines[offsets_[i]];
       if (Refused(line.refuse_reads)) return EIO;
-      if (line.level.load() != 0) levels |= uint64_t{1} << i;
+      const int level = line.level.load();
+      line.last_read.store(level);
+      if (level != 0) levels |= uint64_t{1} << i;
     }
     return 0;
   }

@@ -17,6 +17,8 @@ struct ScriptedGpio {
     std::atomic<int> level = 0;                            // as driven, or as the world outside puts it
     std::atomic<int> taken = 0;                            // by a request
     std::atomic<int> writes = 0;                           // that reached it
+    std::atomic<int> last_read = -1;                       // the level, by whoever drives it; -1: never
+    std::atomic<int64_t> changed_ns = 0;                   // CLOCK_MONOTONIC, when a write last changed the level
     std::atomic<int> refuse_writes = 0, refuse_reads = 0;  // so many to come fail with EIO; -1: all
     std::atomic<int> edges = 0;                            // rising ones that nobody has read
     std::atomic<int> event_fd = -1;                        // of the process that took it as an input

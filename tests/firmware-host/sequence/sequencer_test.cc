@@ -51,12 +51,14 @@ class CountingObserver : public CaptureObserver {
   void OnStepDone(const PlanStep& /*step*/) override { ++steps; }
   void OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) override {
     frames += pixels.size() > 0 && record.mean_dn > 0.0;
+    shown.insert({record.step, record.retry});
   }
   Status OnFinding(const Finding& finding) override {
     findings.push_back(finding);
     return end_at_finding ? Status::Failed("not worth going on") : Status::Ok();
   }
   std::vector<std::pair<int, ShotFault>> faults;
+  std::multiset<std::pair<int, int>> shown;  // step and retry
   std::vector<Finding> findings;
   int shots = 0, steps = 0, frames = 0;
   int end_before = -1;
@@ -538,6 +540,17 @@ TEST_F(SequencerTest, AFailingSinkEndsTheCaptureWithItsReason) {
   const CaptureReport report = Run();
   EXPECT_EQ(report.status, SessionStatus::kFailed);
   EXPECT_THAT(report.Reasons().front(), HasSubstr("disk full"));
+}
+
+TEST_F(SequencerTest, WhereverTheSinkFailsAnObserverSeesEachFrameOnceAndWhole) {
+  for (sink_.fail_after = 0; sink_.fail_after < 40; ++sink_.fail_after) {
+    sink_.records.clear();
+    observer_ = {};
+    const CaptureReport report = Run();
+    EXPECT_THAT(report.Reasons(), Contains(HasSubstr("disk full")));
+    EXPECT_EQ(static_cast<size_t>(observer_.frames), observer_.shown.size()) << "an empty one at " << sink_.fail_after;
+    EXPECT_EQ(std::set(observer_.shown.begin(), observer_.shown.end()).size(), observer_.shown.size());
+  }
 }
 
 TEST_F(SequencerTest, AnOpenInterlockEndsTheCaptureWithItsName) {

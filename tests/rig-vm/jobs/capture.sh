@@ -11,16 +11,6 @@ mkdir -p "$STATE_DIRECTORY"
 short_plan=/tmp/short.toml  # references, codes and guards: what a fault needs to be seen
 sed 's/^kind = "visitor"/kind = "calibration"/' "$plan" >$short_plan
 
-load_camera() {
-  modprobe -r vivid 2>/dev/null
-  modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
-  camera=$(v4l2_node vid-cap) screen=$(v4l2_node vid-out)
-  # 30 frames a second: what the emulator can take.
-  for node in "$camera" "$screen"; do v4l2-ctl -d "$node" --set-dv-bt-timings cvt,width=800,height=600,fps=30; done >/dev/null 2>&1
-  v4l2-ctl -d "$camera" -c loop_video=1,osd_text_mode=2,timestamp_source=1
-}
-v4l2_node() { echo /dev/"$(basename "$(dirname "$(grep -l "$1" /sys/class/video4linux/*/name)")")"; }
-
 # capture NAME PLAN WANTED FAULT...: WANTED lists the session's allowed ends; a fault must leave a sign. `control`, if
 # set, is given to vivid just before the capture. A capture that was to get past its pre-roll and did not, because the
 # emulator stalled and lost frames, met no fault and shows nothing: it is taken again, twice at most, and its row says so.
@@ -96,13 +86,6 @@ lines unplugged       ; short ; failed            ;                             
 camera unplugged      ; short ; degraded failed   ;                                ; control:Disconnect=1@30
 ROWS
 }
-# sample N SEED: N of the lines given, in their order.
-sample() {
-  awk -v wanted="$1" -v seed="$2" '{line[NR] = $0}
-    END {srand(seed); for (i = 1; i <= NR; i++) if (rand() * (NR - i + 1) < wanted) {print line[i]; wanted--}}'
-}
-option() { sed -nE "s/.*rig\.$1=([0-9]+).*/\1/p" /proc/cmdline; }
-
 modprobe gpio-sim
 load_camera
 echo "        fault | injected | detected as | session | frames proven | mis-associated" >$cases
