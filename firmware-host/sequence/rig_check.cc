@@ -315,6 +315,8 @@ Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions
   const Status ended = check.Run();
   // Lights first, whatever happened.
   const Status off = devices.light.AllOff();
+  // One that cannot was named above.
+  for (Projector* projector : devices.projectors) static_cast<void>(projector->Rest().ok());
   const Status stopped = devices.camera.Stop().WithContext("camera");
   SLX_RETURN_IF_ERROR(ended);
   SLX_RETURN_IF_ERROR(off);

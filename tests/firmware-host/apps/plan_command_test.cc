@@ -12,19 +12,22 @@
 namespace stratalux::rig {
 namespace {
 
-CapturePlan SmallPlan() {
+PlanOptions SmallOptions() {
   PlanOptions options;
   options.projectors = 2;
   options.projector_width = 64;
   options.projector_height = 48;
   options.comb_period = 16;
   options.spot_pitch = 24;
-  return *BuildPlan(options);
+  return options;
 }
+
+CapturePlan SmallPlan() { return *BuildPlan(SmallOptions()); }
+MemoryLayout SmallLayout() { return *LayOutMemories(SmallOptions()); }
 
 TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
   const CapturePlan plan = SmallPlan();
-  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}));
+  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}, SmallLayout()));
   ASSERT_EQ(json["steps"].size(), plan.steps.size());
   for (size_t i = 0; i < plan.steps.size(); ++i)
     EXPECT_EQ(*Pattern::Parse(json["steps"][i]["pattern"].get<std::string>()), plan.steps[i].pattern);
@@ -42,7 +45,7 @@ TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
   const CapturePlan plan = SmallPlan();
   const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / "stratalux-plan-render";
   std::filesystem::remove_all(folder);
-  ASSERT_TRUE(RenderPlan(plan, {}, folder).ok());
+  ASSERT_TRUE(RenderPlan(plan, {}, SmallLayout(), folder).ok());
   std::ifstream in(folder / "plan.json");
   const auto json = nlohmann::json::parse(in);
   for (const PlanStep& step : plan.steps) {
@@ -72,7 +75,7 @@ TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
 }
 
 TEST(RenderPlan, NamesAFolderItCannotMake) {
-  const Status status = RenderPlan(SmallPlan(), {}, "/proc/no-such-place/patterns");
+  const Status status = RenderPlan(SmallPlan(), {}, SmallLayout(), "/proc/no-such-place/patterns");
   EXPECT_EQ(status.code(), StatusCode::kFailed);
   EXPECT_NE(status.message().find("/proc/no-such-place/patterns"), std::string::npos);
 }
