@@ -53,12 +53,14 @@ std::string MemoryText(const MemoryLayout& layout) {
   for (size_t p = 0; p < layout.projectors.size(); ++p) {
     const ProjectorMemory& memory = layout.projectors[p];
     for (const SectionPlace& place : memory.sections) {
-      std::snprintf(line, sizeof line, "%10zu  %-11s  %5d  %5d\n", p, ToString(place.section), place.first, place.count);
+      std::snprintf(line, sizeof line, "%10zu  %-11s  %5d  %5d\n", p, ToString(place.section), place.first,
+                    place.count);
       text += line;
     }
     const std::string capacity =
         layout.capacity > 0 ? " of " + std::to_string(layout.capacity) : "; no [memory] capacity set";
-    std::snprintf(line, sizeof line, "%10zu  total               %5zu%s\n", p, memory.patterns.size(), capacity.c_str());
+    std::snprintf(line, sizeof line, "%10zu  total               %5zu%s\n", p, memory.patterns.size(),
+                  capacity.c_str());
     text += line;
   }
   for (const MemoryLayout::LeftOut& out : layout.left_out)
@@ -97,7 +99,8 @@ Image<uint8_t> Render8(const Pattern& pattern, int width, int height) {
 }
 
 // Of a plan that the memories do not hold none: its capture is refused.
-std::chrono::nanoseconds LoadingTimeOf(const RigConfig& config, const std::vector<std::optional<MemoryTiming>>& timings) {
+std::chrono::nanoseconds LoadingTimeOf(const RigConfig& config,
+                                       const std::vector<std::optional<MemoryTiming>>& timings) {
   const Result<CapturePlan> plan = BuildPlan(config.plan);
   const Result<MemoryLayout> layout = LayOutMemories(config.plan, config.memory);
   return plan.ok() && layout.ok() ? LoadingTime(*plan, *layout, timings) : std::chrono::nanoseconds(0);

@@ -313,9 +313,8 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<RigConfig> config = ConfigFrom(flags);
   if (!config.ok()) return Report(config.status());
   const Result<CapturePlan> plan = BuildPlan(config->plan);
-  if (!plan.ok()) return Report(plan.status());
   const Result<MemoryLayout> layout = LayOutMemories(config->plan, config->memory);
-  if (!layout.ok()) return Report(layout.status());
+  if (!plan.ok() || !layout.ok()) return Report(plan.ok() ? layout.status() : plan.status());
   VisitTiming timing = TimingOf(*config);
   if (render.parsed()) {
     const Status status = RenderPlan(*plan, timing, *layout, flags.out);

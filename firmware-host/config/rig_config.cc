@@ -48,8 +48,9 @@ Status ReadMemory(TomlTable memory, MemoryOptions& o) {
   memory.Get("capacity", o.capacity, 0, kLargestMemory);
   o.where = memory.Where("capacity");
   if (memory.Has("sections") && names.empty())
-    return Status::Usage(memory.Where("sections") +
-                         ": memory.sections = []: name at least one section, or leave the key out to hold all that fit");
+    return Status::Usage(
+        memory.Where("sections") +
+        ": memory.sections = []: name at least one section, or leave the key out to hold all that fit");
   for (const std::string& name : names) {
     SLX_ASSIGN_OR_RETURN(const MemorySection section,
                          ParseMemorySection(name).WithContext(memory.Where("sections") + ": memory.sections"));

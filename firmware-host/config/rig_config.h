@@ -39,14 +39,14 @@ struct RigConfig {
   std::string calibration;      // that sessions name: latest, an id or a file; empty: as `capture --help` says
   int realtime_priority = 0;    // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
   PlanOptions plan;
-  MemoryOptions memory;         // what the projectors' pattern memories hold of it
+  MemoryOptions memory;  // what the projectors' pattern memories hold of it
   CameraWiring camera;
   GpioWiring gpio;
   std::vector<ProjectorWiring> projectors;  // one a [[projector]]; empty: a rig without devices (simulation)
 };
 
-// What the movements of each projector's pattern memory take; nullopt: a display, which has none. Without [[projector]],
-// all are memories.
+// What the movements of each projector's pattern memory take; nullopt: a display, which has none. Without
+// [[projector]], all are memories.
 [[nodiscard]] std::vector<std::optional<MemoryTiming>> MemoryTimingsOf(const RigConfig& config);
 
 // kUsage with file:line for unreadable files, unknown keys, wrong types, values out of range and plans no projector can

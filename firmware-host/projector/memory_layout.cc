@@ -54,8 +54,7 @@ void Append(MemorySection section, const std::vector<std::vector<Pattern>>& need
     std::vector<Pattern>& held = memories[p].patterns;
     const std::vector<Pattern>& own = needed[p];
     const auto found = std::search(held.begin(), held.end(), own.begin(), own.end());
-    memories[p].sections.push_back(
-        {section, static_cast<int>(found - held.begin()), static_cast<int>(own.size())});
+    memories[p].sections.push_back({section, static_cast<int>(found - held.begin()), static_cast<int>(own.size())});
     if (found == held.end()) held.insert(held.end(), own.begin(), own.end());
   }
 }

@@ -14,8 +14,8 @@ class Projector {
   virtual ~Projector() = default;
   [[nodiscard]] virtual int width() const = 0;
   [[nodiscard]] virtual int height() const = 0;
-  // Makes the next TRIGGER show sequence[0], and those after it what follows. A memory that is filled beforehand goes to
-  // where that stands, showing whatever lies on the way: only in the dark.
+  // Makes the next TRIGGER show sequence[0], and those after it what follows. A memory that is filled beforehand goes
+  // to where that stands, showing whatever lies on the way: only in the dark.
   virtual Status Load(const std::vector<Pattern>& sequence) = 0;
   // What was shown last may not be what was asked for: the next Load trusts no count of steps where it can rewind. For
   // projectors that cannot be out of step, nothing.

@@ -30,8 +30,8 @@ struct VisitTiming {
 // exposure changes and before the sweep, whose judges, the codes, are settled first.
 [[nodiscard]] std::chrono::nanoseconds VisitTime(const CapturePlan& plan, const VisitTiming& timing);
 
-// What the memories of that layout take from where they rest (Projector::Rest) to where `plan` begins. 0 of a memory that
-// does not hold it. `timing`: of each memory; nullopt: a projector without one.
+// What the memories of that layout take from where they rest (Projector::Rest) to where `plan` begins. 0 of a memory
+// that does not hold it. `timing`: of each memory; nullopt: a projector without one.
 [[nodiscard]] std::chrono::nanoseconds LoadingTime(const CapturePlan& plan, const MemoryLayout& layout,
                                                    std::span<const std::optional<MemoryTiming>> timing);
 

@@ -66,9 +66,8 @@ class CaptureStation {
   static Result<std::unique_ptr<CaptureStation>> Open(const StationOptions& options, StopToken& stop, Logger& logger);
   ~CaptureStation();
 
-  // Whether a capture could begin, before the visitor is asked for anything and the rig moves: request, what the pattern
-  // memories hold, consent, disk.
-  // Needs no open station.
+  // Whether a capture could begin, before the visitor is asked for anything and the rig moves: request, what the
+  // pattern memories hold, consent, disk. Needs no open station.
   [[nodiscard]] static Status MayBegin(const StationOptions& options, const CaptureRequest& request);
 
   // A whole capture, stored; a simulated one with its truth maps. `observer` may be null; it sees all and may end the

@@ -43,6 +43,7 @@ Status SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& se
   if (!IsFilled(projector)) {
     Rewind(projector);
     state.memory = sequence;
+    ++fillings_;
     return Status::Ok();
   }
   const MemoryTiming timing = MemoryTimingOf(options_.devices.timing);

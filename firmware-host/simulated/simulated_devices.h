@@ -93,6 +93,10 @@ class SimulatedDevices final : public SimulatedRig,
     const std::lock_guard lock(mutex_);
     return {injected_.begin(), injected_.end()};
   }
+  int64_t fillings() const override {
+    const std::lock_guard lock(mutex_);
+    return fillings_;
+  }
   int64_t ignored_triggers() const override {
     const std::lock_guard lock(mutex_);
     return ignored_triggers_;
@@ -254,7 +258,7 @@ class SimulatedDevices final : public SimulatedRig,
   std::optional<PendingFrame> last_;
   MonotonicNs clock_ = kClockStart;
   int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
-  int64_t ignored_triggers_ = 0;
+  int64_t ignored_triggers_ = 0, fillings_ = 0;
   bool started_ = false;
   // Triggered: end of the last exposure and of its read-out, its start.
   MonotonicNs exposed_ = kClockStart, free_from_ = kClockStart;

@@ -99,6 +99,8 @@ class SimulatedRig {
   virtual Status SetSubject(const SubjectOptions& subject) = 0;
   // The faults that happened so far; the newest 65,536.
   [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
+  // Times that a projector's memory got patterns that it did not hold: never where it was filled beforehand.
+  [[nodiscard]] virtual int64_t fillings() const = 0;
   // Camera triggers that came too early and that the camera passed over.
   [[nodiscard]] virtual int64_t ignored_triggers() const = 0;
   // What the frame of this driver number shows; of those delivered since the camera was started.

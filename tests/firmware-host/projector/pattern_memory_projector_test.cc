@@ -211,8 +211,7 @@ TEST_P(PatternMemoryTest, AnOpenInterlockStopsTheStepping) {
   EXPECT_EQ(module_.pulses, 0);
 }
 
-INSTANTIATE_TEST_SUITE_P(Rewind, PatternMemoryTest,
-                         ::testing::Values(kWithReset, kAround),
+INSTANTIATE_TEST_SUITE_P(Rewind, PatternMemoryTest, ::testing::Values(kWithReset, kAround),
                          [](const auto& timing) { return timing.param.reset ? "Reset" : "Around"; });
 
 // With RESET one lost pulse costs a rewind, and nothing has to be known of the start.
