@@ -129,15 +129,14 @@ CaptureStation::CaptureStation(StationOptions options, OpenedRig rig, StopToken&
     : options_(std::move(options)), rig_(std::move(rig)), stop_(stop), logger_(logger) {}
 
 CaptureStation::~CaptureStation() {
-  if (!at_rest_) Rest();
+  if (moved_) Rest();
 }
 
 void CaptureStation::Rest() {
   const std::vector<Projector*> projectors = rig_.devices().projectors;
-  at_rest_ = true;
+  moved_ = false;
   for (size_t p = 0; p < projectors.size(); ++p) {
     const Status rested = projectors[p]->Rest();
-    at_rest_ = at_rest_ && rested.ok();
     // The next capture finds its way, and names what is wrong, from wherever the memory stands.
     if (!rested.ok() && !stop_.stopped())
       logger_.Warning("projector " + std::to_string(p) + " is not at its first pattern: " + rested.message());
@@ -228,7 +227,7 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
                 {{"SESSION", outcome.session}});
   const size_t injected_before = simulation != nullptr ? simulation->injected().size() : 0;
   CaptureObserver silent;
-  at_rest_ = false;
+  moved_ = true;
   outcome.report = Record(plan, std::move(writer), request, observer != nullptr ? *observer : silent);
   outcome.prescan = request.prescan;
   // The next opening ends what a writer could not even mark as failed.
@@ -336,7 +335,7 @@ Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, 
   step.exposure_ms = exposure_ms;
   const SequencerOptions options = SequencerOptionsFor();
   if (projector < 0) return Status::Usage("projector " + std::to_string(projector) + ": they count from 0");
-  at_rest_ = false;
+  moved_ = true;
   return Shoot(step, [&](Shooter& shooter) -> Result<Shot> {
     Projector& shows = *rig_.devices().projectors[static_cast<size_t>(projector)];
     SLX_RETURN_IF_ERROR(shows.Load({pattern}));

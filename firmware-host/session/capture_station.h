@@ -114,7 +114,7 @@ class CaptureStation {
   StopToken& stop_;
   Logger& logger_;
   std::optional<db::SessionStore> store_;  // once a capture began
-  bool at_rest_ = true;                    // the memories
+  bool moved_ = false;                     // a memory, since they were sent to rest
 };
 
 }  // namespace stratalux::rig
