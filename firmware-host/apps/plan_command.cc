@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <system_error>
 
 #include <nlohmann/json.hpp>
@@ -29,10 +30,49 @@ nlohmann::ordered_json StepJson(const PlanStep& step) {
           {"bracket", step.bracket}};
 }
 
-nlohmann::ordered_json PlanJson(const CapturePlan& plan, const VisitTiming& timing) {
+nlohmann::ordered_json MemoryJson(const MemoryLayout& layout) {
+  nlohmann::ordered_json json = {{"capacity", nullptr},
+                                 {"projectors", nlohmann::ordered_json::array()},
+                                 {"left_out", nlohmann::ordered_json::array()}};
+  if (layout.capacity > 0) json["capacity"] = layout.capacity;
+  for (size_t p = 0; p < layout.projectors.size(); ++p) {
+    const ProjectorMemory& memory = layout.projectors[p];
+    nlohmann::ordered_json sections = nlohmann::ordered_json::array();
+    for (const SectionPlace& place : memory.sections)
+      sections.push_back({{"section", ToString(place.section)}, {"first", place.first}, {"count", place.count}});
+    json["projectors"].push_back({{"projector", p}, {"patterns", memory.patterns.size()}, {"sections", sections}});
+  }
+  for (const MemoryLayout::LeftOut& out : layout.left_out)
+    json["left_out"].push_back({{"section", ToString(out.section)}, {"why", out.why}});
+  return json;
+}
+
+std::string MemoryText(const MemoryLayout& layout) {
+  std::string text = "pattern memories\n projector  section      first  count\n";
+  char line[160];
+  for (size_t p = 0; p < layout.projectors.size(); ++p) {
+    const ProjectorMemory& memory = layout.projectors[p];
+    for (const SectionPlace& place : memory.sections) {
+      std::snprintf(line, sizeof line, "%10zu  %-11s  %5d  %5d\n", p, ToString(place.section), place.first,
+                    place.count);
+      text += line;
+    }
+    const std::string capacity =
+        layout.capacity > 0 ? " of " + std::to_string(layout.capacity) : "; no [memory] capacity set";
+    std::snprintf(line, sizeof line, "%10zu  total               %5zu%s\n", p, memory.patterns.size(),
+                  capacity.c_str());
+    text += line;
+  }
+  for (const MemoryLayout::LeftOut& out : layout.left_out)
+    text += std::string("not held: ") + ToString(out.section) + ": " + out.why + "\n";
+  return text;
+}
+
+nlohmann::ordered_json PlanJson(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout) {
   nlohmann::ordered_json json = {{"options", nlohmann::ordered_json::parse(PlanOptionsToJson(plan.options))},
                                  {"frames", plan.steps.size()},
                                  {"seconds", Seconds(plan, timing)},
+                                 {"memory", MemoryJson(layout)},
                                  {"steps", nlohmann::ordered_json::array()}};
   for (const PlanStep& step : plan.steps) json["steps"].push_back(StepJson(step));
   return json;
@@ -58,6 +98,46 @@ Image<uint8_t> Render8(const Pattern& pattern, int width, int height) {
   return image;
 }
 
+// Of a plan that the memories do not hold none: its capture is refused.
+std::chrono::nanoseconds LoadingTimeOf(const RigConfig& config,
+                                       const std::vector<std::optional<MemoryTiming>>& timings) {
+  const Result<CapturePlan> plan = BuildPlan(config.plan);
+  const Result<MemoryLayout> layout = LayOutMemories(config.plan, config.memory);
+  return plan.ok() && layout.ok() ? LoadingTime(*plan, *layout, timings) : std::chrono::nanoseconds(0);
+}
+
+// The distinct patterns of a rig, as files.
+class PatternFiles {
+ public:
+  explicit PatternFiles(const PlanOptions& plan) : width_(plan.projector_width), height_(plan.projector_height) {}
+
+  // Its number among the distinct ones; writes the PNG of a new one.
+  Result<size_t> Add(const Pattern& pattern, const std::filesystem::path& folder) {
+    const auto [entry, fresh] = numbers_.try_emplace(pattern.ToString(), numbers_.size());
+    if (!fresh) return entry->second;
+    const bool binary = PlanesOf(pattern) == 1;
+    std::vector<Pattern>& memory = binary ? bits_ : grey_;
+    const std::string png = FileName(entry->second, pattern);
+    json_.push_back({{"pattern", pattern.ToString()},
+                     {"file", png},
+                     {"memory", {{"file", binary ? kBitFile : kGreyFile}, {"index", memory.size()}}}});
+    memory.push_back(pattern);
+    SLX_RETURN_IF_ERROR(WritePng8(folder / png, Render8(pattern, width_, height_).view()));
+    return entry->second;
+  }
+  [[nodiscard]] const nlohmann::ordered_json& json() const { return json_; }
+  Status WriteMemories(const std::filesystem::path& folder) const {
+    SLX_RETURN_IF_ERROR(WritePatternMemory(folder / kBitFile, bits_, 1, width_, height_));
+    return grey_.empty() ? Status::Ok() : WritePatternMemory(folder / kGreyFile, grey_, 8, width_, height_);
+  }
+
+ private:
+  int width_, height_;
+  std::map<std::string, size_t> numbers_;  // by the pattern's text
+  std::vector<Pattern> bits_, grey_;
+  nlohmann::ordered_json json_ = nlohmann::ordered_json::array();
+};
+
 }  // namespace
 
 VisitTiming TimingOf(const RigConfig& config) {
@@ -67,6 +147,7 @@ VisitTiming TimingOf(const RigConfig& config) {
   timing.sync_delay = FromMilliseconds(config.sync_delay_ms);
   timing.transfer = FromMilliseconds(config.camera.transfer_ms);
   if (config.camera.frame_rate_hz > 0.0) timing.frame_period = FromMilliseconds(1e3 / config.camera.frame_rate_hz);
+  timing.loading = LoadingTimeOf(config, MemoryTimingsOf(config));
   return timing;
 }
 
@@ -77,10 +158,12 @@ VisitTiming TimingOf(const RigConfig& config, const RigTiming& simulated) {
   timing.sync_delay = FromMilliseconds(simulated.sync_delay_ms);
   timing.transfer = FromMilliseconds(simulated.shutter_delay_ms + simulated.readout_ms);  // after the planned end
   timing.frame_period = FromMilliseconds(simulated.frame_period_ms);
+  const std::vector<std::optional<MemoryTiming>> memories(config.plan.projectors, MemoryTimingOf(simulated));
+  timing.loading = LoadingTimeOf(config, memories);
   return timing;
 }
 
-std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing) {
+std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout) {
   std::string text = " step  projector  phase           exposure  pattern\n";
   char line[160];
   for (const PlanStep& step : plan.steps) {
@@ -93,50 +176,35 @@ std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing) {
   std::snprintf(line, sizeof line, "%zu frames, %.1f s (%.1f ms of settling, %s read-out)\n", plan.steps.size(),
                 Seconds(plan, timing), 1e-6 * static_cast<double>(timing.settle.count()),
                 camera.read_out == ReadOut::kOverlapped ? "overlapped" : "serial");
-  return text + line;
+  return text + line + MemoryText(layout);
 }
 
-std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing) {
-  return PlanJson(plan, timing).dump(2) + "\n";
+std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout) {
+  return PlanJson(plan, timing, layout).dump(2) + "\n";
 }
 
-Status RenderPlan(const CapturePlan& plan, const VisitTiming& timing, const std::filesystem::path& folder) {
+Status RenderPlan(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout,
+                  const std::filesystem::path& folder) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
-  nlohmann::ordered_json json = PlanJson(plan, timing);
-  const int width = plan.options.projector_width, height = plan.options.projector_height;
-  struct Files {
-    std::string png, memory;
-    size_t index = 0;  // in `memory`
-  };
-  std::map<std::string, Files> files;  // by the pattern's text
-  std::vector<Pattern> bits, grey;
+  nlohmann::ordered_json json = PlanJson(plan, timing, layout);
+  PatternFiles files(plan.options);
   for (const PlanStep& step : plan.steps) {
-    const auto [entry, fresh] = files.try_emplace(step.pattern.ToString());
-    Files& of = entry->second;
-    if (fresh) {
-      const bool binary = PlanesOf(step.pattern) == 1;
-      std::vector<Pattern>& memory = binary ? bits : grey;
-      of = {FileName(files.size() - 1, step.pattern), binary ? kBitFile : kGreyFile, memory.size()};
-      memory.push_back(step.pattern);
-      const Image<uint8_t> image = Render8(step.pattern, width, height);
-      SLX_RETURN_IF_ERROR(WritePng8(folder / of.png, image.view()));
-    }
-    auto& entry_json = json["steps"][step.index];
-    entry_json["file"] = of.png;
-    entry_json["memory"] = {{"file", of.memory}, {"index", of.index}};
+    SLX_ASSIGN_OR_RETURN(const size_t number, files.Add(step.pattern, folder));
+    auto& entry = json["steps"][static_cast<size_t>(step.index)];
+    for (const char* key : {"file", "memory"}) entry[key] = files.json()[number][key];
   }
-  SLX_RETURN_IF_ERROR(WritePatternMemory(folder / kBitFile, bits, 1, width, height));
-  if (!grey.empty()) SLX_RETURN_IF_ERROR(WritePatternMemory(folder / kGreyFile, grey, 8, width, height));
-  // What each TRIGGER pulse shows, projector by projector.
-  json["sequences"] = nlohmann::ordered_json::array();
-  for (int p = 0; p < plan.options.projectors; ++p) {
+  for (size_t p = 0; p < layout.projectors.size(); ++p) {
     nlohmann::ordered_json sequence = nlohmann::ordered_json::array();
-    for (const PlanStep& step : plan.steps)
-      if (step.projector < 0 || step.projector == p) sequence.push_back(step.index);
-    json["sequences"].push_back({{"projector", p}, {"steps", sequence}});
+    for (const Pattern& pattern : layout.projectors[p].patterns) {
+      SLX_ASSIGN_OR_RETURN(const size_t number, files.Add(pattern, folder));
+      sequence.push_back(number);
+    }
+    json["memory"]["projectors"][p]["sequence"] = sequence;
   }
+  json["patterns"] = files.json();
+  SLX_RETURN_IF_ERROR(files.WriteMemories(folder));
   std::ofstream out(folder / "plan.json");
   out << json.dump(2) << "\n";
   out.close();

@@ -291,7 +291,7 @@ int RunSelftestCommand(const Flags& flags) {
   }
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   if (simulated) logger.Info("selftest of the simulated rig: " + simulated->scene + ", its skin without scattering");
-  const Result<OpenedRig> rig = OpenRig(*config, *plan, simulated, StopOfProcess(), logger);
+  const Result<OpenedRig> rig = OpenRig(*config, simulated, StopOfProcess(), logger);
   if (!rig.ok()) return Report(rig.status());
   SelftestOptions options;
   options.store = config->store.folder;
@@ -312,10 +312,11 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<RigConfig> config = ConfigFrom(flags);
   if (!config.ok()) return Report(config.status());
   const Result<CapturePlan> plan = BuildPlan(config->plan);
-  if (!plan.ok()) return Report(plan.status());
+  const Result<MemoryLayout> layout = LayOutMemories(config->plan, config->memory);
+  if (!plan.ok() || !layout.ok()) return Report(plan.ok() ? layout.status() : plan.status());
   VisitTiming timing = TimingOf(*config);
   if (render.parsed()) {
-    const Status status = RenderPlan(*plan, timing, flags.out);
+    const Status status = RenderPlan(*plan, timing, *layout, flags.out);
     return status.ok() ? 0 : Report(status);
   }
   if (!flags.scene.empty()) {
@@ -323,7 +324,7 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
     if (!simulation.ok()) return Report(simulation.status());
     timing = TimingOf(*config, simulation->devices.timing);
   }
-  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing));
+  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing, *layout));
 }
 
 // It must work when all else is broken: the lights of the last rig that was opened go off, and those of the

@@ -41,6 +41,24 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
   return Status::Ok();
 }
 
+// LayOutMemories says whether it can be held.
+Status ReadMemory(TomlTable memory, MemoryOptions& o) {
+  std::vector<std::string> names;
+  memory.Get("sections", names);
+  memory.Get("capacity", o.capacity, 0, kLargestMemory);
+  o.where = memory.Where("capacity");
+  if (memory.Has("sections") && names.empty())
+    return Status::Usage(
+        memory.Where("sections") +
+        ": memory.sections = []: name at least one section, or leave the key out to hold all that fit");
+  for (const std::string& name : names) {
+    SLX_ASSIGN_OR_RETURN(const MemorySection section,
+                         ParseMemorySection(name).WithContext(memory.Where("sections") + ": memory.sections"));
+    o.sections.push_back(section);
+  }
+  return Status::Ok();
+}
+
 // Every member of an enumeration whose values count from 0, in order.
 template <typename T>
 void GetWord(TomlTable& table, const std::string& key, T& value, const std::vector<std::string>& words) {
@@ -207,10 +225,13 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("calibration", config.calibration);
   capture.Get("realtime_priority", config.realtime_priority, 0, kHighestCapturePriority);
   SLX_RETURN_IF_ERROR(ReadPlan(plan, config.plan));
+  const Status memory = ReadMemory(root.Table("memory"), config.memory);
   const Status devices = ReadDevices(root, config);
   SLX_RETURN_IF_ERROR(root.Finish());
   SLX_RETURN_IF_ERROR(devices);
+  SLX_RETURN_IF_ERROR(memory);
   SLX_RETURN_IF_ERROR(BuildPlan(config.plan).status().WithContext(plan.Where()));
+  SLX_RETURN_IF_ERROR(LayOutMemories(config.plan, config.memory).status());
   return config;
 }
 
@@ -218,6 +239,16 @@ Result<RigConfig> Read(TomlTable root) {
 
 CameraTiming CameraTimingOf(const CameraWiring& camera) {
   return {camera.read_out, FromMilliseconds(camera.exposure_margin_ms), FromMilliseconds(camera.min_frame_period_ms)};
+}
+
+std::vector<std::optional<MemoryTiming>> MemoryTimingsOf(const RigConfig& config) {
+  const MemoryTiming stepped{FromMilliseconds(config.sync_delay_ms), std::nullopt};
+  std::vector<std::optional<MemoryTiming>> timings(static_cast<size_t>(config.plan.projectors), stepped);
+  for (size_t p = 0; p < config.projectors.size(); ++p) {
+    if (config.projectors[p].kind == ProjectorKind::kDisplay) timings[p].reset();
+    if (timings[p] && config.gpio.projectors[p].reset) timings[p]->reset = config.gpio.reset_pulse;
+  }
+  return timings;
 }
 
 Result<RigConfig> LoadRigConfig(const std::filesystem::path& file) {

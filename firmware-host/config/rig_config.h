@@ -5,11 +5,14 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "firmware-host/camera/camera_wiring.h"
 #include "firmware-host/gpio/gpio_wiring.h"
+#include "firmware-host/projector/memory_layout.h"
+#include "firmware-host/projector/memory_way.h"
 #include "firmware-host/projector/projector_wiring.h"
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
@@ -18,6 +21,7 @@
 namespace stratalux::rig {
 
 inline constexpr double kLongestSettleMs = 10000.0;
+inline constexpr int kLargestMemory = 1'000'000;  // patterns
 // The light's guard has 99 (light_guard.h).
 inline constexpr int kHighestCapturePriority = 98;
 
@@ -27,7 +31,7 @@ struct RigConfig {
   StoreConfig store;
   double settle_ms = 2.0;       // from SYNC to exposure
   double deadline_ms = 500.0;   // for a SYNC edge or a frame to arrive
-  double sync_delay_ms = 0.5;   // from TRIGGER to SYNC, for estimates
+  double sync_delay_ms = 0.5;   // from TRIGGER to SYNC, for estimates and for the memory's shorter way
   double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
   double max_visit_s = 20.0;    // that a chosen exposure may make a visit take
   int max_retries = 2;          // shots again of a doubtful frame
@@ -35,10 +39,15 @@ struct RigConfig {
   std::string calibration;      // that sessions name: latest, an id or a file; empty: as `capture --help` says
   int realtime_priority = 0;    // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
   PlanOptions plan;
+  MemoryOptions memory;  // what the projectors' pattern memories hold of it
   CameraWiring camera;
   GpioWiring gpio;
   std::vector<ProjectorWiring> projectors;  // one a [[projector]]; empty: a rig without devices (simulation)
 };
+
+// What the movements of each projector's pattern memory take; nullopt: a display, which has none. Without
+// [[projector]], all are memories.
+[[nodiscard]] std::vector<std::optional<MemoryTiming>> MemoryTimingsOf(const RigConfig& config);
 
 // kUsage with file:line for unreadable files, unknown keys, wrong types, values out of range and plans no projector can
 // show.

@@ -9,7 +9,7 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr int kTries = 3;                                                   // from RESET to the wanted pattern
+constexpr int kTries = 3;                                                   // on the way to the wanted pattern
 constexpr std::chrono::nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that looks at no stop
 
 class PatternMemoryProjector final : public Projector {
@@ -25,9 +25,13 @@ class PatternMemoryProjector final : public Projector {
   [[nodiscard]] int width() const override { return options_.width; }
   [[nodiscard]] int height() const override { return options_.height; }
   Status Load(const std::vector<Pattern>& sequence) override;
+  void Doubt() override { place_ = Place::kDoubtful; }
+  Status Rest() override;
 
  private:
-  [[nodiscard]] Result<int64_t> Find(const std::vector<Pattern>& sequence) const;
+  enum class Place : uint8_t { kDoubtful, kCounted };
+
+  [[nodiscard]] bool has_reset() const { return options_.timing.reset.has_value(); }
   // The pattern that the next TRIGGER shows.
   [[nodiscard]] int64_t Next() {
     const int64_t shown = memory_lines_.SyncCount(options_.projector) - first_pattern_count_;
@@ -37,33 +41,20 @@ class PatternMemoryProjector final : public Projector {
   // True where SYNC confirmed the step.
   Result<bool> Step();
   Result<bool> StepTo(int64_t target);
+  [[nodiscard]] Status Unconfirmed() const;
 
   LineBank& lines_;
   PatternMemoryLines& memory_lines_;
   PatternMemoryOptions options_;
   const StopToken& stop_;
   int64_t first_pattern_count_;  // SYNC edges before the memory last stood at its first pattern
-  bool rewound_ = false;
+  Place place_ = Place::kDoubtful;
 };
-
-Result<int64_t> PatternMemoryProjector::Find(const std::vector<Pattern>& sequence) const {
-  const std::vector<Pattern>& memory = options_.memory;
-  // What is reloaded mostly runs to the end of the memory, and there stands but once.
-  if (sequence.size() <= memory.size() &&
-      std::equal(sequence.begin(), sequence.end(), memory.end() - static_cast<std::ptrdiff_t>(sequence.size())))
-    return static_cast<int64_t>(memory.size() - sequence.size());
-  const auto found = std::search(memory.begin(), memory.end(), sequence.begin(), sequence.end());
-  if (found == memory.end())
-    return Status::Usage("the pattern memory of projector " + std::to_string(options_.projector) + " (" +
-                         std::to_string(memory.size()) + " patterns) does not hold this sequence of " +
-                         std::to_string(sequence.size()) + "; fill it anew with `stratalux-rig plan render`");
-  return found - memory.begin();
-}
 
 Status PatternMemoryProjector::Rewind() {
   SLX_RETURN_IF_ERROR(memory_lines_.ResetMemory(options_.projector));
   first_pattern_count_ = memory_lines_.SyncCount(options_.projector);
-  rewound_ = true;
+  place_ = Place::kCounted;
   return Status::Ok();
 }
 
@@ -94,14 +85,30 @@ Result<bool> PatternMemoryProjector::StepTo(int64_t target) {
 
 Status PatternMemoryProjector::Load(const std::vector<Pattern>& sequence) {
   if (sequence.empty()) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(const int64_t target, Find(sequence));
-  const bool has_reset = options_.rewind == MemoryRewind::kResetLine;
-  for (int attempt = 0; attempt < (has_reset ? kTries : 1); ++attempt) {
-    // RESET costs nothing but the way back; stepping on is right where SYNC could be counted since the last one.
-    if (has_reset && (!rewound_ || attempt > 0 || target < Next())) SLX_RETURN_IF_ERROR(Rewind());
-    SLX_ASSIGN_OR_RETURN(const bool there, StepTo(target));
+  // Without RESET there is nothing better than the count.
+  const bool known = place_ == Place::kCounted || !has_reset();
+  const std::optional<MemoryWay> way =
+      FindWay(options_.memory, sequence, known ? std::optional(Next()) : std::nullopt, options_.timing);
+  if (!way)
+    return Status::Usage("the pattern memory of projector " + std::to_string(options_.projector) + " (" +
+                         std::to_string(options_.memory.size()) + " patterns) does not hold this sequence of " +
+                         std::to_string(sequence.size()) + "; fill it anew with `stratalux-rig plan render`");
+  for (int attempt = 0; attempt < (has_reset() ? kTries : 1); ++attempt) {
+    if (attempt > 0 || way->start == WayStart::kReset) SLX_RETURN_IF_ERROR(Rewind());
+    SLX_ASSIGN_OR_RETURN(const bool there, StepTo(way->target));
     if (there) return Status::Ok();
   }
+  Doubt();
+  return Unconfirmed();
+}
+
+Status PatternMemoryProjector::Rest() {
+  if (has_reset()) return Rewind();
+  SLX_ASSIGN_OR_RETURN(const bool there, StepTo(0));
+  return there ? Status::Ok() : Unconfirmed();
+}
+
+Status PatternMemoryProjector::Unconfirmed() const {
   return Status::Failed(
       "projector " + std::to_string(options_.projector) + " does not confirm its steps (no SYNC edge " + "within " +
       std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(options_.sync_deadline).count()) +
@@ -109,14 +116,6 @@ Status PatternMemoryProjector::Load(const std::vector<Pattern>& sequence) {
 }
 
 }  // namespace
-
-std::vector<Pattern> MemoryOf(const CapturePlan& plan, int projector) {
-  std::vector<Pattern> memory;
-  for (const int owner : {-1, projector})
-    for (const PlanStep& step : plan.steps)
-      if (step.projector == owner) memory.push_back(step.pattern);
-  return memory;
-}
 
 std::unique_ptr<Projector> MakePatternMemoryProjector(LineBank& lines, PatternMemoryLines& memory_lines,
                                                       PatternMemoryOptions options, const StopToken& stop) {

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "firmware-host/projector/memory_layout.h"
+
 namespace stratalux::rig {
 
 namespace {
@@ -51,13 +53,9 @@ std::string CaptureRun::Describe(int step) const {
 }
 
 Status CaptureRun::LoadMemories() {
-  const std::vector<int> preroll = StepsOf(-1);
-  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p) {
-    std::vector<Pattern> sequence;
-    for (int step : preroll) sequence.push_back(plan_.steps[step].pattern);
-    for (int step : StepsOf(p)) sequence.push_back(plan_.steps[step].pattern);
-    SLX_RETURN_IF_ERROR(devices_.projectors[p]->Load(sequence).WithContext("loading projector " + std::to_string(p)));
-  }
+  for (int p = 0; p < static_cast<int>(devices_.projectors.size()); ++p)
+    SLX_RETURN_IF_ERROR(
+        devices_.projectors[p]->Load(SequenceOf(plan_, p)).WithContext("loading projector " + std::to_string(p)));
   return Status::Ok();
 }
 
@@ -146,6 +144,7 @@ Status CaptureRun::RunPreroll() {
                          report_.FaultSummary() + ")"});
     ++report_.retried;
     SLX_RETURN_IF_ERROR(SetLights(false));
+    for (Projector* projector : devices_.projectors) projector->Doubt();
     SLX_RETURN_IF_ERROR(LoadMemories());
     SLX_RETURN_IF_ERROR(shooter_.Drain().status());
     SLX_RETURN_IF_ERROR(SetLights(true));
@@ -228,8 +227,10 @@ Status CaptureRun::LoadFrom(int step) {
   witness_.EndLoad();
   // A memory that is stepped to its place shows everything on the way: to nobody.
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
-  SLX_RETURN_IF_ERROR(
-      devices_.projectors[projector]->Load(sequence).WithContext("reloading projector " + std::to_string(projector)));
+  // Nothing but doubt leads here.
+  Projector& doubted = *devices_.projectors[projector];
+  doubted.Doubt();
+  SLX_RETURN_IF_ERROR(doubted.Load(sequence).WithContext("reloading projector " + std::to_string(projector)));
   memory_at_ = step;
   return SetLight(projector, true);
 }

@@ -116,6 +116,12 @@ class RigCheck {
     return InSlices(options_.deadline, [this](nanoseconds slice) { return devices_.lines.WaitSync(slice); });
   }
 
+  // No count of steps is trusted before the lines are known to be right.
+  static Status LoadAnew(Projector& projector, const std::vector<Pattern>& sequence) {
+    projector.Doubt();
+    return projector.Load(sequence);
+  }
+
   // One frame of what is shown now; nullopt: none came.
   Result<std::optional<CapturedFrame>> Snap() {
     options_.wait(options_.settle);
@@ -155,7 +161,7 @@ class RigCheck {
   // Every pulse gives one edge, of this projector.
   Status CheckLoop(int projector) {
     const std::string name = "projector " + std::to_string(projector) + ": TRIGGER to SYNC";
-    SLX_RETURN_IF_ERROR(devices_.projectors[projector]->Load(options_.markers));
+    SLX_RETURN_IF_ERROR(LoadAnew(*devices_.projectors[projector], options_.markers));
     SLX_RETURN_IF_ERROR(DrainEdges());
     std::vector<double> latency;
     int missing = 0, extra = 0, foreign = -1;
@@ -203,7 +209,7 @@ class RigCheck {
   Status CheckLight(int projector) {
     const std::string name = "projector " + std::to_string(projector) + ": light";
     const Pattern black, white = {.kind = PatternKind::kWhite};
-    for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(p->Load({black, white}));
+    for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(LoadAnew(*p, {black, white}));
     SLX_RETURN_IF_ERROR(Light(projector));
     SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(projector));
     SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(projector));
@@ -229,7 +235,7 @@ class RigCheck {
     for (int other = 0; other < Projectors(); ++other) {
       if (other == projector) continue;
       SLX_RETURN_IF_ERROR(devices_.light.Off(projector));
-      for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(p->Load({black, white}));
+      for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(LoadAnew(*p, {black, white}));
       SLX_RETURN_IF_ERROR(Light(projector));
       SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(other));
       SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(other));
@@ -315,6 +321,8 @@ Result<RigCheckReport> CheckRig(const RigDevices& devices, const RigCheckOptions
   const Status ended = check.Run();
   // Lights first, whatever happened.
   const Status off = devices.light.AllOff();
+  // One that cannot was named above.
+  for (Projector* projector : devices.projectors) static_cast<void>(projector->Rest().ok());
   const Status stopped = devices.camera.Stop().WithContext("camera");
   SLX_RETURN_IF_ERROR(ended);
   SLX_RETURN_IF_ERROR(off);

@@ -86,9 +86,21 @@ nanoseconds OfTriggered(const CapturePlan& plan, const VisitTiming& timing) {
 }  // namespace
 
 nanoseconds VisitTime(const CapturePlan& plan, const VisitTiming& timing) {
-  if (plan.options.sync_mode == SyncMode::kTriggered) return OfTriggered(plan, timing);
-  nanoseconds sum(0);
+  if (plan.options.sync_mode == SyncMode::kTriggered) return timing.loading + OfTriggered(plan, timing);
+  nanoseconds sum = timing.loading;
   for (const PlanStep& step : plan.steps) sum += OfStreamStep(step, timing);
+  return sum;
+}
+
+nanoseconds LoadingTime(const CapturePlan& plan, const MemoryLayout& layout,
+                        std::span<const std::optional<MemoryTiming>> timing) {
+  nanoseconds sum(0);
+  for (size_t p = 0; p < std::min(timing.size(), layout.projectors.size()); ++p) {
+    if (!timing[p]) continue;
+    const std::vector<Pattern> sequence = SequenceOf(plan, static_cast<int>(p));
+    const auto way = FindWay(layout.projectors[p].patterns, sequence, 0, *timing[p]);
+    if (way && !sequence.empty()) sum += TimeOf(*way, *timing[p]);
+  }
   return sum;
 }
 

@@ -52,6 +52,16 @@ Status AskConsent(const StationOptions& station, const CaptureRequest& request) 
   return request.consent ? Status::Ok() : db::ValidConsent(station.config.store.folder, request.visitor).status();
 }
 
+// What no memory holds is refused before anything moves. Displays draw whatever they are asked for.
+Status CheckMemories(const StationOptions& station, const CapturePlan& plan) {
+  const RigConfig& config = station.config;
+  SLX_ASSIGN_OR_RETURN(const MemoryLayout layout, LayOutMemories(config.plan, config.memory));
+  const auto memories = MemoryTimingsOf(config);
+  for (size_t p = 0; p < memories.size(); ++p)
+    if (station.simulated || memories[p]) SLX_RETURN_IF_ERROR(layout.CheckHeld(plan, static_cast<int>(p)));
+  return Status::Ok();
+}
+
 db::WriterOptions WriterOptionsFor(const StoreConfig& config) {
   db::WriterOptions options;
   options.codec = config.codec;
@@ -107,20 +117,37 @@ Result<std::unique_ptr<CaptureStation>> CaptureStation::Open(const StationOption
                                                              Logger& logger) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
-  SLX_ASSIGN_OR_RETURN(OpenedRig rig, OpenRig(options.config, plan, options.simulated, stop, logger));
+  SLX_RETURN_IF_ERROR(CheckMemories(options, plan));
+  SLX_ASSIGN_OR_RETURN(OpenedRig rig, OpenRig(options.config, options.simulated, stop, logger));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
-  return std::unique_ptr<CaptureStation>(new CaptureStation(options, std::move(rig), stop, logger));
+  auto station = std::unique_ptr<CaptureStation>(new CaptureStation(options, std::move(rig), stop, logger));
+  station->Rest();
+  return station;
 }
 
 CaptureStation::CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger)
     : options_(std::move(options)), rig_(std::move(rig)), stop_(stop), logger_(logger) {}
 
-CaptureStation::~CaptureStation() = default;
+CaptureStation::~CaptureStation() {
+  if (moved_) Rest();
+}
+
+void CaptureStation::Rest() {
+  const std::vector<Projector*> projectors = rig_.devices().projectors;
+  moved_ = false;
+  for (size_t p = 0; p < projectors.size(); ++p) {
+    const Status rested = projectors[p]->Rest();
+    // The next capture finds its way, and names what is wrong, from wherever the memory stands.
+    if (!rested.ok() && !stop_.stopped())
+      logger_.Warning("projector " + std::to_string(p) + " is not at its first pattern: " + rested.message());
+  }
+}
 
 Status CaptureStation::MayBegin(const StationOptions& options, const CaptureRequest& request) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_RETURN_IF_ERROR(request.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(request.plan));
+  SLX_RETURN_IF_ERROR(CheckMemories(options, plan));
   SLX_RETURN_IF_ERROR(AskConsent(options, request));
   return CheckFreeSpace(
       options.config.store.folder,
@@ -200,6 +227,7 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
                 {{"SESSION", outcome.session}});
   const size_t injected_before = simulation != nullptr ? simulation->injected().size() : 0;
   CaptureObserver silent;
+  moved_ = true;
   outcome.report = Record(plan, std::move(writer), request, observer != nullptr ? *observer : silent);
   outcome.prescan = request.prescan;
   // The next opening ends what a writer could not even mark as failed.
@@ -210,6 +238,7 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
                            outcome.injected.begin() + static_cast<std::ptrdiff_t>(injected_before));
   }
   outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  Rest();
   return outcome;
 }
 
@@ -271,6 +300,8 @@ Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, c
                          std::to_string(std::chrono::duration_cast<std::chrono::seconds>(longest_visit).count()) +
                          " s has room for an exposure of " + std::to_string(longest_ms) + " ms only, the least is " +
                          std::to_string(rule.shortest_ms) + " ms; raise [capture] max_visit_s or plan fewer steps");
+  // A pre-scan has no pre-roll that would tell a memory out of step.
+  Rest();
   constexpr int kHalvings = 5;
   double scan_ms = std::min(plan.exposure_ms, rule.longest_ms);
   for (int halving = 0;; ++halving) {
@@ -283,7 +314,10 @@ Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, c
     std::vector<PreScan> scans;
     for (size_t i = 0; i < shots.size(); i += 2) scans.push_back({shots[i].pixels, shots[i + 1].pixels});
     SLX_ASSIGN_OR_RETURN(ExposureChoice choice, stratalux::rig::ChooseExposure(scans, scan_ms, rule));
-    if (!choice.prescan_saturated || halving == kHalvings || 0.5 * scan_ms < rule.shortest_ms) return choice;
+    if (!choice.prescan_saturated || halving == kHalvings || 0.5 * scan_ms < rule.shortest_ms) {
+      Rest();
+      return choice;
+    }
     scan_ms *= 0.5;
   }
 }
@@ -301,11 +335,17 @@ Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, 
   step.exposure_ms = exposure_ms;
   const SequencerOptions options = SequencerOptionsFor();
   if (projector < 0) return Status::Usage("projector " + std::to_string(projector) + ": they count from 0");
+  moved_ = true;
   return Shoot(step, [&](Shooter& shooter) -> Result<Shot> {
-    SLX_RETURN_IF_ERROR(rig_.devices().projectors[static_cast<size_t>(projector)]->Load({pattern}));
+    Projector& shows = *rig_.devices().projectors[static_cast<size_t>(projector)];
+    SLX_RETURN_IF_ERROR(shows.Load({pattern}));
     SLX_RETURN_IF_ERROR(rig_.light->On(projector, {options.LongestStep(exposure_ms), options.max_on_time}));
     Result<Shot> shot = shooter.Take(step, 0);
     const Status off = rig_.light->Off(projector);
+    if (shot.ok() && shot->fault == ShotFault::kNone) {
+      SLX_ASSIGN_OR_RETURN(shot->fault, shooter.DrainEdges());
+    }
+    if (!shot.ok() || shot->fault != ShotFault::kNone) shows.Doubt();
     return shot.ok() && !off.ok() ? off : std::move(shot);
   });
 }

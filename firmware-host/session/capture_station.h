@@ -24,7 +24,7 @@
 namespace stratalux::rig {
 
 struct StationOptions {
-  RigConfig config;                              // store, devices, deadlines, queue; `plan`: what the memories hold
+  RigConfig config;  // store, devices, deadlines, queue; `plan` and `memory`: what the memories hold
   std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
 
   // kUsage: no devices and no simulation, a camera of too few pixels to tell patterns apart.
@@ -58,16 +58,16 @@ struct CaptureOutcome {
   double seconds = 0.0;
 };
 
-// Used by one thread. When it goes, all lights are off.
+// Used by one thread. When it goes, all lights are off and the pattern memories at rest.
 class CaptureStation {
  public:
   // Opens the rig; the store only with the first capture, which makes a new one where there is none. kUsage where the
-  // plan does not fit the devices. `stop` and `logger` outlive the station.
+  // plan does not fit the devices or their pattern memories. `stop` and `logger` outlive the station.
   static Result<std::unique_ptr<CaptureStation>> Open(const StationOptions& options, StopToken& stop, Logger& logger);
   ~CaptureStation();
 
-  // Whether a capture could begin, before the visitor is asked for anything and the rig moves: request, consent, disk.
-  // Needs no open station.
+  // Whether a capture could begin, before the visitor is asked for anything and the rig moves: request, what the
+  // pattern memories hold, consent, disk. Needs no open station.
   [[nodiscard]] static Status MayBegin(const StationOptions& options, const CaptureRequest& request);
 
   // A whole capture, stored; a simulated one with its truth maps. `observer` may be null; it sees all and may end the
@@ -88,6 +88,10 @@ class CaptureStation {
   Result<Shot> Snap(double exposure_ms);
   // The same with this projector alone showing a pattern that its memory holds; dark again when it returns.
   Result<Shot> SnapPattern(int projector, const Pattern& pattern, double exposure_ms);
+
+  // The pattern memories go to where they wait between captures, so that the next begins at once: after opening, a
+  // capture and a pre-scan of its own accord. What goes wrong is logged.
+  void Rest();
 
   [[nodiscard]] const OpenedRig& rig() const { return rig_; }
   [[nodiscard]] LightGuard& light() const { return *rig_.light; }
@@ -110,6 +114,7 @@ class CaptureStation {
   StopToken& stop_;
   Logger& logger_;
   std::optional<db::SessionStore> store_;  // once a capture began
+  bool moved_ = false;                     // a memory, since they were sent to rest
 };
 
 }  // namespace stratalux::rig

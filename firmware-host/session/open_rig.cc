@@ -27,14 +27,14 @@ Result<std::unique_ptr<FrameSource>> OpenCamera(const CameraWiring& wiring, Logg
   return Status::Usage("the configuration names no camera ([camera] backend); --simulate runs the simulated rig");
 }
 
-std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan& plan, int index, GpiodLineBank& lines,
-                                      const StopToken& stop) {
+std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const MemoryLayout& layout, int index,
+                                      GpiodLineBank& lines, const StopToken& stop) {
   PatternMemoryOptions options;
   options.projector = index;
   options.width = config.plan.projector_width;
   options.height = config.plan.projector_height;
-  options.memory = MemoryOf(plan, index);
-  options.rewind = config.gpio.projectors[index].reset ? MemoryRewind::kResetLine : MemoryRewind::kStepAround;
+  options.memory = layout.projectors[index].patterns;
+  options.timing = *MemoryTimingsOf(config)[static_cast<size_t>(index)];
   options.sync_deadline = FromMilliseconds(config.deadline_ms);
   return MakePatternMemoryProjector(lines, lines, std::move(options), stop);
 }
@@ -54,7 +54,7 @@ Result<std::vector<std::unique_ptr<Display>>> OpenDisplays(const RigConfig& conf
 // Lights by projector: its ENABLE line, its display's picture.
 using Lights = std::vector<std::vector<LightSwitch*>>;
 
-Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLineBank* lines, const StopToken& stop,
+Status OpenProjectors(const RigConfig& config, const MemoryLayout& layout, GpiodLineBank* lines, const StopToken& stop,
                       OpenedRig& rig, Lights& lights) {
   SLX_ASSIGN_OR_RETURN(std::vector<std::unique_ptr<Display>> displays, OpenDisplays(config));
   std::vector<DisplayOfProjector> of_projector;
@@ -65,7 +65,7 @@ Status OpenProjectors(const RigConfig& config, const CapturePlan& plan, GpiodLin
     LightSwitch* enable = rig.gpio_lights ? rig.gpio_lights->enable(p) : nullptr;
     if (enable != nullptr) switches.push_back(enable);
     if (config.projectors[p].kind == ProjectorKind::kMemory) {
-      rig.projectors.push_back(OpenMemory(config, plan, p, *lines, stop));
+      rig.projectors.push_back(OpenMemory(config, layout, p, *lines, stop));
       continue;
     }
     wired.display = display->get();
@@ -91,13 +91,14 @@ std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
   return {};
 }
 
-Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
-                          const std::optional<SimulatedRigOptions>& simulated, StopToken& stop, Logger& logger) {
+Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
+                          Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const MemoryLayout layout, LayOutMemories(config.plan, config.memory));
   OpenedRig rig;
   if (simulated) {
     SimulatedRigOptions options = *simulated;
     options.stop = &stop;
-    for (int p = 0; p < plan.options.projectors; ++p) options.memories.push_back(MemoryOf(plan, p));
+    options.memories = layout.Patterns();
     SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));
     SLX_ASSIGN_OR_RETURN(rig.light, GuardLight(*rig.simulation, stop));
     return rig;
@@ -114,7 +115,7 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
     rig.wired_lines = std::move(bank);
   }
   Lights lights;
-  SLX_RETURN_IF_ERROR(OpenProjectors(config, plan, lines, stop, rig, lights));
+  SLX_RETURN_IF_ERROR(OpenProjectors(config, layout, lines, stop, rig, lights));
   InterlockInput* interlock = rig.gpio_lights ? rig.gpio_lights->interlock() : nullptr;
   SLX_ASSIGN_OR_RETURN(rig.light, LightGuard::Start(std::move(lights), interlock, stop));
   if (!rig.light->realtime())

@@ -32,10 +32,10 @@ struct OpenedRig {
   [[nodiscard]] std::function<void(std::chrono::nanoseconds)> wait() const;
 };
 
-// `simulated` set: that rig. Else the configuration's devices; `plan` says what the pattern memories hold. kUsage where
-// the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name the device.
-[[nodiscard]] Result<OpenedRig> OpenRig(const RigConfig& config, const CapturePlan& plan,
-                                        const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
-                                        Logger& logger);
+// `simulated` set: that rig. Else the configuration's devices. Their pattern memories hold what `config` lays out.
+// kUsage where the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name
+// the device.
+[[nodiscard]] Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated,
+                                        StopToken& stop, Logger& logger);
 
 }  // namespace stratalux::rig

@@ -74,6 +74,10 @@ Status ReadProjector(TomlTable t, ProjectorOptics& projector) {
 
 }  // namespace
 
+MemoryTiming MemoryTimingOf(const RigTiming& timing) {
+  return {FromMilliseconds(timing.memory_step_ms), FromMilliseconds(timing.memory_reset_ms)};
+}
+
 CameraTiming CameraTimingOf(const RigTiming& timing, const CameraTiming& configured) {
   return {timing.overlapped_readout ? ReadOut::kOverlapped : ReadOut::kSerial, configured.exposure_margin,
           FromMilliseconds(std::max(timing.min_frame_period_ms, timing.readout_ms))};

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "firmware-host/camera/camera_timing.h"
+#include "firmware-host/projector/memory_way.h"
 #include "shared/base/result.h"
 #include "shared/image/pixel_format.h"
 
@@ -70,12 +71,14 @@ struct RigTiming {
   bool overlapped_readout = false;
   double min_frame_period_ms = 0.0;  // from one triggered exposure's start to the next, whatever else allows
   double jitter_us = 0.0;            // standard deviation of each of the delays and of the read-out
-  // A pattern memory's way to what is loaded: RESET where it lies behind, then step by step.
+  // A pattern memory's way to what is loaded (memory_way.h): RESET, and each step.
   double memory_reset_ms = 0.0;
   double memory_step_ms = 0.0;
   // Of a free-running camera; at least exposure and read-out, else these set the pace.
   double frame_period_ms = 33.3;
 };
+
+[[nodiscard]] MemoryTiming MemoryTimingOf(const RigTiming& timing);
 
 // How soon the camera of that timing can be triggered again; what else the sequencer keeps to is as `configured`.
 [[nodiscard]] CameraTiming CameraTimingOf(const RigTiming& timing, const CameraTiming& configured);

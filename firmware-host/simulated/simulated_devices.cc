@@ -3,8 +3,11 @@
 #include "firmware-host/simulated/simulated_devices.h"
 
 #include <algorithm>
+#include <iterator>
+#include <string>
 #include <utility>
 
+#include "firmware-host/projector/memory_way.h"
 #include "shared/base/random.h"
 
 namespace stratalux::rig {
@@ -34,24 +37,43 @@ void SimulatedDevices::Show(size_t projector, MonotonicNs since) {
   if (last_) add_to(*last_);
 }
 
-void SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& sequence) {
+Status SimulatedDevices::StepTo(size_t projector, const std::vector<Pattern>& sequence) {
+  if (sequence.empty()) return Status::Ok();
   ProjectorState& state = states_[projector];
-  int64_t target = 0;
-  if (projector < options_.memories.size()) {
-    const std::vector<Pattern>& memory = options_.memories[projector];
-    // What is reloaded mostly runs to the end of the memory.
-    const auto found = std::find_end(memory.begin(), memory.end(), sequence.begin(), sequence.end());
-    if (found != memory.end()) target = found - memory.begin();
+  if (!IsFilled(projector)) {
+    Rewind(projector);
+    state.memory = sequence;
+    ++fillings_;
+    return Status::Ok();
   }
-  const int64_t next = state.at + state.shown + 1;
-  const RigTiming& timing = options_.devices.timing;
-  const bool behind = state.memory.empty() || target < next;
-  clock_ = clock_ + FromMilliseconds((behind ? timing.memory_reset_ms : 0.0) +
-                                     static_cast<double>(target - (behind ? 0 : next)) * timing.memory_step_ms);
-  state.memory = sequence;
-  state.at = target;
+  const MemoryTiming timing = MemoryTimingOf(options_.devices.timing);
+  const std::optional<MemoryWay> way = FindWay(state.memory, sequence, state.counted, timing);
+  if (!way)
+    return Status::Usage("the pattern memory of simulated projector " + std::to_string(projector) + " (" +
+                         std::to_string(state.memory.size()) + " patterns) does not hold this sequence of " +
+                         std::to_string(sequence.size()));
+  if (way->start == WayStart::kReset) Rewind(projector);
+  clock_ = clock_ + way->steps * timing.step;
+  StepOn(state, way->steps);
+  state.counted = way->target;
+  Show(projector, clock_);
+  return Status::Ok();
+}
+
+void SimulatedDevices::Rewind(size_t projector) {
+  ProjectorState& state = states_[projector];
+  clock_ = clock_ + FromMilliseconds(options_.devices.timing.memory_reset_ms);
+  state.next = 0;
+  state.counted = 0;
   state.shown = -1;
   Show(projector, clock_);
+}
+
+void SimulatedDevices::StepOn(ProjectorState& state, int64_t steps) const {
+  const auto size = static_cast<int64_t>(state.memory.size());
+  if (steps == 0 || size == 0) return;
+  state.shown = (state.next + steps - 1) % size;
+  state.next = (state.shown + 1) % size;
 }
 
 std::chrono::nanoseconds SimulatedDevices::Jittered(double ms) {
@@ -80,11 +102,13 @@ Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
   const TriggerReceipt receipt{triggers_++, clock_};
   const int64_t pulse = pulses_++;
   int edges = 1, advance = 1;
+  int counted = 1;  // by the kernel, which sees an edge that gets lost on its way to us
   for (const Fault& fault : faults_.AtPulse(pulse)) {
     Log(fault, pulse);
     if (fault.kind == FaultKind::kLinesGone) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
     if (fault.kind == FaultKind::kEdgeLost || fault.kind == FaultKind::kSyncStuck) edges = 0;
-    if (fault.kind == FaultKind::kEdgeDoubled) edges = 2;
+    if (fault.kind == FaultKind::kSyncStuck) counted = 0;
+    if (fault.kind == FaultKind::kEdgeDoubled) edges = counted = 2;
     if (fault.kind == FaultKind::kProjectorLag) advance = 0;
     if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
     if (fault.kind == FaultKind::kEmergencyStop) opened_.store(StopReason::kEmergencyStop);
@@ -93,7 +117,12 @@ Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
   for (size_t p = 0; p < states_.size(); ++p) {
     if (projector >= 0 && p != static_cast<size_t>(projector)) continue;
     ProjectorState& s = states_[p];
-    s.shown = std::min(s.shown + advance, static_cast<int64_t>(s.memory.size()) - 1);
+    if (IsFilled(p)) {
+      StepOn(s, advance);
+    } else {
+      s.shown = std::min(s.shown + advance, static_cast<int64_t>(s.memory.size()) - 1);
+    }
+    if (s.counted) s.counted = (*s.counted + counted) % std::max<int64_t>(1, std::ssize(s.memory));
     const MonotonicNs light = clock_ + Jittered(options_.devices.timing.sync_delay_ms);
     Show(p, light);
     for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});

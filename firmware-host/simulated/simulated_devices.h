@@ -3,6 +3,7 @@
 // Private to this folder; everybody else holds a SimulatedRig.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <deque>
@@ -20,9 +21,11 @@ namespace stratalux::rig {
 inline constexpr MonotonicNs kClockStart{1'000'000'000};
 
 struct ProjectorState {
-  std::vector<Pattern> memory;  // from what was loaded on
-  int64_t at = 0;               // where that begins in the whole memory
+  std::vector<Pattern> memory;  // filled beforehand: all of it; else what was loaded
+  int64_t next = 0;             // index into memory: what a TRIGGER shows next
   int64_t shown = -1;           // index into memory; -1: nothing yet (black)
+  // Where its driver thinks that `next` is: by RESET and the SYNC edges since; nullopt: in doubt.
+  std::optional<int64_t> counted;
   bool enabled = false;
   std::vector<Shown> timeline = {{std::nullopt, kClockStart}};
 };
@@ -56,6 +59,8 @@ class SimulatedDevices final : public SimulatedRig,
                 {options.devices.camera, options.noise ? Noise::kOn : Noise::kOff, options.seed}),
         states_(world_.calibration().projectors.size()) {
     for (size_t p = 0; p < states_.size(); ++p) projectors_.emplace_back(*this, p);
+    for (size_t p = 0; p < std::min(states_.size(), options_.memories.size()); ++p)
+      states_[p].memory = options_.memories[p];
     for (size_t p = 0; p < states_.size(); ++p) switches_.emplace_back(*this, p);
   }
 
@@ -87,6 +92,10 @@ class SimulatedDevices final : public SimulatedRig,
   std::vector<InjectedFault> injected() const override {
     const std::lock_guard lock(mutex_);
     return {injected_.begin(), injected_.end()};
+  }
+  int64_t fillings() const override {
+    const std::lock_guard lock(mutex_);
+    return fillings_;
   }
   int64_t ignored_triggers() const override {
     const std::lock_guard lock(mutex_);
@@ -143,7 +152,15 @@ class SimulatedDevices final : public SimulatedRig,
     Status Load(const std::vector<Pattern>& sequence) override {
       for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
       const Turn turn(devices_);
-      devices_.StepTo(index_, sequence);
+      return devices_.StepTo(index_, sequence);
+    }
+    void Doubt() override {
+      const Turn turn(devices_);
+      devices_.states_[index_].counted.reset();
+    }
+    Status Rest() override {
+      const Turn turn(devices_);
+      devices_.Rewind(index_);
       return Status::Ok();
     }
 
@@ -198,8 +215,12 @@ class SimulatedDevices final : public SimulatedRig,
   // All with mutex_ held.
   void TakeSwitches();
   void Show(size_t projector, MonotonicNs since);
-  // The pattern memory goes to where `sequence` stands.
-  void StepTo(size_t projector, const std::vector<Pattern>& sequence);
+  // A pattern memory that was filled beforehand, not with what is loaded.
+  [[nodiscard]] bool IsFilled(size_t projector) const { return projector < options_.memories.size(); }
+  // The pattern memory goes to where `sequence` stands, as far as its driver knows.
+  Status StepTo(size_t projector, const std::vector<Pattern>& sequence);
+  void Rewind(size_t projector);
+  void StepOn(ProjectorState& state, int64_t steps) const;
   std::chrono::nanoseconds Jittered(double ms);
   void Log(const Fault& fault, int64_t number);
   [[nodiscard]] PendingFrame Expose();
@@ -237,7 +258,7 @@ class SimulatedDevices final : public SimulatedRig,
   std::optional<PendingFrame> last_;
   MonotonicNs clock_ = kClockStart;
   int64_t triggers_ = 0, pulses_ = 0, exposures_ = 0, edge_number_ = 0, frame_number_ = 0, jitters_ = 0;
-  int64_t ignored_triggers_ = 0;
+  int64_t ignored_triggers_ = 0, fillings_ = 0;
   bool started_ = false;
   // Triggered: end of the last exposure and of its read-out, its start.
   MonotonicNs exposed_ = kClockStart, free_from_ = kClockStart;

@@ -40,8 +40,8 @@ struct SimulatedRigOptions {
   DeviceOptions devices;       // replaced by those of a scene file
   FaultOptions faults;         // a scene file's come on top
   std::string skin_table;      // path; empty: the shipped table
-  // What each projector's pattern memory holds, in its order: a Load takes the way to there (RigTiming). Empty, or a
-  // sequence that is not in it: as if it stood at the memory's start.
+  // What each projector's pattern memory holds (MemoryLayout::Patterns): a Load takes the way there (RigTiming), and
+  // kUsage where that does not hold the sequence. Empty: a memory that is filled with what is loaded, after RESET.
   std::vector<std::vector<Pattern>> memories;
   // Ends what takes long (Wait and Truth then say why); outlives the rig. Null: nothing does.
   const StopToken* stop = nullptr;
@@ -99,6 +99,8 @@ class SimulatedRig {
   virtual Status SetSubject(const SubjectOptions& subject) = 0;
   // The faults that happened so far; the newest 65,536.
   [[nodiscard]] virtual std::vector<InjectedFault> injected() const = 0;
+  // Times that a projector's memory got patterns that it did not hold: never where it was filled beforehand.
+  [[nodiscard]] virtual int64_t fillings() const = 0;
   // Camera triggers that came too early and that the camera passed over.
   [[nodiscard]] virtual int64_t ignored_triggers() const = 0;
   // What the frame of this driver number shows; of those delivered since the camera was started.

@@ -39,7 +39,7 @@
 #include <unistd.h>
 
 #include "firmware-host/config/rig_config.h"
-#include "firmware-host/projector/pattern_memory_projector.h"
+#include "firmware-host/projector/memory_layout.h"
 #include "tests/firmware-host/camera/vivid.h"
 #include "tests/firmware-host/gpio/gpio_sim.h"
 #include "tests/rig-vm/loop_scene.h"
@@ -253,10 +253,10 @@ Fault ParseFault(const std::string& text) {
 
 class Responder {
  public:
-  Responder(const RigConfig& config, const CapturePlan& plan, Scene& scene, std::vector<Fault> faults)
+  Responder(const RigConfig& config, const MemoryLayout& layout, Scene& scene, std::vector<Fault> faults)
       : wiring_(config.gpio), lines_(wiring_), vivid_(Vivid::Find()), scene_(scene), faults_(std::move(faults)) {
     if (!vivid_) Die("no vivid");
-    for (int p = 0; p < plan.options.projectors; ++p) modules_.push_back({.memory = MemoryOf(plan, p)});
+    for (const ProjectorMemory& filled : layout.projectors) modules_.push_back({.memory = filled.patterns});
     for (const Fault& fault : faults_)
       if (fault.kind == "swap") std::swap(modules_[0].memory.at(fault.at), modules_[0].memory.at(fault.at + 1));
   }
@@ -342,13 +342,13 @@ int Main(int argc, char** argv) {
   if (argc < 3) Die("usage: rig-vm-responder CONFIG SCREEN [FAULT@N]...");
   const auto config = LoadRigConfig(argv[1]);
   if (!config.ok()) Die(config.status().message());
-  const auto plan = BuildPlan((*config).plan);
-  if (!plan.ok()) Die(plan.status().message());
+  const auto layout = LayOutMemories((*config).plan, (*config).memory);
+  if (!layout.ok()) Die(layout.status().message());
   std::vector<Fault> faults;
   for (int i = 3; i < argc; ++i) faults.push_back(ParseFault(argv[i]));
   EndAtSignal();
   Screen screen(argv[2]);
-  Scene scene(screen, (*plan).options.projector_width, (*plan).options.projector_height);
+  Scene scene(screen, (*config).plan.projector_width, (*config).plan.projector_height);
   scene.Show({});
   const std::jthread noise([&scene](const std::stop_token& stop) {
     sigset_t signals;
@@ -359,7 +359,7 @@ int Main(int argc, char** argv) {
       scene.Repaint();
     }
   });
-  Responder(*config, *plan, scene, std::move(faults)).Run();
+  Responder(*config, *layout, scene, std::move(faults)).Run();
   return 0;
 }
 

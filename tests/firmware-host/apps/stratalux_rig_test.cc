@@ -78,6 +78,27 @@ TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
   EXPECT_THAT(outcome.out, HasSubstr("motion_blacks"));
 }
 
+TEST(StrataluxRig, AKindThatThePatternMemoriesDoNotHoldIsRefused) {
+  const auto folder = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-memory";
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder);
+  std::ofstream(folder / "rig.toml") << "[memory]\nsections = [\"visitor\"]\n";
+  const std::string flags =
+      " --simulate=white --config " + (folder / "rig.toml").string() + " --store " + (folder / "store").string();
+  for (const char* kind : {"calibration", "dark", "flat", "response"}) {
+    const Outcome outcome = Rig("capture --yes --kind " + std::string(kind) + flags);
+    EXPECT_EQ(outcome.code, 2) << outcome.out;
+    EXPECT_THAT(outcome.out, HasSubstr("rig.toml:1: the pattern memories hold no section '" + std::string(kind)));
+    EXPECT_THAT(outcome.out, HasSubstr("plan render"));
+  }
+  EXPECT_FALSE(std::filesystem::exists(folder / "store"));
+  std::ofstream(folder / "rig.toml") << "[memory]\nsections = [\"visitor\"]\ncapacity = 100\n";
+  const Outcome outcome = Rig("plan show --config " + (folder / "rig.toml").string());
+  EXPECT_EQ(outcome.code, 2);
+  EXPECT_THAT(outcome.out, HasSubstr("rig.toml:3"));
+  EXPECT_THAT(outcome.out, HasSubstr("memory.capacity = 100"));
+}
+
 TEST(StrataluxRig, FlagsOverrideTheConfiguration) {
   const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-kinds.toml";
   std::ofstream(file) << "[plan]\nkind = \"flat\"\nprojectors = 1\npreroll_markers = 0\n";

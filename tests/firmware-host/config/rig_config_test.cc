@@ -15,6 +15,8 @@ TEST(RigConfig, ShippedExampleSpellsOutTheDefaults) {
   EXPECT_EQ(config->settle_ms, RigConfig{}.settle_ms);
   EXPECT_EQ(config->store.codec, StoreConfig{}.codec);
   EXPECT_EQ(config->camera.width, CameraWiring{}.width);
+  EXPECT_EQ(config->memory.sections, MemoryOptions{}.sections);
+  EXPECT_EQ(config->memory.capacity, MemoryOptions{}.capacity);
   EXPECT_TRUE(config->projectors.empty()) << "the example wires no devices until its reader does";
 }
 
@@ -51,6 +53,15 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
       {"[plan]\nprojectors = 1\n[[projector]]\nkind = \"display\"\n", "projector[0].connector: is missing"},
       {"[plan]\nprojectors = 1\n[[projector]]\nkind = \"display\"\nconnector = \"HDMI-A-1\"\nsync = { line = \"B\" }\n",
        "unknown key 'projector[0].sync'"},
+      {"[memory]\nsection = [\"visitor\"]\n", "rig.toml:2: unknown key 'memory.section'"},
+      {"[memory]\nsections = \"visitor\"\n", "rig.toml:2: memory.sections: must be a list"},
+      {"[memory]\nsections = []\n", "rig.toml:2: memory.sections = []: name at least one"},
+      {"[memory]\nsections = [\"visitor\", \"prescan\"]\n",
+       "rig.toml:2: memory.sections: section 'prescan' is unknown; allowed: visitor, preview, white_card"},
+      {"[memory]\ncapacity = -1\n", "rig.toml:2: memory.capacity: value -1"},
+      {"[memory]\nsections = [\"visitor\", \"dark\"]\n\ncapacity = 150\n",
+       "rig.toml:4: [memory] sections: no room for 'dark': memory.capacity = 150 patterns, but 187 are needed"},
+      {"[memory]\ncapacity = 1\n", "rig.toml:2: memory.capacity = 1 patterns: no section fits"},
       {"[[projector]]\nkind = \"display\"\nconnector = \"HDMI-A-1\"\n",
        "1 [[projector]] tables, but the plan has projectors = 4"},
   };
@@ -59,6 +70,46 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
     EXPECT_EQ(status.code(), StatusCode::kUsage) << c.text;
     EXPECT_NE(status.message().find(c.says), std::string::npos) << status.message();
   }
+}
+
+TEST(RigConfig, ReadsWhatThePatternMemoriesHold) {
+  const auto config = ParseRigConfig("[memory]\nsections = [\"dark\", \"white_card\"]\ncapacity = 400\n", "rig.toml");
+  ASSERT_TRUE(config.ok()) << config.status().message();
+  EXPECT_EQ(config->memory.sections, (std::vector{MemorySection::kDark, MemorySection::kWhiteCard}));
+  EXPECT_EQ(config->memory.capacity, 400);
+  EXPECT_EQ(config->memory.where, "rig.toml:3");
+}
+
+TEST(RigConfig, AMemorysMovementsFollowFromItsLines) {
+  const auto config = ParseRigConfig(R"([gpio]
+reset_pulse_us = 5000
+[capture]
+sync_delay_ms = 2.0
+[plan]
+projectors = 3
+[[projector]]
+enable = { line = "E0" }
+trigger = { line = "T0" }
+sync = { line = "S0" }
+reset = { line = "R0" }
+[[projector]]
+kind = "display"
+connector = "HDMI-A-1"
+[[projector]]
+enable = { line = "E2" }
+trigger = { line = "T2" }
+sync = { line = "S2" }
+)",
+                                     "rig.toml");
+  ASSERT_TRUE(config.ok()) << config.status().message();
+  const auto timings = MemoryTimingsOf(*config);
+  ASSERT_EQ(timings.size(), 3U);
+  ASSERT_TRUE(timings[0] && timings[2]);
+  EXPECT_FALSE(timings[1]) << "a display has no memory";
+  EXPECT_EQ(timings[0]->step, std::chrono::milliseconds(2));
+  EXPECT_EQ(timings[0]->reset, std::optional<std::chrono::nanoseconds>(std::chrono::milliseconds(5)));
+  EXPECT_FALSE(timings[2]->reset) << "no RESET line: over the end";
+  EXPECT_EQ(MemoryTimingsOf(RigConfig{}).size(), 4U);
 }
 
 TEST(RigConfig, ShippedWiringIsWhole) {

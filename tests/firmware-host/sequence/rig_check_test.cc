@@ -52,6 +52,9 @@ TEST_F(RigCheckTest, AHealthyRigPassesAndIsMeasured) {
   EXPECT_EQ(report.frame_latency_ms.size(), static_cast<size_t>(options_.frames));
   for (double latency : report.frame_latency_ms) EXPECT_NEAR(latency, 0.05, 1e-6);
   EXPECT_FALSE(report.samples.empty());
+  EXPECT_EQ(rig_.trusting_loads, 0);
+  EXPECT_EQ(rig_.rests, 3) << "the next program finds each memory at its first pattern";
+  EXPECT_EQ(rig_.lit_rests, 0);
 }
 
 TEST_F(RigCheckTest, SwappedSyncCablesAreNamed) {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "shared/base/random.h"
 
@@ -133,13 +134,21 @@ class ScriptedProjector : public Projector {
     memory.sequence = sequence;
     memory.shown = -1 - rig_.preroll_offset;
     ++rig_.loads;
+    rig_.trusting_loads += !std::exchange(doubted_, false);
     if (rig_.on_load) rig_.on_load();
+    return Status::Ok();
+  }
+  void Doubt() override { doubted_ = true; }
+  Status Rest() override {
+    ++rig_.rests;
+    rig_.lit_rests += !rig_.lit().empty();
     return Status::Ok();
   }
 
  private:
   ScriptedRig& rig_;
   int number_;
+  bool doubted_ = false;
 };
 
 ScriptedRig::ScriptedRig(int projectors, int projector_width, int projector_height)

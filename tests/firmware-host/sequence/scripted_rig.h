@@ -58,7 +58,9 @@ class ScriptedRig {
   // What the lines did.
   [[nodiscard]] std::set<int> lit() const;       // projectors whose light is on
   [[nodiscard]] std::set<int> ever_lit() const;  // lines that were ever switched on
-  int loads = 0;
+  int loads = 0, rests = 0;
+  int trusting_loads = 0;  // with no Doubt before
+  int lit_rests = 0;       // with a light on
   int64_t camera_triggers = 0;
   int torn_exposures = 0;  // pulses of a projector while the camera exposed
   int early_triggers = 0;  // of the camera, before it had delivered the frame before (or, overlapped, exposed it)

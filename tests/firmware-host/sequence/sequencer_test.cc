@@ -104,6 +104,7 @@ class SequencerTest : public ::testing::Test {
     EXPECT_EQ(report.Count(fault), 1) << report.FaultSummary();
     EXPECT_EQ(report.captured, report.planned);
     EXPECT_EQ(report.retried, 1);
+    EXPECT_EQ(rig_.trusting_loads, plan_.options.projectors) << "a reload trusted the memory's count";
     ASSERT_FALSE(sink_.ShotsOf(step).empty());
     EXPECT_EQ(sink_.ShotsOf(step).back().retry, 1);
     for (const FrameRecord& r : sink_.records) EXPECT_EQ(r.retry, r.step == step ? r.retry : 0) << r.step;

@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/apps/plan_command.h"
-#include "firmware-host/projector/pattern_memory_projector.h"
+#include "firmware-host/projector/memory_layout.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "firmware-host/simulated/simulation_file.h"
@@ -31,7 +31,7 @@ class VisitTimeTest : public ::testing::Test {
     EXPECT_TRUE(overlapped.ok()) << overlapped.status().message();
     timing_ = overlapped->devices.timing;
   }
-  // Seconds of the rig's clock from the first pulse to the last frame.
+  // Seconds of the rig's clock from the memories' rest to the last frame.
   double Take() {
     SimulatedRigOptions options;
     options.camera_width = 232;
@@ -41,7 +41,7 @@ class VisitTimeTest : public ::testing::Test {
     options.devices.timing = timing_;
     options.faults.script = faults_;
     const CapturePlan plan = *BuildPlan(config_.plan);
-    for (int p = 0; p < plan.options.projectors; ++p) options.memories.push_back(MemoryOf(plan, p));
+    options.memories = LayOutMemories(config_.plan, config_.memory)->Patterns();
     const auto rig = SimulatedRig::Create(options, logger_);
     EXPECT_TRUE(rig.ok()) << rig.status().message();
     SequencerOptions sequencer;
@@ -52,6 +52,7 @@ class VisitTimeTest : public ::testing::Test {
     const auto light = GuardLight(**rig, stop);
     EXPECT_TRUE(light.ok()) << light.status().message();
     NoSink sink;
+    for (Projector* projector : (*rig)->projectors()) EXPECT_TRUE(projector->Rest().ok());
     const MonotonicNs start = (*rig)->clock().Now();
     const Result<CaptureReport> report =
         Sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, sequencer, logger_)
@@ -59,9 +60,7 @@ class VisitTimeTest : public ::testing::Test {
     EXPECT_TRUE(report.ok()) << report.status().message();
     EXPECT_EQ(report->status, SessionStatus::kComplete) << report->FaultSummary();
     EXPECT_EQ((*rig)->injected().size(), faults_.size());
-    // Each memory is loaded once before the first pulse.
-    const double loading = 1e-3 * plan.options.projectors * timing_.memory_reset_ms;
-    return InSeconds((*rig)->clock().Now() - start) - loading;
+    return InSeconds((*rig)->clock().Now() - start);
   }
   double Said() const { return InSeconds(VisitTime(*BuildPlan(config_.plan), TimingOf(config_, timing_))); }
   void ExpectTold(const char* what) {
@@ -112,6 +111,28 @@ TEST_F(VisitTimeTest, ASerialCameraIsAwaited) {
 TEST_F(VisitTimeTest, AStreamGoesInWholePeriods) {
   config_.plan.sync_mode = SyncMode::kFreeRunning;
   ExpectTold("free running");
+}
+
+// The visit's own section begins where the memories rest; the others lie behind it.
+TEST_F(VisitTimeTest, TheWayToASectionIsReckonedWith) {
+  timing_.memory_reset_ms = 50.0;
+  timing_.memory_step_ms = 4.0;
+  const double visit = Said();
+  ExpectTold("visit, memories of 4 ms a step");
+  timing_.memory_step_ms = 40.0;
+  EXPECT_EQ(Said(), visit) << "no way at all";
+  timing_.memory_step_ms = 4.0;
+  config_.plan.kind = SessionKind::kCalibration;
+  const MemoryLayout layout = *LayOutMemories(config_.plan);
+  double way = 0.0;
+  for (const ProjectorMemory& memory : layout.projectors)
+    for (const SectionPlace& place : memory.sections)
+      if (place.section == MemorySection::kCalibration) way += 1e-3 * place.first * timing_.memory_step_ms;
+  EXPECT_GT(way, 2.0) << "131 steps of each of four memories";
+  ExpectTold("calibration, memories of 4 ms a step");
+  const double with_way = Said();
+  timing_.memory_step_ms = 0.0;
+  EXPECT_NEAR(with_way - Said(), way, 1e-6);
 }
 
 TEST_F(VisitTimeTest, TwoLostFramesCostLittleBeyondTheMemorysSteps) {

@@ -197,6 +197,100 @@ TEST_F(CaptureStationTest, APreScanChoosesWhatTheSubjectNeeds) {
   EXPECT_THAT(Row(outcome->session).info.reasons, IsEmpty());
 }
 
+// One filling of the memories, every kind of capture one after the other, single frames between them.
+TEST_F(CaptureStationTest, EveryKindIsShotFromOneFilling) {
+  options_.simulated->scene = "white";
+  const auto station = Open();
+  const SimulatedRig& rig = *station->rig().simulation;
+  EXPECT_EQ(rig.fillings(), 0);
+  const auto white_card = [&] {
+    for (int p = 0; p < 4; ++p) {
+      const auto white = station->SnapPattern(p, {.kind = PatternKind::kWhite}, 4.0);
+      const auto black = station->SnapPattern(p, {.kind = PatternKind::kBlack}, 4.0);
+      ASSERT_TRUE(white.ok() && black.ok());
+      EXPECT_GT(white->record.mean_dn, black->record.mean_dn + 20.0) << "projector " << p;
+    }
+  };
+  white_card();
+  for (const SessionKind kind : {SessionKind::kVisitor, SessionKind::kCalibration, SessionKind::kFlat,
+                                 SessionKind::kResponse, SessionKind::kDark, SessionKind::kVisitor}) {
+    request_.plan.kind = kind;
+    ASSERT_TRUE(station->SetSubject({"white", 1, -1, kind == SessionKind::kDark}).ok());
+    const auto outcome = station->Capture(request_);
+    ASSERT_TRUE(outcome.ok()) << ToString(kind) << ": " << outcome.status().message();
+    EXPECT_EQ(outcome->report.status, SessionStatus::kComplete)
+        << ToString(kind) << ": " << (outcome->report.Reasons().empty() ? "" : outcome->report.Reasons().front());
+    EXPECT_EQ(outcome->report.retried, 0) << ToString(kind) << ": " << outcome->report.FaultSummary();
+    ASSERT_TRUE(station->SetSubject({"white", 1, -1, false}).ok());
+    white_card();
+  }
+  EXPECT_EQ(rig.fillings(), 0);
+}
+
+// What left a memory out of step, unseen, is over when the next capture begins: it rested in between.
+TEST_F(CaptureStationTest, AMemoryLeftOutOfStepByOneCaptureIsInStepForTheNext) {
+  const size_t pulses = BuildPlan(request_.plan)->steps.size();
+  // A guard's step that is not taken shows the black of the guard before.
+  options_.simulated->faults.script = {*ParseFault("projector_lag@" + std::to_string(pulses - 1))};
+  const auto station = Open();
+  const auto visit = station->Capture(request_);
+  ASSERT_TRUE(visit.ok()) << visit.status().message();
+  EXPECT_EQ(visit->report.status, SessionStatus::kComplete);
+  EXPECT_EQ(visit->injected.size(), 1U);
+  request_.plan.kind = SessionKind::kCalibration;
+  const auto calibration = station->Capture(request_);
+  ASSERT_TRUE(calibration.ok()) << calibration.status().message();
+  EXPECT_EQ(calibration->report.status, SessionStatus::kComplete);
+  EXPECT_EQ(calibration->report.retried, 0) << calibration->report.FaultSummary();
+}
+
+TEST_F(CaptureStationTest, AnAbortInOneSectionIsFollowedByACaptureInAnother) {
+  const auto station = Open();
+  class Leaves final : public CaptureObserver {
+   public:
+    explicit Leaves(StopToken& stop) : stop_(stop) {}
+    Status BeforeShot(const PlanStep& step, int /*retry*/) override {
+      if (step.index == 90) stop_.Request(StopReason::kVisitorLeft);
+      return Status::Ok();
+    }
+
+   private:
+    StopToken& stop_;
+  } leaves(stop_);
+  for (const SessionKind next : {SessionKind::kCalibration, SessionKind::kVisitor}) {
+    request_.plan.kind = SessionKind::kVisitor;
+    const auto left = station->Capture(request_, &leaves);
+    ASSERT_TRUE(left.ok()) << left.status().message();
+    EXPECT_EQ(left->report.status, SessionStatus::kFailed);
+    EXPECT_TRUE(Dark(*station));
+    ASSERT_TRUE(station->light().Reset().ok());
+    request_.plan.kind = next;
+    const auto outcome = station->Capture(request_);
+    ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+    EXPECT_EQ(outcome->report.status, SessionStatus::kComplete);
+    EXPECT_EQ(outcome->report.retried, 0) << outcome->report.FaultSummary();
+  }
+}
+
+TEST_F(CaptureStationTest, WhatTheMemoriesDoNotHoldIsRefusedBeforeAnyLight) {
+  options_.config.memory.sections = {MemorySection::kVisitor};
+  options_.config.memory.where = "rig.toml:9";
+  const auto station = Open();
+  const MonotonicNs opened = station->rig().simulation->clock().Now();
+  request_.plan.kind = SessionKind::kCalibration;
+  const Status kind = station->Capture(request_).status();
+  EXPECT_EQ(kind.code(), StatusCode::kUsage);
+  EXPECT_THAT(kind.message(), HasSubstr("rig.toml:9: the pattern memories hold no section 'calibration'"));
+  EXPECT_EQ(CaptureStation::MayBegin(options_, request_).code(), StatusCode::kUsage);
+  request_.plan.kind = SessionKind::kVisitor;
+  request_.plan.comb_period = 16;
+  EXPECT_EQ(station->Capture(request_).status().code(), StatusCode::kUsage) << "other patterns than [plan]'s";
+  EXPECT_EQ(station->rig().simulation->clock().Now(), opened) << "nothing was moved or lit";
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "store"));
+  options_.config.plan.kind = SessionKind::kDark;
+  EXPECT_EQ(CaptureStation::Open(options_, stop_, logger_).status().code(), StatusCode::kUsage);
+}
+
 TEST_F(CaptureStationTest, ALensCapStaysOnForItsCaptureAlone) {
   const auto station = Open();
   request_.plan.kind = SessionKind::kDark;

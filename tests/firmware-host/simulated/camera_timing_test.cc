@@ -178,12 +178,23 @@ TEST_F(CameraTiming, AMemoryTakesItsTimeToWhatIsLoaded) {
   EXPECT_TRUE(rig_->lines().TriggerProjector(1).ok());
   EXPECT_NEAR(load(20, 5), 36.0, 1e-6) << "from the eleventh on";
   EXPECT_NEAR(load(5, 5), 70.0, 1e-6) << "RESET and five steps";
+  EXPECT_NEAR(load(30, 5), 100.0, 1e-6) << "25 steps on";
+  EXPECT_NEAR(load(2, 5), 48.0, 1e-6) << "twelve steps, over the end: shorter than RESET and two";
+  rig_->projectors()[1]->Doubt();
+  EXPECT_NEAR(load(4, 5), 66.0, 1e-6) << "two steps on, if the place were known";
+  const double before = NowMs();
+  EXPECT_TRUE(rig_->projectors()[1]->Rest().ok());
+  EXPECT_NEAR(NowMs() - before, 50.0, 1e-6);
+  EXPECT_NEAR(load(0, 40), 0.0, 1e-6);
+  EXPECT_EQ(rig_->projectors()[1]->Load({kWhite}).code(), StatusCode::kUsage) << "it is filled once";
+  EXPECT_EQ(rig_->fillings(), 0);
 }
 
 TEST_F(CameraTiming, AMemoryCostsNothingUnlessItIsSaidTo) {
   Open();
   EXPECT_TRUE(rig_->projectors()[1]->Load({kWhite}).ok());
   EXPECT_EQ(NowMs(), 0.0);
+  EXPECT_EQ(rig_->fillings(), 1);
 }
 
 }  // namespace

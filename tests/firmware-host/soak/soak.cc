@@ -10,6 +10,7 @@
 
 #include <gtest/gtest.h>
 
+#include "firmware-host/projector/memory_layout.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
 
@@ -145,6 +146,7 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   rig_options.devices.timing.min_frame_period_ms = options.overlapped ? 16.6 : 0.0;
   rig_options.seed = options.seed;
   rig_options.faults = options.faults;
+  rig_options.memories = LayOutMemories(options.plan)->Patterns();
   const auto rig = SimulatedRig::Create(rig_options, logger);
   EXPECT_TRUE(rig.ok()) << rig.status().message();
   const auto plan = BuildPlan(options.plan);
