@@ -63,9 +63,9 @@ Status ControlPipe::Take() {
   if (!S_ISFIFO(opened.st_mode)) return Status::Usage(path_.string() + ": no FIFO any more");
   if (opened.st_uid != geteuid() || (opened.st_mode & 077U) != 0)
     return Status::Usage(path_.string() + ": a FIFO that others own or may use; remove it, or name another path");
-  if (flock(held_.get(), LOCK_EX | LOCK_NB) != 0)
-    return Status::Busy(path_.string() + ": another program reads it, a second stratalux-rig perhaps");
-  return Status::Ok();
+  if (flock(held_.get(), LOCK_EX | LOCK_NB) == 0) return Status::Ok();
+  made_ = false;  // it is the other's to remove, which was faster
+  return Status::Busy(path_.string() + ": another program reads it, a second stratalux-rig perhaps");
 }
 
 Status ControlPipe::OpenForReading() {
