@@ -212,6 +212,7 @@ class WaitingCapture : public ScratchFolderTest {
     const std::string log = (folder_ / "log").string(), pipe = (folder_ / "rig").string(),
                       config = (folder_ / "small.toml").string(), store = (folder_ / "store").string(),
                       program = std::string(STRATALUX_BIN_DIR) + "/stratalux-rig";
+    std::filesystem::remove(log);  // of the one before
     child_ = fork();
     ASSERT_GE(child_, 0);
     if (child_ == 0) {
