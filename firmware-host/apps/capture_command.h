@@ -16,6 +16,7 @@ struct CaptureJob {
   // A visitor's: the pre-scan chooses the exposure, such that the visit takes no longer than the configuration allows.
   bool choose_exposure = false;
   VisitTiming timing;
+  bool on_start = false;  // it begins when START is pressed (start_wait.h)
 };
 
 // As CaptureStation::Capture, with a progress bar. `watch` may be null.

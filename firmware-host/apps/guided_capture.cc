@@ -10,6 +10,7 @@
 #include "firmware-host/calibration/board_watch.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/calibration/light_watch.h"
+#include "firmware-host/session/start_wait.h"
 
 namespace stratalux::rig {
 namespace {
@@ -204,9 +205,11 @@ Result<CaptureOutcome> CaptureOne(const CaptureJob& job, const AskOperator& ask,
   const RigConfig& config = job.station.config;
   const SessionKind kind = job.request.plan.kind;
   const bool of_light = kind != SessionKind::kVisitor && kind != SessionKind::kCalibration;
-  if (of_light && ask && ask(LightInstruction(kind, job.request.board_pose)) != Answer::kGo)
+  if (of_light && job.on_start) logger.Info(LightInstruction(kind, job.request.board_pose));
+  if (of_light && !job.on_start && ask && ask(LightInstruction(kind, job.request.board_pose)) != Answer::kGo)
     return Status::Failed("ended before the capture; nothing was stored");
   SLX_ASSIGN_OR_RETURN(const auto station, OpenFor(job, stop, logger));
+  if (job.on_start) SLX_RETURN_IF_ERROR(AwaitStart(*station, stop, logger));
   if (kind == SessionKind::kVisitor) {
     CaptureRequest request = job.request;
     if (job.choose_exposure) {

@@ -53,7 +53,7 @@ struct SeriesOutcome {
 [[nodiscard]] Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& series,
                                                   const AskOperator& ask, StopToken& stop, Logger& logger);
 // One session: a board pose, or of kind dark, flat or response, looked at while it is captured: board_watch.h,
-// light_watch.h. A visitor's is captured as it is. Fails as Capture does.
+// light_watch.h. A visitor's is captured as it is. Where START begins it, nobody is asked. Fails as Capture does.
 [[nodiscard]] Result<CaptureOutcome> CaptureOne(const CaptureJob& job, const AskOperator& ask, StopToken& stop,
                                                 Logger& logger);
 

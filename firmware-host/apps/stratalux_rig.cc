@@ -14,6 +14,7 @@
 
 #include "db/catalogue/consent.h"
 #include "firmware-host/apps/capture_command.h"
+#include "firmware-host/apps/examples.h"
 #include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
@@ -33,49 +34,6 @@ namespace stratalux::rig {
 namespace {
 
 constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
-constexpr const char* kExamples = R"(Examples:
-  stratalux-rig capture --simulate --store store
-  stratalux-rig selftest --simulate --store store
-  stratalux-rig plan show
-  stratalux-rig safe
-
-Each command's --help has examples of its own.)";
-constexpr const char* kCaptureExamples = R"(Examples:
-  stratalux-rig capture --simulate --store store
-  stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
-  stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
-  stratalux-rig capture --simulate --store store --no-scattering
-  stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \
-      --consent-text 2026-03 --consent-language de
-  stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
-  stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
-  stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
-  stratalux-rig capture --kind calibration --store store
-  stratalux-rig capture --kind calibration --pose 3 --store store
-  stratalux-rig capture --kind flat --simulate --config rig.toml
-  stratalux-rig capture --kind dark --store store
-  stratalux-rig capture --config rig.toml --store store --calibration latest
-
-Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
-constexpr const char* kSelftestExamples = R"(Examples:
-  stratalux-rig selftest --config rig.toml --store store
-  stratalux-rig selftest --simulate --store store --json
-
-Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5 a device is in use.)";
-constexpr const char* kPlanExamples = R"(Examples:
-  stratalux-rig plan show
-  stratalux-rig plan show --json --kind calibration
-  stratalux-rig plan show --simulate=docs/examples/scenes/overlapped.toml
-  stratalux-rig plan render --out patterns)";
-constexpr const char* kSafeExamples = R"(Examples:
-  stratalux-rig safe
-  stratalux-rig safe --config rig.toml
-
-Goes by the lights of the rig that was opened last ($STATE_DIRECTORY or /var/lib/stratalux, lights.json) and by the
-configuration, where that can be read. Run it as the account that captures.
-Exit codes: 0 all lights are off, 1 a light could not be switched off, 2 neither tells of any light, 4 no such line or
-display, 5 a running program holds a line or a display.)";
-
 struct Flags {
   std::string config;
   std::optional<std::string> store, size, kind, sync_mode, calibration;  // unset: as the configuration says
@@ -89,6 +47,8 @@ struct Flags {
   std::string out;
   int board_pose = -1, poses = 0;
   bool yes = false;
+  bool on_start = false;
+  std::string events;
   uint64_t seed = 1;
   std::vector<std::string> faults;
   double fault_rate = 0.0;
@@ -191,6 +151,7 @@ Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& 
   simulated.projector_width = config.plan.projector_width;
   simulated.projector_height = config.plan.projector_height;
   simulated.cache_folder = LightCache::FolderOfUser();
+  simulated.control_pipe = flags.events;
   return simulated;
 }
 
@@ -204,6 +165,7 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
         "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
   request.plan = config.plan;
   job.choose_exposure = ChoosesExposure(flags);
+  job.on_start = flags.on_start;
   if (job.choose_exposure && config.plan.kind != SessionKind::kVisitor)
     return Status::Usage("--exposure auto: only a visitor's exposure is chosen; give it in ms");
   job.timing = TimingOf(config);
@@ -222,6 +184,18 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
     job.timing = TimingOf(config, simulation.devices.timing);
   }
   return job;
+}
+
+// START is a line of the rig, or comes from outside.
+Status CheckOnStart(const Flags& flags, const CaptureJob& job) {
+  if (!flags.on_start) return Status::Ok();
+  if (job.request.plan.kind == SessionKind::kCalibration)
+    return Status::Usage("--on-start: of other kinds; the poses of --kind calibration are asked for on the terminal");
+  if (job.station.simulated && flags.events.empty())
+    return Status::Usage("--on-start: the simulated rig has no button; --simulate-events PATH takes `start`");
+  if (!job.station.simulated && !job.station.config.gpio.start)
+    return Status::Usage("--on-start: no START is wired; name its line as [gpio] start");
+  return Status::Ok();
 }
 
 // The poses of a series; nullopt: a single capture. A simulated board has the poses that its scene lists.
@@ -262,6 +236,7 @@ int RunSeries(const Flags& flags, const CaptureJob& job, const SeriesOptions& se
 int RunCapture(const Flags& flags) {
   const Result<CaptureJob> job = CaptureFrom(flags);
   if (!job.ok()) return Report(job.status());
+  if (const Status start = CheckOnStart(flags, *job); !start.ok()) return Report(start);
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   const Result<std::optional<SeriesOptions>> series = SeriesFrom(flags, *job);
   if (!series.ok()) return Report(series.status());
@@ -390,13 +365,16 @@ void AddSimulationFlags(CLI::App& command, Flags& flags) {
   command.add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
   command.add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
   command.add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
+  command.add_option("--simulate-events", flags.events,
+                     "simulation: a FIFO, made if need be, that takes what happens: start, door open, door closed, "
+                     "estop press, estop release, unplug camera, plug camera, unplug lines, plug lines");
 }
 
 // What only the simulated rig knows is not left unheard by a real one.
 Status CheckSimulationFlags(const CLI::App& command) {
   if (command.count("--simulate") > 0) return Status::Ok();
-  for (const char* name :
-       {"--fault", "--fault-rate", "--fault-seed", "--seed", "--size", "--no-scattering", "--no-noise"}) {
+  for (const char* name : {"--fault", "--fault-rate", "--fault-seed", "--seed", "--size", "--no-scattering",
+                           "--no-noise", "--simulate-events"}) {
     const CLI::Option* given = command.get_option(name);
     if (given->count() == 0) continue;
     const std::string value = given->get_expected_max() > 0 ? " " + given->results().front() : "";
@@ -436,6 +414,8 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
                    "simulation: as many as the scene lists)")
       ->check(CLI::Range(1, 999));
   capture->add_flag("--yes", flags.yes, "calibration, dark, flat, response: do not wait for Enter before a capture");
+  capture->add_flag("--on-start", flags.on_start,
+                    "wait in the dark until START is pressed ([gpio] start; simulation: --simulate-events)");
   capture->add_option("--calibration", flags.calibration,
                       "that the session names: latest, an id or a FILE.json; none; exact (simulation). Default: the "
                       "rig's newest; in a simulation, exact");

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/camera/frame_stream.h"
 
+#include <ctime>
+
 namespace stratalux::rig {
 namespace {
 
@@ -8,6 +10,14 @@ namespace {
 constexpr auto kAhead = std::chrono::seconds(1);
 
 }  // namespace
+
+std::chrono::nanoseconds TimeSuspended() {
+  timespec boot{}, monotonic{};
+  clock_gettime(CLOCK_BOOTTIME, &boot);
+  clock_gettime(CLOCK_MONOTONIC, &monotonic);
+  const int64_t ns = (boot.tv_sec - monotonic.tv_sec) * 1'000'000'000LL + boot.tv_nsec - monotonic.tv_nsec;
+  return std::chrono::nanoseconds(ns > 1'000'000 ? ns : 0);  // less is the time between the two calls
+}
 
 int64_t FrameStream::Number(uint32_t driver_number) {
   if (!number_) {

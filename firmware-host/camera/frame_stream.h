@@ -10,6 +10,9 @@
 
 namespace stratalux::rig {
 
+// CLOCK_BOOTTIME, which sensors' stamps are on, runs ahead of CLOCK_MONOTONIC by the time the machine was suspended.
+[[nodiscard]] std::chrono::nanoseconds TimeSuspended();
+
 class FrameStream {
  public:
   // Number of a frame from the driver's 32-bit one, carried over its wrap. A frame that comes out of order gets a

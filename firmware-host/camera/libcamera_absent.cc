@@ -10,4 +10,6 @@ Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiri
       "again");
 }
 
+bool LibcameraFrameSource::IsThere(const CameraWiring&) { return false; }
+
 }  // namespace stratalux::rig

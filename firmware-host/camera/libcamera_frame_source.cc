@@ -7,7 +7,6 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
-#include <ctime>
 #include <deque>
 #include <functional>
 #include <future>
@@ -24,6 +23,8 @@
 #include <sys/mman.h>
 
 #include "firmware-host/camera/frame_stream.h"
+#include "firmware-host/camera/mapped_buffer.h"
+#include "firmware-host/camera/raw_format.h"
 #include "firmware-host/camera/raw_unpack.h"
 
 namespace stratalux::rig {
@@ -32,62 +33,45 @@ namespace {
 constexpr auto kPatience = std::chrono::seconds(5);  // for a call into libcamera that waits for the device
 constexpr auto kSilence = std::chrono::seconds(5);   // of waiting in vain until a camera counts as failed
 
-// libcamera ends the process at a second manager; set while there is one, for ever once one was left behind.
-std::atomic<bool> manager_in_use = false;
+// A source of this process is open; for ever once a call into libcamera hung.
+std::atomic<bool> camera_in_use = false;
 
-// A raw format by libcamera's name; `green_of_bgr`: no raw format at all.
-struct StreamFormat {
-  RawFormat raw;
-  bool green_of_bgr = false;
-};
-
-std::optional<StreamFormat> FormatOf(const std::string& name) {
-  using enum RawPacking;
-  static const std::map<std::string, Cfa> kMosaics = {
-      {"SBGGR", Cfa::kBggr}, {"SGBRG", Cfa::kGbrg}, {"SGRBG", Cfa::kGrbg}, {"SRGGB", Cfa::kRggb}, {"R", Cfa::kMono}};
-  static const std::map<std::string, std::pair<int, RawPacking>> kDepths = {
-      {"8", {8, kBytes}},   {"10", {10, kWords}},        {"12", {12, kWords}},
-      {"16", {16, kWords}}, {"10_CSI2P", {10, kMipi10}}, {"12_CSI2P", {12, kMipi12}}};
-  if (name == "BGR888") return StreamFormat{.raw = {8, kBytes, Cfa::kMono}, .green_of_bgr = true};
-  const size_t digits = name.find_first_of("0123456789");
-  if (digits == std::string::npos) return std::nullopt;
-  const auto mosaic = kMosaics.find(name.substr(0, digits));
-  const auto depth = kDepths.find(name.substr(digits));
-  if (mosaic == kMosaics.end() || depth == kDepths.end()) return std::nullopt;
-  return StreamFormat{.raw = {depth->second.first, depth->second.second, mosaic->second}};
-}
-
-// CLOCK_BOOTTIME, which sensor stamps are on, runs ahead of CLOCK_MONOTONIC by the time the machine was suspended.
-std::chrono::nanoseconds TimeSuspended() {
-  timespec boot{}, monotonic{};
-  clock_gettime(CLOCK_BOOTTIME, &boot);
-  clock_gettime(CLOCK_MONOTONIC, &monotonic);
-  const int64_t ns = (boot.tv_sec - monotonic.tv_sec) * 1'000'000'000LL + boot.tv_nsec - monotonic.tv_nsec;
-  return std::chrono::nanoseconds(ns > 1'000'000 ? ns : 0);  // less is the time between the two calls
-}
-
-// A buffer's first plane, mapped for reading.
-class Mapping {
+// libcamera ends the process at a second manager. There is one while a session has it: a session that was left behind
+// keeps it, so that what is plugged in later is found by the same.
+class Manager {
  public:
-  Mapping(const libcamera::FrameBuffer& buffer) {  // NOLINT(google-explicit-constructor): lives in a map of buffers
-    const libcamera::FrameBuffer::Plane& plane = buffer.planes()[0];
-    size_ = plane.offset + plane.length;
-    offset_ = plane.offset;
-    address_ = mmap(nullptr, size_, PROT_READ, MAP_SHARED, plane.fd.get(), 0);
+  using Pointer = std::shared_ptr<libcamera::CameraManager>;
+
+  static Result<Pointer> Get() {
+    const std::lock_guard lock(mutex);
+    if (Pointer running = current.lock()) return running;
+    Pointer started(new libcamera::CameraManager, [](libcamera::CameraManager* manager) {
+      manager->stop();
+      delete manager;
+    });
+    if (const int error = started->start(); error != 0)
+      return Status::Failed(std::string("libcamera does not start: ") + std::strerror(-error));
+    current = started;
+    return started;
   }
-  ~Mapping() {
-    if (address_ != MAP_FAILED) munmap(address_, size_);
+  // Stops it, if nobody else has it; whoever asks next gets a new one, not before this one is gone.
+  static void Release(Pointer& manager) {
+    const std::lock_guard lock(mutex);
+    manager.reset();
   }
-  Mapping(const Mapping&) = delete;
-  Mapping& operator=(const Mapping&) = delete;
-  [[nodiscard]] bool ok() const { return address_ != MAP_FAILED; }
-  [[nodiscard]] std::span<const uint8_t> bytes() const {
-    return std::span(static_cast<const uint8_t*>(address_), size_).subspan(offset_);
+  static bool Lists(const std::string& id) {
+    // Who holds it for long hangs inside libcamera.
+    const std::unique_lock lock(mutex, std::chrono::milliseconds(100));
+    if (!lock.owns_lock()) return true;
+    const Pointer running = current.lock();
+    if (!running) return true;
+    const auto cameras = running->cameras();
+    return std::any_of(cameras.begin(), cameras.end(), [&](const auto& c) { return id.empty() || c->id() == id; });
   }
 
  private:
-  void* address_;
-  size_t size_, offset_;
+  static inline std::timed_mutex mutex;
+  static inline std::weak_ptr<libcamera::CameraManager> current;
 };
 
 // All that libcamera holds and calls; a call that hangs shares it, so that it outlives a source that went.
@@ -116,7 +100,9 @@ class Session {
     const std::lock_guard lock(mutex_);
     return gone_;
   }
-  [[nodiscard]] const Mapping& MappingOf(const libcamera::FrameBuffer* buffer) const { return mappings_.at(buffer); }
+  [[nodiscard]] const MappedBuffer& MappingOf(const libcamera::FrameBuffer* buffer) const {
+    return mappings_.at(buffer);
+  }
   [[nodiscard]] libcamera::FrameBuffer* BufferOf(libcamera::Request* request) const {
     return request->findBuffer(stream_);
   }
@@ -147,7 +133,7 @@ class Session {
     changed_.notify_all();
   }
 
-  std::unique_ptr<libcamera::CameraManager> manager_;
+  Manager::Pointer manager_;
   std::shared_ptr<libcamera::Camera> camera_;
   std::string name_;
   std::unique_ptr<libcamera::CameraConfiguration> configuration_;
@@ -155,7 +141,7 @@ class Session {
   StreamFormat format_;
   size_t stride_ = 0;
   std::unique_ptr<libcamera::FrameBufferAllocator> allocator_;
-  std::map<const libcamera::FrameBuffer*, Mapping> mappings_;
+  std::map<const libcamera::FrameBuffer*, MappedBuffer> mappings_;  // of their first planes
   std::vector<std::unique_ptr<libcamera::Request>> requests_;
   bool running_ = false;
 
@@ -166,9 +152,7 @@ class Session {
 };
 
 Status Session::Open(const CameraWiring& wiring) {
-  manager_ = std::make_unique<libcamera::CameraManager>();
-  if (const int error = manager_->start(); error != 0)
-    return Status::Failed(std::string("libcamera does not start: ") + std::strerror(-error));
+  SLX_ASSIGN_OR_RETURN(manager_, Manager::Get());
   SLX_RETURN_IF_ERROR(Acquire(wiring.device));
   SLX_RETURN_IF_ERROR(Configure(wiring));
   return MakeRequests();
@@ -204,7 +188,7 @@ Status Session::Configure(const CameraWiring& wiring) {
   int best_bits = 0;
   for (const libcamera::PixelFormat& format : stream.formats().pixelformats()) {
     const std::string name = format.toString();
-    const std::optional<StreamFormat> known = FormatOf(name);
+    const std::optional<StreamFormat> known = StreamFormatOf(name);
     if (!known) continue;
     offered += (offered.empty() ? "" : ", ") + name;
     if (wiring.format.empty() ? known->green_of_bgr || known->raw.bits <= best_bits : name != wiring.format) continue;
@@ -226,7 +210,7 @@ Status Session::Configure(const CameraWiring& wiring) {
                          stream.toString() + "; set width, height and format to what it has");
   if (camera_->configure(configuration_.get()) != 0) return Status::Failed(name_ + ": the format was refused");
   stream_ = stream.stream();
-  format_ = *FormatOf(best->toString());
+  format_ = *StreamFormatOf(best->toString());
   stride_ = stream.stride;
   return Status::Ok();
 }
@@ -235,7 +219,10 @@ Status Session::MakeRequests() {
   allocator_ = std::make_unique<libcamera::FrameBufferAllocator>(camera_);
   if (allocator_->allocate(stream_) < 0) return Status::Failed(name_ + ": no buffers");
   for (const std::unique_ptr<libcamera::FrameBuffer>& buffer : allocator_->buffers(stream_)) {
-    const auto [mapping, added] = mappings_.emplace(buffer.get(), *buffer);
+    const libcamera::FrameBuffer::Plane& plane = buffer->planes()[0];
+    const size_t size = plane.offset + plane.length;
+    const auto [mapping, added] = mappings_.try_emplace(
+        buffer.get(), mmap(nullptr, size, PROT_READ, MAP_SHARED, plane.fd.get(), 0), size, plane.offset);
     if (!mapping->second.ok()) return Status::Failed(name_ + ": a buffer cannot be mapped: " + std::strerror(errno));
     std::unique_ptr<libcamera::Request> request = camera_->createRequest();
     if (!request || request->addBuffer(stream_, buffer.get()) != 0) return Status::Failed(name_ + ": no requests");
@@ -276,20 +263,24 @@ void Session::TearDown() {
     camera_->release();
     camera_.reset();
   }
-  manager_->stop();
-  manager_.reset();
-  manager_in_use = false;
+  Manager::Release(manager_);
 }
 
 class Camera final : public FrameSource {
  public:
   Camera(CameraWiring wiring, Logger& logger) : wiring_(std::move(wiring)), logger_(logger) {}
   ~Camera() override {
-    if (session_)
-      static_cast<void>(Within("closing", [](Session& s) {
-        s.TearDown();
-        return Status::Ok();
-      }));
+    if (!session_) return;
+    if (started_ && Lost()) {
+      static_cast<void>(GiveUp(""));
+      return;
+    }
+    static_cast<void>(Within("closing", [](Session& s) {
+      s.TearDown();
+      return Status::Ok();
+    }));
+    // Else it was left behind, and said for how long.
+    if (session_) camera_in_use = false;
   }
   Camera(const Camera&) = delete;
   Camera& operator=(const Camera&) = delete;
@@ -311,6 +302,7 @@ class Camera final : public FrameSource {
     if (!started_) return Status::Ok();
     started_ = false;
     stream_.Reopened();
+    if (Lost()) return GiveUp(session_->name() + ": the camera was unplugged");
     return Within("stopping", [](Session& s) { return s.Stop(); });
   }
   Status SetExposure(double exposure_ms, double gain) override;
@@ -319,8 +311,11 @@ class Camera final : public FrameSource {
  private:
   // Runs a call that may block on a thread of its own, for kPatience.
   Status Within(const std::string& what, std::function<Status(Session&)> call);
+  // It was unplugged: by its own word, or because libcamera lists it no longer.
+  [[nodiscard]] bool Lost() const { return session_ && (session_->gone() || !Manager::Lists(session_->name())); }
+  enum class Failure { kDevice, kHung };
   // Leaves the session behind, threads and all; `why` is what every later call says.
-  Status GiveUp(const std::string& why);
+  Status GiveUp(const std::string& why, Failure failure = Failure::kDevice);
   [[nodiscard]] libcamera::ControlList Controls() const;
   CapturedFrame FrameOf(libcamera::Request& request, const libcamera::FrameBuffer& buffer);
   void SetTime(libcamera::Request& request, const libcamera::FrameBuffer& buffer, CapturedFrame& frame);
@@ -347,14 +342,19 @@ Status Camera::Within(const std::string& what, std::function<Status(Session&)> c
     task.reset();
   }).detach();
   if (done.wait_for(kPatience) == std::future_status::ready) return done.get();
-  return GiveUp("camera: " + what + " hangs inside libcamera");
+  return GiveUp("camera: " + what + " hangs inside libcamera", Failure::kHung);
 }
 
-Status Camera::GiveUp(const std::string& why) {
-  // Never destroyed: libcamera 0.0.3 aborts where it has to stop a camera that is gone.
-  static std::shared_ptr<Session>& left_behind = *new std::shared_ptr<Session>;
-  left_behind = std::exchange(session_, nullptr);
-  why_ = why + "; check the camera and its cable, reload its driver if need be, and start the program anew";
+Status Camera::GiveUp(const std::string& why, Failure failure) {
+  // Never destroyed: libcamera 0.0.3 aborts where it has to stop a camera that is gone. (`camera_in_use` keeps others
+  // from here.)
+  static std::vector<std::shared_ptr<Session>>& left_behind = *new std::vector<std::shared_ptr<Session>>;
+  left_behind.push_back(std::exchange(session_, nullptr));
+  const bool may_reopen = failure == Failure::kDevice;
+  why_ = why + "; check the camera and its cable" +
+         (may_reopen ? ": it is opened again when it is back"
+                     : ", reload its driver if need be, and start the program anew");
+  if (may_reopen) camera_in_use = false;
   return Status::Failed(why_);
 }
 
@@ -476,11 +476,13 @@ Image<uint16_t> Camera::PixelsOf(const libcamera::FrameBuffer& buffer, CapturedF
 }  // namespace
 
 Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiring& wiring, Logger& logger) {
-  if (manager_in_use.exchange(true))
+  if (camera_in_use.exchange(true))
     return Status::Busy("camera: this process has a camera of libcamera already, or one hung; start the program anew");
   auto camera = std::make_unique<Camera>(wiring, logger);
   SLX_RETURN_IF_ERROR(camera->Open());
   return std::unique_ptr<FrameSource>(std::move(camera));
 }
+
+bool LibcameraFrameSource::IsThere(const CameraWiring& wiring) { return Manager::Lists(wiring.device); }
 
 }  // namespace stratalux::rig

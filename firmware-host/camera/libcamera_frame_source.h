@@ -12,7 +12,9 @@
 //
 // Where a device fails, libcamera can wait for ever, and 0.0.3 ends the process when it is asked to stop. So every call
 // into it that may block has a deadline, and 5 s of waiting in vain for frames count as a failure. A camera that failed
-// is left behind as it is: each further call says so, and this process can open no other.
+// is left behind as it is, memory, descriptors and all: each further call says so. One that was unplugged can be opened
+// again once it is back: libcamera's manager lives on and finds it. After a call that hung, this process opens no
+// other.
 #pragma once
 
 #include <memory>
@@ -30,6 +32,9 @@ class LibcameraFrameSource {
   // kUsage: it lacks that format or size, or this program was built without libcamera; kBusy: another program has it,
   // or this process already has one. Thread-bound.
   static Result<std::unique_ptr<FrameSource>> Open(const CameraWiring& wiring, Logger& logger);
+  // Whether libcamera lists the camera. True where nobody can tell, as long as this process never opened one.
+  // Reentrant.
+  [[nodiscard]] static bool IsThere(const CameraWiring& wiring);
 };
 
 }  // namespace stratalux::rig

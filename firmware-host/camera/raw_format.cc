@@ -2,6 +2,7 @@
 #include "firmware-host/camera/raw_format.h"
 
 #include <map>
+#include <utility>
 
 namespace stratalux::rig {
 
@@ -30,6 +31,22 @@ std::optional<RawFormat> RawFormatOf(const std::string& fourcc_text) {
   };
   const auto found = kFormats.find(fourcc_text);
   return found == kFormats.end() ? std::nullopt : std::optional(found->second);
+}
+
+std::optional<StreamFormat> StreamFormatOf(const std::string& name) {
+  using enum RawPacking;
+  static const std::map<std::string, Cfa> kMosaics = {
+      {"SBGGR", Cfa::kBggr}, {"SGBRG", Cfa::kGbrg}, {"SGRBG", Cfa::kGrbg}, {"SRGGB", Cfa::kRggb}, {"R", Cfa::kMono}};
+  static const std::map<std::string, std::pair<int, RawPacking>> kDepths = {
+      {"8", {8, kBytes}},   {"10", {10, kWords}},        {"12", {12, kWords}},
+      {"16", {16, kWords}}, {"10_CSI2P", {10, kMipi10}}, {"12_CSI2P", {12, kMipi12}}};
+  if (name == "BGR888") return StreamFormat{.raw = {8, kBytes, Cfa::kMono}, .green_of_bgr = true};
+  const size_t digits = name.find_first_of("0123456789");
+  if (digits == std::string::npos) return std::nullopt;
+  const auto mosaic = kMosaics.find(name.substr(0, digits));
+  const auto depth = kDepths.find(name.substr(digits));
+  if (mosaic == kMosaics.end() || depth == kDepths.end()) return std::nullopt;
+  return StreamFormat{.raw = {depth->second.first, depth->second.second, mosaic->second}};
 }
 
 }  // namespace stratalux::rig

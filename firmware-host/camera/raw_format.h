@@ -16,4 +16,11 @@ namespace stratalux::rig {
 // nullopt: a format that is not raw, or packed in a way of its own.
 [[nodiscard]] std::optional<RawFormat> RawFormatOf(const std::string& fourcc_text);
 
+// A raw format by libcamera's name for it ("SBGGR12"); `green_of_bgr`: no raw format at all.
+struct StreamFormat {
+  RawFormat raw;
+  bool green_of_bgr = false;
+};
+[[nodiscard]] std::optional<StreamFormat> StreamFormatOf(const std::string& name);
+
 }  // namespace stratalux::rig

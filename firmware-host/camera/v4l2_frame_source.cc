@@ -19,6 +19,7 @@
 #include <sys/mman.h>
 
 #include "firmware-host/camera/frame_stream.h"
+#include "firmware-host/camera/mapped_buffer.h"
 #include "firmware-host/camera/raw_format.h"
 #include "shared/base/unique_fd.h"
 
@@ -90,22 +91,6 @@ Result<Node> FindCamera(const CameraWiring& wiring) {
                           "'; there are: " + (seen.empty() ? "none that this user may open (group video)" : seen));
 }
 
-// One mapped buffer of the driver.
-class Mapping {
- public:
-  Mapping(void* address, size_t size) : address_(address), size_(size) {}
-  Mapping(Mapping&& other) noexcept : address_(std::exchange(other.address_, nullptr)), size_(other.size_) {}
-  Mapping& operator=(Mapping&&) = delete;
-  ~Mapping() {
-    if (address_ != nullptr) munmap(address_, size_);
-  }
-  [[nodiscard]] std::span<const uint8_t> bytes() const { return {static_cast<const uint8_t*>(address_), size_}; }
-
- private:
-  void* address_;
-  size_t size_;
-};
-
 struct Settings {
   double exposure_ms = 0.0;
   double gain = 1.0;
@@ -116,6 +101,7 @@ class Camera final : public FrameSource {
   Camera(CameraWiring wiring, Logger& logger) : wiring_(std::move(wiring)), logger_(logger) {}
 
   [[nodiscard]] bool follows_trigger() const override { return wiring_.pace == CameraPace::kTriggered; }
+  // On failure nothing stays open.
   Status OpenDevice();
   Status Start() override;
   Status Stop() override;
@@ -128,6 +114,7 @@ class Camera final : public FrameSource {
   [[nodiscard]] Status Error(const std::string& what) const {
     return Status::Failed(path_ + ": " + what + ": " + std::strerror(errno));
   }
+  Status SetUp();
   Status SetFormat();
   Result<uint32_t> ChooseFormat();
   Status SetFrameRate();
@@ -156,7 +143,7 @@ class Camera final : public FrameSource {
   UniqueFd fd_;
   RawFormat format_;
   size_t stride_ = 0;
-  std::vector<Mapping> mappings_;
+  std::vector<MappedBuffer> mappings_;
   bool started_ = false;
   MonotonicNs started_at_;
   FrameStream stream_;
@@ -181,11 +168,17 @@ Status Camera::OpenDevice() {
   path_ = node.path;
   fd_ = OpenNode(path_);
   if (!fd_.ok()) return Error("cannot be opened");
+  Status ready = SetUp();
+  if (!ready.ok()) Close();
+  return ready;
+}
+
+Status Camera::SetUp() {
   SLX_RETURN_IF_ERROR(SetFormat());
   SLX_RETURN_IF_ERROR(SetFrameRate());
   SLX_RETURN_IF_ERROR(CheckControls());
   current_ = before_ = ReadBack();
-  return Status::Ok();
+  return ApplySettings();
 }
 
 Result<uint32_t> Camera::ChooseFormat() {
@@ -364,7 +357,6 @@ Result<bool> Camera::Recover(Clock::time_point deadline) {
     if (Clock::now() < next_try_) return false;
     next_try_ = Clock::now() + kReopenPause;
     Status status = OpenDevice();
-    if (status.ok()) status = ApplySettings();
     if (status.ok()) status = StreamOn();
     if (status.ok()) {
       logger_.Warning(path_ + ": camera opened again (" + std::to_string(++reopened_) + ". time)");
@@ -379,10 +371,7 @@ Result<bool> Camera::Recover(Clock::time_point deadline) {
 Status Camera::Start() {
   if (started_) return Status::Ok();
   failed_tries_ = 0;
-  if (!fd_.ok()) {
-    SLX_RETURN_IF_ERROR(OpenDevice());
-    SLX_RETURN_IF_ERROR(ApplySettings());
-  }
+  if (!fd_.ok()) SLX_RETURN_IF_ERROR(OpenDevice());
   if (const Status status = StreamOn(); !status.ok()) {
     Break(status);
     // Ends by success or with the last try.
@@ -496,6 +485,12 @@ Result<std::unique_ptr<FrameSource>> V4l2FrameSource::Open(const CameraWiring& w
   auto camera = std::make_unique<Camera>(wiring, logger);
   SLX_RETURN_IF_ERROR(camera->OpenDevice());
   return std::unique_ptr<FrameSource>(std::move(camera));
+}
+
+bool V4l2FrameSource::IsThere(const CameraWiring& wiring) {
+  const Result<Node> found = FindCamera(wiring);
+  // Several: one more than wanted.
+  return found.ok() || found.status().code() == StatusCode::kUsage;
 }
 
 }  // namespace stratalux::rig

@@ -24,6 +24,8 @@ class V4l2FrameSource {
   // Finds and opens the camera and sets its format; no frame is taken before Start. kNotFound: no such camera; kUsage:
   // several fit, or it has neither that format nor that size. Thread-bound.
   static Result<std::unique_ptr<FrameSource>> Open(const CameraWiring& wiring, Logger& logger);
+  // Whether a camera that fits is plugged in, whoever has it open. Reentrant.
+  [[nodiscard]] static bool IsThere(const CameraWiring& wiring);
 };
 
 }  // namespace stratalux::rig

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/gpio/gpio_lights.h"
 
+#include <atomic>
 #include <string>
 #include <utility>
 #include <vector>
@@ -46,24 +47,42 @@ Result<std::unique_ptr<EnableLine>> TakeEnable(const std::vector<GpioChip>& chip
 class InterlockLines final : public InterlockInput {
  public:
   // Bit 0 is E-STOP, where it is wired; DOOR is `door`.
-  InterlockLines(std::unique_ptr<InputRequest> lines, uint64_t emergency_stop, uint64_t door)
-      : lines_(std::move(lines)), emergency_stop_(emergency_stop), door_(door) {}
+  InterlockLines(std::unique_ptr<InputRequest> lines, uint64_t emergency_stop, uint64_t door, RigEvents* events)
+      : lines_(std::move(lines)), emergency_stop_(emergency_stop), door_(door), events_(events) {}
 
   [[nodiscard]] int fd() const noexcept override { return lines_->fd(); }
   StopReason Take() noexcept override {
     uint64_t seen = 0, active = 0;
-    if (lines_->Take(seen, active) != 0) return StopReason::kLinesGone;
+    const int error = lines_->Take(seen, active);
+    if (events_ != nullptr) {
+      const MonotonicNs now = MonotonicNow();
+      // Others may have lost theirs for good.
+      const bool gone = error != 0;
+      if (gone_.exchange(gone) != gone)
+        events_->Tell(RigSignal::kLines, gone ? SignalLevel::kActive : SignalLevel::kRest, now);
+      if (error == 0) TellLine(RigSignal::kEmergencyStop, seen & emergency_stop_, active & emergency_stop_, now);
+      if (error == 0) TellLine(RigSignal::kDoor, seen & door_, active & door_, now);
+    }
+    if (error != 0) return StopReason::kLinesGone;
     seen |= active;
     if ((seen & emergency_stop_) != 0) return StopReason::kEmergencyStop;
     return (seen & door_) != 0 ? StopReason::kDoorOpen : StopReason::kNone;
   }
 
  private:
+  // Two threads that look at once may tell in the other order: the next look, which is never far, sets it right.
+  void TellLine(RigSignal signal, uint64_t seen, uint64_t active, MonotonicNs now) noexcept {
+    if (seen != 0 || active != 0) events_->Tell(signal, SignalLevel::kActive, now);
+    if (active == 0) events_->Tell(signal, SignalLevel::kRest, now);
+  }
   const std::unique_ptr<InputRequest> lines_;
   const uint64_t emergency_stop_, door_;
+  RigEvents* const events_;
+  std::atomic<bool> gone_ = false;
 };
 
-Result<std::unique_ptr<InterlockInput>> TakeInterlock(const std::vector<GpioChip>& chips, const GpioWiring& wiring) {
+Result<std::unique_ptr<InterlockInput>> TakeInterlock(const std::vector<GpioChip>& chips, const GpioWiring& wiring,
+                                                      RigEvents* events) {
   std::vector<InputLine> lines;
   std::string chip_path;
   uint64_t bits[2] = {0, 0};
@@ -80,7 +99,8 @@ Result<std::unique_ptr<InterlockInput>> TakeInterlock(const std::vector<GpioChip
   }
   if (lines.empty()) return std::unique_ptr<InterlockInput>();
   SLX_ASSIGN_OR_RETURN(auto request, RequestInputs(chip_path, lines));
-  return std::unique_ptr<InterlockInput>(std::make_unique<InterlockLines>(std::move(request), bits[0], bits[1]));
+  return std::unique_ptr<InterlockInput>(
+      std::make_unique<InterlockLines>(std::move(request), bits[0], bits[1], events));
 }
 
 class Lights final : public GpioLights {
@@ -97,7 +117,7 @@ class Lights final : public GpioLights {
 
 }  // namespace
 
-Result<std::unique_ptr<GpioLights>> GpioLights::Open(const GpioWiring& wiring) {
+Result<std::unique_ptr<GpioLights>> GpioLights::Open(const GpioWiring& wiring, RigEvents* events) {
   const std::vector<GpioChip> chips = ListChips();
   std::vector<std::unique_ptr<EnableLine>> enables;
   for (size_t p = 0; p < wiring.projectors.size(); ++p) {
@@ -106,7 +126,7 @@ Result<std::unique_ptr<GpioLights>> GpioLights::Open(const GpioWiring& wiring) {
     SLX_ASSIGN_OR_RETURN(enable,
                          TakeEnable(chips, *wiring.projectors[p].enable, "ENABLE of projector " + std::to_string(p)));
   }
-  SLX_ASSIGN_OR_RETURN(auto interlock, TakeInterlock(chips, wiring));
+  SLX_ASSIGN_OR_RETURN(auto interlock, TakeInterlock(chips, wiring, events));
   return std::unique_ptr<GpioLights>(std::make_unique<Lights>(std::move(enables), std::move(interlock)));
 }
 

@@ -8,6 +8,7 @@
 #include <memory>
 #include <vector>
 
+#include "firmware-host/events/rig_events.h"
 #include "firmware-host/gpio/gpio_wiring.h"
 #include "firmware-host/safety/light_switch.h"
 #include "shared/base/result.h"
@@ -18,8 +19,9 @@ class GpioLights {
  public:
   virtual ~GpioLights() = default;
   // Takes the lines, ENABLE inactive. kNotFound: no such line or chip; kUsage: a line of that name on several chips;
-  // kBusy: a line in use.
-  static Result<std::unique_ptr<GpioLights>> Open(const GpioWiring& wiring);
+  // kBusy: a line in use. `events` is told of E-STOP, door and lost lines as the guard sees them: what opens at once,
+  // what closes within its rest_period. It outlives the lights, and may be null.
+  static Result<std::unique_ptr<GpioLights>> Open(const GpioWiring& wiring, RigEvents* events = nullptr);
 
   // Null where the projector has no ENABLE line.
   [[nodiscard]] virtual LightSwitch* enable(int projector) const noexcept = 0;

@@ -16,6 +16,7 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+#include "firmware-host/events/start_button.h"
 #include "firmware-host/gpio/gpio_adapter.h"
 #include "shared/base/unique_fd.h"
 
@@ -101,13 +102,14 @@ class Bank final : public GpiodLineBank {
  public:
   // `outputs` and `inputs` may be null: nothing of the kind is wired.
   Bank(OutputPlan plan, std::unique_ptr<OutputRequest> outputs, std::vector<Input> inputs,
-       std::unique_ptr<InputRequest> input_request, UniqueFd stop, Logger& logger)
+       std::unique_ptr<InputRequest> input_request, UniqueFd stop, Logger& logger, RigEvents* events)
       : plan_(std::move(plan)),
         outputs_(std::move(outputs)),
         inputs_(std::move(inputs)),
         input_request_(std::move(input_request)),
         stop_(std::move(stop)),
-        logger_(logger) {}
+        logger_(logger),
+        events_(events) {}
   ~Bank() override;
   Bank(const Bank&) = delete;
   Bank& operator=(const Bank&) = delete;
@@ -118,7 +120,6 @@ class Bank final : public GpiodLineBank {
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override;
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override;
   Status ResetMemory(int projector) override;
   [[nodiscard]] int64_t SyncCount(int projector) override;
@@ -145,6 +146,8 @@ class Bank final : public GpiodLineBank {
   const std::unique_ptr<InputRequest> input_request_;
   const UniqueFd stop_;  // eventfd: the watcher shall end
   Logger& logger_;
+  RigEvents* const events_;
+  StartButton start_;  // the watcher's
   std::thread watcher_;
 
   std::mutex pulse_mutex_;  // one pulse after the other
@@ -154,7 +157,7 @@ class Bank final : public GpiodLineBank {
   int64_t pulses_ = 0;
   std::string gone_reason_;  // not empty: the lines are gone
   std::deque<SyncEdge> edges_;
-  std::optional<MonotonicNs> start_press_, strobe_;
+  std::optional<MonotonicNs> strobe_;
 };
 
 Status Bank::Begin() {
@@ -239,16 +242,6 @@ Result<std::optional<SyncEdge>> Bank::WaitSync(std::chrono::nanoseconds timeout)
   return std::optional(edge);
 }
 
-Result<std::optional<MonotonicNs>> Bank::WaitStart(std::chrono::nanoseconds timeout) {
-  const bool wired =
-      std::any_of(inputs_.begin(), inputs_.end(), [](const Input& i) { return i.role == InputRole::kStart; });
-  if (!wired) return std::optional<MonotonicNs>();
-  std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, timeout, [this] { return start_press_.has_value() || !gone_reason_.empty(); });
-  if (!start_press_ && !gone_reason_.empty()) return GoneStatus();
-  return std::exchange(start_press_, std::nullopt);
-}
-
 std::optional<MonotonicNs> Bank::LastStrobe() {
   const std::lock_guard lock(mutex_);
   return strobe_;
@@ -290,8 +283,18 @@ bool Bank::ProbeLines() {
   }
   if (!input_request_) return true;
   const Result<uint64_t> active = input_request_->ReadActive();
-  if (!active.ok()) LinesGone(active.status().message());
-  return active.ok();
+  if (!active.ok()) {
+    LinesGone(active.status().message());
+    return false;
+  }
+  for (size_t i = 0; i < inputs_.size(); ++i) {
+    if (inputs_[i].role != InputRole::kStart) continue;
+    if ((*active >> i & 1U) != 0)
+      start_.OnHeld();
+    else
+      start_.OnRest(MonotonicNow());
+  }
+  return true;
 }
 
 bool Bank::TakeEvents() {
@@ -316,8 +319,8 @@ void Bank::Take(const LineEvent& event) {
     if (input.role == InputRole::kSync) edges_.push_back({input.projector, input.count - 1, event.time});
     if (edges_.size() > kMaxEdges) edges_.pop_front();  // its number is missing now
     if (input.role == InputRole::kStrobe) strobe_ = event.time;
-    if (input.role == InputRole::kStart) start_press_ = event.time;
   }
+  if (input.role == InputRole::kStart && start_.OnEdge() && events_ != nullptr) events_->PressStart(event.time);
   if (lost > 0 && input.role == InputRole::kSync)
     logger_.Warning("SYNC of projector " + std::to_string(input.projector) + ": " + std::to_string(lost) +
                     " edges lost before edge " + std::to_string(input.count - 1));
@@ -329,12 +332,14 @@ void Bank::LinesGone(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     if (gone_reason_.empty()) gone_reason_ = reason;
   }
+  if (events_ != nullptr) events_->Tell(RigSignal::kLines, SignalLevel::kActive, MonotonicNow());
   changed_.notify_all();
 }
 
 }  // namespace
 
-Result<std::unique_ptr<GpiodLineBank>> GpiodLineBank::Open(const GpioWiring& wiring, Logger& logger) {
+Result<std::unique_ptr<GpiodLineBank>> GpiodLineBank::Open(const GpioWiring& wiring, Logger& logger,
+                                                           RigEvents* events) {
   const std::vector<GpioChip> chips = ListChips();
   SLX_ASSIGN_OR_RETURN(OutputPlan outputs, PlanOutputs(chips, wiring));
   SLX_ASSIGN_OR_RETURN(InputPlan inputs, PlanInputs(chips, wiring));
@@ -349,7 +354,7 @@ Result<std::unique_ptr<GpiodLineBank>> GpiodLineBank::Open(const GpioWiring& wir
   UniqueFd stop(eventfd(0, EFD_CLOEXEC));
   if (!stop.ok()) return Status::Failed(std::string("eventfd: ") + std::strerror(errno));
   auto bank = std::make_unique<Bank>(std::move(outputs), std::move(output_request), std::move(inputs.inputs),
-                                     std::move(input_request), std::move(stop), logger);
+                                     std::move(input_request), std::move(stop), logger, events);
   bank->projector_pulse_ = wiring.projector_pulse;
   bank->camera_pulse_ = wiring.camera_pulse;
   bank->reset_pulse_ = wiring.reset_pulse;

@@ -8,6 +8,7 @@
 
 #include <memory>
 
+#include "firmware-host/events/rig_events.h"
 #include "firmware-host/gpio/gpio_wiring.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/gpio/pattern_memory_lines.h"
@@ -20,8 +21,10 @@ class GpiodLineBank : public LineBank, public PatternMemoryLines {
  public:
   // Takes the lines, everything inactive. kNotFound: no such line or chip; kUsage: a line of that name on several
   // chips, outputs on two chips; kBusy: a line in use.
-  // The bank is thread-safe. When it goes, all its outputs are inactive.
-  static Result<std::unique_ptr<GpiodLineBank>> Open(const GpioWiring& wiring, Logger& logger);
+  // The bank is thread-safe. When it goes, all its outputs are inactive. `events` is told of START (StartButton) and of
+  // lost lines; it outlives the bank, and may be null.
+  static Result<std::unique_ptr<GpiodLineBank>> Open(const GpioWiring& wiring, Logger& logger,
+                                                     RigEvents* events = nullptr);
 };
 
 }  // namespace stratalux::rig

@@ -23,7 +23,7 @@ struct TriggerReceipt {
   MonotonicNs time;
 };
 
-// SYNC, TRIGGER, STROBE and START. What makes light is the LightGuard's alone.
+// SYNC, TRIGGER and STROBE. What makes light is the LightGuard's alone; START is an event (events/rig_events.h).
 class LineBank {
  public:
   virtual ~LineBank() = default;
@@ -33,8 +33,6 @@ class LineBank {
   virtual Result<TriggerReceipt> TriggerCamera() = 0;
   // Next SYNC edge; nullopt at the deadline.
   virtual Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) = 0;
-  // The START button: time of a press since the last call; nullopt at the deadline, and at once on rigs without one.
-  virtual Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) = 0;
   // Exposure as the camera's STROBE output shows it: start of the last one; nullopt where it is not wired.
   [[nodiscard]] virtual std::optional<MonotonicNs> LastStrobe() = 0;
 };

@@ -110,10 +110,6 @@ Result<std::optional<SyncEdge>> DisplayLineBank::WaitEdge(steady_clock::time_poi
   return std::optional<SyncEdge>();
 }
 
-Result<std::optional<MonotonicNs>> DisplayLineBank::WaitStart(std::chrono::nanoseconds timeout) {
-  return lines_ != nullptr ? lines_->WaitStart(timeout) : std::optional<MonotonicNs>();
-}
-
 std::optional<MonotonicNs> DisplayLineBank::LastStrobe() {
   return lines_ != nullptr ? lines_->LastStrobe() : std::nullopt;
 }

@@ -29,7 +29,6 @@ class DisplayLineBank : public LineBank {
   // kFailed on a rig without lines: its camera runs free.
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override;
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override;
 
  private:

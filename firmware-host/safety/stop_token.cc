@@ -26,6 +26,8 @@ const char* ToString(StopReason reason) {
       return "door open";
     case StopReason::kLinesGone:
       return "GPIO lines gone";
+    case StopReason::kCameraGone:
+      return "the camera was unplugged";
     case StopReason::kLeaseExpired:
       return "no progress while a light was on";
     case StopReason::kOnTimeLimit:
@@ -46,6 +48,10 @@ void StopToken::Request(StopReason reason) noexcept {
     const uint64_t one = 1;
     // Cannot fail: the counter is far from full. Whoever only polls the reason sees it all the same.
     if (write(event_.get(), &one, sizeof one) != sizeof one) errno = before;
+  } else if (reason == StopReason::kOperator && none != StopReason::kOperator) {
+    operator_waits_.store(true);
+    // Reset meanwhile: it looked before this was said.
+    if (!stopped() && operator_waits_.exchange(false)) Request(StopReason::kOperator);
   }
   errno = before;
 }
@@ -77,6 +83,7 @@ void StopToken::Reset() noexcept {
   // Requested anew meanwhile: the event that was read may have been that one's.
   const uint64_t one = 1;
   if (stopped()) static_cast<void>(!write(event_.get(), &one, sizeof one));
+  if (operator_waits_.exchange(false)) Request(StopReason::kOperator);
 }
 
 }  // namespace stratalux::rig

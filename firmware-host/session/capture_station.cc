@@ -210,6 +210,9 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   const auto start = std::chrono::steady_clock::now();
   SLX_RETURN_IF_ERROR(MayBegin(options_, request));
   SLX_RETURN_IF_ERROR(stop_.Check());
+  if (events().IsActive(RigSignal::kCamera))
+    return Status::Failed("the camera is unplugged; plug it in, it is then opened again");
+  const RigEvents::Occupied occupied(events());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(request.plan));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig_.devices()));
   SimulatedRig* simulation = rig_.simulation.get();
@@ -230,6 +233,9 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   moved_ = true;
   outcome.report = Record(plan, std::move(writer), request, observer != nullptr ? *observer : silent);
   outcome.prescan = request.prescan;
+  if (occupied.dropped() > 0)
+    logger_.Warning("START was pressed during the capture (" + std::to_string(occupied.dropped()) +
+                    " times): it starts nothing");
   // The next opening ends what a writer could not even mark as failed.
   if (outcome.report.status == SessionStatus::kFailed) store_.reset();
   if (simulation != nullptr) {
@@ -268,6 +274,11 @@ CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter 
   found.findings.insert(found.findings.end(), request.prescan.begin(), request.prescan.end());
   Fail(report, archive.writer().Finish(report.status, report.Reasons(), std::move(found)));
   return report;
+}
+
+Status CaptureStation::ReopenCamera() {
+  SLX_RETURN_IF_ERROR(rig_.ReopenCamera(options_.config.camera, logger_));
+  return stop_.reason() == StopReason::kCameraGone ? light().Reset() : Status::Ok();
 }
 
 Status CaptureStation::SetSubject(const SubjectOptions& subject) {

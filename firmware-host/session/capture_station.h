@@ -76,6 +76,13 @@ class CaptureStation {
   // stopped); a session that went wrong is an outcome whose report says why. After a stop: light().Reset().
   Result<CaptureOutcome> Capture(const CaptureRequest& request, CaptureObserver* observer = nullptr);
 
+  // What visitor, operator and cables do: START, door, E-STOP, an unplugged camera. While a capture runs, START is no
+  // event: its presses are counted and said. A camera that goes ends the capture (StopReason::kCameraGone).
+  [[nodiscard]] RigEvents& events() const { return *rig_.events; }
+  // After the camera was unplugged and is back: the next capture has it, and where its going was what stopped the
+  // station, the station goes on. kNotFound: it is away still. Not while a capture runs.
+  Status ReopenCamera();
+
   // Simulation: who sits before the rig from now on. kUsage on a real one.
   Status SetSubject(const SubjectOptions& subject);
 

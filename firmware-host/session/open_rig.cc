@@ -27,6 +27,32 @@ Result<std::unique_ptr<FrameSource>> OpenCamera(const CameraWiring& wiring, Logg
   return Status::Usage("the configuration names no camera ([camera] backend); --simulate runs the simulated rig");
 }
 
+// In place of a camera that could not be opened again.
+class NoCamera final : public FrameSource {
+ public:
+  NoCamera(CameraPace pace, Status why) : pace_(pace), why_(std::move(why)) {}
+  [[nodiscard]] bool follows_trigger() const override { return pace_ == CameraPace::kTriggered; }
+  Status Start() override { return why_; }
+  Status Stop() override { return Status::Ok(); }
+  Status SetExposure(double /*exposure_ms*/, double /*gain*/) override { return why_; }
+  Result<std::optional<CapturedFrame>> Wait(std::chrono::nanoseconds /*timeout*/) override { return why_; }
+
+ private:
+  const CameraPace pace_;
+  const Status why_;
+};
+
+Result<std::unique_ptr<NodeWatch>> WatchCamera(const CameraWiring& wiring, RigEvents& events) {
+  WatchedDevice camera;
+  camera.signal = RigSignal::kCamera;
+  const bool v4l2 = wiring.backend == CameraBackend::kV4l2;
+  camera.prefix = v4l2 ? "video" : "media";
+  camera.is_there = [wiring, v4l2] {
+    return v4l2 ? V4l2FrameSource::IsThere(wiring) : LibcameraFrameSource::IsThere(wiring);
+  };
+  return NodeWatch::Start("/dev", std::move(camera), events);
+}
+
 std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const MemoryLayout& layout, int index,
                                       GpiodLineBank& lines, const StopToken& stop) {
   PatternMemoryOptions options;
@@ -91,16 +117,37 @@ std::function<void(std::chrono::nanoseconds)> OpenedRig::wait() const {
   return {};
 }
 
+Status OpenedRig::ReopenCamera(const CameraWiring& wiring, Logger& logger) {
+  if (simulation) {
+    SLX_RETURN_IF_ERROR(simulation->ReopenCamera());
+  } else {
+    camera.reset();  // it may hold what the next one needs
+    Result<std::unique_ptr<FrameSource>> opened = OpenCamera(wiring, logger);
+    if (!opened.ok()) {
+      camera = std::make_unique<NoCamera>(wiring.pace, opened.status());
+      return opened.status();
+    }
+    camera = std::move(opened).value();
+  }
+  events->Tell(RigSignal::kCamera, SignalLevel::kRest, MonotonicNow());
+  return Status::Ok();
+}
+
 Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
                           Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const MemoryLayout layout, LayOutMemories(config.plan, config.memory));
   OpenedRig rig;
+  rig.events = std::make_unique<RigEvents>(stop);
   if (simulated) {
     SimulatedRigOptions options = *simulated;
     options.stop = &stop;
     options.memories = layout.Patterns();
+    options.events = rig.events.get();
     SLX_ASSIGN_OR_RETURN(rig.simulation, SimulatedRig::Create(options, logger));
     SLX_ASSIGN_OR_RETURN(rig.light, GuardLight(*rig.simulation, stop));
+    if (!options.control_pipe.empty()) {
+      SLX_ASSIGN_OR_RETURN(rig.control, ControlPipe::Open(options.control_pipe, *rig.simulation, logger));
+    }
     return rig;
   }
   if (config.projectors.empty())
@@ -109,8 +156,9 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<Simulated
         "rig");
   GpiodLineBank* lines = nullptr;
   if (!config.gpio.empty()) {
-    SLX_ASSIGN_OR_RETURN(rig.gpio_lights, GpioLights::Open(config.gpio));
-    SLX_ASSIGN_OR_RETURN(std::unique_ptr<GpiodLineBank> bank, GpiodLineBank::Open(config.gpio, logger));
+    SLX_ASSIGN_OR_RETURN(rig.gpio_lights, GpioLights::Open(config.gpio, rig.events.get()));
+    SLX_ASSIGN_OR_RETURN(std::unique_ptr<GpiodLineBank> bank,
+                         GpiodLineBank::Open(config.gpio, logger, rig.events.get()));
     lines = bank.get();
     rig.wired_lines = std::move(bank);
   }
@@ -128,6 +176,9 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<Simulated
   if (const Status kept = KeepLights(StateFolder(), LightsOf(config)); !kept.ok())
     logger.Warning("`stratalux-rig safe` will need the configuration: " + kept.message());
   SLX_ASSIGN_OR_RETURN(rig.camera, OpenCamera(config.camera, logger));
+  Result<std::unique_ptr<NodeWatch>> watch = WatchCamera(config.camera, *rig.events);
+  if (!watch.ok()) logger.Warning("nobody sees the camera being unplugged: " + watch.status().message());
+  if (watch.ok()) rig.camera_watch = std::move(watch).value();
   return rig;
 }
 

@@ -106,6 +106,7 @@ void SimulatedDevices::Deliver(PendingFrame frame) {
 
 Result<TriggerReceipt> SimulatedDevices::TriggerCamera() {
   const Turn turn(*this);
+  if (lines_gone_.load()) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
   const TriggerReceipt receipt{triggers_++, clock_};
   if (options_.free_running) return receipt;
   if (TakesTrigger())
@@ -217,6 +218,7 @@ Result<std::optional<CapturedFrame>> SimulatedDevices::Wait(std::chrono::nanosec
   bool comes_first = false;
   {
     const Turn turn(*this);
+    SLX_RETURN_IF_ERROR(CheckCamera());
     PassTime(timeout);
     if (pending_.empty() || clock_ < pending_.front().ready) return std::optional<CapturedFrame>();
     pending = std::move(pending_.front());

@@ -99,6 +99,7 @@ void SimulatedDevices::TakeSwitches() {
 
 Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
   const Turn turn(*this);
+  if (lines_gone_.load()) return Status::Failed("simulated lines: the chip is gone (ENODEV)");
   const TriggerReceipt receipt{triggers_++, clock_};
   const int64_t pulse = pulses_++;
   int edges = 1, advance = 1;
@@ -111,8 +112,8 @@ Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
     if (fault.kind == FaultKind::kEdgeDoubled) edges = counted = 2;
     if (fault.kind == FaultKind::kProjectorLag) advance = 0;
     if (fault.kind == FaultKind::kProjectorSkip) advance = 2;
-    if (fault.kind == FaultKind::kEmergencyStop) opened_.store(StopReason::kEmergencyStop);
-    if (fault.kind == FaultKind::kDoorOpen) opened_.store(StopReason::kDoorOpen);
+    if (fault.kind == FaultKind::kEmergencyStop) Open(StopReason::kEmergencyStop);
+    if (fault.kind == FaultKind::kDoorOpen) Open(StopReason::kDoorOpen);
   }
   for (size_t p = 0; p < states_.size(); ++p) {
     if (projector >= 0 && p != static_cast<size_t>(projector)) continue;

@@ -15,6 +15,7 @@
 #include "firmware-host/simulated/sensor.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "firmware-host/simulated/world.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
 
@@ -57,7 +58,8 @@ class SimulatedDevices final : public SimulatedRig,
         world_(options, std::move(scene), std::move(table), kClockStart, logger),
         sensor_(world_.calibration().camera.model,
                 {options.devices.camera, options.noise ? Noise::kOn : Noise::kOff, options.seed}),
-        states_(world_.calibration().projectors.size()) {
+        states_(world_.calibration().projectors.size()),
+        changed_(NewEvent()) {
     for (size_t p = 0; p < states_.size(); ++p) projectors_.emplace_back(*this, p);
     for (size_t p = 0; p < std::min(states_.size(), options_.memories.size()); ++p)
       states_[p].memory = options_.memories[p];
@@ -85,6 +87,8 @@ class SimulatedDevices final : public SimulatedRig,
     return world_.Truth(plan);
   }
   Status SetSubject(const SubjectOptions& subject) override;
+  void Happen(RigSignal signal, SignalLevel level) override;
+  Status ReopenCamera() override;
   void Sleep(std::chrono::nanoseconds time) override {
     const Turn turn(*this);
     clock_ = clock_ + time;
@@ -112,15 +116,13 @@ class SimulatedDevices final : public SimulatedRig,
   Result<TriggerReceipt> TriggerProjector(int projector) override;
   Result<TriggerReceipt> TriggerCamera() override;
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds timeout) override;
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
-    return std::optional<MonotonicNs>();
-  }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
   // FrameSource.
   [[nodiscard]] bool follows_trigger() const override { return !options_.free_running; }
   Status Start() override {
     const Turn turn(*this);
+    SLX_RETURN_IF_ERROR(CheckCamera());
     started_ = true;
     shown_.clear();  // of the capture before
     next_frame_ = clock_;
@@ -195,8 +197,8 @@ class SimulatedDevices final : public SimulatedRig,
   };
 
   // InterlockInput and LeaseClock.
-  [[nodiscard]] int fd() const noexcept override { return -1; }
-  StopReason Take() noexcept override { return opened_.exchange(StopReason::kNone); }
+  [[nodiscard]] int fd() const noexcept override { return changed_.get(); }
+  StopReason Take() noexcept override;
   [[nodiscard]] MonotonicNs Now() const noexcept override { return {published_ns_.load()}; }
 
   // One use of the devices: what was switched meanwhile counts from now on, and afterwards others see the clock.
@@ -211,6 +213,14 @@ class SimulatedDevices final : public SimulatedRig,
     SimulatedDevices& devices_;
     const std::lock_guard<std::mutex> lock_;
   };
+
+  void Tell(RigSignal signal, SignalLevel level) noexcept {
+    if (options_.events != nullptr) options_.events->Tell(signal, level, MonotonicNow());
+  }
+  static UniqueFd NewEvent();
+  // For a moment, by a fault.
+  void Open(StopReason reason) noexcept;
+  [[nodiscard]] Status CheckCamera() const;
 
   // All with mutex_ held.
   void TakeSwitches();
@@ -253,6 +263,10 @@ class SimulatedDevices final : public SimulatedRig,
   std::deque<EnableSwitch> switches_;
   std::atomic<int64_t> published_ns_ = kClockStart.ns;
   std::atomic<StopReason> opened_ = StopReason::kNone;  // by a fault, until somebody looks
+  // As they are now.
+  std::atomic<bool> door_open_ = false, emergency_stop_ = false, lines_gone_ = false, camera_gone_ = false;
+  std::atomic<bool> camera_broken_ = false;  // its handle, since it was unplugged
+  UniqueFd changed_;                         // readable when the interlock may have changed
   std::deque<SyncEdge> edges_;
   std::deque<PendingFrame> pending_;
   std::optional<PendingFrame> last_;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "firmware-host/camera/frame_source.h"
+#include "firmware-host/events/rig_events.h"
 #include "firmware-host/gpio/line_bank.h"
 #include "firmware-host/projector/projector.h"
 #include "firmware-host/safety/light_guard.h"
@@ -46,6 +47,10 @@ struct SimulatedRigOptions {
   // Ends what takes long (Wait and Truth then say why); outlives the rig. Null: nothing does.
   const StopToken* stop = nullptr;
   std::filesystem::path cache_folder;  // of computed light (LightCache); empty: nothing is kept
+  // Told what happens to the rig; outlives it. Null: nobody is.
+  RigEvents* events = nullptr;
+  // A FIFO that takes what happens from outside (ControlPipe), for whoever opens the rig; empty: none.
+  std::filesystem::path control_pipe;
 
   [[nodiscard]] Status Validate() const;
 };
@@ -94,6 +99,13 @@ class SimulatedRig {
   [[nodiscard]] virtual const RigCalibration& calibration() const = 0;
   // Lets the rig's own clock run: settling costs no real time.
   virtual void Sleep(std::chrono::nanoseconds time) = 0;
+  // What a visitor, an operator or a cable does to it: START is pressed (kActive), the door opens, E-STOP is held, the
+  // camera's or the lines' plug is drawn, and back (kRest). It acts on the devices and is told as an event.
+  // Thread-safe.
+  virtual void Happen(RigSignal signal, SignalLevel level) = 0;
+  // The camera that went fails for ever, as a real one's handle does; plugged in, it is found again. kNotFound while it
+  // is away.
+  virtual Status ReopenCamera() = 0;
   // Another subject takes its place: devices, clock, calibration and all handles stay, faults that moved the subject
   // are over, and frames that nobody fetched are gone. kUsage as Create.
   virtual Status SetSubject(const SubjectOptions& subject) = 0;

@@ -73,10 +73,6 @@ class Rig final : public LineBank, public FrameSource, public Projector, public 
   Result<std::optional<SyncEdge>> WaitSync(std::chrono::nanoseconds) override {
     return std::exchange(edge_, std::nullopt);
   }
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds timeout) override {
-    std::this_thread::sleep_for(timeout);
-    return std::optional<MonotonicNs>();
-  }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
   Status Start() override { return Status::Ok(); }
@@ -301,7 +297,7 @@ int Main(const std::filesystem::path& folder) {
   const double cpu = CpuSeconds();
   const auto start = Clock::now();
   while (Seconds(Clock::now() - start) < 3.0) {
-    (void)rig.WaitStart(std::chrono::milliseconds(20)).ok();
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
     if (!rig.light().Check().ok()) return 1;
   }
   std::printf("idle: %.2f %% of a core\n", 100.0 * (CpuSeconds() - cpu) / Seconds(Clock::now() - start));

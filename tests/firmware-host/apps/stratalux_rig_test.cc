@@ -1,18 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command line: exit codes and messages for wrong use. Nothing here may leave a store behind.
+#include <chrono>
+#include <csignal>
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <string>
+#include <thread>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "db/catalogue/session_store.h"
 #include "firmware-host/session/last_lights.h"
 #include "shared/capture/finding.h"
 #include "shared/capture/plan.h"
 #include "tests/support/run_program.h"
+#include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux {
 namespace {
@@ -65,6 +74,10 @@ INSTANTIATE_TEST_SUITE_P(
         std::pair("capture --seed 7", "--seed 7: only the simulated rig"),
         std::pair("capture --size 696x520", "--size 696x520: only"),
         std::pair("capture --no-noise", "--no-noise: only"),
+        std::pair("capture --simulate --on-start", "--simulate-events PATH takes `start`"),
+        std::pair("capture --simulate --on-start --simulate-events x --kind calibration", "of other kinds"),
+        std::pair("capture --on-start --kind dark", "no START is wired; name its line as [gpio] start"),
+        std::pair("capture --simulate-events x", "--simulate-events x: only"),
         std::pair("selftest --fault frame_lost@17", "--fault frame_lost@17: only"),
         std::pair("capture --simulate --config /dev/zero", "/dev/zero: it is a device, not a file"),
         std::pair("capture --simulate --frobnicate", "frobnicate")));
@@ -208,6 +221,92 @@ TEST(StrataluxRig, PlanShowReckonsWithTheSimulatedRigWhereThatIsAskedFor) {
   const Outcome no_scene = Rig("plan show --simulate=/no/such/scene.toml");
   EXPECT_EQ(no_scene.code, 2) << no_scene.out;
   EXPECT_THAT(no_scene.out, HasSubstr("/no/such/scene.toml"));
+}
+
+// A program that waits in the dark, with a pipe to tell it what happens; gone with this object.
+class WaitingCapture : public ScratchFolderTest {
+ protected:
+  void Begin() {
+    WriteText(folder_ / "small.toml",
+              "[plan]\nprojector_width = 128\nprojector_height = 96\ncomb_period = 32\n"
+              "spot_pitch = 32\nspot_radius = 2\n");
+    const std::string log = (folder_ / "log").string(), pipe = (folder_ / "rig").string(),
+                      config = (folder_ / "small.toml").string(), store = (folder_ / "store").string(),
+                      program = std::string(STRATALUX_BIN_DIR) + "/stratalux-rig";
+    std::filesystem::remove(log);  // of the one before
+    child_ = fork();
+    ASSERT_GE(child_, 0);
+    if (child_ == 0) {
+      static_cast<void>(!std::freopen(log.c_str(), "w", stderr));
+      static_cast<void>(!std::freopen("/dev/null", "w", stdout));
+      execl(program.c_str(), program.c_str(), "capture", "--simulate=plane", "--no-scattering", "--size", "88x66",
+            "--config", config.c_str(), "--store", store.c_str(), "--on-start", "--simulate-events", pipe.c_str(),
+            nullptr);
+      _exit(127);
+    }
+    AwaitLog("waiting for START");
+  }
+  ~WaitingCapture() override {
+    if (child_ > 0) kill(child_, SIGKILL);
+    if (child_ > 0) waitpid(child_, nullptr, 0);
+  }
+  void AwaitLog(const std::string& text) const {
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+    while (ReadText(folder_ / "log").find(text) == std::string::npos && std::chrono::steady_clock::now() < deadline)
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    ASSERT_THAT(ReadText(folder_ / "log"), HasSubstr(text));
+  }
+  void Tell(const std::string& line) const { WriteText(folder_ / "rig", line + "\n"); }
+  int End() {
+    int status = 0;
+    waitpid(std::exchange(child_, -1), &status, 0);
+    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  }
+  pid_t child_ = -1;
+};
+
+TEST_F(WaitingCapture, BeginsWithStartAndNotWhileTheDoorIsOpen) {
+  Begin();
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "store")) << "before anybody pressed START";
+  Tell("door open");
+  AwaitLog("door open: START is refused");
+  Tell("start");
+  AwaitLog("START refused: door open");
+  Tell("door closed");
+  AwaitLog("START counts again");
+  Tell("start");
+  EXPECT_EQ(End(), 0) << ReadText(folder_ / "log");
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "rig"));
+  const auto store = db::SessionStore::Open(folder_ / "store", db::AccessMode::kReadOnly);
+  ASSERT_TRUE(store.ok());
+  EXPECT_EQ(store->ListSessions()->size(), 1U);
+}
+
+TEST_F(WaitingCapture, ASignalEndsItAlsoBehindAnOpenDoorAndTheStoreIsAsItWas) {
+  for (const bool open : {false, true}) {
+    Begin();
+    if (open) {
+      Tell("door open");
+      AwaitLog("door open: START is refused");
+    }
+    kill(child_, SIGTERM);
+    EXPECT_EQ(End(), 1);
+    EXPECT_THAT(ReadText(folder_ / "log"), HasSubstr("interrupted"));
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "store"));
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "rig"));
+  }
+}
+
+// What it left lies in nobody's way.
+TEST_F(WaitingCapture, AKilledOnesPipeIsTakenByTheNext) {
+  Begin();
+  kill(child_, SIGKILL);
+  EXPECT_EQ(End(), 128 + SIGKILL);
+  ASSERT_TRUE(std::filesystem::exists(folder_ / "rig"));
+  Begin();
+  Tell("start");
+  EXPECT_EQ(End(), 0);
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "rig")) << "it did not make it";
 }
 
 TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {

@@ -3,7 +3,8 @@
 // (tests/rig-vm/jobs/libcamera.sh), whose pictures are BGR888 and whose exposure cannot be set.
 //   STRATALUX_TEST_LIBCAMERA         id of the camera (`cam -l`); unset: these tests are skipped
 //   STRATALUX_TEST_LIBCAMERA_UNBIND  its driver's `unbind` file and the device's name, separated by a blank: the test
-//                                    that unplugs it, which must be the last to run
+//                                    that unplugs it and plugs it in again by the `bind` file beside it
+// What a cable may do otherwise: libcamera_unplug_test.cc.
 #include "firmware-host/camera/libcamera_frame_source.h"
 
 #include <algorithm>
@@ -11,6 +12,7 @@
 #include <fstream>
 #include <sstream>
 #include <string>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -150,7 +152,7 @@ TEST_F(LibcameraCamera, IsOpenedOnceAProcessAndAgainWhenClosed) {
   Next(*again);
 }
 
-TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHang) {
+TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHangAndIsOpenedAgainWhenItIsBack) {
   const char* unbind = std::getenv("STRATALUX_TEST_LIBCAMERA_UNBIND");
   if (unbind == nullptr) GTEST_SKIP() << "STRATALUX_TEST_LIBCAMERA_UNBIND names no device";
   auto camera = Open();
@@ -168,7 +170,19 @@ TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHang) {
   EXPECT_EQ(camera->Wait({}).status().message(), status.message());
   EXPECT_FALSE(camera->Stop().ok());
   camera.reset();
-  EXPECT_EQ(RefusalOf().code(), StatusCode::kBusy);
+  const auto await = [this](bool there) {
+    for (int k = 0; k < 200 && LibcameraFrameSource::IsThere(wiring_) != there; ++k)
+      std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    EXPECT_EQ(LibcameraFrameSource::IsThere(wiring_), there);
+  };
+  await(false);
+  EXPECT_EQ(RefusalOf().code(), StatusCode::kNotFound);
+  std::ofstream(file.replace(file.rfind("unbind"), 6, "bind")) << device << std::flush;
+  await(true);
+  camera = Open();
+  ASSERT_NE(camera, nullptr);
+  ASSERT_TRUE(camera->Start().ok());
+  Next(*camera);
 }
 
 }  // namespace

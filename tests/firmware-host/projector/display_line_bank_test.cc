@@ -61,12 +61,11 @@ class FakeLines : public LineBank {
     edges.pop_front();
     return std::optional<SyncEdge>(edge);
   }
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override { return std::optional(start); }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return strobe; }
 
   std::vector<int> pulses;
   std::deque<SyncEdge> edges;
-  MonotonicNs start{7}, strobe{8};
+  MonotonicNs strobe{8};
 };
 
 TEST(DisplayLineBank, TellsEachFlipOnceAndNumbersItPerProjector) {
@@ -135,7 +134,6 @@ TEST(DisplayLineBank, PassesEverythingElseToTheLines) {
   FakeLines lines;
   DisplayLineBank bank(&lines, {{.display = &display}});
   EXPECT_TRUE(bank.TriggerCamera().ok());
-  EXPECT_EQ((*bank.WaitStart({}))->ns, 7);
   EXPECT_EQ(bank.LastStrobe()->ns, 8);
 }
 

@@ -45,9 +45,6 @@ class Module final : public LineBank, public PatternMemoryLines {
   int64_t SyncCount(int) override { return sync_count_; }
 
   Result<TriggerReceipt> TriggerCamera() override { return TriggerReceipt{}; }
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
-    return std::optional<MonotonicNs>();
-  }
   std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
   // What the next TRIGGER shows, and those after it.

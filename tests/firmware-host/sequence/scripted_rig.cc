@@ -85,9 +85,6 @@ class ScriptedLines : public LineBank {
     rig_.now_ = std::max(rig_.now(), edge.time);
     return std::optional<SyncEdge>(edge);
   }
-  Result<std::optional<MonotonicNs>> WaitStart(std::chrono::nanoseconds) override {
-    return std::optional<MonotonicNs>();
-  }
   [[nodiscard]] std::optional<MonotonicNs> LastStrobe() override { return std::nullopt; }
 
  private:

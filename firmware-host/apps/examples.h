@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `stratalux-rig COMMAND --help` shows below the flags.
+#pragma once
+
+namespace stratalux::rig {
+
+inline constexpr const char* kExamples = R"(Examples:
+  stratalux-rig capture --simulate --store store
+  stratalux-rig selftest --simulate --store store
+  stratalux-rig plan show
+  stratalux-rig safe
+
+Each command's --help has examples of its own.)";
+inline constexpr const char* kCaptureExamples = R"(Examples:
+  stratalux-rig capture --simulate --store store
+  stratalux-rig capture --simulate=head --store store --seed 7 --size 696x520 --json
+  stratalux-rig capture --simulate=docs/examples/scenes/bearded.toml --store store
+  stratalux-rig capture --simulate --store store --no-scattering
+  stratalux-rig capture --simulate --store store --encrypt --visitor v-5f3a91c2 --consent-scope fit,research \
+      --consent-text 2026-03 --consent-language de
+  stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
+  stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
+  stratalux-rig capture --simulate --store store --on-start --simulate-events /tmp/rig &
+      sleep 1; echo start > /tmp/rig
+  stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
+  stratalux-rig capture --kind calibration --store store
+  stratalux-rig capture --kind calibration --pose 3 --store store
+  stratalux-rig capture --kind flat --simulate --config rig.toml
+  stratalux-rig capture --kind dark --store store
+  stratalux-rig capture --config rig.toml --store store --calibration latest
+
+Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
+inline constexpr const char* kSelftestExamples = R"(Examples:
+  stratalux-rig selftest --config rig.toml --store store
+  stratalux-rig selftest --simulate --store store --json
+
+Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5 a device is in use.)";
+inline constexpr const char* kPlanExamples = R"(Examples:
+  stratalux-rig plan show
+  stratalux-rig plan show --json --kind calibration
+  stratalux-rig plan show --simulate=docs/examples/scenes/overlapped.toml
+  stratalux-rig plan render --out patterns)";
+inline constexpr const char* kSafeExamples = R"(Examples:
+  stratalux-rig safe
+  stratalux-rig safe --config rig.toml
+
+Goes by the lights of the rig that was opened last ($STATE_DIRECTORY or /var/lib/stratalux, lights.json) and by the
+configuration, where that can be read. Run it as the account that captures.
+Exit codes: 0 all lights are off, 1 a light could not be switched off, 2 neither tells of any light, 4 no such line or
+display, 5 a running program holds a line or a display.)";
+
+}  // namespace stratalux::rig
