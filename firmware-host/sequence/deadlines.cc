@@ -47,6 +47,17 @@ LearntDeadlines DeadlinesFrom(const RigDelays& delays, nanoseconds longest) {
   return learnt;
 }
 
+std::string DeadlinesAsText(const LearntDeadlines& deadlines) {
+  std::string text = "SYNC ";
+  char ms[32];
+  for (const AnswerLimit& sync : deadlines.sync) {
+    std::snprintf(ms, sizeof ms, "%s%.1f", &sync == deadlines.sync.data() ? "" : ", ", Ms(sync.deadline));
+    text += ms;
+  }
+  std::snprintf(ms, sizeof ms, "%.1f", Ms(deadlines.frame.deadline));
+  return text + " ms after TRIGGER, frames " + ms + " ms after their exposure";
+}
+
 std::string SlowAnswersAsText(const SlowAnswers& slow) {
   const bool frames = slow.projector < 0;
   const std::string what = frames ? "frames" : "SYNC of projector " + std::to_string(slow.projector);

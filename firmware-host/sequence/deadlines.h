@@ -62,6 +62,25 @@ struct LearntDeadlines {
 // own time, while an edge that comes after its step was given up would be taken for the next one's.
 [[nodiscard]] LearntDeadlines DeadlinesFrom(const RigDelays& delays, std::chrono::nanoseconds longest);
 
+// "SYNC 97.4, 97.4 ms after TRIGGER, frames 33.1 ms after their exposure".
+[[nodiscard]] std::string DeadlinesAsText(const LearntDeadlines& deadlines);
+
+// What a capture goes by, and why.
+enum class DeadlineSource : uint8_t {
+  kDefault,     // nothing was learnt of this rig
+  kLearnt,      // by a selftest
+  kConfigured,  // [capture] deadline_ms
+  kFlag,        // --deadline
+};
+struct RigDeadlines {
+  DeadlineSource source = DeadlineSource::kDefault;
+  std::chrono::nanoseconds longest{};     // of any answer
+  std::optional<LearntDeadlines> learnt;  // kLearnt alone
+  std::optional<RigDelays> delays;        // as selftest saw them, where that was kept, whatever deadlines are used
+  std::string learnt_at;                  // ISO 8601; empty without `delays`
+  std::string refused;                    // why what was kept is not taken; empty where nothing was, and where it is
+};
+
 // Answers of a rig that came later than was learnt.
 struct SlowAnswers {
   int projector = -1;                  // whose SYNC; -1: the camera's frames

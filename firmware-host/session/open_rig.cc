@@ -35,7 +35,7 @@ std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const CapturePlan
   options.height = config.plan.projector_height;
   options.memory = MemoryOf(plan, index);
   options.rewind = config.gpio.projectors[index].reset ? MemoryRewind::kResetLine : MemoryRewind::kStepAround;
-  options.sync_deadline = FromMilliseconds(config.deadline_ms);
+  options.sync_deadline = config.LongestDeadline();
   return MakePatternMemoryProjector(lines, lines, std::move(options), stop);
 }
 

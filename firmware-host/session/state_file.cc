@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/session/state_file.h"
+
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "db/base/durable_file.h"
+#include "shared/base/unique_fd.h"
+
+namespace stratalux::rig {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+constexpr size_t kMostBytes = 64 * 1024;
+
+// The bytes of a file that nobody else could have written.
+Result<std::string> ReadOwn(const fs::path& file) {
+  const UniqueFd fd(open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  if (!fd.ok()) {
+    const std::string why = file.string() + ": " + std::strerror(errno);
+    return errno == ENOENT ? Status::NotFound(why) : Status::Failed(why);
+  }
+  struct stat info {};
+  if (fstat(fd.get(), &info) != 0) return Status::Failed(file.string() + ": " + std::strerror(errno));
+  if (!S_ISREG(info.st_mode)) return Status::Failed(file.string() + " is no plain file; remove it");
+  if (info.st_uid != geteuid() && info.st_uid != 0)
+    return Status::Failed(file.string() + " belongs to account " + std::to_string(info.st_uid) + ", this is " +
+                          std::to_string(geteuid()) + "; run `stratalux-rig` as the service's account");
+  if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0)
+    return Status::Failed(file.string() +
+                          " may be written by others than its owner; chmod 600 it once what it says is known to be "
+                          "right, or remove it");
+  std::string text(kMostBytes, '\0');
+  const ssize_t bytes = read(fd.get(), text.data(), text.size());
+  if (bytes < 0) return Status::Failed(file.string() + ": " + std::strerror(errno));
+  text.resize(static_cast<size_t>(bytes));
+  return text;
+}
+
+}  // namespace
+
+fs::path StateFolder() {
+  const char* folder = std::getenv("STATE_DIRECTORY");
+  const std::string all = folder != nullptr && *folder != '\0' ? folder : "/var/lib/stratalux";
+  return all.substr(0, all.find(':'));
+}
+
+Status KeepState(const fs::path& file, int schema, const Json& content) {
+  Json json = {{"schema", schema}};
+  json.update(content);
+  const mode_t before = umask(0077);
+  const Status kept = db::ReplaceFile(file, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+  umask(before);
+  return kept;
+}
+
+Status ReadState(const fs::path& file, int schema, const std::function<void(const Json&)>& take) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file));
+  try {
+    const Json json = Json::parse(text);
+    if (json.at("schema").get<int>() != schema)
+      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
+                                                  ", this program knows " + std::to_string(schema));
+    take(json);
+    return Status::Ok();
+  } catch (const Json::exception& error) {
+    return Status::Failed(file.string() + " is not what `stratalux-rig` writes: " + error.what());
+  }
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the controller remembers from one run to the next: small JSON files in the service's state folder, written whole
+// and taken from nobody else.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+
+#include <nlohmann/json_fwd.hpp>
+
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+// $STATE_DIRECTORY (systemd's), else /var/lib/stratalux.
+[[nodiscard]] std::filesystem::path StateFolder();
+
+// Replaces `file`, whole or not at all, by `content` with its `schema` before it; readable and writable for its owner
+// alone. Used by one thread: the process's umask is another one meanwhile.
+[[nodiscard]] Status KeepState(const std::filesystem::path& file, int schema, const nlohmann::ordered_json& content);
+
+// Hands `take` what KeepState was given. kNotFound: there is no such file. kNewerSchema: of another schema. kFailed:
+// another account than this one or root owns it, others may write to it, it is no plain file, it is no such JSON, or
+// `take` refused by an exception of the JSON library (`at`, `get`). Each message names the file.
+[[nodiscard]] Status ReadState(const std::filesystem::path& file, int schema,
+                               const std::function<void(const nlohmann::ordered_json&)>& take);
+
+}  // namespace stratalux::rig
