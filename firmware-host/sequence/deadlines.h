@@ -55,11 +55,11 @@ struct LearntDeadlines {
 // usual    = worst + 6 spread + 1 ms
 // deadline = usual + margin, no more than `longest`
 //
-// Six spreads: where delays have an exponential tail, the heavier of the usual ones, its scale is no more than the
-// spread, and n e^6 answers pass until one comes beyond the worst of n and six spreads: 24,000 for 60. A millisecond:
-// what a thread is late by on a computer that is not busy. The margin: a frame may have to wait for another one on the
-// link, or for a busy computer, one frame period, 10 ms at least. A SYNC edge gets four: a late frame is told by its
-// own time, while an edge that comes after its step was given up would be taken for the next one's.
+// Six spreads: of delays with an exponential tail, the heavier of the usual ones, one in 9,000 comes later than the
+// worst of 60 and six spreads, and none in 1,000,000 later than the deadline (deadlines_test). A millisecond: what a
+// thread is late by on a computer that is not busy. The margin: a frame may have to wait for another one on the link,
+// or for a busy computer: one frame period, 10 ms at least. A SYNC edge gets four: a late frame is told by its own
+// time, while an edge that comes after its step was given up may be taken for the next one's.
 [[nodiscard]] LearntDeadlines DeadlinesFrom(const RigDelays& delays, std::chrono::nanoseconds longest);
 
 // "SYNC 97.4, 97.4 ms after TRIGGER, frames 33.1 ms after their exposure".

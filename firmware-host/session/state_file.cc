@@ -2,12 +2,16 @@
 #include "firmware-host/session/state_file.h"
 
 #include <cerrno>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <string>
+#include <system_error>
+#include <thread>
 
 #include <fcntl.h>
 #include <nlohmann/json.hpp>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -21,6 +25,8 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 constexpr size_t kMostBytes = 64 * 1024;
+constexpr int kTries = 100;
+constexpr auto kPause = std::chrono::milliseconds(10);
 
 // The bytes of a file that nobody else could have written.
 Result<std::string> ReadOwn(const fs::path& file) {
@@ -46,6 +52,20 @@ Result<std::string> ReadOwn(const fs::path& file) {
   return text;
 }
 
+// Two programs write one after the other. Who holds on to it (anybody who may read the folder can) stops nobody for
+// long.
+Result<UniqueFd> LockFolder(const fs::path& folder) {
+  UniqueFd fd(open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!fd.ok()) return Status::Failed("cannot write in " + folder.string() + ": " + std::strerror(errno));
+  for (int tries = 0; flock(fd.get(), LOCK_EX | LOCK_NB) != 0; ++tries) {
+    if (errno != EWOULDBLOCK && errno != EINTR)
+      return Status::Failed("cannot lock " + folder.string() + ": " + std::strerror(errno));
+    if (tries == kTries) return Status(StatusCode::kBusy, folder.string() + " is locked by another program");
+    std::this_thread::sleep_for(kPause);
+  }
+  return fd;
+}
+
 }  // namespace
 
 fs::path StateFolder() {
@@ -57,6 +77,10 @@ fs::path StateFolder() {
 Status KeepState(const fs::path& file, int schema, const Json& content) {
   Json json = {{"schema", schema}};
   json.update(content);
+  SLX_ASSIGN_OR_RETURN(const UniqueFd lock, LockFolder(file.parent_path()));
+  // What a killed run left beside it may be another account's.
+  std::error_code ignored;
+  fs::remove(file.string() + ".new", ignored);
   const mode_t before = umask(0077);
   const Status kept = db::ReplaceFile(file, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
   umask(before);

@@ -16,7 +16,8 @@ namespace stratalux::rig {
 [[nodiscard]] std::filesystem::path StateFolder();
 
 // Replaces `file`, whole or not at all, by `content` with its `schema` before it; readable and writable for its owner
-// alone. Used by one thread: the process's umask is another one meanwhile.
+// alone. Two programs at once: one after the other; kBusy where another one holds the folder's lock for a second. Used
+// by one thread of a process: its umask is another one meanwhile.
 [[nodiscard]] Status KeepState(const std::filesystem::path& file, int schema, const nlohmann::ordered_json& content);
 
 // Hands `take` what KeepState was given. kNotFound: there is no such file. kNewerSchema: of another schema. kFailed:
