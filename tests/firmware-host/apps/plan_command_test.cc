@@ -24,7 +24,7 @@ CapturePlan SmallPlan() {
 
 TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
   const CapturePlan plan = SmallPlan();
-  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}));
+  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}, {}));
   ASSERT_EQ(json["steps"].size(), plan.steps.size());
   for (size_t i = 0; i < plan.steps.size(); ++i)
     EXPECT_EQ(*Pattern::Parse(json["steps"][i]["pattern"].get<std::string>()), plan.steps[i].pattern);
@@ -34,8 +34,69 @@ TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
 }
 
 TEST(PlanAsText, HasOneLineAStep) {
-  const std::string text = PlanAsText(SmallPlan(), {});
-  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), static_cast<long>(SmallPlan().steps.size()) + 2);
+  const std::string text = PlanAsText(SmallPlan(), {}, {});
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), static_cast<long>(SmallPlan().steps.size()) + 3);
+}
+
+RigDeadlines Learnt() {
+  RigDelays delays;
+  delays.sync = {{64, 0.4, 0.5, 0.0}, {64, 0.6, 0.7, 0.0}};
+  delays.frame = {60, 8.0, 9.0, 0.0};
+  delays.transfer_ms = 7.9;
+  delays.frame_period_ms = 24.0;
+  RigDeadlines deadlines;
+  deadlines.longest = std::chrono::milliseconds(500);
+  deadlines.source = DeadlineSource::kLearnt;
+  deadlines.learnt = DeadlinesFrom(delays, deadlines.longest);
+  deadlines.delays = delays;
+  deadlines.learnt_at = "2026-11-21T04:06:11Z";
+  return deadlines;
+}
+
+TEST(PlanAsText, SaysWhereTheDeadlinesComeFrom) {
+  const auto last_line = [](const RigDeadlines& deadlines) {
+    const std::string text = PlanAsText(SmallPlan(), {}, deadlines);
+    return text.substr(text.rfind('\n', text.size() - 2) + 1);
+  };
+  RigDeadlines deadlines = Learnt();
+  EXPECT_EQ(last_line(deadlines),
+            "deadlines: SYNC 97.5, 97.7 ms after TRIGGER, frames 34.0 ms after their exposure, learnt by selftest "
+            "2026-11-21T04:06:11Z\n");
+  const auto json = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, deadlines))["deadlines"];
+  EXPECT_EQ(json["source"], "learnt");
+  EXPECT_EQ(json["learnt_at"], deadlines.learnt_at);
+  ASSERT_EQ(json["sync_ms"].size(), 2U);
+  EXPECT_NEAR(json["sync_ms"][1].get<double>(), 97.7, 1e-6);
+  EXPECT_NEAR(json["frame_ms"].get<double>(), 34.0, 1e-6);
+  EXPECT_EQ(json["longest_ms"], 500.0);
+  deadlines.learnt.reset();
+  deadlines.source = DeadlineSource::kConfigured;
+  EXPECT_EQ(last_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, as [capture] deadline_ms says\n");
+  deadlines.source = DeadlineSource::kFlag;
+  EXPECT_EQ(last_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, as --deadline says\n");
+  deadlines.source = DeadlineSource::kDefault;
+  deadlines.refused = "file of another rig";
+  EXPECT_EQ(last_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, the default: file of another rig\n");
+  const auto refused = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, deadlines))["deadlines"];
+  EXPECT_EQ(refused["refused"], deadlines.refused);
+  EXPECT_FALSE(refused.contains("sync_ms"));
+}
+
+TEST(TimingOf, TakesWhatWasLearntWhereTheConfigurationIsSilent) {
+  const RigDeadlines learnt = Learnt();
+  RigConfig config;
+  EXPECT_EQ(TimingOf(config).sync_delay, FromMilliseconds(kSyncDelayMs));
+  EXPECT_EQ(TimingOf(config).transfer, FromMilliseconds(kTransferMs));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).sync_delay, FromMilliseconds(0.5)) << "of two projectors";
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(8.0));
+  config.sync_delay_ms = 3.0;
+  config.camera.transfer_ms = 4.0;
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).sync_delay, FromMilliseconds(3.0));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(4.0));
+  config = {};
+  config.plan.sync_mode = SyncMode::kFreeRunning;
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(7.9));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).frame_period, FromMilliseconds(24.0));
 }
 
 TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
