@@ -110,8 +110,7 @@ void KeepDeadlines(const SelftestOptions& options, SelftestReport& report) {
   if (report.rig.delays) {
     const Result<std::string> kept = options.keep_delays(*report.rig.delays);
     item.found = DeadlinesAsText(DeadlinesFrom(*report.rig.delays, options.rig.deadline)) + "; ";
-    item.found +=
-        kept.ok() ? "kept in " + *kept : "not kept, captures go by the configured ones: " + kept.status().message();
+    item.found += kept.ok() ? "kept in " + *kept : "not kept: " + kept.status().message();
     if (kept.ok()) item.state = CheckState::kPassed;
   }
   report.rig.items.push_back(std::move(item));

@@ -3,8 +3,6 @@
 
 #include <sstream>
 
-#include <CLI/CLI.hpp>
-
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/session/learnt_deadlines.h"
 #include "firmware-host/simulated/simulation_file.h"
@@ -20,12 +18,6 @@ Status CheckRange(const char* flag, double ms, double low, double high) {
 }
 
 }  // namespace
-
-void AddTimingFlags(CLI::App& command, TimingFlags& flags) {
-  command.add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
-  command.add_option("--deadline", flags.deadline_ms,
-                     "for a SYNC edge and for a frame after its exposure, ms (default: as selftest learnt, else 500)");
-}
 
 Status ApplyTimingFlags(const TimingFlags& flags, RigConfig& config) {
   config.settle_ms = flags.settle_ms.value_or(config.settle_ms);

@@ -11,18 +11,19 @@
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/result.h"
 
-namespace CLI {
-class App;
-}
-
 namespace stratalux::rig {
 
 struct TimingFlags {
   std::optional<double> settle_ms, deadline_ms;  // unset: as the configuration says
 };
 
-// --settle and --deadline.
-void AddTimingFlags(CLI::App& command, TimingFlags& flags);
+// --settle and --deadline, of a command of the command line.
+template <typename Command>
+void AddTimingFlags(Command& command, TimingFlags& flags) {
+  command.add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
+  command.add_option("--deadline", flags.deadline_ms,
+                     "for a SYNC edge and for a frame after its exposure, ms (default: as selftest learnt, else 500)");
+}
 // kUsage for what is out of range; names the flag.
 [[nodiscard]] Status ApplyTimingFlags(const TimingFlags& flags, RigConfig& config);
 

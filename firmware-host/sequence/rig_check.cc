@@ -160,7 +160,7 @@ class RigCheck {
   Status CheckLoop(int projector) {
     const std::string name = "projector " + std::to_string(projector) + ": TRIGGER to SYNC";
     const int of_sequence = static_cast<int>(options_.markers.size());
-    const int pulses = (options_.pulses + of_sequence - 1) / of_sequence * of_sequence;
+    const int pulses = (std::max(1, options_.pulses) + of_sequence - 1) / of_sequence * of_sequence;
     std::vector<double> latency;
     int missing = 0, extra = 0, foreign = -1;
     for (int k = 0; k < pulses; ++k) {

@@ -217,13 +217,13 @@ Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const Trigg
   return std::optional<MonotonicNs>(latest);
 }
 
-Result<std::optional<CapturedFrame>> Shooter::NextFrame(nanoseconds& left, std::optional<MonotonicNs>& came) {
-  came.reset();
+Result<std::optional<CapturedFrame>> Shooter::NextFrame(MonotonicNs until, std::optional<MonotonicNs>& came) {
   std::optional<CapturedFrame> frame = std::exchange(early_, std::nullopt);
   if (frame) return frame;
   SLX_RETURN_IF_ERROR(safe_());
   SLX_ASSIGN_OR_RETURN(frame, devices_.camera.Wait({}));
   if (frame) return frame;
+  nanoseconds left = std::max(nanoseconds(0), until - devices_.light.Now());
   SLX_ASSIGN_OR_RETURN(
       frame, (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
   came = devices_.light.Now();
@@ -244,10 +244,10 @@ Result<Shot> Shooter::AwaitFrame(const StepExposure& exposure, MonotonicNs due,
                                  const std::optional<TriggerReceipt>& next,
                                  const std::function<ShotFault(const CapturedFrame&)>& match) {
   Shot shot;
-  nanoseconds left = std::max(kLeastWait, due + watch_.FrameDeadline(exposure.patience) - devices_.light.Now());
+  const MonotonicNs until = std::max(due + watch_.FrameDeadline(exposure.patience), devices_.light.Now() + kLeastWait);
   while (true) {
     std::optional<MonotonicNs> came;
-    SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, NextFrame(left, came));
+    SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, NextFrame(until, came));
     if (frame && next && pairing_.IsOfNext(*next, *frame)) {
       early_ = std::move(frame);
       if (shot.fault == ShotFault::kNone) shot.fault = ShotFault::kLostFrame;

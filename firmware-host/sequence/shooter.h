@@ -122,8 +122,8 @@ class Shooter {
   // A frame that was given up before, and comes before this one, harms nothing.
   Result<Shot> AwaitFrame(const StepExposure& exposure, MonotonicNs due, const std::optional<TriggerReceipt>& next,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
-  // The next one by the time that is left. `came`: when it did, where that was seen; else it was here before.
-  Result<std::optional<CapturedFrame>> NextFrame(std::chrono::nanoseconds& left, std::optional<MonotonicNs>& came);
+  // The next one, if it comes by then. `came`: when it did, where that was seen; else it was here before.
+  Result<std::optional<CapturedFrame>> NextFrame(MonotonicNs until, std::optional<MonotonicNs>& came);
   // Whether it is that of an exposure that was given up at its deadline; asked once of each.
   bool WasGivenUp(const CapturedFrame& frame);
   Result<Shot> CollectTriggered(const StepExposure& exposure);

@@ -27,7 +27,7 @@ Json JsonOf(const RigLights& lights) {
                        {"active", line.active == ActiveLevel::kLow ? "low" : "high"}});
   for (const DisplayWiring& display : lights.displays)
     displays.push_back({{"device", display.device}, {"connector", display.connector}});
-  return {{"enables", std::move(enables)}, {"displays", std::move(displays)}};
+  return {{"schema", kSchema}, {"enables", std::move(enables)}, {"displays", std::move(displays)}};
 }
 
 RigLights LightsFrom(const Json& json) {
@@ -61,12 +61,13 @@ RigLights LightsOf(const RigConfig& config) {
 }
 
 Status KeepLights(const fs::path& folder, const RigLights& lights) {
-  return KeepState(folder / kFile, kSchema, JsonOf(lights));
+  return KeepState(folder / kFile, JsonOf(lights).dump(2) + "\n");
 }
 
 Result<RigLights> ReadLights(const fs::path& folder) {
   RigLights lights;
-  SLX_RETURN_IF_ERROR(ReadState(folder / kFile, kSchema, [&](const Json& json) { lights = LightsFrom(json); }));
+  SLX_RETURN_IF_ERROR(
+      ReadState(folder / kFile, kSchema, [&](const std::string& json) { lights = LightsFrom(Json::parse(json)); }));
   return lights;
 }
 

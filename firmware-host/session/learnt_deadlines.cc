@@ -131,7 +131,8 @@ Status KeepDelays(const fs::path& folder, const RigConfig& config, const std::op
                   const RigDelays& delays) {
   if (!Usable(delays, config.plan.projectors))
     return Status::Failed("the delays are too few or too long to take deadlines from");
-  Json json = {{"rig", RigJson(config, simulated)},
+  Json json = {{"schema", kSchema},
+               {"rig", RigJson(config, simulated)},
                {"learnt", ToIso8601(WallNow())},
                {"exposure_ms", delays.exposure_ms},
                {"frame_period_ms", delays.frame_period_ms},
@@ -139,7 +140,7 @@ Status KeepDelays(const fs::path& folder, const RigConfig& config, const std::op
                {"frame", JsonOf(delays.frame)},
                {"sync", Json::array()}};
   for (const DelayFigures& sync : delays.sync) json["sync"].push_back(JsonOf(sync));
-  return KeepState(DelaysFile(folder, simulated), kSchema, json);
+  return KeepState(DelaysFile(folder, simulated), json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 RigDeadlines ChooseDeadlines(const fs::path& folder, const RigConfig& config,
@@ -150,7 +151,8 @@ RigDeadlines ChooseDeadlines(const fs::path& folder, const RigConfig& config,
   const fs::path file = DelaysFile(folder, simulated);
   RigDelays delays;
   std::string learnt_at, difference;
-  const Status read = ReadState(file, kSchema, [&](const Json& json) {
+  const Status read = ReadState(file, kSchema, [&](const std::string& text) {
+    const Json json = Json::parse(text);
     const Json rig = RigJson(config, simulated);
     if (json.at("rig") != rig) difference = FirstDifference(rig, json.at("rig"));
     learnt_at = Printable(json.at("learnt").get<std::string>());

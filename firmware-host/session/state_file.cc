@@ -74,27 +74,25 @@ fs::path StateFolder() {
   return all.substr(0, all.find(':'));
 }
 
-Status KeepState(const fs::path& file, int schema, const Json& content) {
-  Json json = {{"schema", schema}};
-  json.update(content);
+Status KeepState(const fs::path& file, const std::string& json) {
   SLX_ASSIGN_OR_RETURN(const UniqueFd lock, LockFolder(file.parent_path()));
   // What a killed run left beside it may be another account's.
   std::error_code ignored;
   fs::remove(file.string() + ".new", ignored);
   const mode_t before = umask(0077);
-  const Status kept = db::ReplaceFile(file, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+  const Status kept = db::ReplaceFile(file, json);
   umask(before);
   return kept;
 }
 
-Status ReadState(const fs::path& file, int schema, const std::function<void(const Json&)>& take) {
+Status ReadState(const fs::path& file, int schema, const std::function<void(const std::string& json)>& take) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file));
   try {
     const Json json = Json::parse(text);
     if (json.at("schema").get<int>() != schema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
                                                   ", this program knows " + std::to_string(schema));
-    take(json);
+    take(text);
     return Status::Ok();
   } catch (const Json::exception& error) {
     return Status::Failed(file.string() + " is not what `stratalux-rig` writes: " + error.what());

@@ -5,8 +5,7 @@
 
 #include <filesystem>
 #include <functional>
-
-#include <nlohmann/json_fwd.hpp>
+#include <string>
 
 #include "shared/base/result.h"
 
@@ -15,15 +14,16 @@ namespace stratalux::rig {
 // $STATE_DIRECTORY (systemd's), else /var/lib/stratalux.
 [[nodiscard]] std::filesystem::path StateFolder();
 
-// Replaces `file`, whole or not at all, by `content` with its `schema` before it; readable and writable for its owner
+// Replaces `file`, whole or not at all, by a JSON object with a number `schema`; readable and writable for its owner
 // alone. Two programs at once: one after the other; kBusy where another one holds the folder's lock for a second. Used
 // by one thread of a process: its umask is another one meanwhile.
-[[nodiscard]] Status KeepState(const std::filesystem::path& file, int schema, const nlohmann::ordered_json& content);
+[[nodiscard]] Status KeepState(const std::filesystem::path& file, const std::string& json);
 
-// Hands `take` what KeepState was given. kNotFound: there is no such file. kNewerSchema: of another schema. kFailed:
-// another account than this one or root owns it, others may write to it, it is no plain file, it is no such JSON, or
-// `take` refused by an exception of the JSON library (`at`, `get`). Each message names the file.
+// Hands `take` what KeepState was given; where it throws what the JSON library throws (`at`, `get`), the file is not
+// what we write. kNotFound: there is no such file. kNewerSchema: of another schema. kFailed: another account than this
+// one or root owns it, others may write to it, it is no plain file, or it is not what we write. Each message names the
+// file.
 [[nodiscard]] Status ReadState(const std::filesystem::path& file, int schema,
-                               const std::function<void(const nlohmann::ordered_json&)>& take);
+                               const std::function<void(const std::string& json)>& take);
 
 }  // namespace stratalux::rig
