@@ -63,7 +63,7 @@ std::string SlowAnswersAsText(const SlowAnswers& slow) {
   const std::string what = frames ? "frames" : "SYNC of projector " + std::to_string(slow.projector);
   char text[256];
   std::snprintf(text, sizeof text,
-                "%s came up to %.1f ms after %s, more than the %.1f ms that `selftest` learnt (%lld of %lld answers): "
+                "%s came %.1f ms or more after %s, beyond the %.1f ms that `selftest` learnt (%lld of %lld answers): "
                 "run `stratalux-rig selftest` again%s",
                 what.c_str(), Ms(slow.longest), frames ? "the exposure" : "TRIGGER", Ms(slow.limit.usual),
                 static_cast<long long>(slow.slow), static_cast<long long>(slow.answers),

@@ -90,7 +90,7 @@ struct SlowAnswers {
   std::chrono::nanoseconds longest{};  // at least
   AnswerLimit limit;
 };
-// "SYNC of projector 2 came up to 8.4 ms after TRIGGER, more than the 1.4 ms that `selftest` learnt (120 of 125
+// "SYNC of projector 2 came 8.4 ms or more after TRIGGER, beyond the 1.4 ms that `selftest` learnt (120 of 125
 // answers): run `stratalux-rig selftest` again".
 [[nodiscard]] std::string SlowAnswersAsText(const SlowAnswers& slow);
 
