@@ -56,9 +56,9 @@ function(stratalux_tests name)
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
   stratalux_test_build(${name})
-  # No test may pass because an earlier program computed it.
+  # No test may pass because an earlier program computed or learnt it.
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${ARG_TIMEOUT}
-                       ENVIRONMENT "STRATALUX_CACHE=")
+                       ENVIRONMENT "STRATALUX_CACHE=" ENVIRONMENT_MODIFICATION "STATE_DIRECTORY=set:/nonexistent")
 endfunction()
 
 # stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds): the whole number of a law whose sample runs

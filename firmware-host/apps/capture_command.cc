@@ -56,6 +56,7 @@ std::string OutcomeAsText(const CaptureOutcome& outcome) {
                 ToString(r.status), r.captured, r.planned, r.frames, r.retried, outcome.seconds);
   std::string text = "session " + outcome.session + line;
   for (const std::string& reason : r.Reasons()) text += "  " + reason + "\n";
+  for (const SlowAnswers& slow : r.slow) text += "  " + SlowAnswersAsText(slow) + "\n";
   return text;
 }
 
@@ -66,12 +67,21 @@ std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   Json injected = Json::array();
   for (const InjectedFault& fault : outcome.injected)
     injected.push_back({{"kind", ToString(fault.kind)}, {"number", fault.number}, {"seconds", fault.seconds}});
+  Json slow = Json::array();
+  for (const SlowAnswers& one : r.slow)
+    slow.push_back({{"projector", one.projector},
+                    {"answers", one.answers},
+                    {"slow", one.slow},
+                    {"late", one.late},
+                    {"longest_ms", 1e-6 * static_cast<double>(one.longest.count())},
+                    {"usual_ms", 1e-6 * static_cast<double>(one.limit.usual.count())}});
   const Json json = {{"session", outcome.session}, {"status", ToString(r.status)},
                      {"planned", r.planned},       {"captured", r.captured},
                      {"frames", r.frames},         {"retried", r.retried},
                      {"faults", found.faults},     {"missing_steps", r.missing_steps},
                      {"reasons", r.Reasons()},     {"findings", Json::parse(FindingsToJson(found.findings))},
-                     {"injected", injected},       {"seconds", outcome.seconds}};
+                     {"slower_than_learnt", slow}, {"injected", injected},
+                     {"seconds", outcome.seconds}};
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

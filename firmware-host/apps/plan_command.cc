@@ -78,6 +78,52 @@ nlohmann::ordered_json PlanJson(const CapturePlan& plan, const VisitTiming& timi
   return json;
 }
 
+double Ms(std::chrono::nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
+
+const char* WordOf(DeadlineSource source) {
+  switch (source) {
+    case DeadlineSource::kDefault:
+      return "default";
+    case DeadlineSource::kLearnt:
+      return "learnt";
+    case DeadlineSource::kConfigured:
+      return "configured";
+    case DeadlineSource::kFlag:
+      return "flag";
+  }
+  return "unknown";
+}
+
+nlohmann::ordered_json DeadlinesJson(const RigDeadlines& deadlines) {
+  nlohmann::ordered_json json = {{"source", WordOf(deadlines.source)}, {"longest_ms", Ms(deadlines.longest)}};
+  if (!deadlines.refused.empty()) json["refused"] = deadlines.refused;
+  if (!deadlines.learnt) return json;
+  json["learnt_at"] = deadlines.learnt_at;
+  json["sync_ms"] = nlohmann::ordered_json::array();
+  for (const AnswerLimit& sync : deadlines.learnt->sync) json["sync_ms"].push_back(Ms(sync.deadline));
+  json["frame_ms"] = Ms(deadlines.learnt->frame.deadline);
+  return json;
+}
+
+std::string DeadlinesLine(const RigDeadlines& deadlines) {
+  char longest[64];
+  std::snprintf(longest, sizeof longest, "deadlines: %g ms for SYNC and for a frame, ", Ms(deadlines.longest));
+  switch (deadlines.source) {
+    case DeadlineSource::kLearnt:
+      return "deadlines: " + DeadlinesAsText(*deadlines.learnt) + ", learnt by selftest " + deadlines.learnt_at + "\n";
+    case DeadlineSource::kConfigured:
+      return std::string(longest) + "as [capture] deadline_ms says\n";
+    case DeadlineSource::kFlag:
+      return std::string(longest) + "as --deadline says\n";
+    case DeadlineSource::kDefault:
+      break;
+  }
+  return std::string(longest) +
+         (deadlines.refused.empty() ? "the default: `stratalux-rig selftest` learns shorter ones"
+                                    : "the default: " + deadlines.refused) +
+         "\n";
+}
+
 // "003-gray-columns-bit-3-10-inverse.png".
 std::string FileName(size_t number, const Pattern& pattern) {
   char prefix[16];
@@ -140,12 +186,20 @@ class PatternFiles {
 
 }  // namespace
 
-VisitTiming TimingOf(const RigConfig& config) {
+VisitTiming TimingOf(const RigConfig& config, const RigDelays* learnt) {
+  const bool triggered = config.plan.sync_mode == SyncMode::kTriggered;
+  double sync_ms = kSyncDelayMs, transfer_ms = kTransferMs;
   VisitTiming timing;
+  if (learnt != nullptr && !learnt->sync.empty()) {
+    sync_ms = 0.0;  // of as many steps each
+    for (const DelayFigures& sync : learnt->sync) sync_ms += sync.median_ms / static_cast<double>(learnt->sync.size());
+    transfer_ms = triggered ? learnt->frame.median_ms : learnt->transfer_ms;
+    timing.frame_period = FromMilliseconds(triggered ? 0.0 : learnt->frame_period_ms);
+  }
   timing.settle = FromMilliseconds(config.settle_ms);
   timing.camera = CameraTimingOf(config.camera);
-  timing.sync_delay = FromMilliseconds(config.sync_delay_ms);
-  timing.transfer = FromMilliseconds(config.camera.transfer_ms);
+  timing.sync_delay = FromMilliseconds(config.sync_delay_ms.value_or(sync_ms));
+  timing.transfer = FromMilliseconds(config.camera.transfer_ms.value_or(transfer_ms));
   if (config.camera.frame_rate_hz > 0.0) timing.frame_period = FromMilliseconds(1e3 / config.camera.frame_rate_hz);
   timing.loading = LoadingTimeOf(config, MemoryTimingsOf(config));
   return timing;
@@ -163,7 +217,8 @@ VisitTiming TimingOf(const RigConfig& config, const RigTiming& simulated) {
   return timing;
 }
 
-std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout) {
+std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout,
+                       const RigDeadlines& deadlines) {
   std::string text = " step  projector  phase           exposure  pattern\n";
   char line[160];
   for (const PlanStep& step : plan.steps) {
@@ -176,11 +231,14 @@ std::string PlanAsText(const CapturePlan& plan, const VisitTiming& timing, const
   std::snprintf(line, sizeof line, "%zu frames, %.1f s (%.1f ms of settling, %s read-out)\n", plan.steps.size(),
                 Seconds(plan, timing), 1e-6 * static_cast<double>(timing.settle.count()),
                 camera.read_out == ReadOut::kOverlapped ? "overlapped" : "serial");
-  return text + line + MemoryText(layout);
+  return text + line + DeadlinesLine(deadlines) + MemoryText(layout);
 }
 
-std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout) {
-  return PlanJson(plan, timing, layout).dump(2) + "\n";
+std::string PlanAsJson(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout,
+                       const RigDeadlines& deadlines) {
+  nlohmann::ordered_json json = PlanJson(plan, timing, layout);
+  json["deadlines"] = DeadlinesJson(deadlines);
+  return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 Status RenderPlan(const CapturePlan& plan, const VisitTiming& timing, const MemoryLayout& layout,

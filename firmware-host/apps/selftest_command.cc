@@ -103,6 +103,33 @@ void CheckCodecs(const SelftestOptions& options, SelftestReport& report) {
   items.push_back({"codec", CheckState::kPassed, found, ""});
 }
 
+// What captures go by from now on.
+void KeepDeadlines(const SelftestOptions& options, SelftestReport& report) {
+  if (!options.keep_delays) return;
+  CheckItem item = {"deadlines", CheckState::kSkipped, "a rig that fails teaches none", ""};
+  if (report.rig.delays) {
+    const Result<std::string> kept = options.keep_delays(*report.rig.delays);
+    item.found = DeadlinesAsText(DeadlinesFrom(*report.rig.delays, options.rig.deadline)) + "; ";
+    item.found += kept.ok() ? "kept in " + *kept : "not kept: " + kept.status().message();
+    if (kept.ok()) item.state = CheckState::kPassed;
+  }
+  report.rig.items.push_back(std::move(item));
+}
+
+Json FiguresJson(const DelayFigures& figures) {
+  return {{"count", figures.count},
+          {"median_ms", figures.median_ms},
+          {"worst_ms", figures.worst_ms},
+          {"spread_ms", figures.spread_ms}};
+}
+
+std::string FiguresAsText(const std::string& name, const DelayFigures& figures) {
+  char line[200];
+  std::snprintf(line, sizeof line, "%-30s median %.3f ms, worst %.3f ms, spread %.3f ms of %d\n", name.c_str(),
+                figures.median_ms, figures.worst_ms, figures.spread_ms, figures.count);
+  return line;
+}
+
 }  // namespace
 
 bool SelftestReport::passed() const {
@@ -113,6 +140,7 @@ bool SelftestReport::passed() const {
 Result<SelftestReport> RunSelftest(const RigDevices& devices, const SelftestOptions& options) {
   SelftestReport report;
   SLX_ASSIGN_OR_RETURN(report.rig, CheckRig(devices, options.rig));
+  KeepDeadlines(options, report);
   CheckDisk(options, report);
   CheckCodecs(options, report);
   return report;
@@ -146,6 +174,11 @@ std::string SelftestAsText(const SelftestReport& report) {
     text += line + item.found + "\n";
     if (!item.remedy.empty()) text += std::string(31, ' ') + "-> " + item.remedy + "\n";
   }
+  if (const auto& delays = report.rig.delays) {
+    for (size_t p = 0; p < delays->sync.size(); ++p)
+      text += FiguresAsText("TRIGGER to SYNC, projector " + std::to_string(p), delays->sync[p]);
+    text += FiguresAsText("exposure to frame", delays->frame);
+  }
   if (!report.rig.sync_latency_ms.empty()) text += "TRIGGER to SYNC\n" + Histogram(report.rig.sync_latency_ms);
   if (!report.rig.frame_latency_ms.empty()) text += "TRIGGER to frame\n" + Histogram(report.rig.frame_latency_ms);
   return text + (report.passed() ? "selftest passed\n" : "selftest FAILED\n");
@@ -172,6 +205,11 @@ std::string SelftestAsJson(const SelftestReport& report) {
                {"frames_per_s", report.rig.frames_per_s},
                {"disk_bytes_per_s", report.disk_bytes_per_s},
                {"codecs", codecs}};
+  if (const auto& delays = report.rig.delays) {
+    Json sync = Json::array();
+    for (const DelayFigures& one : delays->sync) sync.push_back(FiguresJson(one));
+    json["delays"] = {{"sync", sync}, {"frame", FiguresJson(delays->frame)}};
+  }
   if (!report.codecs.empty()) json["recommended_codec"] = ToString(report.recommended);
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }

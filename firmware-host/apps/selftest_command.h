@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,8 @@ struct SelftestOptions {
   RigCheckOptions rig;
   std::filesystem::path store;            // folder, of which the disk is measured; empty: left out
   StoreCodec codec = StoreCodec::kDelta;  // as configured
+  // Keeps the delays of a healthy rig (KeepDelays) and says where; empty: nothing is kept. A refusal fails nothing.
+  std::function<Result<std::string>(const RigDelays&)> keep_delays;
 };
 
 struct CodecSpeed {

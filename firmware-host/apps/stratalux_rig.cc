@@ -5,7 +5,6 @@
 #include <cstdlib>
 #include <filesystem>
 #include <optional>
-#include <sstream>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -18,10 +17,12 @@
 #include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
+#include "firmware-host/apps/timing_flags.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
 #include "firmware-host/safety/last_resort.h"
 #include "firmware-host/session/last_lights.h"
+#include "firmware-host/session/learnt_deadlines.h"
 #include "firmware-host/session/open_rig.h"
 #include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/simulation_file.h"
@@ -38,7 +39,7 @@ struct Flags {
   std::string config;
   std::optional<std::string> store, size, kind, sync_mode, calibration;  // unset: as the configuration says
   std::optional<std::string> exposure;
-  std::optional<double> settle_ms;
+  TimingFlags timing;
   std::string scene;
   std::string visitor, visit;
   int attempt = 0;
@@ -106,12 +107,7 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   config.calibration = flags.calibration.value_or(config.calibration);
   if (flags.exposure && !ChoosesExposure(flags) && !ParseWhole(*flags.exposure, config.plan.exposure_ms))
     return Status::Usage("--exposure '" + *flags.exposure + "': expected ms, or auto");
-  config.settle_ms = flags.settle_ms.value_or(config.settle_ms);
-  if (!(config.settle_ms >= 0.0 && config.settle_ms <= kLongestSettleMs)) {
-    std::ostringstream message;
-    message << "--settle " << config.settle_ms << " is out of range, allowed: 0 .. " << kLongestSettleMs << " ms";
-    return Status::Usage(message.str());
-  }
+  SLX_RETURN_IF_ERROR(ApplyTimingFlags(flags.timing, config));
   if (const char* store = std::getenv("STRATALUX_STORE")) config.store.folder = store;
   config.store.folder = flags.store.value_or(config.store.folder);
   if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera.width, config.camera.height));
@@ -130,8 +126,9 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
   return db::SetScope(flags.consent_scope, *consent).WithContext("--consent-scope");
 }
 
-// The rig that --simulate asks for.
-Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& config) {
+// The rig that --simulate asks for; nullopt: the devices.
+Result<std::optional<SimulatedRigOptions>> SimulationFrom(const Flags& flags, const RigConfig& config) {
+  if (flags.scene.empty()) return std::optional<SimulatedRigOptions>();
   SimulatedRigOptions simulated;
   simulated.board_pose = flags.board_pose;
   simulated.lens_covered = config.plan.kind == SessionKind::kDark;
@@ -152,7 +149,7 @@ Result<SimulatedRigOptions> SimulationFrom(const Flags& flags, const RigConfig& 
   simulated.projector_height = config.plan.projector_height;
   simulated.cache_folder = LightCache::FolderOfUser();
   simulated.control_pipe = flags.events;
-  return simulated;
+  return std::optional(std::move(simulated));
 }
 
 Result<CaptureJob> CaptureFrom(const Flags& flags) {
@@ -168,7 +165,6 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   job.on_start = flags.on_start;
   if (job.choose_exposure && config.plan.kind != SessionKind::kVisitor)
     return Status::Usage("--exposure auto: only a visitor's exposure is chosen; give it in ms");
-  job.timing = TimingOf(config);
   request.calibration = config.calibration;
   request.visitor = flags.visitor;
   request.visit = flags.visit;
@@ -178,11 +174,9 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   SLX_ASSIGN_OR_RETURN(request.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) config.store.encrypt = true;
   if (flags.sign) config.store.sign = true;
-  if (!flags.scene.empty()) {
-    SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags, config));
-    SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(flags.scene));
-    job.timing = TimingOf(config, simulation.devices.timing);
-  }
+  SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags, config));
+  SLX_ASSIGN_OR_RETURN(const TimingInUse timing, ChooseTiming(flags.timing, config, job.station.simulated));
+  job.timing = timing.visit;
   return job;
 }
 
@@ -256,14 +250,11 @@ int RunSelftestCommand(const Flags& flags) {
   if (!config.ok()) return Report(config.status());
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   if (!plan.ok()) return Report(plan.status());
-  std::optional<SimulatedRigOptions> simulated;
-  if (!flags.scene.empty()) {
-    Result<SimulatedRigOptions> asked = SimulationFrom(flags, *config);
-    if (!asked.ok()) return Report(asked.status());
-    simulated = std::move(asked).value();
-    // Lamps, cables and camera are what is looked at: what happens inside the skin is not worth the minutes.
-    simulated->scattering = false;
-  }
+  Result<std::optional<SimulatedRigOptions>> asked = SimulationFrom(flags, *config);
+  if (!asked.ok()) return Report(asked.status());
+  std::optional<SimulatedRigOptions> simulated = std::move(asked).value();
+  // Lamps, cables and camera are what is looked at: what happens inside the skin is not worth the minutes.
+  if (simulated) simulated->scattering = false;
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   if (simulated) logger.Info("selftest of the simulated rig: " + simulated->scene + ", its skin without scattering");
   const Result<OpenedRig> rig = OpenRig(*config, simulated, StopOfProcess(), logger);
@@ -275,8 +266,13 @@ int RunSelftestCommand(const Flags& flags) {
     if (step.phase == CapturePhase::kPreroll) options.rig.markers.push_back(step.pattern);
   options.rig.exposure_ms = config->plan.exposure_ms;
   options.rig.settle = FromMilliseconds(config->settle_ms);
-  options.rig.deadline = FromMilliseconds(config->deadline_ms);
+  // What was learnt before is no measure for what is learnt now.
+  options.rig.deadline = config->LongestDeadline();
   options.rig.wait = rig->wait();
+  options.keep_delays = [&](const RigDelays& delays) -> Result<std::string> {
+    SLX_RETURN_IF_ERROR(KeepDelays(StateFolder(), *config, simulated, delays));
+    return DelaysFile(StateFolder(), simulated).string();
+  };
   const Result<SelftestReport> report = RunSelftest(rig->devices(), options);
   if (!report.ok()) return Report(report.status());
   const int printed = Print((flags.json ? SelftestAsJson : SelftestAsText)(*report));
@@ -289,17 +285,15 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   const Result<MemoryLayout> layout = LayOutMemories(config->plan, config->memory);
   if (!plan.ok() || !layout.ok()) return Report(plan.ok() ? layout.status() : plan.status());
-  VisitTiming timing = TimingOf(*config);
   if (render.parsed()) {
-    const Status status = RenderPlan(*plan, timing, *layout, flags.out);
+    const Status status = RenderPlan(*plan, TimingOf(*config), *layout, flags.out);
     return status.ok() ? 0 : Report(status);
   }
-  if (!flags.scene.empty()) {
-    const Result<Simulation> simulation = LoadSimulation(flags.scene);
-    if (!simulation.ok()) return Report(simulation.status());
-    timing = TimingOf(*config, simulation->devices.timing);
-  }
-  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing, *layout));
+  const Result<std::optional<SimulatedRigOptions>> simulated = SimulationFrom(flags, *config);
+  if (!simulated.ok()) return Report(simulated.status());
+  const Result<TimingInUse> timing = ChooseTiming(flags.timing, *config, *simulated);
+  if (!timing.ok()) return Report(timing.status());
+  return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing->visit, *layout, timing->deadlines));
 }
 
 // It must work when all else is broken: the lights of the last rig that was opened go off, and those of the
@@ -402,6 +396,7 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   capture->add_flag("--sign", flags.sign, "with the rig's key, `stratalux-db key sign-init` (default: [store] sign)");
   capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
   AddPlanFlags(*capture, flags);
+  AddTimingFlags(*capture, flags.timing);
   capture
       ->add_option(
           "--pose", flags.board_pose,
@@ -435,6 +430,7 @@ int Main(int argc, char** argv) {
   CLI::App* selftest = app.add_subcommand("selftest", "Check devices, wiring, light, timing, disk and codec");
   selftest->footer(kSelftestExamples);
   AddPlanFlags(*selftest, flags);
+  AddTimingFlags(*selftest, flags.timing);
   AddSimulationFlags(*selftest, flags);
   selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
   selftest->add_flag("--json", flags.json, "print one JSON object");
@@ -446,7 +442,7 @@ int Main(int argc, char** argv) {
   AddPlanFlags(*show, flags);
   AddSimulate(*show, flags, "reckon with the timing of the simulated rig, not with the configuration's devices");
   show->add_flag("--json", flags.json, "print JSON");
-  show->add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
+  AddTimingFlags(*show, flags.timing);
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
   AddPlanFlags(*render, flags);
   render->add_option("--out", flags.out, "folder")->required();

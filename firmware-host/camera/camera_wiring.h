@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "firmware-host/camera/camera_timing.h"
@@ -16,6 +17,8 @@ enum class GainControl : uint8_t { kNone, kGain, kAnalogueGain };
 
 // What starts an exposure: the pulse of the line bank, or the camera's own clock (sync mode free_running).
 enum class CameraPace : uint8_t { kTriggered, kFreeRunning };
+
+inline constexpr double kTransferMs = 15.0;
 
 struct CameraWiring {
   CameraBackend backend = CameraBackend::kNone;
@@ -37,9 +40,10 @@ struct CameraWiring {
   // From the end of the exposure to the driver's time stamp, where that is taken at the end of a frame.
   double readout_ms = 0.0;
   // How soon it can be triggered again (camera_timing.h); `transfer_ms`: from the end of an exposure until its frame is
-  // here, for estimates.
+  // here, for estimates; unset: as a selftest learnt, else kTransferMs.
   ReadOut read_out = ReadOut::kSerial;
-  double exposure_margin_ms = 1.0, min_frame_period_ms = 0.0, transfer_ms = 15.0;
+  double exposure_margin_ms = 1.0, min_frame_period_ms = 0.0;
+  std::optional<double> transfer_ms;
   int reopen_tries = 10;  // in a row and half a second apart, after the device went or broke off
   // Figures of the sensor at gain 1, for the tolerance of single probes (pattern_witness.h).
   double gain_e_per_dn = 4.0;

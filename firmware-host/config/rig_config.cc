@@ -67,6 +67,11 @@ void GetWord(TomlTable& table, const std::string& key, T& value, const std::vect
   value = static_cast<T>(index);
 }
 
+// Unset where the table does not say.
+void GetOptional(TomlTable& table, const std::string& key, std::optional<double>& value, double low, double high) {
+  if (table.Has(key)) table.Get(key, value.emplace(low), low, high);
+}
+
 void GetMicroseconds(TomlTable& table, const std::string& key, std::chrono::microseconds& value, int low, int high) {
   auto us = static_cast<int>(value.count());
   table.Get(key, us, low, high);
@@ -160,7 +165,7 @@ Status ReadCamera(TomlTable camera, CameraWiring& c) {
   GetWord(camera, "read_out", c.read_out, {"serial", "overlapped"});
   camera.Get("exposure_margin_ms", c.exposure_margin_ms, 0, 1000);
   camera.Get("min_frame_period_ms", c.min_frame_period_ms, 0, 10000);
-  camera.Get("transfer_ms", c.transfer_ms, 0, 10000);
+  GetOptional(camera, "transfer_ms", c.transfer_ms, 0, 10000);
   camera.Get("reopen_tries", c.reopen_tries, 1, 100);
   camera.Get("gain_e_per_dn", c.gain_e_per_dn, 0.01, 1000);
   camera.Get("read_noise_dn", c.read_noise_dn, 0, 500);
@@ -216,8 +221,8 @@ Result<RigConfig> Read(TomlTable root) {
   TomlTable capture = root.Table("capture"), plan = root.Table("plan");
   SLX_ASSIGN_OR_RETURN(config.store, ReadStoreConfig(root));
   capture.Get("settle_ms", config.settle_ms, 0, kLongestSettleMs);
-  capture.Get("deadline_ms", config.deadline_ms, 1, 600000);
-  capture.Get("sync_delay_ms", config.sync_delay_ms, 0, 1000);
+  GetOptional(capture, "deadline_ms", config.deadline_ms, kShortestDeadlineMs, kLongestDeadlineMs);
+  GetOptional(capture, "sync_delay_ms", config.sync_delay_ms, 0, 1000);
   capture.Get("max_on_time_s", config.max_on_time_s, 0.1, 3600);
   capture.Get("max_visit_s", config.max_visit_s, 1, 600);
   capture.Get("max_retries", config.max_retries, 0, 10);

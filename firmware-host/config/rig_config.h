@@ -17,11 +17,14 @@
 #include "shared/base/result.h"
 #include "shared/capture/plan.h"
 #include "shared/config/store_config.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 
 inline constexpr double kLongestSettleMs = 10000.0;
 inline constexpr int kLargestMemory = 1'000'000;  // patterns
+inline constexpr double kShortestDeadlineMs = 1.0, kLongestDeadlineMs = 600000.0;
+inline constexpr double kDeadlineMs = 500.0, kSyncDelayMs = 0.5;
 // The light's guard has 99 (light_guard.h).
 inline constexpr int kHighestCapturePriority = 98;
 
@@ -29,20 +32,26 @@ inline constexpr int kHighestCapturePriority = 98;
 
 struct RigConfig {
   StoreConfig store;
-  double settle_ms = 2.0;       // from SYNC to exposure
-  double deadline_ms = 500.0;   // for a SYNC edge or a frame to arrive
-  double sync_delay_ms = 0.5;   // from TRIGGER to SYNC, for estimates and for the memory's shorter way
-  double max_on_time_s = 60.0;  // longest a projector may stay lit without a pause
-  double max_visit_s = 20.0;    // that a chosen exposure may make a visit take
-  int max_retries = 2;          // shots again of a doubtful frame
-  int queue_frames = 32;        // between capture and writer
-  std::string calibration;      // that sessions name: latest, an id or a file; empty: as `capture --help` says
-  int realtime_priority = 0;    // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
+  double settle_ms = 2.0;  // from SYNC to exposure
+  // For a SYNC edge or a frame to arrive. Unset: as a selftest learnt (learnt_deadlines.h), else kDeadlineMs.
+  std::optional<double> deadline_ms;
+  std::optional<double> sync_delay_ms;  // from TRIGGER to SYNC, for estimates and the memory's shorter way
+  double max_on_time_s = 60.0;          // longest a projector may stay lit without a pause
+  double max_visit_s = 20.0;            // that a chosen exposure may make a visit take
+  int max_retries = 2;                  // shots again of a doubtful frame
+  int queue_frames = 32;                // between capture and writer
+  std::string calibration;              // that sessions name: latest, an id or a file; empty: as `capture --help` says
+  int realtime_priority = 0;  // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
   PlanOptions plan;
   MemoryOptions memory;  // what the projectors' pattern memories hold of it
   CameraWiring camera;
   GpioWiring gpio;
   std::vector<ProjectorWiring> projectors;  // one a [[projector]]; empty: a rig without devices (simulation)
+
+  // The longest that any answer is awaited.
+  [[nodiscard]] std::chrono::nanoseconds LongestDeadline() const {
+    return FromMilliseconds(deadline_ms.value_or(kDeadlineMs));
+  }
 };
 
 // What the movements of each projector's pattern memory take; nullopt: a display, which has none. Without

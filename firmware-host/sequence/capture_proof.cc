@@ -29,6 +29,8 @@ Status CaptureRun::CheckProof() {
 CaptureReport CaptureRun::Conclude(Status ended) {
   report_.transition_frames = static_cast<int>(shooter_.transition_frames());
   report_.transition_lost = static_cast<int>(shooter_.transition_lost());
+  report_.slow = shooter_.answers().Slow();
+  for (const SlowAnswers& slow : report_.slow) logger_.Warning(SlowAnswersAsText(slow));
   report_.captured = static_cast<int>(proven_.size());
   for (const PlanStep& step : plan_.steps)
     if (!proven_.contains(step.index)) report_.missing_steps.push_back(step.index);

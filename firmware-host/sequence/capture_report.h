@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/deadlines.h"
 #include "shared/capture/finding.h"
 #include "shared/capture/session.h"
 
@@ -41,6 +42,8 @@ struct CaptureReport {
   std::vector<int> missing_steps;  // steps left without a proven frame
   SessionStatus status = SessionStatus::kRecording;
   std::vector<Finding> findings;  // why not complete, in the order they came up
+  // Answers that came later than a selftest learnt: no reason against the session, but for another selftest.
+  std::vector<SlowAnswers> slow;
 
   [[nodiscard]] int Count(ShotFault fault) const { return faults[static_cast<size_t>(fault)]; }
   void Note(ShotFault fault) { ++faults[static_cast<size_t>(fault)]; }

@@ -39,7 +39,11 @@ class RigCheck {
       SLX_RETURN_IF_ERROR(Step(name + ": TRIGGER to SYNC", [&] { return CheckLoop(p); }));
       SLX_RETURN_IF_ERROR(Step(name + ": light", [&] { return CheckLight(p); }));
     }
-    return Step("frames", [this] { return CheckFrames(); });
+    SLX_RETURN_IF_ERROR(Step("frames", [this] { return CheckFrames(); }));
+    const bool healthy = std::none_of(report_.items.begin(), report_.items.end(),
+                                      [](const CheckItem& item) { return item.state == CheckState::kFailed; });
+    if (healthy) report_.delays = delays_;
+    return Status::Ok();
   }
   RigCheckReport Take() { return std::move(report_); }
 
@@ -161,11 +165,15 @@ class RigCheck {
   // Every pulse gives one edge, of this projector.
   Status CheckLoop(int projector) {
     const std::string name = "projector " + std::to_string(projector) + ": TRIGGER to SYNC";
-    SLX_RETURN_IF_ERROR(LoadAnew(*devices_.projectors[projector], options_.markers));
-    SLX_RETURN_IF_ERROR(DrainEdges());
+    const int of_sequence = static_cast<int>(options_.markers.size());
+    const int pulses = (std::max(1, options_.pulses) + of_sequence - 1) / of_sequence * of_sequence;
     std::vector<double> latency;
     int missing = 0, extra = 0, foreign = -1;
-    for (size_t k = 0; k < options_.markers.size(); ++k) {
+    for (int k = 0; k < pulses; ++k) {
+      if (k % of_sequence == 0) {
+        SLX_RETURN_IF_ERROR(LoadAnew(*devices_.projectors[projector], options_.markers));
+        SLX_RETURN_IF_ERROR(DrainEdges());
+      }
       SLX_ASSIGN_OR_RETURN(const TriggerReceipt pulse, devices_.lines.TriggerProjector(projector));
       SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, WaitEdge());
       if (!edge) ++missing;
@@ -177,7 +185,8 @@ class RigCheck {
       SLX_RETURN_IF_ERROR(DrainEdges());
     }
     report_.sync_latency_ms.insert(report_.sync_latency_ms.end(), latency.begin(), latency.end());
-    const std::string count = std::to_string(options_.markers.size());
+    delays_.sync.push_back(FiguresOf(latency));
+    const std::string count = std::to_string(pulses);
     if (foreign >= 0)
       Fail(name, "the edge comes on SYNC of projector " + std::to_string(foreign),
            "swap the cables of projectors " + std::to_string(projector) + " and " + std::to_string(foreign));
@@ -256,6 +265,8 @@ class RigCheck {
     std::optional<int64_t> last;
     MonotonicNs first_time, last_time;
     int arrived = 0;
+    const nanoseconds exposure = FromMilliseconds(options_.exposure_ms);
+    std::vector<double> delays, transfers;
     for (int k = 0; k < options_.frames; ++k) {
       ++report_.frames_asked;
       MonotonicNs from = last_time;
@@ -264,6 +275,7 @@ class RigCheck {
         from = pulse.time;
       }
       SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, WaitFrame(limit));
+      const MonotonicNs now = devices_.light.Now();
       if (!frame) {
         ++report_.frames_lost;
         continue;
@@ -271,13 +283,21 @@ class RigCheck {
       if (last && frame->sequence <= *last) ++report_.frames_doubled;
       if (last && frame->sequence > *last + 1 && !triggered) report_.frames_lost += frame->sequence - *last - 1;
       last = std::max(last.value_or(frame->sequence), frame->sequence);
-      if (triggered || arrived > 0) report_.frame_latency_ms.push_back(Ms(frame->time - from));
+      if (triggered || arrived > 0) {
+        report_.frame_latency_ms.push_back(Ms(frame->time - from));
+        delays.push_back(Ms(now - from - (triggered ? exposure : 2 * exposure)));
+        transfers.push_back(Ms(now - frame->time - exposure));
+      }
       if (arrived++ == 0) first_time = frame->time;
       last_time = frame->time;
       if (!triggered) continue;
       SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> unasked, devices_.camera.Wait({}));
       report_.frames_doubled += unasked.has_value();
     }
+    delays_.frame = FiguresOf(delays);
+    delays_.transfer_ms = Median(transfers);
+    delays_.exposure_ms = options_.exposure_ms;
+    if (arrived > 1) delays_.frame_period_ms = Ms(last_time - first_time) / (arrived - 1);
     if (arrived > 1) report_.frames_per_s = 1e3 * (arrived - 1) / std::max(1e-6, Ms(last_time - first_time));
     const std::string found = std::to_string(report_.frames_asked) + " asked, " + std::to_string(report_.frames_lost) +
                               " lost, " + std::to_string(report_.frames_doubled) + " doubled, " +
@@ -292,6 +312,7 @@ class RigCheck {
   const RigDevices& devices_;
   RigCheckOptions options_;
   RigCheckReport report_;
+  RigDelays delays_;
 };
 
 }  // namespace

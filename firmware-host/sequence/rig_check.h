@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/deadlines.h"
 #include "firmware-host/sequence/shooter.h"
 #include "shared/base/result.h"
 
@@ -32,7 +33,8 @@ struct RigCheckOptions {
   // What each projector's TRIGGER steps through: a sequence that every pattern memory holds (the plan's pre-roll), in
   // which a black picture is followed by a white one.
   std::vector<Pattern> markers;
-  int frames = 60;                                     // for rate and latency
+  int pulses = 60;                                     // of each projector, for its delay: whole sequences
+  int frames = 60;                                     // for rate, latency and delay
   double min_contrast_dn = 5.0;                        // mean level of a projector's white over its black
   std::function<void(std::chrono::nanoseconds)> wait;  // how settling passes; empty: real time
 };
@@ -41,6 +43,8 @@ struct RigCheckReport {
   std::vector<CheckItem> items;
   std::vector<double> sync_latency_ms;   // TRIGGER to SYNC, all projectors
   std::vector<double> frame_latency_ms;  // camera TRIGGER to start of exposure; free running: frame to frame
+  // What captures may take their deadlines from (DeadlinesFrom); nullopt where anything failed.
+  std::optional<RigDelays> delays;
   int64_t frames_asked = 0, frames_lost = 0, frames_doubled = 0;
   double frames_per_s = 0.0;             // by the frames' own times
   std::vector<Image<uint16_t>> samples;  // some frames with light in them, for measuring codecs

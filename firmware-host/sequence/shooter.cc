@@ -15,6 +15,9 @@ namespace {
 using std::chrono::nanoseconds;
 constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
 constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
+// For a frame that may be here already when its deadline has passed while nobody looked.
+constexpr nanoseconds kLeastWait = std::chrono::milliseconds(20);
+constexpr size_t kGivenUp = 4;
 
 // Waits with `wait` in slices until it gives something, `safe` objects or `left` has passed; takes from `left` what the
 // waiting took. A device's clock may be its own: a wait counts for no longer than it was told to be, and as long as
@@ -45,7 +48,9 @@ Shooter::Shooter(RigDevices devices, ShooterOptions options, SyncMode mode, std:
       options_(std::move(options)),
       mode_(mode),
       safe_(std::move(safe)),
-      pairing_(options_.frame_slack) {
+      pairing_(options_.frame_slack),
+      watch_(options_.sync_deadline, options_.frame_deadline, static_cast<int>(devices_.projectors.size()),
+             options_.learnt) {
   if (!options_.wait) options_.wait = [](nanoseconds time) { std::this_thread::sleep_for(time); };
 }
 
@@ -60,18 +65,21 @@ Result<Shot> Shooter::Take(const PlanStep& step, int retry) {
   return Collect(*exposure);
 }
 
-Status Shooter::Prepare(const PlanStep& step) {
+Result<Patience> Shooter::Prepare(const PlanStep& step) {
   SLX_RETURN_IF_ERROR(safe_());
+  Patience patience = Patience::kLearnt;
   if (step.exposure_ms != exposure_ms_) {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(step.exposure_ms, options_.gain));
     exposure_ms_ = step.exposure_ms;
+    patience = Patience::kConfigured;
   }
-  return mode_ == SyncMode::kFreeRunning ? PassOverStream() : Status::Ok();
+  if (mode_ == SyncMode::kFreeRunning) SLX_RETURN_IF_ERROR(PassOverStream());
+  return patience;
 }
 
 Result<Shot> Shooter::Snap(const PlanStep& like) {
-  SLX_RETURN_IF_ERROR(Prepare(like));
   StepExposure exposure;
+  SLX_ASSIGN_OR_RETURN(exposure.patience, Prepare(like));
   exposure.step = &like;
   exposure.pulse = {camera_triggers_, devices_.light.Now()};
   exposure.sync = exposure.pulse.time + -options_.settle;  // nothing has to settle
@@ -80,13 +88,15 @@ Result<Shot> Shooter::Snap(const PlanStep& like) {
 }
 
 Result<std::optional<StepExposure>> Shooter::Show(const PlanStep& step, int retry) {
-  SLX_RETURN_IF_ERROR(Prepare(step));
   StepExposure exposure;
+  SLX_ASSIGN_OR_RETURN(exposure.patience, Prepare(step));
   exposure.step = &step;
   exposure.retry = retry;
+  const Patience patience = retry > 0 ? Patience::kConfigured : Patience::kLearnt;
+  if (retry > 0) exposure.patience = patience;
   SLX_ASSIGN_OR_RETURN(exposure.pulse, devices_.lines.TriggerProjector(step.projector));
   last_pulse_ = exposure.pulse.time;
-  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, exposure.pulse));
+  SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> sync, AwaitSync(step.projector, exposure.pulse, patience));
   if (!sync) return std::optional<StepExposure>();
   exposure.sync = *sync;
   return std::optional(exposure);
@@ -153,8 +163,8 @@ Result<Shot> Shooter::CollectTriggered(const StepExposure& exposure) {
     pairing_.TriggerLost();
     return ShotFault::kLateFrame;
   };
-  SLX_ASSIGN_OR_RETURN(Shot shot,
-                       AwaitFrame(step, FromMilliseconds(step.exposure_ms) + options_.frame_deadline, next, match));
+  const MonotonicNs due = exposure.camera.time + FromMilliseconds(step.exposure_ms);
+  SLX_ASSIGN_OR_RETURN(Shot shot, AwaitFrame(exposure, due, next, match));
   shot.record.trigger_number = exposure.camera.number;
   shot.record.trigger_time = exposure.camera.time;
   return shot;
@@ -174,25 +184,24 @@ Status Shooter::PassOverStream() {
 Result<Shot> Shooter::CollectFromStream(const StepExposure& exposure) {
   const PlanStep& step = *exposure.step;
   const MonotonicNs settled = exposure.sync + options_.settle;
-  SLX_ASSIGN_OR_RETURN(
-      Shot shot, AwaitFrame(step, options_.settle + 2 * FromMilliseconds(step.exposure_ms) + options_.frame_deadline,
-                            {}, [&](const CapturedFrame& frame) {
-                              ShotFault fault = pairing_.MatchStream(settled, options_.frame_deadline, frame);
-                              // A new exposure reaches the stream some frames later.
-                              if (fault == ShotFault::kNone && !HasExposure(step, frame))
-                                fault = ShotFault::kOutOfOrder;
-                              transition_frames_ += fault == ShotFault::kOutOfOrder;
-                              return fault;
-                            }));
+  const nanoseconds one_exposure = FromMilliseconds(step.exposure_ms);
+  const nanoseconds window = watch_.FrameDeadline(exposure.patience) + one_exposure;
+  SLX_ASSIGN_OR_RETURN(Shot shot, AwaitFrame(exposure, settled + 2 * one_exposure, {}, [&](const CapturedFrame& frame) {
+                         ShotFault fault = pairing_.MatchStream(settled, window, frame);
+                         // A new exposure reaches the stream some frames later.
+                         if (fault == ShotFault::kNone && !HasExposure(step, frame)) fault = ShotFault::kOutOfOrder;
+                         transition_frames_ += fault == ShotFault::kOutOfOrder;
+                         return fault;
+                       }));
   shot.record.trigger_number = exposure.pulse.number;
   shot.record.trigger_time = exposure.pulse.time;
   return shot;
 }
 
-Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const TriggerReceipt& trigger) {
+Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const TriggerReceipt& trigger, Patience patience) {
   std::vector<bool> seen(devices_.projectors.size(), projector >= 0);
   if (projector >= 0) seen[projector] = false;
-  nanoseconds left = options_.sync_deadline;
+  nanoseconds left = watch_.SyncDeadline(projector, patience);
   MonotonicNs latest{};
   while (std::find(seen.begin(), seen.end(), false) != seen.end()) {
     SLX_ASSIGN_OR_RETURN(
@@ -201,21 +210,44 @@ Result<std::optional<MonotonicNs>> Shooter::AwaitSync(int projector, const Trigg
     if (!edge) return std::optional<MonotonicNs>();
     const bool known = edge->projector >= 0 && edge->projector < static_cast<int>(seen.size());
     if (!known || edge->time < trigger.time) continue;  // an edge of the past is not this pulse's answer
+    if (!seen[edge->projector]) watch_.SawSync(edge->projector, edge->time - trigger.time);
     seen[edge->projector] = true;
     latest = std::max(latest, edge->time);
   }
   return std::optional<MonotonicNs>(latest);
 }
 
-Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, const std::optional<TriggerReceipt>& next,
+Result<std::optional<CapturedFrame>> Shooter::NextFrame(MonotonicNs until, std::optional<MonotonicNs>& came) {
+  std::optional<CapturedFrame> frame = std::exchange(early_, std::nullopt);
+  if (frame) return frame;
+  SLX_RETURN_IF_ERROR(safe_());
+  SLX_ASSIGN_OR_RETURN(frame, devices_.camera.Wait({}));
+  if (frame) return frame;
+  nanoseconds left = std::max(nanoseconds(0), until - devices_.light.Now());
+  SLX_ASSIGN_OR_RETURN(
+      frame, (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
+  came = devices_.light.Now();
+  return frame;
+}
+
+bool Shooter::WasGivenUp(const CapturedFrame& frame) {
+  const auto its = std::find_if(given_up_.begin(), given_up_.end(), [&](const StepExposure& exposure) {
+    const MonotonicNs trigger = exposure.camera.time;
+    return frame.time >= trigger && frame.time <= trigger + options_.frame_slack;
+  });
+  if (its == given_up_.end()) return false;
+  given_up_.erase(its);
+  return true;
+}
+
+Result<Shot> Shooter::AwaitFrame(const StepExposure& exposure, MonotonicNs due,
+                                 const std::optional<TriggerReceipt>& next,
                                  const std::function<ShotFault(const CapturedFrame&)>& match) {
   Shot shot;
+  const MonotonicNs until = std::max(due + watch_.FrameDeadline(exposure.patience), devices_.light.Now() + kLeastWait);
   while (true) {
-    std::optional<CapturedFrame> frame = std::exchange(early_, std::nullopt);
-    if (!frame) {
-      SLX_ASSIGN_OR_RETURN(
-          frame, (WaitSafely<CapturedFrame>(left, safe_, [&](nanoseconds t) { return devices_.camera.Wait(t); })));
-    }
+    std::optional<MonotonicNs> came;
+    SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, NextFrame(until, came));
     if (frame && next && pairing_.IsOfNext(*next, *frame)) {
       early_ = std::move(frame);
       if (shot.fault == ShotFault::kNone) shot.fault = ShotFault::kLostFrame;
@@ -223,6 +255,8 @@ Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, const s
     }
     if (!frame) {
       pairing_.TriggerLost();
+      if (mode_ == SyncMode::kTriggered) given_up_.push_back(exposure);
+      if (given_up_.size() > kGivenUp) given_up_.pop_front();
       // A frame of the past is no answer: what was seen first stays the named cause.
       if (shot.fault == ShotFault::kNone) shot.fault = ShotFault::kLostFrame;
       return shot;
@@ -232,14 +266,19 @@ Result<Shot> Shooter::AwaitFrame(const PlanStep& step, nanoseconds left, const s
     const bool repeats =
         options_.max_repeated_rows < 1.0 && rows_.ShareRepeated(frame->pixels) > options_.max_repeated_rows;
     const ShotFault fault = match(*frame);
+    if (fault == ShotFault::kOutOfOrder && mode_ == SyncMode::kTriggered && WasGivenUp(*frame)) {
+      watch_.SawLateFrame();
+      continue;
+    }
     if (fault == ShotFault::kOutOfOrder || fault == ShotFault::kDoubledFrame) {
       // In a stream, frames from before are no fault: they are the transition.
       if (mode_ == SyncMode::kTriggered || fault == ShotFault::kDoubledFrame) shot.fault = fault;
       continue;
     }
+    if (fault == ShotFault::kNone) came ? watch_.SawFrame(*came - due) : watch_.HadFrame(devices_.light.Now() - due);
     if (shot.fault == ShotFault::kNone) shot.fault = fault;
     if (shot.fault == ShotFault::kNone && repeats) shot.fault = ShotFault::kRepeatedRows;
-    if (shot.fault == ShotFault::kNone && !HasExposure(step, *frame)) shot.fault = ShotFault::kWrongExposure;
+    if (shot.fault == ShotFault::kNone && !HasExposure(*exposure.step, *frame)) shot.fault = ShotFault::kWrongExposure;
     FrameRecord& r = shot.record;
     r.driver_sequence = frame->sequence;
     r.frame_time = frame->time;
@@ -301,6 +340,7 @@ Result<ShotFault> Shooter::DrainFrames() {
   while (true) {
     SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, devices_.camera.Wait({}));
     if (!frame) return first;
+    if (WasGivenUp(*frame)) watch_.SawLateFrame();
     const ShotFault fault = pairing_.Unexpected(*frame);
     if (first == ShotFault::kNone) first = fault;
   }

@@ -11,6 +11,7 @@
 #pragma once
 
 #include <chrono>
+#include <deque>
 #include <functional>
 #include <optional>
 #include <vector>
@@ -21,6 +22,7 @@
 #include "firmware-host/projector/projector.h"
 #include "firmware-host/safety/light_guard.h"
 #include "firmware-host/sequence/capture_report.h"
+#include "firmware-host/sequence/deadlines.h"
 #include "firmware-host/sequence/frame_pairing.h"
 #include "firmware-host/sequence/row_memory.h"
 #include "shared/capture/frame_record.h"
@@ -39,9 +41,13 @@ struct ShooterOptions {
   // From SYNC to the camera trigger: the projector's light source and the camera's own trigger delay.
   std::chrono::nanoseconds settle = std::chrono::milliseconds(2);
   CameraTiming camera;
+  // From TRIGGER to SYNC; from the planned end of an exposure to its frame (free running: from two exposures after the
+  // light has settled).
   std::chrono::nanoseconds sync_deadline = std::chrono::milliseconds(100);
-  std::chrono::nanoseconds frame_deadline = std::chrono::milliseconds(500);  // on top of the exposure
-  std::chrono::nanoseconds frame_slack = std::chrono::milliseconds(20);      // of the frame's time after its trigger
+  std::chrono::nanoseconds frame_deadline = std::chrono::milliseconds(500);
+  // Shorter ones, where a selftest learnt them, for as long as they hold (AnswerWatch).
+  std::optional<LearntDeadlines> learnt;
+  std::chrono::nanoseconds frame_slack = std::chrono::milliseconds(20);  // of the frame's time after its trigger
   double gain = 1.0;
   // Reported exposure and gain may differ from those set by this share (cameras count in lines).
   double exposure_tolerance = 0.02;
@@ -56,10 +62,11 @@ struct ShooterOptions {
 struct StepExposure {
   const PlanStep* step = nullptr;
   int retry = 0;
-  TriggerReceipt pulse;   // of the projector
-  MonotonicNs sync;       // its answer
-  TriggerReceipt camera;  // triggered: the camera's pulse, of the bank's numbers
-  int64_t number = 0;     // of camera triggers
+  Patience patience = Patience::kConfigured;  // with its frame
+  TriggerReceipt pulse;                       // of the projector
+  MonotonicNs sync;                           // its answer
+  TriggerReceipt camera;                      // triggered: the camera's pulse, of the bank's numbers
+  int64_t number = 0;                         // of camera triggers
 };
 
 // A frame and its proof; `fault` says why it does not count.
@@ -103,20 +110,26 @@ class Shooter {
   [[nodiscard]] int64_t camera_triggers() const { return camera_triggers_; }
   [[nodiscard]] int64_t transition_frames() const { return transition_frames_; }
   [[nodiscard]] int64_t transition_lost() const { return pairing_.lost_in_transition(); }
+  [[nodiscard]] const AnswerWatch& answers() const { return watch_; }
 
  private:
   // Lets time pass on the rig's clock, looking at safety.
   Status Pass(std::chrono::nanoseconds time);
   // Waits for the SYNC edges of `projector` (-1: one of each); nullopt at the deadline.
-  Result<std::optional<MonotonicNs>> AwaitSync(int projector, const TriggerReceipt& trigger);
+  Result<std::optional<MonotonicNs>> AwaitSync(int projector, const TriggerReceipt& trigger, Patience patience);
   // `match` says whose a frame is; kOutOfOrder and kDoubledFrame keep waiting. A frame of the `next` trigger, if there
-  // was one, is kept for that exposure: this one's was lost.
-  Result<Shot> AwaitFrame(const PlanStep& step, std::chrono::nanoseconds limit,
-                          const std::optional<TriggerReceipt>& next,
+  // was one, is kept for that exposure: this one's was lost. `due`: from when on RigDelays::frame counts.
+  // A frame that was given up before, and comes before this one, harms nothing.
+  Result<Shot> AwaitFrame(const StepExposure& exposure, MonotonicNs due, const std::optional<TriggerReceipt>& next,
                           const std::function<ShotFault(const CapturedFrame&)>& match);
+  // The next one, if it comes by then. `came`: when it did, where that was seen; else it was here before.
+  Result<std::optional<CapturedFrame>> NextFrame(MonotonicNs until, std::optional<MonotonicNs>& came);
+  // Whether it is that of an exposure that was given up at its deadline; asked once of each.
+  bool WasGivenUp(const CapturedFrame& frame);
   Result<Shot> CollectTriggered(const StepExposure& exposure);
-  // Brings the camera to the step's exposure; nothing may be exposed then.
-  Status Prepare(const PlanStep& step);
+  // Brings the camera to the step's exposure; nothing may be exposed then. kConfigured where that is another one than
+  // before: a stream shows it some frames later.
+  Result<Patience> Prepare(const PlanStep& step);
   // Reads away the frames of a stream that wait already: they are older than the shot.
   Status PassOverStream();
   Result<Shot> CollectFromStream(const StepExposure& exposure);
@@ -129,6 +142,8 @@ class Shooter {
   SyncMode mode_;
   std::function<Status()> safe_;
   FramePairing pairing_;
+  AnswerWatch watch_;
+  std::deque<StepExposure> given_up_;  // triggered: without a frame at their deadline, the last few
   RowMemory rows_;
   double exposure_ms_ = -1.0;           // as last set
   MonotonicNs last_pulse_;              // of a projector

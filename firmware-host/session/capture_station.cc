@@ -126,7 +126,14 @@ Result<std::unique_ptr<CaptureStation>> CaptureStation::Open(const StationOption
 }
 
 CaptureStation::CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger)
-    : options_(std::move(options)), rig_(std::move(rig)), stop_(stop), logger_(logger) {}
+    : options_(std::move(options)),
+      rig_(std::move(rig)),
+      deadlines_(ChooseDeadlines(StateFolder(), options_.config, options_.simulated)),
+      stop_(stop),
+      logger_(logger) {
+  if (!deadlines_.refused.empty())
+    logger_.Warning("learnt deadlines are not used, `stratalux-rig selftest` learns them again: " + deadlines_.refused);
+}
 
 CaptureStation::~CaptureStation() {
   if (moved_) Rest();
@@ -169,7 +176,8 @@ SequencerOptions CaptureStation::SequencerOptionsFor() const {
   SequencerOptions options;
   options.shooter.settle = FromMilliseconds(config.settle_ms);
   options.shooter.camera = CameraTimingOf(config.camera);
-  options.shooter.sync_deadline = options.shooter.frame_deadline = FromMilliseconds(config.deadline_ms);
+  options.shooter.sync_deadline = options.shooter.frame_deadline = deadlines_.longest;
+  options.shooter.learnt = deadlines_.learnt;
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
   options.shooter.wait = rig_.wait();
@@ -236,6 +244,9 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   if (occupied.dropped() > 0)
     logger_.Warning("START was pressed during the capture (" + std::to_string(occupied.dropped()) +
                     " times): it starts nothing");
+  // The next captures need not find out again.
+  for (const SlowAnswers& slow : outcome.report.slow)
+    if (slow.late > 0) deadlines_.learnt.reset();
   // The next opening ends what a writer could not even mark as failed.
   if (outcome.report.status == SessionStatus::kFailed) store_.reset();
   if (simulation != nullptr) {

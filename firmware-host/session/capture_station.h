@@ -15,6 +15,7 @@
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/sequence/visit_time.h"
 #include "firmware-host/session/exposure_choice.h"
+#include "firmware-host/session/learnt_deadlines.h"
 #include "firmware-host/session/open_rig.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/log.h"
@@ -102,6 +103,8 @@ class CaptureStation {
 
   [[nodiscard]] const OpenedRig& rig() const { return rig_; }
   [[nodiscard]] LightGuard& light() const { return *rig_.light; }
+  // What captures go by: as learnt until one of them finds the rig slower.
+  [[nodiscard]] const RigDeadlines& deadlines() const { return deadlines_; }
 
  private:
   CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger);
@@ -118,6 +121,7 @@ class CaptureStation {
 
   StationOptions options_;
   OpenedRig rig_;
+  RigDeadlines deadlines_;
   StopToken& stop_;
   Logger& logger_;
   std::optional<db::SessionStore> store_;  // once a capture began

@@ -1,21 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/session/last_lights.h"
 
-#include <cerrno>
-#include <cstdlib>
-#include <cstring>
 #include <string>
 #include <utility>
 
-#include <fcntl.h>
 #include <nlohmann/json.hpp>
-#include <sys/stat.h>
-#include <unistd.h>
 
-#include "db/base/durable_file.h"
 #include "firmware-host/gpio/gpio_lights.h"
 #include "firmware-host/projector/kms_display.h"
-#include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
 namespace {
@@ -25,7 +17,6 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kFile = "lights.json";
 constexpr int kSchema = 1;
-constexpr size_t kMostBytes = 64 * 1024;
 
 Json JsonOf(const RigLights& lights) {
   Json enables = Json::array(), displays = Json::array();
@@ -54,30 +45,6 @@ RigLights LightsFrom(const Json& json) {
   return lights;
 }
 
-// The bytes of a file that nobody else could have written.
-Result<std::string> ReadOwn(const fs::path& file) {
-  const UniqueFd fd(open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
-  if (!fd.ok()) {
-    const std::string why = file.string() + ": " + std::strerror(errno);
-    return errno == ENOENT ? Status::NotFound(why) : Status::Failed(why);
-  }
-  struct stat info {};
-  if (fstat(fd.get(), &info) != 0) return Status::Failed(file.string() + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Failed(file.string() + " is no plain file; remove it");
-  if (info.st_uid != geteuid() && info.st_uid != 0)
-    return Status::Failed(file.string() + " belongs to account " + std::to_string(info.st_uid) + ", this is " +
-                          std::to_string(geteuid()) + "; run `stratalux-rig safe` as the service's account");
-  if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0)
-    return Status::Failed(file.string() +
-                          " may be written by others than its owner; chmod 600 it once its lines are "
-                          "known to be right, or remove it");
-  std::string text(kMostBytes, '\0');
-  const ssize_t bytes = read(fd.get(), text.data(), text.size());
-  if (bytes < 0) return Status::Failed(file.string() + ": " + std::strerror(errno));
-  text.resize(static_cast<size_t>(bytes));
-  return text;
-}
-
 }  // namespace
 
 RigLights LightsOf(const RigConfig& config) {
@@ -93,31 +60,15 @@ RigLights LightsOf(const RigConfig& config) {
   return lights;
 }
 
-fs::path StateFolder() {
-  const char* folder = std::getenv("STATE_DIRECTORY");
-  const std::string all = folder != nullptr && *folder != '\0' ? folder : "/var/lib/stratalux";
-  return all.substr(0, all.find(':'));
-}
-
 Status KeepLights(const fs::path& folder, const RigLights& lights) {
-  const mode_t before = umask(0077);
-  const Status kept = db::ReplaceFile(folder / kFile, JsonOf(lights).dump(2) + "\n");
-  umask(before);
-  return kept;
+  return KeepState(folder / kFile, JsonOf(lights).dump(2) + "\n");
 }
 
 Result<RigLights> ReadLights(const fs::path& folder) {
-  const fs::path file = folder / kFile;
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file));
-  try {
-    const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() != kSchema)
-      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
-                                                  ", this program knows " + std::to_string(kSchema));
-    return LightsFrom(json);
-  } catch (const Json::exception& error) {
-    return Status::Failed(file.string() + " is not what `stratalux-rig` writes: " + error.what());
-  }
+  RigLights lights;
+  SLX_RETURN_IF_ERROR(
+      ReadState(folder / kFile, kSchema, [&](const std::string& json) { lights = LightsFrom(Json::parse(json)); }));
+  return lights;
 }
 
 Status TakeLights(const RigLights& lights) {

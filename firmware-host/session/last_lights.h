@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "firmware-host/config/rig_config.h"
+#include "firmware-host/session/state_file.h"
 #include "shared/base/result.h"
 
 namespace stratalux::rig {
@@ -18,12 +19,9 @@ struct RigLights {
 };
 [[nodiscard]] RigLights LightsOf(const RigConfig& config);
 
-// $STATE_DIRECTORY (systemd's), else /var/lib/stratalux.
-[[nodiscard]] std::filesystem::path StateFolder();
-// Replaces `folder`/lights.json, whole or not at all; readable and writable for its owner alone.
+// `folder`/lights.json (state_file.h), in StateFolder() for `safe` to find.
 [[nodiscard]] Status KeepLights(const std::filesystem::path& folder, const RigLights& lights);
-// kNotFound: none was kept. kFailed: another account than this one or root owns it, others may write to it, it is no
-// plain file, or it does not say what KeepLights writes: whoever could put lines there could have any line driven.
+// Fails as ReadState does: whoever could put lines there could have any line driven.
 [[nodiscard]] Result<RigLights> ReadLights(const std::filesystem::path& folder);
 
 // Every light off: each is tried, whatever becomes of another; the first error.

@@ -61,7 +61,7 @@ std::unique_ptr<Projector> OpenMemory(const RigConfig& config, const MemoryLayou
   options.height = config.plan.projector_height;
   options.memory = layout.projectors[index].patterns;
   options.timing = *MemoryTimingsOf(config)[static_cast<size_t>(index)];
-  options.sync_deadline = FromMilliseconds(config.deadline_ms);
+  options.sync_deadline = config.LongestDeadline();
   return MakePatternMemoryProjector(lines, lines, std::move(options), stop);
 }
 

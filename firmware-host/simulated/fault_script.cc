@@ -12,10 +12,10 @@ namespace stratalux::rig {
 namespace {
 
 constexpr std::array<std::string_view, kFaultKinds> kNames = {
-    "frame_lost",    "frame_doubled",  "frame_extra", "frame_late",     "frame_stale",   "frame_frozen",
-    "frame_corrupt", "frame_garbled",  "frame_torn",  "exposure_latch", "subject_moved", "subject_swayed",
-    "lamp_drift",    "lamp_blink",     "camera_gone", "edge_lost",      "edge_doubled",  "sync_stuck",
-    "projector_lag", "projector_skip", "lines_gone",  "emergency_stop", "door_open"};
+    "frame_lost",    "frame_doubled", "frame_extra",    "frame_late",     "frame_stale",    "frame_frozen",
+    "frame_corrupt", "frame_garbled", "frame_torn",     "exposure_latch", "subject_moved",  "subject_swayed",
+    "lamp_drift",    "lamp_blink",    "camera_gone",    "frame_slow",     "edge_lost",      "edge_doubled",
+    "sync_stuck",    "projector_lag", "projector_skip", "lines_gone",     "emergency_stop", "door_open"};
 
 constexpr int kLongestBurst = 1000;
 

@@ -34,6 +34,7 @@ enum class FaultKind {
   kLampDrift,      // the projectors' light is `value` times what it was, from then on (default 0.9)
   kLampBlink,      // the projectors' light is `value` times what it was, in `count` exposures alone (default 0.8)
   kCameraGone,     // the driver reports an error for `count` frames
+  kFrameSlow,      // comes `value` ms later than it was read out (default 60), of the right number and time
   // At projector TRIGGER pulse `at` (0-based).
   kEdgeLost,       // the SYNC edge does not come; the pattern does
   kEdgeDoubled,    // the SYNC edge comes twice
@@ -44,7 +45,7 @@ enum class FaultKind {
   kEmergencyStop,  // the button is pressed after the pulse: the lines drop every ENABLE, and the interlock opens
   kDoorOpen,       // as the door
 };
-inline constexpr int kFaultKinds = 23;
+inline constexpr int kFaultKinds = 24;
 
 [[nodiscard]] const char* ToString(FaultKind kind);  // "frame_lost", ...
 [[nodiscard]] Result<FaultKind> ParseFaultKind(const std::string& text);

@@ -11,8 +11,8 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr double kDefaultLateMs = 200.0, kDefaultMoveMm = 2.0, kDefaultSwayMm = 0.5, kDefaultDrift = 0.9,
-                 kDefaultBlink = 0.8;
+constexpr double kDefaultLateMs = 200.0, kDefaultSlowMs = 60.0, kDefaultMoveMm = 2.0, kDefaultSwayMm = 0.5,
+                 kDefaultDrift = 0.9, kDefaultBlink = 0.8;
 constexpr size_t kFramesRemembered = 65536;
 constexpr double kWholeShare = 0.98;  // of an exposure that a picture must fill to be the one shown
 
@@ -157,6 +157,8 @@ void SimulatedDevices::ExposeWithFaults() {
     if (fault.kind == FaultKind::kSubjectSwayed) frame.light.push_mm += SwayAt(fault, number);
     if (fault.kind == FaultKind::kLampBlink) frame.light.light *= fault.value != 0.0 ? fault.value : kDefaultBlink;
     if (fault.kind == FaultKind::kCameraGone) frame.device_error = true;
+    if (fault.kind == FaultKind::kFrameSlow)
+      frame.ready = frame.ready + FromMilliseconds(fault.value != 0.0 ? fault.value : kDefaultSlowMs);
   }
   for (int k = 0; k < copies; ++k) Deliver(frame);
   if (copies == 0) last_ = frame;

@@ -22,6 +22,8 @@ void SimulatedDevices::Show(size_t projector, MonotonicNs since) {
   ProjectorState& state = states_[projector];
   std::optional<Pattern> picture;
   if (state.enabled) picture = state.shown >= 0 ? state.memory[state.shown] : Pattern{};
+  // What was to come later is overtaken: a light switched off before a slow projector shows its next picture.
+  while (state.timeline.size() > 1 && state.timeline.back().since > since) state.timeline.pop_back();
   state.timeline.push_back({picture, since});
   if (state.timeline.size() > kTimeline) state.timeline.erase(state.timeline.begin());
   if (options_.free_running) return;  // its frames are exposed when they are asked for
@@ -30,8 +32,10 @@ void SimulatedDevices::Show(size_t projector, MonotonicNs since) {
   const double rows_ms =
       camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us * calibration().camera.model.height : 0.0;
   auto add_to = [&](PendingFrame& frame) {
+    std::vector<Shown>& timeline = frame.light.timeline[projector];
+    while (timeline.size() > 1 && timeline.back().since > since) timeline.pop_back();
     if (since < frame.light.start + FromMilliseconds(frame.light.exposure_ms + rows_ms))
-      frame.light.timeline[projector].push_back({picture, since});
+      timeline.push_back({picture, since});
   };
   for (PendingFrame& frame : pending_) add_to(frame);
   if (last_) add_to(*last_);
@@ -126,7 +130,11 @@ Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
     if (s.counted) s.counted = (*s.counted + counted) % std::max<int64_t>(1, std::ssize(s.memory));
     const MonotonicNs light = clock_ + Jittered(options_.devices.timing.sync_delay_ms);
     Show(p, light);
-    for (int k = 0; k < edges; ++k) edges_.push_back({static_cast<int>(p), edge_number_++, light});
+    const auto later = std::upper_bound(edges_.begin(), edges_.end(), light,
+                                        [](MonotonicNs time, const SyncEdge& edge) { return time < edge.time; });
+    std::vector<SyncEdge> answer;
+    for (int k = 0; k < edges; ++k) answer.push_back({static_cast<int>(p), edge_number_++, light});
+    edges_.insert(later, answer.begin(), answer.end());
     if (edges == 0) ++edge_number_;  // the kernel counted it
   }
   return receipt;
@@ -134,7 +142,7 @@ Result<TriggerReceipt> SimulatedDevices::TriggerProjector(int projector) {
 
 Result<std::optional<SyncEdge>> SimulatedDevices::WaitSync(std::chrono::nanoseconds timeout) {
   const Turn turn(*this);
-  if (edges_.empty()) {
+  if (edges_.empty() || edges_.front().time > clock_ + timeout) {
     clock_ = clock_ + timeout;
     return std::optional<SyncEdge>();
   }

@@ -33,8 +33,7 @@ SimulatedRigOptions OptionsOf(const Case& c) {
 CapturedFrame Shoot(SimulatedRig& rig, const Pattern& pattern) {
   (void)rig.projectors()[1]->Load({pattern}).ok();
   (void)rig.lines().TriggerProjector(1).ok();
-  while ((*rig.lines().WaitSync({})).has_value()) {
-  }
+  (void)rig.lines().WaitSync(std::chrono::milliseconds(50)).ok();
   (void)rig.lines().TriggerCamera().ok();
   return std::move(**rig.camera().Wait(std::chrono::seconds(60)));
 }

@@ -28,7 +28,7 @@ MemoryLayout SmallLayout() { return *LayOutMemories(SmallOptions()); }
 
 TEST(PlanAsJson, NamesEveryStepAndItsOptionsBuildThePlanAgain) {
   const CapturePlan plan = SmallPlan();
-  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}, SmallLayout()));
+  const auto json = nlohmann::json::parse(PlanAsJson(plan, {}, SmallLayout(), {}));
   ASSERT_EQ(json["steps"].size(), plan.steps.size());
   for (size_t i = 0; i < plan.steps.size(); ++i)
     EXPECT_EQ(*Pattern::Parse(json["steps"][i]["pattern"].get<std::string>()), plan.steps[i].pattern);
@@ -42,7 +42,7 @@ TEST(PlanAsJson, ListsWhatThePatternMemoriesHold) {
   options.capacity = 200;
   const MemoryLayout layout = *LayOutMemories(SmallOptions(), options);
   ASSERT_FALSE(layout.left_out.empty());
-  const auto json = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, layout))["memory"];
+  const auto json = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, layout, {}))["memory"];
   EXPECT_EQ(json["capacity"], 200);
   ASSERT_EQ(json["projectors"].size(), layout.projectors.size());
   for (size_t p = 0; p < layout.projectors.size(); ++p) {
@@ -59,18 +59,80 @@ TEST(PlanAsJson, ListsWhatThePatternMemoriesHold) {
   }
   ASSERT_EQ(json["left_out"].size(), layout.left_out.size());
   EXPECT_NE(json["left_out"][0]["why"].get<std::string>().find("capacity"), std::string::npos);
-  EXPECT_TRUE(nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, SmallLayout()))["memory"]["capacity"].is_null());
+  EXPECT_TRUE(nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, SmallLayout(), {}))["memory"]["capacity"].is_null());
 }
 
 TEST(PlanAsText, HasOneLineAStepAndOneASectionOfEachMemory) {
   MemoryOptions options;
   options.capacity = 250;
   const MemoryLayout layout = *LayOutMemories(SmallOptions(), options);
-  size_t lines = SmallPlan().steps.size() + 2 + 2 + layout.left_out.size();  // heads, what is not held
+  size_t lines = SmallPlan().steps.size() + 3 + 2 + layout.left_out.size();  // heads, what is not held
   for (const ProjectorMemory& memory : layout.projectors) lines += memory.sections.size() + 1;
-  const std::string text = PlanAsText(SmallPlan(), {}, layout);
+  const std::string text = PlanAsText(SmallPlan(), {}, layout, {});
   EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), static_cast<long>(lines));
   EXPECT_NE(text.find(std::to_string(layout.projectors[0].patterns.size()) + " of 250\n"), std::string::npos) << text;
+}
+
+RigDeadlines Learnt() {
+  RigDelays delays;
+  delays.sync = {{64, 0.4, 0.5, 0.0}, {64, 0.6, 0.7, 0.0}};
+  delays.frame = {60, 8.0, 9.0, 0.0};
+  delays.transfer_ms = 7.9;
+  delays.frame_period_ms = 24.0;
+  RigDeadlines deadlines;
+  deadlines.longest = std::chrono::milliseconds(500);
+  deadlines.source = DeadlineSource::kLearnt;
+  deadlines.learnt = DeadlinesFrom(delays, deadlines.longest);
+  deadlines.delays = delays;
+  deadlines.learnt_at = "2026-11-21T04:06:11Z";
+  return deadlines;
+}
+
+TEST(PlanAsText, SaysWhereTheDeadlinesComeFrom) {
+  const auto its_line = [](const RigDeadlines& deadlines) {
+    const std::string text = PlanAsText(SmallPlan(), {}, SmallLayout(), deadlines);
+    const size_t first = text.find("deadlines: ");
+    return text.substr(first, text.find('\n', first) + 1 - first);
+  };
+  RigDeadlines deadlines = Learnt();
+  EXPECT_EQ(its_line(deadlines),
+            "deadlines: SYNC 97.5, 97.7 ms after TRIGGER, frames 34.0 ms after their exposure, learnt by selftest "
+            "2026-11-21T04:06:11Z\n");
+  const auto json = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, SmallLayout(), deadlines))["deadlines"];
+  EXPECT_EQ(json["source"], "learnt");
+  EXPECT_EQ(json["learnt_at"], deadlines.learnt_at);
+  ASSERT_EQ(json["sync_ms"].size(), 2U);
+  EXPECT_NEAR(json["sync_ms"][1].get<double>(), 97.7, 1e-6);
+  EXPECT_NEAR(json["frame_ms"].get<double>(), 34.0, 1e-6);
+  EXPECT_EQ(json["longest_ms"], 500.0);
+  deadlines.learnt.reset();
+  deadlines.source = DeadlineSource::kConfigured;
+  EXPECT_EQ(its_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, as [capture] deadline_ms says\n");
+  deadlines.source = DeadlineSource::kFlag;
+  EXPECT_EQ(its_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, as --deadline says\n");
+  deadlines.source = DeadlineSource::kDefault;
+  deadlines.refused = "file of another rig";
+  EXPECT_EQ(its_line(deadlines), "deadlines: 500 ms for SYNC and for a frame, the default: file of another rig\n");
+  const auto refused = nlohmann::json::parse(PlanAsJson(SmallPlan(), {}, SmallLayout(), deadlines))["deadlines"];
+  EXPECT_EQ(refused["refused"], deadlines.refused);
+  EXPECT_FALSE(refused.contains("sync_ms"));
+}
+
+TEST(TimingOf, TakesWhatWasLearntWhereTheConfigurationIsSilent) {
+  const RigDeadlines learnt = Learnt();
+  RigConfig config;
+  EXPECT_EQ(TimingOf(config).sync_delay, FromMilliseconds(kSyncDelayMs));
+  EXPECT_EQ(TimingOf(config).transfer, FromMilliseconds(kTransferMs));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).sync_delay, FromMilliseconds(0.5)) << "of two projectors";
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(8.0));
+  config.sync_delay_ms = 3.0;
+  config.camera.transfer_ms = 4.0;
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).sync_delay, FromMilliseconds(3.0));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(4.0));
+  config = {};
+  config.plan.sync_mode = SyncMode::kFreeRunning;
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(7.9));
+  EXPECT_EQ(TimingOf(config, &*learnt.delays).frame_period, FromMilliseconds(24.0));
 }
 
 TEST(RenderPlan, WritesThePatternsThatTheStepsName) {

@@ -37,6 +37,21 @@ TEST(SelftestCommand, SkippedItemsFailNothing) {
   EXPECT_TRUE(report.passed());
 }
 
+TEST(SelftestCommand, StatesMedianWorstAndSpreadOfTheDelays) {
+  SelftestReport report = OneFailure();
+  EXPECT_FALSE(nlohmann::json::parse(SelftestAsJson(report)).contains("delays"));
+  RigDelays& delays = report.rig.delays.emplace();
+  delays.sync = {{64, 0.4, 0.5, 0.05}};
+  delays.frame = {60, 8.0, 9.0, 0.25};
+  EXPECT_THAT(SelftestAsText(report),
+              HasSubstr("TRIGGER to SYNC, projector 0   median 0.400 ms, worst 0.500 ms, spread 0.050 ms of 64\n"
+                        "exposure to frame              median 8.000 ms, worst 9.000 ms, spread 0.250 ms of 60\n"));
+  const auto json = nlohmann::json::parse(SelftestAsJson(report))["delays"];
+  EXPECT_EQ(json["sync"][0]["worst_ms"], 0.5);
+  EXPECT_EQ(json["frame"]["spread_ms"], 0.25);
+  EXPECT_EQ(json["frame"]["count"], 60);
+}
+
 TEST(SelftestCommand, AHistogramCountsEveryValueOnce) {
   const std::string text = Histogram({1.0, 1.0, 1.5, 2.0});
   EXPECT_THAT(text, HasSubstr("1.000 ..    1.100 ms | ######################################## 2\n"));

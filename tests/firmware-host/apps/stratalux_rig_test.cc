@@ -67,6 +67,9 @@ INSTANTIATE_TEST_SUITE_P(
                   "/docs/examples/scenes/charuco_poses.toml",
                   "behind the last"),
         std::pair("capture --simulate --poses 3", "--kind calibration"),
+        std::pair("capture --simulate --deadline 0.5", "--deadline 0.5 is out of range, allowed: 1 .. 600000 ms"),
+        std::pair("capture --simulate --deadline nan", "--deadline nan is out of range"),
+        std::pair("selftest --simulate --settle -1", "--settle -1 is out of range"),
         std::pair("capture --simulate --seed minus", "seed"),
         std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is no chance of 0 .. 1"),
         std::pair("capture --simulate --fault-rate 1.5", "'1.5' is no chance"),
@@ -307,6 +310,74 @@ TEST_F(WaitingCapture, AKilledOnesPipeIsTakenByTheNext) {
   Tell("start");
   EXPECT_EQ(End(), 0);
   EXPECT_TRUE(std::filesystem::exists(folder_ / "rig")) << "it did not make it";
+}
+
+class LearntDeadlinesProgram : public ScratchFolderTest {
+ protected:
+  LearntDeadlinesProgram() { setenv("STATE_DIRECTORY", folder_.c_str(), 1); }
+  ~LearntDeadlinesProgram() override { unsetenv("STATE_DIRECTORY"); }
+  // A rig whose timing is what `timing` says, always under the same name.
+  [[nodiscard]] std::string Scene(const std::string& timing) const {
+    const auto file = folder_ / "rig.toml";
+    std::ofstream(file) << "[subject]\nshape = \"white\"\n[timing]\n" << timing;
+    return "--simulate=" + file.string() + " ";
+  }
+  [[nodiscard]] std::string Config(const std::string& capture) const {
+    const auto file = folder_ / "config.toml";
+    std::ofstream(file) << "[capture]\n"
+                        << capture
+                        << "\n[plan]\nprojector_width = 128\nprojector_height = 96\ncomb_period = 32\n"
+                           "spot_pitch = 32\nspot_radius = 2\n[camera]\nwidth = 88\nheight = 66\n";
+    return "--config " + file.string() + " ";
+  }
+  [[nodiscard]] std::string Store() const { return "--store " + (folder_ / "store").string(); }
+};
+
+TEST_F(LearntDeadlinesProgram, ASelftestTeachesPlanAndCaptureUntilTheRigIsSlower) {
+  const std::string rig = Scene("sync_delay_ms = 0.4\n") + Config("");
+  EXPECT_THAT(Rig("plan show " + rig).out, HasSubstr("the default: `stratalux-rig selftest` learns shorter ones"));
+  const Outcome selftest = Rig("selftest " + rig);
+  EXPECT_EQ(selftest.code, 0) << selftest.out;
+  EXPECT_THAT(selftest.out, HasSubstr("kept in " + (folder_ / "deadlines-simulated.json").string()));
+  EXPECT_THAT(selftest.out, HasSubstr("TRIGGER to SYNC, projector 3   median 0.400 ms, worst 0.400 ms"));
+  EXPECT_THAT(Rig("plan show " + rig).out, HasSubstr("after their exposure, learnt by selftest 20"));
+  EXPECT_THAT(Rig("plan show " + rig + "--deadline 300").out,
+              HasSubstr("300 ms for SYNC and for a frame, as --deadline"));
+  EXPECT_THAT(Rig("plan show " + Scene("") + Config("deadline_ms = 400")).out,
+              HasSubstr("400 ms for SYNC and for a frame, as [capture] deadline_ms says"));
+  const Outcome same = Rig("capture " + Scene("sync_delay_ms = 0.4\n") + Config("") + Store());
+  EXPECT_EQ(same.code, 0) << same.out;
+  EXPECT_THAT(same.out, Not(HasSubstr("selftest")));
+  const Outcome slower = Rig("capture " + Scene("sync_delay_ms = 8.4\nreadout_ms = 15\n") + Config("") + Store());
+  EXPECT_EQ(slower.code, 0) << slower.out;
+  EXPECT_THAT(slower.out, HasSubstr("run `stratalux-rig selftest` again"));
+  EXPECT_THAT(slower.out, HasSubstr(", 0 shot again"));
+  const Outcome json =
+      Rig("capture " + Scene("sync_delay_ms = 8.4\n") + Config("") + "--json " + Store() + " 2>/dev/null");
+  EXPECT_THAT(json.out, HasSubstr("\"slower_than_learnt\": [\n    {\n      \"projector\": 0"));
+  // Learnt again, it is as it should be; and what no deadline can come from is said once, and no more than that.
+  EXPECT_EQ(Rig("selftest " + Scene("sync_delay_ms = 8.4\n") + Config("")).code, 0);
+  EXPECT_THAT(Rig("capture " + Scene("sync_delay_ms = 8.4\n") + Config("") + Store()).out, Not(HasSubstr("selftest")));
+  std::filesystem::permissions(folder_ / "deadlines-simulated.json", std::filesystem::perms::all);
+  const Outcome refused = Rig("capture " + Scene("") + Config("") + Store());
+  EXPECT_EQ(refused.code, 0) << refused.out;
+  const std::string why = "may be written by others";
+  EXPECT_THAT(refused.out, HasSubstr(why));
+  EXPECT_EQ(refused.out.find(why), refused.out.rfind(why));
+}
+
+TEST_F(LearntDeadlinesProgram, ASelftestThatCanKeepNothingPasses) {
+  setenv("STATE_DIRECTORY", "/nonexistent", 1);
+  const Outcome selftest = Rig("selftest " + Scene("") + Config(""));
+  EXPECT_EQ(selftest.code, 0) << selftest.out;
+  EXPECT_THAT(selftest.out, HasSubstr("skipped"));
+  EXPECT_THAT(selftest.out, HasSubstr("not kept: cannot write in /nonexistent"));
+  EXPECT_THAT(selftest.out, HasSubstr("selftest passed"));
+  setenv("STATE_DIRECTORY", folder_.c_str(), 1);
+  const Outcome failed = Rig("selftest " + Scene("") + Config("") + "--fault frame_lost@40");
+  EXPECT_EQ(failed.code, 1) << failed.out;
+  EXPECT_THAT(failed.out, HasSubstr("a rig that fails teaches none"));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "deadlines-simulated.json"));
 }
 
 TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {

@@ -13,6 +13,8 @@ TEST(RigConfig, ShippedExampleSpellsOutTheDefaults) {
   ASSERT_TRUE(config.ok()) << config.status().message();
   EXPECT_EQ(PlanOptionsToJson(config->plan), PlanOptionsToJson({}));
   EXPECT_EQ(config->settle_ms, RigConfig{}.settle_ms);
+  EXPECT_FALSE(config->deadline_ms || config->sync_delay_ms || config->camera.transfer_ms) << "as selftest learnt them";
+  EXPECT_EQ(config->LongestDeadline(), std::chrono::milliseconds(500));
   EXPECT_EQ(config->store.codec, StoreConfig{}.codec);
   EXPECT_EQ(config->camera.width, CameraWiring{}.width);
   EXPECT_EQ(config->memory.sections, MemoryOptions{}.sections);
@@ -26,6 +28,8 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
     const char* says;
   } cases[] = {
       {"[plan]\ncomb_widht = 3\n", "rig.toml:2: unknown key 'plan.comb_widht'"},
+      {"[capture]\ndeadline_ms = 0.5\n", "rig.toml:2: capture.deadline_ms: value 0.5"},
+      {"[camera]\ntransfer_ms = -1\n", "rig.toml:2: camera.transfer_ms: value -1"},
       {"[plan]\nexposure_ms = -4\n", "rig.toml:2: plan.exposure_ms: value -4"},
       {"[plan]\nprojectors = \"four\"\n", "is not an integer"},
       {"[plan]\ncomb_step = 3\ncomb_width = 3\n", "must divide"},

@@ -19,6 +19,7 @@ class RigCheckTest : public ::testing::Test {
     options_.markers = {white, black, black, white};
     options_.wait = [](std::chrono::nanoseconds) {};
     options_.frames = 10;
+    options_.pulses = 10;
   }
   RigCheckReport Run() {
     const Result<RigCheckReport> report = CheckRig(rig_.devices(), options_);
@@ -47,7 +48,7 @@ class RigCheckTest : public ::testing::Test {
 TEST_F(RigCheckTest, AHealthyRigPassesAndIsMeasured) {
   const RigCheckReport report = Run();
   EXPECT_THAT(FailedOf(report), IsEmpty());
-  EXPECT_EQ(report.sync_latency_ms.size(), 3U * options_.markers.size());
+  EXPECT_EQ(report.sync_latency_ms.size(), 3U * 12U) << "10 pulses and more, in whole sequences";
   for (double latency : report.sync_latency_ms) EXPECT_NEAR(latency, 0.5, 1e-6);
   EXPECT_EQ(report.frame_latency_ms.size(), static_cast<size_t>(options_.frames));
   for (double latency : report.frame_latency_ms) EXPECT_NEAR(latency, 0.05, 1e-6);
@@ -55,6 +56,23 @@ TEST_F(RigCheckTest, AHealthyRigPassesAndIsMeasured) {
   EXPECT_EQ(rig_.trusting_loads, 0);
   EXPECT_EQ(rig_.rests, 3) << "the next program finds each memory at its first pattern";
   EXPECT_EQ(rig_.lit_rests, 0);
+  ASSERT_TRUE(report.delays);
+  ASSERT_EQ(report.delays->sync.size(), 3U);
+  for (const DelayFigures& sync : report.delays->sync) {
+    EXPECT_EQ(sync.count, 12);
+    EXPECT_NEAR(sync.worst_ms, 0.5, 1e-6);
+  }
+  EXPECT_EQ(report.delays->frame.count, options_.frames);
+  EXPECT_GT(report.delays->frame.median_ms, 0.0);
+  EXPECT_EQ(report.delays->exposure_ms, options_.exposure_ms);
+}
+
+TEST_F(RigCheckTest, ARigThatFailsTeachesNothing) {
+  rig_.enable_wired = {{0, -1}};
+  EXPECT_FALSE(Run().delays);
+  rig_.enable_wired.clear();
+  rig_.interlock = StopReason::kDoorOpen;
+  EXPECT_FALSE(Run().delays);
 }
 
 TEST_F(RigCheckTest, SwappedSyncCablesAreNamed) {

@@ -194,8 +194,7 @@ TEST_F(LightCacheTest, KeptAndComputedLightAreTheSameBits) {
                                    Pattern{.kind = PatternKind::kSpots, .period = 16, .width = 3}}) {
       EXPECT_TRUE(rig->projectors()[1]->Load({pattern}).ok());
       EXPECT_TRUE(rig->lines().TriggerProjector(1).ok());
-      while ((*rig->lines().WaitSync({})).has_value()) {
-      }
+      EXPECT_TRUE((*rig->lines().WaitSync(std::chrono::milliseconds(50))).has_value());
       EXPECT_TRUE(rig->lines().TriggerCamera().ok());
       const auto frame = rig->camera().Wait(std::chrono::seconds(1));
       EXPECT_TRUE(frame.ok() && frame->has_value());

@@ -41,8 +41,7 @@ std::unique_ptr<SimulatedRig> Open(const SimulatedRigOptions& options, Logger& l
 Result<std::optional<CapturedFrame>> Shoot(SimulatedRig& rig, const Pattern& pattern) {
   EXPECT_TRUE(rig.projectors()[1]->Load({pattern}).ok());
   EXPECT_TRUE(rig.lines().TriggerProjector(1).ok());
-  while ((*rig.lines().WaitSync({})).has_value()) {
-  }
+  EXPECT_TRUE((*rig.lines().WaitSync(std::chrono::milliseconds(50))).has_value());
   EXPECT_TRUE(rig.lines().TriggerCamera().ok());
   return rig.camera().Wait(std::chrono::seconds(1));
 }

@@ -30,8 +30,7 @@ class SimulatedRigTest : public ::testing::Test {
     rig.switches()[projector]->Set(true);
     EXPECT_TRUE(rig.camera().SetExposure(exposure_ms, gain).ok());
     EXPECT_TRUE(rig.lines().TriggerProjector(projector).ok());
-    while ((*rig.lines().WaitSync({})).has_value()) {
-    }
+    EXPECT_TRUE((*rig.lines().WaitSync(std::chrono::milliseconds(50))).has_value());
     EXPECT_TRUE(rig.lines().TriggerCamera().ok());
     auto frame = rig.camera().Wait(std::chrono::seconds(60));
     EXPECT_TRUE(frame.ok() && frame->has_value());

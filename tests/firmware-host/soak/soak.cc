@@ -13,6 +13,8 @@
 #include "firmware-host/projector/memory_layout.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
+#include "shared/base/random.h"
+#include "tests/firmware-host/sequence/learnt_rig.h"
 
 namespace stratalux::rig {
 namespace {
@@ -118,6 +120,16 @@ void HoldAgainstTruth(const CapturePlan& plan, const LastFrames& frames, Subject
   }
 }
 
+void AddSlowFrames(const SoakOptions& options, FaultOptions& faults) {
+  if (options.slow_rate <= 0.0) return;
+  constexpr int64_t kExposures = 1000;  // more than a capture with its retakes has
+  for (int64_t number = 0; number < kExposures; ++number) {
+    Random random(options.faults.seed, (uint64_t{1} << 40) + static_cast<uint64_t>(number));
+    if (random.Uniform() < options.slow_rate)
+      faults.script.push_back({FaultKind::kFrameSlow, number, 1, random.Uniform(10.0, 80.0)});
+  }
+}
+
 }  // namespace
 
 PlanOptions SmallPlan() {
@@ -147,11 +159,18 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   rig_options.seed = options.seed;
   rig_options.faults = options.faults;
   rig_options.memories = LayOutMemories(options.plan)->Patterns();
-  const auto rig = SimulatedRig::Create(rig_options, logger);
-  EXPECT_TRUE(rig.ok()) << rig.status().message();
   const auto plan = BuildPlan(options.plan);
   EXPECT_TRUE(plan.ok()) << plan.status().message();
   SequencerOptions sequencer;
+  if (options.learnt) {
+    const Result<RigDelays> delays = LearnDelays(rig_options, *plan, logger);
+    EXPECT_TRUE(delays.ok()) << delays.status().message();
+    sequencer.shooter.sync_deadline = std::chrono::milliseconds(500);  // as a station has it
+    if (delays.ok()) sequencer.shooter.learnt = DeadlinesFrom(*delays, sequencer.shooter.sync_deadline);
+  }
+  AddSlowFrames(options, rig_options.faults);
+  const auto rig = SimulatedRig::Create(rig_options, logger);
+  EXPECT_TRUE(rig.ok()) << rig.status().message();
   if (options.overlapped) {
     sequencer.shooter.camera.read_out = ReadOut::kOverlapped;
     sequencer.shooter.camera.min_frame_period = std::chrono::microseconds(16'700);
@@ -169,6 +188,8 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
   capture.report = *report;
   capture.injected = (*rig)->injected();
   capture.shots = frames.shots;
+  capture.learnt_held = options.learnt && std::none_of(report->slow.begin(), report->slow.end(),
+                                                       [](const SlowAnswers& slow) { return slow.late > 0; });
   HoldAgainstTruth(*plan, frames, Subject(**rig, *plan), capture);
   return capture;
 }

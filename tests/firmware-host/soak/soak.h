@@ -20,6 +20,11 @@ struct SoakOptions {
   PlanOptions plan;         // SmallPlan()
   uint64_t seed = 1;
   FaultOptions faults;
+  // By the deadlines that a selftest of the same rig without faults learnt.
+  bool learnt = false;
+  // Chance that an exposure's frame comes 10 to 80 ms late (by its own time it does not), beyond or within the
+  // deadline.
+  double slow_rate = 0.0;
 };
 
 // 64x48 projectors, 4 of them, all phases: 196 frames.
@@ -37,6 +42,7 @@ struct SoakCapture {
   // In a complete session: steps during which the subject stood > 1 mm elsewhere, or the light was > 10 % other, than
   // during the white of the projector.
   std::vector<int> changed_unsaid;
+  bool learnt_held = false;  // to the end
 };
 
 [[nodiscard]] SoakCapture CaptureOnce(const SoakOptions& options);

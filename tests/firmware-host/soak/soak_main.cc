@@ -34,6 +34,8 @@ int Main(int argc, char** argv) {
   app.add_option("--brackets", base.plan.brackets);
   app.add_flag("--free-running", free_running);
   app.add_flag("--overlapped", base.overlapped, "the camera exposes while it reads out");
+  app.add_flag("--learnt", base.learnt, "by the deadlines that a selftest learnt");
+  app.add_option("--slow-rate", base.slow_rate, "chance of a frame that comes 10 to 80 ms late");
   app.add_flag("--clean", clean, "no faults");
   app.add_option("--first", first, "number of the first capture: one that --verbose named is repeated by it");
   app.add_flag("--verbose", verbose, "each capture that went wrong");
@@ -49,12 +51,14 @@ int Main(int argc, char** argv) {
     base.faults.kinds = {*kind};
   }
   SoakTable table;
+  int64_t held = 0;
   for (uint64_t n = first; table.frames() < frames; ++n) {
     SoakOptions options = base;
     options.seed = seed + n % 7;  // seven faces
     options.faults.seed = seed * 1000003 + n;
     const SoakCapture capture = CaptureOnce(options);
     table.Add(capture);
+    held += capture.learnt_held;
     if (!verbose) continue;
     if (capture.mis_associated.empty() && capture.changed_unsaid.empty() && !clean &&
         capture.report.status == SessionStatus::kComplete)
@@ -70,6 +74,7 @@ int Main(int argc, char** argv) {
     std::fflush(stdout);
   }
   table.Print();
+  if (base.learnt) std::printf("learnt deadlines held to the end of %lld captures\n", static_cast<long long>(held));
   return table.mis_associated() == 0 ? 0 : 1;
 }
 

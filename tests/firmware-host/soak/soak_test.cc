@@ -104,6 +104,27 @@ TEST_P(Soak, SomeThousandFramesOfRandomFaults) {
   EXPECT_GE(table.complete(), table.captures() * 3 / 4);
 }
 
+// Beside faults of all kinds, frames that come within the learnt deadline or after it.
+TEST_P(Soak, ByLearntDeadlinesALateFrameIsNeverTakenForAnother) {
+  SoakTable table;
+  int64_t late = 0;
+  for (uint64_t n = 0; table.frames() < 2000; ++n) {
+    SoakOptions options = With(GetParam(), {{}, 177 + n, 0.005, {}});
+    options.seed = n;
+    options.learnt = true;
+    options.slow_rate = 0.01;
+    const SoakCapture capture = CaptureOnce(options);
+    table.Add(capture);
+    late += !capture.learnt_held;
+    EXPECT_TRUE(capture.mis_associated.empty())
+        << "fault seed " << 177 + n << ", first step " << capture.mis_associated.front() << ", session "
+        << ToString(capture.report.status);
+  }
+  table.Print();
+  EXPECT_GE(table.complete(), table.captures() * 3 / 4);
+  EXPECT_GE(late, table.captures() / 4) << "there were late frames";
+}
+
 std::string NameOf(const ::testing::TestParamInfo<Pace>& pace) {
   if (pace.param == Pace::kFreeRunning) return "FreeRunning";
   return pace.param == Pace::kOverlapped ? "Overlapped" : "Serial";
