@@ -247,7 +247,7 @@ CameraTiming CameraTimingOf(const CameraWiring& camera) {
 }
 
 std::vector<std::optional<MemoryTiming>> MemoryTimingsOf(const RigConfig& config) {
-  const MemoryTiming stepped{FromMilliseconds(config.sync_delay_ms), std::nullopt};
+  const MemoryTiming stepped{FromMilliseconds(config.sync_delay_ms.value_or(kSyncDelayMs)), std::nullopt};
   std::vector<std::optional<MemoryTiming>> timings(static_cast<size_t>(config.plan.projectors), stepped);
   for (size_t p = 0; p < config.projectors.size(); ++p) {
     if (config.projectors[p].kind == ProjectorKind::kDisplay) timings[p].reset();

@@ -8,8 +8,8 @@
 
 namespace stratalux {
 
-// Behind what was logged before. kFailed where the bytes do not arrive: a full disk or a pipe that nobody reads any more
-// must not pass for success.
+// Behind what was logged before. kFailed where the bytes do not arrive: a full disk or a pipe that nobody reads any
+// more must not pass for success.
 [[nodiscard]] Status WriteStdout(std::string_view bytes);
 
 }  // namespace stratalux

@@ -7,7 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "firmware-host/projector/pattern_memory_projector.h"
+#include "firmware-host/projector/memory_layout.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "tests/firmware-host/sequence/learnt_rig.h"
@@ -40,7 +40,7 @@ class LearntDeadlinesTest : public ::testing::Test {
     options.scattering = false;
     options.free_running = plan_.sync_mode == SyncMode::kFreeRunning;
     options.devices.timing = timing_;
-    for (int p = 0; p < plan.options.projectors; ++p) options.memories.push_back(MemoryOf(plan, p));
+    options.memories = LayOutMemories(plan.options)->Patterns();
     return options;
   }
   void Learn() {
