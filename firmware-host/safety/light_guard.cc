@@ -193,8 +193,9 @@ Status LightGuard::On(int projector, const LightLease& lease) {
     if (light.until_ns.load() == 0)
       light.limit_ns.store(lease.longest.count() > 0 ? now + lease.longest.count() : kNever);
     light.length_ns.store(lease.length.count());
-    light.confirmed.store(false);
     light.until_ns.store(std::min(now + lease.length.count(), light.limit_ns.load()));
+    // After the lease: whoever finds it unconfirmed finds it leased, and writes no 'off' over what comes.
+    light.confirmed.store(false);
     for (int i = 0; i < light.count && refused == 0; ++i) {
       refused = light.switches[i]->Set(true);
       if (refused != 0) refuser = light.switches[i];
