@@ -3,11 +3,13 @@
 // what becomes of a rig that is slower than it was.
 #include <algorithm>
 #include <iostream>
+#include <span>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "firmware-host/projector/memory_layout.h"
+#include "firmware-host/projector/memory_way.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "tests/firmware-host/sequence/learnt_rig.h"
@@ -72,13 +74,18 @@ class LearntDeadlinesTest : public ::testing::Test {
     EXPECT_TRUE(report.ok()) << report.status().message();
     return {*report, 1e-9 * static_cast<double>(((*rig)->clock().Now() - start).count())};
   }
-  // From RESET to a step of the plan, that and all before it shown.
+  // From RESET to where a step of the plan and what follows it lie nearest.
   [[nodiscard]] double SteppingTo(int step) const {
     const CapturePlan plan = *BuildPlan(plan_);
-    int before = 0;
-    for (int i = 0; i < step; ++i)
-      before += plan.steps[i].projector < 0 || plan.steps[i].projector == plan.steps[step].projector;
-    return 1e-3 * (timing_.memory_reset_ms + before * timing_.memory_step_ms);
+    const int projector = plan.steps[step].projector;
+    size_t before = 0;
+    for (int i = 0; i < step; ++i) before += plan.steps[i].projector < 0 || plan.steps[i].projector == projector;
+    const std::vector<Pattern> sequence = SequenceOf(plan, projector);
+    const MemoryTiming timing{FromMilliseconds(timing_.memory_step_ms), FromMilliseconds(timing_.memory_reset_ms)};
+    const auto way = FindWay(LayOutMemories(plan_)->Patterns()[projector], std::span(sequence).subspan(before),
+                             std::nullopt, timing);
+    EXPECT_TRUE(way) << step;
+    return way ? 1e-9 * static_cast<double>(TimeOf(*way, timing).count()) : 0.0;
   }
   // What two lost frames cost beyond the memories' steps. Nothing is exposed behind either, so that the exposures are
   // counted as the steps are, but for the one that is taken again.
