@@ -201,7 +201,11 @@ VisitTiming TimingOf(const RigConfig& config, const RigDelays* learnt) {
   timing.sync_delay = FromMilliseconds(config.sync_delay_ms.value_or(sync_ms));
   timing.transfer = FromMilliseconds(config.camera.transfer_ms.value_or(transfer_ms));
   if (config.camera.frame_rate_hz > 0.0) timing.frame_period = FromMilliseconds(1e3 / config.camera.frame_rate_hz);
-  timing.loading = LoadingTimeOf(config, MemoryTimingsOf(config));
+  std::vector<std::optional<MemoryTiming>> memories = MemoryTimingsOf(config);
+  if (learnt != nullptr && !config.sync_delay_ms)
+    for (size_t p = 0; p < std::min(memories.size(), learnt->sync.size()); ++p)
+      if (memories[p]) memories[p]->step = FromMilliseconds(learnt->sync[p].median_ms);
+  timing.loading = LoadingTimeOf(config, memories);
   return timing;
 }
 

@@ -199,6 +199,9 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
     return std::optional<SeriesOptions>();
   }
   if (flags.poses == 0 && flags.board_pose >= 0) return std::optional<SeriesOptions>();
+  if (!flags.events.empty())
+    return Status::Usage(
+        "--simulate-events: each pose of a series is a rig of its own; give --pose for a single one");
   SeriesOptions series;
   series.first = std::max(0, flags.board_pose);
   series.poses = flags.poses > 0 ? flags.poses : kAdvisedPoses;
@@ -268,6 +271,7 @@ int RunSelftestCommand(const Flags& flags) {
   options.rig.settle = FromMilliseconds(config->settle_ms);
   // What was learnt before is no measure for what is learnt now.
   options.rig.deadline = config->LongestDeadline();
+  options.rig.max_on_time = FromMilliseconds(1e3 * config->max_on_time_s);
   options.rig.wait = rig->wait();
   options.keep_delays = [&](const RigDelays& delays) -> Result<std::string> {
     SLX_RETURN_IF_ERROR(KeepDelays(StateFolder(), *config, simulated, delays));
@@ -285,14 +289,14 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   const Result<MemoryLayout> layout = LayOutMemories(config->plan, config->memory);
   if (!plan.ok() || !layout.ok()) return Report(plan.ok() ? layout.status() : plan.status());
-  if (render.parsed()) {
-    const Status status = RenderPlan(*plan, TimingOf(*config), *layout, flags.out);
-    return status.ok() ? 0 : Report(status);
-  }
   const Result<std::optional<SimulatedRigOptions>> simulated = SimulationFrom(flags, *config);
   if (!simulated.ok()) return Report(simulated.status());
   const Result<TimingInUse> timing = ChooseTiming(flags.timing, *config, *simulated);
   if (!timing.ok()) return Report(timing.status());
+  if (render.parsed()) {
+    const Status status = RenderPlan(*plan, timing->visit, *layout, flags.out);
+    return status.ok() ? 0 : Report(status);
+  }
   return Print((flags.json ? PlanAsJson : PlanAsText)(*plan, timing->visit, *layout, timing->deadlines));
 }
 

@@ -59,17 +59,18 @@ std::optional<Node> Describe(int fd, const std::string& path) {
 
 UniqueFd OpenNode(const std::string& path) { return UniqueFd(open(path.c_str(), O_RDWR | O_NONBLOCK | O_CLOEXEC)); }
 
-Result<Node> FindCamera(const CameraWiring& wiring) {
-  auto wanted = [](const std::string& given, const std::string& is) { return given.empty() || given == is; };
+std::vector<std::string> VideoNodes() {
   std::vector<std::string> paths;
   std::error_code ignored;
-  if (!wiring.device.empty()) {
-    paths.push_back(wiring.device);
-  } else {
-    for (const auto& entry : std::filesystem::directory_iterator("/dev", ignored))
-      if (entry.path().filename().string().starts_with("video")) paths.push_back(entry.path().string());
-    std::sort(paths.begin(), paths.end());
-  }
+  for (const auto& entry : std::filesystem::directory_iterator("/dev", ignored))
+    if (entry.path().filename().string().starts_with("video")) paths.push_back(entry.path().string());
+  std::sort(paths.begin(), paths.end());
+  return paths;
+}
+
+Result<Node> FindCamera(const CameraWiring& wiring) {
+  auto wanted = [](const std::string& given, const std::string& is) { return given.empty() || given == is; };
+  const std::vector<std::string> paths = wiring.device.empty() ? VideoNodes() : std::vector<std::string>{wiring.device};
   std::vector<Node> fitting;
   std::string seen;
   for (const std::string& path : paths) {
@@ -488,9 +489,19 @@ Result<std::unique_ptr<FrameSource>> V4l2FrameSource::Open(const CameraWiring& w
 }
 
 bool V4l2FrameSource::IsThere(const CameraWiring& wiring) {
+  // A node that is in use, or may not be opened just now, is there.
+  const auto away = [](const std::string& node) {
+    const UniqueFd fd = OpenNode(node);
+    return !fd.ok() && (errno == ENOENT || errno == ENODEV || errno == ENXIO);
+  };
+  if (!wiring.device.empty() && !OpenNode(wiring.device).ok()) return !away(wiring.device);
   const Result<Node> found = FindCamera(wiring);
   // Several: one more than wanted.
-  return found.ok() || found.status().code() == StatusCode::kUsage;
+  if (found.ok() || found.status().code() == StatusCode::kUsage) return true;
+  if (!wiring.device.empty()) return false;
+  const std::vector<std::string> nodes = VideoNodes();
+  return std::any_of(nodes.begin(), nodes.end(),
+                     [&](const std::string& node) { return !OpenNode(node).ok() && !away(node); });
 }
 
 }  // namespace stratalux::rig

@@ -52,6 +52,7 @@ class PatternMemoryProjector final : public Projector {
 };
 
 Status PatternMemoryProjector::Rewind() {
+  place_ = Place::kDoubtful;  // also where the pulse fails half-way
   SLX_RETURN_IF_ERROR(memory_lines_.ResetMemory(options_.projector));
   first_pattern_count_ = memory_lines_.SyncCount(options_.projector);
   place_ = Place::kCounted;

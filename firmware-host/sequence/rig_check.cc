@@ -13,7 +13,6 @@ namespace {
 
 using std::chrono::nanoseconds;
 
-constexpr nanoseconds kLongestLight = std::chrono::minutes(5);
 constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
 
 double Ms(nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
@@ -86,7 +85,7 @@ class RigCheck {
   Status Light(int projector) {
     const auto exposure = FromMilliseconds(options_.exposure_ms);
     return devices_.light.On(projector,
-                             {2 * (3 * (options_.deadline + 2 * exposure) + options_.settle), kLongestLight});
+                             {2 * (3 * (options_.deadline + 2 * exposure) + options_.settle), options_.max_on_time});
   }
 
   Status DrainEdges() {

@@ -30,6 +30,7 @@ struct RigCheckOptions {
   double gain = 1.0;
   std::chrono::nanoseconds settle = std::chrono::milliseconds(2);
   std::chrono::nanoseconds deadline = std::chrono::milliseconds(500);  // of an edge, and of a frame after its exposure
+  std::chrono::nanoseconds max_on_time = std::chrono::minutes(1);      // of a light at a stretch
   // What each projector's TRIGGER steps through: a sequence that every pattern memory holds (the plan's pre-roll), in
   // which a black picture is followed by a white one.
   std::vector<Pattern> markers;

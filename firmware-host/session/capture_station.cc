@@ -141,13 +141,15 @@ CaptureStation::~CaptureStation() {
 
 void CaptureStation::Rest() {
   const std::vector<Projector*> projectors = rig_.devices().projectors;
-  moved_ = false;
+  bool all = true;
   for (size_t p = 0; p < projectors.size(); ++p) {
     const Status rested = projectors[p]->Rest();
+    all &= rested.ok();
     // The next capture finds its way, and names what is wrong, from wherever the memory stands.
     if (!rested.ok() && !stop_.stopped())
       logger_.Warning("projector " + std::to_string(p) + " is not at its first pattern: " + rested.message());
   }
+  moved_ = !all;  // what a stop forbade is made up for
 }
 
 Status CaptureStation::MayBegin(const StationOptions& options, const CaptureRequest& request) {
@@ -246,7 +248,11 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
                     " times): it starts nothing");
   // The next captures need not find out again.
   for (const SlowAnswers& slow : outcome.report.slow)
-    if (slow.late > 0) deadlines_.learnt.reset();
+    if (slow.late > 0 && deadlines_.learnt) {
+      deadlines_.learnt.reset();
+      deadlines_.source = DeadlineSource::kDefault;
+      deadlines_.refused = "the rig is slower than what was learnt; run `stratalux-rig selftest` again";
+    }
   // The next opening ends what a writer could not even mark as failed.
   if (outcome.report.status == SessionStatus::kFailed) store_.reset();
   if (simulation != nullptr) {

@@ -22,7 +22,9 @@ class StartWait {
 
   Status Run() {
     SLX_RETURN_IF_ERROR(station_.light().AllOff());
-    static_cast<void>(station_.events().Take());
+    // START of before is nobody's; a camera that went and came is to be opened again.
+    for (const RigEvent& event : station_.events().Take()) reopen_ |= event.signal == RigSignal::kCamera;
+    reopen_ |= stop_.reason() == StopReason::kCameraGone;
     logger_.Info("waiting for START, all lights off");
     for (int i = 0; i < kRigSignals; ++i) {
       const auto signal = static_cast<RigSignal>(i);
@@ -57,6 +59,8 @@ class StartWait {
   // An error where no door to close and no plug to put in helps.
   [[nodiscard]] Status MayGoOn() const {
     if (stop_.operator_asked()) return Status::Failed(ToString(StopReason::kOperator));
+    // Nothing opens them again.
+    if (active_[static_cast<size_t>(RigSignal::kLines)]) return Status::Failed(ToString(StopReason::kLinesGone));
     switch (stop_.reason()) {
       case StopReason::kNone:
       case StopReason::kDoorOpen:

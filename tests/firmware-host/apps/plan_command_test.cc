@@ -130,6 +130,14 @@ TEST(TimingOf, TakesWhatWasLearntWhereTheConfigurationIsSilent) {
   EXPECT_EQ(TimingOf(config, &*learnt.delays).sync_delay, FromMilliseconds(3.0));
   EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(4.0));
   config = {};
+  config.plan.kind = SessionKind::kCalibration;
+  EXPECT_GT(TimingOf(config).loading.count(), 0);
+  RigDelays slow = *learnt.delays;
+  slow.sync = {{64, 5.0, 5.0, 0.0}, {64, 5.0, 5.0, 0.0}, {64, 5.0, 5.0, 0.0}, {64, 5.0, 5.0, 0.0}};
+  EXPECT_GT(TimingOf(config, &slow).loading, 8 * TimingOf(config).loading) << "the memories' way, at ten times a step";
+  config.sync_delay_ms = kSyncDelayMs;
+  EXPECT_EQ(TimingOf(config, &slow).loading, TimingOf(config).loading);
+  config = {};
   config.plan.sync_mode = SyncMode::kFreeRunning;
   EXPECT_EQ(TimingOf(config, &*learnt.delays).transfer, FromMilliseconds(7.9));
   EXPECT_EQ(TimingOf(config, &*learnt.delays).frame_period, FromMilliseconds(24.0));

@@ -152,7 +152,7 @@ TEST_F(LibcameraCamera, IsOpenedOnceAProcessAndAgainWhenClosed) {
   Next(*again);
 }
 
-TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHangAndIsOpenedAgainWhenItIsBack) {
+TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHang) {
   const char* unbind = std::getenv("STRATALUX_TEST_LIBCAMERA_UNBIND");
   if (unbind == nullptr) GTEST_SKIP() << "STRATALUX_TEST_LIBCAMERA_UNBIND names no device";
   auto camera = Open();
@@ -170,19 +170,9 @@ TEST_F(LibcameraCamera, UnpluggedEndsInAnErrorNotInAHangAndIsOpenedAgainWhenItIs
   EXPECT_EQ(camera->Wait({}).status().message(), status.message());
   EXPECT_FALSE(camera->Stop().ok());
   camera.reset();
-  const auto await = [this](bool there) {
-    for (int k = 0; k < 200 && LibcameraFrameSource::IsThere(wiring_) != there; ++k)
-      std::this_thread::sleep_for(std::chrono::milliseconds(100));
-    EXPECT_EQ(LibcameraFrameSource::IsThere(wiring_), there);
-  };
-  await(false);
-  EXPECT_EQ(RefusalOf().code(), StatusCode::kNotFound);
-  std::ofstream(file.replace(file.rfind("unbind"), 6, "bind")) << device << std::flush;
-  await(true);
-  camera = Open();
-  ASSERT_NE(camera, nullptr);
-  ASSERT_TRUE(camera->Start().ok());
-  Next(*camera);
+  // vimc's pipeline handler tells libcamera nothing of an unplugged camera (those that do, such as UVC's, are stood for
+  // by libcamera_unplug_test): it stays in use.
+  EXPECT_EQ(RefusalOf().code(), StatusCode::kBusy);
 }
 
 }  // namespace

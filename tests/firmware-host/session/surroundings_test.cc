@@ -307,6 +307,18 @@ TEST_F(StartWaitTest, AnOperatorEndsItAlsoBehindAnOpenDoor) {
   }
 }
 
+// Between two visits nobody listens: the next wait opens what went and came.
+TEST_F(StartWaitTest, ACameraThatWentAndCameBeforeIsOpenedAgain) {
+  Open();
+  Happen(kCamera, kActive);
+  Happen(kCamera, kRest);
+  BeginWaiting();
+  AwaitLog("START counts again");
+  Happen(kStart, kActive);
+  EXPECT_TRUE(End().ok());
+  ExpectComplete();
+}
+
 TEST_F(StartWaitTest, LinesThatGoEndIt) {
   Begin();
   Happen(kLines, kActive);

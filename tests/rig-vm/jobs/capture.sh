@@ -69,7 +69,7 @@ capture_once() {
 faults() {
   sed 's/ *; */;/g' <<'ROWS'
 swapped patterns      ; whole ; degraded          ;                                ; swap@60
-bit for its inverse   ; short ; degraded          ;                                ; swap@20
+bit for its inverse   ; short ; degraded          ;                                ; swap@126
 no step               ; short ; complete degraded ;                                ; no-step@30
 lost edge             ; short ; complete degraded ;                                ; lost-edge@30
 doubled edge          ; short ; complete degraded ;                                ; doubled-edge@30
