@@ -200,8 +200,7 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
   }
   if (flags.poses == 0 && flags.board_pose >= 0) return std::optional<SeriesOptions>();
   if (!flags.events.empty())
-    return Status::Usage(
-        "--simulate-events: each pose of a series is a rig of its own; give --pose for a single one");
+    return Status::Usage("--simulate-events: each pose of a series is a rig of its own; give --pose for a single one");
   SeriesOptions series;
   series.first = std::max(0, flags.board_pose);
   series.poses = flags.poses > 0 ? flags.poses : kAdvisedPoses;
