@@ -92,7 +92,7 @@ death() {
       failures=$((failures + 1))
       break
     }
-    tries=$((tries + 1)) at_ms=$((at_ms / 2))
+    tries=$((tries + 1)) at_ms=$((at_ms / 4))
   done
   echo "$row" >>$cases
 }
