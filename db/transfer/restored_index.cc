@@ -2,6 +2,7 @@
 #include "db/transfer/restored_index.h"
 
 #include <set>
+#include <string>
 #include <vector>
 
 #include "db/care/reindex.h"
@@ -40,6 +41,39 @@ Status ForgetRows(Connection& connection, const std::vector<IndexedSession>& for
     SLX_RETURN_IF_ERROR(visitor.Bind(1, session.visitor).Run());
   }
   return forgotten.empty() ? Status::Ok() : connection.Execute("VACUUM");
+}
+
+// A damaged list of the backup's files may lack a fit's record, without which it is none.
+Status DropFitsWithoutRecord(Connection& connection, const fs::path& store, RestoreReport& report) {
+  struct ListedFit {
+    int64_t number = 0;
+    std::string session, fit;
+  };
+  std::vector<ListedFit> gone;
+  {
+    SLX_ASSIGN_OR_RETURN(auto select,
+                         connection.Prepare("SELECT sessions.number, sessions.id, fits.id FROM fits JOIN sessions ON"
+                                            " sessions.number = fits.session"));
+    while (true) {
+      SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+      if (!more) break;
+      ListedFit fit{select.Integer(0), select.Text(1), select.Text(2)};
+      std::error_code error;
+      if (!fs::exists(store / "sessions" / fit.session / "fits" / fit.fit / "fit.json", error))
+        gone.push_back(std::move(fit));
+    }
+  }
+  if (gone.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(auto figures, connection.Prepare("DELETE FROM metrics WHERE session = ?1 AND fit = ?2"));
+  SLX_ASSIGN_OR_RETURN(auto row, connection.Prepare("DELETE FROM fits WHERE session = ?1 AND id = ?2"));
+  for (const ListedFit& fit : gone) {
+    SLX_RETURN_IF_ERROR(figures.Bind(1, fit.number).Bind(2, fit.fit).Run());
+    SLX_RETURN_IF_ERROR(row.Bind(1, fit.number).Bind(2, fit.fit).Run());
+    report.problems.push_back("fit " + fit.fit + " of session " + fit.session +
+                              " was not restored: its fit.json did not come");
+  }
+  return transaction.Commit();
 }
 
 Status ListFolder(SessionIndex& index, const fs::path& folder, const std::string& from) {
@@ -92,6 +126,7 @@ Status PrepareIndex(const fs::path& store, const fs::path& work, const std::stri
     SLX_RETURN_IF_ERROR(transaction.Commit());
   }
   SLX_RETURN_IF_ERROR(ForgetRows(connection, forgotten));
+  SLX_RETURN_IF_ERROR(DropFitsWithoutRecord(connection, store, report));
   SLX_RETURN_IF_ERROR(ListUnlisted(index, store, from, report));
   return connection.Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)");
 }

@@ -6,6 +6,7 @@
 #include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 #include "tests/db/transfer/transfer_fixture.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -72,6 +73,30 @@ TEST_F(RestoreTest, ADamagedIndexIsBuiltAgainFromTheFolders) {
   EXPECT_THAT(restored->problems, IsEmpty());
   EXPECT_THAT(restored->notes, ::testing::Contains(HasSubstr("built again from the folders")));
   EXPECT_EQ(Ids(other_), (std::vector{second, first}));
+}
+
+// A flipped bit in the list of files sends a fit's record elsewhere: the index must not go on listing the fit.
+TEST_F(RestoreTest, AFitWhoseRecordTheListLostIsNamedAndNotListed) {
+  const std::string id = StoreSession(1);
+  {
+    SessionStore store = OpenStore();
+    std::filesystem::create_directories(store.FitFolder(id, "f1"));
+    ASSERT_TRUE(store.RegisterFit({"f1", id, "{}", R"({"rms": 0.25})", {5}}).ok());
+  }
+  BackUp();
+  std::string list = ReadText(backup_ / "backup.json");
+  const size_t at = list.find(id + "/fits/f1/fit.json");
+  ASSERT_NE(at, std::string::npos);
+  list[at + id.size() - 1] ^= 4;
+  WriteText(backup_ / "backup.json", list);
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_THAT(restored->problems, ::testing::Contains(HasSubstr("does not match its own hash")));
+  EXPECT_THAT(restored->problems, ::testing::Contains(HasSubstr("fit f1 of session " + id + " was not restored")));
+  EXPECT_EQ(Ids(other_), std::vector{id});
+  const auto store = SessionStore::Open(other_, AccessMode::kReadOnly);
+  EXPECT_THAT(*store->ListFits(id), IsEmpty());
+  EXPECT_THAT(VerifyStore(*store)->problems, IsEmpty());
 }
 
 TEST_F(RestoreTest, ANewStoreDemandsTheNewestLedgerOrTheWordThatThereIsNone) {
