@@ -138,9 +138,10 @@ bool CaptureRun::AnyPending(const std::vector<int>& group) const {
 
 Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const PlanStep& last = plan_.steps[group.back()];
-  // A group that lacks a member cannot be judged: what is there goes out as not checked.
+  // A group that lacks a member cannot be judged: what is there goes out as not checked, and stays refuted where it was.
   const bool whole = std::none_of(group.begin(), group.end(), [this](int step) { return given_up_.contains(step); });
-  const LevelCheck verdict = whole ? witness_.Check(last) : LevelCheck::kNotChecked;
+  const LevelCheck unjudged = wrong_level_.contains(last.index) ? LevelCheck::kFailed : LevelCheck::kNotChecked;
+  const LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
   // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
   std::vector<Shot> shots = std::exchange(held_[group.front()], {});
   held_.erase(group.front());

@@ -395,6 +395,17 @@ TEST_F(SequencerTest, AProjectorThatNeverShowsTheCodeDegradesTheSession) {
   EXPECT_THAT(report.Reasons().front(), HasSubstr("level check failed"));
 }
 
+// The pair is refuted twice; at the last try one of its frames is lost, so that nothing judges the other.
+TEST_F(SequencerTest, WhatWasRefutedIsNotProvenByTheLossOfItsPartner) {
+  const int first = StepOf(0, CapturePhase::kCorrespondence, 2);
+  for (int i = 0; i < 3; ++i) rig_.projector_trouble[{0, first + 1 + 3 * i}] = ProjectorTrouble::kStuck;
+  rig_.camera_trouble[first + 4] = CameraTrouble::kLose;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.Count(ShotFault::kLostFrame), 1);
+  EXPECT_EQ(report.status, SessionStatus::kDegraded);
+  EXPECT_THAT(report.missing_steps, ElementsAre(first, first + 1));
+}
+
 TEST_F(SequencerTest, AStepThatFailsThreeTimesIsNamedAndTheRestGoesOn) {
   const int step = StepOf(0, CapturePhase::kSweep, 4);
   for (int i = 0; i < 3; ++i) rig_.camera_trouble[step + i] = CameraTrouble::kCorrupt;
