@@ -138,7 +138,8 @@ bool CaptureRun::AnyPending(const std::vector<int>& group) const {
 
 Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const PlanStep& last = plan_.steps[group.back()];
-  // A group that lacks a member cannot be judged: what is there goes out as not checked, and stays refuted where it was.
+  // A group that lacks a member cannot be judged: what is there goes out as not checked, and stays refuted where it
+  // was.
   const bool whole = std::none_of(group.begin(), group.end(), [this](int step) { return given_up_.contains(step); });
   const LevelCheck unjudged = wrong_level_.contains(last.index) ? LevelCheck::kFailed : LevelCheck::kNotChecked;
   const LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
