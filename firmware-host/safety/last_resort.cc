@@ -83,6 +83,7 @@ StopToken& StopOfProcess() {
   static StopToken stop;
   static const bool installed = [] {
     process_stop = &stop;
+    handler_stack.fill(1);  // in memory from now on: who dies beside real-time threads has little time for page faults
     const stack_t stack{.ss_sp = handler_stack.data(), .ss_flags = 0, .ss_size = handler_stack.size()};
     sigaltstack(&stack, nullptr);
     sigset_t met;

@@ -113,11 +113,12 @@ Status CaptureRun::Keep(Shot shot) {
   witness_.Add(step, shot.pixels, shot.record.mean_dn);
   const std::vector<int> group = PatternWitness::GroupOf(plan_, step.index);
   std::vector<Shot>& held = held_[group.front()];
-  // Nobody looks at a frame whose step was shot again before its group was whole.
+  // Nobody looks at a frame whose step was shot again before its group was whole, so it never counts.
   const auto older = std::find_if(held.begin(), held.end(), [&](const Shot& s) { return s.record.step == step.index; });
   if (older != held.end()) {
     Shot replaced = std::move(*older);
     held.erase(older);
+    replaced.record.level_check = LevelCheck::kFailed;
     SLX_RETURN_IF_ERROR(Emit(std::move(replaced)));
   }
   held.push_back(std::move(shot));
@@ -139,9 +140,11 @@ bool CaptureRun::AnyPending(const std::vector<int>& group) const {
 Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const PlanStep& last = plan_.steps[group.back()];
   // A group that lacks a member cannot be judged: what is there goes out as not checked, and stays refuted where it
-  // was.
+  // was. Of those that tell nothing one by one, none counts.
   const bool whole = std::none_of(group.begin(), group.end(), [this](int step) { return given_up_.contains(step); });
-  const LevelCheck unjudged = wrong_level_.contains(last.index) ? LevelCheck::kFailed : LevelCheck::kNotChecked;
+  const bool refuted = wrong_level_.contains(last.index);
+  const bool tells_nothing = !whole && !refuted && PatternWitness::OneLoadOf(plan_, last.index).size() > 1;
+  const LevelCheck unjudged = refuted || tells_nothing ? LevelCheck::kFailed : LevelCheck::kNotChecked;
   const LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
   // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
   std::vector<Shot> shots = std::exchange(held_[group.front()], {});
@@ -151,6 +154,10 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
     SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
   }
   last_verdict_ = verdict;
+  if (tells_nothing) {
+    for (int step : group) proven_.erase(step);
+    return Status::Ok();
+  }
   if (verdict != LevelCheck::kFailed) {
     for (int step : group) wrong_level_.erase(step);
     return TellWhite(last);
@@ -215,7 +222,8 @@ Status CaptureRun::Spoil(int step, ShotFault fault) {
     return Status::Ok();
   }
   if (RetriesLeft(step)) {
-    Retake(step, fault);
+    for (int member : PatternWitness::OneLoadOf(plan_, step))
+      if (member == step || !pending_.contains(member)) Retake(member, fault);
     logger_.Warning(Describe(step) + ": " + ToString(fault) + "; shot again");
     return Status::Ok();
   }

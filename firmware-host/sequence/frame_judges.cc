@@ -43,6 +43,20 @@ double MeanIntensity(const Pattern& pattern, int width, int height) {
   return std::accumulate(picture.pixels().begin(), picture.pixels().end(), 0.0) / static_cast<double>(picture.size());
 }
 
+// Of probe i, projector px from the nearest line of a comb or disc of spots; 0: on it; -1: not known.
+double DistanceToLight(const Pattern& pattern, const LevelsAt& frame, size_t i) {
+  const int period = pattern.period;
+  if (pattern.kind == PatternKind::kSpots) {
+    if (frame.column[i] < 0 || frame.row[i] < 0) return -1.0;
+    const int dx = frame.column[i] % period - period / 2, dy = frame.row[i] % period - period / 2;
+    return std::max(0.0, std::hypot(dx, dy) - pattern.width);
+  }
+  const int at = pattern.axis == PatternAxis::kColumns ? frame.column[i] : frame.row[i];
+  if (at < 0) return -1.0;
+  const int distance = ((at - pattern.shift) % period + period) % period;
+  return distance < pattern.width ? 0 : std::min(distance - pattern.width + 1, period - distance);
+}
+
 }  // namespace
 
 PatternWitness::Testimony PatternWitness::JudgeReference() {
@@ -193,35 +207,49 @@ PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
   const double black = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0);
   if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black || mean < 0.25 * share - black)
     return Testimony::kRefutes;
-  if (!BrightAsTheExposure(step) || LinesElsewhere(step, frame)) return Testimony::kRefutes;
+  if (!BrightAsTheExposure(step) || LightElsewhere(step, frame)) return Testimony::kRefutes;
   const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
-  if (std::abs(evidence) < options_.min_evidence) return Testimony::kSilent;
-  return evidence > 0.0 ? Testimony::kConfirms : Testimony::kRefutes;
+  if (evidence < -options_.min_evidence || OtherCombInABand(step, frame)) return Testimony::kRefutes;
+  return evidence < options_.min_evidence ? Testimony::kSilent : Testimony::kConfirms;
 }
 
-bool PatternWitness::LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const {
-  // In some band, probes far from the lines that are as bright as those on them.
-  const Pattern& comb = step.pattern;
-  const std::span<const int> at = comb.axis == PatternAxis::kColumns ? frame.column : frame.row;
-  std::vector<int> beyond;  // px from the nearest line, by position
-  for (int position = 0; position < (comb.axis == PatternAxis::kColumns ? frame.width : frame.height); ++position) {
-    const int distance = ((position - comb.shift) % comb.period + comb.period) % comb.period;
-    beyond.push_back(distance < comb.width ? 0 : std::min(distance - comb.width + 1, comb.period - distance));
+bool PatternWitness::OtherCombInABand(const PlanStep& step, const LevelsAt& frame) const {
+  struct Part {
+    std::vector<float> level;
+    std::vector<int> column, row;
+  };
+  std::array<Part, ProbeLattice::kBands> bands;
+  for (size_t i = 0; i < frame.level.size(); ++i) {
+    Part& part = bands[lattice_.BandOf(lit_[i])];
+    part.level.push_back(frame.level[i]);
+    if (!frame.column.empty()) part.column.push_back(frame.column[i]);
+    if (!frame.row.empty()) part.row.push_back(frame.row[i]);
   }
+  return std::any_of(bands.begin(), bands.end(), [&](const Part& part) {
+    const LevelsAt rows{part.level, part.column, part.row, frame.width, frame.height};
+    return CombEvidence(step.pattern, plan_.options.comb_step, rows) < -options_.min_evidence;
+  });
+}
+
+bool PatternWitness::LightElsewhere(const PlanStep& step, const LevelsAt& frame) const {
+  // In some band, probes far from the lines or spots that are as bright as those on them.
+  const Pattern& pattern = step.pattern;
   double on = 0.0;
-  int lines = 0;
-  for (size_t i = 0; i < at.size(); ++i)
-    if (at[i] >= 0 && beyond[at[i]] == 0) {
-      on += frame.level[i];
-      ++lines;
-    }
-  if (lines == 0) return false;
-  const double bright = 0.6 * on / lines;
+  int lit = 0;
+  std::vector<double> beyond(frame.level.size());
+  for (size_t i = 0; i < frame.level.size(); ++i) {
+    beyond[i] = DistanceToLight(pattern, frame, i);
+    if (beyond[i] != 0.0) continue;
+    on += frame.level[i];
+    ++lit;
+  }
+  if (lit == 0) return false;
+  const double bright = 0.6 * on / lit;
   PerBand off{}, all{};
-  for (size_t i = 0; i < at.size(); ++i) {
+  for (size_t i = 0; i < frame.level.size(); ++i) {
     const int band = lattice_.BandOf(lit_[i]);
     ++all[band];
-    if (at[i] < 0 || frame.level[i] <= bright || beyond[at[i]] <= 2 * comb.width) continue;
+    if (frame.level[i] <= bright || beyond[i] <= 2 * pattern.width) continue;
     const double contrast = white_.probes[lit_[i]] - black_.probes[lit_[i]];
     off[band] += frame.level[i] > bright + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[lit_[i]])) / contrast;
   }
@@ -315,7 +343,10 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
     const double comb = static_cast<double>(o.comb_width) / o.comb_period;
     double highest = 0.25 + 0.5 * spots;
     if (comb >= 4.0 * share) highest = std::min(highest, std::sqrt(share * comb));
-    return level > 0.3 * spots && level < highest ? Testimony::kConfirms : Testimony::kRefutes;
+    if (level <= 0.3 * spots || level >= highest) return Testimony::kRefutes;
+    std::vector<float> levels;  // rows of another picture can have the mean of spots
+    const LevelsAt at = LevelsOf(step, levels);
+    return LightElsewhere(step, at) ? Testimony::kRefutes : Testimony::kConfirms;
   }
   if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;
   return spots == 0.0 || level < 0.3 * spots ? Testimony::kConfirms : Testimony::kRefutes;

@@ -57,6 +57,11 @@ std::vector<int> PatternWitness::GroupOf(const CapturePlan& plan, int step) {
   return group;
 }
 
+std::vector<int> PatternWitness::OneLoadOf(const CapturePlan& plan, int step) {
+  if (plan.steps[step].phase != CapturePhase::kCorrespondence) return {step};
+  return GroupOf(plan, step);
+}
+
 void PatternWitness::Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn) {
   if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
   frames_[step.index] = {lattice_.Sample(pixels), mean_dn, load_, shots_++, Testimony::kSilent};
@@ -252,9 +257,9 @@ const PatternWitness::Coordinates& PatternWitness::Where() {
 LevelsAt PatternWitness::LevelsOf(const PlanStep& step, std::vector<float>& level) {
   const Coordinates& at = Where();
   const bool columns = !at.column.empty(), rows = !at.row.empty();
-  const bool known = step.pattern.kind == PatternKind::kCheckerboard ? columns && rows
-                     : step.pattern.axis == PatternAxis::kColumns    ? columns
-                                                                     : rows;
+  const bool known = !step.pattern.IsOneDimensional()             ? columns && rows
+                     : step.pattern.axis == PatternAxis::kColumns ? columns
+                                                                  : rows;
   level.clear();
   if (!known) return {};
   const Probes& frame = Find(step.index)->probes;

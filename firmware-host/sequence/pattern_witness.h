@@ -9,10 +9,11 @@
 //                neighbours in the picture are neighbours of the projector (else a bit was exchanged with its inverse);
 //   sinusoid     N shifts add up, sum n = N / 2; each frame agrees best with its own shift;
 //   checkerboard each frame agrees best with its own shift;
-//   comb         the frame agrees best with its own shift among all of the cycle; its mean level is a comb's;
+//   comb         the frame agrees best with its own shift among all of the cycle, and no band of rows with another; its
+//                mean level is a comb's;
 //   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
 //   cycle        each probe's combs add up to its white (comb_cycle.h);
-//   spot, guard  the mean level is that of the spots, and that of black.
+//   spot, guard  the mean level is that of the spots, and that of black; nothing far from the spots is as bright.
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
@@ -96,6 +97,9 @@ class PatternWitness {
   // Steps that are judged together: {white, black}, a Gray bit and its inverse, the shifts of a sinusoid; else the step
   // alone. Plan indices, ascending and adjacent.
   [[nodiscard]] static std::vector<int> GroupOf(const CapturePlan& plan, int step);
+  // Of the step's group, those that only tell of each other when one load of the memory showed them all, in its order:
+  // a Gray bit and its inverse add up in each other's place, too. Else the step alone.
+  [[nodiscard]] static std::vector<int> OneLoadOf(const CapturePlan& plan, int step);
 
  private:
   enum class Testimony { kSilent, kConfirms, kRefutes };
@@ -130,7 +134,10 @@ class PatternWitness {
   [[nodiscard]] bool OneIsDimmer(std::span<const int> shifts) const;
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
-  [[nodiscard]] bool LinesElsewhere(const PlanStep& step, const LevelsAt& frame) const;
+  // The lines stand elsewhere in some rows, as in a torn frame.
+  [[nodiscard]] bool OtherCombInABand(const PlanStep& step, const LevelsAt& frame) const;
+  // Beside a comb's lines, or spots.
+  [[nodiscard]] bool LightElsewhere(const PlanStep& step, const LevelsAt& frame) const;
   [[nodiscard]] bool BrightAsTheExposure(const PlanStep& step) const;
   [[nodiscard]] double MeanLevel(const Probes& frame) const;
   // Mean level of the pattern on the lit probes, by their coordinates (without these: of the whole picture).

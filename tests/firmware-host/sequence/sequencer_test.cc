@@ -103,11 +103,13 @@ class SequencerTest : public ::testing::Test {
     EXPECT_EQ(report.status, SessionStatus::kComplete) << (report.Reasons().empty() ? "" : report.Reasons().front());
     EXPECT_EQ(report.Count(fault), 1) << report.FaultSummary();
     EXPECT_EQ(report.captured, report.planned);
-    EXPECT_EQ(report.retried, 1);
+    const int again_from = PatternWitness::OneLoadOf(plan_, step).front();
+    EXPECT_EQ(report.retried, step - again_from + 1);
     EXPECT_EQ(rig_.trusting_loads, plan_.options.projectors) << "a reload trusted the memory's count";
     ASSERT_FALSE(sink_.ShotsOf(step).empty());
     EXPECT_EQ(sink_.ShotsOf(step).back().retry, 1);
-    for (const FrameRecord& r : sink_.records) EXPECT_EQ(r.retry, r.step == step ? r.retry : 0) << r.step;
+    for (const FrameRecord& r : sink_.records)
+      EXPECT_LE(r.retry, r.step >= again_from && r.step <= step ? 1 : 0) << r.step;
   }
 
   void Overlap() {

@@ -6,6 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/firmware-host/session/small_station.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
@@ -15,29 +16,9 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-// An opaque plane before two small projectors.
 class CaptureStationTest : public ScratchFolderTest {
  protected:
-  CaptureStationTest() {
-    RigConfig& config = options_.config;
-    config.store.folder = (folder_ / "store").string();
-    config.camera.width = 88;
-    config.camera.height = 66;
-    config.plan.projectors = 4;
-    config.plan.projector_width = 128;
-    config.plan.projector_height = 96;
-    config.plan.comb_period = 32;
-    config.plan.spot_pitch = 32;
-    config.plan.spot_radius = 2;
-    SimulatedRigOptions& simulated = options_.simulated.emplace();
-    simulated.scene = "plane";
-    simulated.scattering = false;
-    simulated.camera_width = config.camera.width;
-    simulated.camera_height = config.camera.height;
-    simulated.projector_width = config.plan.projector_width;
-    simulated.projector_height = config.plan.projector_height;
-    request_.plan = config.plan;
-  }
+  CaptureStationTest() : options_(SmallStation(folder_)) { request_.plan = options_.config.plan; }
   std::unique_ptr<CaptureStation> Open() {
     auto station = CaptureStation::Open(options_, stop_, logger_);
     EXPECT_TRUE(station.ok()) << station.status().message();

@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/session/capture_station.h"
+#include "tests/firmware-host/session/small_station.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
 
@@ -25,17 +26,11 @@ class ExposureLawTest : public ScratchFolderTest {
     config.camera.height = 130;
     config.plan.projector_width = 256;
     config.plan.projector_height = 192;
-    SimulatedRigOptions& simulated = options.simulated.emplace();
     const auto scene = folder_ / "head.toml";
     WriteText(scene, "[subject]\nshape = \"head\"\n[skin]\nmelanin = " + std::to_string(melanin) + "\n");
-    simulated.scene = scene.string();
-    simulated.seed = seed;
-    simulated.scattering = false;
-    simulated.noise = noise;
-    simulated.camera_width = config.camera.width;
-    simulated.camera_height = config.camera.height;
-    simulated.projector_width = config.plan.projector_width;
-    simulated.projector_height = config.plan.projector_height;
+    Simulate(options, scene.string());
+    options.simulated->seed = seed;
+    options.simulated->noise = noise;
     return options;
   }
   std::unique_ptr<CaptureStation> Open(const StationOptions& options) {

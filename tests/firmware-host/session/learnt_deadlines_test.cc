@@ -17,6 +17,7 @@
 
 #include "firmware-host/session/capture_station.h"
 #include "shared/base/unique_fd.h"
+#include "tests/firmware-host/session/small_station.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
@@ -234,25 +235,9 @@ TEST_F(LearntDeadlinesFile, TwoSelftestsAndAKillLeaveAWholeFile) {
 // A station goes by them until a capture finds the rig slower.
 class LearntDeadlinesStation : public ScratchFolderTest {
  protected:
-  LearntDeadlinesStation() {
+  LearntDeadlinesStation() : options_(SmallStation(folder_)) {
     setenv("STATE_DIRECTORY", folder_.c_str(), 1);
-    RigConfig& config = options_.config;
-    config.store.folder = (folder_ / "store").string();
-    config.camera.width = 88;
-    config.camera.height = 66;
-    config.plan.projector_width = 128;
-    config.plan.projector_height = 96;
-    config.plan.comb_period = 32;
-    config.plan.spot_pitch = 32;
-    config.plan.spot_radius = 2;
-    SimulatedRigOptions& simulated = options_.simulated.emplace();
-    simulated.scene = "plane";
-    simulated.scattering = false;
-    simulated.camera_width = config.camera.width;
-    simulated.camera_height = config.camera.height;
-    simulated.projector_width = config.plan.projector_width;
-    simulated.projector_height = config.plan.projector_height;
-    request_.plan = config.plan;
+    request_.plan = options_.config.plan;
     delays_.sync.assign(4, {64, 0.4, 0.4, 0.0});
     delays_.frame = {60, 8.02, 8.02, 0.0};
     delays_.frame_period_ms = 24.0;

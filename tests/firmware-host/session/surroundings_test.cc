@@ -13,6 +13,7 @@
 
 #include "firmware-host/session/capture_station.h"
 #include "firmware-host/session/start_wait.h"
+#include "tests/firmware-host/session/small_station.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
 
@@ -28,29 +29,9 @@ using ::testing::Not;
 using enum RigSignal;
 using enum SignalLevel;
 
-// An opaque plane before four small projectors.
 class SurroundingsTest : public ScratchFolderTest {
  protected:
-  SurroundingsTest() {
-    RigConfig& config = options_.config;
-    config.store.folder = (folder_ / "store").string();
-    config.camera.width = 88;
-    config.camera.height = 66;
-    config.plan.projectors = 4;
-    config.plan.projector_width = 128;
-    config.plan.projector_height = 96;
-    config.plan.comb_period = 32;
-    config.plan.spot_pitch = 32;
-    config.plan.spot_radius = 2;
-    SimulatedRigOptions& simulated = options_.simulated.emplace();
-    simulated.scene = "plane";
-    simulated.scattering = false;
-    simulated.camera_width = config.camera.width;
-    simulated.camera_height = config.camera.height;
-    simulated.projector_width = config.plan.projector_width;
-    simulated.projector_height = config.plan.projector_height;
-    request_.plan = config.plan;
-  }
+  SurroundingsTest() : options_(SmallStation(folder_)) { request_.plan = options_.config.plan; }
   ~SurroundingsTest() override {
     station_.reset();
     std::fclose(log_);

@@ -83,6 +83,27 @@ TEST_P(Soak, NoFaultPassesOffAFrameForAnother) {
   table.Print();
 }
 
+// A bit's pulse steps twice, its inverse's frame is lost, and the memory that is loaded anew lags: shown is the
+// inverse, then the bit, which add up as they should. In the top bit of rows nothing that follows would contradict.
+TEST_P(Soak, ABitAndItsInverseAreNotTakenForEachOther) {
+  const CapturePlan plan = *BuildPlan(With(GetParam()).plan);
+  const auto bit = std::find_if(plan.steps.begin(), plan.steps.end(), [](const PlanStep& step) {
+    return step.pattern.kind == PatternKind::kGray && step.pattern.axis == PatternAxis::kRows;
+  });
+  const int64_t pulse = bit->index;  // of the first projector: the pre-roll steps all four at once
+  for (int64_t lag = 1; lag < 20; ++lag) {
+    const FaultOptions faults = {{{FaultKind::kProjectorSkip, pulse, 1, 0.0},
+                                  {FaultKind::kFrameLost, bit->index + 1, 1, 0.0},
+                                  {FaultKind::kProjectorLag, pulse + 1 + lag, 1, 0.0}},
+                                 1,
+                                 0.0,
+                                 {}};
+    const SoakCapture capture = CaptureOnce(With(GetParam(), faults));
+    EXPECT_TRUE(capture.mis_associated.empty()) << lag << " pulses later, step " << capture.mis_associated.front();
+    EXPECT_EQ(capture.report.status, SessionStatus::kComplete) << Reasons(capture);
+  }
+}
+
 TEST_P(Soak, TheInterlockIsTheReason) {
   const SoakCapture stopped = CaptureOnce(With(GetParam(), {{{FaultKind::kEmergencyStop, 50}}, 1, 0.0, {}}));
   EXPECT_THAT(Reasons(stopped), HasSubstr("emergency stop"));
