@@ -59,7 +59,7 @@ flock --nonblock 9 || fail "another run has $cache; wait for it or give --cache 
 # The mirror that this machine's apt takes Debian from, security updates apart.
 mirror() {
   apt-get indextargets --format '$(LABEL) $(ORIGIN) $(COMPONENT) $(REPO_URI)' 'Created-By: Packages' |
-    awk '$1 == "Debian" && $2 == "Debian" && $3 == "main" {print $4; exit}'
+    awk '$1 == "Debian" && $2 == "Debian" && $3 == "main" && $4 !~ /^cdrom:/ && !found++ {print $4}'
 }
 make_root() {
   local uri proxy="" options=() probe
@@ -73,7 +73,8 @@ make_root() {
   eval "$(apt-config shell proxy Acquire::http::Proxy)"
   [ -z "$proxy" ] || options+=(--aptopt="Acquire::http::Proxy \"$proxy\"")
   rm -rf "${root:?}" "$root.new"
-  mmdebstrap --mode=root --variant=minbase --components=main --include=ca-certificates "${options[@]}" \
+  echo "making a root of Debian $release in $root ..." >&2
+  mmdebstrap --quiet --mode=root --variant=minbase --components=main --include=ca-certificates "${options[@]}" \
     "$codename" "$root.new" "$uri" >&2 ||
     fail "mmdebstrap failed, see above; a keyring that is too old for $codename: apt-get install debian-archive-keyring"
   mv "$root.new" "$root"
@@ -93,19 +94,21 @@ in_root() {
     in-root "$root" "${CCACHE_DIR:-}" "$@"
 }
 
-[ $fresh -eq 0 ] && [ -d "$root" ] || make_root
+if [ $fresh -eq 1 ] || [ ! -d "$root" ]; then make_root; fi
 # By their contents: of what did not change, the objects stay good.
 tree=$(mktemp -d)
 trap 'rm -rf "$tree"' EXIT
 git -c safe.directory="$source" -C "$source" ls-files -z |
-  rsync -a --from0 --files-from=- --ignore-missing-args "$source/" "$tree/"
+  rsync -a --from0 --files-from=- --ignore-missing-args "$source/" "$tree/" || fail "the tracked files of $source cannot be listed and copied"
 rsync -rlp --checksum --delete --exclude=/build "$tree/" "$root/stratalux/"
+rm -rf "$tree"
 cp -L /etc/resolv.conf "$root/etc/resolv.conf"
 find "$root/tmp" -mindepth 1 -delete
 
-in_root /stratalux/scripts/install-deps.sh --groups "$groups" || fail "the packages above cannot be installed in $root"
+in_root /stratalux/scripts/install-deps.sh --groups "$groups" >"$cache/packages.log" 2>&1 ||
+  { tail -n 20 "$cache/packages.log" >&2; fail "the packages cannot be installed, see $cache/packages.log; --fresh makes the root anew"; }
 if [ -n "${CCACHE_DIR:-}" ] && [ ! -x "$root/usr/bin/ccache" ]; then
-  in_root apt-get install -y -qq --no-install-recommends ccache >&2 || echo "warning: no ccache in the root" >&2
+  in_root apt-get install -y -qq --no-install-recommends ccache >>"$cache/packages.log" 2>&1 || echo "warning: no ccache in the root" >&2
 fi
 in_root sh -c '. /etc/os-release && echo "$PRETTY_NAME, GCC $(gcc -dumpfullversion)"' >&2
 # shellcheck disable=SC2016
