@@ -110,6 +110,7 @@ in_root /stratalux/scripts/install-deps.sh --groups "$groups" >"$cache/packages.
 if [ -n "${CCACHE_DIR:-}" ] && [ ! -x "$root/usr/bin/ccache" ]; then
   in_root apt-get install -y -qq --no-install-recommends ccache >>"$cache/packages.log" 2>&1 || echo "warning: no ccache in the root" >&2
 fi
+in_root apt-get clean
 in_root sh -c '. /etc/os-release && echo "$PRETTY_NAME, GCC $(gcc -dumpfullversion)"' >&2
 # shellcheck disable=SC2016
 in_root bash -c '
