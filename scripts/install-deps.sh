@@ -39,6 +39,7 @@ libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
 clang-format         test the format check
+clang                test libFuzzer, for the night part fuzz; without it that part is skipped
 chromium             test the store's page in a real browser (label web)
 chromium-driver      test drives it
 python3-selenium     test drives it
