@@ -42,6 +42,7 @@ libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
 clang-format         test the format check
+clang                test libFuzzer, for the night part fuzz; without it that part is skipped
 chromium             web  the store's page in a real browser (label web)
 chromium-driver      web  drives it
 python3-selenium     web  drives it
