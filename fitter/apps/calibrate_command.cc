@@ -11,12 +11,12 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/base/own_hash.h"
 #include "fitter/apps/run_command.h"
+#include "fitter/calibration/board_stage.h"
 #include "fitter/calibration/calibration_record.h"
 #include "fitter/calibration/light_record.h"
-#include "fitter/pipeline/board_stage.h"
-#include "fitter/pipeline/content_hash.h"
-#include "fitter/pipeline/light_stage.h"
+#include "fitter/calibration/light_stage.h"
 #include "fitter/report/calibration_page.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
@@ -136,7 +136,7 @@ Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::st
                                     {"squares", f.squares},
                                     {"square_mm", f.stage.board.square_mm},
                                     {"distortion", f.distortion}};
-  const std::string fit = ContentHashOf(record + options.dump() + kVersion).substr(0, 16);
+  const std::string fit = db::HashHex(record + options.dump() + kVersion).substr(0, 16);
   const std::filesystem::path folder = store.FitFolder(session, fit);
   std::error_code error;
   std::filesystem::create_directories(folder, error);

@@ -13,9 +13,10 @@
 
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
-#include "fitter/pipeline/exr_file.h"
-#include "fitter/pipeline/geometry_stage.h"
+#include "fitter/export/exr_file.h"
 #include "fitter/report/html_report.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/decode.h"
 #include "fitter/structured_light/local_homography.h"
 #include "shared/base/standard_output.h"
 #include "shared/image/png.h"

@@ -29,6 +29,12 @@ FrameLineariser::FrameLineariser(const CameraCalibration& camera) : camera_(came
       std::ceil(camera.black_level_dn + camera.LinearDn(camera.saturation_dn - camera.black_level_dn) * most) + 1.0);
 }
 
+RigCalibration LinearRig(const RigCalibration& record) {
+  RigCalibration rig = record;
+  rig.camera = FrameLineariser(record.camera).linear_camera();
+  return rig;
+}
+
 void FrameLineariser::Apply(Image<uint16_t>& frame, int crop_x, int crop_y) const {
   if (linear_dn_.empty()) return;
   ParallelFor(frame.height(), 32, [&](int64_t begin, int64_t end) {

@@ -11,6 +11,9 @@
 
 namespace stratalux::fit {
 
+// The rig whose camera would have made the linear frames.
+[[nodiscard]] RigCalibration LinearRig(const RigCalibration& record);
+
 class FrameLineariser {
  public:
   // A camera that is linear and without vignetting needs none: Apply then leaves frames as they are.

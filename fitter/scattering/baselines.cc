@@ -113,6 +113,12 @@ double Measured(const Dipole& dipole, double u, double width, double blur) {
   return sum / weights * width;
 }
 
+// Share of a point's blurred light that lies on the line: what a surface of reflectance 1 gives.
+double SurfaceLine(double u, double width, double blur) {
+  const double scale = 1.0 / (std::numbers::sqrt2 * blur);
+  return 0.5 * (std::erf((u + 0.5 * width) * scale) - std::erf((u - 0.5 * width) * scale));
+}
+
 double Misfit(const Dipole& dipole, const MeanProfile& mean) {
   double error = 0.0;
   for (size_t k = 0; k < mean.y.size(); ++k) {
@@ -160,8 +166,20 @@ double Dipole::TotalReflectance() const {
   return alpha / 2.0 * (1.0 + std::exp(-4.0 / 3.0 * a * root)) * std::exp(-root);
 }
 
-Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta) {
-  const MeanProfile mean = MeanProfileOf(lights, channel, channels);
+double MeanSurfaceReflectance(const MixtureMap& map, int channel) {
+  const size_t lights = map.training_projectors.size();
+  double sum = 0.0, count = 0.0;
+  for (int64_t i = channel; i < map.profiles(); i += map.channels) {
+    if (!map.Fitted(i)) continue;
+    for (size_t p = 0; p < lights; ++p) sum += map.surface[static_cast<size_t>(i) * lights + p];
+    count += static_cast<double>(lights);
+  }
+  return count > 0.0 ? sum / count : 0.0;
+}
+
+Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta, double surface) {
+  MeanProfile mean = MeanProfileOf(lights, channel, channels);
+  for (size_t k = 0; k < mean.y.size(); ++k) mean.y[k] -= surface * SurfaceLine(mean.u[k], mean.line_width, mean.blur);
   // Pattern search in the logarithms of both coefficients.
   double log_s = std::log(1.5), log_a = std::log(0.05), step = 0.8;
   auto dipole = [&](double s, double a) { return Dipole{std::exp(s), std::exp(a), eta}; };

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/fit_stage.h"
-
 #include <gtest/gtest.h>
 
+#include "fitter/stages/layers.h"
 #include "tests/fitter/mixture/known_lights.h"
 
 namespace stratalux::fit {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/free_fit.h"
+#include "fitter/mixture/free_fit.h"
 
 #include <cmath>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/heldout_takes.h"
+#include "fitter/evaluation/heldout_takes.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,8 +13,8 @@
 
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
-#include "fitter/pipeline/geometry_stage.h"
 #include "fitter/pipeline/srd_stage.h"
+#include "fitter/stages/decode.h"
 
 namespace stratalux::fit {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/evaluation/srd_centroid.h"
+#include "fitter/mixture/srd_centroid.h"
 
 #include <cmath>
 
