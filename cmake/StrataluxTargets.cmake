@@ -13,12 +13,16 @@ function(stratalux_library name)
   endif()
 endfunction()
 
+# What `cmake --install` installs; `cmake --build --preset release --target programs` builds no test.
+add_custom_target(programs)
+
 # stratalux_program(NAME SOURCES ... DEPS ...): a program in build/<preset>/bin.
 function(stratalux_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
   install(TARGETS ${name} RUNTIME)
+  add_dependencies(programs ${name})
 endfunction()
 
 # stratalux_test_build(TARGET): how a test is compiled. Of its own lines little needs speed (but without any optimisation

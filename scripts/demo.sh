@@ -34,7 +34,7 @@ out=$(cd "$out" && pwd)
 cd "$root"
 echo "building ..." >&2
 cmake --preset release >"$out/configure.log" 2>&1 || { cat "$out/configure.log" >&2; exit 1; }
-cmake --build --preset release --target stratalux-rig stratalux-db stratalux-fit >"$out/build.log" 2>&1 || { tail -n 50 "$out/build.log" >&2; exit 1; }
+cmake --build --preset release --target programs >"$out/build.log" 2>&1 || { tail -n 50 "$out/build.log" >&2; exit 1; }
 bin=$root/build/release/bin
 
 start=$(date +%s)

@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Installs what Stratalux needs from Debian 12. One list, a purpose each; used by demo.sh, test.sh and the docs.
-#   scripts/install-deps.sh           install what is missing
-#   scripts/install-deps.sh --list    print the packages and what each is for
-#   scripts/install-deps.sh --rig     only what the controller needs
-#   scripts/install-deps.sh --peers   also what benchmarks compare with and nothing else needs
+# Installs what Stratalux needs from Debian 12 or 13. One list, a purpose each; used by demo.sh, test.sh and the docs.
+#   scripts/install-deps.sh                 install what is missing
+#   scripts/install-deps.sh --list          print the packages of this release, their group and what each is for
+#   scripts/install-deps.sh --rig           only what the controller needs
+#   scripts/install-deps.sh --groups G,...  only these groups
+#   scripts/install-deps.sh --peers         also what benchmarks compare with and nothing else needs
 set -euo pipefail
 
+# PACKAGE@N: of Debian N alone. Whatever names no release of Debian counts as one that is newer than all of them.
+release=$(. /etc/os-release && [ "${ID:-}" = debian ] && echo "${VERSION_ID:-new}" || echo new)
 packages() {
-  cat <<'LIST'
+  awk -v release="$release" '{ split($1, name, "@") } name[2] == "" || name[2] == release { sub(/@[0-9]+/, ""); print }' <<'LIST'
 build-essential      rig  compiler and make
 cmake                rig  build system
 ninja-build          rig  build tool of the presets
@@ -39,15 +42,17 @@ libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
 clang-format         test the format check
-chromium             test the store's page in a real browser (label web)
-chromium-driver      test drives it
-python3-selenium     test drives it
-npm                  test fetches axe-core, the accessibility checks of the page (npm ci)
+clang                test libFuzzer, for the night part fuzz; without it that part is skipped
+chromium             web  the store's page in a real browser (label web)
+chromium-driver      web  drives it
+python3-selenium     web  drives it
+npm                  web  fetches axe-core, the accessibility checks of the page (npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest
 cpio                 vm   the guest's first file system
 kmod                 vm   depmod and modprobe for the guest's modules
 xz-utils             vm   the kernel's source is an xz archive
+mmdebstrap           night scripts/test-debian.sh: a root of another release (docs/night.md)
 git                  test the style checks list the tracked files
 libarmadillo-dev     peer em_bench: gmm_diag; without it that peer is left out
 python3-sklearn      peer tests/bench/mixture/em_sklearn.py: GaussianMixture
@@ -57,9 +62,10 @@ LIST
 case "${1:-}" in
   --list) packages; exit 0 ;;
   --rig) wanted=$(packages | awk '$2=="rig"{print $1}') ;;
+  --groups) wanted=$(packages | awk -v groups=",${2:?--groups needs G,...}," 'index(groups, "," $2 ",") {print $1}') ;;
   --peers) wanted=$(packages | awk '{print $1}') ;;
   "") wanted=$(packages | awk '$2!="peer"{print $1}') ;;
-  *) echo "usage: scripts/install-deps.sh [--list|--rig|--peers]" >&2; exit 2 ;;
+  *) echo "usage: scripts/install-deps.sh [--list|--rig|--groups G,...|--peers]" >&2; exit 2 ;;
 esac
 
 missing=()

@@ -16,6 +16,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
+#include "shared/base/json_nesting.h"
 #include "shared/config/store_config.h"
 
 namespace stratalux::db {
@@ -348,7 +349,8 @@ int RunDeletions(const CommonFlags& common) {
   Json all = Json::array();
   std::string text = "session           deleted               reason   frames  clean  markers  files read\n";
   for (const Deletion& deletion : *deletions) {
-    const Json json = Json::parse(deletion.certificate_json, nullptr, false);
+    const bool sound = CheckNesting(deletion.certificate_json).ok();
+    const Json json = Json::parse(sound ? deletion.certificate_json : std::string(), nullptr, false);
     if (!json.is_object() || !json.contains("verification") || !json["verification"].is_object()) {
       all.push_back({{"session", deletion.session}, {"unfinished", true}});
       text += deletion.session + "  begun and not finished: `stratalux-db forget --resume`\n";

@@ -9,6 +9,7 @@
 #include "db/apps/display_text.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/read_only_index.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {
@@ -22,6 +23,7 @@ std::string TextOf(const Json& json) {
 
 // What is no JSON is null, bytes in it that are no UTF-8 become U+FFFD.
 Json ParsedOrNull(const std::string& text) {
+  if (!CheckNesting(text).ok()) return {};
   Json json = Json::parse(PrintableJson(text), nullptr, false);
   return json.is_discarded() ? Json() : json;
 }

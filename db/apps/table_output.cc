@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/apps/display_text.h"
+#include "shared/base/json_nesting.h"
 #include "shared/units/time.h"
 
 namespace stratalux::db {
@@ -54,7 +55,7 @@ Json ForPrograms(const Cell& cell, ColumnKind kind) {
   if (const auto* real = std::get_if<double>(&cell)) return *real;
   if (const auto* bytes = std::get_if<Blob>(&cell)) return HexOf(*bytes);
   const auto& text = std::get<std::string>(cell);
-  if (kind != ColumnKind::kJson) return text;
+  if (kind != ColumnKind::kJson || !CheckNesting(text).ok()) return text;
   const Json nested = Json::parse(PrintableJson(text), nullptr, false);
   return nested.is_discarded() ? Json(text) : nested;
 }

@@ -7,6 +7,7 @@
 // accidents, not forgers, who can write the hash anew.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <span>
 #include <string>

@@ -2,6 +2,7 @@
 #include "db/base/retry.h"
 
 #include <algorithm>
+#include <cstdint>
 #include <random>
 #include <thread>
 

@@ -8,6 +8,7 @@
 
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/manifest.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {
@@ -89,7 +90,7 @@ bool AreEqual(const std::string& column, const std::string& a, const std::string
   if (!column.ends_with("_json")) return false;
   // Blanks between members are a writer's taste.
   const auto one = TextOf(a), other = TextOf(b);
-  if (!one || !other) return false;
+  if (!one || !other || !CheckNesting(*one).ok() || !CheckNesting(*other).ok()) return false;
   const Json first = Json::parse(*one, nullptr, false), second = Json::parse(*other, nullptr, false);
   return !first.is_discarded() && !second.is_discarded() && first == second;
 }

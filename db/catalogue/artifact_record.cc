@@ -4,6 +4,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/own_hash.h"
+#include "shared/base/json_nesting.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -46,25 +48,26 @@ Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
     return Status::NotFound("no artifact in " + folder.string());
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   if (CheckOwnHash(text) != OwnHash::kRight) return Status::Integrity(file.string() + " does not match its own hash");
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     const Json json = Json::parse(text);
-    if (const int schema = json.at("schema").get<int>(); schema != kSchema)
+    if (const auto schema = WholeAt<int64_t>(json, "schema"); schema != kSchema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
                                                   ", this program reads " + std::to_string(kSchema) +
                                                   "; use a newer stratalux");
     ArtifactRecord record;
     json.at("stage").get_to(record.identity.stage);
-    json.at("version").get_to(record.identity.version);
+    record.identity.version = WholeAt<int>(json, "version");
     record.identity.options_json = json.at("options").dump();
     json.at("inputs").get_to(record.identity.inputs);
     json.at("isa").get_to(record.identity.isa);
     json.at("seconds").get_to(record.seconds);
     json.at("cpu_seconds").get_to(record.cpu_seconds);
-    json.at("peak_rss_bytes").get_to(record.peak_rss_bytes);
+    record.peak_rss_bytes = WholeAt<int64_t>(json, "peak_rss_bytes");
     json.at("program").get_to(record.program);
-    json.at("finished_wall_ns").get_to(record.finished_wall.ns);
+    record.finished_wall.ns = WholeAt<int64_t>(json, "finished_wall_ns");
     for (const Json& entry : json.at("files"))
-      record.files.push_back({entry.at("name"), entry.at("bytes"), entry.at("xxh3_128")});
+      record.files.push_back({entry.at("name"), WholeAt<int64_t>(entry, "bytes"), entry.at("xxh3_128")});
     if (record.identity.FolderName() != folder.filename().string())
       return Status::Integrity(file.string() + " is of " + record.identity.FolderName());
     return record;

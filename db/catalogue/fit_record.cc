@@ -6,6 +6,8 @@
 
 #include "db/base/own_hash.h"
 #include "db/catalogue/recorded_files.h"
+#include "shared/base/json_nesting.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -42,9 +44,10 @@ Result<Json> ReadRecord(const fs::path& file) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   const OwnHash hash = CheckOwnHash(text);
   if (hash == OwnHash::kWrong) return Status::Integrity(file.string() + " does not match its own hash");
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     Json json = Json::parse(text);
-    const auto schema = json.at("schema").get<int64_t>();
+    const auto schema = WholeAt<int64_t>(json, "schema");
     if (schema < 1 || schema > kSchema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
                                                   " is newer than this program's " + std::to_string(kSchema) +
@@ -68,8 +71,10 @@ Status CheckFitFiles(const fs::path& folder) {
     if (files.empty() && !found.empty())
       return Status::Integrity(file.string() + " names no file, and " + folder.string() + " holds " + found.front());
     for (const Json& entry : files)
-      SLX_RETURN_IF_ERROR(CheckRecordedFile(
-          folder, kFitRecordFile, {entry.at("name"), entry.at("bytes"), entry.at("xxh3_128")}, FileDepth::kHashes));
+      SLX_RETURN_IF_ERROR(CheckRecordedFile(folder, kFitRecordFile,
+                                            {entry.at("name").get<std::string>(), WholeAt<int64_t>(entry, "bytes"),
+                                             entry.at("xxh3_128").get<std::string>()},
+                                            FileDepth::kHashes));
     return Status::Ok();
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
@@ -81,6 +86,7 @@ namespace {
 Result<FitRow> FromMetrics(const std::filesystem::path& folder, const std::string& session) {
   const auto file = folder / "metrics.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   const Json json = Json::parse(text, nullptr, false);
   struct stat info {};
   if (!json.is_object() || stat(file.c_str(), &info) != 0) return Status::Integrity(file.string() + ": no metrics");
@@ -100,10 +106,12 @@ Result<FitRow> ReadFitRecord(const std::filesystem::path& folder, const std::str
     FitRow fit;
     json.at("fit").get_to(fit.id);
     json.at("session").get_to(fit.session);
-    json.at("created_wall_ns").get_to(fit.created_wall.ns);
+    fit.created_wall.ns = WholeAt<int64_t>(json, "created_wall_ns");
     json.at("options_json").get_to(fit.options_json);
     json.at("metrics_json").get_to(fit.metrics_json);
     if (json.contains("artifacts")) json.at("artifacts").get_to(fit.artifacts);
+    for (const std::string& text : {fit.options_json, fit.metrics_json})
+      SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
     if (fit.id != folder.filename() || fit.session != session)
       return Status::Integrity(file.string() + " is of fit " + fit.id + " of session " + fit.session);
     return fit;

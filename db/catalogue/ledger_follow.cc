@@ -7,6 +7,7 @@
 
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {
@@ -66,6 +67,7 @@ std::string ReasonOf(const std::string& detail) {
 // Blanks between members are a writer's taste.
 bool SaysTheSame(const std::string& a, const std::string& b) {
   if (a == b) return true;
+  if (!CheckNesting(a).ok() || !CheckNesting(b).ok()) return false;
   const auto first = nlohmann::ordered_json::parse(a, nullptr, false);
   const auto second = nlohmann::ordered_json::parse(b, nullptr, false);
   return !first.is_discarded() && first == second;

@@ -11,6 +11,8 @@
 #include "db/catalogue/info_check.h"
 #include "db/catalogue/known_word.h"
 #include "db/segment/segment.h"
+#include "shared/base/json_nesting.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -69,7 +71,7 @@ Consent ConsentOf(const Json& json) {
   if (!json.is_object()) return consent;
   json.at("text_version").get_to(consent.text_version);
   json.at("language").get_to(consent.language);
-  json.at("given_wall_ns").get_to(consent.given_wall.ns);
+  consent.given_wall.ns = WholeAt<int64_t>(json, "given_wall_ns");
   for (const Json& scope : json.at("scope")) {
     consent.fit |= scope == "fit";
     consent.research |= scope == "research";
@@ -183,8 +185,8 @@ Consent ConsentFromJson(const std::string& text) {
 std::string ReasonsToJson(const std::vector<std::string>& reasons) { return TextOf(Json(reasons), -1); }
 
 std::vector<std::string> ReasonsFromJson(const std::string& text) {
-  const Json json = Json::parse(text, nullptr, false);
   std::vector<std::string> reasons;
+  const Json json = CheckNesting(text).ok() ? Json::parse(text, nullptr, false) : Json();
   if (!json.is_array()) return reasons;
   for (const Json& reason : json) reasons.push_back(reason.is_string() ? reason.get<std::string>() : reason.dump());
   return reasons;
@@ -232,6 +234,7 @@ Status WriteManifest(const std::filesystem::path& folder, const SessionInfo& inf
 }
 
 std::string LastingFacts(const std::string& manifest_text) {
+  if (!CheckNesting(manifest_text).ok()) return "";
   Json json = Json::parse(manifest_text, nullptr, false);
   if (!json.is_object()) return "";
   for (const char* key : {"schema", "segments", "files", "hash"}) json.erase(key);
@@ -258,6 +261,7 @@ Result<ManifestContents::File> DescribeFile(const std::filesystem::path& folder,
 Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     const Json json = Json::parse(text);
     SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));
@@ -269,7 +273,7 @@ Result<ManifestContents> ReadManifestContents(const std::filesystem::path& folde
     if (contents.schema < 3) return contents;
     for (const Json& entry : json.at("files")) {
       const Json& hash = entry.at("hash");
-      contents.files.push_back({entry.at("name").get<std::string>(), entry.at("bytes").get<int64_t>(),
+      contents.files.push_back({entry.at("name").get<std::string>(), WholeAt<int64_t>(entry, "bytes"),
                                 hash.is_null() ? std::string() : hash.get<std::string>()});
     }
     return contents;
@@ -282,6 +286,7 @@ Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<st
   const std::filesystem::path file = folder / "manifest.json";
   if (std::error_code error; !std::filesystem::exists(file, error)) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   Json json = Json::parse(text, nullptr, false);
   if (!json.is_object()) return Status::Integrity(file.string() + ": not a JSON object");
   json["segments"] = segments;
@@ -294,6 +299,7 @@ Status ReplaceSegments(const std::filesystem::path& folder, const std::vector<st
 Result<SessionInfo> ReadManifest(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / "manifest.json";
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     const Json json = Json::parse(text);
     SLX_RETURN_IF_ERROR(CheckSchema(json).WithContext(file.string()));

@@ -9,6 +9,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/manifest.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -63,11 +64,11 @@ Result<std::optional<TranscodeJournal>> ReadTranscodeJournal(const std::filesyst
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
     const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() > 1)
+    if (WholeAt<int64_t>(json, "schema") > 1)
       return Status(StatusCode::kNewerSchema, file.string() + ": written by a newer stratalux; open the store with it");
     TranscodeJournal journal;
     json.at("session").get_to(journal.session);
-    json.at("first_new_segment").get_to(journal.first_new);
+    journal.first_new = WholeAt<decltype(journal.first_new)>(json, "first_new_segment");
     return std::optional<TranscodeJournal>(std::move(journal));
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what() +

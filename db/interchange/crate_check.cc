@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/interchange/crate_metadata.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {

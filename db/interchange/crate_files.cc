@@ -162,26 +162,6 @@ Result<std::string> ReadCrateFile(const fs::path& file, int64_t limit) {
   return text;
 }
 
-Status CheckNesting(std::string_view json) {
-  constexpr int kDeepest = 64;
-  int depth = 0;
-  bool quoted = false;
-  for (size_t i = 0; i < json.size(); ++i) {
-    const char c = json[i];
-    if (quoted) {
-      if (c == '\\') ++i;
-      quoted = c != '"';
-    } else if (c == '"') {
-      quoted = true;
-    } else if (c == '[' || c == '{') {
-      if (++depth > kDeepest) return Status::Integrity("nests deeper than " + std::to_string(kDeepest) + " levels");
-    } else if (c == ']' || c == '}') {
-      --depth;
-    }
-  }
-  return Status::Ok();
-}
-
 std::string CrateManifestText(const CrateFiles& files) {
   std::string text;
   for (const auto& [path, sum] : files) text += sum.sha256 + "  " + path + "\n";

@@ -38,8 +38,6 @@ using CrateFiles = std::map<std::string, CrateChecksum>;
 [[nodiscard]] Result<CrateChecksum> ChecksumOf(const std::filesystem::path& file);
 // The whole of an ordinary file of at most `limit` bytes; kIntegrity, naming the file, for anything else.
 [[nodiscard]] Result<std::string> ReadCrateFile(const std::filesystem::path& file, int64_t limit);
-// kIntegrity for JSON that nests deeper than anything of ours: what walks it later may recurse.
-[[nodiscard]] Status CheckNesting(std::string_view json);
 
 // "<sha256>  <path>" a line, sorted; the manifest itself is in none.
 [[nodiscard]] std::string CrateManifestText(const CrateFiles& files);

@@ -12,6 +12,7 @@
 #include "db/catalogue/fit_metrics.h"
 #include "db/interchange/crate_files.h"
 #include "db/interchange/crate_frames.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {

@@ -8,6 +8,7 @@
 
 #include "db/interchange/crate_frames.h"
 #include "db/interchange/crate_metadata.h"
+#include "shared/base/json_nesting.h"
 #include "shared/capture/plan.h"
 #include "shared/capture/rig_calibration.h"
 

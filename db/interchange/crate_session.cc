@@ -12,6 +12,7 @@
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
 #include "db/ledger/ledger.h"
+#include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
 namespace {

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cstdio>
+#include <iterator>
+#include <map>
 #include <set>
 
 #include "shared/config/toml_reader.h"
@@ -13,6 +15,8 @@ namespace {
 
 constexpr int kLargestSide = 65536;
 constexpr int kMostPoses = 100000;
+// A few hundred bytes each; a manifest of half a megabyte can name hundreds of millions, poses times patterns.
+constexpr size_t kMostFrames = 250'000;
 
 struct Pose {
   int index = -1;
@@ -201,6 +205,25 @@ Status ReadEntries(std::vector<TomlTable> tables, const Projectors& projectors, 
   return first;
 }
 
+// Which shots a pose has, in the order of the entries, without asking each shot for each pose.
+class ShotsOfPoses {
+ public:
+  explicit ShotsOfPoses(const std::vector<Shot>& shots) {
+    for (size_t i = 0; i < shots.size(); ++i) (shots[i].pose < 0 ? of_each_ : of_one_[shots[i].pose]).push_back(i);
+  }
+  [[nodiscard]] std::vector<size_t> Of(int pose) const {
+    const auto own = of_one_.find(pose);
+    if (own == of_one_.end()) return of_each_;
+    std::vector<size_t> all;
+    std::merge(of_each_.begin(), of_each_.end(), own->second.begin(), own->second.end(), std::back_inserter(all));
+    return all;
+  }
+
+ private:
+  std::vector<size_t> of_each_;
+  std::map<int, std::vector<size_t>> of_one_;
+};
+
 ImportFrame FrameOf(const Shot& shot, const Pose& pose, const std::filesystem::path& root) {
   ImportFrame frame{root / pose.folder / shot.file, shot.where, shot.record};
   frame.record.pose = pose.index;
@@ -230,10 +253,14 @@ Result<ImportManifest> ReadImportManifest(const ImportOptions& options) {
   if (shots.empty()) return Status::Usage(options.manifest.string() + ": names no file; add [[file]] entries");
 
   const auto root = options.root.empty() ? options.manifest.parent_path() : options.root;
+  const ShotsOfPoses shots_of(shots);
   for (const Pose& pose : *poses) {
     if (options.pose && *options.pose != pose.index) continue;
-    for (const Shot& shot : shots)
-      if (shot.pose < 0 || shot.pose == pose.index) manifest.frames.push_back(FrameOf(shot, pose, root));
+    const auto of_pose = shots_of.Of(pose.index);
+    if (manifest.frames.size() + of_pose.size() > kMostFrames)
+      return Status::Usage(options.manifest.string() + ": names more than " + std::to_string(kMostFrames) +
+                           " frames, poses times files; import some poses at a time (--pose)");
+    for (const size_t shot : of_pose) manifest.frames.push_back(FrameOf(shots[shot], pose, root));
   }
   if (manifest.frames.empty())
     return Status::Usage(options.manifest.string() + ": has no pose " + std::to_string(options.pose.value_or(-1)));

@@ -7,6 +7,9 @@
 #include <nlohmann/json.hpp>
 #include <sodium.h>
 
+#include "shared/base/json_nesting.h"
+#include "shared/base/json_number.h"
+
 namespace stratalux::db {
 namespace {
 
@@ -45,7 +48,7 @@ std::optional<LedgerEntry> EntryFrom(const Json& json) {
   const auto kind = KindFrom(json.at("kind").get<std::string>());
   if (!kind) return std::nullopt;
   entry.kind = *kind;
-  entry.at = {json.at("at_wall_ns").get<int64_t>()};
+  entry.at = {WholeAt<int64_t>(json, "at_wall_ns")};
   json.at("sessions").get_to(entry.sessions);
   json.at("visitor").get_to(entry.visitor_hmac);
   const Json& detail = json.at("detail");
@@ -56,7 +59,7 @@ std::optional<LedgerEntry> EntryFrom(const Json& json) {
 
 Json DetailOf(const std::string& text) {
   if (text.empty()) return nullptr;
-  Json json = Json::parse(text, nullptr, false);
+  Json json = CheckNesting(text).ok() ? Json::parse(text, nullptr, false) : Json(Json::value_t::discarded);
   return json.is_discarded() ? Json(text) : json;
 }
 
@@ -114,10 +117,10 @@ LedgerLine ParseLine(std::string_view text) {
   bool known = false;
   try {
     const Json json = Json::parse(text);
-    json.at("n").get_to(line.n);
+    line.n = WholeAt<int64_t>(json, "n");
     json.at("prev").get_to(line.prev);
-    known = json.at("schema").get<int64_t>() <= kLedgerSchema;
-    line.entry = EntryFrom(json);
+    known = WholeAt<int64_t>(json, "schema") <= kLedgerSchema;
+    if (CheckNesting(text).ok()) line.entry = EntryFrom(json);
   } catch (const nlohmann::json::exception&) {
     line.entry.reset();
   }

@@ -10,6 +10,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/ledger/ledger_folder.h"
+#include "shared/base/json_nesting.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -39,7 +40,8 @@ OldTombstone TombstoneOf(const fs::path& file, LedgerKind kind) {
   old.entry.kind = kind;
   old.entry.sessions = {file.stem().string()};
   const auto text = ReadFile(file);
-  const Json json = Json::parse(text.ok() ? *text : std::string(), nullptr, false);
+  const bool sound = text.ok() && CheckNesting(*text).ok();
+  const Json json = Json::parse(sound ? *text : std::string(), nullptr, false);
   old.entry.at = {IntegerOf(json, kind == LedgerKind::kForgotten ? "deleted_wall_ns" : "began_wall_ns")};
   if (kind == LedgerKind::kForgotten) {
     old.entry.detail_json = json.is_object() ? json.dump(-1, ' ', false, Json::error_handler_t::replace)

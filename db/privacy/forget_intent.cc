@@ -10,6 +10,7 @@
 #include "db/care/incoming.h"
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -121,7 +122,7 @@ ForgetIntent IntentFrom(const Json& json) {
   json.at("visitor").get_to(intent.visitor);
   json.at("reason").get_to(intent.reason);
   json.at("key_id").get_to(intent.key_id);
-  json.at("began_wall_ns").get_to(intent.began.ns);
+  intent.began.ns = WholeAt<int64_t>(json, "began_wall_ns");
   json.at("frames").get_to(intent.frames);
   json.at("fits").get_to(intent.fits);
   json.at("files").get_to(intent.files);

@@ -2,6 +2,7 @@
 // Reader of truth.seg: what the simulated rig knows of its own scene. Only fitter/evaluation (and tests) may open it.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <string>
 #include <vector>

@@ -6,6 +6,7 @@
 #include "db/base/durable_file.h"
 #include "db/base/own_hash.h"
 #include "db/base/paths.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -24,10 +25,10 @@ Json JsonOf(const std::string& path, const ListedFile& file) {
 
 // Throws nlohmann's exceptions.
 std::pair<std::string, ListedFile> FileOf(const Json& entry) {
-  ListedFile file{entry.at("bytes").get<int64_t>(),
-                  entry.at("source_mtime_ns").get<int64_t>(),
+  ListedFile file{WholeAt<int64_t>(entry, "bytes"),
+                  WholeAt<int64_t>(entry, "source_mtime_ns"),
                   entry.at("xxh3_128").get<std::string>(),
-                  {entry.value("checked_wall_ns", int64_t{0})}};
+                  {WholeOr<int64_t>(entry, "checked_wall_ns", 0)}};
   return {entry.at("path").get<std::string>(), std::move(file)};
 }
 
@@ -54,14 +55,14 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));  // a line a file of the store
   try {
     const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() > kListSchema)
+    if (WholeAt<int64_t>(json, "schema") > kListSchema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
                                                   " is newer than this program's; use a newer stratalux");
     FileList list;
     list.intact = CheckOwnHash(text) != OwnHash::kWrong;
-    json.at("made_wall_ns").get_to(list.made_wall.ns);
+    list.made_wall.ns = WholeAt<int64_t>(json, "made_wall_ns");
     json.at("program_version").get_to(list.program_version);
-    list.scrub_runs = json.value("scrub_runs", int64_t{0});
+    list.scrub_runs = WholeOr<int64_t>(json, "scrub_runs", 0);
     list.problems = json.value("problems", std::vector<std::string>());
     for (const Json& entry : json.at("files")) {
       auto [path, listed] = FileOf(entry);

@@ -3,6 +3,7 @@
 // STORE/incoming/.sources/<XXH3-64 of the source's name>, so that only what changed is sent again.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <set>
 #include <string>

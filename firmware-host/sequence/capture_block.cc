@@ -145,7 +145,9 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const bool refuted = wrong_level_.contains(last.index);
   const bool tells_nothing = !whole && !refuted && PatternWitness::OneLoadOf(plan_, last.index).size() > 1;
   const LevelCheck unjudged = refuted || tells_nothing ? LevelCheck::kFailed : LevelCheck::kNotChecked;
-  const LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
+  LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
+  const bool cannot_be_told = verdict == LevelCheck::kNotChecked && LacksCode(last);
+  if (cannot_be_told) verdict = LevelCheck::kFailed;
   // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
   std::vector<Shot> shots = std::exchange(held_[group.front()], {});
   held_.erase(group.front());
@@ -154,7 +156,7 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
     SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
   }
   last_verdict_ = verdict;
-  if (tells_nothing) {
+  if (tells_nothing || cannot_be_told) {
     for (int step : group) proven_.erase(step);
     return Status::Ok();
   }
@@ -173,6 +175,19 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
   for (int step : group) Retake(step, ShotFault::kWrongLevel);
   return Status::Ok();
+}
+
+bool CaptureRun::LacksCode(const PlanStep& step) const {
+  const CapturePhase phase = step.phase;
+  const bool judged_by_codes = phase == CapturePhase::kSeparation || phase == CapturePhase::kSweep ||
+                               phase == CapturePhase::kSpot || phase == CapturePhase::kRepeat;
+  return judged_by_codes && std::any_of(plan_.steps.begin(), plan_.steps.end(), [&](const PlanStep& code) {
+           const bool of_it = code.projector == step.projector && code.phase == CapturePhase::kCorrespondence &&
+                              code.bracket == 0 &&
+                              (!step.pattern.IsOneDimensional() || code.pattern.axis == step.pattern.axis);
+           const bool refuted = wrong_level_.contains(code.index) && !RetriesLeft(code.index);
+           return of_it && (given_up_.contains(code.index) || refuted);
+         });
 }
 
 bool CaptureRun::RetakeReference(const std::vector<int>& refuted) {

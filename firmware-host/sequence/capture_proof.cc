@@ -31,6 +31,10 @@ CaptureReport CaptureRun::Conclude(Status ended) {
   report_.transition_lost = static_cast<int>(shooter_.transition_lost());
   report_.slow = shooter_.answers().Slow();
   for (const SlowAnswers& slow : report_.slow) logger_.Warning(SlowAnswersAsText(slow));
+  // Shot before the code was given up.
+  std::erase_if(proven_, [this](const auto& proof) {
+    return proof.second.level_check == LevelCheck::kNotChecked && LacksCode(plan_.steps[proof.first]);
+  });
   report_.captured = static_cast<int>(proven_.size());
   for (const PlanStep& step : plan_.steps)
     if (!proven_.contains(step.index)) report_.missing_steps.push_back(step.index);

@@ -50,6 +50,8 @@ class CaptureRun {
   Status Abandon(const StepExposure& exposure);
   Status Keep(Shot shot);
   Status JudgeGroup(const std::vector<int>& group);
+  // A code by which the step would be judged could not be had: two faults that make up for each other would pass.
+  [[nodiscard]] bool LacksCode(const PlanStep& step) const;
   // What is refuted before anything was confirmed speaks against the reference.
   bool RetakeReference(const std::vector<int>& refuted);
   // A SYNC edge nobody asked for: the projector moved on while the last frame was exposed.

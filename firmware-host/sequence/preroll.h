@@ -2,6 +2,7 @@
 // Reads the marker code of the pre-roll back from the mean levels of its frames (docs/capture-plan.md).
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <span>
 #include <string>

@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "shared/base/json_number.h"
 #include "shared/base/printable.h"
 #include "shared/units/time.h"
 
@@ -90,7 +91,7 @@ Json JsonOf(const DelayFigures& figures) {
 
 DelayFigures FiguresFrom(const Json& json) {
   DelayFigures figures;
-  figures.count = json.at("count").get<int>();
+  figures.count = WholeAt<int>(json, "count");
   figures.median_ms = json.at("median_ms").get<double>();
   figures.worst_ms = json.at("worst_ms").get<double>();
   figures.spread_ms = json.at("spread_ms").get<double>();

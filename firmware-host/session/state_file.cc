@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
+#include "shared/base/json_number.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
@@ -89,7 +90,7 @@ Status ReadState(const fs::path& file, int schema, const std::function<void(cons
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file));
   try {
     const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() != schema)
+    if (WholeAt<int64_t>(json, "schema") != schema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
                                                   ", this program knows " + std::to_string(schema));
     take(text);

@@ -3,11 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 
-#include <opencv2/aruco/charuco.hpp>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
+
+#include "fitter/calibration/charuco_corners.h"
 
 namespace stratalux::fit {
 namespace {
@@ -59,19 +61,6 @@ std::vector<cv::Point2f> FindChess(const cv::Mat& eight, const BoardDescription&
   return corners;
 }
 
-std::vector<cv::Point2f> FindCharuco(const cv::Mat& eight, const BoardDescription& board, std::vector<int>& ids) {
-  const auto dictionary = cv::aruco::getPredefinedDictionary(cv::aruco::DICT_4X4_50);
-  const auto charuco = cv::aruco::CharucoBoard::create(board.columns, board.rows, static_cast<float>(board.square_mm),
-                                                       static_cast<float>(board.marker_mm), dictionary);
-  std::vector<std::vector<cv::Point2f>> markers;
-  std::vector<int> marker_ids;
-  cv::aruco::detectMarkers(eight, dictionary, markers, marker_ids);
-  std::vector<cv::Point2f> corners;
-  if (marker_ids.empty()) return corners;
-  cv::aruco::interpolateCornersCharuco(markers, marker_ids, eight, charuco, corners, ids);
-  return corners;
-}
-
 }  // namespace
 
 Result<std::vector<BoardCorner>> FindBoard(ImageView<const float> light, const BoardDescription& board) {
@@ -82,7 +71,7 @@ Result<std::vector<BoardCorner>> FindBoard(ImageView<const float> light, const B
   std::vector<cv::Point2f> corners;
   try {
     const cv::Mat eight = ToEightBits(light);
-    corners = board.kind == BoardKind::kChess ? FindChess(eight, board, ids) : FindCharuco(eight, board, ids);
+    corners = board.kind == BoardKind::kChess ? FindChess(eight, board, ids) : FindCharucoCorners(eight, board, ids);
     if (corners.size() < 4)
       return Status::NotFound("no " + wanted + " in the picture; show all of it, check its kind and number of squares");
     Refine(light, board, corners);

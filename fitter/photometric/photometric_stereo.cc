@@ -54,6 +54,8 @@ std::optional<Eigen::Vector3d> SolveTriple(const std::vector<Source>& sources, s
     y[row++] = sources[s].intensity;
   }
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(l, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  // Of directions that are not finite it has no singular values.
+  if (svd.info() != Eigen::Success) return std::nullopt;
   if (svd.singularValues()[2] < min_condition * svd.singularValues()[0]) return std::nullopt;
   return svd.solve(y);
 }

@@ -17,6 +17,7 @@
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/json_nesting.h"
 #include "shared/base/read_file.h"
 #include "shared/base/version.h"
 
@@ -156,6 +157,7 @@ Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, co
   if (!listed || !fs::exists(folder / db::kFitRecordFile, error)) return none;
   SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(folder / "metrics.json"));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext((folder / "metrics.json").string()));
   const auto json = nlohmann::json::parse(text, nullptr, false);
   const std::string held = json.is_object() ? json.value("evaluation", "") : "";
   for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, Evaluation::kFull})

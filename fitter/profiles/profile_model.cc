@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fitter/mixture/shift_law.h"
+#include "shared/base/json_number.h"
 
 namespace stratalux::fit {
 namespace {
@@ -361,7 +362,7 @@ std::string ProfileModel::ToJson() const {
 Result<ProfileModel> ProfileModel::FromJson(const std::string& text, const std::string& origin) {
   try {
     const Json json = Json::parse(text);
-    if (const int schema = json.at("schema").get<int>(); schema > kSchema)
+    if (const auto schema = WholeAt<int64_t>(json, "schema"); schema > kSchema)
       return Status(StatusCode::kNewerSchema,
                     origin + ": schema " + std::to_string(schema) + ", this program reads " + std::to_string(kSchema));
     else if (schema < kSchema)

@@ -3,6 +3,7 @@
 // nothing from outside.
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>

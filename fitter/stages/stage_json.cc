@@ -3,6 +3,7 @@
 
 #include <fstream>
 
+#include "shared/base/json_nesting.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::fit {
@@ -20,6 +21,7 @@ Status WriteJson(const std::filesystem::path& file, const nlohmann::ordered_json
 
 Status ReadJson(const std::filesystem::path& file, const std::function<void(const nlohmann::json&)>& read) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     read(nlohmann::json::parse(text));
     return Status::Ok();

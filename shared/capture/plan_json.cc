@@ -3,6 +3,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "shared/base/json_number.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux {
@@ -43,15 +44,15 @@ std::string PlanOptionsToJson(const PlanOptions& o) {
 Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
   try {
     const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() > 1)
+    if (WholeAt<int64_t>(json, "schema") > 1)
       return Status(StatusCode::kNewerSchema,
                     "plan: schema " + json.at("schema").dump() + " is newer than this program (1)");
     PlanOptions o;
     SLX_ASSIGN_OR_RETURN(o.kind, ParseSessionKind(json.at("kind").get<std::string>()));
     SLX_ASSIGN_OR_RETURN(o.sync_mode, ParseSyncMode(json.at("sync_mode").get<std::string>()));
-    json.at("projectors").get_to(o.projectors);
-    json.at("projector_width").get_to(o.projector_width);
-    json.at("projector_height").get_to(o.projector_height);
+    o.projectors = WholeAt<int>(json, "projectors");
+    o.projector_width = WholeAt<int>(json, "projector_width");
+    o.projector_height = WholeAt<int>(json, "projector_height");
     json.at("exposure_ms").get_to(o.exposure_ms);
     json.at("brackets").get_to(o.brackets);
     // Plans from before these have none.
@@ -60,21 +61,21 @@ Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
                                      {"separation_brackets", &o.separation_brackets},
                                      {"spot_brackets", &o.spot_brackets}})
       if (json.contains(key)) json.at(key).get_to(*value);
-    json.at("preroll_markers").get_to(o.preroll_markers);
-    json.at("separation_period").get_to(o.separation_period);
-    json.at("separation_shifts").get_to(o.separation_shifts);
+    o.preroll_markers = WholeAt<int>(json, "preroll_markers");
+    o.separation_period = WholeAt<int>(json, "separation_period");
+    o.separation_shifts = WholeAt<int>(json, "separation_shifts");
     json.at("checkerboard").get_to(o.checkerboard);
-    json.at("checkerboard_period").get_to(o.checkerboard_period);
-    json.at("checkerboard_shifts").get_to(o.checkerboard_shifts);
-    json.at("comb_width").get_to(o.comb_width);
-    json.at("comb_period").get_to(o.comb_period);
-    json.at("comb_step").get_to(o.comb_step);
+    o.checkerboard_period = WholeAt<int>(json, "checkerboard_period");
+    o.checkerboard_shifts = WholeAt<int>(json, "checkerboard_shifts");
+    o.comb_width = WholeAt<int>(json, "comb_width");
+    o.comb_period = WholeAt<int>(json, "comb_period");
+    o.comb_step = WholeAt<int>(json, "comb_step");
     json.at("row_sweep").get_to(o.row_sweep);
-    json.at("motion_whites").get_to(o.motion_whites);
-    json.at("spot_radius").get_to(o.spot_radius);
-    json.at("spot_pitch").get_to(o.spot_pitch);
+    o.motion_whites = WholeAt<int>(json, "motion_whites");
+    o.spot_radius = WholeAt<int>(json, "spot_radius");
+    o.spot_pitch = WholeAt<int>(json, "spot_pitch");
     o.second_takes = json.value("second_takes", false);  // plans from before these have none
-    json.at("guards").get_to(o.guards);
+    o.guards = WholeAt<int>(json, "guards");
     SLX_RETURN_IF_ERROR(BuildPlan(o).status());
     return o;
   } catch (const nlohmann::json::exception& error) {

@@ -7,6 +7,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "shared/base/json_number.h"
+
 namespace stratalux {
 namespace {
 
@@ -24,8 +26,8 @@ Json PinholeJson(const Pinhole& m) {
 
 Pinhole PinholeFrom(const Json& j) {
   Pinhole m;
-  j.at("width").get_to(m.width);
-  j.at("height").get_to(m.height);
+  m.width = WholeAt<int>(j, "width");
+  m.height = WholeAt<int>(j, "height");
   j.at("fx").get_to(m.fx);
   j.at("fy").get_to(m.fy);
   j.at("cx").get_to(m.cx);
@@ -214,17 +216,17 @@ std::string RigCalibration::ToJson() const {
 Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
   try {
     const Json json = Json::parse(text);
-    if (json.at("schema").get<int>() > 1)
+    if (WholeAt<int64_t>(json, "schema") > 1)
       return Status(StatusCode::kNewerSchema,
                     "calibration: schema " + json.at("schema").dump() + " is newer than this program (1)");
     RigCalibration c;
     json.at("id").get_to(c.id);
     json.at("source").get_to(c.source);
-    c.made_wall.ns = json.value("made_wall_ns", int64_t{0});
-    c.valid_until_wall.ns = json.value("valid_until_wall_ns", int64_t{0});
+    c.made_wall.ns = WholeOr<int64_t>(json, "made_wall_ns", 0);
+    c.valid_until_wall.ns = WholeOr<int64_t>(json, "valid_until_wall_ns", 0);
     const Json& camera = json.at("camera");
     c.camera.model = PinholeFrom(camera.at("model"));
-    const int cfa = camera.at("cfa").get<int>();
+    const int cfa = WholeAt<int>(camera, "cfa");
     if (cfa < 0 || cfa > 4) return Status::Usage("calibration: cfa " + std::to_string(cfa) + " is unknown (0..4)");
     c.camera.cfa = static_cast<Cfa>(cfa);
     camera.at("black_level_dn").get_to(c.camera.black_level_dn);

@@ -7,6 +7,7 @@
 #include <toml++/toml.h>
 
 #include "shared/base/read_file.h"
+#include "shared/config/toml_nesting.h"
 
 namespace stratalux {
 
@@ -54,6 +55,7 @@ Result<TomlTable> TomlTable::ParseFile(const std::filesystem::path& file) {
 Result<TomlTable> TomlTable::ParseText(const std::string& text, const std::string& name) {
   auto document = std::make_shared<Document>();
   document->name = name;
+  if (const Status keys = CheckKeyParts(text); !keys.ok()) return Status::Usage(name + ":" + keys.message());
   try {
     document->root = toml::parse(text, name);
   } catch (const toml::parse_error& error) {

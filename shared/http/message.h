@@ -2,6 +2,7 @@
 // What a browser asks and what it is given.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>

@@ -2,6 +2,7 @@
 // The main job, end to end, as a user runs it: a simulated visitor is captured, fitted, compared and reported.
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>

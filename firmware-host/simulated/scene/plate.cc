@@ -66,7 +66,7 @@ std::optional<Eigen::Vector3d> Plate::Intersect(const Ray3& ray) const {
 }
 
 // `column`, `row`: in squares from the upper left corner of the pattern. The upper left square is black; a ChArUco
-// board's markers lie in its white squares, numbered row by row (the layout of OpenCV before 4.6.0's new one).
+// board's markers lie in its white squares, numbered row by row (OpenCV's layout from 4.6 on).
 bool Plate::IsWhiteOnBoard(double column, double row) const {
   const int c = static_cast<int>(std::floor(column)), r = static_cast<int>(std::floor(row));
   if (c < 0 || r < 0 || c >= description_.columns || r >= description_.rows) return true;

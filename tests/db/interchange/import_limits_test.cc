@@ -59,6 +59,18 @@ TEST_F(ImportLimits, DevicesPipesFoldersAndHugeFilesAreNoPictures) {
   ExpectRefused(ImportOf("a\\u001b[31m\\u009b.png"), "\\x1b[31m\\u009b", "No such file");
 }
 
+TEST_F(ImportLimits, PosesTimesPatternsAreNoFramesWithoutEnd) {
+  std::string text =
+      "[import]\nrig = \"r\"\ncamera_width = 4\ncamera_height = 4\nbit_depth = 8\n"
+      "projector_width = 64\nprojector_height = 48\n[[file]]\nsequence = \"#.png\"\npatterns = [";
+  for (int i = 0; i < 20000; ++i) text += "\"white\",";
+  text += "]\n";
+  for (int i = 0; i < 20000; ++i) text += "[[pose]]\nindex = " + std::to_string(i) + "\n";
+  WriteText(Files() / "many.toml", text);  // 600 KB; 400 million frames
+  ExpectRefused(Import((Files() / "many.toml").string()), "more than 250000 frames", "many.toml");
+  ExpectRefused(Import((Files() / "many.toml").string() + " --pose 7"), "0.png", "many.toml");
+}
+
 TEST_F(ImportLimits, NorAreTheyManifests) {
   ASSERT_EQ(mkfifo((Files() / "pipe").c_str(), 0600), 0);
   WriteText(Files() / "sparse.toml", "x");

@@ -5,6 +5,7 @@
 #include "db/base/sqlite.h"
 #include "db/catalogue/manifest.h"
 #include "db/keys/key_store.h"
+#include "db/ledger/ledger_line.h"
 #include "tests/db/ledger/ledger_fixture.h"
 
 namespace stratalux::db {
@@ -36,6 +37,20 @@ TEST_F(LedgerTest, TheWorkedExampleIsWhatTheCodeWrites) {
   const std::string page = ReadFile(std::string(STRATALUX_SOURCE_DIR) + "/docs/file-formats.md").value();
   const std::string chain = ReadFile(ChainOf(store_)).value();
   EXPECT_NE(page.find("```\n" + chain + "```\n"), std::string::npos) << chain;
+}
+
+// Its detail is kept as text and written again: neither may recurse without end.
+TEST_F(LedgerTest, ALineThatNestsWithoutEndIsNotUnderstood) {
+  const std::string deep = R"({"reason": )" + std::string(200'000, '[') + std::string(200'000, ']') + "}";
+  ChainEnd end{0, ChainStart(kStoreId)};
+  const LedgerEntry entry{LedgerKind::kForgetting, {1}, {"s000017-0badcafe"}, "", deep};
+  const std::string as_text = MakeLine(entry, end);
+  EXPECT_EQ(ParseLine(as_text).state, LineState::kWhole);
+  std::string hostile = R"({"schema":1,"n":1,"prev":")" + ChainStart(kStoreId) +
+                        R"(","kind":"forgetting","at_wall_ns":1,"sessions":[],"visitor":"","detail":)" + deep + "}";
+  const LedgerLine line = ParseLine(hostile);
+  EXPECT_FALSE(line.entry.has_value());
+  EXPECT_NE(line.state, LineState::kWhole);
 }
 
 }  // namespace

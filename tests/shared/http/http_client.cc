@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cerrno>
+#include <cstdint>
 
 #include <netinet/in.h>
 #include <sys/socket.h>
