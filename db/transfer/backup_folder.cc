@@ -8,6 +8,7 @@
 
 #include "db/base/descriptor.h"
 #include "db/base/durable_file.h"
+#include "db/catalogue/artifact_record.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/file_copy.h"
 #include "shared/base/read_file.h"
