@@ -10,6 +10,7 @@
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/run.h"
+#include "fitter/session/choose_session.h"
 #include "fitter/stages/relight.h"
 #include "shared/base/standard_output.h"
 
@@ -44,12 +45,13 @@ Result<VirtualLight> LightOf(const Flags& f) {
 Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto light, LightOf(f));
   SLX_RETURN_IF_ERROR(light.Validate());
-  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, f.session));
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(f.store, f.session, SessionUse::kFit, logger));
+  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   const std::string session = frames.info().id;
   std::filesystem::path folder;
   if (f.fit.empty()) {
-    SLX_ASSIGN_OR_RETURN(folder, NewestFit(f.store, session));
+    SLX_ASSIGN_OR_RETURN(folder, NewestFit(f.store, session, logger));
   } else {
     folder = frames.store().FitFolder(session, f.fit);
   }

@@ -168,7 +168,7 @@ Status Clean(const Flags& f, Logger& logger) {
 }
 
 Status PrintReport(const Flags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session));
+  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session, logger));
   const auto page = folder / "report" / "index.html", metrics = folder / "metrics.json";
   if (!std::filesystem::exists(page))
     return Status::NotFound(page.string() + " is missing; `stratalux-fit run` makes it again");

@@ -8,6 +8,7 @@
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/shortfall.h"
 #include "db/privacy/access_log.h"
+#include "fitter/session/choose_session.h"
 #include "fitter/stages/stage_json.h"
 
 namespace stratalux::fit {
@@ -103,7 +104,8 @@ Status AfterRun(const Status& finished, const RunOptions& options, const RunOutc
 
 Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   SLX_RETURN_IF_ERROR(options.Validate());
-  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, options.session));
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(options.store, options.session, SessionUse::kVisitor, logger));
+  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   if (const std::string text = db::Shortfall(frames.info()); !text.empty()) logger.Warning(text);
   SLX_RETURN_IF_ERROR(RequireFittable(frames, options));
@@ -132,7 +134,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
 
 Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& session, const CleanOptions& options,
                                    Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, session));
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store, session, SessionUse::kVisitor, logger));
+  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, chosen));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), logger));
   SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
   std::set<std::string> wanted;
@@ -144,9 +147,10 @@ Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& 
   return artifacts.Clean(wanted, options);
 }
 
-Result<std::filesystem::path> NewestFit(const std::string& store_folder, const std::string& session) {
+Result<std::filesystem::path> NewestFit(const std::string& store_folder, const std::string& session, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store_folder, session, SessionUse::kFit, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(session));
+  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(chosen));
   SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
   if (fits.empty())
     return Status::NotFound("session " + row.info.id + " has no complete fit (`stratalux-fit run " + row.info.id +

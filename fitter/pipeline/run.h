@@ -28,6 +28,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger);
 
 // Folder of the session's newest fit; kNotFound when there is none. `session`: also "latest", the newest session that
 // has one.
-[[nodiscard]] Result<std::filesystem::path> NewestFit(const std::string& store, const std::string& session);
+[[nodiscard]] Result<std::filesystem::path> NewestFit(const std::string& store, const std::string& session,
+                                                      Logger& logger);
 
 }  // namespace stratalux::fit

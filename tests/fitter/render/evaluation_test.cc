@@ -81,7 +81,7 @@ TEST(NoiseFloor, IsTheErrorOfThePerfectEstimate) {
   Image<float> tenth_off = truth;
   for (float& v : tenth_off.pixels()) v *= 1.1F;
   figure.error = CompareImages(measured, tenth_off, kEverywhere);
-  EXPECT_NEAR(figure.AboveNoise(), 0.1, 0.002);
+  EXPECT_NEAR(figure.WithoutNoise(), 0.1, 0.002);
 }
 
 TEST(CompareImages, TakesThePeakAtTheUpperMilleOfTheReference) {
