@@ -6,8 +6,8 @@
 #include <gtest/gtest.h>
 
 #include "fitter/export/exr_file.h"
-#include "fitter/pipeline/layer_pictures.h"
 #include "fitter/report/html_report.h"
+#include "fitter/report/layer_pictures.h"
 
 namespace stratalux::fit {
 namespace {
