@@ -14,7 +14,7 @@
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/export/exr_file.h"
-#include "fitter/report/html_report.h"
+#include "fitter/export/pictures.h"
 #include "fitter/session/choose_session.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/decode.h"

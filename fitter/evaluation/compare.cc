@@ -3,12 +3,12 @@
 
 #include <cmath>
 
-#include "fitter/calibration/linear_frame.h"
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/render/mlsss.h"
+#include "fitter/sensor/linear_frame.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"

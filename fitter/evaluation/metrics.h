@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
-#include "fitter/calibration/drift.h"
 #include "fitter/evaluation/image_error.h"
 #include "fitter/mixture/srd_centroid.h"
+#include "fitter/reconstruction/drift.h"
 #include "fitter/stages/fit_summary.h"
 #include "fitter/stages/srd.h"
 

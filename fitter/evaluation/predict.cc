@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/predict.h"
 
-#include "fitter/calibration/linear_frame.h"
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/render/mlsss.h"
+#include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/truth_shape.h"
 
-#include "fitter/calibration/linear_frame.h"
+#include "fitter/sensor/linear_frame.h"
 
 namespace stratalux::fit {
 

@@ -6,12 +6,12 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/own_hash.h"
-#include "fitter/calibration/linear_frame.h"
 #include "fitter/evaluation/ablations.h"
 #include "fitter/evaluation/compare.h"
 #include "fitter/evaluation/truth_shape.h"
 #include "fitter/mixture/em_kernel.h"
 #include "fitter/scattering/baselines.h"
+#include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/decode.h"
 #include "fitter/stages/fit_summary.h"
 #include "fitter/stages/layer_maps.h"

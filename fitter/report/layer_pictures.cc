@@ -5,6 +5,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "fitter/export/pictures.h"
+
 namespace stratalux::fit {
 namespace {
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "fitter/export/pictures.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"

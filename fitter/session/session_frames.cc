@@ -6,7 +6,7 @@
 
 #include "db/base/own_hash.h"
 #include "db/catalogue/pixel_digest.h"
-#include "fitter/calibration/dark_frame.h"
+#include "fitter/sensor/dark_frame.h"
 
 namespace stratalux::fit {
 

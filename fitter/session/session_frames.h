@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "db/catalogue/session_store.h"
-#include "fitter/calibration/linear_frame.h"
+#include "fitter/sensor/linear_frame.h"
 #include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "fitter/calibration/linear_frame.h"
 #include "fitter/export/exr_file.h"
+#include "fitter/export/pictures.h"
 #include "fitter/render/mlsss.h"
-#include "fitter/report/html_report.h"
+#include "fitter/sensor/linear_frame.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {

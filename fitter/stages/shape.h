@@ -5,7 +5,7 @@
 #include <filesystem>
 #include <vector>
 
-#include "fitter/calibration/drift.h"
+#include "fitter/reconstruction/drift.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/reconstruction/triangulate.h"
 #include "shared/capture/rig_calibration.h"

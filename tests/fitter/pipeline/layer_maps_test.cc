@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/export/exr_file.h"
+#include "fitter/export/pictures.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
 

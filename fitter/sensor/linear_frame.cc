@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/calibration/linear_frame.h"
+#include "fitter/sensor/linear_frame.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "fitter/export/pictures.h"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <span>
-
-#include "fitter/report/html_report.h"
 
 namespace stratalux::fit {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/calibration/drift.h"
+#include "fitter/reconstruction/drift.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
