@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/compare.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "fitter/evaluation/direct_light.h"
@@ -42,7 +43,8 @@ Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, 
   return fitted;
 }
 
-// What of the scene the truth calls skin that the light reaches; empty where there is no truth.
+// What of the scene the truth calls skin that the light reaches; empty where there is no truth. A scene without any
+// skin (a sphere of wax) is judged wherever the light reaches it.
 struct TrueSkin {
   Image<uint8_t> skin, lit;  // on quads
   [[nodiscard]] bool known() const { return !skin.empty() && !lit.empty(); }
@@ -53,6 +55,8 @@ Result<TrueSkin> ReadTrueSkin(const CompareInput& in) {
   if (!in.truth) return truth;
   SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
   SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.projector));
+  const auto skin = truth.skin.pixels();
+  if (std::none_of(skin.begin(), skin.end(), [](uint8_t s) { return s != 0; })) std::fill(skin.begin(), skin.end(), 1);
   return truth;
 }
 
@@ -69,13 +73,14 @@ Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const True
     for (int i = 0; i < lit.width(); ++i) {
       const bool surface = in.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
       const bool skin = !truth.known() || truth.skin(i, j) != 0;
-      const bool judged = surface && reached && has_fit && skin;
-      masks.judged(i, j) = judged ? 1 : 0;
       const bool shines = !truth.known() || truth.lit(i, j) != 0;
+      const bool judged = surface && reached && has_fit && skin && shines;
+      masks.judged(i, j) = judged ? 1 : 0;
       masks.left_out(i, j) = surface && has_fit && shines && !judged ? 1 : 0;
       coverage.judged += judged ? 1 : 0;
       coverage.not_skin += surface && reached && has_fit && !skin ? 1 : 0;
-      if (truth.known() && !(skin && truth.lit(i, j) != 0)) continue;
+      coverage.in_shadow += surface && reached && has_fit && skin && !shines ? 1 : 0;
+      if (!(skin && shines)) continue;
       coverage.lit_skin += truth.known() ? 1 : 0;
       coverage.no_surface += truth.known() && !surface ? 1 : 0;
       coverage.unlit += surface && !reached ? 1 : 0;

@@ -50,7 +50,7 @@ struct Comparison {
   std::vector<LightComparison> pictures;
 };
 
-// kFailed where the models have no pixel in common that the light reaches.
+// Figures are NaN, of 0 pixels, where the models have none in common that the light reaches.
 [[nodiscard]] Result<Comparison> CompareHeldOut(const CompareInput& input, const std::vector<ComparedModel>& models);
 
 // compare.json and the pictures as <light>_*.exr.

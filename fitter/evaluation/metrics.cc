@@ -9,9 +9,15 @@
 #include "fitter/evaluation/metrics_json.h"
 
 namespace stratalux::fit {
+namespace {
+
+double FigureOf(const nlohmann::json& json) { return json.is_null() ? std::nan("") : json.get<double>(); }
+
+}  // namespace
 
 double HeldOutFigure::WithoutNoise() const {
-  return std::sqrt(std::max(0.0, error.nrmse * error.nrmse - noise_nrmse * noise_nrmse));
+  const double left = error.nrmse * error.nrmse - noise_nrmse * noise_nrmse;
+  return left < 0.0 ? 0.0 : std::sqrt(left);  // NaN stays
 }
 
 void to_json(nlohmann::ordered_json& json, const HeldOutFigure& f) {
@@ -43,20 +49,23 @@ void from_json(const nlohmann::json& json, HeldOutFigure& f) {
   json.at("geometry").get_to(f.geometry);
   json.at("pool").get_to(f.pool);
   json.at("takes").get_to(f.takes);
-  json.at("nrmse").get_to(f.error.nrmse);
-  json.at("noise_nrmse").get_to(f.noise_nrmse);
-  json.at("camera_noise_nrmse").get_to(f.camera_noise_nrmse);
-  json.at("bias").get_to(f.error.bias);
-  json.at("nrmse_rgb").get_to(f.error.nrmse_channel);
-  json.at("psnr_db").get_to(f.error.psnr_db);
-  json.at("ssim").get_to(f.error.ssim);
+  f.error.nrmse = FigureOf(json.at("nrmse"));
+  f.noise_nrmse = FigureOf(json.at("noise_nrmse"));
+  f.camera_noise_nrmse = FigureOf(json.at("camera_noise_nrmse"));
+  f.error.bias = FigureOf(json.at("bias"));
+  for (size_t c = 0; c < f.error.nrmse_channel.size(); ++c)
+    f.error.nrmse_channel[c] = FigureOf(json.at("nrmse_rgb").at(c));
+  f.error.psnr_db = FigureOf(json.at("psnr_db"));
+  f.error.ssim = FigureOf(json.at("ssim"));
   json.at("pixels").get_to(f.error.pixels);
 }
 
 void to_json(nlohmann::ordered_json& json, const Coverage& c) {
-  json = {{"projector", c.projector},   {"geometry", c.geometry},     {"lit_skin", c.lit_skin},
-          {"judged", c.judged},         {"no_surface", c.no_surface}, {"unlit", c.unlit},
-          {"not_fitted", c.not_fitted}, {"not_skin", c.not_skin},     {"left_out_nrmse", c.left_out_nrmse}};
+  json = {{"projector", c.projector},   {"geometry", c.geometry},
+          {"lit_skin", c.lit_skin},     {"judged", c.judged},
+          {"no_surface", c.no_surface}, {"unlit", c.unlit},
+          {"not_fitted", c.not_fitted}, {"not_skin", c.not_skin},
+          {"in_shadow", c.in_shadow},   {"left_out_nrmse", c.left_out_nrmse}};
 }
 
 void from_json(const nlohmann::json& json, Coverage& c) {
@@ -68,7 +77,8 @@ void from_json(const nlohmann::json& json, Coverage& c) {
   json.at("unlit").get_to(c.unlit);
   json.at("not_fitted").get_to(c.not_fitted);
   json.at("not_skin").get_to(c.not_skin);
-  json.at("left_out_nrmse").get_to(c.left_out_nrmse);
+  json.at("in_shadow").get_to(c.in_shadow);
+  for (const auto& [light, error] : json.at("left_out_nrmse").items()) c.left_out_nrmse[light] = FigureOf(error);
 }
 
 std::string Metrics::ToJson() const {

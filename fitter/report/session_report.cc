@@ -255,7 +255,7 @@ ReportTable CoverageTable(const Metrics& m) {
       "Coverage, quads: with a truth, of the skin that the light truly reaches; else of the reconstructed "
       "surface. Left out: NRMSE of the fit (total) over what it predicts and is not judged",
       {"projector", "geometry", "lit skin", "judged", "no surface", "unlit by its codes", "not fitted", "not skin",
-       "left out"},
+       "in shadow", "left out"},
       {}};
   for (const Coverage& c : m.coverage) {
     std::string left_out;
@@ -265,7 +265,7 @@ ReportTable CoverageTable(const Metrics& m) {
     table.rows.push_back({std::to_string(c.projector), c.geometry, c.lit_skin > 0 ? std::to_string(c.lit_skin) : "",
                           std::to_string(c.judged) + (c.lit_skin > 0 ? " (" + Fixed(share, 1) + " %)" : ""),
                           std::to_string(c.no_surface), std::to_string(c.unlit), std::to_string(c.not_fitted),
-                          std::to_string(c.not_skin), left_out});
+                          std::to_string(c.not_skin), std::to_string(c.in_shadow), left_out});
   }
   return table;
 }

@@ -9,6 +9,7 @@
 
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/metrics.h"
+#include "fitter/evaluation/metrics_json.h"
 #include "fitter/evaluation/truth.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
@@ -62,6 +63,23 @@ TEST(CompareImages, MeasuresTheDecibelsOfKnownNoise) {
   for (float& v : noisy.pixels()) v += static_cast<float>(10.0 * random.Normal());
   // Peak 1000 over noise 10: 40 dB; 9216 samples know the variance to 1.5 %.
   EXPECT_NEAR(CompareImages(reference, noisy, kEverywhere).psnr_db, 40.0, 0.25);
+}
+
+TEST(CompareImages, NothingInCommonIsNoErrorOfZero) {
+  const Image<uint8_t> nowhere(64, 48, 1, 0);
+  const ImageError e = CompareImages(Picture(), Picture(), nowhere);
+  EXPECT_EQ(e.pixels, 0);
+  EXPECT_TRUE(std::isnan(e.nrmse));
+  EXPECT_TRUE(std::isnan(NoiseFloor(Picture(), Picture(), nowhere)));
+  HeldOutFigure figure;
+  figure.error = e;
+  const nlohmann::ordered_json json = figure;
+  const auto text = nlohmann::json::parse(json.dump());
+  EXPECT_TRUE(text["nrmse"].is_null());
+  EXPECT_TRUE(text["nrmse_without_noise"].is_null());
+  const auto back = text.get<HeldOutFigure>();
+  EXPECT_TRUE(std::isnan(back.error.nrmse));
+  EXPECT_TRUE(std::isnan(back.error.nrmse_channel[2]));
 }
 
 TEST(NoiseFloor, IsTheErrorOfThePerfectEstimate) {
@@ -196,7 +214,7 @@ TEST(Metrics, WritesSchemaTwo) {
                        0.031});
   m.ablations.push_back(m.heldout[0]);
   m.ablations[0].model = "projectors_permuted";
-  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, {{"stripe", 0.2}}});
+  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, 1, {{"stripe", 0.2}}});
   m.evaluation = "full";
   m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
   m.summary.masked_by_reason["too dark"] = 7;
