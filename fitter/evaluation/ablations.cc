@@ -14,12 +14,13 @@ namespace {
 void Reorder(SrdBatch& batch, const std::vector<int>& order) {
   ParallelFor(batch.profiles(), 4096, [&](int64_t begin, int64_t end) {
     std::vector<float> before(batch.samples);
-    for (int64_t i = begin; i < end; ++i)
-      for (auto* values : {&batch.y, &batch.variance}) {
-        float* samples = values->data() + i * batch.samples;
-        std::copy(samples, samples + batch.samples, before.begin());
+    for (int64_t i = begin; i < end; ++i) {
+      if (batch.valid[i] == 0) continue;
+      for (const std::span<float> samples : {batch.Samples(i), batch.Variances(i)}) {
+        std::ranges::copy(samples, before.begin());
         for (int k = 0; k < batch.samples; ++k) samples[k] = before[order[k]];
       }
+    }
   });
 }
 

@@ -117,7 +117,7 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
     first_u += static_cast<float>(turn) * step;
     turn = (turn % light.samples + light.samples) % light.samples;
   }
-  const float* y = batch.y.data() + profile * light.samples;
+  const auto y = batch.Samples(profile);
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.shift[lane] = static_cast<float>(noise.read_shift);
   light.counts[lane] = static_cast<float>(noise.counts);

@@ -22,8 +22,8 @@ double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
   double photons = 0.0;
   for (const SrdBatch* b : lights) {
     if (b->valid[profile] == 0) continue;
-    const auto y = b->y.begin() + profile * b->samples, v = b->variance.begin() + profile * b->samples;
-    const double sum = std::accumulate(y, y + b->samples, 0.0), variance = std::accumulate(v, v + b->samples, 0.0);
+    const auto y = b->Samples(profile), v = b->Variances(profile);
+    const double sum = std::accumulate(y.begin(), y.end(), 0.0), variance = std::accumulate(v.begin(), v.end(), 0.0);
     if (std::isfinite(sum) && variance > 0.0) photons += sum * sum / variance;
   }
   return photons;
@@ -43,11 +43,12 @@ double ReachOfSurface(const SrdBatch& batch, int64_t i) {
 std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double reach, double eta) {
   if (batch.valid[i] == 0 || batch.cos_in[i] < 0.4F) return std::nullopt;
   const double step = batch.step_mm[i], period = step * batch.samples;
+  const auto y = batch.Samples(i);
   Scattered s;
   for (int k = 0; k < batch.samples; ++k) {
     const double u = batch.first_u_mm[i] + k * step;
     if (std::abs(batch.wrapped ? std::remainder(u, period) : u) < reach) continue;
-    s.light += batch.y[i * batch.samples + k];
+    s.light += y[k];
   }
   if (!std::isfinite(s.light)) return std::nullopt;
   s.fresnel = AngularGain(batch.cos_in[i], eta, 0.0);

@@ -31,8 +31,7 @@ bool GeometryUsable(const SrdBatch& batch, int64_t i) {
 // A profile is usable when its samples are finite, not constant, and add up to light.
 FitReason Judge(const SrdBatch& batch, int64_t profile) {
   if (batch.valid[profile] == 0) return FitReason::kNoProjector;
-  const float* y = batch.y.data() + profile * batch.samples;
-  const float* v = batch.variance.data() + profile * batch.samples;
+  const auto y = batch.Samples(profile), v = batch.Variances(profile);
   double sum = 0.0;
   float low = y[0], high = y[0];
   for (int k = 0; k < batch.samples; ++k) {

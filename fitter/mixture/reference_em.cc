@@ -396,8 +396,8 @@ double LayerFactor(const ReferenceLight& light, const ReferenceFit& fit, double 
 
 ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
   ReferenceLight light;
-  const auto* y = batch.y.data() + profile * batch.samples;
-  light.y.assign(y, y + batch.samples);
+  const auto y = batch.Samples(profile);
+  light.y.assign(y.begin(), y.end());
   light.first_u_mm = batch.first_u_mm[profile];
   light.step_mm = batch.step_mm[profile];
   light.wrapped = batch.wrapped;

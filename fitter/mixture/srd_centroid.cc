@@ -45,8 +45,8 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
   layers.sigma_mm.push_back(1e-3);
   std::vector<double> predicted = PredictSamples(layers, heldout, profile, options);
   for (double& y : predicted) y += floor;
-  const float* y = heldout.y.data() + profile * heldout.samples;
-  const double measured_at = Centroid({y, y + heldout.samples}, heldout, profile, reach_mm),
+  const auto y = heldout.Samples(profile);
+  const double measured_at = Centroid({y.begin(), y.end()}, heldout, profile, reach_mm),
                predicted_at = Centroid(predicted, heldout, profile, reach_mm);
   if (!std::isfinite(measured_at) || !std::isfinite(predicted_at)) return {};
   return {measured_at * s, predicted_at * s, s * s, std::pow(predicted_at - measured_at, 2), 1};

@@ -136,7 +136,7 @@ ReportSection SrdOfPixel(const ReportInput& in) {
     const double floor = is_trained ? map.background[profile * map.training_projectors.size() + light] : 0.0;
     for (int k = 0; k < b.samples; ++k)
       points.push_back(
-          {std::remainder(b.first_u_mm[0] + k * double(b.step_mm[0]), period), b.y[k], predicted[k] + floor});
+          {std::remainder(b.first_u_mm[0] + k * double(b.step_mm[0]), period), b.Samples(0)[k], predicted[k] + floor});
     std::sort(points.begin(), points.end());
     ReportSeries measured{"measured", {}, {}, true},
         fitted{trained == map.training_projectors.end() ? "predicted" : "fitted", {}, {}, false};

@@ -80,12 +80,13 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
       blur += std::sqrt(b->blur_mm[i] * b->blur_mm[i] + SampleSitesOf(*b, i).VarianceMm2());
       n += 1.0;
       const double period = double(b->step_mm[i]) * b->samples;
+      const auto y = b->Samples(i);
       for (int k = 0; k < b->samples; ++k) {
         const double u = std::remainder(double(b->first_u_mm[i]) + k * double(b->step_mm[i]), period);
         const long bin = std::lround(u / mean.step) + kHalf;
         if (bin < 0 || bin > 2 * kHalf) continue;
         mean.u[bin] += u;
-        mean.y[bin] += b->y[i * b->samples + k];
+        mean.y[bin] += y[k];
         mean.count[bin] += 1.0;
       }
     }

@@ -78,8 +78,8 @@ SrdReason SrdExtractor::ReadBesideLine(int64_t profile, ImageView<const float> s
     const float value = Interpolate(signal, at.x(), at.y(), c);
     if (!std::isfinite(variance(i, j, c))) return SrdReason::kSaturated;
     if (!std::isfinite(value)) return SrdReason::kCutOff;
-    batch_.y[profile * batch_.samples + k] = value * per_white;
-    batch_.variance[profile * batch_.samples + k] = variance(i, j, c) * per_white * per_white;
+    batch_.Samples(profile)[k] = value * per_white;
+    batch_.Variances(profile)[k] = variance(i, j, c) * per_white * per_white;
   }
   return SrdReason::kValid;
 }

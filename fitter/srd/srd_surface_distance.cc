@@ -89,20 +89,21 @@ void SrdExtractor::ResampleAlongSurface() {
       for (int k = left - 1; k >= 0; --k) u[k] = ArcTo(i, column_[i] + offset + (first + k) * step, from);
       const double length = u[samples] - u[0];
       if (!(length > 0.0) || !std::is_sorted(u.begin(), u.end())) continue;  // folded: stays on the tangent plane
+      const auto old_y = batch_.Samples(i), old_variance = batch_.Variances(i);
       double before = 0.0, after = 0.0;
       int k = 0;
       for (int j = 0; j < samples; ++j) {
         const double wanted = u[0] + j * length / samples;
         while (k + 1 < samples && u[k + 1] <= wanted) ++k;
         const double at = first + k + (wanted - u[k]) / std::max(u[k + 1] - u[k], 1e-9);
-        y[j] = CyclicCubic(batch_.y.data() + i * samples, samples, at);
+        y[j] = CyclicCubic(old_y.data(), samples, at);
         const int nearest = static_cast<int>(std::lround(at));
-        variance[j] = batch_.variance[i * samples + (nearest % samples + samples) % samples];
-        before += batch_.y[i * samples + j];
+        variance[j] = old_variance[(nearest % samples + samples) % samples];
+        before += old_y[j];
         after += y[j];
       }
-      std::copy(y.begin(), y.end(), batch_.y.begin() + i * samples);
-      std::copy(variance.begin(), variance.end(), batch_.variance.begin() + i * samples);
+      std::ranges::copy(y, old_y.begin());
+      std::ranges::copy(variance, old_variance.begin());
       new_first[i] = static_cast<float>(u[0]);
       new_step[i] = static_cast<float>(length / samples);
       if (batch_.white.empty() || !(before > 0.0)) continue;

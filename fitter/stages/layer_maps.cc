@@ -116,10 +116,8 @@ Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds) {
       double sum = 0.0, variance = 0.0;
       for (const SrdBatch* batch : lights) {
         if (batch->valid[i] == 0) continue;
-        for (int64_t k = i * batch->samples; k < (i + 1) * batch->samples; ++k) {
-          sum += batch->y[k];
-          variance += batch->variance[k];
-        }
+        for (const float y : batch->Samples(i)) sum += y;
+        for (const float v : batch->Variances(i)) variance += v;
       }
       ratio.pixels()[i] = variance > 0.0 ? static_cast<float>(std::max(sum, 0.0) / std::sqrt(variance)) : 0.0F;
     }

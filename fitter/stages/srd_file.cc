@@ -72,9 +72,12 @@ Status SaveBatch(const fs::path& folder, const SrdBatch& batch) {
   for (size_t i = 0; i < batch.valid.size(); ++i)
     if (batch.valid[i] != 0) which.push_back(static_cast<int32_t>(i));
   SLX_RETURN_IF_ERROR(WriteNpy(folder / "profile.npy", which));
+  std::vector<int32_t> rows = which;
+  for (int32_t& row : rows)
+    if (!batch.row.empty()) row = batch.row[static_cast<size_t>(row)];
   for (const auto& [name, member] : kSamples)
     SLX_RETURN_IF_ERROR(
-        WriteNpy(folder / (std::string(name) + ".npy"), Pick(batch.*member, which, batch.samples), batch.samples));
+        WriteNpy(folder / (std::string(name) + ".npy"), Pick(batch.*member, rows, batch.samples), batch.samples));
   for (const auto& [name, member] : kValues)
     if (!(batch.*member).empty())
       SLX_RETURN_IF_ERROR(WriteNpy(folder / (std::string(name) + ".npy"), Pick(batch.*member, which, 1)));
@@ -85,14 +88,11 @@ Status SaveBatch(const fs::path& folder, const SrdBatch& batch) {
                                            {"pool", batch.pool}});
 }
 
-Status Spread(const fs::path& file, std::span<const int32_t> which, int64_t profiles, int64_t columns,
-              std::vector<float>& values) {
+Status Spread(const fs::path& file, std::span<const int32_t> which, int64_t profiles, std::vector<float>& values) {
   SLX_ASSIGN_OR_RETURN(const auto rows, ReadNpyFloats(file));
-  if (rows.size() != which.size() * static_cast<size_t>(columns))
-    return Status::Integrity(file.string() + " does not belong to its profiles");
-  values.assign(static_cast<size_t>(profiles * columns), 0.0F);
-  for (size_t k = 0; k < which.size(); ++k)
-    std::copy_n(rows.begin() + static_cast<int64_t>(k) * columns, columns, values.begin() + which[k] * columns);
+  if (rows.size() != which.size()) return Status::Integrity(file.string() + " does not belong to its profiles");
+  values.assign(static_cast<size_t>(profiles), 0.0F);
+  for (size_t k = 0; k < which.size(); ++k) values[static_cast<size_t>(which[k])] = rows[k];
   return Status::Ok();
 }
 
@@ -108,16 +108,24 @@ Result<SrdBatch> LoadBatch(const fs::path& folder) {
   }));
   SLX_ASSIGN_OR_RETURN(const auto which, ReadNpyIntegers(folder / "profile.npy"));
   batch.valid.assign(static_cast<size_t>(profiles), 0);
+  batch.row.assign(static_cast<size_t>(profiles), -1);
+  int32_t before = -1, rows = 0;
   for (const int32_t i : which) {
-    if (i < 0 || i >= profiles) return Status::Integrity((folder / "profile.npy").string() + ": no such profile");
+    if (i <= before || i >= profiles) return Status::Integrity((folder / "profile.npy").string() + ": no such profile");
     batch.valid[static_cast<size_t>(i)] = 1;
+    batch.row[static_cast<size_t>(i)] = rows++;
+    before = i;
   }
-  for (const auto& [name, member] : kSamples)
-    SLX_RETURN_IF_ERROR(Spread(folder / (std::string(name) + ".npy"), which, profiles, batch.samples, batch.*member));
+  for (const auto& [name, member] : kSamples) {
+    const fs::path file = folder / (std::string(name) + ".npy");
+    SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(file));
+    if ((batch.*member).size() != which.size() * static_cast<size_t>(batch.samples))
+      return Status::Integrity(file.string() + " does not belong to its profiles");
+  }
   for (const auto& [name, member] : kValues) {
     const fs::path file = folder / (std::string(name) + ".npy");
     if (std::error_code error; fs::exists(file, error))
-      SLX_RETURN_IF_ERROR(Spread(file, which, profiles, 1, batch.*member));
+      SLX_RETURN_IF_ERROR(Spread(file, which, profiles, batch.*member));
   }
   return batch;
 }

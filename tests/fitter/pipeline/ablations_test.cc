@@ -16,6 +16,7 @@ SrdSet FourLights() {
       b.variance.push_back(static_cast<float>(100 * p + i));
     }
     b.first_u_mm.assign(2, 0.0F);
+    b.valid.assign(2, 1);
     for (auto* v : {&b.slope_in, &b.slope_in_across, &b.cos_in}) v->assign(2, static_cast<float>(p));
     set.batches.push_back(std::move(b));
   }

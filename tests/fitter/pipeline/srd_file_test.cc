@@ -34,8 +34,9 @@ TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
   EXPECT_EQ(read->set.width, 3);
   const SrdBatch& back = read->set.batches[0];
   EXPECT_EQ(back.valid, batch.valid);
-  EXPECT_EQ(back.y, (std::vector<float>{1.0F, 2.0F, 0.0F, 0.0F, 5.0F, 6.0F}));
-  EXPECT_EQ(back.variance[5], 0.6F);
+  EXPECT_EQ(back.row, (std::vector<int32_t>{0, -1, 1}));
+  EXPECT_EQ(back.y, (std::vector<float>{1.0F, 2.0F, 5.0F, 6.0F}));
+  EXPECT_EQ(back.Variances(2)[1], 0.6F);
   EXPECT_EQ(back.slope_out_across, (std::vector<float>{0.25F, 0.0F, 0.75F}));
   EXPECT_TRUE(back.white.empty());
   EXPECT_EQ(back.pool, 2);
