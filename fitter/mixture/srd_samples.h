@@ -45,21 +45,28 @@ struct SrdBatch {
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel
   [[nodiscard]] int64_t profiles() const { return static_cast<int64_t>(first_u_mm.size()); }
   // Of a profile that has a row: its K samples, and their variances.
-  [[nodiscard]] std::span<const float> Samples(int64_t profile) const { return RowOf(y, profile); }
-  [[nodiscard]] std::span<const float> Variances(int64_t profile) const { return RowOf(variance, profile); }
-  [[nodiscard]] std::span<float> Samples(int64_t profile) { return RowOf(y, profile); }
-  [[nodiscard]] std::span<float> Variances(int64_t profile) { return RowOf(variance, profile); }
+  [[nodiscard]] std::span<const float> Samples(int64_t profile) const {
+    return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<const float> Variances(int64_t profile) const {
+    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<float> Samples(int64_t profile) {
+    return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<float> Variances(int64_t profile) {
+    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
   // Rows for the profiles for which `wanted` is not 0, in their order, and for no other; values are lost.
   void AllotRows(std::span<const uint8_t> wanted, float value, float its_variance);
   // Drops the rows of profiles that are not valid.
   void KeepValidRows();
 
  private:
-  template <typename Values>
-  [[nodiscard]] auto RowOf(Values& values, int64_t profile) const {
+  [[nodiscard]] size_t FirstOf(int64_t profile) const {
     const int64_t at = row.empty() ? profile : row[static_cast<size_t>(profile)];
     SLX_CHECK(at >= 0);
-    return std::span(values).subspan(static_cast<size_t>(at * samples), static_cast<size_t>(samples));
+    return static_cast<size_t>(at * samples);
   }
 };
 
