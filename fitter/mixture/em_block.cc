@@ -191,8 +191,8 @@ void EmBlock::Start(int lane) {
   for (size_t p = 0; p < lights_.size(); ++p) {
     const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
-    const float* y = batches_[p]->y.data() + lanes_[lane].profile * light.samples;
-    total += std::max(std::accumulate(y, y + light.samples, 0.0), 1e-6) * light.counts[lane];
+    const auto y = batches_[p]->Samples(lanes_[lane].profile);
+    total += std::max(std::accumulate(y.begin(), y.end(), 0.0), 1e-6) * light.counts[lane];
     exposure += double(light.counts[lane]) * light.gain[lane] * light.coverage[lane];
     longest = std::max(longest, double(light.cell_mm[lane]) * light.grid.cells);
     for (int k = 0; k < light.samples; ++k)

@@ -251,6 +251,14 @@ TEST(FitMixture, CountsBadProfilesAndNeverReturnsNaN) {
   for (const auto* v :
        {&map->weight, &map->depth_mm, &map->sigma_mm, &map->surface, &map->background, &map->divergence})
     for (float x : *v) ASSERT_TRUE(std::isfinite(x));
+  // Without the rows of what is not valid, nothing else is seen.
+  for (SrdBatch& b : lights.batches) b.KeepValidRows();
+  const auto compact = Fit(lights, options);
+  ASSERT_TRUE(compact.ok());
+  EXPECT_EQ(compact->weight, map->weight);
+  EXPECT_EQ(compact->depth_mm, map->depth_mm);
+  EXPECT_EQ(compact->surface, map->surface);
+  EXPECT_EQ(compact->reason, map->reason);
   auto reason = [&](int64_t i) { return static_cast<FitReason>(map->reason[i]); };
   EXPECT_EQ(reason(0), FitReason::kNotFinite);
   EXPECT_EQ(reason(1), FitReason::kTooDark);
