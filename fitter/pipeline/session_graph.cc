@@ -71,12 +71,14 @@ Result<SessionFrames> OpenFrames(const RunOptions& options, const std::string& s
 Result<MixtureMap> Baseline(const std::string& name, const FittedLayers& fit, const fs::path& srds, int heldout) {
   if (name == "homogeneous") return Homogeneous(fit.map);
   if (name == "homogeneous_local_albedo") return HomogeneousLocalAlbedo(fit.map);
-  SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srds));
-  std::vector<int> projectors;
-  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(extracted.set, heldout, &projectors));
   std::vector<Dipole> dipoles;
-  for (int c = 0; c < fit.map.channels; ++c)
-    dipoles.push_back(FitDipole(lights, c, fit.map.channels, fit.map.eta, MeanSurfaceReflectance(fit.map, c)));
+  {
+    SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srds));
+    std::vector<int> projectors;
+    SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(extracted.set, heldout, &projectors));
+    for (int c = 0; c < fit.map.channels; ++c)
+      dipoles.push_back(FitDipole(lights, c, fit.map.channels, fit.map.eta, MeanSurfaceReflectance(fit.map, c)));
+  }
   return DipoleMap(fit.map, dipoles);
 }
 
