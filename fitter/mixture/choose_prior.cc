@@ -29,8 +29,8 @@ struct Score {
 ReferenceFit Prediction(const MixtureMap& map, int64_t profile) {
   ReferenceFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = map.tau;
-  fit.directional = map.directional;
+  fit.tau = map.scattering.tau;
+  fit.directional = map.scattering.directional;
   const size_t lights = map.training_projectors.size();
   double surface = 0.0, background = 0.0, lit = 0.0;
   for (size_t p = profile * lights; p < (profile + 1) * lights; ++p) {

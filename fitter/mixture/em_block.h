@@ -14,7 +14,7 @@
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/em_prior.h"
 #include "fitter/mixture/em_update.h"
-#include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/layer_set.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {

@@ -11,7 +11,6 @@
 #include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/photon_noise.h"
 #include "fitter/mixture/reference_prior.h"
-#include "fitter/mixture/shift_law.h"
 
 namespace stratalux::fit {
 namespace {
@@ -118,8 +117,8 @@ class Em {
 ReferenceFit Em::Start(const LayerSet& layers) const {
   ReferenceFit fit;
   fit.layers = layers;
-  fit.tau = options_.tau;
-  fit.directional = options_.directional;
+  fit.tau = options_.scattering.tau;
+  fit.directional = options_.scattering.directional;
   if (shared_ == SharedParameters::kTauAndDirectional && fit.directional.Off())
     fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
   // Shares of the light that returns: an unknown surface keeps near its start (nothing identifies it), the floor is
@@ -146,7 +145,7 @@ double Em::PriorCost(const ReferenceFit& fit) const {
   if (shared_ == SharedParameters::kTauAndDirectional)
     cost = kKappaPrior.Cost(fit.directional.kappa_per_mm) + kSlopePrior.Cost(fit.directional.phase_slope) +
            kLogSigma0Prior.Cost(std::log(fit.directional.sigma_0_mm)) +
-           (options_.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
+           (options_.scattering.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
   return shared_prior_ * cost;
 }
 
@@ -227,7 +226,7 @@ void Em::ShareBackground(ReferenceFit& fit) const {
 
 // d_l = sum_p s_p sum_z c z / sum_p s_p^2 sum_z c and sigma_l^2 = sum c (z - d_l s_p)^2 / sum c, with z = d_old s + x.
 void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
-  const bool free = options_.mode == FitMode::kFree;
+  const bool free = options_.scattering.mode == FitMode::kFree;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     LayerSums sums;
     for (size_t p = 0; p < grids_.size(); ++p) {
@@ -300,7 +299,7 @@ void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
     double step, low, high;
   };
   std::vector<Parameter> parameters;
-  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
+  if (options_.scattering.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
   if (shared_ == SharedParameters::kTauAndDirectional) {
     parameters.push_back({&fit.directional.kappa_per_mm, 0.02, kKappa.low, kKappa.high});
     parameters.push_back({&fit.directional.phase_slope, 0.04, kSlope.low, kSlope.high});
@@ -349,7 +348,7 @@ ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     const double w = std::exp(x[at]);
     fit.layers.weight[l] = like.layers.weight[l] > 0.0 ? w : 0.0;
-    fit.layers.depth_mm[l] = options_.mode == FitMode::kFree
+    fit.layers.depth_mm[l] = options_.scattering.mode == FitMode::kFree
                                  ? std::clamp(x[at + 1], -kFreeReachMm, kFreeReachMm)
                                  : std::clamp(x[at + 1], options_.min_depth_mm, options_.max_depth_mm);
     fit.layers.sigma_mm[l] =
@@ -409,17 +408,14 @@ ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const Em
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.counts = noise.counts;
   light.read_shift = noise.read_shift;
-  light.s = options.mode == FitMode::kFree ? 1.0
-                                           : TangentialShift(options.shift_law, batch.slope_in[profile],
-                                                             batch.slope_in_across[profile], options.eta) -
-                                                 TangentialShift(options.shift_law, batch.slope_out[profile],
-                                                                 batch.slope_out_across[profile], options.eta);
-  light.directions = DirectionsOf(batch, profile, options.eta);
-  if (options.reflection.Known())
-    light.reflected = ReflectanceOf(options.reflection, ReflectionAngles::Of(batch, profile), options.eta);
-  if (options.gain_model) {
-    light.fresnel = AngularGain(batch.cos_in[profile], options.eta, 0.0);
-    light.gain_path = GainPath(batch.cos_in[profile], options.eta);
+  const ScatteringModel& model = options.scattering;
+  light.s = ShiftCoefficient(model, batch, profile);
+  light.directions = DirectionsOf(batch, profile, model.eta);
+  if (model.reflection.Known())
+    light.reflected = ReflectanceOf(model.reflection, ReflectionAngles::Of(batch, profile), model.eta);
+  if (model.gain_model) {
+    light.fresnel = AngularGain(batch.cos_in[profile], model.eta, 0.0);
+    light.gain_path = GainPath(batch.cos_in[profile], model.eta);
   }
   return light;
 }
@@ -429,7 +425,7 @@ LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& o
   for (const ReferenceLight& light : lights) {
     const FineGrid grid(light);
     photons += light.counts * std::max(std::accumulate(light.y.begin(), light.y.end(), 0.0), 1e-6);
-    exposure += light.counts * GainOf(light, options.tau) * grid.Coverage();
+    exposure += light.counts * GainOf(light, options.scattering.tau) * grid.Coverage();
     longest = std::max(longest, grid.CellMm() * grid.cells());
     narrowest = std::max(narrowest, 0.9 * grid.CellMm());
   }

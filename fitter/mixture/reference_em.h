@@ -9,6 +9,7 @@
 
 #include "fitter/mixture/directional_weights.h"
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/layer_set.h"
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/srd_samples.h"
 

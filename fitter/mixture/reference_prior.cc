@@ -51,7 +51,7 @@ KnownPixel::KnownPixel(const ReferenceFit& fit, std::span<const FineGrid> grids,
     : fit_(fit),
       grids_(grids),
       n0_(options.prior.photons),
-      square_shift_(options.mode == FitMode::kFree ? 0.0 : options.prior.square_shift),
+      square_shift_(options.scattering.mode == FitMode::kFree ? 0.0 : options.prior.square_shift),
       photons_(ShownBy(fit, grids)) {
   const double scale = n0_ / photons_.Sum();
   for (auto* of : {&photons_.layers, &photons_.surface, &photons_.background})

@@ -131,8 +131,8 @@ EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile
   if (!map.Fitted(profile)) return {};
   ReferenceFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = map.tau;
-  fit.directional = options.directional;
+  fit.tau = map.scattering.tau;
+  fit.directional = options.scattering.directional;
   std::vector<ReferenceLight> seen;
   for (size_t p = 0; p < lights.size(); ++p) {
     if (lights[p]->valid[profile] == 0) continue;

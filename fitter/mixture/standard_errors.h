@@ -11,6 +11,7 @@
 
 #include <span>
 
+#include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/reference_em.h"
 
 namespace stratalux::fit {

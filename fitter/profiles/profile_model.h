@@ -33,12 +33,7 @@ struct SourceFit {
 };
 
 struct ProfileModel {
-  FitMode mode = FitMode::kTied;
-  ShiftLaw shift_law = ShiftLaw::kRefracted;
-  double eta = 1.4;
-  bool gain_model = true;
-  double tau = 0.0;  // of the angular gain
-  DirectionalWeights directional;
+  ScatteringModel scattering;
   LayerSet layers;                               // tied mode
   std::optional<EffectiveParameters> effective;  // tied mode, after a fit
   double background = 0.0;

@@ -121,12 +121,11 @@ ReportSection SrdOfPixel(const ReportInput& in) {
   const MixtureMap& map = in.layers.map;
   const int64_t profile = in.chosen_profile;
   if (profile < 0) return section;
-  const EmOptions options = OptionsOf(map);
   const LayerSet layers = LayersOf(map, profile);
   for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
     const SrdBatch& b = in.chosen_srds[p];
     if (b.valid[0] == 0) continue;
-    const auto predicted = PredictSamples(layers, b, 0, options);
+    const auto predicted = PredictSamples(layers, b, 0, map.scattering);
     const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
     std::vector<std::array<double, 3>> points;
     const double period = double(b.step_mm[0]) * b.samples;

@@ -132,7 +132,7 @@ StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, 
   const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
   StandardErrorMaps maps{unknown, unknown, unknown};
   const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
-  options = OptionsOf(map, options);
+  options.scattering = map.scattering;
   ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!map.Fitted(i)) continue;

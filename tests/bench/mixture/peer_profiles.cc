@@ -29,7 +29,7 @@ fit::SrdBatch AsPeersTakeThem(fit::SrdBatch b) {
 fit::SrdBatch WithoutNoise(const fit::EmCases& skins) {
   fit::SrdBatch b = skins.batches[0];
   for (int i = 0; i < kPeerProfiles; ++i) {
-    const auto y = fit::PredictSamples(skins.skins[i], b, i, fit::EmOptions());
+    const auto y = fit::PredictSamples(skins.skins[i], b, i, fit::ScatteringModel());
     std::copy(y.begin(), y.end(), b.y.begin() + int64_t{i} * b.samples);
   }
   return b;
@@ -84,8 +84,8 @@ fit::EmOptions PeerOptions(int sweeps) {
   options.layers = kPeerLayers;
   options.max_iterations = sweeps;
   options.tolerance = 0.0;
-  options.mode = fit::FitMode::kFree;
-  options.gain_model = options.surface_term = options.background_term = false;
+  options.scattering.mode = fit::FitMode::kFree;
+  options.scattering.gain_model = options.surface_term = options.background_term = false;
   return options;
 }
 

@@ -78,24 +78,24 @@ TEST(EmAgreement, PooledQuads) { ExpectAgreement({.profiles = 2, .pool = 2}, Pla
 
 TEST(EmAgreement, FreeModeOfASingleLight) {
   EmOptions options = Plain(30);
-  options.mode = FitMode::kFree;
+  options.scattering.mode = FitMode::kFree;
   ExpectAgreement({.profiles = 2, .slopes = {0.7}}, options, 13);
 }
 
 TEST(EmAgreement, DirectionalWeightsWithoutSurfaceAndWithOneFloor) {
   EmOptions options = Plain(30);
-  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
+  options.scattering.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
   options.surface_term = false;
   options.shared_background = true;
   options.layers = 7;
   ExpectAgreement({.profiles = 2}, options, 14);
-  options.directional.sigma_0_mm = 0.0;  // no layer is narrow
+  options.scattering.directional.sigma_0_mm = 0.0;  // no layer is narrow
   ExpectAgreement({.profiles = 1}, options, 14);
 }
 
 TEST(EmAgreement, SurfaceReflectionHeldAndNoFloor) {
   EmOptions options = Plain(30);
-  options.reflection = {1.1, 0.35};
+  options.scattering.reflection = {1.1, 0.35};
   options.background_term = false;
   ExpectAgreement({.profiles = 2}, options, 16);
 }

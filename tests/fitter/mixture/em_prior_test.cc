@@ -56,8 +56,8 @@ std::vector<ReferenceLight> LightsOf(const EmCases& made, int64_t profile, const
 ReferenceFit FitOf(const MixtureMap& map, const EmCases& made, int64_t profile, const EmOptions& options) {
   ReferenceFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = options.tau;
-  fit.directional = options.directional;
+  fit.tau = options.scattering.tau;
+  fit.directional = options.scattering.directional;
   for (size_t p = 0; p < made.batches.size(); ++p) {
     if (made.batches[p].valid[profile] == 0) continue;
     fit.surface.push_back(map.surface[profile * made.batches.size() + p]);
@@ -157,19 +157,21 @@ TEST(MapEm, AgreesWithTheReferenceOnEveryInstructionSet) {
 TEST(MapEm, AgreesWithTheReferenceWhereTheSurfaceIsHeld) {
   EmOptions options = Plain(20, 1000.0);
   options.background_term = false;
-  options.reflection = {1.1, 0.35};
+  options.scattering.reflection = {1.1, 0.35};
   const EmCases made = MakeEmCases({.profiles = 2, .peak_counts = 300}, options, 37);
   const LayerSet mean = MeanSkin(options.layers);
   ExpectAgreement(made, options, mean);
   const MixtureMap map = Fit(made, options, mean);
   for (size_t p = 0; p < made.batches.size(); ++p)
-    EXPECT_NEAR(map.surface[p],
-                ReflectanceOf(options.reflection, ReflectionAngles::Of(made.batches[p], 0), options.eta), 1e-6);
+    EXPECT_NEAR(
+        map.surface[p],
+        ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(made.batches[p], 0), options.scattering.eta),
+        1e-6);
 }
 
 TEST(MapEm, AgreesInOpenWindowsWithDirectionsAndOneFloor) {
   EmOptions options = Plain(20, 2000.0);
-  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
+  options.scattering.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
   options.shared_background = true;
   options.layers = 7;
   EmCases made = MakeEmCases({.profiles = 3, .samples = 41, .wrapped = false, .peak_counts = 2000}, options, 34);

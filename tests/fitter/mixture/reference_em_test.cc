@@ -16,7 +16,7 @@ constexpr double kSlopes[] = {-1.0, 0.0, 0.577};
 EmOptions Options() {
   EmOptions options;
   options.surface_term = false;
-  options.gain_model = false;
+  options.scattering.gain_model = false;
   options.layers = 12;
   options.max_iterations = 50;
   return options;
@@ -48,14 +48,14 @@ TEST(ReferenceEm, KnownLayersUnderPhotonNoise) {
   constexpr int kSeeds = 24;
   Random random(99);
   const SrdBatch unseen = test::CombOf(test::FiveLayers(), 1.0, 1, 0.0, options, random);
-  const auto truth = PredictSamples(test::FiveLayers(), unseen, 0, options);
+  const auto truth = PredictSamples(test::FiveLayers(), unseen, 0, options.scattering);
   double weight = 0.0, depth = 0.0, error = 0.0, power = 0.0;
   for (uint64_t seed = 1; seed <= kSeeds; ++seed) {
     const auto lights = LightsOf(Combs(options, seed), options);
     const ReferenceFit fit = FitReference(lights, SpreadLayers(lights, options), options);
     weight += std::pow(Total(fit.layers) / Total(test::FiveLayers()) - 1.0, 2) / kSeeds;
     depth += std::pow(MeanDepth(fit.layers) / MeanDepth(test::FiveLayers()) - 1.0, 2) / kSeeds;
-    const auto predicted = PredictSamples(fit.layers, unseen, 0, options);
+    const auto predicted = PredictSamples(fit.layers, unseen, 0, options.scattering);
     for (size_t k = 0; k < truth.size(); ++k) {
       error += std::pow(predicted[k] + fit.background[0] - truth[k], 2);
       power += truth[k] * truth[k];
@@ -111,7 +111,7 @@ TEST(ReferenceEm, ModelledLightAddsUpToTheMeasured) {
 
 TEST(ReferenceEm, FindsHowLayersDependOnDirection) {
   EmOptions truth = Options();
-  truth.directional = {1.0, 1.3, 0.4};
+  truth.scattering.directional = {1.0, 1.3, 0.4};
   EmOptions options = Options();
   const auto lights = LightsOf(Combs(truth, 1, 0.0), options);
   const LayerSet start = SpreadLayers(lights, options);
@@ -122,8 +122,8 @@ TEST(ReferenceEm, FindsHowLayersDependOnDirection) {
   const SrdBatch unseen = test::CombOf(test::FiveLayers(), 1.3, 1, 0.0, truth, random);
   auto error = [&](const ReferenceFit& fit) {
     EmOptions own = options;
-    own.directional = fit.directional;
-    const auto y = PredictSamples(fit.layers, unseen, 0, own);
+    own.scattering.directional = fit.directional;
+    const auto y = PredictSamples(fit.layers, unseen, 0, own.scattering);
     double sum = 0.0, power = 0.0;
     for (int k = 0; k < unseen.samples; ++k) {
       sum += std::pow(y[k] + fit.background[0] - unseen.y[k], 2);
