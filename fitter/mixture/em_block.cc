@@ -21,15 +21,6 @@ size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
 
 }  // namespace
 
-int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
-  const double step = batch.step_mm[profile];
-  // More would be a step of decimetres, fitted coarsely rather than without end.
-  constexpr double kMost = 256.0;
-  const double cell = batch.wrapped ? options.max_cell_mm : options.max_cell_mm / 2;
-  const int fine = static_cast<int>(std::min(std::ceil(step / cell), kMost));
-  return std::max(batch.wrapped ? options.cells_per_sample : 1, fine);
-}
-
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
                  std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start)
     : options_(options),

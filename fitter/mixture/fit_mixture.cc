@@ -7,6 +7,7 @@
 #include <string>
 
 #include "fitter/mixture/em_block.h"
+#include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/line_response.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"

@@ -9,7 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "fitter/mixture/shift_law.h"
+#include "fitter/profiles/profile_em.h"
 #include "shared/base/json_number.h"
 
 namespace stratalux::fit {
@@ -75,9 +75,9 @@ double Nrmse(const std::vector<double>& data, const std::vector<double>& model) 
   return power > 0.0 ? std::sqrt(error / power) : 0.0;
 }
 
-ReferenceLight LightOf(const LineProfile& profile, double pedestal, const EmOptions& options) {
+ProfileLight LightOf(const LineProfile& profile, double pedestal, const EmOptions& options) {
   const SrdBatch batch = BatchOf(profile, pedestal);
-  ReferenceLight light = ReferenceLightOf(batch, 0, options);
+  ProfileLight light = ProfileLightOf(batch, 0, options);
   ScatteringModel exit = options.scattering;
   exit.tau = 0.0;
   const double fresnel = ExitGain(profile, exit);
@@ -103,40 +103,38 @@ LayerSet ByWidth(const LayerSet& layers) {
   return sorted;
 }
 
-ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared,
-                 double shared_prior = kSharedPrior) {
-  ReferenceFit fit =
-      FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem, shared_prior);
+ProfileFit Fit(const std::vector<ProfileLight>& lights, const EmOptions& options, SharedParameters shared,
+               double shared_prior = kSharedPrior) {
+  ProfileFit fit = RunProfileEm(lights, SpreadLayers(lights, options), options, shared, shared_prior);
   fit.layers = ByWidth(fit.layers);
   return fit;
 }
 
 // Whether the sources' paths through the skin differ enough for tau or directional weights to mean anything.
-bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
-  const auto [least, most] =
-      std::minmax_element(lights.begin(), lights.end(), [](const ReferenceLight& a, const ReferenceLight& b) {
-        return a.directions.ExtraPath() < b.directions.ExtraPath();
-      });
+bool DirectionsDiffer(const std::vector<ProfileLight>& lights) {
+  const auto [least, most] = std::minmax_element(
+      lights.begin(), lights.end(),
+      [](const ProfileLight& a, const ProfileLight& b) { return a.directions.ExtraPath() < b.directions.ExtraPath(); });
   return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
 }
 
 // Samples that count as independent: those under one slit share their photons.
-double IndependentSamples(const std::vector<ReferenceLight>& lights) {
+double IndependentSamples(const std::vector<ProfileLight>& lights) {
   double samples = 0.0;
-  for (const ReferenceLight& light : lights)
+  for (const ProfileLight& light : lights)
     samples += light.samples() / std::max(1.0, light.line.line_width_mm / light.step_mm);
   return samples;
 }
 
-ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
+ProfileFit FitTied(const std::vector<ProfileLight>& lights, const EmOptions& options, Directional directional) {
   const bool differ = DirectionsDiffer(lights);
-  ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
+  ProfileFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
   if (directional == Directional::kOff || (directional == Directional::kAuto && !differ)) return without;
   // A divergence D of N samples is that of N / 2 D photons: in their log likelihood a prior weighs 2 D / N of the
   // light.
   const double samples = IndependentSamples(lights);
   const double prior = std::max(kSharedPrior, 2.0 * without.divergence / samples);
-  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
+  ProfileFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
   // Do directional weights earn their three parameters? Twice the gain in log likelihood against the 97.5 % quantile of
   // chi^2 with three degrees of freedom.
   constexpr double kQuantile = 9.35;
@@ -254,7 +252,7 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   if (profiles.empty()) return Status::Usage("no profiles to fit");
   for (const LineProfile& p : profiles) SLX_RETURN_IF_ERROR(CheckSource(p));
   const double pedestal = PedestalOf(profiles);
-  std::vector<ReferenceLight> lights;
+  std::vector<ProfileLight> lights;
   for (const LineProfile& p : profiles) lights.push_back(LightOf(p, pedestal, options));
 
   ProfileModel model;
@@ -262,7 +260,7 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   for (const LineProfile& p : profiles)
     model.sources.push_back({p.source, p.incidence_deg, p.exit_deg, p.slit_mm, {}, 0.0, 0.0, 0, 0.0});
   if (options.scattering.mode == FitMode::kTied) {
-    const ReferenceFit fit = FitTied(lights, options, directional);
+    const ProfileFit fit = FitTied(lights, options, directional);
     model.scattering.tau = fit.tau;
     model.scattering.directional = fit.directional;
     model.layers = fit.layers;
@@ -270,11 +268,11 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
     model.divergence = fit.divergence;
     model.iterations = fit.iterations;
     model.depth_estimable = std::any_of(lights.begin(), lights.end(),
-                                        [](const ReferenceLight& light) { return std::abs(light.s) >= kLeastShift; });
+                                        [](const ProfileLight& light) { return std::abs(light.s) >= kLeastShift; });
     model.effective = EffectiveParametersOf(fit, lights, NoiseScale::kFromResiduals);
   } else {
     for (size_t i = 0; i < lights.size(); ++i) {
-      const ReferenceFit fit = Fit({lights[i]}, options, SharedParameters::kFixed);
+      const ProfileFit fit = Fit({lights[i]}, options, SharedParameters::kFixed);
       SourceFit& s = model.sources[i];
       s.layers = fit.layers;
       s.background = fit.background[0];

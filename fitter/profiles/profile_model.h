@@ -14,7 +14,6 @@
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
 #include "fitter/mixture/standard_errors.h"
 #include "fitter/profiles/profile_csv.h"
 

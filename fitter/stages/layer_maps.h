@@ -41,7 +41,7 @@ struct LayerMaps {
 struct StandardErrorMaps {
   Image<float> total_weight, mean_depth_mm, width_mm;
 };
-// `options`: of the fit. Costs about one sweep of the reference EM a profile; `progress` receives profiles done.
+// `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives profiles done.
 [[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, EmOptions options,
                                                    const std::function<void(int64_t)>& progress);
 // standard_errors.exr: total_weight.R, mean_depth_mm.R, width_mm.R ...

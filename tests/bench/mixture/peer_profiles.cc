@@ -8,7 +8,7 @@
 #include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
+#include "fitter/mixture/profile_fit.h"
 
 namespace stratalux::bench {
 namespace {
@@ -91,7 +91,7 @@ fit::EmOptions PeerOptions(int sweeps) {
 
 fit::LayerSet OwnStart(const fit::SrdBatch& noisy, int profile) {
   const fit::EmOptions options = PeerOptions(kPeerSweeps);
-  const fit::ReferenceLight light = fit::ReferenceLightOf(noisy, profile, options);
+  const fit::ProfileLight light = fit::ProfileLightOf(noisy, profile, options);
   fit::LayerSet start = fit::SpreadLayers(std::span(&light, 1), options);
   const double sum = std::accumulate(start.weight.begin(), start.weight.end(), 0.0);
   for (double& w : start.weight) w /= sum;
