@@ -2,7 +2,6 @@
 #include "fitter/apps/run_command.h"
 
 #include <charconv>
-#include <cstdio>
 #include <cstdlib>
 #include <memory>
 
@@ -12,6 +11,7 @@
 #include "db/catalogue/fit_record.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
+#include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
@@ -162,8 +162,7 @@ Status Clean(const Flags& f, Logger& logger) {
   }
   std::string text;
   for (const std::string& name : report.removed) text += name + "\n";
-  char size[64];
-  std::snprintf(size, sizeof size, "%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
+  const std::string size = Formatted("%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
   return WriteStdout(text + std::to_string(report.removed.size()) + " artifacts " +
                      (f.clean.dry_run ? "would be removed, " : "removed, ") + size + "; " +
                      std::to_string(report.kept) + " kept\n");

@@ -72,12 +72,11 @@ Result<MixtureMap> Baseline(const std::string& name, const FittedLayers& fit, co
   if (name == "homogeneous") return Homogeneous(fit.map);
   if (name == "homogeneous_local_albedo") return HomogeneousLocalAlbedo(fit.map);
   SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srds));
-  std::vector<int> projectors;
-  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(extracted.set, heldout, &projectors));
+  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, heldout));
   std::vector<Dipole> dipoles;
   for (int c = 0; c < fit.map.channels; ++c)
     dipoles.push_back(
-        FitDipole(lights, c, fit.map.channels, fit.map.scattering.eta, MeanSurfaceReflectance(fit.map, c)));
+        FitDipole(lights.batches, c, fit.map.channels, fit.map.scattering.eta, MeanSurfaceReflectance(fit.map, c)));
   return DipoleMap(fit.map, dipoles);
 }
 
@@ -250,7 +249,8 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
                 FittedLayers layers;
                 layers.pool = srds.pool;
                 SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
-                layers.signal_to_noise = SignalToNoise(layers.map, srds);
+                SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(srds, heldout));
+                layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
                 SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
                 SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
                 return SaveSummary(folder, Summarise(layers.map, srds, heldout));
@@ -268,8 +268,9 @@ std::string SessionGraph::StandardErrors() {
          SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srd_folder));
          SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages_.Folder(fit));
          SLX_ASSIGN_OR_RETURN(const auto layers, LoadLayers(fit_folder));
+         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, options_.heldout));
          Progress progress(logger_, "standard errors", layers.map.profiles());
-         return WriteStandardErrors(folder, FindStandardErrors(layers.map, extracted.set, options_.fit.em,
+         return WriteStandardErrors(folder, FindStandardErrors(layers.map, lights.batches, options_.fit.em,
                                                                [&](int64_t done) { progress.Advance(done); }));
        }});
 }

@@ -4,24 +4,19 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
+#include "fitter/report/page_text.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/formatted.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
 namespace {
-
-std::string Fixed(double v, int digits = 3) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f", digits, v);
-  return text;
-}
 
 Image<float> Channel(const Image<float>& map, int channel) {
   Image<float> out(map.width(), map.height());
@@ -367,9 +362,7 @@ Status SavePictures(const std::filesystem::path& folder, const Report& report) {
   int number = 0;
   for (const ReportSection& section : report.sections)
     for (const ReportImage& image : section.images) {
-      char name[32];
-      std::snprintf(name, sizeof name, "%02d.png", number++);
-      SLX_RETURN_IF_ERROR(WritePng8(folder / name, image.pixels));
+      SLX_RETURN_IF_ERROR(WritePng8(folder / Formatted("%02d.png", number++), image.pixels));
     }
   return Status::Ok();
 }

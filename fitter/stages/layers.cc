@@ -110,15 +110,15 @@ std::string FitOptionsJson(const FitOptions& options) {
   return json.dump();
 }
 
-Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
-  Lights lights;
+Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
+  TrainingLights lights;
   for (const auto* batches : {&srds.batches, &srds.row_batches})
     for (int p = 0; p < static_cast<int>(batches->size()); ++p) {
       if (p == heldout) continue;
-      lights.push_back(&(*batches)[p]);
-      projectors->push_back(p);
+      lights.batches.push_back(&(*batches)[p]);
+      lights.projectors.push_back(p);
     }
-  if (lights.empty())
+  if (lights.batches.empty())
     return Status::Usage("with projector " + std::to_string(heldout) +
                          " held out no light is left to fit: the layers need sweeps of two projectors at least");
   return lights;
@@ -126,8 +126,8 @@ Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int held
 
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                              const std::string& label) {
-  std::vector<int> projectors;
-  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
+  SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
+  const auto& [lights, projectors] = training;
   SLX_ASSIGN_OR_RETURN(EmOptions em, WithShared(options, lights, srds, logger, label));
   std::vector<LayerSet> start;
   if (options.choose.prior || em.prior.photons > 0.0) {

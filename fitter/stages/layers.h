@@ -29,10 +29,13 @@ struct FitOptions {
 // All of them, as JSON: what the fit's key holds.
 [[nodiscard]] std::string FitOptionsJson(const FitOptions& options);
 
-// The batches of all projectors but one, their row sweeps after their column sweeps; kUsage when none is left.
-// `projectors`: of each batch.
-[[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
-                                                                  std::vector<int>* projectors);
+// The batches of all projectors but one, their row sweeps after their column sweeps. `srds` must outlive it.
+struct TrainingLights {
+  std::vector<const SrdBatch*> batches;
+  std::vector<int> projectors;  // of each batch
+};
+// kUsage when none is left.
+[[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
 // EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
 // directional weights, and the prior with the mean layers that it is centred on.

@@ -3,13 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include <nlohmann/json.hpp>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -21,11 +21,7 @@ std::string LayersFile(const char* what) { return std::string("layers_") + what 
 std::vector<std::string> LayerChannels(int channels, int layers) {
   std::vector<std::string> names;
   for (const std::string& colour : Colours(channels))
-    for (int l = 0; l < layers; ++l) {
-      char text[32];
-      std::snprintf(text, sizeof text, "layer%02d.%s", l, colour.c_str());
-      names.push_back(text);
-    }
+    for (int l = 0; l < layers; ++l) names.push_back(Formatted("layer%02d.%s", l, colour.c_str()));
   return names;
 }
 
