@@ -2,7 +2,6 @@
 #include "fitter/apps/run_command.h"
 
 #include <charconv>
-#include <cstdio>
 #include <cstdlib>
 #include <memory>
 
@@ -12,6 +11,7 @@
 #include "db/catalogue/fit_record.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
+#include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
@@ -32,7 +32,7 @@ void AddStore(CLI::App& verb, Flags& f) {
 }
 
 void AddFitOptions(CLI::App& verb, Flags& f) {
-  verb.add_option("--layers", f.run.em.layers, "Scattering layers a pixel")
+  verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers a pixel")
       ->check(CLI::Range(1, 32))
       ->capture_default_str();
   verb.add_option("--mode", f.mode,
@@ -40,7 +40,7 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->check(CLI::IsMember({"tied", "free"}))
       ->capture_default_str();
   verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
-  verb.add_option("--eta", f.run.em.eta, "Refractive index of skin")
+  verb.add_option("--eta", f.run.fit.em.scattering.eta, "Refractive index of skin")
       ->check(CLI::Range(1.0, 3.0))
       ->capture_default_str();
   verb.add_option("--gain", f.gain, "Angular gain: model or none")
@@ -63,7 +63,7 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
                   "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
                   "predicts the training lights, left out in turn, best; none: every pixel on its own")
       ->capture_default_str();
-  verb.add_option("--iterations", f.run.em.max_iterations,
+  verb.add_option("--iterations", f.run.fit.em.max_iterations,
                   "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
@@ -91,12 +91,13 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_flag("--dry-run", f.run.dry_run, "Say which stages would run, and why; run none");
 }
 
-Status ParsePrior(const std::string& text, EmOptions& em) {
-  em.choose_prior = text == "auto";
-  em.prior = {};
-  if (em.choose_prior || text == "none") return Status::Ok();
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), em.prior.photons);
-  if (error == std::errc() && end == text.data() + text.size() && em.prior.photons > 0.0 && em.prior.photons <= 1e7)
+Status ParsePrior(const std::string& text, FitOptions& fit) {
+  LayerPrior& prior = fit.em.prior;
+  fit.choose.prior = text == "auto";
+  prior = {};
+  if (fit.choose.prior || text == "none") return Status::Ok();
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), prior.photons);
+  if (error == std::errc() && end == text.data() + text.size() && prior.photons > 0.0 && prior.photons <= 1e7)
     return Status::Ok();
   return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e7");
 }
@@ -122,19 +123,20 @@ int Execute(Flags& f) {
   };
   const auto law = ParseShiftLaw(f.shift);
   if (!law.ok()) return finish(law.status());
-  f.run.em.shift_law = *law;
+  EmOptions& em = f.run.fit.em;
+  em.scattering.shift_law = *law;
   const auto reading = ParseSrdReading(f.reading);
   if (!reading.ok()) return finish(reading.status());
   f.run.srd.reading = *reading;
   const auto distance = ParseSrdDistance(f.distance);
   if (!distance.ok()) return finish(distance.status());
   f.run.srd.distance = *distance;
-  if (const Status prior = ParsePrior(f.prior, f.run.em); !prior.ok()) return finish(prior);
-  f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
-  f.run.em.gain_model = f.gain == "model";
-  f.run.em.estimate_reflection = f.surface == "model";
-  f.run.em.background_term = f.background == "on";
-  f.run.em.choose_directions = f.directional == "on";
+  if (const Status prior = ParsePrior(f.prior, f.run.fit); !prior.ok()) return finish(prior);
+  em.scattering.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
+  em.scattering.gain_model = f.gain == "model";
+  f.run.fit.choose.reflection = f.surface == "model";
+  em.background_term = f.background == "on";
+  f.run.fit.choose.directions = f.directional == "on";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
   if (!outcome.ok()) return finish(outcome.status());
@@ -160,8 +162,7 @@ Status Clean(const Flags& f, Logger& logger) {
   }
   std::string text;
   for (const std::string& name : report.removed) text += name + "\n";
-  char size[64];
-  std::snprintf(size, sizeof size, "%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
+  const std::string size = Formatted("%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
   return WriteStdout(text + std::to_string(report.removed.size()) + " artifacts " +
                      (f.clean.dry_run ? "would be removed, " : "removed, ") + size + "; " +
                      std::to_string(report.kept) + " kept\n");

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 #include <optional>
 
@@ -12,6 +11,7 @@
 #include "fitter/calibration/light_field.h"
 #include "fitter/calibration/line_profile.h"
 #include "fitter/calibration/projector_ramp.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -27,11 +27,7 @@ constexpr double kMaxFall = 0.02, kWarnFall = 0.005;  // of a grey ramp
 constexpr double kMaxFieldResidual = 0.03;            // relative
 constexpr double kMaxLineError = 0.1;                 // of a line's width
 
-std::string Percent(double share) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.1f %%", 100.0 * share);
-  return text;
-}
+std::string Percent(double share) { return Formatted("%.1f %%", 100.0 * share); }
 
 std::string NameOf(int projector) { return "projector " + std::to_string(projector); }
 

@@ -7,8 +7,7 @@
 #include <numbers>
 #include <optional>
 
-#include "fitter/mixture/directional_weights.h"
-#include "fitter/mixture/shift_law.h"
+#include "fitter/mixture/scattering_model.h"
 #include "fitter/separation/shrink_noise.h"
 #include "fitter/srd/srd_extractor.h"
 #include "shared/base/parallel.h"
@@ -59,10 +58,10 @@ double ResolvedLayers(const LitQuad& quad, size_t a, double period, const Refrac
   for (int l = 0; l < map.layers; ++l) {
     const size_t at = static_cast<size_t>(profile) * map.layers + l;
     const double sigma = map.sigma_mm[at];
-    narrow += map.weight[at] * DirectionalFactor(map.directional, directions, map.depth_mm[at], sigma) *
+    narrow += map.weight[at] * DirectionalFactor(map.scattering.directional, directions, map.depth_mm[at], sigma) *
               std::exp(-0.5 * wave * wave * sigma * sigma);
   }
-  return quad.surface[a] * narrow * (map.gain_model ? AngularGain(g.cos_in, map.eta, map.tau) : 1.0);
+  return quad.surface[a] * narrow * AngularGain(map.scattering, g.cos_in);
 }
 
 void ForEachQuad(const SurfaceMap& surface, const std::function<void(int i, int j)>& look) {
@@ -98,7 +97,7 @@ Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, co
     const Eigen::Vector3d point = surface.Point(i, j);
     const RefractedDirections directions =
         DirectionsOf((light.rig.projectors[light.projector].CentreInCamera() - point).normalized(), -point.normalized(),
-                     surface.Normal(i, j), map.eta);
+                     surface.Normal(i, j), map.scattering.eta);
     for (int c = 0; c < map.channels; ++c) {
       const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
       if (profile < 0 || !map.Fitted(profile)) continue;

@@ -5,8 +5,9 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <cstdio>
 #include <span>
+
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -52,11 +53,7 @@ Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high
 
 std::string ColourScaleCss() {
   std::string css = "to right";
-  for (const auto& rgb : kScale) {
-    char text[48];
-    std::snprintf(text, sizeof text, ",rgb(%d,%d,%d)", int(rgb[0]), int(rgb[1]), int(rgb[2]));
-    css += text;
-  }
+  for (const auto& rgb : kScale) css += Formatted(",rgb(%d,%d,%d)", int(rgb[0]), int(rgb[1]), int(rgb[2]));
   return css;
 }
 

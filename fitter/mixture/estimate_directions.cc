@@ -106,7 +106,7 @@ constexpr int kHalvings = 2;
 constexpr double kWorthwhile = 1e-4;  // of the divergence
 
 EmOptions With(EmOptions options, const Parameters& at) {
-  options.directional = {at[0], at[1], at[2]};
+  options.scattering.directional = {at[0], at[1], at[2]};
   return options;
 }
 
@@ -115,8 +115,8 @@ EmOptions With(EmOptions options, const Parameters& at) {
 Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> lights, int channels, EmOptions options,
                                              int every) {
   SLX_CHECK(every >= 1 && !lights.empty());
-  if (options.gain_model && !options.reflection.Known())
-    options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
+  if (options.scattering.gain_model && !options.scattering.reflection.Known())
+    options.scattering.tau = TauOfScatteredLight(lights, channels, options.scattering.eta, options.scattering.tau);
   const std::vector<SrdBatch> parts = SampledPixels(lights, channels, every);
   std::vector<const SrdBatch*> sampled;
   for (const SrdBatch& b : parts) sampled.push_back(&b);
@@ -158,7 +158,7 @@ Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> li
     ++halving;
     for (double& s : step) s /= 2.0;
   }
-  return DirectionEstimate{options.tau, {best[0], best[1], best[2]}, least, without};
+  return DirectionEstimate{options.scattering.tau, {best[0], best[1], best[2]}, least, without};
 }
 
 }  // namespace stratalux::fit

@@ -4,20 +4,14 @@
 #include <algorithm>
 #include <cmath>
 
-#include "fitter/mixture/shift_law.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
 
-double ShiftCoefficient(const SrdBatch& batch, int64_t profile, const EmOptions& o) {
-  return TangentialShift(o.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], o.eta) -
-         TangentialShift(o.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], o.eta);
-}
-
 // Sums over the lights so far, in the fields of the map that they end in: w, w s mu, w sigma^2; `leverage`: w s^2.
-void AddLight(const MixtureMap& free, const SrdBatch& batch, size_t light, size_t lights, const EmOptions& options,
-              MixtureMap& sum, std::vector<float>& leverage, std::vector<uint8_t>& count) {
+void AddLight(const MixtureMap& free, const SrdBatch& batch, size_t light, size_t lights, MixtureMap& sum,
+              std::vector<float>& leverage, std::vector<uint8_t>& count) {
   ParallelFor(sum.profiles(), 1024, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!free.Fitted(i)) {
@@ -27,7 +21,7 @@ void AddLight(const MixtureMap& free, const SrdBatch& batch, size_t light, size_
       }
       sum.reason[i] = static_cast<uint8_t>(FitReason::kFitted);
       ++count[i];
-      const double s = ShiftCoefficient(batch, i, options);
+      const double s = ShiftCoefficient(sum.scattering, batch, i);
       for (int64_t at = i * sum.layers; at < (i + 1) * sum.layers; ++at) {
         const double w = free.weight[at];
         sum.weight[at] += static_cast<float>(w);
@@ -74,7 +68,7 @@ Result<MixtureMap> FitFree(std::span<const SrdBatch* const> lights, const std::v
                            int height, int channels, EmOptions options, std::span<const LayerSet> start,
                            const std::function<void(int64_t)>& progress) {
   if (lights.empty()) return Status::Usage("EM needs at least one light");
-  options.mode = FitMode::kFree;
+  options.scattering.mode = FitMode::kFree;
   std::vector<LayerSet> centred(start.begin(), start.end());
   for (LayerSet& layers : centred) std::fill(layers.depth_mm.begin(), layers.depth_mm.end(), 0.0);
   MixtureMap map;
@@ -85,6 +79,7 @@ Result<MixtureMap> FitFree(std::span<const SrdBatch* const> lights, const std::v
                                                      centred, progress));
     if (p == 0) {
       map = free;
+      map.scattering.mode = FitMode::kTied;
       map.training_projectors = projectors;
       for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm, &map.divergence, &map.prior_share})
         std::fill(v->begin(), v->end(), 0.0F);
@@ -93,7 +88,7 @@ Result<MixtureMap> FitFree(std::span<const SrdBatch* const> lights, const std::v
       for (auto* v : {&map.surface, &map.background}) v->assign(count.size() * lights.size(), 0.0F);
       leverage.assign(map.weight.size(), 0.0F);
     }
-    AddLight(free, *lights[p], p, lights.size(), options, map, leverage, count);
+    AddLight(free, *lights[p], p, lights.size(), map, leverage, count);
   }
   Average(options, leverage, count, map);
   for (int64_t i = 0; i < map.profiles(); ++i)

@@ -10,9 +10,10 @@
 
 namespace stratalux::fit {
 
-// Fits every light by itself (options.mode is kFree) and averages layer by layer. All lights start from the same layers
-// (`start`, by channel; empty: widths spread over all scales), their means at u = 0, and EM keeps their order, so that
-// layer l of one light answers layer l of another. With w, mu, sigma of the lights p that a profile has:
+// Fits every light by itself (in free mode, whatever options.scattering.mode) and averages layer by layer. All lights
+// start from the same layers (`start`, by channel; empty: widths spread over all scales), their means at u = 0, and EM
+// keeps their order, so that layer l of one light answers layer l of another. With w, mu, sigma of the lights p that a
+// profile has:
 //   w_l = mean_p w_lp,   d_l = sum_p w_lp s_p mu_lp / sum_p w_lp s_p^2   (the depth whose shifts d_l s_p come nearest),
 //   sigma_l^2 = sum_p w_lp sigma_lp^2 / sum_p w_lp.
 // Divergence and iterations are means over those lights. `progress` as of FitMixture, once a profile and light.

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <vector>
 
-#include "fitter/mixture/shift_law.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -27,11 +26,9 @@ double Centroid(const std::vector<double>& y, const SrdBatch& batch, int64_t pro
   return sum > 0.0 ? moment / sum : std::nan("");
 }
 
-Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, const EmOptions& options,
-               double reach_mm) {
-  const double s =
-      TangentialShift(map.shift_law, heldout.slope_in[profile], heldout.slope_in_across[profile], map.eta) -
-      TangentialShift(map.shift_law, heldout.slope_out[profile], heldout.slope_out_across[profile], map.eta);
+Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, double reach_mm) {
+  const ScatteringModel& model = map.scattering;
+  const double s = ShiftCoefficient(model, heldout, profile);
   const size_t lights = map.training_projectors.size();
   LayerSet layers = LayersOf(map, profile);
   double floor = 0.0, surface = 0.0;
@@ -39,11 +36,12 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
     floor += map.background[profile * lights + p] / static_cast<double>(lights);
     surface += map.surface[profile * lights + p] / static_cast<double>(lights);
   }
-  if (map.reflection.Known()) surface = ReflectanceOf(map.reflection, ReflectionAngles::Of(heldout, profile), map.eta);
+  if (model.reflection.Known())
+    surface = ReflectanceOf(model.reflection, ReflectionAngles::Of(heldout, profile), model.eta);
   layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
   layers.depth_mm.push_back(0.0);
   layers.sigma_mm.push_back(1e-3);
-  std::vector<double> predicted = PredictSamples(layers, heldout, profile, options);
+  std::vector<double> predicted = PredictSamples(layers, heldout, profile, model);
   for (double& y : predicted) y += floor;
   const auto y = heldout.Samples(profile);
   const double measured_at = Centroid({y.begin(), y.end()}, heldout, profile, reach_mm),
@@ -55,13 +53,12 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
 }  // namespace
 
 CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, double reach_mm, int every) {
-  const EmOptions options = OptionsOf(map);
   std::vector<int64_t> chosen;
   for (int64_t i = 0; i < map.profiles(); ++i)
     if (i / map.channels % every == 0 && map.Fitted(i) && heldout.valid[i] != 0) chosen.push_back(i);
   std::vector<Sums> each(chosen.size());  // summed in order afterwards: the same bits for any number of threads
   ParallelFor(static_cast<int64_t>(chosen.size()), 64, [&](int64_t begin, int64_t end) {
-    for (int64_t k = begin; k < end; ++k) each[k] = OfProfile(map, heldout, chosen[k], options, reach_mm);
+    for (int64_t k = begin; k < end; ++k) each[k] = OfProfile(map, heldout, chosen[k], reach_mm);
   });
   Sums all;
   for (const Sums& s : each) {

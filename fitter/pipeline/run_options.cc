@@ -8,11 +8,11 @@
 namespace stratalux::fit {
 namespace {
 
-std::string PriorText(const EmOptions& em) {
-  if (em.choose_prior) return "auto";
-  if (!(em.prior.photons > 0.0)) return "none";
+std::string PriorText(const FitOptions& fit) {
+  if (fit.choose.prior) return "auto";
+  if (!(fit.em.prior.photons > 0.0)) return "none";
   std::ostringstream text;
-  text << em.prior.photons;
+  text << fit.em.prior.photons;
   return text.str();
 }
 
@@ -21,27 +21,29 @@ std::string PriorText(const EmOptions& em) {
 const char* ToString(GeometrySource source) { return source == GeometrySource::kTruth ? "truth" : "reconstructed"; }
 
 Status RunOptions::Validate() const {
-  SLX_RETURN_IF_ERROR(em.Validate());
+  SLX_RETURN_IF_ERROR(fit.em.Validate());
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
-  if (standard_errors && em.mode == FitMode::kFree)
+  if (standard_errors && fit.em.scattering.mode == FitMode::kFree)
     return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
-  if (em.choose_directions && em.mode == FitMode::kFree)
+  if (fit.choose.directions && fit.em.scattering.mode == FitMode::kFree)
     return Status::Usage("directional weights are those of a tied fit: leave out --mode free or --directional on");
   return srd.Validate();
 }
 
 std::string RunOptions::ToJson() const {
+  const EmOptions& em = fit.em;
+  const ScatteringModel& model = em.scattering;
   const nlohmann::ordered_json json = {{"layers", em.layers},
-                                       {"mode", em.mode == FitMode::kTied ? "tied" : "free"},
-                                       {"shift", fit::ToString(em.shift_law)},
-                                       {"eta", em.eta},
-                                       {"gain_model", em.gain_model},
-                                       {"directional", em.choose_directions},
-                                       {"surface", em.estimate_reflection ? "model" : "free"},
+                                       {"mode", model.mode == FitMode::kTied ? "tied" : "free"},
+                                       {"shift", fit::ToString(model.shift_law)},
+                                       {"eta", model.eta},
+                                       {"gain_model", model.gain_model},
+                                       {"directional", fit.choose.directions},
+                                       {"surface", fit.choose.reflection ? "model" : "free"},
                                        {"background", em.background_term},
                                        {"iterations", em.max_iterations},
-                                       {"prior", PriorText(em)},
+                                       {"prior", PriorText(fit)},
                                        {"tolerance", em.tolerance},
                                        {"heldout", heldout},
                                        {"pool", srd.pool},

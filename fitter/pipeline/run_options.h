@@ -4,8 +4,8 @@
 
 #include <string>
 
-#include "fitter/mixture/em_options.h"
 #include "fitter/srd/srd_extractor.h"
+#include "fitter/stages/layers.h"
 
 namespace stratalux::fit {
 
@@ -18,7 +18,7 @@ enum class GeometrySource { kReconstructed, kTruth };
 struct RunOptions {
   std::string store;
   std::string session = "latest";
-  EmOptions em;
+  FitOptions fit;
   int heldout = 3;               // the projector left out of the full-size fit
   SrdOptions srd;                // pool: quads per side of that fit's profiles
   bool full_evaluation = false;  // every projector held out in turn; ablations, true geometry

@@ -74,10 +74,10 @@ Result<MixtureMap> Baseline(const std::string& name, const FittedLayers& fit, co
   std::vector<Dipole> dipoles;
   {
     SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srds));
-    std::vector<int> projectors;
-    SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(extracted.set, heldout, &projectors));
+    SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, heldout));
     for (int c = 0; c < fit.map.channels; ++c)
-      dipoles.push_back(FitDipole(lights, c, fit.map.channels, fit.map.eta, MeanSurfaceReflectance(fit.map, c)));
+      dipoles.push_back(
+          FitDipole(lights.batches, c, fit.map.channels, fit.map.scattering.eta, MeanSurfaceReflectance(fit.map, c)));
   }
   return DipoleMap(fit.map, dipoles);
 }
@@ -226,18 +226,18 @@ std::string SessionGraph::Srd(GeometrySource source) {
 }
 
 std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) {
-  EmOptions em = options_.em;
+  FitOptions fit = options_.fit;
   if (kind == FitKind::kDirectionBlind) {
-    em.mode = FitMode::kTied;
-    em.direction_blind = true;
+    fit.em.scattering.mode = FitMode::kTied;
+    fit.em.direction_blind = true;
   }
   const std::string what = kind == FitKind::kJudged ? "fit" : std::string("fit, ") + ToString(kind);
-  return AddFit(Srd(source), heldout, em, kind, LabelOf(what, source, heldout));
+  return AddFit(Srd(source), heldout, fit, kind, LabelOf(what, source, heldout));
 }
 
-std::string SessionGraph::AddFit(const std::string& srd, int heldout, EmOptions em, FitKind kind,
+std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                                  const std::string& label) {
-  Json options = Json::parse(EmOptionsJson(em));
+  Json options = Json::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
   options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
@@ -250,8 +250,9 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, EmOptions 
                 const SrdSet srds = Spoilt(std::move(extracted.set), kind, heldout);
                 FittedLayers layers;
                 layers.pool = srds.pool;
-                SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, em, logger_, label));
-                layers.signal_to_noise = SignalToNoise(layers.map, srds);
+                SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
+                SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(srds, heldout));
+                layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
                 SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
                 SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
                 return SaveSummary(folder, Summarise(layers.map, srds, heldout));
@@ -261,7 +262,7 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, EmOptions 
 std::string SessionGraph::StandardErrors() {
   const std::string srd = Srd(options_.geometry), fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
   return Add(
-      {{"standard_errors", kStandardErrorsVersion, EmOptionsJson(options_.em), {{"srd", srd}, {"fit", fit}}, isa_},
+      {{"standard_errors", kStandardErrorsVersion, FitOptionsJson(options_.fit), {{"srd", srd}, {"fit", fit}}, isa_},
        "standard errors",
        {srd, fit},
        [=, this](const fs::path& folder) -> Status {
@@ -269,8 +270,9 @@ std::string SessionGraph::StandardErrors() {
          SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srd_folder));
          SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages_.Folder(fit));
          SLX_ASSIGN_OR_RETURN(const auto layers, LoadLayers(fit_folder));
+         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, options_.heldout));
          Progress progress(logger_, "standard errors", layers.map.profiles());
-         return WriteStandardErrors(folder, FindStandardErrors(layers.map, extracted.set, options_.em,
+         return WriteStandardErrors(folder, FindStandardErrors(layers.map, lights.batches, options_.fit.em,
                                                                [&](int64_t done) { progress.Advance(done); }));
        }});
 }

@@ -38,7 +38,9 @@ class SessionGraph {
   std::string Compare(const std::vector<std::string>& models, GeometrySource source, int heldout);
 
   [[nodiscard]] StageGraph& stages() { return stages_; }
-  [[nodiscard]] std::string JudgedModel() const { return options_.em.mode == FitMode::kTied ? "tied" : "free"; }
+  [[nodiscard]] std::string JudgedModel() const {
+    return options_.fit.em.scattering.mode == FitMode::kTied ? "tied" : "free";
+  }
   [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
   // Every artifact that is there of the nodes added so far, in their order.
   [[nodiscard]] std::vector<std::pair<std::string, db::ArtifactRecord>> Records() const;
@@ -46,7 +48,8 @@ class SessionGraph {
  private:
   SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts, Logger& logger);
   std::string Add(StageNode node);
-  std::string AddFit(const std::string& srd, int heldout, EmOptions em, FitKind kind, const std::string& label);
+  std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
+                     const std::string& label);
   [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;
 
   const RunOptions options_;

@@ -1,20 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/stage_graph.h"
 
-#include <cstdio>
-
 #include <nlohmann/json.hpp>
 
 #include "shared/base/check.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
 
 std::string Seconds(const db::ArtifactRecord& record) {
-  char text[128];
-  std::snprintf(text, sizeof text, "%.1f s (%.1f s of processor), peak %.2f GiB", record.seconds, record.cpu_seconds,
-                static_cast<double>(record.peak_rss_bytes) / (1 << 30));
-  return text;
+  return Formatted("%.1f s (%.1f s of processor), peak %.2f GiB", record.seconds, record.cpu_seconds,
+                   static_cast<double>(record.peak_rss_bytes) / (1 << 30));
 }
 
 std::string Short(const nlohmann::json& value) {

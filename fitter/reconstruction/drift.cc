@@ -4,9 +4,9 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <optional>
 
+#include "shared/base/formatted.h"
 #include "shared/base/median.h"
 #include "shared/geometry/quad.h"
 #include "shared/units/angle.h"
@@ -178,12 +178,6 @@ ProjectorDrift DriftOf(int projector, const std::vector<Point>& points, const Dr
   return drift;
 }
 
-std::string Number(const char* format, double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
 std::string WarningOf(const std::vector<ProjectorDrift>& projectors) {
   std::string who;
   size_t moved = 0, judged = 0;
@@ -192,8 +186,8 @@ std::string WarningOf(const std::vector<ProjectorDrift>& projectors) {
     if (!drift.moved) continue;
     ++moved;
     who += (who.empty() ? "" : "; ") + std::string("the light of projector ") + std::to_string(drift.projector) +
-           " falls " + Number("%.1f", drift.shift_px) +
-           " px from where the calibration says, as if it were turned by " + Number("%.2f", drift.turned_deg) +
+           " falls " + Formatted("%.1f", drift.shift_px) +
+           " px from where the calibration says, as if it were turned by " + Formatted("%.2f", drift.turned_deg) +
            " degrees";
   }
   if (moved == 0) return "";

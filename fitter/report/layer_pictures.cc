@@ -3,18 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "fitter/export/pictures.h"
+#include "fitter/report/page_text.h"
 
 namespace stratalux::fit {
 namespace {
-
-std::string Fixed(double v, int digits) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f", digits, v);
-  return text;
-}
 
 template <typename Value>
 Image<float> MapOf(int width, int height, const Value& value) {

@@ -4,25 +4,20 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 
 #include "fitter/export/pictures.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
+#include "fitter/report/page_text.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/formatted.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
 namespace {
-
-std::string Fixed(double v, int digits = 3) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f", digits, v);
-  return text;
-}
 
 Image<float> Channel(const Image<float>& map, int channel) {
   Image<float> out(map.width(), map.height());
@@ -122,12 +117,11 @@ ReportSection SrdOfPixel(const ReportInput& in) {
   const MixtureMap& map = in.layers.map;
   const int64_t profile = in.chosen_profile;
   if (profile < 0) return section;
-  const EmOptions options = OptionsOf(map);
   const LayerSet layers = LayersOf(map, profile);
   for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
     const SrdBatch& b = in.chosen_srds[p];
     if (b.valid[0] == 0) continue;
-    const auto predicted = PredictSamples(layers, b, 0, options);
+    const auto predicted = PredictSamples(layers, b, 0, map.scattering);
     const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
     std::vector<std::array<double, 3>> points;
     const double period = double(b.step_mm[0]) * b.samples;
@@ -369,9 +363,7 @@ Status SavePictures(const std::filesystem::path& folder, const Report& report) {
   int number = 0;
   for (const ReportSection& section : report.sections)
     for (const ReportImage& image : section.images) {
-      char name[32];
-      std::snprintf(name, sizeof name, "%02d.png", number++);
-      SLX_RETURN_IF_ERROR(WritePng8(folder / name, image.pixels));
+      SLX_RETURN_IF_ERROR(WritePng8(folder / Formatted("%02d.png", number++), image.pixels));
     }
   return Status::Ok();
 }

@@ -12,26 +12,23 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 
-// Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is.
-struct MeanLayers {
-  std::vector<double> weight, depth, sigma;
+// Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is (MeanLayers weighs
+// them by light).
+LayerSet PlainMean(const MixtureMap& map, int channel) {
+  LayerSet mean;
+  for (auto* v : {&mean.weight, &mean.depth_mm, &mean.sigma_mm}) v->assign(map.layers, 0.0);
   int64_t count = 0;
-};
-
-MeanLayers MeanOf(const MixtureMap& map, int channel) {
-  MeanLayers mean;
-  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma}) v->assign(map.layers, 0.0);
   for (int64_t i = channel; i < map.profiles(); i += map.channels) {
     if (!map.Fitted(i)) continue;
-    ++mean.count;
+    ++count;
     for (int l = 0; l < map.layers; ++l) {
       mean.weight[l] += map.weight[i * map.layers + l];
-      mean.depth[l] += map.depth_mm[i * map.layers + l];
-      mean.sigma[l] += map.sigma_mm[i * map.layers + l];
+      mean.depth_mm[l] += map.depth_mm[i * map.layers + l];
+      mean.sigma_mm[l] += map.sigma_mm[i * map.layers + l];
     }
   }
-  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma})
-    for (double& x : *v) x /= static_cast<double>(std::max<int64_t>(mean.count, 1));
+  for (auto* v : {&mean.weight, &mean.depth_mm, &mean.sigma_mm})
+    for (double& x : *v) x /= static_cast<double>(std::max<int64_t>(count, 1));
   return mean;
 }
 
@@ -44,7 +41,7 @@ double TotalWeight(const MixtureMap& map, int64_t i) {
 MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
   MixtureMap out = map;
   for (int c = 0; c < map.channels; ++c) {
-    const MeanLayers mean = MeanOf(map, c);
+    const LayerSet mean = PlainMean(map, c);
     double total = 0.0;
     for (double w : mean.weight) total += w;
     for (int64_t i = c; i < map.profiles(); i += map.channels) {
@@ -52,8 +49,8 @@ MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
       const double scale = keep_albedo && total > 0.0 ? TotalWeight(map, i) / total : 1.0;
       for (int l = 0; l < map.layers; ++l) {
         out.weight[i * map.layers + l] = static_cast<float>(mean.weight[l] * scale);
-        out.depth_mm[i * map.layers + l] = static_cast<float>(mean.depth[l]);
-        out.sigma_mm[i * map.layers + l] = static_cast<float>(mean.sigma[l]);
+        out.depth_mm[i * map.layers + l] = static_cast<float>(mean.depth_mm[l]);
+        out.sigma_mm[i * map.layers + l] = static_cast<float>(mean.sigma_mm[l]);
       }
     }
   }

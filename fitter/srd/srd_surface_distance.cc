@@ -4,19 +4,20 @@
 #include <algorithm>
 #include <cmath>
 
+#include "fitter/srd/catmull_rom.h"
 #include "fitter/srd/srd_extractor.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
 
-// Value of the cyclic sequence `y` at the fractional index `at`: Catmull-Rom.
+// Value of the cyclic sequence `y` at the fractional index `at`.
 float CyclicCubic(const float* y, int count, double at) {
-  const double floor = std::floor(at), f = at - floor, f2 = f * f, f3 = f2 * f;
+  const double floor = std::floor(at);
+  const auto w = CatmullRomWeights(at - floor);
   const int i = static_cast<int>(floor);
   auto v = [&](int k) { return static_cast<double>(y[((i + k) % count + count) % count]); };
-  return static_cast<float>(v(-1) * (-0.5 * f + f2 - 0.5 * f3) + v(0) * (1.0 - 2.5 * f2 + 1.5 * f3) +
-                            v(1) * (0.5 * f + 2.0 * f2 - 1.5 * f3) + v(2) * (-0.5 * f2 + 0.5 * f3));
+  return static_cast<float>(v(-1) * w[0] + v(0) * w[1] + v(1) * w[2] + v(2) * w[3]);
 }
 
 }  // namespace

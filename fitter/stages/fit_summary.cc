@@ -58,9 +58,9 @@ FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout) {
     if (reason != FitReason::kFitted) ++summary.masked_by_reason[ToString(reason)];
   }
   summary.pixels = static_cast<int64_t>(divergence.size());
-  summary.tau = map.tau;
+  summary.tau = map.scattering.tau;
   summary.prior_photons = map.prior_photons;
-  summary.reflection = map.reflection;
+  summary.reflection = map.scattering.reflection;
   summary.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
   summary.centroid = CompareCentroids(map, srds.batches[heldout]);
   if (divergence.empty()) return summary;

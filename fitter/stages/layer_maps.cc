@@ -42,17 +42,6 @@ DepthBands FindBands(const MixtureMap& map) {
   return {WidthOfShare(weights, kCellMm, 1.0 / 3.0), WidthOfShare(weights, kCellMm, 2.0 / 3.0)};
 }
 
-// In the order of map.training_projectors: columns, then rows.
-std::vector<const SrdBatch*> TrainingBatches(const MixtureMap& map, const SrdSet& srds) {
-  std::vector<const SrdBatch*> lights;
-  for (const auto* batches : {&srds.batches, &srds.row_batches})
-    for (size_t p = 0; p < batches->size(); ++p)
-      if (std::find(map.training_projectors.begin(), map.training_projectors.end(), static_cast<int>(p)) !=
-          map.training_projectors.end())
-        lights.push_back(&(*batches)[p]);
-  return lights;
-}
-
 std::vector<std::string> Names(const std::string& prefix, int channels) {
   std::vector<std::string> names;
   for (const char* colour : channels == 1 ? std::vector<const char*>{"Y"} : std::vector<const char*>{"R", "G", "B"})
@@ -108,9 +97,8 @@ LayerMaps SummariseLayers(const MixtureMap& map) {
   return maps;
 }
 
-Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds) {
+Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* const> lights) {
   Image<float> ratio(map.width, map.height, map.channels);
-  const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
   ParallelFor(map.profiles(), 4096, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       double sum = 0.0, variance = 0.0;
@@ -125,12 +113,11 @@ Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds) {
   return ratio;
 }
 
-StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, EmOptions options,
+StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights, EmOptions options,
                                      const std::function<void(int64_t)>& progress) {
   const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
   StandardErrorMaps maps{unknown, unknown, unknown};
-  const std::vector<const SrdBatch*> lights = TrainingBatches(map, srds);
-  options = OptionsOf(map, options);
+  options.scattering = map.scattering;
   ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!map.Fitted(i)) continue;

@@ -5,10 +5,10 @@
 #include <array>
 #include <filesystem>
 #include <functional>
+#include <span>
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/mixture_map.h"
-#include "fitter/stages/srd.h"
 #include "shared/base/result.h"
 #include "shared/image/image.h"
 
@@ -32,18 +32,19 @@ struct LayerMaps {
 };
 [[nodiscard]] LayerMaps SummariseLayers(const MixtureMap& map);
 
-// Signal-to-noise ratio of each profile's samples, all training lights together: sum y / sqrt(sum variance); 0 where no
-// light is usable.
-[[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, const SrdSet& srds);
+// Signal-to-noise ratio of each profile's samples, all lights (those that the map was fitted to) together: sum y /
+// sqrt(sum variance); 0 where no light is usable.
+[[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* const> lights);
 
 // Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
 // where nothing was fitted. For tied fits.
 struct StandardErrorMaps {
   Image<float> total_weight, mean_depth_mm, width_mm;
 };
-// `options`: of the fit. Costs about one sweep of the reference EM a profile; `progress` receives profiles done.
-[[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, const SrdSet& srds, EmOptions options,
-                                                   const std::function<void(int64_t)>& progress);
+// `lights`, `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives profiles
+// done.
+[[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights,
+                                                   EmOptions options, const std::function<void(int64_t)>& progress);
 // standard_errors.exr: total_weight.R, mean_depth_mm.R, width_mm.R ...
 Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
 

@@ -15,12 +15,12 @@ namespace {
 
 using Lights = std::vector<const SrdBatch*>;
 
-std::string DescribeShared(const EmOptions& options) {
+std::string Describe(const ScatteringModel& model) {
   std::ostringstream text;
   text.precision(3);
-  text << "tau " << options.tau << ", surface ";
-  if (options.reflection.Known())
-    text << options.reflection.strength << " of Fresnel's, roughness " << options.reflection.roughness;
+  text << "tau " << model.tau << ", surface ";
+  if (model.reflection.Known())
+    text << model.reflection.strength << " of Fresnel's, roughness " << model.reflection.roughness;
   else
     text << "of each light its own";
   return text.str();
@@ -43,29 +43,32 @@ std::string Describe(const PriorChoice& choice) {
   return text.str();
 }
 
-// `options` with all that the profiles of the session share but the prior.
-Result<EmOptions> WithShared(EmOptions options, const Lights& lights, const SrdSet& srds, Logger& logger,
+// What EM is told but for the prior, with all that the profiles of the session share.
+Result<EmOptions> WithShared(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
                              const std::string& label) {
+  EmOptions em = options.em;
   // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
   constexpr int kMostSweeps = 100000;
-  options.max_iterations =
-      static_cast<int>(std::min<int64_t>(int64_t{options.max_iterations} * srds.pool * srds.pool, kMostSweeps));
-  options.reflection = {};
-  if (options.surface_term && options.estimate_reflection)
-    options.reflection = EstimateSurfaceReflection(lights, srds.channels, options.eta);
-  if (options.surface_term && options.estimate_reflection && !options.reflection.Known())
-    logger.Warning(label +
-                   ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
-                   "reflects; of each light its own, as with --surface free");
-  if (options.gain_model) options.tau = EstimateTau(lights, options.eta, options.reflection);
-  logger.Info(label + ": " + DescribeShared(options));
-  if (options.choose_directions && options.mode == FitMode::kTied && !options.direction_blind) {
-    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, options));
-    options.tau = chosen.tau;
-    options.directional = chosen.weights;
+  em.max_iterations =
+      static_cast<int>(std::min<int64_t>(int64_t{em.max_iterations} * srds.pool * srds.pool, kMostSweeps));
+  ScatteringModel& model = em.scattering;
+  model.reflection = {};
+  if (em.surface_term && options.choose.reflection) {
+    model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
+    if (!model.reflection.Known())
+      logger.Warning(label +
+                     ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
+                     "reflects; of each light its own, as with --surface free");
+  }
+  if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);
+  logger.Info(label + ": " + Describe(model));
+  if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
+    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));
+    model.tau = chosen.tau;
+    model.directional = chosen.weights;
     logger.Info(label + ": " + Describe(chosen));
   }
-  return options;
+  return em;
 }
 
 int64_t UsableProfiles(const Lights& lights) {
@@ -77,23 +80,25 @@ int64_t UsableProfiles(const Lights& lights) {
 
 }  // namespace
 
-std::string EmOptionsJson(const EmOptions& o) {
+std::string FitOptionsJson(const FitOptions& options) {
+  const EmOptions& o = options.em;
+  const ScatteringModel& model = o.scattering;
   const nlohmann::json json = {{"layers", o.layers},
-                               {"mode", o.mode == FitMode::kTied ? "tied" : "free"},
-                               {"shift_law", ToString(o.shift_law)},
-                               {"eta", o.eta},
-                               {"gain_model", o.gain_model},
-                               {"choose_directions", o.choose_directions},
+                               {"mode", model.mode == FitMode::kTied ? "tied" : "free"},
+                               {"shift_law", ToString(model.shift_law)},
+                               {"eta", model.eta},
+                               {"gain_model", model.gain_model},
+                               {"choose_directions", options.choose.directions},
                                {"direction_blind", o.direction_blind},
                                {"surface_term", o.surface_term},
-                               {"estimate_reflection", o.estimate_reflection},
+                               {"estimate_reflection", options.choose.reflection},
                                {"background_term", o.background_term},
                                {"shared_background", o.shared_background},
                                {"max_iterations", o.max_iterations},
                                {"refinement_iterations", o.refinement_iterations},
                                {"prior_photons", o.prior.photons},
                                {"prior_square_shift", o.prior.square_shift},
-                               {"choose_prior", o.choose_prior},
+                               {"choose_prior", options.choose.prior},
                                {"tolerance", o.tolerance},
                                {"accelerated", o.accelerated},
                                {"cells_per_sample", o.cells_per_sample},
@@ -105,42 +110,42 @@ std::string EmOptionsJson(const EmOptions& o) {
   return json.dump();
 }
 
-Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout, std::vector<int>* projectors) {
-  Lights lights;
+Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
+  TrainingLights lights;
   for (const auto* batches : {&srds.batches, &srds.row_batches})
     for (int p = 0; p < static_cast<int>(batches->size()); ++p) {
       if (p == heldout) continue;
-      lights.push_back(&(*batches)[p]);
-      projectors->push_back(p);
+      lights.batches.push_back(&(*batches)[p]);
+      lights.projectors.push_back(p);
     }
-  if (lights.empty())
+  if (lights.batches.empty())
     return Status::Usage("with projector " + std::to_string(heldout) +
                          " held out no light is left to fit: the layers need sweeps of two projectors at least");
   return lights;
 }
 
-Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
+Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                              const std::string& label) {
-  std::vector<int> projectors;
-  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLights(srds, heldout, &projectors));
-  SLX_ASSIGN_OR_RETURN(options, WithShared(options, lights, srds, logger, label));
+  SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
+  const auto& [lights, projectors] = training;
+  SLX_ASSIGN_OR_RETURN(EmOptions em, WithShared(options, lights, srds, logger, label));
   std::vector<LayerSet> start;
-  if (options.choose_prior || options.prior.photons > 0.0) {
-    EmOptions tied = options;  // the session's mean layers, which all pixels start from, are those of all lights
-    tied.mode = FitMode::kTied;
+  if (options.choose.prior || em.prior.photons > 0.0) {
+    EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
+    tied.scattering.mode = FitMode::kTied;
     SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
-    if (options.choose_prior) {
+    if (options.choose.prior) {
       SLX_ASSIGN_OR_RETURN(const auto choice, ChoosePrior(lights, projectors, srds.channels, tied));
-      options.prior = choice.prior;
+      em.prior = choice.prior;
       logger.Info(label + ": " + Describe(choice));
     }
   }
-  const bool free = options.mode == FitMode::kFree;
+  const bool free = em.scattering.mode == FitMode::kFree;
   const int64_t fits = UsableProfiles(lights) * (free ? static_cast<int64_t>(lights.size()) : 1);
   Progress progress(logger, label, fits);
   const auto advance = [&](int64_t done) { progress.Advance(done); };
-  if (free) return FitFree(lights, projectors, srds.width, srds.height, srds.channels, options, start, advance);
-  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, options, start, advance);
+  if (free) return FitFree(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
+  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
 }
 
 }  // namespace stratalux::fit

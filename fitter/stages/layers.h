@@ -14,17 +14,32 @@ namespace stratalux::fit {
 
 inline constexpr int kFitVersion = 1;
 
-// All of them that FitLayers reads, as JSON: what the fit's key holds.
-[[nodiscard]] std::string EmOptionsJson(const EmOptions& options);
+// What a session's fit finds on its training lights by itself.
+struct SessionChoices {
+  bool directions = false;  // directional weights and tau (EstimateDirections); of tied fits
+  bool reflection = true;   // of the very surface (EstimateSurfaceReflection); else unknown
+  bool prior = true;        // its strength (ChoosePrior); else em.prior
+};
 
-// The batches of all projectors but one, their row sweeps after their column sweeps; kUsage when none is left.
-// `projectors`: of each batch.
-[[nodiscard]] Result<std::vector<const SrdBatch*>> TrainingLights(const SrdSet& srds, int heldout,
-                                                                  std::vector<int>* projectors);
+struct FitOptions {
+  EmOptions em;
+  SessionChoices choose;
+};
 
-// EM on the training lights; options.mode says whether tied or free. First, as `options` ask for it: the reflection of
-// the very surface, tau, directional weights, and the prior with the mean layers that it is centred on.
-[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, EmOptions options, Logger& logger,
+// All of them, as JSON: what the fit's key holds.
+[[nodiscard]] std::string FitOptionsJson(const FitOptions& options);
+
+// The batches of all projectors but one, their row sweeps after their column sweeps. `srds` must outlive it.
+struct TrainingLights {
+  std::vector<const SrdBatch*> batches;
+  std::vector<int> projectors;  // of each batch
+};
+// kUsage when none is left.
+[[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
+
+// EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
+// directional weights, and the prior with the mean layers that it is centred on.
+[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                                            const std::string& label);
 
 }  // namespace stratalux::fit

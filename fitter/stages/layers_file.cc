@@ -3,13 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include <nlohmann/json.hpp>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -21,11 +21,7 @@ std::string LayersFile(const char* what) { return std::string("layers_") + what 
 std::vector<std::string> LayerChannels(int channels, int layers) {
   std::vector<std::string> names;
   for (const std::string& colour : Colours(channels))
-    for (int l = 0; l < layers; ++l) {
-      char text[32];
-      std::snprintf(text, sizeof text, "layer%02d.%s", l, colour.c_str());
-      names.push_back(text);
-    }
+    for (int l = 0; l < layers; ++l) names.push_back(Formatted("layer%02d.%s", l, colour.c_str()));
   return names;
 }
 
@@ -89,21 +85,22 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
     values[4 * colours + colour] = map.prior_share.empty() ? 0.0F : map.prior_share[i];
   }
   SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, AllQualityChannels(colours)));
+  const ScatteringModel& model = map.scattering;
   const Json json = {{"schema", 1},
                      {"layers", map.layers},
                      {"channels", map.channels},
                      {"pool", layers.pool},
-                     {"shift_law", ToString(map.shift_law)},
-                     {"eta", map.eta},
-                     {"tau", map.tau},
-                     {"gain", map.gain_model ? "model" : "none"},
+                     {"shift_law", ToString(model.shift_law)},
+                     {"eta", model.eta},
+                     {"tau", model.tau},
+                     {"gain", model.gain_model ? "model" : "none"},
                      {"directional",
-                      {{"kappa_per_mm", map.directional.kappa_per_mm},
-                       {"phase_slope", map.directional.phase_slope},
-                       {"sigma_0_mm", map.directional.sigma_0_mm}}},
-                     {"surface", map.reflection.Known() ? Json{{"strength", map.reflection.strength},
-                                                               {"roughness", map.reflection.roughness}}
-                                                        : Json()},
+                      {{"kappa_per_mm", model.directional.kappa_per_mm},
+                       {"phase_slope", model.directional.phase_slope},
+                       {"sigma_0_mm", model.directional.sigma_0_mm}}},
+                     {"surface", model.reflection.Known() ? Json{{"strength", model.reflection.strength},
+                                                                 {"roughness", model.reflection.roughness}}
+                                                          : Json()},
                      {"training_projectors", map.training_projectors},
                      {"prior_photons", map.prior_photons}};
   return WriteJson(folder / "layers.json", json);
@@ -116,6 +113,7 @@ Status ReadDescription(const std::filesystem::path& folder, FittedLayers& layers
   if (std::error_code error; !std::filesystem::exists(description, error))
     return Status::NotFound("no fit in " + folder.string() + " (`stratalux-fit run` or `fit` makes one)");
   MixtureMap& map = layers.map;
+  ScatteringModel& model = map.scattering;
   int schema = 0;
   std::string law;
   SLX_RETURN_IF_ERROR(ReadJson(description, [&](const nlohmann::json& json) {
@@ -124,22 +122,22 @@ Status ReadDescription(const std::filesystem::path& folder, FittedLayers& layers
     json.at("channels").get_to(map.channels);
     json.at("pool").get_to(layers.pool);
     json.at("shift_law").get_to(law);
-    json.at("eta").get_to(map.eta);
-    json.at("tau").get_to(map.tau);
-    map.gain_model = json.at("gain").get<std::string>() == "model";
+    json.at("eta").get_to(model.eta);
+    json.at("tau").get_to(model.tau);
+    model.gain_model = json.at("gain").get<std::string>() == "model";
     if (json.contains("directional")) {
       const auto& d = json.at("directional");
-      map.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
+      model.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
     }
     if (json.contains("surface") && !json.at("surface").is_null())
-      map.reflection = {json.at("surface").at("strength"), json.at("surface").at("roughness")};
+      model.reflection = {json.at("surface").at("strength"), json.at("surface").at("roughness")};
     json.at("training_projectors").get_to(map.training_projectors);
     map.prior_photons = json.value("prior_photons", 0.0);
   }));
   if (schema > 1)
     return Status(StatusCode::kNewerSchema,
                   description.string() + ": schema " + std::to_string(schema) + ", this program reads up to 1");
-  SLX_ASSIGN_OR_RETURN(map.shift_law, ParseShiftLaw(law).WithContext(description.string()));
+  SLX_ASSIGN_OR_RETURN(model.shift_law, ParseShiftLaw(law).WithContext(description.string()));
   if (map.layers < 1 || map.layers > 32 || (map.channels != 1 && map.channels != 3) || layers.pool < 1 ||
       layers.pool > 16 || map.training_projectors.empty())
     return Status::Integrity(description.string() + ": a value is out of range");

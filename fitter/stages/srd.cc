@@ -3,9 +3,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 
+#include "shared/base/formatted.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -79,10 +79,8 @@ std::string Describe(const SweepFigure& figure) {
     separator = ", ";
   }
   if (figure.energy_profiles > 0) {
-    char energy[96];
-    std::snprintf(energy, sizeof energy, "; cycle over white: median %.4f, 95 %% within %.3f", figure.energy_median,
-                  figure.energy_p95_error);
-    text += energy;
+    text +=
+        Formatted("; cycle over white: median %.4f, 95 %% within %.3f", figure.energy_median, figure.energy_p95_error);
   }
   return text;
 }
@@ -148,13 +146,10 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
   if (options.reading == SrdReading::kScatter) {
     const double quads = QuadsPerStep(batch, surface, *sweep.frames.calibration(), options.pool);
     if (quads < 1.0) {
-      char text[192];
-      std::snprintf(
-          text, sizeof text,
+      logger.Warning(Formatted(
           "projector %d: the camera has %.2f quads a step of the comb; the scatter reading needs one at least "
           "(a finer camera, --pool 1, or the gather reading)",
-          p, quads);
-      logger.Warning(text);
+          p, quads));
     }
   }
   return batch;

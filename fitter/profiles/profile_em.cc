@@ -1,17 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/mixture/reference_em.h"
+#include "fitter/profiles/profile_em.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numbers>
 #include <numeric>
-#include <optional>
-
-#include "fitter/mixture/fine_grid.h"
-#include "fitter/mixture/photon_noise.h"
-#include "fitter/mixture/reference_prior.h"
-#include "fitter/mixture/shift_law.h"
 
 namespace stratalux::fit {
 namespace {
@@ -36,97 +28,70 @@ constexpr double kFreeReachMm = 8.0;  // of a mean in free mode
 
 using Vector = std::vector<double>;
 
-double GainOf(const ReferenceLight& light, double tau) { return light.fresnel * std::exp(-tau * light.gain_path); }
-
-// Samples that `fit` predicts for a light.
-Vector ModelOf(const FineGrid& grid, const ReferenceFit& fit, size_t p) {
-  const ReferenceLight& light = grid.light();
-  Vector mass(grid.cells(), 0.0), phi(grid.cells());
-  for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
-    if (!(fit.layers.weight[l] > 0.0)) continue;
-    const double d = fit.layers.depth_mm[l], sigma = fit.layers.sigma_mm[l];
-    const double weight = fit.layers.weight[l] * LayerFactor(light, fit, d, sigma);
-    grid.Layer(d * light.s, sigma, phi);
-    for (int c = 0; c < grid.cells(); ++c) mass[c] += weight * phi[c];
-  }
-  Vector y = grid.Project(mass);
-  for (int k = 0; k < light.samples(); ++k) y[k] += fit.background[p] + fit.surface[p] * grid.SurfaceResponse(k);
-  return y;
-}
-
-// Shares of the Kullback-Leibler divergence and of the data's sum, in photons.
-std::array<double, 2> DivergenceOf(const ReferenceLight& light, const Vector& model) {
-  double divergence = 0.0, total = 0.0;
-  for (int k = 0; k < light.samples(); ++k) {
-    const double data = std::max(light.y[k] + light.read_shift, 0.0);
-    const double expected = std::max(model[k] + light.read_shift, kTiny);
-    divergence += light.counts * (expected - data + (data > 0.0 ? data * std::log(data / expected) : 0.0));
-    total += light.counts * data;
-  }
-  return {divergence, total};
-}
-
 // Expected photons c of each layer in each light, and their moments about the layer's mean.
 struct Expected {
   std::vector<Vector> c, cx, cxx;  // [light][layer], in photons
   explicit Expected(size_t lights, size_t layers) : c(lights, Vector(layers)), cx(c), cxx(c) {}
 };
 
-class Em {
+// Sums of a layer over all lights, about its old mean: c, c s x, c s^2, c x^2.
+struct LayerSums {
+  double photons = 0.0, moved = 0.0, leverage = 0.0, spread = 0.0;
+};
+
+class ProfileEm {
  public:
-  Em(std::span<const ReferenceLight> lights, const EmOptions& options, SharedParameters shared, double shared_prior)
+  ProfileEm(std::span<const ProfileLight> lights, const EmOptions& options, SharedParameters shared,
+            double shared_prior)
       : options_(options), shared_(shared), shared_prior_(shared_prior) {
-    for (const ReferenceLight& light : lights) grids_.emplace_back(light);
-    for (const ReferenceLight& light : lights)
+    for (const ProfileLight& light : lights) grids_.emplace_back(light);
+    for (const ProfileLight& light : lights)
       for (double y : light.y) total_photons_ += light.counts * std::max(y + light.read_shift, 0.0);
     sigma_floor_ = options.min_sigma_mm;
     for (const FineGrid& grid : grids_) sigma_floor_ = std::max(sigma_floor_, 0.9 * grid.CellMm());
   }
 
-  [[nodiscard]] ReferenceFit Start(const LayerSet& layers) const;
-  // From now on with the prior of `options.prior.photons` photons of that pixel.
-  void SetPrior(const ReferenceFit& known) { known_.emplace(known, grids_, options_); }
+  [[nodiscard]] ProfileFit Start(const LayerSet& layers) const;
   // One sweep; `objective_before` receives that of `fit`.
-  [[nodiscard]] ReferenceFit Sweep(const ReferenceFit& fit, double* objective_before) const;
+  [[nodiscard]] ProfileFit Sweep(const ProfileFit& fit, double* objective_before) const;
   // From x0 and two sweeps from it, the SQUAREM extrapolation; false where there is nothing to extrapolate.
-  [[nodiscard]] bool Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const ReferenceFit& x2,
-                                 ReferenceFit& ahead) const;
-  [[nodiscard]] double Divergence(const ReferenceFit& fit) const;
+  [[nodiscard]] bool Extrapolate(const ProfileFit& x0, const ProfileFit& x1, const ProfileFit& x2,
+                                 ProfileFit& ahead) const;
+  [[nodiscard]] double Divergence(const ProfileFit& fit) const;
   // What EM lowers: the divergence and what the shared parameters cost.
-  [[nodiscard]] double Objective(const ReferenceFit& fit) const;
+  [[nodiscard]] double Objective(const ProfileFit& fit) const;
 
  private:
-  void UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const;
-  void ShareBackground(ReferenceFit& fit) const;
-  void UpdateLayers(ReferenceFit& fit, const Expected& expected) const;
-  void UpdateShared(ReferenceFit& fit, const Expected& expected) const;
-  void UpdateWeights(ReferenceFit& fit, const Expected& expected) const;
-  [[nodiscard]] double PriorCost(const ReferenceFit& fit) const;
-  [[nodiscard]] double SharedGain(const ReferenceFit& fit, const Expected& expected) const;
-  [[nodiscard]] Vector Pack(const ReferenceFit& fit) const;
-  [[nodiscard]] ReferenceFit Unpack(const Vector& x, const ReferenceFit& like) const;
+  void UpdateFloor(ProfileFit& fit, size_t p, const Vector& ratio) const;
+  void ShareBackground(ProfileFit& fit) const;
+  void UpdateLayers(ProfileFit& fit, const Expected& expected) const;
+  void UpdateShared(ProfileFit& fit, const Expected& expected) const;
+  void UpdateWeights(ProfileFit& fit, const Expected& expected) const;
+  [[nodiscard]] double PriorCost(const ProfileFit& fit) const;
+  [[nodiscard]] double SharedGain(const ProfileFit& fit, const Expected& expected) const;
+  [[nodiscard]] Vector Pack(const ProfileFit& fit) const;
+  [[nodiscard]] ProfileFit Unpack(const Vector& x, const ProfileFit& like) const;
 
   EmOptions options_;
   SharedParameters shared_;
   double shared_prior_;
   std::vector<FineGrid> grids_;
-  std::optional<KnownPixel> known_;
   double sigma_floor_ = 0.0;
   double total_photons_ = 0.0;
 };
 
-ReferenceFit Em::Start(const LayerSet& layers) const {
-  ReferenceFit fit;
+ProfileFit ProfileEm::Start(const LayerSet& layers) const {
+  ProfileFit fit;
   fit.layers = layers;
-  fit.tau = options_.tau;
-  fit.directional = options_.directional;
+  fit.tau = options_.scattering.tau;
+  fit.directional = options_.scattering.directional;
   if (shared_ == SharedParameters::kTauAndDirectional && fit.directional.Off())
     fit.directional = {0.0, 1.0, 0.1};  // about what skin asks for
   // Shares of the light that returns: an unknown surface keeps near its start (nothing identifies it), the floor is
   // small.
   const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
   for (const FineGrid& grid : grids_) {
-    const double light_total = total * GainOf(grid.light(), fit.tau);
+    const double light_total = total * grid.light().Gain(fit.tau);
     const double reflected = grid.light().reflected;
     const double surface =
         reflected < 0.0 ? kUnknownSurface * light_total : std::min(reflected, kMostSurface * light_total);
@@ -140,42 +105,41 @@ ReferenceFit Em::Start(const LayerSet& layers) const {
   return fit;
 }
 
-double Em::PriorCost(const ReferenceFit& fit) const {
-  if (known_) return known_->Cost(fit) / total_photons_;
+double ProfileEm::PriorCost(const ProfileFit& fit) const {
   double cost = 0.0;
   if (shared_ == SharedParameters::kTauAndDirectional)
     cost = kKappaPrior.Cost(fit.directional.kappa_per_mm) + kSlopePrior.Cost(fit.directional.phase_slope) +
            kLogSigma0Prior.Cost(std::log(fit.directional.sigma_0_mm)) +
-           (options_.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
+           (options_.scattering.gain_model ? kTauPrior.Cost(fit.tau) : 0.0);
   return shared_prior_ * cost;
 }
 
-double Em::Objective(const ReferenceFit& fit) const { return Divergence(fit) + PriorCost(fit); }
+double ProfileEm::Objective(const ProfileFit& fit) const { return Divergence(fit) + PriorCost(fit); }
 
-double Em::Divergence(const ReferenceFit& fit) const {
+double ProfileEm::Divergence(const ProfileFit& fit) const {
   double divergence = 0.0, total = 0.0;
   for (size_t p = 0; p < grids_.size(); ++p) {
-    const auto [d, t] = DivergenceOf(grids_[p].light(), ModelOf(grids_[p], fit, p));
-    divergence += d;
-    total += t;
+    const Misfit misfit = MisfitOf(grids_[p].light(), ModelOf(fit, grids_[p], p));
+    divergence += misfit.divergence;
+    total += misfit.photons;
   }
   return total > 0.0 ? divergence / total : 0.0;
 }
 
-ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const {
+ProfileFit ProfileEm::Sweep(const ProfileFit& fit, double* objective_before) const {
   const size_t layers = fit.layers.weight.size();
-  ReferenceFit next = fit;
+  ProfileFit next = fit;
   Expected expected(grids_.size(), layers);
   double divergence = 0.0, total = 0.0;
   for (size_t p = 0; p < grids_.size(); ++p) {
     const FineGrid& grid = grids_[p];
-    const ReferenceLight& light = grid.light();
+    const ProfileLight& light = grid.light();
     // E step: the ratio of data and model, back through the line response; cells that no sample sees are filled in by
     // the model's own expectation (exact EM of a truncated observation).
-    const Vector model = ModelOf(grid, fit, p);
-    const auto [d, t] = DivergenceOf(light, model);
-    divergence += d;
-    total += t;
+    const Vector model = ModelOf(fit, grid, p);
+    const Misfit misfit = MisfitOf(light, model);
+    divergence += misfit.divergence;
+    total += misfit.photons;
     Vector ratio(light.samples());
     for (int k = 0; k < light.samples(); ++k)
       ratio[k] = std::max(light.y[k] + light.read_shift, 0.0) / std::max(model[k] + light.read_shift, kTiny);
@@ -197,12 +161,11 @@ ReferenceFit Em::Sweep(const ReferenceFit& fit, double* objective_before) const 
   UpdateLayers(next, expected);
   UpdateShared(next, expected);
   UpdateWeights(next, expected);
-  if (known_) known_->KeepTotal(next);
   *objective_before = (total > 0.0 ? divergence / total : 0.0) + PriorCost(fit);
   return next;
 }
 
-void Em::UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const {
+void ProfileEm::UpdateFloor(ProfileFit& fit, size_t p, const Vector& ratio) const {
   double own_ratio = 0.0, own = 0.0, mean = 0.0;
   for (size_t k = 0; k < ratio.size(); ++k) {
     own_ratio += ratio[k] * grids_[p].SurfaceResponse(static_cast<int>(k));
@@ -211,11 +174,10 @@ void Em::UpdateFloor(ReferenceFit& fit, size_t p, const Vector& ratio) const {
   }
   if (grids_[p].light().reflected < 0.0) fit.surface[p] *= own_ratio / std::max(own, kTiny);
   fit.background[p] *= mean;
-  if (known_) known_->AddFloor(p, fit);
 }
 
 // One floor for all lights: the mean of theirs, weighted by the photons each would see of it.
-void Em::ShareBackground(ReferenceFit& fit) const {
+void ProfileEm::ShareBackground(ProfileFit& fit) const {
   double photons = 0.0, exposure = 0.0;
   for (size_t p = 0; p < grids_.size(); ++p) {
     const double seen = grids_[p].light().counts * grids_[p].light().samples();
@@ -226,8 +188,8 @@ void Em::ShareBackground(ReferenceFit& fit) const {
 }
 
 // d_l = sum_p s_p sum_z c z / sum_p s_p^2 sum_z c and sigma_l^2 = sum c (z - d_l s_p)^2 / sum c, with z = d_old s + x.
-void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
-  const bool free = options_.mode == FitMode::kFree;
+void ProfileEm::UpdateLayers(ProfileFit& fit, const Expected& expected) const {
+  const bool free = options_.scattering.mode == FitMode::kFree;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     LayerSums sums;
     for (size_t p = 0; p < grids_.size(); ++p) {
@@ -237,7 +199,6 @@ void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
       sums.leverage += s * s * expected.c[p][l];
       sums.spread += expected.cxx[p][l];
     }
-    if (known_) known_->AddLayer(l, fit.layers.depth_mm[l], sums);
     if (!(sums.photons > 0.0)) continue;
     double step = 0.0;
     if (!options_.direction_blind && sums.leverage > 1e-6 * sums.photons) {
@@ -255,17 +216,16 @@ void Em::UpdateLayers(ReferenceFit& fit, const Expected& expected) const {
 }
 
 // w_l = sum_p c_lp / sum_p n_p g_p (w_lp / w_l) A_p.
-void Em::UpdateWeights(ReferenceFit& fit, const Expected& expected) const {
+void ProfileEm::UpdateWeights(ProfileFit& fit, const Expected& expected) const {
   double most = 0.0;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     double photons = 0.0, exposure = 0.0;
     for (size_t p = 0; p < grids_.size(); ++p) {
-      const ReferenceLight& light = grids_[p].light();
+      const ProfileLight& light = grids_[p].light();
       photons += expected.c[p][l];
       exposure +=
           light.counts * grids_[p].Coverage() * LayerFactor(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
     }
-    if (known_) photons += known_->LayerPhotons(l);
     fit.layers.weight[l] = photons / exposure;
     most = std::max(most, fit.layers.weight[l]);
   }
@@ -275,12 +235,12 @@ void Em::UpdateWeights(ReferenceFit& fit, const Expected& expected) const {
 
 // The part of EM's lower bound that tau and the directional weights enter, the layers' weights at their best:
 //   sum_lp c_lp log(g_p f_lp) - sum_l c_l log(sum_p n_p A_p g_p f_lp).
-double Em::SharedGain(const ReferenceFit& fit, const Expected& expected) const {
+double ProfileEm::SharedGain(const ProfileFit& fit, const Expected& expected) const {
   double gain = 0.0;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     double photons = 0.0, exposure = 0.0;
     for (size_t p = 0; p < grids_.size(); ++p) {
-      const ReferenceLight& light = grids_[p].light();
+      const ProfileLight& light = grids_[p].light();
       const double factor = LayerFactor(light, fit, fit.layers.depth_mm[l], fit.layers.sigma_mm[l]);
       photons += expected.c[p][l];
       exposure += light.counts * grids_[p].Coverage() * factor;
@@ -293,14 +253,14 @@ double Em::SharedGain(const ReferenceFit& fit, const Expected& expected) const {
 
 // One step of each shared parameter to the vertex of the parabola through three values of the bound; a step that does
 // not raise it is not taken, so the likelihood keeps rising.
-void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
+void ProfileEm::UpdateShared(ProfileFit& fit, const Expected& expected) const {
   if (shared_ == SharedParameters::kFixed) return;
   struct Parameter {
     double* value;
     double step, low, high;
   };
   std::vector<Parameter> parameters;
-  if (options_.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
+  if (options_.scattering.gain_model) parameters.push_back({&fit.tau, 0.02, kTau.low, kTau.high});
   if (shared_ == SharedParameters::kTauAndDirectional) {
     parameters.push_back({&fit.directional.kappa_per_mm, 0.02, kKappa.low, kKappa.high});
     parameters.push_back({&fit.directional.phase_slope, 0.04, kSlope.low, kSlope.high});
@@ -327,7 +287,7 @@ void Em::UpdateShared(ReferenceFit& fit, const Expected& expected) const {
 }
 
 // SQUAREM works in coordinates without bounds: logarithms of what is positive.
-Vector Em::Pack(const ReferenceFit& fit) const {
+Vector ProfileEm::Pack(const ProfileFit& fit) const {
   Vector x;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     x.push_back(std::log(std::max(fit.layers.weight[l], 1e-15)));
@@ -343,13 +303,13 @@ Vector Em::Pack(const ReferenceFit& fit) const {
   return x;
 }
 
-ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
-  ReferenceFit fit = like;
+ProfileFit ProfileEm::Unpack(const Vector& x, const ProfileFit& like) const {
+  ProfileFit fit = like;
   size_t at = 0;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     const double w = std::exp(x[at]);
     fit.layers.weight[l] = like.layers.weight[l] > 0.0 ? w : 0.0;
-    fit.layers.depth_mm[l] = options_.mode == FitMode::kFree
+    fit.layers.depth_mm[l] = options_.scattering.mode == FitMode::kFree
                                  ? std::clamp(x[at + 1], -kFreeReachMm, kFreeReachMm)
                                  : std::clamp(x[at + 1], options_.min_depth_mm, options_.max_depth_mm);
     fit.layers.sigma_mm[l] =
@@ -368,8 +328,7 @@ ReferenceFit Em::Unpack(const Vector& x, const ReferenceFit& like) const {
 }
 
 // Varadhan & Roland 2008, scheme S3: x' = x0 - 2 a r + a^2 v, r = x1 - x0, v = x2 - 2 x1 + x0, a = -|r| / |v|.
-bool Em::Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const ReferenceFit& x2,
-                     ReferenceFit& ahead) const {
+bool ProfileEm::Extrapolate(const ProfileFit& x0, const ProfileFit& x1, const ProfileFit& x2, ProfileFit& ahead) const {
   const Vector a = Pack(x0), b = Pack(x1), c = Pack(x2);
   double rr = 0.0, vv = 0.0;
   for (size_t i = 0; i < a.size(); ++i) {
@@ -390,123 +349,30 @@ bool Em::Extrapolate(const ReferenceFit& x0, const ReferenceFit& x1, const Refer
 
 }  // namespace
 
-double LayerFactor(const ReferenceLight& light, const ReferenceFit& fit, double depth_mm, double sigma_mm) {
-  return GainOf(light, fit.tau) * DirectionalFactor(fit.directional, light.directions, depth_mm, sigma_mm);
-}
-
-ReferenceLight ReferenceLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
-  ReferenceLight light;
-  const auto y = batch.Samples(profile);
-  light.y.assign(y.begin(), y.end());
-  light.first_u_mm = batch.first_u_mm[profile];
-  light.step_mm = batch.step_mm[profile];
-  light.wrapped = batch.wrapped;
-  light.cells_per_sample =
-      batch.wrapped
-          ? std::max(options.cells_per_sample, static_cast<int>(std::ceil(light.step_mm / options.max_cell_mm)))
-          : std::max(1, static_cast<int>(std::ceil(light.step_mm / (options.max_cell_mm / 2))));
-  light.line = LineResponseOf(batch, profile, light.step_mm / light.cells_per_sample);
-  const PhotonNoise noise = PhotonNoiseOf(batch, profile);
-  light.counts = noise.counts;
-  light.read_shift = noise.read_shift;
-  light.s = options.mode == FitMode::kFree ? 1.0
-                                           : TangentialShift(options.shift_law, batch.slope_in[profile],
-                                                             batch.slope_in_across[profile], options.eta) -
-                                                 TangentialShift(options.shift_law, batch.slope_out[profile],
-                                                                 batch.slope_out_across[profile], options.eta);
-  light.directions = DirectionsOf(batch, profile, options.eta);
-  if (options.reflection.Known())
-    light.reflected = ReflectanceOf(options.reflection, ReflectionAngles::Of(batch, profile), options.eta);
-  if (options.gain_model) {
-    light.fresnel = AngularGain(batch.cos_in[profile], options.eta, 0.0);
-    light.gain_path = GainPath(batch.cos_in[profile], options.eta);
-  }
-  return light;
-}
-
-LayerSet SpreadLayers(std::span<const ReferenceLight> lights, const EmOptions& options) {
-  double photons = 0.0, exposure = 0.0, longest = 0.0, narrowest = options.min_sigma_mm;
-  for (const ReferenceLight& light : lights) {
-    const FineGrid grid(light);
-    photons += light.counts * std::max(std::accumulate(light.y.begin(), light.y.end(), 0.0), 1e-6);
-    exposure += light.counts * GainOf(light, options.tau) * grid.Coverage();
-    longest = std::max(longest, grid.CellMm() * grid.cells());
-    narrowest = std::max(narrowest, 0.9 * grid.CellMm());
-  }
-  const double widest = std::min(options.max_sigma_mm, longest / 4.0);
-  LayerSet set;
-  double share = 0.0;
-  for (int l = 0; l < options.layers; ++l) {
-    const double f = options.layers > 1 ? static_cast<double>(l) / (options.layers - 1) : 0.5;
-    const double sigma = narrowest * 1.1 * std::pow(std::max(widest * 0.7, narrowest * 2.0) / (narrowest * 1.1), f);
-    set.sigma_mm.push_back(sigma);
-    set.depth_mm.push_back(options.direction_blind ? 0.0 : std::min(0.3 * sigma, 1.0));
-    set.weight.push_back(photons / exposure / sigma);
-    share += 1.0 / sigma;
-  }
-  for (double& w : set.weight) w /= share;
-  return set;
-}
-
-ReferenceFit FitReference(std::span<const ReferenceLight> lights, const LayerSet& start, const EmOptions& options,
-                          SharedParameters shared, Acceleration acceleration, double shared_prior) {
-  const Em em(lights, options, shared, shared_prior);
-  ReferenceFit fit = em.Start(start);
+ProfileFit RunProfileEm(std::span<const ProfileLight> lights, const LayerSet& start, const EmOptions& options,
+                        SharedParameters shared, double shared_prior) {
+  const ProfileEm em(lights, options, shared, shared_prior);
+  ProfileFit fit = em.Start(start);
   double before = 0.0, ignored = 0.0;
+  constexpr int kSweeps = 3;  // a round
   while (fit.iterations < options.max_iterations) {
-    ReferenceFit next = em.Sweep(fit, &before);
-    double now = 0.0, sweeps = 1.0;
-    if (acceleration == Acceleration::kNone) {
-      now = em.Objective(next);
-    } else {
-      const ReferenceFit first = std::move(next);
-      next = em.Sweep(first, &ignored);
-      now = em.Objective(next);
-      sweeps = 3.0;
-      if (ReferenceFit ahead; em.Extrapolate(fit, first, next, ahead)) {
-        // A sweep from the extrapolated point steadies it; it is kept only where it beats the plain sweeps.
-        ahead = em.Sweep(ahead, &ignored);
-        if (const double there = em.Objective(ahead); there < now) {
-          next = std::move(ahead);
-          now = there;
-        }
+    const ProfileFit first = em.Sweep(fit, &before);
+    ProfileFit next = em.Sweep(first, &ignored);
+    double now = em.Objective(next);
+    if (ProfileFit ahead; em.Extrapolate(fit, first, next, ahead)) {
+      // A sweep from the extrapolated point steadies it; it is kept only where it beats the plain sweeps.
+      ahead = em.Sweep(ahead, &ignored);
+      if (const double there = em.Objective(ahead); there < now) {
+        next = std::move(ahead);
+        now = there;
       }
     }
-    next.iterations = fit.iterations + static_cast<int>(sweeps);
+    next.iterations = fit.iterations + kSweeps;
     fit = std::move(next);
-    if (before - now <= sweeps * options.tolerance * std::abs(before)) break;
+    if (before - now <= kSweeps * options.tolerance * std::abs(before)) break;
   }
   fit.divergence = em.Divergence(fit);
   return fit;
-}
-
-ReferenceFit RefineReference(std::span<const ReferenceLight> lights, const ReferenceFit& start,
-                             const EmOptions& options) {
-  Em em(lights, options, SharedParameters::kFixed, 0.0);
-  if (options.prior.photons > 0.0) em.SetPrior(start);
-  ReferenceFit fit = start;
-  fit.iterations = 0;
-  double before = 0.0;
-  while (fit.iterations < options.max_iterations) {
-    ReferenceFit next = em.Sweep(fit, &before);
-    const double now = em.Objective(next);
-    next.iterations = fit.iterations + 1;
-    fit = std::move(next);
-    if (before - now < options.tolerance * std::abs(before)) break;
-  }
-  fit.divergence = em.Divergence(fit);
-  return fit;
-}
-
-double PenalisedDivergence(std::span<const ReferenceLight> lights, const ReferenceFit& centre, const ReferenceFit& fit,
-                           const EmOptions& options) {
-  Em em(lights, options, SharedParameters::kFixed, 0.0);
-  if (options.prior.photons > 0.0) em.SetPrior(centre);
-  return em.Objective(fit);
-}
-
-std::vector<double> ReferenceModelOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights, size_t light) {
-  return ModelOf(FineGrid(lights[light]), fit, light);
 }
 
 }  // namespace stratalux::fit

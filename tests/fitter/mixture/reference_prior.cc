@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/mixture/reference_prior.h"
+#include "tests/fitter/mixture/reference_prior.h"
 
 #include <algorithm>
 #include <cmath>
@@ -31,7 +31,7 @@ double ShownPhotons::Sum() const {
   return sum;
 }
 
-ShownPhotons ShownBy(const ReferenceFit& fit, std::span<const FineGrid> grids) {
+ShownPhotons ShownBy(const ProfileFit& fit, std::span<const FineGrid> grids) {
   ShownPhotons shown;
   for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
     double photons = 0.0;
@@ -47,18 +47,18 @@ ShownPhotons ShownBy(const ReferenceFit& fit, std::span<const FineGrid> grids) {
   return shown;
 }
 
-KnownPixel::KnownPixel(const ReferenceFit& fit, std::span<const FineGrid> grids, const EmOptions& options)
+KnownPixel::KnownPixel(const ProfileFit& fit, std::span<const FineGrid> grids, const EmOptions& options)
     : fit_(fit),
       grids_(grids),
       n0_(options.prior.photons),
-      square_shift_(options.mode == FitMode::kFree ? 0.0 : options.prior.square_shift),
+      square_shift_(options.scattering.mode == FitMode::kFree ? 0.0 : options.prior.square_shift),
       photons_(ShownBy(fit, grids)) {
   const double scale = n0_ / photons_.Sum();
   for (auto* of : {&photons_.layers, &photons_.surface, &photons_.background})
     for (double& photons : *of) photons *= scale;
 }
 
-double KnownPixel::Cost(const ReferenceFit& fit) const {
+double KnownPixel::Cost(const ProfileFit& fit) const {
   const ShownPhotons shown = ShownBy(fit, grids_);
   const double scale = n0_ / shown.Sum();
   double cost = 0.0;
@@ -84,13 +84,13 @@ void KnownPixel::AddLayer(size_t layer, double old_depth_mm, LayerSums& sums) co
   sums.spread += n * (sigma * sigma + square_shift_ * away * away);
 }
 
-void KnownPixel::AddFloor(size_t light, ReferenceFit& fit) const {
+void KnownPixel::AddFloor(size_t light, ProfileFit& fit) const {
   const double surface = SurfaceExposure(grids_[light]);
   if (surface > 0.0) fit.surface[light] += photons_.surface[light] / surface;
   fit.background[light] += photons_.background[light] / FloorExposure(grids_[light]);
 }
 
-void KnownPixel::KeepTotal(ReferenceFit& fit) const {
+void KnownPixel::KeepTotal(ProfileFit& fit) const {
   const double own = std::max(1.0 - n0_ / ShownBy(fit, grids_).Sum(), 0.0);
   for (auto* terms : {&fit.layers.weight, &fit.background})
     for (double& v : *terms) v *= own;
