@@ -12,8 +12,8 @@ double ProfileLight::Gain(double tau) const { return fresnel * std::exp(-tau * g
 
 ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
   ProfileLight light;
-  const auto* y = batch.y.data() + profile * batch.samples;
-  light.y.assign(y, y + batch.samples);
+  const auto y = batch.Samples(profile);
+  light.y.assign(y.begin(), y.end());
   light.first_u_mm = batch.first_u_mm[profile];
   light.step_mm = batch.step_mm[profile];
   light.wrapped = batch.wrapped;
