@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/integration/small_fit.h"
 
+#include <algorithm>
 #include <cstdlib>
 #include <sstream>
 #include <thread>
 
 #include <fcntl.h>
+#include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -203,12 +205,17 @@ std::vector<std::string> SmallFit::Leftovers(const fs::path& store, bool locks) 
 void SmallFit::ExpectAsUndisturbed(const fs::path& store, const std::string& where) {
   EXPECT_EQ(Leftovers(store, true), std::vector<std::string>()) << where;
   const State state = StateOf(store);
-  for (const auto& [name, text] : undisturbed_) {
-    const auto found = state.find(name);
-    EXPECT_TRUE(found != state.end() && found->second == text)
-        << where << ": " << name << (found == state.end() ? " is missing" : " is another");
-  }
-  for (const auto& [name, text] : state) EXPECT_TRUE(undisturbed_.contains(name)) << where << ": " << name << " is new";
+  std::vector<std::string> differing;
+  for (const auto& [name, text] : undisturbed_)
+    if (const auto found = state.find(name); found == state.end())
+      differing.push_back(name + " is missing");
+    else if (found->second != text)
+      differing.push_back(name + " is another");
+  for (const auto& [name, text] : state)
+    if (!undisturbed_.contains(name)) differing.push_back(name + " is new");
+  const size_t all = differing.size();
+  differing.resize(std::min<size_t>(all, 5));
+  EXPECT_THAT(differing, ::testing::IsEmpty()) << where << ": " << all << " in all";
   const Outcome verify = Db(store, "verify --deep");
   EXPECT_EQ(verify.code, 0) << where << ": " << verify.out;
   EXPECT_EQ(verify.out.find("note"), std::string::npos) << where << ": " << verify.out;
