@@ -6,6 +6,8 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <functional>
+#include <optional>
 #include <random>
 #include <thread>
 
@@ -24,12 +26,6 @@ using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
 constexpr int kKillsOfAChain = 4;
-
-// STRATALUX_RUN_KILLS: of them all; a sixth while a fit is put in its place.
-int Kills() {
-  const char* text = std::getenv("STRATALUX_RUN_KILLS");
-  return text == nullptr ? 14 : std::max(6, std::atoi(text));
-}
 
 // Artifacts that have their name: folder -> inode and record.
 std::map<std::string, std::pair<ino_t, std::string>> FinishedIn(const fs::path& session) {
@@ -59,13 +55,24 @@ int Artifacts(const State& state) {
 
 class RunKill : public SmallFit {
  protected:
-  // Kills a run of the store once, as drawn; false where it had ended before. `share`: how far on its way.
-  bool KillOnce(const fs::path& store, double share, bool by_call, const std::string& where) const {
+  // All artifacts, and no fit: as if a run had been killed before it.
+  [[nodiscard]] fs::path WithoutFit(const std::string& name) const {
+    fs::path store = Fitted(name);
+    fs::remove_all(Session(store) / "fits");
+    EXPECT_EQ(Db(store, "reindex").code, 6) << "it says that the fit is gone";
+    return store;
+  }
+  [[nodiscard]] fs::path CopyOf(const fs::path& store, const std::string& name) const {
+    fs::create_directories(folder_ / name);
+    EXPECT_EQ(Shell("cp -a " + store.string() + " " + (folder_ / name).string()).code, 0);
+    return folder_ / name / "store";
+  }
+  // A run that `environment` kills, or the clock; false where it had ended before.
+  bool KillOnce(const fs::path& store, const std::vector<std::string>& environment, std::optional<milliseconds> after,
+                const std::string& where) const {
     const auto before = FinishedIn(Session(store));
-    const auto call = static_cast<int64_t>(share * static_cast<double>(calls_));
-    Running run(RunArguments(store), store.parent_path() / "log", DiesAt(store, by_call ? call : 1'000'000'000));
-    if (!by_call && !run.WaitFor(milliseconds(static_cast<int>(share * static_cast<double>(duration_.count())))))
-      run.Send(SIGKILL);
+    Running run(RunArguments(store), store.parent_path() / "log", environment);
+    if (after && !run.WaitFor(*after)) run.Send(SIGKILL);
     const Outcome outcome = run.Wait();
     EXPECT_TRUE(outcome.signal == SIGKILL || outcome.code == 0) << where << ": " << outcome.out;
     ExpectKept(store, before, where);
@@ -81,7 +88,7 @@ class RunKill : public SmallFit {
   // The run that ends what is there.
   void Finish(const fs::path& store, const std::string& where) const {
     const auto before = FinishedIn(Session(store));
-    Running run(RunArguments(store), store.parent_path() / "log", DiesAt(store, 1'000'000'000));
+    Running run(RunArguments(store), store.parent_path() / "log", DiesAt(store, kNever));
     const Outcome outcome = run.Wait();
     EXPECT_EQ(outcome.code, 0) << where << ": " << outcome.out;
     EXPECT_EQ(MadeIn(outcome.out), Artifacts(undisturbed_) - static_cast<int>(before.size())) << where;
@@ -105,7 +112,7 @@ class RunKill : public SmallFit {
 // Moments are drawn over the whole road, every other one by the clock, the others between two file calls. Each kill of
 // a chain begins where the one before has ended.
 TEST_F(RunKill, EndsAsTheUndisturbedRunAndMakesNothingTwice) {
-  const int chains = std::max(1, (Kills() - Kills() / 6) / kKillsOfAChain);
+  const int chains = (Kills() - Kills() / 4) / kKillsOfAChain;
   std::atomic<int> kills = 0;
   ForEach(chains, [&](int chain) {
     std::mt19937_64 random(Seed() * 1'000'003 + static_cast<uint64_t>(chain));
@@ -119,7 +126,12 @@ TEST_F(RunKill, EndsAsTheUndisturbedRunAndMakesNothingTwice) {
     for (const double moment : moments) {
       const bool by_call = random() % 2 == 0;
       where += (by_call ? " call " : " time ") + std::to_string(moment - last);
-      if (!KillOnce(store, moment - last, by_call, where)) break;
+      const double share = moment - last;
+      if (!KillOnce(
+              store, DiesAt(store, by_call ? static_cast<int64_t>(share * static_cast<double>(calls_)) : kNever),
+              by_call ? std::nullopt : std::optional(milliseconds(static_cast<int>(share * double(duration_.count())))),
+              where))
+        break;
       last = moment;
       ++kills;
     }
@@ -130,42 +142,35 @@ TEST_F(RunKill, EndsAsTheUndisturbedRunAndMakesNothingTwice) {
               static_cast<long long>(duration_.count()), static_cast<long long>(calls_));
 }
 
-// The moments at which the evaluated fit takes the place of the first one, and is entered.
+// The first report is put in its place and entered, then the evaluated one in its place: killed between any two calls
+// of that.
 TEST_F(RunKill, WhileAFitTakesThePlaceOfAnEarlierOne) {
-  // Killed as late as it can be with all stages made and the first report in its place.
-  const fs::path base = Captured("base");
-  int64_t left = 0;
-  for (const int64_t back : {450, 500, 550, 600}) {
-    fs::remove_all(base.parent_path());
-    (void)Captured("base");
-    Running run(RunArguments(base), folder_ / "base" / "log", DiesAt(base, calls_ - back));
-    ASSERT_EQ(run.Wait().signal, SIGKILL);
-    left = back;
-    const auto finished = FinishedIn(Session(base));
-    if (static_cast<int>(finished.size()) == Artifacts(undisturbed_)) break;
-  }
-  const int kills = std::max(4, Kills() / 6);
+  const fs::path base = WithoutFit("base"), counted = CopyOf(base, "counted"), count = folder_ / "count";
+  auto environment = DiesAt(counted, kNever);
+  environment.push_back("STORE_FAULT_COUNT=" + count.string());
+  Running whole(RunArguments(counted), folder_ / "log", environment);
+  ASSERT_EQ(whole.Wait().code, 0);
+  const int64_t calls = std::atoll(ReadText(count).c_str());
+  const int kills = std::max(6, Kills() / 4);
   std::atomic<int> struck = 0;
   ForEach(kills, [&](int i) {
     std::mt19937_64 random(Seed() * 7'000'003 + static_cast<uint64_t>(i));
-    // One of each stretch; the run reads artifacts anew, which are no calls that count.
-    const int64_t call = (left * i + static_cast<int64_t>(random() % static_cast<uint64_t>(left))) / kills;
-    const std::string name = "late" + std::to_string(i), where = "late kill at call " + std::to_string(call);
-    fs::create_directories(folder_ / name);
-    EXPECT_EQ(Shell("cp -a " + base.string() + " " + (folder_ / name).string()).code, 0);
-    const fs::path store = folder_ / name / "store";
-    if (KillOnce(store, static_cast<double>(call) / static_cast<double>(calls_), true, where)) ++struck;
+    const int64_t first = calls * i / kills, last = calls * (i + 1) / kills;  // one of each stretch
+    const int64_t call = first + static_cast<int64_t>(random() % static_cast<uint64_t>(last - first));
+    const std::string name = "late" + std::to_string(i), where = "killed at call " + std::to_string(call);
+    const fs::path store = CopyOf(base, name);
+    if (KillOnce(store, DiesAt(store, call), std::nullopt, where)) ++struck;
     Finish(store, where);
     fs::remove_all(folder_ / name);
   });
-  std::printf("%d of %d late kills struck, in the last %lld calls\n", struck.load(), kills,
-              static_cast<long long>(left));
+  std::printf("%d of %d kills struck in %lld calls\n", struck.load(), kills, static_cast<long long>(calls));
+  EXPECT_GT(struck, kills / 2);
 }
 
 // Together, or one after the other: each artifact is made by one of them.
 TEST_F(RunKill, SeveralRunsAtOnceShareTheirWork) {
   std::mt19937_64 random(Seed() * 11'000'003);
-  const int trials = std::max(2, Kills() / 30);
+  const int trials = std::max(2, Kills() / 50);
   for (int trial = 0; trial < trials; ++trial) {
     const fs::path store = Captured("shared" + std::to_string(trial));
     std::string where = "trial " + std::to_string(trial) + ", started after";
@@ -174,7 +179,7 @@ TEST_F(RunKill, SeveralRunsAtOnceShareTheirWork) {
       const int wait = trial < 2 || i == 0 ? 0 : static_cast<int>(random() % 900);
       where += " " + std::to_string(wait);
       std::this_thread::sleep_for(milliseconds(wait));
-      runs.emplace_back(RunArguments(store), folder_ / ("log" + std::to_string(i)), DiesAt(store, 1'000'000'000));
+      runs.emplace_back(RunArguments(store), folder_ / ("log" + std::to_string(i)), DiesAt(store, kNever));
     }
     int made = 0;
     for (Running& run : runs) {
@@ -191,11 +196,10 @@ TEST_F(RunKill, SeveralRunsAtOnceShareTheirWork) {
 TEST_F(RunKill, SeveralRunsAtOnceEnterOneFit) {
   const int trials = std::max(3, Kills() / 15);
   for (int trial = 0; trial < trials; ++trial) {
-    const fs::path store = Fitted("entered" + std::to_string(trial));
-    fs::remove_all(Session(store) / "fits");
+    const fs::path store = WithoutFit("entered" + std::to_string(trial));
     std::vector<Running> runs;
     for (int i = 0; i < 3; ++i)
-      runs.emplace_back(RunArguments(store), folder_ / ("log" + std::to_string(i)), DiesAt(store, 1'000'000'000));
+      runs.emplace_back(RunArguments(store), folder_ / ("log" + std::to_string(i)), DiesAt(store, kNever));
     const std::string where = "trial " + std::to_string(trial);
     for (Running& run : runs) {
       const Outcome outcome = run.Wait();
@@ -209,7 +213,7 @@ TEST_F(RunKill, SeveralRunsAtOnceEnterOneFit) {
 
 // Ctrl-C and its kin end the program as they always do, at once, and leave nothing half made.
 TEST_F(RunKill, InterruptionsLeaveNothingHalfMade) {
-  const int chains = std::max(2, Kills() / 20);
+  const int chains = std::max(1, Kills() / 20);
   std::atomic<int> signals = 0;
   ForEach(chains, [&](int chain) {
     std::mt19937_64 random(Seed() * 13'000'003 + static_cast<uint64_t>(chain));

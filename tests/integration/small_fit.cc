@@ -40,7 +40,6 @@ spot_radius = 0
 motion_whites = 0
 guards = 1
 )";
-constexpr int64_t kNever = 1'000'000'000;
 
 // Made by the first case, removed when the program ends.
 struct Original {
@@ -99,6 +98,11 @@ std::string Comparable(const std::string& name, const std::string& text) {
 }
 
 }  // namespace
+
+int Kills() {
+  const char* text = std::getenv("STRATALUX_RUN_KILLS");
+  return text == nullptr ? 10 : std::max(10, std::atoi(text));
+}
 
 uint64_t Seed() {
   const char* text = std::getenv("STRATALUX_SEED");

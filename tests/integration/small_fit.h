@@ -75,6 +75,11 @@ class SmallFit : public ::testing::Test {
   static inline int64_t calls_ = 0;                     // of its file calls, as the fault layer counts them
 };
 
+inline constexpr int64_t kNever = 1'000'000'000;  // a file call that no run comes to
+
+// STRATALUX_RUN_KILLS, or 10: how often a run is killed in all, a quarter of it while a fit is put in its place. From
+// 100 on other things are tried more often, too.
+[[nodiscard]] int Kills();
 // STRATALUX_SEED, or 1.
 [[nodiscard]] uint64_t Seed();
 // The fault layer over a store: SIGKILL before the file call of that number. Syncs are not waited for.
