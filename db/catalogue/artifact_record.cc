@@ -45,7 +45,7 @@ std::string ToJson(const ArtifactRecord& record) {
 Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
   const std::filesystem::path file = folder / kArtifactRecordFile;
   if (std::error_code error; !std::filesystem::exists(file, error))
-    return Status::NotFound("no artifact in " + folder.string());
+    return Status::NotFound(file.string() + " is missing");
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   if (CheckOwnHash(text) != OwnHash::kRight) return Status::Integrity(file.string() + " does not match its own hash");
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));

@@ -8,15 +8,12 @@
 #include <random>
 #include <thread>
 
-#include <fcntl.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/pipeline/stopwatch.h"
-#include "shared/base/unique_fd.h"
 #include "shared/base/version.h"
 
 namespace stratalux::fit {
@@ -29,46 +26,9 @@ constexpr const char* kMaking = ".making-";
 constexpr const char* kLock = ".lock-";
 constexpr auto kLookAgain = milliseconds(50);
 
-// The lock of a key, held by one process at a time; the kernel drops it with the process. Its file is removed while it
-// is held, so who got a lock looks whether the name still leads to the file that it has locked.
-class KeyLock {
- public:
-  static Result<KeyLock> Try(const fs::path& file, bool& held_by_another) {
-    held_by_another = false;
-    UniqueFd fd(open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0640));
-    if (!fd.ok()) return Status::Failed("cannot lock " + file.string() + ": " + std::strerror(errno));
-    struct stat mine {
-    }, named{};
-    const bool locked = flock(fd.get(), LOCK_EX | LOCK_NB) == 0;
-    held_by_another = !locked || fstat(fd.get(), &mine) != 0 || lstat(file.c_str(), &named) != 0 ||
-                      mine.st_ino != named.st_ino || mine.st_dev != named.st_dev;
-    if (held_by_another) return KeyLock();
-    const std::string pid = std::to_string(getpid()) + "\n";
-    static_cast<void>(!write(fd.get(), pid.data(), pid.size()));  // for people
-    KeyLock lock;
-    lock.fd_ = std::move(fd);
-    lock.file_ = file;
-    return lock;
-  }
-  KeyLock() = default;
-  KeyLock(KeyLock&& other) noexcept : fd_(std::move(other.fd_)), file_(std::exchange(other.file_, {})) {}
-  KeyLock& operator=(KeyLock&&) = delete;
-  ~KeyLock() {
-    std::error_code error;
-    if (!file_.empty()) fs::remove(file_, error);
-  }
-
- private:
-  UniqueFd fd_;
-  fs::path file_;
-};
-
-Result<fs::path> NewMakingFolder(const fs::path& folder, const std::string& name) {
+fs::path NewMakingFolder(const fs::path& folder, const std::string& name) {
   std::random_device random;
-  fs::path making = folder / (kMaking + name + "-" + std::to_string(getpid()) + "-" + std::to_string(random()));
-  if (mkdir(making.c_str(), 0750) != 0)
-    return Status::Failed("cannot create " + making.string() + ": " + std::strerror(errno));
-  return making;
+  return folder / (kMaking + name + "-" + std::to_string(getpid()) + "-" + std::to_string(random()));
 }
 
 // ".making-<stage>-<key>-<pid>-<random>" -> "<stage>-<key>".
@@ -109,41 +69,69 @@ Result<ArtifactStore> ArtifactStore::Open(const fs::path& session_folder, Logger
 
 void ArtifactStore::RemoveLeftovers() {
   std::error_code error;
-  std::vector<fs::path> left;
-  for (const auto& entry : fs::directory_iterator(folder_, error))
-    if (entry.path().filename().string().starts_with(kMaking)) left.push_back(entry.path());
-  for (const fs::path& making : left) {
-    // Whoever makes it holds its lock.
-    bool at_work = false;
-    const auto lock = KeyLock::Try(folder_ / (kLock + NameMadeIn(making.filename().string())), at_work);
-    if (lock.ok() && !at_work) fs::remove_all(making, error);
+  std::multimap<std::string, fs::path> left;  // by what the lock is of
+  for (const auto& entry : fs::directory_iterator(folder_, error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with(kMaking)) left.emplace(NameMadeIn(name), entry.path());
+    if (name.starts_with(kLock)) left.emplace(name.substr(std::strlen(kLock)), fs::path());
+  }
+  for (const auto& [name, making] : left) {
+    // Whoever makes it holds its lock. The lock's own file goes with ours.
+    const auto lock = KeyLock::Try(folder_ / (kLock + name));
+    if (lock.ok() && lock->held() && !making.empty()) fs::remove_all(making, error);
+  }
+}
+
+Result<KeyLock> ArtifactStore::TryLock(const std::string& name) const { return KeyLock::Try(folder_ / (kLock + name)); }
+
+Result<KeyLock> ArtifactStore::Lock(const std::string& name, const std::string& what_for) const {
+  for (bool said = false;; said = true) {
+    SLX_ASSIGN_OR_RETURN(auto lock, TryLock(name));
+    if (lock.held()) return lock;
+    if (!said) logger_.get().Info("waiting for another run that " + what_for);
+    std::this_thread::sleep_for(kLookAgain);
   }
 }
 
 bool ArtifactStore::Has(const db::ArtifactIdentity& identity) const {
   std::error_code error;
-  return fs::exists(FolderOf(identity) / db::kArtifactRecordFile, error);
+  return fs::exists(FolderOf(identity), error);
 }
 
 Result<Artifact> ArtifactStore::Read(const db::ArtifactIdentity& identity) {
   Artifact artifact{FolderOf(identity), {}};
-  SLX_ASSIGN_OR_RETURN(artifact.record, db::ReadArtifactRecord(artifact.folder));
   const std::string name = identity.FolderName();
-  const auto depth = hashed_.contains(name) ? db::FileDepth::kSizes : db::FileDepth::kHashes;
-  if (Status whole = db::CheckArtifactFiles(artifact.folder, artifact.record, depth); !whole.ok())
+  const auto check = [&]() -> Status {
+    auto record = db::ReadArtifactRecord(artifact.folder);
+    // A folder gets this name with all that is in it.
+    if (record.status().code() == StatusCode::kNotFound && Has(identity))
+      return Status::Integrity((artifact.folder / db::kArtifactRecordFile).string() + " is missing");
+    SLX_RETURN_IF_ERROR(record.status());
+    artifact.record = std::move(*record);
+    return db::CheckArtifactFiles(artifact.folder, artifact.record,
+                                  hashed_.contains(name) ? db::FileDepth::kSizes : db::FileDepth::kHashes);
+  };
+  const Status whole = check();
+  if (whole.code() == StatusCode::kIntegrity)
     return Status(whole.code(), whole.message() +
                                     ": it was changed after it was made; `stratalux-fit clean --damaged` removes such "
                                     "artifacts, and the next run makes them again");
+  SLX_RETURN_IF_ERROR(whole);
   hashed_.insert(name);
   return artifact;
 }
 
 Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::function<Status(const fs::path&)>& make) {
   const std::string name = identity.FolderName();
-  SLX_ASSIGN_OR_RETURN(const fs::path making, NewMakingFolder(folder_, name));
+  const fs::path making = NewMakingFolder(folder_, name);
   const RemovedOnSignal guard(making);
   const auto publish = [&]() -> Status {
     const Stopwatch watch;
+    {
+      const NotInterrupted whole;
+      if (mkdir(making.c_str(), 0750) != 0)
+        return Status::Failed("cannot create " + making.string() + ": " + std::strerror(errno));
+    }
     SLX_RETURN_IF_ERROR(make(making));
     db::ArtifactRecord record{identity, {}, watch.Seconds(), watch.CpuSeconds(), PeakRssBytes(), kVersion, WallNow()};
     SLX_ASSIGN_OR_RETURN(record.files, db::ListFiles(making, db::kArtifactRecordFile));
@@ -151,6 +139,7 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::func
     SLX_RETURN_IF_ERROR(MakeReadOnly(making));
     SLX_RETURN_IF_ERROR(db::SyncTree(making));
     const fs::path place = folder_ / name;
+    const NotInterrupted whole;  // what is being removed gets no name
     if (rename(making.c_str(), place.c_str()) != 0 && errno != EEXIST && errno != ENOTEMPTY)
       return Status::Failed("cannot move " + making.string() + " to " + place.string() + ": " + std::strerror(errno));
     return db::SyncFolder(folder_);
@@ -164,17 +153,9 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::func
 
 Result<Artifact> ArtifactStore::Obtain(const db::ArtifactIdentity& identity,
                                        const std::function<Status(const fs::path&)>& make) {
-  const fs::path lock_file = folder_ / (kLock + identity.FolderName());
-  bool said = false;
-  while (!Has(identity)) {
-    bool at_work = false;
-    SLX_ASSIGN_OR_RETURN(const KeyLock lock, KeyLock::Try(lock_file, at_work));
-    if (!at_work) {
-      if (!Has(identity)) SLX_RETURN_IF_ERROR(Make(identity, make));
-      break;
-    }
-    if (!std::exchange(said, true)) logger_.get().Info("waiting for another run that makes '" + identity.stage + "'");
-    std::this_thread::sleep_for(kLookAgain);
+  if (!Has(identity)) {
+    SLX_ASSIGN_OR_RETURN(const KeyLock lock, Lock(identity.FolderName(), "makes '" + identity.stage + "'"));
+    if (!Has(identity)) SLX_RETURN_IF_ERROR(Make(identity, make));
   }
   return Read(identity);
 }
@@ -207,9 +188,8 @@ Result<CleanReport> ArtifactStore::Clean(const std::set<std::string>& wanted, co
     const double age_days =
         record.ok() ? 1e-9 * static_cast<double>(WallNow().ns - record->finished_wall.ns) / 86400.0 : 0;
     const bool goes = damaged || (!options.damaged_only && !wanted.contains(name) && age_days >= options.keep_days);
-    bool at_work = false;
-    const auto lock = KeyLock::Try(folder_ / (kLock + name), at_work);
-    if (!goes || !lock.ok() || at_work) {
+    const auto lock = TryLock(name);
+    if (!goes || !lock.ok() || !lock->held()) {
       ++report.kept;
       continue;
     }
@@ -217,7 +197,8 @@ Result<CleanReport> ArtifactStore::Clean(const std::set<std::string>& wanted, co
     report.bytes += BytesOf(folder);
     if (options.dry_run) continue;
     // By a name that nobody reads, so that no half of it is ever found.
-    const fs::path aside = folder_ / (kMaking + name + "-" + std::to_string(getpid()) + "-0");
+    const fs::path aside = NewMakingFolder(folder_, name);
+    const RemovedOnSignal guard(aside);
     fs::rename(folder, aside, error);
     if (!error) fs::remove_all(aside, error);
     if (error) return Status::Failed("cannot remove " + folder.string() + ": " + error.message());

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "db/catalogue/artifact_record.h"
+#include "fitter/pipeline/key_lock.h"
 #include "shared/base/log.h"
 
 namespace stratalux::fit {
@@ -59,6 +60,11 @@ class ArtifactStore {
   [[nodiscard]] std::vector<db::ArtifactRecord> OfStage(const std::string& stage) const;
   // Removes artifacts that no `wanted` folder name names and no lock holds.
   [[nodiscard]] Result<CleanReport> Clean(const std::set<std::string>& wanted, const CleanOptions& options);
+
+  // The lock of an artifact's folder name, or of another name that the runs of a session agree on. Lock() waits, and
+  // says that it waits for another run that `what_for`.
+  [[nodiscard]] Result<KeyLock> TryLock(const std::string& name) const;
+  [[nodiscard]] Result<KeyLock> Lock(const std::string& name, const std::string& what_for) const;
 
   // Artifacts that this one made, and found made.
   [[nodiscard]] int made() const { return made_; }

@@ -16,7 +16,7 @@ namespace {
 
 // Never destroyed: the watching thread outlives main.
 struct Registered {
-  std::mutex mutex;
+  std::recursive_mutex mutex;
   std::multiset<std::filesystem::path> folders;
 };
 Registered& Folders() {
@@ -35,8 +35,9 @@ sigset_t Interruptions() {
   return set;
 }
 
+// For good: whoever else would register, make or rename a folder waits for the end of the process.
 void RemoveAll() {
-  const std::lock_guard lock(Folders().mutex);
+  Folders().mutex.lock();
   std::error_code error;
   // Another thread may be writing into them: a file that comes between the last look and the folder's end keeps it.
   for (const std::filesystem::path& folder : Folders().folders)
@@ -78,5 +79,8 @@ RemovedOnSignal::~RemovedOnSignal() {
   const auto found = Folders().folders.find(folder_);
   if (found != Folders().folders.end()) Folders().folders.erase(found);
 }
+
+NotInterrupted::NotInterrupted() { Folders().mutex.lock(); }
+NotInterrupted::~NotInterrupted() { Folders().mutex.unlock(); }
 
 }  // namespace stratalux::fit

@@ -22,4 +22,14 @@ class RemovedOnSignal {
   std::filesystem::path folder_;
 };
 
+// While one lives, nothing is removed: what is being removed must get no name of what is whole, and nothing may be made
+// anew behind its removal. For a moment only: Ctrl-C waits for it.
+class NotInterrupted {
+ public:
+  NotInterrupted();
+  NotInterrupted(const NotInterrupted&) = delete;
+  NotInterrupted& operator=(const NotInterrupted&) = delete;
+  ~NotInterrupted();
+};
+
 }  // namespace stratalux::fit

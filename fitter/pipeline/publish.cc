@@ -9,8 +9,10 @@
 #include <nlohmann/json.hpp>
 #include <stdio.h>
 
+#include "db/base/durable_file.h"
 #include "db/base/own_hash.h"
 #include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
 #include "fitter/evaluation/compare.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/report/session_report.h"
@@ -26,7 +28,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr const char* kPartial = ".partial";
+constexpr const char* kEnters = "enters this fit";
 constexpr const char* kAblations[] = {"projectors_permuted", "comb_frames_shuffled"};
+
+// One run at a time puts a fit in its place.
+std::string LockOf(const std::string& fit) { return "fit-" + fit; }
 
 // Keys of the stages that a fit is made of; their files are the fit's.
 std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOptions& options) {
@@ -72,22 +79,31 @@ Status AddCentroid(SessionGraph& graph, GeometrySource source, int heldout, Metr
   return Status::Ok();
 }
 
-// Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
-// the reconstruction's.
-Status EvaluateFully(SessionGraph& graph, const RunOptions& options, int projectors, Metrics& metrics) {
-  const std::vector<std::string> models = ModelsOf(graph, Evaluation::kFull);
-  std::vector<std::string> spoilt = {graph.JudgedModel()};
-  spoilt.insert(spoilt.end(), std::begin(kAblations), std::end(kAblations));
-  SLX_ASSIGN_OR_RETURN(const fs::path ablations,
-                       graph.stages().Folder(graph.Compare(spoilt, options.geometry, options.heldout)));
-  SLX_ASSIGN_OR_RETURN(const auto compared, LoadComparison(ablations));
-  metrics.ablations = compared.figures;
+// The projectors that --full-evaluation holds out, and the surface that it does so on.
+std::vector<std::pair<GeometrySource, int>> FullViews(const SessionGraph& graph, const RunOptions& options,
+                                                      int projectors) {
   std::vector<std::pair<GeometrySource, int>> views;
   for (int p = 0; p < projectors; ++p)
     if (p != options.heldout) views.emplace_back(options.geometry, p);
   if (graph.has_truth() && options.geometry == GeometrySource::kReconstructed)
     views.emplace_back(GeometrySource::kTruth, options.heldout);
-  for (const auto& [source, projector] : views) {
+  return views;
+}
+
+std::string Ablations(SessionGraph& graph, const RunOptions& options) {
+  std::vector<std::string> spoilt = {graph.JudgedModel()};
+  spoilt.insert(spoilt.end(), std::begin(kAblations), std::end(kAblations));
+  return graph.Compare(spoilt, options.geometry, options.heldout);
+}
+
+// Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
+// the reconstruction's.
+Status EvaluateFully(SessionGraph& graph, const RunOptions& options, int projectors, Metrics& metrics) {
+  const std::vector<std::string> models = ModelsOf(graph, Evaluation::kFull);
+  SLX_ASSIGN_OR_RETURN(const fs::path ablations, graph.stages().Folder(Ablations(graph, options)));
+  SLX_ASSIGN_OR_RETURN(const auto compared, LoadComparison(ablations));
+  metrics.ablations = compared.figures;
+  for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
     SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr));
     SLX_RETURN_IF_ERROR(AddCentroid(graph, source, projector, metrics));
   }
@@ -105,6 +121,7 @@ Result<std::optional<SurfaceError>> AgainstTruth(const SessionFrames& frames, co
 // `made` in the place of `place`, in one step.
 Status PutInPlace(const fs::path& made, const fs::path& place) {
   std::error_code error;
+  const NotInterrupted whole;
   if (!fs::exists(place, error)) {
     fs::rename(made, place, error);
   } else if (renameat2(AT_FDCWD, made.c_str(), AT_FDCWD, place.c_str(), RENAME_EXCHANGE) == 0) {
@@ -148,6 +165,37 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
   return db::HashHex(nlohmann::json(StagesOf(graph, options)).dump()).substr(0, 16);
 }
 
+std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
+  std::vector<std::string> keys = {graph.Normals()};
+  if (options.standard_errors) keys.push_back(graph.StandardErrors());
+  for (const Evaluation step : {Evaluation::kFirst, Evaluation::kHeldOut})
+    if (step <= evaluation) keys.push_back(graph.Compare(ModelsOf(graph, step), options.geometry, options.heldout));
+  if (evaluation != Evaluation::kFull) return keys;
+  keys.push_back(Ablations(graph, options));
+  for (const auto& [source, projector] : FullViews(graph, options, projectors))
+    keys.push_back(graph.Compare(ModelsOf(graph, evaluation), source, projector));
+  return keys;
+}
+
+Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::string& fit) {
+  const ArtifactStore& locks = graph.stages().store();
+  const fs::path place = frames.store().FitFolder(frames.info().id, fit);
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(place.parent_path(), error)) {
+    if (entry.path().extension() != kPartial) continue;
+    SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.TryLock(LockOf(entry.path().stem().string())));
+    if (lock.held()) fs::remove_all(entry.path(), error);
+  }
+  if (!fs::exists(place / db::kFitRecordFile, error)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.Lock(LockOf(fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const db::FitRow made, db::ReadFitRecord(place, frames.info().id));
+  SLX_ASSIGN_OR_RETURN(const auto rows, frames.store().ListFits(frames.info().id));
+  for (const db::FitRow& row : rows)
+    if (row.id == fit && row.metrics_json == made.metrics_json) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const db::FitRow proven, db::ReadProvenFit(place, frames.info().id));
+  return db::RegisterFit(frames.store().folder(), proven);
+}
+
 Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit) {
   std::optional<Evaluation> none;
   const fs::path folder = frames.store().FitFolder(frames.info().id, fit);
@@ -168,6 +216,8 @@ Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, co
 Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, SessionFrames& frames, Evaluation evaluation) {
   StageGraph& stages = graph.stages();
   const std::map<std::string, std::string> keys = StagesOf(graph, options);
+  // Also what an earlier run has made of it: the figures list the stages of all.
+  (void)KeysOf(graph, options, std::min(evaluation, Evaluation::kHeldOut), 0);
   SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages.Folder(keys.at("fit")));
   Metrics metrics;
   SLX_ASSIGN_OR_RETURN(metrics.summary, LoadSummary(fit_folder));
@@ -209,11 +259,17 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});
 
   fs::path place = frames.store().FitFolder(metrics.session, metrics.fit);
-  const fs::path partial = place.string() + ".partial";
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, stages.store().Lock(LockOf(metrics.fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, metrics.fit));
+  if (held && *held >= evaluation) return place;  // another run's, meanwhile
+  const fs::path partial = place.string() + kPartial;
   const RemovedOnSignal guard(partial);
   std::error_code error;
   fs::remove_all(partial, error);
-  fs::create_directories(partial / "report", error);
+  {
+    const NotInterrupted whole;
+    fs::create_directories(partial / "report", error);
+  }
   if (error) return Status::Failed("cannot create " + partial.string() + ": " + error.message());
   for (const auto& [stage, key] : keys) {
     SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.Folder(key));
@@ -221,9 +277,13 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   }
   SLX_RETURN_IF_ERROR(WriteReport(partial, input, metrics));
   SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", metrics.ToJson()));
-  SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
   db::FitRow row{metrics.fit, metrics.session, metrics.options_json, metrics.ToJson(), WallNow()};
   row.artifacts = metrics.artifacts;
+  // With its proof, on the disk, before it takes the place of one that is listed.
+  SLX_ASSIGN_OR_RETURN(const std::string record, db::FitRecordOf(partial, row));
+  SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
+  SLX_RETURN_IF_ERROR(db::SyncTree(partial));
+  SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
   SLX_RETURN_IF_ERROR(frames.store().RegisterFit(row));
   return place;
 }

@@ -22,8 +22,15 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 // Models that a comparison of that evaluation holds, the judged one first.
 [[nodiscard]] std::vector<std::string> ModelsOf(const SessionGraph& graph, Evaluation evaluation);
 
+// Keys of the stages that a fit with that evaluation asks for, of a rig with so many projectors.
+[[nodiscard]] std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation,
+                                              int projectors);
+
 // Of all that makes the fit, whatever is compared with it: 16 hex digits.
 [[nodiscard]] std::string FitIdOf(SessionGraph& graph, const RunOptions& options);
+// What killed runs left of fits that they were putting in their place: half made ones go; this fit, if it is whole and
+// not listed, or with the figures of before, is entered.
+[[nodiscard]] Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::string& fit);
 // What a listed fit holds; nullopt: there is none. kIntegrity names the file that is not what fit.json says.
 [[nodiscard]] Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit);
 

@@ -35,6 +35,10 @@ Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
   return Status::Ok();
 }
 
+Evaluation EvaluationOf(const RunOptions& options) {
+  return options.full_evaluation ? Evaluation::kFull : Evaluation::kHeldOut;
+}
+
 std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
   switch (options.until) {
     case Stage::kReconstruct:
@@ -48,16 +52,6 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
     default:
       return graph.Fit(options.geometry, options.heldout, FitKind::kJudged);
   }
-}
-
-// What a whole fit runs beside the stages of its own.
-std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options) {
-  if (options.until != Stage::kReport) return {KeyOf(graph, options)};
-  std::vector<std::string> keys = {graph.Normals()};
-  if (options.standard_errors) keys.push_back(graph.StandardErrors());
-  for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut})
-    keys.push_back(graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout));
-  return keys;
 }
 
 // Each time, not only when the shape is made.
@@ -78,7 +72,8 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
     SLX_ASSIGN_OR_RETURN(outcome.folder, graph.stages().Folder(KeyOf(graph, options)));
     return Status::Ok();
   }
-  const Evaluation wanted = options.full_evaluation ? Evaluation::kFull : Evaluation::kHeldOut;
+  const Evaluation wanted = EvaluationOf(options);
+  SLX_RETURN_IF_ERROR(SettleFits(graph, frames, outcome.fit));
   SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
   outcome.was_complete = held && *held >= wanted;
@@ -120,7 +115,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
                    " is simulated but has no truth.seg: nothing is compared with the truth");
   outcome.fit = FitIdOf(*graph, options);
   if (options.dry_run) {
-    outcome.plan = graph->stages().Plan(KeysOf(*graph, options));
+    const auto projectors = static_cast<int>(frames.calibration()->projectors.size());
+    outcome.plan = graph->stages().Plan(options.until == Stage::kReport
+                                            ? KeysOf(*graph, options, EvaluationOf(options), projectors)
+                                            : std::vector<std::string>{KeyOf(*graph, options)});
     return outcome;
   }
   SLX_RETURN_IF_ERROR(AfterRun(RunStages(*graph, options, frames, logger, outcome), options, outcome));
