@@ -9,8 +9,9 @@
 #include "db/catalogue/fit_record.h"
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
-#include "fitter/pipeline/run.h"
+#include "fitter/pipeline/session_fits.h"
 #include "fitter/session/choose_session.h"
+#include "fitter/session/session_frames.h"
 #include "fitter/stages/relight.h"
 #include "shared/base/standard_output.h"
 

@@ -11,6 +11,7 @@
 #include "db/catalogue/fit_record.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
+#include "fitter/pipeline/session_fits.h"
 #include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
 

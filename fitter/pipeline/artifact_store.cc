@@ -8,6 +8,8 @@
 #include <random>
 #include <thread>
 
+#include <fcntl.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -24,6 +26,7 @@ using std::chrono::milliseconds;
 
 constexpr const char* kMaking = ".making-";
 constexpr const char* kLock = ".lock-";
+constexpr const char* kInUse = ".use";  // locked by runs together, by a cleaning alone
 constexpr auto kLookAgain = milliseconds(50);
 
 fs::path NewMakingFolder(const fs::path& folder, const std::string& name) {
@@ -174,7 +177,26 @@ std::vector<db::ArtifactRecord> ArtifactStore::OfStage(const std::string& stage)
   return records;
 }
 
+Result<UniqueFd> ArtifactStore::Flock(int operation) const {
+  const fs::path file = folder_ / kInUse;
+  UniqueFd fd(open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0640));
+  if (!fd.ok()) return Status::Failed("cannot lock " + file.string() + ": " + std::strerror(errno));
+  while (flock(fd.get(), operation) != 0) {
+    if (errno == EINTR) continue;
+    if (errno == EWOULDBLOCK)
+      return Status(StatusCode::kBusy, "a run works on the artifacts in " + folder_.string() + "; clean up after it");
+    return Status::Failed("cannot lock " + file.string() + ": " + std::strerror(errno));
+  }
+  return fd;
+}
+
+Result<UniqueFd> ArtifactStore::Use() const { return Flock(LOCK_SH); }
+
 Result<CleanReport> ArtifactStore::Clean(const std::set<std::string>& wanted, const CleanOptions& options) {
+  UniqueFd alone;
+  if (!options.dry_run) {
+    SLX_ASSIGN_OR_RETURN(alone, Flock(LOCK_EX | LOCK_NB));
+  }
   CleanReport report;
   std::error_code error;
   std::vector<fs::path> all;

@@ -18,6 +18,7 @@
 #include "db/catalogue/artifact_record.h"
 #include "fitter/pipeline/key_lock.h"
 #include "shared/base/log.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::fit {
 
@@ -58,7 +59,9 @@ class ArtifactStore {
                                         const std::function<Status(const std::filesystem::path&)>& make);
   // Records of all artifacts of a stage, the newest first; damaged ones are left out.
   [[nodiscard]] std::vector<db::ArtifactRecord> OfStage(const std::string& stage) const;
-  // Removes artifacts that no `wanted` folder name names and no lock holds.
+  // Until its descriptor is closed no artifact is removed: what a run has made it still has to read.
+  [[nodiscard]] Result<UniqueFd> Use() const;
+  // Removes artifacts that no `wanted` folder name names and no lock holds. kBusy while a run uses them.
   [[nodiscard]] Result<CleanReport> Clean(const std::set<std::string>& wanted, const CleanOptions& options);
 
   // The lock of an artifact's folder name, or of another name that the runs of a session agree on. Lock() waits, and
@@ -73,6 +76,7 @@ class ArtifactStore {
   ArtifactStore(std::filesystem::path folder, Logger& logger) : folder_(std::move(folder)), logger_(logger) {}
   Status Make(const db::ArtifactIdentity& identity, const std::function<Status(const std::filesystem::path&)>& make);
   void RemoveLeftovers();
+  [[nodiscard]] Result<UniqueFd> Flock(int operation) const;
 
   std::filesystem::path folder_;  // artifacts/
   std::reference_wrapper<Logger> logger_;

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/run.h"
 
-#include <set>
-
 #include "db/catalogue/deletions.h"
-#include "db/catalogue/fit_record.h"
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/shortfall.h"
 #include "db/privacy/access_log.h"
@@ -79,10 +76,17 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   outcome.was_complete = held && *held >= wanted;
   if (outcome.was_complete) return Status::Ok();
   SLX_RETURN_IF_ERROR(SayDrift(graph, options, logger));
-  // The report first: who waits for it need not wait for its evaluation.
-  if (!held) SLX_RETURN_IF_ERROR(Publish(graph, options, frames, Evaluation::kFirst).status());
-  SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, wanted));
-  return Status::Ok();
+  // The report first: who waits for it need not wait for its evaluation. Stages run before what a report shows is read:
+  // both at once would be most of the memory.
+  const auto publish = [&](Evaluation evaluation) -> Status {
+    const auto projectors = static_cast<int>(frames.calibration()->projectors.size());
+    for (const std::string& key : KeysOf(graph, options, evaluation, projectors))
+      SLX_RETURN_IF_ERROR(graph.stages().Need(key).status());
+    SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, evaluation));
+    return Status::Ok();
+  };
+  if (!held) SLX_RETURN_IF_ERROR(publish(Evaluation::kFirst));
+  return publish(wanted);
 }
 
 // Nothing stays of work on a session that was forgotten meanwhile. That it was is then what is said.
@@ -121,6 +125,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
                                             : std::vector<std::string>{KeyOf(*graph, options)});
     return outcome;
   }
+  SLX_ASSIGN_OR_RETURN(const UniqueFd in_use, graph->stages().store().Use());
   SLX_RETURN_IF_ERROR(AfterRun(RunStages(*graph, options, frames, logger, outcome), options, outcome));
   if (outcome.was_complete) {
     logger.Info("fit " + outcome.fit + " is complete already");
@@ -128,32 +133,6 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   }
   SLX_RETURN_IF_ERROR(db::LogAccess(options.store, "fit", outcome.session, "fit " + outcome.fit));
   return outcome;
-}
-
-Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& session, const CleanOptions& options,
-                                   Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store, session, SessionUse::kVisitor, logger));
-  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, chosen));
-  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), logger));
-  SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
-  std::set<std::string> wanted;
-  for (const db::FitRow& fit : fits) {
-    const auto row = db::ReadFitRecord(frames.store().FitFolder(frames.info().id, fit.id), frames.info().id);
-    if (row.ok())
-      for (const auto& [stage, folder] : row->artifacts) wanted.insert(folder);
-  }
-  return artifacts.Clean(wanted, options);
-}
-
-Result<std::filesystem::path> NewestFit(const std::string& store_folder, const std::string& session, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store_folder, session, SessionUse::kFit, logger));
-  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(chosen));
-  SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
-  if (fits.empty())
-    return Status::NotFound("session " + row.info.id + " has no complete fit (`stratalux-fit run " + row.info.id +
-                            "`)");
-  return store.FitFolder(row.info.id, fits[0].id);
 }
 
 }  // namespace stratalux::fit

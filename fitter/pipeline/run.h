@@ -22,13 +22,4 @@ struct RunOutcome {
 // Goes on where an earlier run ended; shares what another run makes at the same time.
 Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger);
 
-// Artifacts of a session that no fit of it points to.
-[[nodiscard]] Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& session,
-                                                 const CleanOptions& options, Logger& logger);
-
-// Folder of the session's newest fit; kNotFound when there is none. `session`: also "latest", the newest session that
-// has one.
-[[nodiscard]] Result<std::filesystem::path> NewestFit(const std::string& store, const std::string& session,
-                                                      Logger& logger);
-
 }  // namespace stratalux::fit

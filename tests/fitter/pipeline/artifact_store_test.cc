@@ -48,7 +48,7 @@ class ArtifactStoreTest : public ScratchFolderTest {
   [[nodiscard]] std::vector<std::string> Names() const {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder_ / db::kArtifactsFolder))
-      names.push_back(entry.path().filename().string());
+      if (entry.path().filename() != ".use") names.push_back(entry.path().filename().string());
     return names;
   }
 
@@ -188,6 +188,21 @@ TEST_F(ArtifactStoreTest, WhatAKilledRunLeftIsRemovedAndMadeByTheNext) {
   ASSERT_TRUE(store.Obtain(Named("shape"), Maker()).ok());
   EXPECT_EQ(calls_, 1);
   EXPECT_THAT(Names(), ElementsAre(Named("shape").FolderName()));
+}
+
+TEST_F(ArtifactStoreTest, CleanTakesNothingFromARunThatGoesOn) {
+  auto run = Open(), cleaning = Open();
+  {
+    const auto in_use = run.Use(), by_another_run = Open().Use();
+    ASSERT_TRUE(in_use.ok() && by_another_run.ok());
+    ASSERT_TRUE(run.Obtain(Named("srd"), Maker()).ok());
+    const auto refused = cleaning.Clean({}, {});
+    EXPECT_EQ(refused.status().code(), StatusCode::kBusy);
+    EXPECT_THAT(refused.status().message(), HasSubstr("a run works on"));
+    EXPECT_TRUE(cleaning.Clean({}, {.dry_run = true}).ok());
+    EXPECT_TRUE(run.Read(Named("srd")).ok());
+  }
+  EXPECT_EQ(cleaning.Clean({}, {})->removed.size(), 1U);
 }
 
 TEST_F(ArtifactStoreTest, CleanLeavesWhatIsWantedOrYoung) {
