@@ -26,7 +26,6 @@ using std::chrono::milliseconds;
 
 constexpr const char* kMaking = ".making-";
 constexpr const char* kLock = ".lock-";
-constexpr const char* kInUse = ".use";  // locked by runs together, by a cleaning alone
 constexpr auto kLookAgain = milliseconds(50);
 
 fs::path NewMakingFolder(const fs::path& folder, const std::string& name) {
@@ -177,15 +176,15 @@ std::vector<db::ArtifactRecord> ArtifactStore::OfStage(const std::string& stage)
   return records;
 }
 
+// The folder itself: locked by runs together, by a cleaning alone; the kernel drops it with the process.
 Result<UniqueFd> ArtifactStore::Flock(int operation) const {
-  const fs::path file = folder_ / kInUse;
-  UniqueFd fd(open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0640));
-  if (!fd.ok()) return Status::Failed("cannot lock " + file.string() + ": " + std::strerror(errno));
+  UniqueFd fd(open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!fd.ok()) return Status::Failed("cannot lock " + folder_.string() + ": " + std::strerror(errno));
   while (flock(fd.get(), operation) != 0) {
     if (errno == EINTR) continue;
     if (errno == EWOULDBLOCK)
-      return Status(StatusCode::kBusy, "a run works on the artifacts in " + folder_.string() + "; clean up after it");
-    return Status::Failed("cannot lock " + file.string() + ": " + std::strerror(errno));
+      return Status::Busy("a run works on the artifacts in " + folder_.string() + "; clean up after it");
+    return Status::Failed("cannot lock " + folder_.string() + ": " + std::strerror(errno));
   }
   return fd;
 }

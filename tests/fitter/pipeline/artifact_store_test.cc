@@ -48,7 +48,7 @@ class ArtifactStoreTest : public ScratchFolderTest {
   [[nodiscard]] std::vector<std::string> Names() const {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder_ / db::kArtifactsFolder))
-      if (entry.path().filename() != ".use") names.push_back(entry.path().filename().string());
+      names.push_back(entry.path().filename().string());
     return names;
   }
 
