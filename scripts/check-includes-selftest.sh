@@ -38,6 +38,7 @@ plant db/segment/a.h '#include "db/catalogue/session_index.h"'
 plant db/catalogue/a.cc '#include "db/privacy/forget.h"'
 plant db/base/a.cc '#include "db/care/reindex.h"'
 plant fitter/render/a.cc '#include "firmware-host/gpio/line_bank.h"'
+plant fitter/render/a.cc '#include "fitter/evaluation/metrics.h"'
 plant fitter/render/a.cc '#include "db/segment/truth_segment.h"'
 plant firmware-host/apps/a.cc '#include "db/segment/truth_segment.h"'
 expect_all_found

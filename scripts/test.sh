@@ -9,7 +9,8 @@ usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy
   --unit, --integration, --style   only these tests (ctest labels)
   --asan                           with address and undefined-behaviour sanitizers
   --tidy                           clang-tidy over the whole tree instead of tests
-  --night [PART ...]               the whole numbers behind the tests' samples, all parts or those named (docs/night.md);
+  --night [PART ...|all]           the whole numbers behind the tests' samples (docs/night.md): every part but two of the
+                                   three that build the tree anew and take turns, or those named, or all;
                                    STRATALUX_SEED=N chooses the draws; without it the date
   --no-install                     do not look for missing Debian packages
 HELP
@@ -43,6 +44,15 @@ if [ $night -eq 1 ]; then
   export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
   echo "seed $STRATALUX_SEED" >&2
   known=$(ctest --test-dir "build/$preset" -C night -L night -N | sed -n 's/.*: night\.//p')
+  if [ ${#parts[@]} -eq 0 ]; then
+    turns=(fuzz sanitizers debian-13)
+    turn=$((10#$(date +%j) % ${#turns[@]}))
+    echo "tonight's turn: ${turns[turn]}" >&2
+    unset 'turns[turn]'
+    select+=(-E "^night\.($(IFS='|'; echo "${turns[*]}"))\$")
+  elif [ "${parts[*]}" = all ]; then
+    parts=()
+  fi
   for part in "${parts[@]}"; do
     grep -qx "$part" <<<"$known" || { echo "error: no part '$part' of the night; parts: $(tr '\n' ' ' <<<"$known")" >&2; exit 2; }
   done

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/care/row_comparison.h"
 
+#include <algorithm>
 #include <map>
 #include <set>
 
 #include <nlohmann/json.hpp>
 
 #include "db/care/session_rebuild.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "shared/base/json_nesting.h"
 
@@ -215,22 +217,29 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
   return rules;
 }
 
-// A fit whose registration was broken off behind its last file lies there whole and is not listed: nothing that was
-// promised is missing.
+// A fit whose registration was broken off behind its last file lies there whole and is not listed, or is listed as the
+// earlier one whose place it took: nothing that was promised is missing.
 Status SetUnlistedAside(SessionIndex& index, int64_t number, const fs::path& folder, RebuiltSession& rebuilt,
                         std::vector<std::string>& notes) {
-  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT 1 FROM fits WHERE session = ?1 AND id = ?2"));
+  SLX_ASSIGN_OR_RETURN(const auto rows, index.Fits(number, rebuilt.info.id));
   std::vector<FitRow> listed;
   for (FitRow& fit : rebuilt.fits) {
-    SLX_ASSIGN_OR_RETURN(const bool known, select.Bind(1, number).Bind(2, fit.id).Step());
-    select.Reset();
-    if (known) {
-      listed.push_back(std::move(fit));
-    } else {
-      notes.push_back((folder / "fits" / fit.id).string() +
+    const auto row = std::find_if(rows.begin(), rows.end(), [&](const FitRow& other) { return other.id == fit.id; });
+    const fs::path place = folder / "fits" / fit.id;
+    if (row == rows.end()) {
+      notes.push_back(place.string() +
                       " is a fit that the index does not list: its registration was broken off, or its row removed;"
                       " `stratalux-db reindex` lists it");
+      continue;
     }
+    if (fit.created_wall.ns > row->created_wall.ns && fit.options_json == row->options_json &&
+        fit.calibration_json.empty() && CheckFitFiles(place).ok()) {
+      notes.push_back(place.string() +
+                      " is newer than what the index lists of it: its registration was broken off; `stratalux-fit run`"
+                      " of the session, or `stratalux-db reindex`, ends it");
+      fit = *row;
+    }
+    listed.push_back(std::move(fit));
   }
   rebuilt.fits = std::move(listed);
   return Status::Ok();

@@ -9,6 +9,7 @@
 #include "db/care/row_comparison.h"
 #include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
+#include "db/catalogue/artifact_record.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/signature.h"
@@ -120,7 +121,7 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
                name != "place.json" && name != "signature.json" && name != kDamagedManifest && name != "fits" &&
-               name != "previews") {
+               name != "previews" && name != kArtifactsFolder) {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }
@@ -188,6 +189,19 @@ void CheckFits(const SessionStore& store, const SessionRow& session, VerifyRepor
     std::error_code error;
     if (!std::filesystem::exists(folder / kFitRecordFile, error)) continue;  // of an older program, or gone: its row
     if (const Status whole = CheckFitFiles(folder); !whole.ok()) report.problems.push_back(whole.message());
+  }
+}
+
+// Artifacts are nobody's only copy: a fit has its own names for the files it is made of.
+void CheckArtifacts(const std::filesystem::path& folder, VerifyReport& report) {
+  std::error_code error;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / kArtifactsFolder, error)) {
+    // Locks, and what a fit is making now or was making when it was killed.
+    if (entry.path().filename().string().starts_with(".")) continue;
+    const auto record = ReadArtifactRecord(entry.path());
+    const Status whole = record.ok() ? CheckArtifactFiles(entry.path(), *record, FileDepth::kHashes) : record.status();
+    if (!whole.ok())
+      report.problems.push_back(whole.message() + " (`stratalux-fit clean --damaged` removes it; it is made again)");
   }
 }
 
@@ -263,7 +277,10 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (!recording) CheckManifest(folder, session, report);
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
-  if (options.depth == VerifyDepth::kDeep) CheckFits(store, session, report);
+  if (options.depth == VerifyDepth::kDeep) {
+    CheckFits(store, session, report);
+    CheckArtifacts(folder, report);
+  }
   if (!recording) CheckSigner(folder, session, options, report);
   return report;
 }

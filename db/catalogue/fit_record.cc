@@ -1,18 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/fit_record.h"
 
-#include <algorithm>
-#include <fstream>
-#include <memory>
-#include <vector>
-
 #include <nlohmann/json.hpp>
 #include <sys/stat.h>
-#include <xxhash.h>
 
 #include "db/base/own_hash.h"
-#include "db/base/paths.h"
-#include "db/segment/segment.h"
+#include "db/catalogue/recorded_files.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
@@ -26,60 +19,6 @@ namespace {
 
 constexpr int64_t kSchema = 2;  // 1: may lack its own hash and the list of its files
 
-// XXH3-128 of a file's bytes, 32 hex digits.
-Result<std::string> HashOf(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) return Status::Failed("cannot read " + file.string());
-  const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(), XXH3_freeState);
-  XXH3_128bits_reset(state.get());
-  std::vector<char> buffer(1 << 20);
-  while (in.read(buffer.data(), static_cast<std::streamsize>(buffer.size())) || in.gcount() > 0)
-    XXH3_128bits_update(state.get(), buffer.data(), static_cast<size_t>(in.gcount()));
-  if (in.bad()) return Status::Failed("cannot read " + file.string());
-  XXH128_canonical_t canonical;
-  XXH128_canonicalFromHash(&canonical, XXH3_128bits_digest(state.get()));
-  return HashText(canonical.digest);
-}
-
-// Regular files at and below the folder, by their names within it, sorted; fit.json is not one of its own files.
-Result<std::vector<std::string>> FilesOf(const fs::path& folder) {
-  std::vector<std::string> names;
-  std::error_code error;
-  for (auto entry = fs::recursive_directory_iterator(folder, error); !error && entry != fs::end(entry);
-       entry.increment(error)) {
-    const std::string name = entry->path().lexically_relative(folder).string();
-    if (fs::is_regular_file(entry->symlink_status(error)) && name != kFitRecordFile &&
-        name != std::string(kFitRecordFile) + ".new")
-      names.push_back(name);
-  }
-  if (error) return Status::Failed("cannot read " + folder.string() + ": " + error.message());
-  std::sort(names.begin(), names.end());
-  return names;
-}
-
-// No part of the name may be a link: it could lead out of the folder.
-Status CheckFile(const fs::path& folder, const std::string& name, int64_t bytes, const std::string& hash) {
-  if (!StaysInside(name))
-    return Status::Integrity((folder / kFitRecordFile).string() + ": '" + name + "' is no file of the fit");
-  const fs::path file = folder / name;
-  std::error_code error;
-  fs::path at = folder;
-  for (const fs::path& part : fs::path(name)) {
-    at /= part;
-    const auto type = fs::symlink_status(at, error).type();
-    if (type == fs::file_type::not_found) return Status::Integrity(file.string() + " of the fit is missing");
-    if (type != fs::file_type::directory && type != fs::file_type::regular)
-      return Status::Integrity(at.string() + " is a link or no regular file");
-  }
-  const auto size = fs::file_size(file, error);
-  if (error || static_cast<int64_t>(size) != bytes)
-    return Status::Integrity(file.string() + " has " + (error ? "no" : std::to_string(size)) + " bytes, " +
-                             kFitRecordFile + " says " + std::to_string(bytes));
-  SLX_ASSIGN_OR_RETURN(const std::string found, HashOf(file));
-  if (found != hash) return Status::Integrity(file.string() + " is not the file that " + kFitRecordFile + " names");
-  return Status::Ok();
-}
-
 }  // namespace
 
 Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
@@ -89,16 +28,12 @@ Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
                {"session", fit.session},
                {"created_wall_ns", fit.created_wall.ns},
                {"options_json", fit.options_json},
-               {"metrics_json", fit.metrics_json},
-               {"files", Json::array()}};
-  SLX_ASSIGN_OR_RETURN(const auto names, FilesOf(folder));
-  for (const std::string& name : names) {
-    std::error_code error;
-    const auto bytes = fs::file_size(folder / name, error);
-    if (error) return Status::Failed("cannot read " + (folder / name).string() + ": " + error.message());
-    SLX_ASSIGN_OR_RETURN(const std::string hash, HashOf(folder / name));
-    json["files"].push_back({{"name", name}, {"bytes", bytes}, {"xxh3_128", hash}});
-  }
+               {"metrics_json", fit.metrics_json}};
+  if (!fit.artifacts.empty()) json["artifacts"] = fit.artifacts;
+  json["files"] = Json::array();
+  SLX_ASSIGN_OR_RETURN(const auto files, ListFiles(folder, kFitRecordFile));
+  for (const RecordedFile& file : files)
+    json["files"].push_back({{"name", file.name}, {"bytes", file.bytes}, {"xxh3_128", file.xxh3_128}});
   return WithOwnHash(json.dump(1, ' ', false, Json::error_handler_t::replace));
 }
 
@@ -132,12 +67,14 @@ Status CheckFitFiles(const fs::path& folder) {
   try {
     if (json.at("schema") != kSchema && !json.contains("files")) return Status::Ok();
     const auto& files = json.at("files").get_ref<const Json::array_t&>();
-    SLX_ASSIGN_OR_RETURN(const auto found, FilesOf(folder));
+    SLX_ASSIGN_OR_RETURN(const auto found, NamesOfFiles(folder, kFitRecordFile));
     if (files.empty() && !found.empty())
       return Status::Integrity(file.string() + " names no file, and " + folder.string() + " holds " + found.front());
     for (const Json& entry : files)
-      SLX_RETURN_IF_ERROR(CheckFile(folder, entry.at("name").get<std::string>(), WholeAt<int64_t>(entry, "bytes"),
-                                    entry.at("xxh3_128").get<std::string>()));
+      SLX_RETURN_IF_ERROR(CheckRecordedFile(folder, kFitRecordFile,
+                                            {entry.at("name").get<std::string>(), WholeAt<int64_t>(entry, "bytes"),
+                                             entry.at("xxh3_128").get<std::string>()},
+                                            FileDepth::kHashes));
     return Status::Ok();
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
@@ -172,6 +109,7 @@ Result<FitRow> ReadFitRecord(const std::filesystem::path& folder, const std::str
     fit.created_wall.ns = WholeAt<int64_t>(json, "created_wall_ns");
     json.at("options_json").get_to(fit.options_json);
     json.at("metrics_json").get_to(fit.metrics_json);
+    if (json.contains("artifacts")) json.at("artifacts").get_to(fit.artifacts);
     for (const std::string& text : {fit.options_json, fit.metrics_json})
       SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
     if (fit.id != folder.filename() || fit.session != session)

@@ -29,10 +29,10 @@ FROM listed
 WHERE true)";
 
 constexpr std::array<std::pair<const char*, const char*>, 6> kShortNames = {{
-    {"nrmse", "heldout.stripe.tied.total.measured.reconstructed.nrmse"},
-    {"ssim", "heldout.stripe.tied.total.measured.reconstructed.ssim"},
-    {"psnr_db", "heldout.stripe.tied.total.measured.reconstructed.psnr_db"},
-    {"white_nrmse", "heldout.white.tied.total.measured.reconstructed.nrmse"},
+    {"nrmse", "prediction.stripe.tied.total.separated.reconstructed.nrmse"},
+    {"ssim", "prediction.stripe.tied.total.separated.reconstructed.ssim"},
+    {"psnr_db", "prediction.stripe.tied.total.separated.reconstructed.psnr_db"},
+    {"white_nrmse", "prediction.white.tied.total.separated.reconstructed.nrmse"},
     {"divergence", "fit.divergence"},
     {"depth_rms_mm", "truth.depth_rms_mm"},
 }};

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -24,7 +25,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 6;
+inline constexpr int kSchemaVersion = 7;
 
 // A session without what only its own work needs: a list of a hundred thousand carries no plan, no calibration and no
 // findings.
@@ -57,6 +58,8 @@ struct FitRow {
   WallNs created_wall;
   std::string calibration_json =
       {};  // record of its folder's calibration.json, if it has one (db/catalogue/calibration_store.h)
+  // Of fit.json alone: the artifact of each stage that the fit was made of (db/catalogue/artifact_record.h).
+  std::map<std::string, std::string> artifacts = {};
 };
 
 struct RegisterOptions {

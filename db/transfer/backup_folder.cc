@@ -8,6 +8,7 @@
 
 #include "db/base/descriptor.h"
 #include "db/base/durable_file.h"
+#include "db/catalogue/artifact_record.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/file_copy.h"
 #include "shared/base/read_file.h"
@@ -144,8 +145,8 @@ Result<std::vector<std::string>> BackupFolder::FilesOf(const std::string& id) co
   const fs::path folder = store_ / "sessions" / id;
   for (auto entry = fs::recursive_directory_iterator(folder, error);
        !error && entry != fs::recursive_directory_iterator(); entry.increment(error)) {
-    if (entry->path().extension() == ".partial") {
-      entry.disable_recursion_pending();  // a fit that is being made
+    if (entry->path().extension() == ".partial" || entry->path() == folder / kArtifactsFolder) {
+      entry.disable_recursion_pending();  // a fit that is being made; what is made again where it is wanted
     } else if (entry->is_symlink(error)) {
       return Status::Integrity(entry->path().string() + " is a symbolic link; a session holds files of its own");
     } else if (entry->is_regular_file(error)) {

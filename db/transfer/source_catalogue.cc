@@ -15,6 +15,9 @@
 namespace stratalux::db {
 namespace {
 
+// Fits have all their files; what else the fitter made is made again where it is wanted.
+constexpr const char* kNoArtifacts = "--exclude=/artifacts/";
+
 namespace fs = std::filesystem;
 
 fs::path CatalogueFolder(const fs::path& store, const std::string& source) {
@@ -112,10 +115,11 @@ Status SourceCatalogue::Copy(const std::string& path, const fs::path& target) co
   SLX_RETURN_IF_ERROR(MakeFolder(target));
   const std::string from = source_ + "/" + path + "/";
   SLX_RETURN_IF_ERROR(
-      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json"}, timeout_}, from, target).status());
+      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json", kNoArtifacts}, timeout_}, from, target)
+          .status());
   SLX_ASSIGN_OR_RETURN(const std::string different,
                        Rsync({{"--dry-run", "--checksum", "--delete", "--out-format=%n", "--exclude=*.partial",
-                               "--exclude=/place.json", "--exclude=*.seg", "--omit-dir-times"},
+                               "--exclude=/place.json", kNoArtifacts, "--exclude=*.seg", "--omit-dir-times"},
                               timeout_},
                              from, target));
   if (different.find_first_not_of("./\n") == std::string::npos) return Status::Ok();

@@ -11,13 +11,14 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/base/own_hash.h"
 #include "fitter/apps/run_command.h"
+#include "fitter/calibration/board_stage.h"
 #include "fitter/calibration/calibration_record.h"
 #include "fitter/calibration/light_record.h"
-#include "fitter/pipeline/board_stage.h"
-#include "fitter/pipeline/content_hash.h"
-#include "fitter/pipeline/light_stage.h"
+#include "fitter/calibration/light_stage.h"
 #include "fitter/report/calibration_page.h"
+#include "fitter/session/choose_session.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
 #include "shared/base/version.h"
@@ -74,9 +75,15 @@ Result<CalibrateOptions> OptionsFrom(Flags& f) {
 }
 
 // The sessions named, or the newest `last` of kind calibration, oldest first.
-Result<std::vector<std::string>> ChooseSessions(const Flags& f) {
+Result<std::vector<std::string>> ChooseSessions(const Flags& f, Logger& logger) {
   if (f.last > 0 && !f.sessions.empty()) return Status::Usage("give sessions or --last, not both");
-  if (f.last == 0) return f.sessions.empty() ? std::vector<std::string>{"latest"} : f.sessions;
+  if (f.last == 0) {
+    std::vector<std::string> chosen = f.sessions.empty() ? std::vector<std::string>{"latest"} : f.sessions;
+    for (std::string& session : chosen) {
+      SLX_ASSIGN_OR_RETURN(session, ChooseSession(f.store, session, SessionUse::kCalibration, logger));
+    }
+    return chosen;
+  }
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
   std::vector<std::string> chosen;
@@ -136,7 +143,7 @@ Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::st
                                     {"squares", f.squares},
                                     {"square_mm", f.stage.board.square_mm},
                                     {"distortion", f.distortion}};
-  const std::string fit = ContentHashOf(record + options.dump() + kVersion).substr(0, 16);
+  const std::string fit = db::HashHex(record + options.dump() + kVersion).substr(0, 16);
   const std::filesystem::path folder = store.FitFolder(session, fit);
   std::error_code error;
   std::filesystem::create_directories(folder, error);
@@ -252,7 +259,7 @@ Result<int> CalibrateLightAlone(const Flags& f, const SessionsByUse& sessions, L
 
 Result<int> Calibrate(Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CalibrateOptions options, OptionsFrom(f));
-  SLX_ASSIGN_OR_RETURN(const auto sessions, ChooseSessions(f));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, ChooseSessions(f, logger));
   SLX_ASSIGN_OR_RETURN(const SessionsByUse by_use, SortByUse(f, sessions));
   if (by_use.boards.empty()) return CalibrateLightAlone(f, by_use, logger);
   SLX_ASSIGN_OR_RETURN(const BoardPoses boards, ObserveBoards(f.store, by_use.boards, f.stage, logger));

@@ -13,9 +13,11 @@
 
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
-#include "fitter/pipeline/exr_file.h"
-#include "fitter/pipeline/geometry_stage.h"
-#include "fitter/report/html_report.h"
+#include "fitter/export/exr_file.h"
+#include "fitter/export/pictures.h"
+#include "fitter/session/choose_session.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/decode.h"
 #include "fitter/structured_light/local_homography.h"
 #include "shared/base/standard_output.h"
 #include "shared/image/png.h"
@@ -105,7 +107,8 @@ std::string AsText(const nlohmann::ordered_json& results) {
 }
 
 Status Decode(const Flags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, f.session));
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(f.store, f.session, SessionUse::kFrames, logger));
+  SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   if (frames.rows().empty()) return Status::NotFound("session " + frames.info().id + " has no frames");
   nlohmann::ordered_json results = nlohmann::ordered_json::array();

@@ -37,9 +37,9 @@ Directional DirectionalOf(const std::string& text) {
 }
 
 Status Fit(Flags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(f.em.shift_law, ParseShiftLaw(f.shift));
-  f.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
-  f.em.gain_model = f.gain == "model";
+  SLX_ASSIGN_OR_RETURN(f.em.scattering.shift_law, ParseShiftLaw(f.shift));
+  f.em.scattering.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
+  f.em.scattering.gain_model = f.gain == "model";
   SLX_ASSIGN_OR_RETURN(const auto file, ReadProfiles(f.in, true));
   SLX_ASSIGN_OR_RETURN(const auto model, FitProfiles(file.profiles, f.em, DirectionalOf(f.directional)));
   for (const std::string& warning : model.warnings) logger.Warning(warning);
@@ -104,7 +104,9 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
   fit->add_option("--mode", flags->mode, "tied: one set of layers for all sources; free: each source on its own [M]")
       ->check(CLI::IsMember({"tied", "free"}))
       ->capture_default_str();
-  fit->add_option("--eta", flags->em.eta, "Refractive index")->check(CLI::Range(1.0, 3.0))->capture_default_str();
+  fit->add_option("--eta", flags->em.scattering.eta, "Refractive index")
+      ->check(CLI::Range(1.0, 3.0))
+      ->capture_default_str();
   fit->add_option("--gain", flags->gain, "Angular gain of the incidence")
       ->check(CLI::IsMember({"model", "none"}))
       ->capture_default_str();

@@ -6,10 +6,13 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/fit_record.h"
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
-#include "fitter/pipeline/relight.h"
-#include "fitter/pipeline/run.h"
+#include "fitter/pipeline/session_fits.h"
+#include "fitter/session/choose_session.h"
+#include "fitter/session/session_frames.h"
+#include "fitter/stages/relight.h"
 #include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
@@ -43,19 +46,21 @@ Result<VirtualLight> LightOf(const Flags& f) {
 Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto light, LightOf(f));
   SLX_RETURN_IF_ERROR(light.Validate());
-  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, f.session));
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(f.store, f.session, SessionUse::kFit, logger));
+  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   const std::string session = frames.info().id;
-  if (!frames.calibration()) return Status::Usage("session " + session + " names no calibration");
   std::filesystem::path folder;
   if (f.fit.empty()) {
-    SLX_ASSIGN_OR_RETURN(folder, NewestFit(f.store, session));
+    SLX_ASSIGN_OR_RETURN(folder, NewestFit(f.store, session, logger));
   } else {
     folder = frames.store().FitFolder(session, f.fit);
   }
+  if (std::error_code error; std::filesystem::exists(folder / db::kFitRecordFile, error))
+    SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
   SLX_ASSIGN_OR_RETURN(const auto fit, LoadFit(folder));
   logger.Info("relighting fit " + folder.filename().string() + " of session " + session);
-  SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, *frames.calibration(), light));
+  SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, light));
   for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));

@@ -2,15 +2,17 @@
 #include "fitter/apps/run_command.h"
 
 #include <charconv>
-#include <cstdio>
 #include <cstdlib>
 #include <memory>
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/fit_record.h"
 #include "db/privacy/access_log.h"
 #include "fitter/pipeline/run.h"
+#include "fitter/pipeline/session_fits.h"
+#include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
 
 namespace stratalux::fit {
@@ -21,6 +23,7 @@ struct Flags {
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
               distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
   bool json = false, path_only = false;
+  CleanOptions clean;
 };
 
 void AddStore(CLI::App& verb, Flags& f) {
@@ -30,7 +33,7 @@ void AddStore(CLI::App& verb, Flags& f) {
 }
 
 void AddFitOptions(CLI::App& verb, Flags& f) {
-  verb.add_option("--layers", f.run.em.layers, "Scattering layers a pixel")
+  verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers a pixel")
       ->check(CLI::Range(1, 32))
       ->capture_default_str();
   verb.add_option("--mode", f.mode,
@@ -38,7 +41,7 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
       ->check(CLI::IsMember({"tied", "free"}))
       ->capture_default_str();
   verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
-  verb.add_option("--eta", f.run.em.eta, "Refractive index of skin")
+  verb.add_option("--eta", f.run.fit.em.scattering.eta, "Refractive index of skin")
       ->check(CLI::Range(1.0, 3.0))
       ->capture_default_str();
   verb.add_option("--gain", f.gain, "Angular gain: model or none")
@@ -61,7 +64,7 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
                   "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
                   "predicts the training lights, left out in turn, best; none: every pixel on its own")
       ->capture_default_str();
-  verb.add_option("--iterations", f.run.em.max_iterations,
+  verb.add_option("--iterations", f.run.fit.em.max_iterations,
                   "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
@@ -86,17 +89,31 @@ void AddFitOptions(CLI::App& verb, Flags& f) {
   verb.add_flag(
       "--standard-errors", f.run.standard_errors,
       "standard_errors.exr, too: of total weight, mean depth and width of each pixel (takes long at full size)");
-  verb.add_flag("--force", f.run.force, "Fit again even if this fit is complete");
+  verb.add_flag("--dry-run", f.run.dry_run, "Say which stages would run, and why; run none");
 }
 
-Status ParsePrior(const std::string& text, EmOptions& em) {
-  em.choose_prior = text == "auto";
-  em.prior = {};
-  if (em.choose_prior || text == "none") return Status::Ok();
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), em.prior.photons);
-  if (error == std::errc() && end == text.data() + text.size() && em.prior.photons > 0.0 && em.prior.photons <= 1e7)
+Status ParsePrior(const std::string& text, FitOptions& fit) {
+  LayerPrior& prior = fit.em.prior;
+  fit.choose.prior = text == "auto";
+  prior = {};
+  if (fit.choose.prior || text == "none") return Status::Ok();
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), prior.photons);
+  if (error == std::errc() && end == text.data() + text.size() && prior.photons > 0.0 && prior.photons <= 1e7)
     return Status::Ok();
   return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e7");
+}
+
+Status PrintPlan(const RunOutcome& outcome, bool json) {
+  if (json) {
+    nlohmann::ordered_json stages = nlohmann::ordered_json::array();
+    for (const PlannedStage& s : outcome.plan)
+      stages.push_back({{"stage", s.stage}, {"label", s.label}, {"key", s.key}, {"runs", !s.exists}, {"why", s.why}});
+    const nlohmann::ordered_json all = {{"session", outcome.session}, {"fit", outcome.fit}, {"stages", stages}};
+    return WriteStdout(all.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
+  }
+  std::string text;
+  for (const PlannedStage& s : outcome.plan) text += s.label + ": " + (s.exists ? "is there" : "runs: " + s.why) + "\n";
+  return WriteStdout(text);
 }
 
 int Execute(Flags& f) {
@@ -107,22 +124,24 @@ int Execute(Flags& f) {
   };
   const auto law = ParseShiftLaw(f.shift);
   if (!law.ok()) return finish(law.status());
-  f.run.em.shift_law = *law;
+  EmOptions& em = f.run.fit.em;
+  em.scattering.shift_law = *law;
   const auto reading = ParseSrdReading(f.reading);
   if (!reading.ok()) return finish(reading.status());
   f.run.srd.reading = *reading;
   const auto distance = ParseSrdDistance(f.distance);
   if (!distance.ok()) return finish(distance.status());
   f.run.srd.distance = *distance;
-  if (const Status prior = ParsePrior(f.prior, f.run.em); !prior.ok()) return finish(prior);
-  f.run.em.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
-  f.run.em.gain_model = f.gain == "model";
-  f.run.em.estimate_reflection = f.surface == "model";
-  f.run.em.background_term = f.background == "on";
-  f.run.em.choose_directions = f.directional == "on";
+  if (const Status prior = ParsePrior(f.prior, f.run.fit); !prior.ok()) return finish(prior);
+  em.scattering.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
+  em.scattering.gain_model = f.gain == "model";
+  f.run.fit.choose.reflection = f.surface == "model";
+  em.background_term = f.background == "on";
+  f.run.fit.choose.directions = f.directional == "on";
   f.run.geometry = f.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   const auto outcome = RunSession(f.run, logger);
   if (!outcome.ok()) return finish(outcome.status());
+  if (f.run.dry_run) return finish(PrintPlan(*outcome, f.json));
   const auto report = outcome->folder / "report" / "index.html";
   if (f.json) {
     const nlohmann::ordered_json json = {{"session", outcome->session},
@@ -135,11 +154,28 @@ int Execute(Flags& f) {
   return finish(WriteStdout((f.run.until == Stage::kReport ? report : outcome->folder).string() + "\n"));
 }
 
+Status Clean(const Flags& f, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.run.store, f.run.session, f.clean, logger));
+  if (f.json) {
+    const nlohmann::ordered_json json = {
+        {"removed", report.removed}, {"bytes", report.bytes}, {"kept", report.kept}, {"dry_run", f.clean.dry_run}};
+    return WriteStdout(json.dump(1) + "\n");
+  }
+  std::string text;
+  for (const std::string& name : report.removed) text += name + "\n";
+  const std::string size = Formatted("%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
+  return WriteStdout(text + std::to_string(report.removed.size()) + " artifacts " +
+                     (f.clean.dry_run ? "would be removed, " : "removed, ") + size + "; " +
+                     std::to_string(report.kept) + " kept\n");
+}
+
 Status PrintReport(const Flags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session));
+  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session, logger));
   const auto page = folder / "report" / "index.html", metrics = folder / "metrics.json";
   if (!std::filesystem::exists(page))
-    return Status::NotFound(page.string() + " is missing; `stratalux-fit run --force` makes it again");
+    return Status::NotFound(page.string() + " is missing; `stratalux-fit run` makes it again");
+  if (std::error_code error; std::filesystem::exists(folder / db::kFitRecordFile, error))
+    SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
   // STORE/sessions/<id>/fits/<fit>
   const std::string session = folder.parent_path().parent_path().filename().string();
   SLX_RETURN_IF_ERROR(db::LogAccess(f.run.store, "report", session, "fit " + folder.filename().string()));
@@ -156,12 +192,13 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     const char* name;
     const char* help;
     Stage until;
-  } verbs[] = {{"run", "All stages, from frames to the report; a complete fit is not done again", Stage::kReport},
-               {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
-               {"separate", "Direct and global light as EXR", Stage::kSeparate},
-               {"normals", "Four-source normals as EXR", Stage::kNormals},
-               {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
-               {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
+  } verbs[] = {
+      {"run", "All stages, from frames to the report; what an earlier run made is not made again", Stage::kReport},
+      {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
+      {"separate", "Direct and global light as EXR", Stage::kSeparate},
+      {"normals", "Four-source normals as EXR", Stage::kNormals},
+      {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
+      {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
   for (const auto& v : verbs) {
     auto flags = std::make_shared<Flags>();
     flags->run.until = v.until;
@@ -174,6 +211,25 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     AddFitOptions(*verb, *flags);
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });
   }
+  auto cleaned = std::make_shared<Flags>();
+  auto* clean = app.add_subcommand("clean", "Removes what the stages made and no fit of the session points to");
+  clean->footer(
+      "Fits keep all their files; what is removed is made again where a later run wants it.\n"
+      "Examples:\n  stratalux-fit clean latest --store store --dry-run\n"
+      "  stratalux-fit clean s000017 --store store --keep-days 7\n"
+      "  stratalux-fit clean s000017 --store store --damaged   # only what is not what its record says");
+  AddStore(*clean, *cleaned);
+  clean->add_option("--keep-days", cleaned->clean.keep_days, "Keep what is younger")
+      ->check(CLI::Range(0.0, 36500.0))
+      ->capture_default_str();
+  clean->add_flag("--damaged", cleaned->clean.damaged_only, "Only artifacts whose files were changed or are missing");
+  clean->add_flag("--dry-run", cleaned->clean.dry_run, "Say what would go; remove nothing");
+  clean->callback([cleaned, &exit_code] {
+    Logger logger;
+    const Status status = Clean(*cleaned, logger);
+    if (!status.ok()) logger.Error(status.message());
+    exit_code = status.exit_code();
+  });
   auto flags = std::make_shared<Flags>();
   auto* report = app.add_subcommand("report", "Where the newest report of a session is");
   AddStore(*report, *flags);

@@ -7,11 +7,13 @@
 #include <sys/stat.h>
 
 #include "fitter/apps/run_command.h"
+#include "fitter/pipeline/interruption.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
 #include "shared/base/version.h"
 
 int main(int argc, char** argv) {
+  stratalux::fit::RemoveOnInterruption();
   CLI::App app(
       "stratalux-fit: reconstructs, fits scattering layers, renders, compares, reports.\n\nExamples:\n"
       "  stratalux-fit run latest --store store\n"
@@ -19,6 +21,7 @@ int main(int argc, char** argv) {
       "  stratalux-fit calibrate --last 12 --store store\n"
       "  stratalux-fit decode latest --store store --out decoded\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
+      "  stratalux-fit clean latest --store store --dry-run\n"
       "  stratalux-fit profiles fit --in arm.csv --out arm.json");
   app.set_version_flag("--version", stratalux::kVersion);
   app.require_subcommand(1);

@@ -3,9 +3,10 @@
 
 #include <array>
 #include <cmath>
-#include <cstdio>
 
 #include <nlohmann/json.hpp>
+
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -39,12 +40,6 @@ Json DeviceJson(const GeometryReport& report, size_t d) {
   device["coverage"] = report.coverage[d];
   device["coverage_map"] = report.coverage_map[d];
   return device;
-}
-
-void Append(std::string& text, const char* format, auto... values) {
-  std::array<char, 320> line{};
-  std::snprintf(line.data(), line.size(), format, values...);
-  text += line.data();
 }
 
 }  // namespace
@@ -111,24 +106,25 @@ std::string ReportJson(const GeometryReport& report, const std::vector<Finding>&
 
 std::string ReportText(const GeometryReport& report) {
   std::string text;
-  Append(text, "%zu poses, %d corners, %zu rejected; distortion %s; RMS %.3f px, held-out poses %.3f px\n",
-         report.training.size(), report.corners, report.rejected.size(), ToString(report.distortion),
-         report.training_total.JointRms(), report.held_out_total.JointRms());
+  text += Formatted("%zu poses, %d corners, %zu rejected; distortion %s; RMS %.3f px, held-out poses %.3f px\n",
+                    report.training.size(), report.corners, report.rejected.size(), ToString(report.distortion),
+                    report.training_total.JointRms(), report.held_out_total.JointRms());
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
     const std::vector<double> v = DeviceParameters(report.bundle.rig, d);
     auto sd = [&](Eigen::Index i) { return report.covariances.empty() ? NAN : std::sqrt(report.covariances[d](i, i)); };
-    Append(text,
-           "  %-12s RMS %.3f, held-out %.3f px; fx %.2f +- %.2f, fy %.2f +- %.2f, cx %.2f +- %.2f, cy %.2f +- %.2f",
-           DeviceName(d).c_str(), report.training_total.Rms(d), report.held_out_total.Rms(d), v[0], sd(0), v[1], sd(1),
-           v[2], sd(2), v[3], sd(3));
+    text += Formatted(
+        "  %-12s RMS %.3f, held-out %.3f px; fx %.2f +- %.2f, fy %.2f +- %.2f, cx %.2f +- %.2f, cy %.2f +- %.2f",
+        DeviceName(d).c_str(), report.training_total.Rms(d), report.held_out_total.Rms(d), v[0], sd(0), v[1], sd(1),
+        v[2], sd(2), v[3], sd(3));
     if (d > 0)
-      Append(text, "; %.2f mm from the camera, epipolar %.3f px",
-             report.bundle.rig.projectors[d - 1].camera_from_projector.translation_mm.norm(), report.epipolar.Rms(d));
+      text += Formatted("; %.2f mm from the camera, epipolar %.3f px",
+                        report.bundle.rig.projectors[d - 1].camera_from_projector.translation_mm.norm(),
+                        report.epipolar.Rms(d));
     text += "\n";
   }
   for (size_t k = 0; k < report.training.size(); ++k)
-    Append(text, "  %s: tilt %.1f degrees, RMS %.3f, held out %.3f px\n", report.used.poses[k].name.c_str(),
-           report.tilt_deg[k], report.training[k].JointRms(), report.held_out[k].errors.JointRms());
+    text += Formatted("  %s: tilt %.1f degrees, RMS %.3f, held out %.3f px\n", report.used.poses[k].name.c_str(),
+                      report.tilt_deg[k], report.training[k].JointRms(), report.held_out[k].errors.JointRms());
   return text;
 }
 

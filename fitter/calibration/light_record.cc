@@ -2,9 +2,10 @@
 #include "fitter/calibration/light_record.h"
 
 #include <array>
-#include <cstdio>
 
 #include <nlohmann/json.hpp>
+
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -62,25 +63,19 @@ Json ProjectorJson(const ProjectorLightReport& p) {
   return json;
 }
 
-void Append(std::string& text, const char* format, auto... values) {
-  std::array<char, 320> line{};
-  std::snprintf(line.data(), line.size(), format, values...);
-  text += line.data();
-}
-
 void AppendProjector(std::string& text, const ProjectorLightReport& p) {
   if (p.response.empty() && !p.falloff) return;
-  Append(text, "  %s:", p.name.c_str());
+  text += Formatted("  %s:", p.name.c_str());
   if (!p.response.empty())
-    Append(text, " response %.2f %% off a line at most, lamp drift %.2f %%;", 100.0 * p.largest_deviation,
-           100.0 * p.lamp_drift);
+    text += Formatted(" response %.2f %% off a line at most, lamp drift %.2f %%;", 100.0 * p.largest_deviation,
+                      100.0 * p.lamp_drift);
   if (p.falloff)
-    Append(text, " fall-off %.1f +- %.1f %% at the edge, white %.4g %.4g %.4g DN mm2/ms;",
-           100.0 * ((*p.falloff)[0] + (*p.falloff)[1]), 100.0 * p.falloff_sd, p.white_dn_mm2_per_ms[0],
-           p.white_dn_mm2_per_ms[1], p.white_dn_mm2_per_ms[2]);
-  if (p.black_level) Append(text, " black %.5f of white;", *p.black_level);
-  if (p.line_blur_px) Append(text, " blur %.2f px;", *p.line_blur_px);
-  if (p.line) Append(text, " line of %d px: %.3f px, %.3f mm", p.line->width_px, p.line->measured_px, p.line->mm);
+    text += Formatted(" fall-off %.1f +- %.1f %% at the edge, white %.4g %.4g %.4g DN mm2/ms;",
+                      100.0 * ((*p.falloff)[0] + (*p.falloff)[1]), 100.0 * p.falloff_sd, p.white_dn_mm2_per_ms[0],
+                      p.white_dn_mm2_per_ms[1], p.white_dn_mm2_per_ms[2]);
+  if (p.black_level) text += Formatted(" black %.5f of white;", *p.black_level);
+  if (p.line_blur_px) text += Formatted(" blur %.2f px;", *p.line_blur_px);
+  if (p.line) text += Formatted(" line of %d px: %.3f px, %.3f mm", p.line->width_px, p.line->measured_px, p.line->mm);
   text += "\n";
 }
 
@@ -113,24 +108,26 @@ std::string LightJson(const LightReport& report) {
 std::string LightText(const LightReport& report) {
   std::string text = "light:\n";
   if (const auto& d = report.dark)
-    Append(text,
-           "  dark: black level %.2f DN (sites differ by %.2f), read noise %.3f DN, dark current %.2f DN/s, %lld hot "
-           "pixels\n",
-           d->black_level_dn, d->offset_spread_dn, d->read_noise_dn, d->dark_current_dn_per_s,
-           static_cast<long long>(d->hot_pixels));
+    text += Formatted(
+        "  dark: black level %.2f DN (sites differ by %.2f), read noise %.3f DN, dark current %.2f DN/s, %lld hot "
+        "pixels\n",
+        d->black_level_dn, d->offset_spread_dn, d->read_noise_dn, d->dark_current_dn_per_s,
+        static_cast<long long>(d->hot_pixels));
   if (const auto& t = report.transfer)
-    Append(text, "  gain %.4f +- %.4f electrons/DN (read noise by photon transfer %.2f DN)\n", t->gain_e_per_dn,
-           t->gain_sd, t->read_noise_dn);
+    text += Formatted("  gain %.4f +- %.4f electrons/DN (read noise by photon transfer %.2f DN)\n", t->gain_e_per_dn,
+                      t->gain_sd, t->read_noise_dn);
   if (const auto& r = report.camera_response)
-    Append(text, "  camera response: %.2f %% off a line at most, measured to %.0f %% of the range, residual %.3f %%\n",
-           100.0 * r->largest_deviation, 100.0 * r->reached, 100.0 * r->residual);
+    text +=
+        Formatted("  camera response: %.2f %% off a line at most, measured to %.0f %% of the range, residual %.3f %%\n",
+                  100.0 * r->largest_deviation, 100.0 * r->reached, 100.0 * r->residual);
   if (report.vignetting)
-    Append(text, "  vignetting: %.1f +- %.1f %% at the edge\n",
-           100.0 * ((*report.vignetting)[0] + (*report.vignetting)[1]), 100.0 * report.vignetting_sd);
-  if (report.camera_blur_px) Append(text, "  camera blur %.2f px\n", *report.camera_blur_px);
+    text += Formatted("  vignetting: %.1f +- %.1f %% at the edge\n",
+                      100.0 * ((*report.vignetting)[0] + (*report.vignetting)[1]), 100.0 * report.vignetting_sd);
+  if (report.camera_blur_px) text += Formatted("  camera blur %.2f px\n", *report.camera_blur_px);
   for (const FlatPoseReport& f : report.flats)
-    Append(text, "  flat, session %s: %.0f mm away, tilt %.1f degrees, flat to %.2f mm, light explained to %.2f %%\n",
-           f.session.c_str(), f.distance_mm, f.tilt_deg, f.plane_rms_mm, 100.0 * f.residual);
+    text +=
+        Formatted("  flat, session %s: %.0f mm away, tilt %.1f degrees, flat to %.2f mm, light explained to %.2f %%\n",
+                  f.session.c_str(), f.distance_mm, f.tilt_deg, f.plane_rms_mm, 100.0 * f.residual);
   for (const ProjectorLightReport& p : report.projectors) AppendProjector(text, p);
   for (const std::string& kept : report.carried_over) text += "  kept from the record before: " + kept + "\n";
   return text;

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <map>
 
 #include "fitter/structured_light/local_homography.h"
+#include "shared/base/formatted.h"
 #include "shared/base/median.h"
 #include "shared/pattern/pattern.h"
 
@@ -15,12 +15,6 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kSaturationReach = 10;  // sites about a corner that are looked at
-
-std::string Fixed(double value, int digits) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f", digits, value);
-  return text;
-}
 
 double SaturatedShare(const Image<uint8_t>& saturated, const std::vector<BoardCorner>& corners) {
   int64_t all = 0, bad = 0;
@@ -67,7 +61,7 @@ Status CheckStill(const std::string& what, const Image<float>& picture, const st
   if (!there.ok()) return Status::Ok();
   const double moved = Motion(*there, corners);
   if (moved <= options.max_motion_px) return Status::Ok();
-  return Status::Failed("the board moved by " + Fixed(moved, 2) + " px (" + what +
+  return Status::Failed("the board moved by " + Formatted("%.2f", moved) + " px (" + what +
                         " against all pictures of the pose); fix it and capture this pose again");
 }
 
@@ -126,7 +120,7 @@ Result<std::vector<BoardCorner>> FindStillBoard(const std::vector<ProjectorPictu
   if (!corners.ok()) {
     for (const ProjectorPictures& p : pictures)
       if (const double share = SaturatedShare(p.saturated); share > options.max_saturated)
-        return Status(corners.status().code(), corners.status().message() + "; " + Fixed(100.0 * share, 0) +
+        return Status(corners.status().code(), corners.status().message() + "; " + Formatted("%.0f", 100.0 * share) +
                                                    " % of projector " + std::to_string(p.projector) +
                                                    "'s white frame is saturated: shorten the exposure");
     return corners.status();
@@ -138,7 +132,7 @@ Result<std::vector<BoardCorner>> FindStillBoard(const std::vector<ProjectorPictu
   for (const ProjectorPictures& p : pictures) {
     const std::string name = "projector " + std::to_string(p.projector);
     if (const double share = SaturatedShare(p.saturated, *corners); share > options.max_saturated)
-      return Status::Failed(Fixed(100.0 * share, 0) + " % of the board is saturated in the white of " + name +
+      return Status::Failed(Formatted("%.0f", 100.0 * share) + " % of the board is saturated in the white of " + name +
                             "; shorten the exposure and capture this pose again");
     SLX_RETURN_IF_ERROR(CheckStill(name + ", white", p.white_light, *corners, board, options));
     SLX_RETURN_IF_ERROR(CheckStill(name + ", after its codes", p.codes_light, *corners, board, options));

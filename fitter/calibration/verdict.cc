@@ -4,24 +4,13 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
 
+#include "shared/base/formatted.h"
 #include "shared/base/median.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
-
-// Both as in printf.
-[[gnu::format(printf, 1, 2)]] std::string Text(const char* format, ...) {
-  char text[320];
-  va_list values;
-  va_start(values, format);
-  std::vsnprintf(text, sizeof text, format, values);
-  va_end(values);
-  return text;
-}
 
 const Pinhole& ModelOf(const RigGeometry& rig, size_t device) {
   return device == 0 ? rig.camera : rig.projectors[device - 1].model;
@@ -60,13 +49,14 @@ double Displacement(const Pinhole& m) {
 void JudgeModel(const Pinhole& m, const std::string& name, const VerdictOptions& options, Findings& findings) {
   const double aspect = std::abs(m.fx / m.fy - 1.0);
   if (!(aspect <= options.max_aspect))
-    findings.Refuse(Text("%s: fx = %.1f and fy = %.1f px differ by %.1f %%", name.c_str(), m.fx, m.fy, 100.0 * aspect),
-                    "real pixels are square; capture more poses, tilted in different ways");
+    findings.Refuse(
+        Formatted("%s: fx = %.1f and fy = %.1f px differ by %.1f %%", name.c_str(), m.fx, m.fy, 100.0 * aspect),
+        "real pixels are square; capture more poses, tilted in different ways");
   const double displacement = Displacement(m);
   if (!(displacement <= options.max_displacement))
     findings.Refuse(name + ": absurd distortion" +
                         (std::isinf(displacement) ? std::string(": the model folds over inside the picture")
-                                                  : Text(", %.0f %% of half the picture", 100.0 * displacement)),
+                                                  : Formatted(", %.0f %% of half the picture", 100.0 * displacement)),
                     "bring the board into the corners of the picture, or fix the model with --distortion k1");
 }
 
@@ -74,8 +64,8 @@ void JudgeTilts(const GeometryReport& report, const VerdictOptions& options, Fin
   const auto tilted = std::count_if(report.tilt_deg.begin(), report.tilt_deg.end(),
                                     [&](double tilt) { return tilt >= options.min_tilt_deg; });
   if (tilted < options.min_tilted) {
-    findings.Refuse(Text("only %d of %zu poses are tilted by %.0f degrees or more", static_cast<int>(tilted),
-                         report.tilt_deg.size(), options.min_tilt_deg),
+    findings.Refuse(Formatted("only %d of %zu poses are tilted by %.0f degrees or more", static_cast<int>(tilted),
+                              report.tilt_deg.size(), options.min_tilt_deg),
                     "boards that face the camera do not fix the focal length: tilt the board by 15 to 35 degrees, each "
                     "pose in another direction");
     return;
@@ -90,7 +80,7 @@ void JudgeTilts(const GeometryReport& report, const VerdictOptions& options, Fin
   const double spread =
       DegFromRad(std::sqrt(std::max(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(second).eigenvalues()[0], 0.0)));
   if (spread < options.min_tilt_spread_deg)
-    findings.Refuse(Text("all boards are tilted about one axis (%.1f degrees about the other)", spread),
+    findings.Refuse(Formatted("all boards are tilted about one axis (%.1f degrees about the other)", spread),
                     "tilt the board to the left, to the right, up and down");
 }
 
@@ -98,8 +88,8 @@ void JudgeHeldOut(const GeometryReport& report, const VerdictOptions& options, F
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
     const double training = report.training_total.Rms(d), held_out = report.held_out_total.Rms(d);
     if (held_out <= options.max_held_out_ratio * training + options.negligible_px) continue;
-    findings.Refuse(Text("%s: a pose that was left out is predicted to %.3f px, those used fit to %.3f px",
-                         DeviceName(d).c_str(), held_out, training),
+    findings.Refuse(Formatted("%s: a pose that was left out is predicted to %.3f px, those used fit to %.3f px",
+                              DeviceName(d).c_str(), held_out, training),
                     "the poses do not determine the model: capture more of them, spread over the picture and tilted; a "
                     "simpler one (--distortion k1) needs fewer");
   }
@@ -117,7 +107,7 @@ void JudgeSpread(const GeometryReport& report, const VerdictOptions& options, Fi
       const double sd = std::sqrt(report.covariances[d](i, i)), value = i == 0 ? m.fx : m.fy;
       if (sd <= options.max_focal_sd * value) continue;
       findings.Refuse(
-          Text("%s: %s = %.1f px is known to %.1f px only", DeviceName(d).c_str(), ParameterName(i), value, sd),
+          Formatted("%s: %s = %.1f px is known to %.1f px only", DeviceName(d).c_str(), ParameterName(i), value, sd),
           "capture more poses, tilted in different ways");
     }
 }
@@ -125,19 +115,20 @@ void JudgeSpread(const GeometryReport& report, const VerdictOptions& options, Fi
 void JudgeAmounts(const GeometryReport& report, const VerdictOptions& options, Findings& findings) {
   const int poses = static_cast<int>(report.used.poses.size());
   if (poses < options.min_poses)
-    findings.Refuse(Text("%d poses", poses), Text("capture at least %d, better 12", options.min_poses));
+    findings.Refuse(Formatted("%d poses", poses), Formatted("capture at least %d, better 12", options.min_poses));
   else if (poses < options.advised_poses)
-    findings.Warn(Text("%d poses", poses), "12 are advised");
+    findings.Warn(Formatted("%d poses", poses), "12 are advised");
   const double rejected = static_cast<double>(report.rejected.size()) /
                           std::max<double>(report.corners + static_cast<double>(report.rejected.size()), 1.0);
   if (rejected > options.max_rejected)
-    findings.Refuse(Text("%.0f %% of the corners contradict the others; the worst lie in %s", 100.0 * rejected,
-                         report.rejected.front().pose.c_str()),
+    findings.Refuse(Formatted("%.0f %% of the corners contradict the others; the worst lie in %s", 100.0 * rejected,
+                              report.rejected.front().pose.c_str()),
                     "capture these poses again: the board moved, is bent, or shines");
   for (size_t d = 0; d < report.coverage.size(); ++d)
     if (report.coverage[d] < options.advised_coverage)
-      findings.Warn(Text("%s: corners in %.0f %% of the picture", DeviceName(d).c_str(), 100.0 * report.coverage[d]),
-                    "bring the board to where there are none (coverage map)");
+      findings.Warn(
+          Formatted("%s: corners in %.0f %% of the picture", DeviceName(d).c_str(), 100.0 * report.coverage[d]),
+          "bring the board to where there are none (coverage map)");
 }
 
 // How many times farther our projectors stand from the camera.
@@ -170,9 +161,9 @@ std::vector<Finding> JudgeCalibration(const GeometryReport& report, const Verdic
 std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& report, const VerdictOptions& options) {
   Findings findings;
   if (given.projectors.size() != report.bundle.rig.projectors.size()) {
-    findings.Refuse(
-        Text("%zu projectors, the corners are of %zu", given.projectors.size(), report.bundle.rig.projectors.size()),
-        "use a calibration of this rig");
+    findings.Refuse(Formatted("%zu projectors, the corners are of %zu", given.projectors.size(),
+                              report.bundle.rig.projectors.size()),
+                    "use a calibration of this rig");
     return std::move(findings.list);
   }
   DeviceErrors total(report.sigma_px.size());
@@ -186,11 +177,11 @@ std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& 
     JudgeModel(theirs, DeviceName(d), options, findings);
     for (const auto& [name, f, g] : {std::tuple{"fx", theirs.fx, ours.fx}, std::tuple{"fy", theirs.fy, ours.fy}})
       if (std::abs(f / g - 1.0) > options.max_focal)
-        findings.Refuse(Text("%s: %s = %.1f px, the corners say %.1f", DeviceName(d).c_str(), name, f, g),
+        findings.Refuse(Formatted("%s: %s = %.1f px, the corners say %.1f", DeviceName(d).c_str(), name, f, g),
                         "a low training error does not make it right: calibrate again");
     if (total.Rms(d) > options.max_held_out_ratio * report.training_total.Rms(d) + options.negligible_px)
-      findings.Refuse(Text("%s: explains the corners to %.3f px, %.3f px is possible", DeviceName(d).c_str(),
-                           total.Rms(d), report.training_total.Rms(d)),
+      findings.Refuse(Formatted("%s: explains the corners to %.3f px, %.3f px is possible", DeviceName(d).c_str(),
+                                total.Rms(d), report.training_total.Rms(d)),
                       "calibrate again");
   }
   return std::move(findings.list);
@@ -202,7 +193,7 @@ std::vector<Finding> CompareWithKnownRig(const RigGeometry& known, const Geometr
   const RigGeometry& ours = report.bundle.rig;
   if (known.projectors.size() != ours.projectors.size()) {
     findings.Warn(
-        Text("%zu projectors, the earlier calibration has %zu", ours.projectors.size(), known.projectors.size()),
+        Formatted("%zu projectors, the earlier calibration has %zu", ours.projectors.size(), known.projectors.size()),
         "none, if the rig was changed");
     return std::move(findings.list);
   }
@@ -219,17 +210,17 @@ std::vector<Finding> CompareWithKnownRig(const RigGeometry& known, const Geometr
       if (distance(q) < 0.3 * distance(nearest)) nearest = q;
     if (nearest == p) continue;
     exchanged = true;
-    findings.Refuse(Text("projector %zu stands where projector %zu stood", p, nearest),
+    findings.Refuse(Formatted("projector %zu stands where projector %zu stood", p, nearest),
                     "exchange their cables, or give them their new numbers on purpose");
   }
   if (exchanged) return std::move(findings.list);
   if (*most / *least > 1.0 + 2.0 * options.max_scale)
-    findings.Warn(Text("the projectors stand %.3f to %.3f times as far from the camera as before", *least, *most),
+    findings.Warn(Formatted("the projectors stand %.3f to %.3f times as far from the camera as before", *least, *most),
                   "none, if the rig was changed");
   else if (std::abs(scale - 1.0) > options.max_scale)
-    findings.Refuse(Text("the whole box is %.3f times as large as before", scale),
-                    Text("measure the board's squares: %.3f mm would fit, %.3f mm were given",
-                         report.used.board.square_mm / scale, report.used.board.square_mm));
+    findings.Refuse(Formatted("the whole box is %.3f times as large as before", scale),
+                    Formatted("measure the board's squares: %.3f mm would fit, %.3f mm were given",
+                              report.used.board.square_mm / scale, report.used.board.square_mm));
   return std::move(findings.list);
 }
 

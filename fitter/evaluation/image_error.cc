@@ -75,7 +75,10 @@ ImageError CompareImages(ImageView<const float> reference, ImageView<const float
         values.push_back(reference(x, y, c));
       }
     }
-  if (values.empty()) return result;
+  if (values.empty()) {
+    const double nan = std::nan("");
+    return {nan, {nan, nan, nan}, nan, nan, nan, 0};
+  }
   double all_error = 0.0, all_power = 0.0;
   for (int c = 0; c < channels; ++c) {
     result.nrmse_channel[c] = power[c] > 0.0 ? std::sqrt(error[c] / power[c]) : 0.0;
@@ -99,15 +102,17 @@ double NoiseFloor(ImageView<const float> reference, ImageView<const float> varia
   double noise = 0.0, power = 0.0;
   for (int y = 0; y < reference.height(); ++y)
     for (int x = 0; x < reference.width(); ++x) {
-      if (mask(x, y) == 0) continue;
+      bool finite = mask(x, y) != 0;
+      for (int c = 0; c < reference.channels(); ++c)
+        finite = finite && std::isfinite(reference(x, y, c)) && std::isfinite(variance(x, y, c));
+      if (!finite) continue;
       for (int c = 0; c < reference.channels(); ++c) {
         const double r = reference(x, y, c), v = variance(x, y, c);
-        if (!std::isfinite(r) || !std::isfinite(v)) continue;
         noise += v;
         power += r * r;
       }
     }
-  return power > 0.0 ? std::sqrt(noise / power) : 0.0;
+  return power > 0.0 ? std::sqrt(noise / power) : std::nan("");
 }
 
 SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,

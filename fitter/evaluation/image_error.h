@@ -19,12 +19,14 @@ struct ImageError {
   int64_t pixels = 0;    // of the mask that are finite in both images
 };
 
-// Images W x H x C, mask W x H. Pixels that are not finite in either image do not count.
+// Images W x H x C, mask W x H. Pixels that are not finite in either image do not count; where none is left every
+// figure is NaN.
 [[nodiscard]] ImageError CompareImages(ImageView<const float> reference, ImageView<const float> estimate,
                                        ImageView<const uint8_t> mask);
 
 // What `nrmse` of a perfect estimate would be against a reference whose every value carries noise of `variance` (same
-// shape): RMS(noise) / RMS(reference) over the mask. 0 where nothing is comparable.
+// shape): RMS(noise) / RMS(reference) over the mask's pixels that are finite in all
+// channels of both. NaN where there are none.
 [[nodiscard]] double NoiseFloor(ImageView<const float> reference, ImageView<const float> variance,
                                 ImageView<const uint8_t> mask);
 

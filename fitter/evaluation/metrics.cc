@@ -6,41 +6,93 @@
 
 #include <nlohmann/json.hpp>
 
-namespace stratalux::fit {
+#include "fitter/evaluation/metrics_json.h"
 
-double HeldOutFigure::AboveNoise() const {
-  return std::sqrt(std::max(0.0, error.nrmse * error.nrmse - noise_nrmse * noise_nrmse));
+namespace stratalux::fit {
+namespace {
+
+double FigureOf(const nlohmann::json& json) { return json.is_null() ? std::nan("") : json.get<double>(); }
+
+}  // namespace
+
+double HeldOutFigure::WithoutNoise() const {
+  const double left = error.nrmse * error.nrmse - noise_nrmse * noise_nrmse;
+  return left < 0.0 ? 0.0 : std::sqrt(left);  // NaN stays
+}
+
+void to_json(nlohmann::ordered_json& json, const HeldOutFigure& f) {
+  json = {{"projector", f.projector},
+          {"light", f.light},
+          {"model", f.model},
+          {"part", f.part},
+          {"direct", f.direct},
+          {"geometry", f.geometry},
+          {"pool", f.pool},
+          {"takes", f.takes},
+          {"nrmse", f.error.nrmse},
+          {"noise_nrmse", f.noise_nrmse},
+          {"camera_noise_nrmse", f.camera_noise_nrmse},
+          {"nrmse_without_noise", f.WithoutNoise()},
+          {"bias", f.error.bias},
+          {"nrmse_rgb", f.error.nrmse_channel},
+          {"psnr_db", f.error.psnr_db},
+          {"ssim", f.error.ssim},
+          {"pixels", f.error.pixels}};
+}
+
+void from_json(const nlohmann::json& json, HeldOutFigure& f) {
+  json.at("projector").get_to(f.projector);
+  json.at("light").get_to(f.light);
+  json.at("model").get_to(f.model);
+  json.at("part").get_to(f.part);
+  json.at("direct").get_to(f.direct);
+  json.at("geometry").get_to(f.geometry);
+  json.at("pool").get_to(f.pool);
+  json.at("takes").get_to(f.takes);
+  f.error.nrmse = FigureOf(json.at("nrmse"));
+  f.noise_nrmse = FigureOf(json.at("noise_nrmse"));
+  f.camera_noise_nrmse = FigureOf(json.at("camera_noise_nrmse"));
+  f.error.bias = FigureOf(json.at("bias"));
+  for (size_t c = 0; c < f.error.nrmse_channel.size(); ++c)
+    f.error.nrmse_channel[c] = FigureOf(json.at("nrmse_rgb").at(c));
+  f.error.psnr_db = FigureOf(json.at("psnr_db"));
+  f.error.ssim = FigureOf(json.at("ssim"));
+  json.at("pixels").get_to(f.error.pixels);
+}
+
+void to_json(nlohmann::ordered_json& json, const Coverage& c) {
+  json = {{"projector", c.projector},   {"geometry", c.geometry},
+          {"lit_skin", c.lit_skin},     {"judged", c.judged},
+          {"no_surface", c.no_surface}, {"unlit", c.unlit},
+          {"not_fitted", c.not_fitted}, {"not_skin", c.not_skin},
+          {"in_shadow", c.in_shadow},   {"left_out_nrmse", c.left_out_nrmse}};
+}
+
+void from_json(const nlohmann::json& json, Coverage& c) {
+  json.at("projector").get_to(c.projector);
+  json.at("geometry").get_to(c.geometry);
+  json.at("lit_skin").get_to(c.lit_skin);
+  json.at("judged").get_to(c.judged);
+  json.at("no_surface").get_to(c.no_surface);
+  json.at("unlit").get_to(c.unlit);
+  json.at("not_fitted").get_to(c.not_fitted);
+  json.at("not_skin").get_to(c.not_skin);
+  json.at("in_shadow").get_to(c.in_shadow);
+  for (const auto& [light, error] : json.at("left_out_nrmse").items()) c.left_out_nrmse[light] = FigureOf(error);
 }
 
 std::string Metrics::ToJson() const {
   using Json = nlohmann::ordered_json;
-  Json json = {{"schema", 1}, {"session", session}, {"fit_id", fit}, {"program_version", program_version}};
+  Json json = {{"schema", 2},
+               {"session", session},
+               {"fit_id", fit},
+               {"program_version", program_version},
+               {"evaluation", evaluation}};
   json["options"] = options_json.empty() ? Json::object() : Json::parse(options_json);
-  json["heldout"] = Json::array();
-  for (const HeldOutFigure& f : heldout)
-    json["heldout"].push_back({{"projector", f.projector},
-                               {"light", f.light},
-                               {"model", f.model},
-                               {"part", f.part},
-                               {"direct", f.direct},
-                               {"geometry", f.geometry},
-                               {"pool", f.pool},
-                               {"nrmse", f.error.nrmse},
-                               {"noise_nrmse", f.noise_nrmse},
-                               {"nrmse_above_noise", f.AboveNoise()},
-                               {"bias", f.error.bias},
-                               {"nrmse_rgb", f.error.nrmse_channel},
-                               {"psnr_db", f.error.psnr_db},
-                               {"ssim", f.error.ssim},
-                               {"pixels", f.error.pixels}});
-  json["ablations"] = Json::array();
-  for (const AblationFigure& a : ablations)
-    json["ablations"].push_back({{"name", a.name},
-                                 {"projector", a.projector},
-                                 {"light", a.light},
-                                 {"part", a.part},
-                                 {"nrmse", a.nrmse},
-                                 {"baseline_nrmse", a.baseline_nrmse}});
+  json["artifacts"] = artifacts;
+  json["prediction"] = heldout;
+  json["ablations"] = ablations;
+  json["coverage"] = coverage;
   json["srd_centroid"] = Json::array();
   for (const CentroidFigure& c : centroids)
     json["srd_centroid"].push_back({{"projector", c.projector},
@@ -49,17 +101,17 @@ std::string Metrics::ToJson() const {
                                     {"predicted_mm_per_shift", c.error.predicted_mm},
                                     {"rms_mm", c.error.rms_mm},
                                     {"profiles", c.error.profiles}});
-  json["fit"] = {
-      {"divergence", divergence},
-      {"iterations_median", iterations_median},
-      {"tau", tau},
-      {"surface",
-       reflection.Known() ? Json{{"strength", reflection.strength}, {"roughness", reflection.roughness}} : Json()},
-      {"wide_weight_fraction", wide_weight_fraction},
-      {"pixels", pixels},
-      {"prior_photons", prior_photons},
-      {"weak_pixels", weak_pixels},
-      {"masked_by_reason", masked_by_reason}};
+  json["fit"] = {{"divergence", summary.divergence},
+                 {"iterations_median", summary.iterations_median},
+                 {"tau", summary.tau},
+                 {"surface", summary.reflection.Known() ? Json{{"strength", summary.reflection.strength},
+                                                               {"roughness", summary.reflection.roughness}}
+                                                        : Json()},
+                 {"wide_weight_fraction", summary.wide_weight_fraction},
+                 {"pixels", summary.pixels},
+                 {"prior_photons", summary.prior_photons},
+                 {"weak_pixels", summary.weak_pixels},
+                 {"masked_by_reason", summary.masked_by_reason}};
   json["sweeps"] = Json::array();
   for (const SweepFigure& s : sweeps)
     json["sweeps"].push_back(

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// metrics.json, schema 1 (model section 9; docs/math/evaluation.md).
+// metrics.json, schema 2 (model section 9; docs/math/evaluation.md).
 #pragma once
 
 #include <map>
@@ -7,53 +7,53 @@
 #include <string>
 #include <vector>
 
-#include "fitter/calibration/drift.h"
 #include "fitter/evaluation/image_error.h"
-#include "fitter/evaluation/srd_centroid.h"
+#include "fitter/mixture/srd_centroid.h"
+#include "fitter/reconstruction/drift.h"
+#include "fitter/stages/fit_summary.h"
+#include "fitter/stages/srd.h"
 
 namespace stratalux::fit {
 
 struct HeldOutFigure {
   int projector = 0;
-  std::string light;     // stripe | white | spot
-  std::string model;     // tied | free | homogeneous | homogeneous_local_albedo | direction_blind | dipole
-  std::string part;      // total | subsurface
-  std::string direct;    // measured | rendered | none
+  std::string light;  // stripe | white | spot
+  std::string model;  // tied | free | homogeneous | homogeneous_local_albedo | direction_blind | dipole | an ablation
+  std::string part;   // total | subsurface
+  // total: the separated direct light, or the model's own prediction of the surface's; subsurface: against the truth of
+  // a simulation, or the captured light less the separated direct one.
+  std::string direct;    // separated | predicted | truth
   std::string geometry;  // reconstructed | truth
   int pool = 1;          // quads per side that one fitted profile covers
+  int takes = 1;         // of the light that is compared with: their mean
   ImageError error;
-  // Of error.nrmse, what the noise of the frame that is compared with makes up, in quadrature; 0 for the truth of a
-  // simulation.
+  // Of error.nrmse, what the noise of that mean makes up, in quadrature: by half the difference of the takes (of one
+  // take: as the next), and by the camera's noise model. 0 for the truth of a simulation.
   double noise_nrmse = 0.0;
-  // What is left of it: the error against the same frame without noise.
-  [[nodiscard]] double AboveNoise() const;
+  double camera_noise_nrmse = 0.0;
+  // What is left of it: the error against the same light without noise.
+  [[nodiscard]] double WithoutNoise() const;
 };
 
-struct AblationFigure {
-  std::string name;  // projectors_permuted | comb_frames_shuffled
+// Which quads were judged, of those that could have been. With a truth, of the skin that the light truly reaches; else
+// of the reconstructed surface.
+struct Coverage {
   int projector = 0;
-  std::string light;
-  std::string part;  // total (with the measured direct light) | subsurface
-  double nrmse = 0.0;
-  double baseline_nrmse = 0.0;  // the same fit, not ablated
+  std::string geometry;
+  int64_t lit_skin = 0;  // truly lit skin; 0: no truth
+  int64_t judged = 0;
+  // Not judged, because ...
+  int64_t no_surface = 0, unlit = 0, not_fitted = 0;
+  // Fitted and lit by the codes, but not judged: hair, eyes or anything else; skin that the light does not truly reach.
+  int64_t not_skin = 0, in_shadow = 0;
+  // Of the judged fit, total, over what it predicts and is not judged; by light.
+  std::map<std::string, double> left_out_nrmse;
 };
 
 struct CentroidFigure {
   int projector = 0;
   std::string geometry;
   CentroidError error;
-};
-
-// What became of one projector's sweep along one axis.
-struct SweepFigure {
-  int projector = 0;
-  std::string axis;  // columns | rows
-  std::map<std::string, int64_t> profiles_by_reason;
-  int missing_frames = 0;
-  // Cycle sum over w / q whites, where both are known: median, and the 95th percentile of its distance from 1.
-  int64_t energy_profiles = 0;
-  double energy_median = 1.0;
-  double energy_p95_error = 0.0;
 };
 
 struct StageFigure {
@@ -65,18 +65,13 @@ struct StageFigure {
 
 struct Metrics {
   std::string session, fit, program_version, options_json;
+  std::string evaluation;                        // first | held_out | full: what of it is in here
+  std::map<std::string, std::string> artifacts;  // stage -> key, of what the fit is made of
   std::vector<HeldOutFigure> heldout;
-  std::vector<AblationFigure> ablations;
+  std::vector<HeldOutFigure> ablations;  // and, beside each, the judged fit on the same mask
+  std::vector<Coverage> coverage;
   std::vector<CentroidFigure> centroids;  // of the fitted model's held-out SRDs
-  double divergence = 0.0;                // median
-  int iterations_median = 0;
-  double tau = 0.0;
-  SurfaceReflection reflection;
-  double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
-  int64_t pixels = 0;
-  double prior_photons = 0.0;  // N0 of the prior (docs/math/em.md); 0: none
-  int64_t weak_pixels = 0;     // fitted, of fewer photons than that: their layers lean on the session's mean
-  std::map<std::string, int64_t> masked_by_reason;
+  FitSummary summary;
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;
   DriftReport drift;                  // of the rig since its calibration

@@ -25,6 +25,28 @@ Result<Image<float>> SceneTruth::Subsurface(const std::string& light, int projec
   return segment_.Read("subsurface " + light + " " + std::to_string(projector));
 }
 
+Result<Image<uint8_t>> SceneTruth::Skin() const {
+  constexpr float kSkin = 1.0F;  // docs/file-formats.md, "truth.seg"
+  auto material = segment_.Read("material");
+  if (material.status().code() == StatusCode::kNotFound) return Image<uint8_t>();
+  if (!material.ok()) return material.status();
+  Image<uint8_t> skin(material->width(), material->height());
+  for (size_t i = 0; i < skin.size(); ++i) skin.pixels()[i] = material->pixels()[i] == kSkin ? 1 : 0;
+  return skin;
+}
+
+Result<Image<uint8_t>> SceneTruth::LitBy(int projector) const {
+  auto direct = segment_.Read("direct white " + std::to_string(projector));
+  if (direct.status().code() == StatusCode::kNotFound) return Image<uint8_t>();
+  if (!direct.ok()) return direct.status();
+  Image<uint8_t> lit(direct->width(), direct->height());
+  for (int j = 0; j < lit.height(); ++j)
+    for (int i = 0; i < lit.width(); ++i)
+      for (int c = 0; c < direct->channels(); ++c)
+        if ((*direct)(i, j, c) > 0.0F) lit(i, j) = 1;
+  return lit;
+}
+
 Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& calibration) const {
   const RigCalibration& rig = exact_ ? *exact_ : calibration;
   SLX_ASSIGN_OR_RETURN(const auto depth, Depth());

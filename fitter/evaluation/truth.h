@@ -20,6 +20,10 @@ class SceneTruth {
   [[nodiscard]] Result<Image<float>> Normal() const { return segment_.Read("normal"); }
   // "stripe", "white" or "spot" light of a projector, digital numbers above black.
   [[nodiscard]] Result<Image<float>> Subsurface(const std::string& light, int projector) const;
+  // On quads: what is skin; what of the scene the projector's light reaches. empty where the truth, of an older
+  // simulation, does not say.
+  [[nodiscard]] Result<Image<uint8_t>> Skin() const;
+  [[nodiscard]] Result<Image<uint8_t>> LitBy(int projector) const;
   // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
   // another calibration than the exact one, on the rays of the exact one, which lies beside the truth.
   [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;

@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
+#include "fitter/mixture/profile_fit.h"
 #include "fitter/mixture/sampled_lights.h"
 #include "shared/base/parallel.h"
 
@@ -20,17 +20,18 @@ constexpr int64_t kLeastProfiles = 100;
 // Enough to tell them; more cost time.
 constexpr int64_t kPixels = 512;
 
+// Both in photons; read noise has none.
 struct Score {
   double divergence = 0.0, photons = 0.0;
 };
 
 // What a fit to other lights predicts of a light: its layers, the mean of its lights' floor and, where it is not
 // known, surface.
-ReferenceFit Prediction(const MixtureMap& map, int64_t profile) {
-  ReferenceFit fit;
+ProfileFit Prediction(const MixtureMap& map, int64_t profile) {
+  ProfileFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = map.tau;
-  fit.directional = map.directional;
+  fit.tau = map.scattering.tau;
+  fit.directional = map.scattering.directional;
   const size_t lights = map.training_projectors.size();
   double surface = 0.0, background = 0.0, lit = 0.0;
   for (size_t p = profile * lights; p < (profile + 1) * lights; ++p) {
@@ -44,19 +45,13 @@ ReferenceFit Prediction(const MixtureMap& map, int64_t profile) {
   return fit;
 }
 
-// Shifted Poisson, in photons.
 Score ScoreOf(const MixtureMap& map, const SrdBatch& light, int64_t profile, const EmOptions& options) {
-  const ReferenceLight left_out = ReferenceLightOf(light, profile, options);
-  ReferenceFit prediction = Prediction(map, profile);
+  const ProfileLight left_out = ProfileLightOf(light, profile, options);
+  ProfileFit prediction = Prediction(map, profile);
   if (left_out.reflected >= 0.0) prediction.surface = {left_out.reflected};
-  const std::vector<double> model = ReferenceModelOf(prediction, {&left_out, 1}, 0);
   Score score;
-  for (size_t k = 0; k < model.size(); ++k) {
-    const double data = std::max(left_out.y[k] + left_out.read_shift, 0.0);
-    const double expected = std::max(model[k] + left_out.read_shift, 1e-12);
-    score.divergence += left_out.counts * (expected - data + (data > 0.0 ? data * std::log(data / expected) : 0.0));
-    score.photons += left_out.counts * left_out.y[k];
-  }
+  score.divergence = MisfitOf(left_out, ModelOf(prediction, FineGrid(left_out), 0)).divergence;
+  for (const double y : left_out.y) score.photons += left_out.counts * y;
   return score;
 }
 

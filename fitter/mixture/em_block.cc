@@ -5,11 +5,9 @@
 #include <cmath>
 #include <numeric>
 
-#include "fitter/mixture/directional_weights.h"
 #include "fitter/mixture/em_projection.h"
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/photon_noise.h"
-#include "fitter/mixture/shift_law.h"
 
 namespace stratalux::fit {
 namespace {
@@ -23,15 +21,6 @@ size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
 
 }  // namespace
 
-int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
-  const double step = batch.step_mm[profile];
-  // More would be a step of decimetres, fitted coarsely rather than without end.
-  constexpr double kMost = 256.0;
-  const double cell = batch.wrapped ? options.max_cell_mm : options.max_cell_mm / 2;
-  const int fine = static_cast<int>(std::min(std::ceil(step / cell), kMost));
-  return std::max(batch.wrapped ? options.cells_per_sample : 1, fine);
-}
-
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
                  std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start)
     : options_(options),
@@ -42,16 +31,17 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
       accelerated_(options.accelerated),
       lights_(lights.size()),
       rows_{options.layers, static_cast<int>(lights.size())} {
-  const bool free = options.mode == FitMode::kFree;
+  const bool free = options.scattering.mode == FitMode::kFree;
   bounds_.least_depth_mm = free ? -kFreeReachMm : static_cast<float>(options.min_depth_mm);
   bounds_.most_depth_mm = free ? kFreeReachMm : static_cast<float>(options.max_depth_mm);
   bounds_.fixed_depth = options.direction_blind;
   for (auto* v : {&at_, &image_, &last_}) v->assign(Row(rows_.size()), 0.0F);
   for (auto* v : {&cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(Row(options.layers), 0.0F);
-  if (!options.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
+  if (!options.scattering.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
   moments_.assign(Row(3 * options.layers), 0.0F);
   if (!start.empty() && options.prior.photons > 0.0)
-    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift, options.reflection.Known());
+    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift,
+                     options.scattering.reflection.Known());
   for (size_t p = 0; p < lights.size(); ++p) {
     EmLight& light = lights_[p];
     light.samples = lights[p]->samples;
@@ -117,7 +107,7 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
     first_u += static_cast<float>(turn) * step;
     turn = (turn % light.samples + light.samples) % light.samples;
   }
-  const float* y = batch.y.data() + profile * light.samples;
+  const auto y = batch.Samples(profile);
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.shift[lane] = static_cast<float>(noise.read_shift);
   light.counts[lane] = static_cast<float>(noise.counts);
@@ -127,22 +117,18 @@ void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLigh
   // Cell j has its centre at first_u + (j - pad - (cells_per_sample - 1) / 2) cells.
   light.origin[lane] = static_cast<float>(light.pad_cells) + 0.5F * static_cast<float>(light.cells_per_sample - 1) -
                        first_u / light.cell_mm[lane];
-  const double t_in =
-      TangentialShift(options_.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], options_.eta);
-  const double t_out =
-      TangentialShift(options_.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options_.eta);
-  light.s[lane] = options_.mode == FitMode::kFree ? 1.0F : static_cast<float>(t_in - t_out);
-  if (options_.gain_model)
-    light.gain[lane] = static_cast<float>(AngularGain(batch.cos_in[profile], options_.eta, options_.tau));
+  const ScatteringModel& model = options_.scattering;
+  light.s[lane] = static_cast<float>(ShiftCoefficient(model, batch, profile));
+  light.gain[lane] = static_cast<float>(AngularGain(model, batch.cos_in[profile]));
   light.reflected[lane] =
-      options_.reflection.Known()
-          ? static_cast<float>(ReflectanceOf(options_.reflection, ReflectionAngles::Of(batch, profile), options_.eta))
+      model.reflection.Known()
+          ? static_cast<float>(ReflectanceOf(model.reflection, ReflectionAngles::Of(batch, profile), model.eta))
           : -1.0F;
-  if (!options_.directional.Off()) {
-    const RefractedDirections directions = DirectionsOf(batch, profile, options_.eta);
+  if (!model.directional.Off()) {
+    const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
     light.extra_path[lane] = static_cast<float>(directions.ExtraPath());
     // What a layer of no depth and no width shows: the light of few scattering events alone.
-    DirectionalWeights narrow = options_.directional;
+    DirectionalWeights narrow = model.directional;
     narrow.sigma_0_mm = 1.0;
     light.phase_m1[lane] = static_cast<float>(DirectionalFactor(narrow, directions, 0.0, 0.0) - 1.0);
   }
@@ -191,8 +177,8 @@ void EmBlock::Start(int lane) {
   for (size_t p = 0; p < lights_.size(); ++p) {
     const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
-    const float* y = batches_[p]->y.data() + lanes_[lane].profile * light.samples;
-    total += std::max(std::accumulate(y, y + light.samples, 0.0), 1e-6) * light.counts[lane];
+    const auto y = batches_[p]->Samples(lanes_[lane].profile);
+    total += std::max(std::accumulate(y.begin(), y.end(), 0.0), 1e-6) * light.counts[lane];
     exposure += double(light.counts[lane]) * light.gain[lane] * light.coverage[lane];
     longest = std::max(longest, double(light.cell_mm[lane]) * light.grid.cells);
     for (int k = 0; k < light.samples; ++k)
@@ -270,7 +256,8 @@ void EmBlock::Sweep(bool update) {
   const LayersOnGrid layers{rows_.layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data()};
   for (int p = 0; p < rows_.lights; ++p) {
     EmLight& light = lights_[p];
-    if (factor != nullptr) DirectionalFactors(rows_, options_.directional, at_.data(), light, factor_.data());
+    if (factor != nullptr)
+      DirectionalFactors(rows_, options_.scattering.directional, at_.data(), light, factor_.data());
     PlaceLayers(rows_, at_.data(), light, factor, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data());
     AddLayers(light.grid, layers, light.tiles, light.Mass());
     Project(light, at_.data() + Row(rows_.surface(p)), at_.data() + Row(rows_.background(p)));
@@ -291,7 +278,7 @@ void EmBlock::UpdateFloor(int p) {
   const float* at = at_.data();
   float* image = image_.data();
   const size_t surface = Row(rows_.surface(p)), background = Row(rows_.background(p));
-  const bool held = options_.reflection.Known();
+  const bool held = options_.scattering.reflection.Known();
   for (int i = 0; i < kEmLanes; ++i) {
     image[surface + i] =
         held ? at[surface + i] : at[surface + i] * light.surface_ratio[i] / std::max(light.surface_total[i], kTiny);
@@ -307,7 +294,8 @@ void EmBlock::UpdateParameters() {
   if (options_.shared_background) ShareBackground(image_.data());
   UpdateShapes(rows_, bounds_, sums_, at_.data(), image_.data());
   for (const EmLight& light : lights_) {
-    if (!factor_.empty()) DirectionalFactors(rows_, options_.directional, image_.data(), light, factor_.data());
+    if (!factor_.empty())
+      DirectionalFactors(rows_, options_.scattering.directional, image_.data(), light, factor_.data());
     AddExposure(rows_.layers, light, factor_.empty() ? nullptr : factor_.data(), sums_);
   }
   UpdateWeights(rows_, sums_, image_.data());
@@ -362,7 +350,7 @@ void EmBlock::Judge() {
 
 // Of sample k's model, what no scale may change.
 double EmBlock::HeldSurface(const EmLight& light, int p, int k, int lane) const {
-  if (!options_.reflection.Known()) return 0.0;
+  if (!options_.scattering.reflection.Known()) return 0.0;
   return double(at_[Row(rows_.surface(p)) + lane]) * light.surface_response[Row(k) + lane];
 }
 
@@ -400,7 +388,7 @@ void EmBlock::Finish(int lane) {
   for (int p = 0; p < rows_.lights; ++p) {
     const EmLight& light = lights_[p];
     At(rows_.background(p), lane) *= static_cast<float>(scale);
-    if (!options_.reflection.Known()) At(rows_.surface(p), lane) *= static_cast<float>(scale);
+    if (!options_.scattering.reflection.Known()) At(rows_.surface(p), lane) *= static_cast<float>(scale);
     if (!(light.counts[lane] > 0.0F)) continue;
     for (int k = 0; k < light.samples; ++k) {
       const double data = light.data[Row(k) + lane], held = HeldSurface(light, p, k, lane);

@@ -14,17 +14,15 @@
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/em_prior.h"
 #include "fitter/mixture/em_update.h"
-#include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/layer_set.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
 
-// Cells of the fine grid per sample that a profile of `batch` needs; profiles of one block share it.
-[[nodiscard]] int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options);
-
 class EmBlock {
  public:
-  // usable[light][profile] says which lights count for a profile; cells_per_sample[light].
+  // usable[light][profile] says which lights count for a profile; cells_per_sample[light]: of each profile of the block
+  // (CellsPerSample).
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
           std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start);
 

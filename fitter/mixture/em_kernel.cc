@@ -283,5 +283,10 @@ void LayerMoments(const LayersOnGrid& layers, LayerTiles& tiles, const float* q,
   HWY_DYNAMIC_DISPATCH(LayerMoments)(layers, tiles, q, moments);
 }
 
+std::string KernelIsa() {
+  const int64_t targets = hwy::SupportedTargets() & HWY_TARGETS;
+  return hwy::TargetName(targets & -targets);  // the lowest bit is the best
+}
+
 }  // namespace stratalux::fit
 #endif

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "fitter/mixture/em_lanes.h"
@@ -63,5 +64,8 @@ void AddLayers(const EmGrid& grid, const LayersOnGrid& layers, LayerTiles& tiles
 // moments[layer][3][lane] = sum over cells of q m_l {1, z - mean_l, (z - mean_l)^2}, for the layers that AddLayers has
 // just seen.
 void LayerMoments(const LayersOnGrid& layers, LayerTiles& tiles, const float* q, float* moments);
+
+// Which instruction set these kernels use on this machine, such as AVX2: between sets results differ in the last bits.
+[[nodiscard]] std::string KernelIsa();
 
 }  // namespace stratalux::fit

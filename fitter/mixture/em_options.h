@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
+// What EM is told of the fit of one profile; every profile of a map has the same.
 #pragma once
 
-#include "fitter/mixture/directional_weights.h"
-#include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/scattering_model.h"
+#include "shared/base/result.h"
 
 namespace stratalux::fit {
 
@@ -22,40 +23,31 @@ inline constexpr double kUnknownSurface = 0.05, kMostSurface = 0.8;
 
 struct EmOptions {
   int layers = 20;  // [M]'s choice
-  FitMode mode = FitMode::kTied;
-  ShiftLaw shift_law = ShiftLaw::kRefracted;
-  double eta = 1.4;
-  bool gain_model = true;
-  double tau = 0.0;                // of the angular gain
-  DirectionalWeights directional;  // of the layers; off unless set
-  bool choose_directions = false;  // a session's fit: directional weights and tau by EstimateDirections
-  bool direction_blind = false;    // every depth stays 0: the baseline
-  bool surface_term = true;        // light reflected at the very surface
-  // Known: the surface term is its reflectance, held. Unknown: it starts at 5 % of the light, near which EM leaves it.
-  SurfaceReflection reflection;
-  // A session's fit: the reflection of its training lights (EstimateSurfaceReflection).
-  bool estimate_reflection = true;
+  ScatteringModel scattering;
+  bool direction_blind = false;  // every depth stays 0: the baseline
+  // Light reflected at the very surface. Where scattering.reflection is known its term is held; where not, it starts at
+  // 5 % of the light, near which EM leaves it.
+  bool surface_term = true;
   // A uniform floor beside the layers. A comb's cycle does not tell it from the widest layers: where there is none (the
   // black frame takes the ambient light) EM gives it 1 to 2 % of the light, which no renderer puts back.
   bool background_term = false;
+  bool shared_background = false;  // one floor for all lights
+  LayerPrior prior;
   // Accelerated ones, worth 50 plain ones (docs/math/em-kernel.md): held-out light is predicted best at 50-100 plain
   // sweeps (model section 7).
   int max_iterations = 20;
   // Of a pixel that starts from given layers (FitMixture's `start`), which are not far; 16 are worth 50 plain ones, and
   // light that was held out is predicted as well by 8 as by 20.
   int refinement_iterations = 12;
-  LayerPrior prior;
-  bool choose_prior = true;  // a session's fit: the prior by ChoosePrior
-  double tolerance = 1e-5;   // relative change of the divergence
+  double tolerance = 1e-5;  // relative change of the divergence
   // Nesterov's momentum with restart: never loses likelihood (with a prior: posterior), and reaches that of plain EM in
   // a third of its sweeps.
   bool accelerated = true;
   int cells_per_sample = 4;
+  double max_cell_mm = 0.15;   // coarser grids cost accuracy (model section 7)
   double min_sigma_mm = 0.12;  // and never below nine tenths of a cell
   double max_sigma_mm = 11.0;
-  double max_cell_mm = 0.15;       // coarser grids cost accuracy (model section 7)
-  bool shared_background = false;  // one floor for all lights
-  double min_depth_mm = -0.5;      // slightly negative: a common depth bias of the geometry is absorbed here
+  double min_depth_mm = -0.5;  // slightly negative: a common depth bias of the geometry is absorbed here
   double max_depth_mm = 8.0;
   [[nodiscard]] Status Validate() const;
 };

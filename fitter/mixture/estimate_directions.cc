@@ -22,8 +22,8 @@ double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
   double photons = 0.0;
   for (const SrdBatch* b : lights) {
     if (b->valid[profile] == 0) continue;
-    const auto y = b->y.begin() + profile * b->samples, v = b->variance.begin() + profile * b->samples;
-    const double sum = std::accumulate(y, y + b->samples, 0.0), variance = std::accumulate(v, v + b->samples, 0.0);
+    const auto y = b->Samples(profile), v = b->Variances(profile);
+    const double sum = std::accumulate(y.begin(), y.end(), 0.0), variance = std::accumulate(v.begin(), v.end(), 0.0);
     if (std::isfinite(sum) && variance > 0.0) photons += sum * sum / variance;
   }
   return photons;
@@ -43,11 +43,12 @@ double ReachOfSurface(const SrdBatch& batch, int64_t i) {
 std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double reach, double eta) {
   if (batch.valid[i] == 0 || batch.cos_in[i] < 0.4F) return std::nullopt;
   const double step = batch.step_mm[i], period = step * batch.samples;
+  const auto y = batch.Samples(i);
   Scattered s;
   for (int k = 0; k < batch.samples; ++k) {
     const double u = batch.first_u_mm[i] + k * step;
     if (std::abs(batch.wrapped ? std::remainder(u, period) : u) < reach) continue;
-    s.light += batch.y[i * batch.samples + k];
+    s.light += y[k];
   }
   if (!std::isfinite(s.light)) return std::nullopt;
   s.fresnel = AngularGain(batch.cos_in[i], eta, 0.0);
@@ -105,7 +106,7 @@ constexpr int kHalvings = 2;
 constexpr double kWorthwhile = 1e-4;  // of the divergence
 
 EmOptions With(EmOptions options, const Parameters& at) {
-  options.directional = {at[0], at[1], at[2]};
+  options.scattering.directional = {at[0], at[1], at[2]};
   return options;
 }
 
@@ -114,8 +115,8 @@ EmOptions With(EmOptions options, const Parameters& at) {
 Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> lights, int channels, EmOptions options,
                                              int every) {
   SLX_CHECK(every >= 1 && !lights.empty());
-  if (options.gain_model && !options.reflection.Known())
-    options.tau = TauOfScatteredLight(lights, channels, options.eta, options.tau);
+  if (options.scattering.gain_model && !options.scattering.reflection.Known())
+    options.scattering.tau = TauOfScatteredLight(lights, channels, options.scattering.eta, options.scattering.tau);
   const std::vector<SrdBatch> parts = SampledPixels(lights, channels, every);
   std::vector<const SrdBatch*> sampled;
   for (const SrdBatch& b : parts) sampled.push_back(&b);
@@ -157,7 +158,7 @@ Result<DirectionEstimate> EstimateDirections(std::span<const SrdBatch* const> li
     ++halving;
     for (double& s : step) s /= 2.0;
   }
-  return DirectionEstimate{options.tau, {best[0], best[1], best[2]}, least, without};
+  return DirectionEstimate{options.scattering.tau, {best[0], best[1], best[2]}, least, without};
 }
 
 }  // namespace stratalux::fit

@@ -5,7 +5,16 @@
 
 namespace stratalux::fit {
 
-FineGrid::FineGrid(const ReferenceLight& light) : light_(&light) {
+int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
+  const double step = batch.step_mm[profile];
+  // More would be a step of decimetres, fitted coarsely rather than without end.
+  constexpr double kMost = 256.0;
+  const double cell = batch.wrapped ? options.max_cell_mm : options.max_cell_mm / 2;
+  const int fine = static_cast<int>(std::min(std::ceil(step / cell), kMost));
+  return std::max(batch.wrapped ? options.cells_per_sample : 1, fine);
+}
+
+FineGrid::FineGrid(const ProfileLight& light) : light_(&light) {
   const int k = light.samples(), n = light.cells_per_sample;
   pad_ = light.wrapped ? 0 : n * k / 4;
   cells_ = n * k + 2 * pad_;

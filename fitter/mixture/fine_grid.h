@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // The fine grid of one light: layers as Gaussians on its cells, and the line response between cells and samples.
-// Internal to fitter/mixture.
 #pragma once
 
 #include <algorithm>
@@ -9,17 +8,20 @@
 #include <numbers>
 #include <vector>
 
-#include "fitter/mixture/reference_em.h"
+#include "fitter/mixture/profile_light.h"
 
 namespace stratalux::fit {
+
+// Cells of the fine grid per sample that a profile of `batch` needs.
+[[nodiscard]] int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options);
 
 // A light with its fine grid z and the line response B on it.
 class FineGrid {
  public:
   // `light` must outlive it.
-  explicit FineGrid(const ReferenceLight& light);
+  explicit FineGrid(const ProfileLight& light);
 
-  [[nodiscard]] const ReferenceLight& light() const { return *light_; }
+  [[nodiscard]] const ProfileLight& light() const { return *light_; }
   [[nodiscard]] int cells() const { return cells_; }
   [[nodiscard]] double CellMm() const { return light_->step_mm / light_->cells_per_sample; }
   [[nodiscard]] double Coverage() const { return coverage_; }                // A of a layer inside the window
@@ -93,7 +95,7 @@ class FineGrid {
   }
 
   static constexpr double kReach = 8.0;  // of a Gaussian, in standard deviations: 1e-14 of its peak
-  const ReferenceLight* light_;
+  const ProfileLight* light_;
   int pad_ = 0, cells_ = 0, before_ = 0;
   std::vector<double> response_, surface_, seen_;
   double coverage_ = 0.0;

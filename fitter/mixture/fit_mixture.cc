@@ -7,8 +7,8 @@
 #include <string>
 
 #include "fitter/mixture/em_block.h"
+#include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/line_response.h"
-#include "fitter/mixture/shift_law.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
 
@@ -31,8 +31,7 @@ bool GeometryUsable(const SrdBatch& batch, int64_t i) {
 // A profile is usable when its samples are finite, not constant, and add up to light.
 FitReason Judge(const SrdBatch& batch, int64_t profile) {
   if (batch.valid[profile] == 0) return FitReason::kNoProjector;
-  const float* y = batch.y.data() + profile * batch.samples;
-  const float* v = batch.variance.data() + profile * batch.samples;
+  const auto y = batch.Samples(profile), v = batch.Variances(profile);
   double sum = 0.0;
   float low = y[0], high = y[0];
   for (int k = 0; k < batch.samples; ++k) {
@@ -64,12 +63,7 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   map.height = height;
   map.channels = channels;
   map.layers = options.layers;
-  map.shift_law = options.shift_law;
-  map.eta = options.eta;
-  map.tau = options.tau;
-  map.gain_model = options.gain_model;
-  map.directional = options.directional;
-  map.reflection = options.reflection;
+  map.scattering = options.scattering;
   map.training_projectors = projectors;
   const size_t profiles = static_cast<size_t>(map.profiles());
   for (auto* v : {&map.weight, &map.depth_mm, &map.sigma_mm}) v->assign(profiles * options.layers, 0.0F);
@@ -166,7 +160,8 @@ void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& ju
 
 Status EmOptions::Validate() const {
   if (layers < 1 || layers > 32) return Status::Usage("layers = " + std::to_string(layers) + ", allowed: 1 .. 32");
-  if (!(eta >= 1.0 && eta <= 3.0)) return Status::Usage("eta = " + std::to_string(eta) + ", allowed: 1 .. 3");
+  if (const double eta = scattering.eta; !(eta >= 1.0 && eta <= 3.0))
+    return Status::Usage("eta = " + std::to_string(eta) + ", allowed: 1 .. 3");
   if (max_iterations < 1 || max_iterations > 100000)
     return Status::Usage("max_iterations = " + std::to_string(max_iterations) + ", allowed: 1 .. 100000");
   if (refinement_iterations < 0 || refinement_iterations > 100000)
@@ -207,7 +202,7 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
     map.divergence[i] = static_cast<float>(em.Divergence(lane));
     if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
     map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
-    if (options.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
+    if (options.scattering.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
       map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
   });
   return map;
@@ -263,26 +258,6 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
     }
   }
   return mean;
-}
-
-LayerSet LayersOf(const MixtureMap& map, int64_t profile) {
-  LayerSet set;
-  for (int l = 0; l < map.layers; ++l) {
-    set.weight.push_back(map.weight[profile * map.layers + l]);
-    set.depth_mm.push_back(map.depth_mm[profile * map.layers + l]);
-    set.sigma_mm.push_back(map.sigma_mm[profile * map.layers + l]);
-  }
-  return set;
-}
-
-EmOptions OptionsOf(const MixtureMap& map, EmOptions options) {
-  options.shift_law = map.shift_law;
-  options.eta = map.eta;
-  options.tau = map.tau;
-  options.gain_model = map.gain_model;
-  options.directional = map.directional;
-  options.reflection = map.reflection;
-  return options;
 }
 
 double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const SurfaceReflection& surface) {

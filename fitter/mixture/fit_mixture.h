@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
 #include "shared/base/result.h"
 
@@ -26,16 +27,10 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
                                          const EmOptions& options, int every = 16);
 
-[[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
-
-// `options` with what the map says of its model: shift law, refractive index, angular gain, directional weights,
-// surface.
-[[nodiscard]] EmOptions OptionsOf(const MixtureMap& map, EmOptions options = {});
-
 // Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;
 // sigma_l), exact line response, wrapped with the comb. Surface and background terms are the caller's.
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
-                                                 const EmOptions& options);
+                                                 const ScatteringModel& model);
 
 // The session's tau of the angular gain from white reflectances of the training lights, less what the surface reflects:
 // least squares of log(white_p - R_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not

@@ -3,21 +3,12 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
-#include "fitter/mixture/directional_weights.h"
-#include "fitter/mixture/surface_reflection.h"
-#include "shared/base/result.h"
+#include "fitter/mixture/layer_set.h"
+#include "fitter/mixture/scattering_model.h"
 
 namespace stratalux::fit {
-
-// Shift law T: tangential displacement per mm of depth of a ray with slope t (model section 6).
-enum class ShiftLaw : uint8_t { kPaper, kRefracted, kRefractedSine };
-[[nodiscard]] const char* ToString(ShiftLaw law);
-[[nodiscard]] Result<ShiftLaw> ParseShiftLaw(const std::string& text);
-
-enum class FitMode : uint8_t { kTied, kFree };
 
 // Why a profile has no (or doubtful) parameters. Counted in metrics.json by name.
 enum class FitReason : uint8_t {
@@ -35,13 +26,8 @@ inline constexpr int kFitReasons = 6;
 struct MixtureMap {
   int width = 0, height = 0, channels = 0;
   int layers = 0;
-  ShiftLaw shift_law = ShiftLaw::kRefracted;
-  double eta = 1.4;
-  double tau = 0.0;  // of the angular gain g (model section 7), one per session
-  bool gain_model = true;
-  DirectionalWeights directional;  // off unless the fit had them
-  SurfaceReflection reflection;    // unknown: every light's surface term is its own
-  double prior_photons = 0.0;      // N0 of the prior; 0: none, or of a fit read back
+  ScatteringModel scattering;
+  double prior_photons = 0.0;  // N0 of the prior; 0: none, or of a fit read back
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;
   std::vector<float> surface;        // [profile][training projector]
@@ -64,10 +50,6 @@ struct MixtureMap {
   }
 };
 
-// Layers of one profile, or the mean of many; background: over a whole comb cycle, in units of reflectance.
-struct LayerSet {
-  std::vector<double> weight, depth_mm, sigma_mm;
-  double background = 0.0;
-};
+[[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
 
 }  // namespace stratalux::fit

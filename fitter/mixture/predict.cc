@@ -3,7 +3,6 @@
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/line_response.h"
-#include "fitter/mixture/shift_law.h"
 
 namespace stratalux::fit {
 namespace {
@@ -19,18 +18,15 @@ double LayerResponse(double u, double sigma, const LineResponse& line) {
 }  // namespace
 
 std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
-                                   const EmOptions& options) {
+                                   const ScatteringModel& model) {
   const double step = batch.step_mm[profile], period = step * batch.samples;
   const LineResponse line = LineResponseOf(batch, profile, 1e-4);
-  double s = TangentialShift(options.shift_law, batch.slope_in[profile], batch.slope_in_across[profile], options.eta) -
-             TangentialShift(options.shift_law, batch.slope_out[profile], batch.slope_out_across[profile], options.eta);
-  if (options.mode == FitMode::kFree) s = 1.0;
-  const double gain = options.gain_model ? AngularGain(batch.cos_in[profile], options.eta, options.tau) : 1.0;
-  const RefractedDirections directions = DirectionsOf(batch, profile, options.eta);
+  const double s = ShiftCoefficient(model, batch, profile), gain = AngularGain(model, batch.cos_in[profile]);
+  const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
   std::vector<double> weight;
   for (size_t l = 0; l < layers.weight.size(); ++l)
     weight.push_back(gain * layers.weight[l] *
-                     DirectionalFactor(options.directional, directions, layers.depth_mm[l], layers.sigma_mm[l]));
+                     DirectionalFactor(model.directional, directions, layers.depth_mm[l], layers.sigma_mm[l]));
   std::vector<double> y(batch.samples, 0.0);
   for (int k = 0; k < batch.samples; ++k)
     for (size_t l = 0; l < layers.weight.size(); ++l) {

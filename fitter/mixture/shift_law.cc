@@ -28,12 +28,6 @@ Result<ShiftLaw> ParseShiftLaw(const std::string& text) {
   return Status::Usage("shift law '" + text + "' is unknown; allowed: paper, refracted, refracted_sine");
 }
 
-const char* ToString(FitReason reason) {
-  constexpr const char* kNames[] = {"fitted",   "outside mask", "no projector",
-                                    "too dark", "not finite",   "depth not estimable"};
-  return kNames[static_cast<int>(reason)];
-}
-
 double TangentialShift(ShiftLaw law, double slope_along, double slope_across, double eta) {
   if (law == ShiftLaw::kPaper) return slope_along;
   const double slope = std::hypot(slope_along, slope_across);

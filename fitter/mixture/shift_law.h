@@ -1,11 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Direction effects of a layer (model sections 6 and 7): the shift coefficient s = (T(omega_i) - T(omega_o)) . e of a
-// profile and the angular gain g of a light.
+// Direction effects of a layer (model sections 6 and 7): the displacement T of a ray by its depth and the angular gain
+// g of a light.
 #pragma once
 
-#include "fitter/mixture/mixture_map.h"
+#include <cstdint>
+#include <string>
+
+#include "shared/base/result.h"
 
 namespace stratalux::fit {
+
+// Shift law T: tangential displacement per mm of depth of a ray with slope t (model section 6).
+enum class ShiftLaw : uint8_t { kPaper, kRefracted, kRefractedSine };
+[[nodiscard]] const char* ToString(ShiftLaw law);
+[[nodiscard]] Result<ShiftLaw> ParseShiftLaw(const std::string& text);
 
 // Tangential displacement along e, per mm of depth, of the ray whose outer direction has tangential slopes (along e,
 // across it), |slopes| = tan(theta). paper: the straight ray itself [M 3, 5]; refracted: tan of the refracted angle;

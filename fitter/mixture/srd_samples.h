@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "shared/base/check.h"
+
 namespace stratalux::fit {
 
 // Samples of one projector for a batch of profiles. All profiles share the number of samples K; positions are regular:
@@ -19,8 +21,11 @@ struct SrdBatch {
   // Box that each sample averages over, as a share of the step: 0 for combs (a sample is a point in the line's
   // position), 1 for binned profiles (CSV).
   float sample_box = 0.0F;
-  std::vector<float> y;         // [profile][K]; may be negative (never clipped)
-  std::vector<float> variance;  // [profile][K] of y, from the camera's noise model
+  // [row][K]; y may be negative (never clipped), variance is that of y by the camera's noise model.
+  std::vector<float> y, variance;
+  // Row of a profile in both, -1: it has none and is not valid. Empty: profile i has row i. Of a camera's pixels a
+  // fifth shows lit face: the samples of the others would be most of the memory.
+  std::vector<int32_t> row;
   // Response to all columns at once in units of the samples' sum, from the white frames, and its variance (0: unknown);
   // empty where there are none. It fixes the scale far better than the sum of dim samples does.
   std::vector<float> white, white_variance;
@@ -39,6 +44,30 @@ struct SrdBatch {
   std::vector<float> slope_out_across;  // [profile]
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel
   [[nodiscard]] int64_t profiles() const { return static_cast<int64_t>(first_u_mm.size()); }
+  // Of a profile that has a row: its K samples, and their variances.
+  [[nodiscard]] std::span<const float> Samples(int64_t profile) const {
+    return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<const float> Variances(int64_t profile) const {
+    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<float> Samples(int64_t profile) {
+    return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  [[nodiscard]] std::span<float> Variances(int64_t profile) {
+    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
+  }
+  // Rows for the profiles for which `wanted` is not 0, in their order, and for no other; values are lost.
+  void AllotRows(std::span<const uint8_t> wanted, float value, float its_variance);
+  // Drops the rows of profiles that are not valid.
+  void KeepValidRows();
+
+ private:
+  [[nodiscard]] size_t FirstOf(int64_t profile) const {
+    const int64_t at = row.empty() ? profile : row[static_cast<size_t>(profile)];
+    SLX_CHECK(at >= 0);
+    return static_cast<size_t>(at * samples);
+  }
 };
 
 // These profiles of `batch` alone, in the order of `which`.

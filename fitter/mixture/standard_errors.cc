@@ -7,7 +7,6 @@
 #include <numeric>
 
 #include "fitter/mixture/fine_grid.h"
-#include "fitter/mixture/fit_mixture.h"
 
 namespace stratalux::fit {
 namespace {
@@ -62,7 +61,7 @@ Effective EffectiveOf(const LayerSet& layers, const std::vector<double>& t) {
 }
 
 // Adds one light's samples to the information and to the residuals' chi^2.
-void AddLight(const ReferenceFit& fit, const std::vector<double>& t, const ReferenceLight& light, size_t p,
+void AddLight(const ProfileFit& fit, const std::vector<double>& t, const ProfileLight& light, size_t p,
               Information& information, double& chi2) {
   const FineGrid grid(light);
   std::vector<double> mass(grid.cells(), 0.0);
@@ -96,7 +95,7 @@ void AddLight(const ReferenceFit& fit, const std::vector<double>& t, const Refer
 }
 
 // What the layers' ranges tell by themselves; the floor's is the whole profile's light.
-Change PriorPrecision(const ReferenceFit& fit) {
+Change PriorPrecision(const ProfileFit& fit) {
   Change precision = Change::Ones();
   const double most = *std::max_element(fit.layers.weight.begin(), fit.layers.weight.end());
   precision[kBackground] = 1.0 / (most * most);
@@ -105,7 +104,7 @@ Change PriorPrecision(const ReferenceFit& fit) {
 
 }  // namespace
 
-EffectiveParameters EffectiveParametersOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights,
+EffectiveParameters EffectiveParametersOf(const ProfileFit& fit, std::span<const ProfileLight> lights,
                                           NoiseScale noise) {
   const double total = std::accumulate(fit.layers.weight.begin(), fit.layers.weight.end(), 0.0);
   if (!(total > 0.0)) return {};
@@ -129,14 +128,14 @@ EffectiveParameters EffectiveParametersOf(const ReferenceFit& fit, std::span<con
 EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile,
                                           std::span<const SrdBatch* const> lights, const EmOptions& options) {
   if (!map.Fitted(profile)) return {};
-  ReferenceFit fit;
+  ProfileFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = map.tau;
-  fit.directional = options.directional;
-  std::vector<ReferenceLight> seen;
+  fit.tau = map.scattering.tau;
+  fit.directional = options.scattering.directional;
+  std::vector<ProfileLight> seen;
   for (size_t p = 0; p < lights.size(); ++p) {
     if (lights[p]->valid[profile] == 0) continue;
-    seen.push_back(ReferenceLightOf(*lights[p], profile, options));
+    seen.push_back(ProfileLightOf(*lights[p], profile, options));
     fit.surface.push_back(map.surface[profile * lights.size() + p]);
     fit.background.push_back(map.background[profile * lights.size() + p]);
   }

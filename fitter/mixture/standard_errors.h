@@ -11,7 +11,8 @@
 
 #include <span>
 
-#include "fitter/mixture/reference_em.h"
+#include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/profile_fit.h"
 
 namespace stratalux::fit {
 
@@ -31,7 +32,7 @@ struct EffectiveParameters {
 enum class NoiseScale : uint8_t { kKnown, kFromResiduals };
 
 // Costs about one EM sweep of the profile. All zero where the fit holds no light. Never NaN.
-[[nodiscard]] EffectiveParameters EffectiveParametersOf(const ReferenceFit& fit, std::span<const ReferenceLight> lights,
+[[nodiscard]] EffectiveParameters EffectiveParametersOf(const ProfileFit& fit, std::span<const ProfileLight> lights,
                                                         NoiseScale noise);
 
 // Of a profile of a fitted map; `lights` are the batches it was fitted to. All zero where it is not fitted.

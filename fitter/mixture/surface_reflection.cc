@@ -142,10 +142,8 @@ WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t i) {
   if (!batch.white.empty() && batch.white_variance[i] > 0.0F)
     return {batch.white[i] / whites, batch.white_variance[i] / (whites * whites)};
   WhiteReflectance sum;
-  for (int64_t at = i * batch.samples; at < (i + 1) * batch.samples; ++at) {
-    sum.value += batch.y[at] / whites;
-    sum.variance += batch.variance[at] / (whites * whites);
-  }
+  for (const float y : batch.Samples(i)) sum.value += y / whites;
+  for (const float v : batch.Variances(i)) sum.variance += v / (whites * whites);
   return sum;
 }
 

@@ -9,7 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "fitter/mixture/shift_law.h"
+#include "fitter/profiles/profile_em.h"
 #include "shared/base/json_number.h"
 
 namespace stratalux::fit {
@@ -24,8 +24,8 @@ constexpr double kLeastShift = 0.02;                      // below, a depth cann
 
 // The angular gain of the exit: by reciprocity that of a lamp at the same angle (BatchOf's cos_in holds the lamp's
 // own).
-double ExitGain(const LineProfile& profile, const EmOptions& options) {
-  return options.gain_model ? AngularGain(std::cos(profile.exit_deg * kDegree), options.eta, options.tau) : 1.0;
+double ExitGain(const LineProfile& profile, const ScatteringModel& model) {
+  return AngularGain(model, std::cos(profile.exit_deg * kDegree));
 }
 
 // A profile as EM's samples. Every source counts alike, however finely it is sampled: photons per unit of radiance are
@@ -75,14 +75,15 @@ double Nrmse(const std::vector<double>& data, const std::vector<double>& model) 
   return power > 0.0 ? std::sqrt(error / power) : 0.0;
 }
 
-ReferenceLight LightOf(const LineProfile& profile, double pedestal, EmOptions options) {
+ProfileLight LightOf(const LineProfile& profile, double pedestal, const EmOptions& options) {
   const SrdBatch batch = BatchOf(profile, pedestal);
-  ReferenceLight light = ReferenceLightOf(batch, 0, options);
-  options.tau = 0.0;
-  const double fresnel = ExitGain(profile, options);
-  options.tau = 1.0;
+  ProfileLight light = ProfileLightOf(batch, 0, options);
+  ScatteringModel exit = options.scattering;
+  exit.tau = 0.0;
+  const double fresnel = ExitGain(profile, exit);
+  exit.tau = 1.0;
   light.fresnel *= fresnel;
-  light.gain_path -= std::log(ExitGain(profile, options) / fresnel);
+  light.gain_path -= std::log(ExitGain(profile, exit) / fresnel);
   return light;
 }
 
@@ -102,40 +103,38 @@ LayerSet ByWidth(const LayerSet& layers) {
   return sorted;
 }
 
-ReferenceFit Fit(const std::vector<ReferenceLight>& lights, const EmOptions& options, SharedParameters shared,
-                 double shared_prior = kSharedPrior) {
-  ReferenceFit fit =
-      FitReference(lights, SpreadLayers(lights, options), options, shared, Acceleration::kSquarem, shared_prior);
+ProfileFit Fit(const std::vector<ProfileLight>& lights, const EmOptions& options, SharedParameters shared,
+               double shared_prior = kSharedPrior) {
+  ProfileFit fit = RunProfileEm(lights, SpreadLayers(lights, options), options, shared, shared_prior);
   fit.layers = ByWidth(fit.layers);
   return fit;
 }
 
 // Whether the sources' paths through the skin differ enough for tau or directional weights to mean anything.
-bool DirectionsDiffer(const std::vector<ReferenceLight>& lights) {
-  const auto [least, most] =
-      std::minmax_element(lights.begin(), lights.end(), [](const ReferenceLight& a, const ReferenceLight& b) {
-        return a.directions.ExtraPath() < b.directions.ExtraPath();
-      });
+bool DirectionsDiffer(const std::vector<ProfileLight>& lights) {
+  const auto [least, most] = std::minmax_element(
+      lights.begin(), lights.end(),
+      [](const ProfileLight& a, const ProfileLight& b) { return a.directions.ExtraPath() < b.directions.ExtraPath(); });
   return most->directions.ExtraPath() - least->directions.ExtraPath() > 0.01;
 }
 
 // Samples that count as independent: those under one slit share their photons.
-double IndependentSamples(const std::vector<ReferenceLight>& lights) {
+double IndependentSamples(const std::vector<ProfileLight>& lights) {
   double samples = 0.0;
-  for (const ReferenceLight& light : lights)
+  for (const ProfileLight& light : lights)
     samples += light.samples() / std::max(1.0, light.line.line_width_mm / light.step_mm);
   return samples;
 }
 
-ReferenceFit FitTied(const std::vector<ReferenceLight>& lights, const EmOptions& options, Directional directional) {
+ProfileFit FitTied(const std::vector<ProfileLight>& lights, const EmOptions& options, Directional directional) {
   const bool differ = DirectionsDiffer(lights);
-  ReferenceFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
+  ProfileFit without = Fit(lights, options, differ ? SharedParameters::kTau : SharedParameters::kFixed);
   if (directional == Directional::kOff || (directional == Directional::kAuto && !differ)) return without;
   // A divergence D of N samples is that of N / 2 D photons: in their log likelihood a prior weighs 2 D / N of the
   // light.
   const double samples = IndependentSamples(lights);
   const double prior = std::max(kSharedPrior, 2.0 * without.divergence / samples);
-  ReferenceFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
+  ProfileFit with = Fit(lights, options, SharedParameters::kTauAndDirectional, prior);
   // Do directional weights earn their three parameters? Twice the gain in log likelihood against the 97.5 % quantile of
   // chi^2 with three degrees of freedom.
   constexpr double kQuantile = 9.35;
@@ -233,24 +232,13 @@ LayerSet LayersFrom(const Json& list, const char* displacement) {
   return layers;
 }
 
-EmOptions OptionsOf(const ProfileModel& model) {
-  EmOptions options = ProfileOptions();
-  options.mode = model.mode;
-  options.shift_law = model.shift_law;
-  options.eta = model.eta;
-  options.gain_model = model.gain_model;
-  options.tau = model.tau;
-  options.directional = model.directional;
-  return options;
-}
-
 }  // namespace
 
 EmOptions ProfileOptions() {
   EmOptions options;
   options.surface_term = false;
   options.background_term = options.shared_background = true;  // an open window sees the lamp's halo, too
-  options.shift_law = ShiftLaw::kRefractedSine;
+  options.scattering.shift_law = ShiftLaw::kRefractedSine;
   options.max_cell_mm = 0.04;
   options.min_sigma_mm = 0.01;
   options.max_iterations = 200;
@@ -264,30 +252,27 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
   if (profiles.empty()) return Status::Usage("no profiles to fit");
   for (const LineProfile& p : profiles) SLX_RETURN_IF_ERROR(CheckSource(p));
   const double pedestal = PedestalOf(profiles);
-  std::vector<ReferenceLight> lights;
+  std::vector<ProfileLight> lights;
   for (const LineProfile& p : profiles) lights.push_back(LightOf(p, pedestal, options));
 
   ProfileModel model;
-  model.mode = options.mode;
-  model.shift_law = options.shift_law;
-  model.eta = options.eta;
-  model.gain_model = options.gain_model;
+  model.scattering = options.scattering;
   for (const LineProfile& p : profiles)
     model.sources.push_back({p.source, p.incidence_deg, p.exit_deg, p.slit_mm, {}, 0.0, 0.0, 0, 0.0});
-  if (options.mode == FitMode::kTied) {
-    const ReferenceFit fit = FitTied(lights, options, directional);
-    model.tau = fit.tau;
-    model.directional = fit.directional;
+  if (options.scattering.mode == FitMode::kTied) {
+    const ProfileFit fit = FitTied(lights, options, directional);
+    model.scattering.tau = fit.tau;
+    model.scattering.directional = fit.directional;
     model.layers = fit.layers;
     model.background = fit.background[0];
     model.divergence = fit.divergence;
     model.iterations = fit.iterations;
     model.depth_estimable = std::any_of(lights.begin(), lights.end(),
-                                        [](const ReferenceLight& light) { return std::abs(light.s) >= kLeastShift; });
+                                        [](const ProfileLight& light) { return std::abs(light.s) >= kLeastShift; });
     model.effective = EffectiveParametersOf(fit, lights, NoiseScale::kFromResiduals);
   } else {
     for (size_t i = 0; i < lights.size(); ++i) {
-      const ReferenceFit fit = Fit({lights[i]}, options, SharedParameters::kFixed);
+      const ProfileFit fit = Fit({lights[i]}, options, SharedParameters::kFixed);
       SourceFit& s = model.sources[i];
       s.layers = fit.layers;
       s.background = fit.background[0];
@@ -308,7 +293,7 @@ Result<ProfileModel> FitProfiles(const std::vector<LineProfile>& profiles, const
 Result<std::vector<double>> PredictProfile(const ProfileModel& model, const LineProfile& profile) {
   const LayerSet* layers = &model.layers;
   double background = model.background;
-  if (model.mode == FitMode::kFree) {
+  if (model.scattering.mode == FitMode::kFree) {
     const auto source = std::find_if(model.sources.begin(), model.sources.end(),
                                      [&](const SourceFit& s) { return s.source == profile.source; });
     if (source == model.sources.end())
@@ -317,14 +302,14 @@ Result<std::vector<double>> PredictProfile(const ProfileModel& model, const Line
     layers = &source->layers;
     background = source->background;
   }
-  const EmOptions options = OptionsOf(model);
-  const double exit_gain = ExitGain(profile, options);
-  auto y = PredictSamples(*layers, BatchOf(profile, 0.0), 0, options);
+  const double exit_gain = ExitGain(profile, model.scattering);
+  auto y = PredictSamples(*layers, BatchOf(profile, 0.0), 0, model.scattering);
   for (double& v : y) v = exit_gain * v + background;
   return y;
 }
 
 std::string ProfileModel::ToJson() const {
+  const auto& [mode, shift_law, eta, gain_model, tau, directional, reflection] = scattering;
   const bool tied = mode == FitMode::kTied;
   Json json = {{"schema", kSchema}, {"mode", tied ? "tied" : "free"},        {"shift_law", fit::ToString(shift_law)},
                {"eta", eta},        {"gain", gain_model ? "model" : "none"}, {"tau", tau}};
@@ -369,21 +354,22 @@ Result<ProfileModel> ProfileModel::FromJson(const std::string& text, const std::
       return Status::Usage(origin + ": schema " + std::to_string(schema) +
                            " knows no gain of the exit; fit the profiles again");
     ProfileModel model;
+    ScatteringModel& light = model.scattering;
     const std::string mode = json.at("mode"), gain = json.at("gain");
     if (mode != "tied" && mode != "free")
       return Status::Usage(origin + ": mode '" + mode + "' is neither tied nor free");
     if (gain != "model" && gain != "none")
       return Status::Usage(origin + ": gain '" + gain + "' is neither model nor none");
-    model.mode = mode == "tied" ? FitMode::kTied : FitMode::kFree;
-    model.gain_model = gain == "model";
-    SLX_ASSIGN_OR_RETURN(model.shift_law, ParseShiftLaw(json.at("shift_law")));
-    model.eta = json.at("eta");
-    model.tau = json.at("tau");
-    if (!(model.eta >= 1.0 && model.eta <= 3.0))
-      return Status::Usage(origin + ": eta = " + std::to_string(model.eta) + ", allowed: 1 .. 3");
-    if (model.mode == FitMode::kTied) {
+    light.mode = mode == "tied" ? FitMode::kTied : FitMode::kFree;
+    light.gain_model = gain == "model";
+    SLX_ASSIGN_OR_RETURN(light.shift_law, ParseShiftLaw(json.at("shift_law")));
+    light.eta = json.at("eta");
+    light.tau = json.at("tau");
+    if (!(light.eta >= 1.0 && light.eta <= 3.0))
+      return Status::Usage(origin + ": eta = " + std::to_string(light.eta) + ", allowed: 1 .. 3");
+    if (light.mode == FitMode::kTied) {
       const Json& d = json.at("directional");
-      model.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
+      light.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
       model.layers = LayersFrom(json.at("layers"), "depth_mm");
       model.background = json.at("background");
       return model;

@@ -14,7 +14,6 @@
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
 #include "fitter/mixture/standard_errors.h"
 #include "fitter/profiles/profile_csv.h"
 
@@ -33,12 +32,7 @@ struct SourceFit {
 };
 
 struct ProfileModel {
-  FitMode mode = FitMode::kTied;
-  ShiftLaw shift_law = ShiftLaw::kRefracted;
-  double eta = 1.4;
-  bool gain_model = true;
-  double tau = 0.0;  // of the angular gain
-  DirectionalWeights directional;
+  ScatteringModel scattering;
   LayerSet layers;                               // tied mode
   std::optional<EffectiveParameters> effective;  // tied mode, after a fit
   double background = 0.0;

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "fitter/mixture/directional_weights.h"
-#include "fitter/mixture/shift_law.h"
+#include "fitter/mixture/scattering_model.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -50,9 +50,11 @@ std::optional<Receiver> MakeReceiver(const MixtureMap& map, const SurfaceMap& su
   const Eigen::Vector3d in = (light.CentreInCamera() - r.point).normalized(), out = -r.point.normalized();
   const double cos_in = r.normal.dot(in), cos_out = r.normal.dot(out);
   if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
-  r.shift = ShiftVector(map.shift_law, in, r.normal, map.eta) - ShiftVector(map.shift_law, out, r.normal, map.eta);
-  if (map.gain_model) r.gain = AngularGain(cos_in, map.eta, map.tau);
-  r.directions = DirectionsOf(in, out, r.normal, map.eta);
+  const ScatteringModel& model = map.scattering;
+  r.shift =
+      ShiftVector(model.shift_law, in, r.normal, model.eta) - ShiftVector(model.shift_law, out, r.normal, model.eta);
+  r.gain = AngularGain(model, cos_in);
+  r.directions = DirectionsOf(in, out, r.normal, model.eta);
   // Box of one mosaic pixel, 1/12 px^2 an axis.
   const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
                py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
@@ -256,7 +258,8 @@ Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, 
       const auto pixel = lit.light.ProjectFromCamera(centre);
       if (!pixel) continue;
       const double variance = own2 + h * h / 12.0;
-      sum += map.weight[at] * DirectionalFactor(map.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) *
+      sum += map.weight[at] *
+             DirectionalFactor(map.scattering.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) *
              (variance < r.narrowest2 ? NarrowLayer(r, light, lit, centre, *pixel, own2, c)
                                       : GatherLevel(r, light, level, centre, *pixel, std::sqrt(variance), c));
     }
@@ -283,8 +286,8 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
           if (s.flux[c] > 0.0F) layer += s.flux[c] * Exchange(r, s, centre, 0.5 / variance);
         layer /= 2.0 * std::numbers::pi * variance;
       }
-      sum +=
-          map.weight[at] * DirectionalFactor(map.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) * layer;
+      sum += map.weight[at] *
+             DirectionalFactor(map.scattering.directional, r.directions, map.depth_mm[at], map.sigma_mm[at]) * layer;
     }
     return sum * r.gain;
   });
@@ -299,11 +302,12 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
       for (int c = 0; c < map.channels; ++c) {
         const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
         if (profile < 0 || !map.Fitted(profile)) continue;
-        if (map.reflection.Known()) {
+        if (map.scattering.reflection.Known()) {
           const Eigen::Vector3d point = surface.Point(i, j);
           const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(),
                                                         -point.normalized(), surface.Normal(i, j));
-          reflectance(i, j, c) = static_cast<float>(ReflectanceOf(map.reflection, angles, map.eta));
+          reflectance(i, j, c) =
+              static_cast<float>(ReflectanceOf(map.scattering.reflection, angles, map.scattering.eta));
           continue;
         }
         float sum = 0.0F;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "fitter/export/pictures.h"
 #include "fitter/report/svg_drawing.h"
 #include "shared/image/png.h"
 

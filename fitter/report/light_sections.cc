@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 
+#include "fitter/export/pictures.h"
 #include "fitter/report/page_text.h"
 
 namespace stratalux::fit {

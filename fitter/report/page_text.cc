@@ -2,15 +2,14 @@
 #include "fitter/report/page_text.h"
 
 #include <cmath>
-#include <cstdio>
+
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 
 std::string Fixed(double value, int digits) {
   if (!std::isfinite(value)) return "-";
-  char text[48];
-  std::snprintf(text, sizeof text, "%.*f", digits, value);
-  return text;
+  return Formatted("%.*f", digits, value);
 }
 
 std::string Signed(double value, int digits) { return (value >= 0.0 ? "+" : "") + Fixed(value, digits); }

@@ -6,7 +6,7 @@
 
 namespace stratalux::fit {
 
-[[nodiscard]] std::string Fixed(double value, int digits);
+[[nodiscard]] std::string Fixed(double value, int digits = 3);
 [[nodiscard]] std::string Signed(double value, int digits);
 [[nodiscard]] std::string PlusMinus(double value, double sd, int digits);
 

@@ -3,7 +3,8 @@
 
 #include <array>
 #include <cmath>
-#include <cstdio>
+
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -45,11 +46,7 @@ std::string EscapeHtml(const std::string& text) {
   return out;
 }
 
-std::string ShortNumber(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", value);
-  return text;
-}
+std::string ShortNumber(double value) { return Formatted("%.4g", value); }
 
 std::string CurveColour(size_t k) { return kColours[k % kColours.size()]; }
 

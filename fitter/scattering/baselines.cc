@@ -12,26 +12,23 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 
-// Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is.
-struct MeanLayers {
-  std::vector<double> weight, depth, sigma;
+// Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is (MeanLayers weighs
+// them by light).
+LayerSet PlainMean(const MixtureMap& map, int channel) {
+  LayerSet mean;
+  for (auto* v : {&mean.weight, &mean.depth_mm, &mean.sigma_mm}) v->assign(map.layers, 0.0);
   int64_t count = 0;
-};
-
-MeanLayers MeanOf(const MixtureMap& map, int channel) {
-  MeanLayers mean;
-  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma}) v->assign(map.layers, 0.0);
   for (int64_t i = channel; i < map.profiles(); i += map.channels) {
     if (!map.Fitted(i)) continue;
-    ++mean.count;
+    ++count;
     for (int l = 0; l < map.layers; ++l) {
       mean.weight[l] += map.weight[i * map.layers + l];
-      mean.depth[l] += map.depth_mm[i * map.layers + l];
-      mean.sigma[l] += map.sigma_mm[i * map.layers + l];
+      mean.depth_mm[l] += map.depth_mm[i * map.layers + l];
+      mean.sigma_mm[l] += map.sigma_mm[i * map.layers + l];
     }
   }
-  for (auto* v : {&mean.weight, &mean.depth, &mean.sigma})
-    for (double& x : *v) x /= static_cast<double>(std::max<int64_t>(mean.count, 1));
+  for (auto* v : {&mean.weight, &mean.depth_mm, &mean.sigma_mm})
+    for (double& x : *v) x /= static_cast<double>(std::max<int64_t>(count, 1));
   return mean;
 }
 
@@ -44,7 +41,7 @@ double TotalWeight(const MixtureMap& map, int64_t i) {
 MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
   MixtureMap out = map;
   for (int c = 0; c < map.channels; ++c) {
-    const MeanLayers mean = MeanOf(map, c);
+    const LayerSet mean = PlainMean(map, c);
     double total = 0.0;
     for (double w : mean.weight) total += w;
     for (int64_t i = c; i < map.profiles(); i += map.channels) {
@@ -52,8 +49,8 @@ MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
       const double scale = keep_albedo && total > 0.0 ? TotalWeight(map, i) / total : 1.0;
       for (int l = 0; l < map.layers; ++l) {
         out.weight[i * map.layers + l] = static_cast<float>(mean.weight[l] * scale);
-        out.depth_mm[i * map.layers + l] = static_cast<float>(mean.depth[l]);
-        out.sigma_mm[i * map.layers + l] = static_cast<float>(mean.sigma[l]);
+        out.depth_mm[i * map.layers + l] = static_cast<float>(mean.depth_mm[l]);
+        out.sigma_mm[i * map.layers + l] = static_cast<float>(mean.sigma_mm[l]);
       }
     }
   }
@@ -80,12 +77,13 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
       blur += std::sqrt(b->blur_mm[i] * b->blur_mm[i] + SampleSitesOf(*b, i).VarianceMm2());
       n += 1.0;
       const double period = double(b->step_mm[i]) * b->samples;
+      const auto y = b->Samples(i);
       for (int k = 0; k < b->samples; ++k) {
         const double u = std::remainder(double(b->first_u_mm[i]) + k * double(b->step_mm[i]), period);
         const long bin = std::lround(u / mean.step) + kHalf;
         if (bin < 0 || bin > 2 * kHalf) continue;
         mean.u[bin] += u;
-        mean.y[bin] += b->y[i * b->samples + k];
+        mean.y[bin] += y[k];
         mean.count[bin] += 1.0;
       }
     }
@@ -111,6 +109,12 @@ double Measured(const Dipole& dipole, double u, double width, double blur) {
     }
   }
   return sum / weights * width;
+}
+
+// Share of a point's blurred light that lies on the line: what a surface of reflectance 1 gives.
+double SurfaceLine(double u, double width, double blur) {
+  const double scale = 1.0 / (std::numbers::sqrt2 * blur);
+  return 0.5 * (std::erf((u + 0.5 * width) * scale) - std::erf((u - 0.5 * width) * scale));
 }
 
 double Misfit(const Dipole& dipole, const MeanProfile& mean) {
@@ -160,8 +164,20 @@ double Dipole::TotalReflectance() const {
   return alpha / 2.0 * (1.0 + std::exp(-4.0 / 3.0 * a * root)) * std::exp(-root);
 }
 
-Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta) {
-  const MeanProfile mean = MeanProfileOf(lights, channel, channels);
+double MeanSurfaceReflectance(const MixtureMap& map, int channel) {
+  const size_t lights = map.training_projectors.size();
+  double sum = 0.0, count = 0.0;
+  for (int64_t i = channel; i < map.profiles(); i += map.channels) {
+    if (!map.Fitted(i)) continue;
+    for (size_t p = 0; p < lights; ++p) sum += map.surface[static_cast<size_t>(i) * lights + p];
+    count += static_cast<double>(lights);
+  }
+  return count > 0.0 ? sum / count : 0.0;
+}
+
+Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta, double surface) {
+  MeanProfile mean = MeanProfileOf(lights, channel, channels);
+  for (size_t k = 0; k < mean.y.size(); ++k) mean.y[k] -= surface * SurfaceLine(mean.u[k], mean.line_width, mean.blur);
   // Pattern search in the logarithms of both coefficients.
   double log_s = std::log(1.5), log_a = std::log(0.05), step = 0.8;
   auto dipole = [&](double s, double a) { return Dipole{std::exp(s), std::exp(a), eta}; };

@@ -24,8 +24,11 @@ struct Dipole {
 };
 
 // Dipole whose line spread fits the mean profile of the valid profiles of `channel` best (least squares over both
-// coefficients).
-[[nodiscard]] Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta);
+// coefficients). `surface`: mean reflectance of the very surface, whose spike is no dipole's and is taken off first.
+[[nodiscard]] Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta,
+                               double surface);
+// Mean surface term of the map's fitted profiles of a channel, over its training lights.
+[[nodiscard]] double MeanSurfaceReflectance(const MixtureMap& map, int channel);
 // The map's pixels with the dipole of their channel, scaled to their own total weight: a sum of centred Gaussians
 // fitted to the dipole's line spread, so that the same renderer shows it.
 [[nodiscard]] Result<MixtureMap> DipoleMap(const MixtureMap& map, std::span<const Dipole> dipoles);

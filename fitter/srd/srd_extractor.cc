@@ -91,8 +91,6 @@ void SrdExtractor::Prepare() {
   // Scatter: half a period, so that the neighbouring lines, a whole period off, light none of it.
   batch_.samples = scatter ? cycle_.frames() / 4 * 2 + 1 : cycle_.frames();
   batch_.wrapped = !scatter;
-  batch_.y.assign(profiles * batch_.samples, 0.0F);
-  batch_.variance.assign(profiles * batch_.samples, 1.0F);
   for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
                   &batch_.first_u_mm, &batch_.pair_mm, &white_dn_})
     v->assign(profiles, 0.0F);
@@ -121,6 +119,9 @@ void SrdExtractor::Prepare() {
         }
       }
   });
+  std::vector<uint8_t> shown(reason_.size());
+  for (size_t i = 0; i < shown.size(); ++i) shown[i] = Valid(static_cast<int64_t>(i)) ? 1 : 0;
+  batch_.AllotRows(shown, 0.0F, 1.0F);
 }
 
 void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
@@ -174,6 +175,7 @@ SrdBatch SrdExtractor::Take() {
     batch_.valid[i] = Valid(i) ? 1 : 0;
     ++counts_[reason_[i]];
   }
+  batch_.KeepValidRows();
   return std::move(batch_);
 }
 
@@ -189,8 +191,7 @@ void SrdExtractor::FillMissingFrame() {
         Reject(i, SrdReason::kSaturated);
         continue;
       }
-      float* y = batch_.y.data() + i * samples;
-      float* variance = batch_.variance.data() + i * samples;
+      const auto y = batch_.Samples(i), variance = batch_.Variances(i);
       double others = 0.0;
       for (int j = 0; j < samples; ++j) others += j == k ? 0.0 : y[j];
       y[k] = static_cast<float>(batch_.white[i] - others);
@@ -205,10 +206,8 @@ void SrdExtractor::RejectTooDark() {
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
       double sum = 0.0, variance = 0.0;
-      for (int k = 0; k < batch_.samples; ++k) {
-        sum += batch_.y[i * batch_.samples + k];
-        variance += batch_.variance[i * batch_.samples + k];
-      }
+      for (const float y : batch_.Samples(i)) sum += y;
+      for (const float v : batch_.Variances(i)) variance += v;
       if (!(sum > options_.min_signal_to_noise * std::sqrt(variance))) Reject(i, SrdReason::kTooDark);
     }
   });

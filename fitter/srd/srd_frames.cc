@@ -99,7 +99,6 @@ void SrdExtractor::MergeRow(const CombFrame& frame, int y, Row& row) const {
 // Row by row, and all frames of a row at once: a profile's samples lie side by side, so that a frame by itself would
 // touch every cache line of the batch.
 void SrdExtractor::Gather(std::span<const CombFrame> frames) {
-  const int samples = batch_.samples;
   ParallelFor(height_, 4, [&](int64_t begin, int64_t end) {
     const size_t size = static_cast<size_t>(width_) * static_cast<size_t>(channels_);
     Row row{std::vector<float>(size), std::vector<float>(size)};
@@ -115,8 +114,8 @@ void SrdExtractor::Gather(std::span<const CombFrame> frames) {
             continue;
           }
           const float per_white = 1.0F / white_dn_[profile];
-          batch_.y[profile * samples + frame.k] = row.signal[i] * per_white;
-          batch_.variance[profile * samples + frame.k] = row.variance[i] * per_white * per_white;
+          batch_.Samples(profile)[frame.k] = row.signal[i] * per_white;
+          batch_.Variances(profile)[frame.k] = row.variance[i] * per_white * per_white;
         }
       }
   });
@@ -158,11 +157,11 @@ void SrdExtractor::CheckEnergy() {
   const int64_t profiles = batch_.profiles();
   std::vector<float> sums(profiles, 0.0F), variances(profiles, 0.0F);
   ParallelFor(profiles, 4096, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i)
-      for (int k = 0; Valid(i) && k < batch_.samples; ++k) {
-        sums[i] += batch_.y[i * batch_.samples + k];
-        variances[i] += batch_.variance[i * batch_.samples + k];
-      }
+    for (int64_t i = begin; i < end; ++i) {
+      if (!Valid(i)) continue;
+      for (const float y : batch_.Samples(i)) sums[i] += y;
+      for (const float v : batch_.Variances(i)) variances[i] += v;
+    }
   });
   auto checked = [&](int64_t i) { return Valid(i) && batch_.white_variance[i] > 0.0F && batch_.white[i] > 0.0F; };
   std::array<double, 3> usual_dn{};

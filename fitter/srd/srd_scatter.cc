@@ -3,6 +3,7 @@
 // plane. Light enters at the pixel's column and leaves at the sample, so u = line - sample as in the gather reading.
 #include <cmath>
 
+#include "fitter/srd/catmull_rom.h"
 #include "fitter/srd/srd_extractor.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
@@ -10,12 +11,10 @@
 namespace stratalux::fit {
 namespace {
 
-// Weights of the four neighbours of a position `f` in [0, 1) after the second one: cubic, through the samples and
-// without blur (its kernel has no second moment, where linear interpolation widens by a third of a pixel).
+// In single precision, as the image's.
 std::array<float, 4> CubicWeights(double f) {
-  const double f2 = f * f, f3 = f2 * f;
-  return {static_cast<float>(-0.5 * f + f2 - 0.5 * f3), static_cast<float>(1.0 - 2.5 * f2 + 1.5 * f3),
-          static_cast<float>(0.5 * f + 2.0 * f2 - 1.5 * f3), static_cast<float>(-0.5 * f2 + 0.5 * f3)};
+  const auto w = CatmullRomWeights(f);
+  return {static_cast<float>(w[0]), static_cast<float>(w[1]), static_cast<float>(w[2]), static_cast<float>(w[3])};
 }
 
 // Value of `channel` at (x, y); NaN where a neighbour is unknown or outside.
@@ -78,8 +77,8 @@ SrdReason SrdExtractor::ReadBesideLine(int64_t profile, ImageView<const float> s
     const float value = Interpolate(signal, at.x(), at.y(), c);
     if (!std::isfinite(variance(i, j, c))) return SrdReason::kSaturated;
     if (!std::isfinite(value)) return SrdReason::kCutOff;
-    batch_.y[profile * batch_.samples + k] = value * per_white;
-    batch_.variance[profile * batch_.samples + k] = variance(i, j, c) * per_white * per_white;
+    batch_.Samples(profile)[k] = value * per_white;
+    batch_.Variances(profile)[k] = variance(i, j, c) * per_white * per_white;
   }
   return SrdReason::kValid;
 }

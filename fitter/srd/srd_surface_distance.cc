@@ -4,19 +4,20 @@
 #include <algorithm>
 #include <cmath>
 
+#include "fitter/srd/catmull_rom.h"
 #include "fitter/srd/srd_extractor.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
 
-// Value of the cyclic sequence `y` at the fractional index `at`: Catmull-Rom.
+// Value of the cyclic sequence `y` at the fractional index `at`.
 float CyclicCubic(const float* y, int count, double at) {
-  const double floor = std::floor(at), f = at - floor, f2 = f * f, f3 = f2 * f;
+  const double floor = std::floor(at);
+  const auto w = CatmullRomWeights(at - floor);
   const int i = static_cast<int>(floor);
   auto v = [&](int k) { return static_cast<double>(y[((i + k) % count + count) % count]); };
-  return static_cast<float>(v(-1) * (-0.5 * f + f2 - 0.5 * f3) + v(0) * (1.0 - 2.5 * f2 + 1.5 * f3) +
-                            v(1) * (0.5 * f + 2.0 * f2 - 1.5 * f3) + v(2) * (-0.5 * f2 + 0.5 * f3));
+  return static_cast<float>(v(-1) * w[0] + v(0) * w[1] + v(1) * w[2] + v(2) * w[3]);
 }
 
 }  // namespace
@@ -89,20 +90,21 @@ void SrdExtractor::ResampleAlongSurface() {
       for (int k = left - 1; k >= 0; --k) u[k] = ArcTo(i, column_[i] + offset + (first + k) * step, from);
       const double length = u[samples] - u[0];
       if (!(length > 0.0) || !std::is_sorted(u.begin(), u.end())) continue;  // folded: stays on the tangent plane
+      const auto old_y = batch_.Samples(i), old_variance = batch_.Variances(i);
       double before = 0.0, after = 0.0;
       int k = 0;
       for (int j = 0; j < samples; ++j) {
         const double wanted = u[0] + j * length / samples;
         while (k + 1 < samples && u[k + 1] <= wanted) ++k;
         const double at = first + k + (wanted - u[k]) / std::max(u[k + 1] - u[k], 1e-9);
-        y[j] = CyclicCubic(batch_.y.data() + i * samples, samples, at);
+        y[j] = CyclicCubic(old_y.data(), samples, at);
         const int nearest = static_cast<int>(std::lround(at));
-        variance[j] = batch_.variance[i * samples + (nearest % samples + samples) % samples];
-        before += batch_.y[i * samples + j];
+        variance[j] = old_variance[(nearest % samples + samples) % samples];
+        before += old_y[j];
         after += y[j];
       }
-      std::copy(y.begin(), y.end(), batch_.y.begin() + i * samples);
-      std::copy(variance.begin(), variance.end(), batch_.variance.begin() + i * samples);
+      std::ranges::copy(y, old_y.begin());
+      std::ranges::copy(variance, old_variance.begin());
       new_first[i] = static_cast<float>(u[0]);
       new_step[i] = static_cast<float>(length / samples);
       if (batch_.white.empty() || !(before > 0.0)) continue;

@@ -34,14 +34,14 @@ PlanOptions PlanOfRows() {
 }
 
 std::string RealMetrics(const RowsOfSession::Fit& fit) {
-  std::string text = "{\"schema\": 1, \"heldout\": [";
+  std::string text = "{\"schema\": 2, \"prediction\": [";
   char entry[400];
   bool first = true;
   for (int projector = 0; projector < 4; ++projector)
     for (const char* light : {"stripe", "white"})
       for (const char* model : {"tied", "homogeneous", "homogeneous_local_albedo", "direction_blind"})
-        for (const char* part : {"total\", \"direct\": \"measured", "total\", \"direct\": \"rendered",
-                                 "subsurface\", \"direct\": \"none"}) {
+        for (const char* part : {"total\", \"direct\": \"separated", "total\", \"direct\": \"predicted",
+                                 "subsurface\", \"direct\": \"truth"}) {
           std::snprintf(entry, sizeof entry,
                         "%s{\"projector\": %d, \"light\": \"%s\", \"model\": \"%s\", \"part\": \"%s\", \"geometry\":"
                         " \"reconstructed\", \"pool\": 1, \"nrmse\": %.17g, \"nrmse_rgb\": [%.17g, %.17g, %.17g],"
@@ -60,7 +60,7 @@ std::string FewMetrics(const RowsOfSession::Fit& fit) {
   char text[400];
   std::snprintf(
       text, sizeof text,
-      "{\"heldout\": [{\"light\": \"stripe\", \"model\": \"tied\", \"part\": \"total\", \"direct\": \"measured\","
+      "{\"prediction\": [{\"light\": \"stripe\", \"model\": \"tied\", \"part\": \"total\", \"direct\": \"separated\","
       " \"geometry\": \"reconstructed\", \"nrmse\": %.17g, \"ssim\": %.17g}], \"fit\": {\"divergence\": %.17g}}",
       fit.nrmse, fit.ssim, fit.divergence);
   return text;

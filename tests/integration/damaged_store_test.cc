@@ -161,7 +161,8 @@ TEST_F(DamagedStore, WithoutTruthTheMapsAreTheSame) {
   ASSERT_EQ(Run(capture + File("rig.toml", kTinyConfig)).code, 0);
   Json metrics;
   const auto maps = [this, &metrics] {
-    const Outcome run = Run("stratalux-fit run s000003 --pool 3 --force --json");
+    for (const char* made_before : {"fits", "artifacts"}) fs::remove_all(Session("s000003") / made_before);
+    const Outcome run = Run("stratalux-fit run s000003 --pool 3 --json");
     EXPECT_EQ(run.code, 0) << run.err;
     std::map<std::string, std::string> made;
     for (const auto& [name, text] : Contents(Json::parse(run.out)["folder"].get<std::string>())) {

@@ -16,7 +16,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/segment/truth_segment.h"
-#include "fitter/pipeline/exr_file.h"
+#include "fitter/export/exr_file.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"

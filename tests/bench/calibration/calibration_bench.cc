@@ -10,8 +10,8 @@
 #include <benchmark/benchmark.h>
 
 #include "db/catalogue/session_store.h"
+#include "fitter/calibration/board_stage.h"
 #include "fitter/calibration/calibrate_rig.h"
-#include "fitter/pipeline/board_stage.h"
 #include "shared/base/check.h"
 #include "tests/fitter/calibration/opencv_peer.h"
 #include "tests/fitter/calibration/real_boards.h"

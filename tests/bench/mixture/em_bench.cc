@@ -19,6 +19,7 @@
 #include <sys/resource.h>
 
 #include "fitter/mixture/em_block.h"
+#include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "shared/base/check.h"
 #include "tests/bench/mixture/em_peers.h"

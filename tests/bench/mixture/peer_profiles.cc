@@ -8,7 +8,7 @@
 #include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
+#include "fitter/mixture/profile_fit.h"
 
 namespace stratalux::bench {
 namespace {
@@ -29,7 +29,7 @@ fit::SrdBatch AsPeersTakeThem(fit::SrdBatch b) {
 fit::SrdBatch WithoutNoise(const fit::EmCases& skins) {
   fit::SrdBatch b = skins.batches[0];
   for (int i = 0; i < kPeerProfiles; ++i) {
-    const auto y = fit::PredictSamples(skins.skins[i], b, i, fit::EmOptions());
+    const auto y = fit::PredictSamples(skins.skins[i], b, i, fit::ScatteringModel());
     std::copy(y.begin(), y.end(), b.y.begin() + int64_t{i} * b.samples);
   }
   return b;
@@ -84,14 +84,14 @@ fit::EmOptions PeerOptions(int sweeps) {
   options.layers = kPeerLayers;
   options.max_iterations = sweeps;
   options.tolerance = 0.0;
-  options.mode = fit::FitMode::kFree;
-  options.gain_model = options.surface_term = options.background_term = false;
+  options.scattering.mode = fit::FitMode::kFree;
+  options.scattering.gain_model = options.surface_term = options.background_term = false;
   return options;
 }
 
 fit::LayerSet OwnStart(const fit::SrdBatch& noisy, int profile) {
   const fit::EmOptions options = PeerOptions(kPeerSweeps);
-  const fit::ReferenceLight light = fit::ReferenceLightOf(noisy, profile, options);
+  const fit::ProfileLight light = fit::ProfileLightOf(noisy, profile, options);
   fit::LayerSet start = fit::SpreadLayers(std::span(&light, 1), options);
   const double sum = std::accumulate(start.weight.begin(), start.weight.end(), 0.0);
   for (double& w : start.weight) w /= sum;

@@ -288,7 +288,7 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   WriteText(made / "metrics.json", "{ }");
   refused(StatusCode::kIntegrity, "metrics.json has 3 bytes");
   fs::remove(made / "metrics.json");
-  refused(StatusCode::kIntegrity, "metrics.json of the fit is missing");
+  refused(StatusCode::kIntegrity, "metrics.json is missing");
   fs::create_symlink("/etc/hostname", made / "metrics.json");
   refused(StatusCode::kIntegrity, "is a link");
   fs::remove(made / "metrics.json");
@@ -303,7 +303,7 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   FlipBits(made / "fit.json", record.find("5000"), 1);
   refused(StatusCode::kIntegrity, "its own hash");
   edited("\"metrics.json\"", "\"../../x\"");
-  refused(StatusCode::kIntegrity, "no file of the fit");
+  refused(StatusCode::kIntegrity, "no file of its folder");
   edited("\"fit\": \"f1\"", "\"fit\": \"f2\"");
   refused(StatusCode::kIntegrity, "is of fit f2");
   edited(session_, "s000099-00000000");

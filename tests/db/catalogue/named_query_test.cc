@@ -310,7 +310,7 @@ TEST_F(NamedQueryTest, FitQualityIsTheMeanOfTheDay) {
   auto store = OpenStore();
   const auto fit = [&](const std::string& id, double nrmse, int64_t created_ns) {
     const std::string json =
-        R"({"heldout": [{"light": "stripe", "model": "tied", "part": "total", "direct": "measured",)"
+        R"({"prediction": [{"light": "stripe", "model": "tied", "part": "total", "direct": "separated",)"
         R"("geometry": "reconstructed", "nrmse": )" +
         std::to_string(nrmse) + "}]}";
     ASSERT_TRUE(store.RegisterFit({id, session, "{}", json, {created_ns}}).ok());

@@ -131,6 +131,7 @@ bool Strikes(DiskFault::Kind kind, int64_t count) {
 int SpaceRefusal() {
   const int64_t count = recording->space_calls++;
   if (Strikes(DiskFault::Kind::kDeath, count)) std::raise(SIGKILL);
+  if (Strikes(DiskFault::Kind::kInterruption, count)) kill(getpid(), SIGINT);
   if (!Strikes(DiskFault::Kind::kNoSpace, count)) return 0;
   ++recording->failed;
   return ENOSPC;
@@ -230,11 +231,11 @@ size_t SpaceFor(int fd, size_t size) {
 
 void MayDie(const char* path) {
   const Lock lock(Mutex());
-  if (Relative(path) && recording->fault.kind == DiskFault::Kind::kDeath) (void)SpaceRefusal();
+  if (Relative(path) && recording->fault.kind >= DiskFault::Kind::kDeath) (void)SpaceRefusal();
 }
 void MayDie(int fd) {
   const Lock lock(Mutex());
-  if (InodeOf(fd) && recording->fault.kind == DiskFault::Kind::kDeath) (void)SpaceRefusal();
+  if (InodeOf(fd) && recording->fault.kind >= DiskFault::Kind::kDeath) (void)SpaceRefusal();
 }
 
 int SyncRefusalOf(int fd) {

@@ -49,9 +49,9 @@ struct DiskFault {
     kNone,
     kNoSpace,
     kSyncError,
-    kDeath
-  };  // kDeath: SIGKILL where kNoSpace would refuse, and before
-      // removals and syncs
+    kDeath,        // SIGKILL where kNoSpace would refuse, and before removals and syncs
+    kInterruption  // SIGINT there, to the process; the call goes on
+  };
   enum class Extent { kOnce, kFromThenOn };
   Kind kind = Kind::kNone;
   int64_t at = 0;  // 0-based, counted over the calls that can fail so

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The fault layer for whole programs: LD_PRELOAD=libstore_faults.so with
-//   STORE_FAULT="KIND AT EXTENT FOLDER": KIND nospace | syncerror | death, AT a number of calls, EXTENT once | on.
+//   STORE_FAULT="KIND AT EXTENT FOLDER": KIND nospace | syncerror | death | interruption, AT a number of calls, EXTENT
+//   once | on.
 // STORE_FAULT_COUNT=FILE: the number of calls at which it could have struck, added as a line when the program ends.
 // Prints nothing; a program that cannot be armed must not seem to pass.
 #include <cstdio>
@@ -20,9 +21,10 @@ namespace {
   DiskFault fault;
   std::istringstream in(text);
   if (!(in >> kind >> fault.at >> extent >> folder)) std::abort();
-  fault.kind = kind == "nospace"     ? DiskFault::Kind::kNoSpace
-               : kind == "syncerror" ? DiskFault::Kind::kSyncError
-                                     : DiskFault::Kind::kDeath;
+  fault.kind = kind == "nospace"        ? DiskFault::Kind::kNoSpace
+               : kind == "syncerror"    ? DiskFault::Kind::kSyncError
+               : kind == "interruption" ? DiskFault::Kind::kInterruption
+                                        : DiskFault::Kind::kDeath;
   fault.extent = extent == "on" ? DiskFault::Extent::kFromThenOn : DiskFault::Extent::kOnce;
   StartRecording(folder, fault);
 }

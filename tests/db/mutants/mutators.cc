@@ -479,7 +479,7 @@ Mutant ChangeDatabase(const fs::path& folder, const std::string& name, Random& r
   if (Below(random, 20) == 0) {
     const std::vector<std::string> statements = {
         "DROP VIEW session_overview",   "DROP VIEW session_findings",  "DROP INDEX frames_by_step",
-        "DROP INDEX sessions_by_visit", "PRAGMA user_version = 7",     "PRAGMA user_version = 5",
+        "DROP INDEX sessions_by_visit", "PRAGMA user_version = 8",     "PRAGMA user_version = 5",
         "PRAGMA application_id = 5",    "DELETE FROM sqlite_sequence", "ALTER TABLE frames ADD COLUMN x TEXT",
         "DROP TABLE metrics",           "CREATE VIEW v AS SELECT 1"};
     const std::string& statement = OneOf(statements, random);

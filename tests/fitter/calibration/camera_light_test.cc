@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-#include "fitter/calibration/linear_frame.h"
+#include "fitter/sensor/linear_frame.h"
 #include "shared/base/random.h"
 
 namespace stratalux::fit {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/calibration/dark_frame.h"
+#include "fitter/sensor/dark_frame.h"
 
 #include <cmath>
 

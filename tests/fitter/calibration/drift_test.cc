@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A rig that no longer stands as it was calibrated, on codes computed from where it really stands.
-#include "fitter/calibration/drift.h"
+#include "fitter/reconstruction/drift.h"
 
 #include <cmath>
 #include <random>

@@ -44,8 +44,8 @@ double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& o
   const EmCases unseen = MakeEmCases({.profiles = kProfiles, .slopes = {1.0}}, options, 99);
   double squares = 0.0;
   for (int64_t i = 0; i < kProfiles; ++i) {
-    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options);
-    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options);
+    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options.scattering);
+    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options.scattering);
     const double light = std::accumulate(truth.begin(), truth.end(), 0.0);
     const double guessed = std::accumulate(guess.begin(), guess.end(), 0.0);
     double error = 0.0, power = 0.0;

@@ -7,8 +7,8 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
 #include "tests/fitter/mixture/em_cases.h"
+#include "tests/fitter/mixture/reference_em.h"
 #include "tests/fitter/mixture/simd_targets.h"
 
 namespace stratalux::fit {
@@ -23,15 +23,15 @@ MixtureMap Fit(const std::vector<const SrdBatch*>& lights, const EmOptions& opti
   return *std::move(map);
 }
 
-ReferenceFit Reference(const std::vector<const SrdBatch*>& lights, int64_t profile, const EmOptions& options) {
-  std::vector<ReferenceLight> all;
+ProfileFit Reference(const std::vector<const SrdBatch*>& lights, int64_t profile, const EmOptions& options) {
+  std::vector<ProfileLight> all;
   for (const SrdBatch* b : lights)
-    if (b->valid[profile] != 0) all.push_back(ReferenceLightOf(*b, profile, options));
+    if (b->valid[profile] != 0) all.push_back(ProfileLightOf(*b, profile, options));
   return FitReference(all, SpreadLayers(all, options), options);
 }
 
 // Divergence to six decimals, every parameter of a layer that has light to 1e-3.
-void ExpectAsReference(const MixtureMap& map, int64_t profile, const ReferenceFit& reference) {
+void ExpectAsReference(const MixtureMap& map, int64_t profile, const ProfileFit& reference) {
   EXPECT_NEAR(map.divergence[profile], reference.divergence, 1e-6);
   EXPECT_NEAR(map.divergence[profile] / reference.divergence, 1.0, 2e-4);
   const LayerSet fitted = LayersOf(map, profile);
@@ -78,24 +78,24 @@ TEST(EmAgreement, PooledQuads) { ExpectAgreement({.profiles = 2, .pool = 2}, Pla
 
 TEST(EmAgreement, FreeModeOfASingleLight) {
   EmOptions options = Plain(30);
-  options.mode = FitMode::kFree;
+  options.scattering.mode = FitMode::kFree;
   ExpectAgreement({.profiles = 2, .slopes = {0.7}}, options, 13);
 }
 
 TEST(EmAgreement, DirectionalWeightsWithoutSurfaceAndWithOneFloor) {
   EmOptions options = Plain(30);
-  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
+  options.scattering.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
   options.surface_term = false;
   options.shared_background = true;
   options.layers = 7;
   ExpectAgreement({.profiles = 2}, options, 14);
-  options.directional.sigma_0_mm = 0.0;  // no layer is narrow
+  options.scattering.directional.sigma_0_mm = 0.0;  // no layer is narrow
   ExpectAgreement({.profiles = 1}, options, 14);
 }
 
 TEST(EmAgreement, SurfaceReflectionHeldAndNoFloor) {
   EmOptions options = Plain(30);
-  options.reflection = {1.1, 0.35};
+  options.scattering.reflection = {1.1, 0.35};
   options.background_term = false;
   ExpectAgreement({.profiles = 2}, options, 16);
 }

@@ -76,7 +76,7 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
   for (double slope : cases.slopes) {
     SrdBatch b = GeometryOf(cases, slope, random);
     for (int i = 0; i < cases.profiles; ++i) {
-      const auto y = PredictSamples(made.skins[i], b, i, options);
+      const auto y = PredictSamples(made.skins[i], b, i, options.scattering);
       const double counts = cases.peak_counts / *std::max_element(y.begin(), y.end());
       for (int k = 0; k < b.samples; ++k) {
         const double variance = (y[k] + 2e-5) / counts;

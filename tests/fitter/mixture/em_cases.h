@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/layer_set.h"
 #include "fitter/mixture/srd_samples.h"
 #include "shared/base/random.h"
 

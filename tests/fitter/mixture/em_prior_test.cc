@@ -7,8 +7,8 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/reference_em.h"
 #include "tests/fitter/mixture/em_cases.h"
+#include "tests/fitter/mixture/reference_em.h"
 #include "tests/fitter/mixture/simd_targets.h"
 
 namespace stratalux::fit {
@@ -45,19 +45,19 @@ MixtureMap Fit(const EmCases& made, const EmOptions& options, const LayerSet& me
   return *std::move(map);
 }
 
-std::vector<ReferenceLight> LightsOf(const EmCases& made, int64_t profile, const EmOptions& options) {
-  std::vector<ReferenceLight> lights;
+std::vector<ProfileLight> LightsOf(const EmCases& made, int64_t profile, const EmOptions& options) {
+  std::vector<ProfileLight> lights;
   for (const SrdBatch& b : made.batches)
-    if (b.valid[profile] != 0) lights.push_back(ReferenceLightOf(b, profile, options));
+    if (b.valid[profile] != 0) lights.push_back(ProfileLightOf(b, profile, options));
   return lights;
 }
 
 // The profile of `map` as the reference has fits; lights that miss it are left out.
-ReferenceFit FitOf(const MixtureMap& map, const EmCases& made, int64_t profile, const EmOptions& options) {
-  ReferenceFit fit;
+ProfileFit FitOf(const MixtureMap& map, const EmCases& made, int64_t profile, const EmOptions& options) {
+  ProfileFit fit;
   fit.layers = LayersOf(map, profile);
-  fit.tau = options.tau;
-  fit.directional = options.directional;
+  fit.tau = options.scattering.tau;
+  fit.directional = options.scattering.directional;
   for (size_t p = 0; p < made.batches.size(); ++p) {
     if (made.batches[p].valid[profile] == 0) continue;
     fit.surface.push_back(map.surface[profile * made.batches.size() + p]);
@@ -75,7 +75,7 @@ TEST(MapEm, NoSweepOfTheReferenceLowersThePosterior) {
     const MixtureMap start = Fit(made, options, MeanSkin(options.layers));
     for (int64_t i = 0; i < 4; ++i) {
       const auto lights = LightsOf(made, i, options);
-      const ReferenceFit centre = FitOf(start, made, i, options);
+      const ProfileFit centre = FitOf(start, made, i, options);
       double last = PenalisedDivergence(lights, centre, centre, options);
       for (int sweeps : {1, 2, 3, 5, 10, 30}) {
         options.max_iterations = sweeps;
@@ -96,25 +96,25 @@ TEST(MapEm, EndsWhereThePosteriorIsStationary) {
   const MixtureMap start = Fit(made, options, MeanSkin(options.layers));
   for (int64_t i = 0; i < 2; ++i) {
     const auto lights = LightsOf(made, i, options);
-    const ReferenceFit centre = FitOf(start, made, i, options);
+    const ProfileFit centre = FitOf(start, made, i, options);
     options.max_iterations = 3000;
-    const ReferenceFit fit = RefineReference(lights, centre, options);
+    const ProfileFit fit = RefineReference(lights, centre, options);
     const auto slope = [&](auto parameter, double scale) {
       constexpr double kStep = 1e-4;
-      ReferenceFit up = fit, down = fit;
+      ProfileFit up = fit, down = fit;
       parameter(up) += kStep * scale;
       parameter(down) -= kStep * scale;
       return (PenalisedDivergence(lights, centre, up, options) - PenalisedDivergence(lights, centre, down, options)) /
              (2.0 * kStep);
     };
     for (size_t l = 0; l < 3; ++l) {
-      EXPECT_NEAR(slope([&](ReferenceFit& f) -> double& { return f.layers.weight[l]; }, fit.layers.weight[l]), 0, 2e-6);
-      EXPECT_NEAR(slope([&](ReferenceFit& f) -> double& { return f.layers.depth_mm[l]; }, 1.0), 0.0, 2e-6);
-      EXPECT_NEAR(slope([&](ReferenceFit& f) -> double& { return f.layers.sigma_mm[l]; }, 1.0), 0.0, 2e-6);
+      EXPECT_NEAR(slope([&](ProfileFit& f) -> double& { return f.layers.weight[l]; }, fit.layers.weight[l]), 0, 2e-6);
+      EXPECT_NEAR(slope([&](ProfileFit& f) -> double& { return f.layers.depth_mm[l]; }, 1.0), 0.0, 2e-6);
+      EXPECT_NEAR(slope([&](ProfileFit& f) -> double& { return f.layers.sigma_mm[l]; }, 1.0), 0.0, 2e-6);
     }
     for (size_t p = 0; p < lights.size(); ++p) {
-      EXPECT_NEAR(slope([&](ReferenceFit& f) -> double& { return f.surface[p]; }, fit.surface[p]), 0.0, 2e-6);
-      EXPECT_NEAR(slope([&](ReferenceFit& f) -> double& { return f.background[p]; }, fit.background[p]), 0.0, 2e-6);
+      EXPECT_NEAR(slope([&](ProfileFit& f) -> double& { return f.surface[p]; }, fit.surface[p]), 0.0, 2e-6);
+      EXPECT_NEAR(slope([&](ProfileFit& f) -> double& { return f.background[p]; }, fit.background[p]), 0.0, 2e-6);
     }
   }
 }
@@ -126,9 +126,9 @@ void ExpectAgreement(const EmCases& made, const EmOptions& options, const LayerS
   const MixtureMap start = Fit(made, none, mean), map = Fit(made, options, mean);
   for (int64_t i = 0; i < map.profiles(); ++i) {
     SCOPED_TRACE(i);
-    const ReferenceFit reference = RefineReference(LightsOf(made, i, options), FitOf(start, made, i, options), options);
+    const ProfileFit reference = RefineReference(LightsOf(made, i, options), FitOf(start, made, i, options), options);
     EXPECT_NEAR(map.divergence[i], reference.divergence, 1e-6);
-    const ReferenceFit fitted = FitOf(map, made, i, options);
+    const ProfileFit fitted = FitOf(map, made, i, options);
     const double total = Total(reference.layers.weight);
     for (size_t l = 0; l < fitted.layers.weight.size(); ++l) {
       EXPECT_NEAR(fitted.layers.weight[l], reference.layers.weight[l], 2e-5 * total) << l;
@@ -157,19 +157,21 @@ TEST(MapEm, AgreesWithTheReferenceOnEveryInstructionSet) {
 TEST(MapEm, AgreesWithTheReferenceWhereTheSurfaceIsHeld) {
   EmOptions options = Plain(20, 1000.0);
   options.background_term = false;
-  options.reflection = {1.1, 0.35};
+  options.scattering.reflection = {1.1, 0.35};
   const EmCases made = MakeEmCases({.profiles = 2, .peak_counts = 300}, options, 37);
   const LayerSet mean = MeanSkin(options.layers);
   ExpectAgreement(made, options, mean);
   const MixtureMap map = Fit(made, options, mean);
   for (size_t p = 0; p < made.batches.size(); ++p)
-    EXPECT_NEAR(map.surface[p],
-                ReflectanceOf(options.reflection, ReflectionAngles::Of(made.batches[p], 0), options.eta), 1e-6);
+    EXPECT_NEAR(
+        map.surface[p],
+        ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(made.batches[p], 0), options.scattering.eta),
+        1e-6);
 }
 
 TEST(MapEm, AgreesInOpenWindowsWithDirectionsAndOneFloor) {
   EmOptions options = Plain(20, 2000.0);
-  options.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
+  options.scattering.directional = {.kappa_per_mm = 0.4, .phase_slope = 0.5, .sigma_0_mm = 0.4};
   options.shared_background = true;
   options.layers = 7;
   EmCases made = MakeEmCases({.profiles = 3, .samples = 41, .wrapped = false, .peak_counts = 2000}, options, 34);
@@ -187,7 +189,7 @@ TEST(MapEm, KeepsTheLightOfTheProfileAndWithEndlessPhotonsTheShapeOfTheMean) {
   const MixtureMap free = Fit(made, options, mean);
   EXPECT_TRUE(free.prior_share.empty());
   for (int64_t i = 0; i < 8; ++i) {
-    const ReferenceFit fit = FitOf(held, made, i, options);
+    const ProfileFit fit = FitOf(held, made, i, options);
     const double total = Total(fit.layers.weight), mean_total = Total(mean.weight);
     for (size_t l = 0; l < fit.layers.weight.size(); ++l) {
       EXPECT_NEAR(fit.layers.weight[l] / total, mean.weight[l] / mean_total, 1e-3);
@@ -199,9 +201,9 @@ TEST(MapEm, KeepsTheLightOfTheProfileAndWithEndlessPhotonsTheShapeOfTheMean) {
     const auto shown = [&](const MixtureMap& map) {
       double photons = 0.0;
       const auto lights = LightsOf(made, i, options);
-      const ReferenceFit of = FitOf(map, made, i, options);
+      const ProfileFit of = FitOf(map, made, i, options);
       for (size_t p = 0; p < lights.size(); ++p)
-        for (double y : ReferenceModelOf(of, lights, p)) photons += lights[p].counts * y;
+        for (double y : ModelOf(of, FineGrid(lights[p]), p)) photons += lights[p].counts * y;
       return photons;
     };
     EXPECT_NEAR(shown(held) / shown(free), 1.0, 0.01);
@@ -246,7 +248,7 @@ TEST(MapEm, AcceleratedEndsAtNoLowerPosteriorThanAsManyPlainSweeps) {
     const MixtureMap start = Fit(made, options, mean);
     for (int64_t i = 0; i < 32; ++i) {
       const auto lights = LightsOf(made, i, options);
-      const ReferenceFit centre = FitOf(start, made, i, options);
+      const ProfileFit centre = FitOf(start, made, i, options);
       const auto objective = [&](const MixtureMap& map) {
         return PenalisedDivergence(lights, centre, FitOf(map, made, i, options), options);
       };

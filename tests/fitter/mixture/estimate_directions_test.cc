@@ -22,8 +22,8 @@ EmOptions SixLayers() {
 // Profiles of a skin whose deep layers lose light on the oblique way.
 EmCases Skins(double kappa_per_mm, double tau) {
   EmOptions truth = SixLayers();
-  truth.tau = tau;
-  truth.directional.kappa_per_mm = kappa_per_mm;
+  truth.scattering.tau = tau;
+  truth.scattering.directional.kappa_per_mm = kappa_per_mm;
   return MakeEmCases({.profiles = 96, .peak_counts = 50000.0, .alike = 32}, truth, 5);
 }
 
@@ -50,7 +50,7 @@ TEST(EstimateDirections, ReadsPooledProfilesAsTheFitDoes) {
   const auto lights = cases.lights();
   const auto estimate = EstimateDirections(lights, 1, options, 1);
   ASSERT_TRUE(estimate.ok());
-  options.tau = estimate->tau;
+  options.scattering.tau = estimate->tau;
   const auto map = FitMixture(lights, {0, 1, 2}, 32, 1, 1, options);
   ASSERT_TRUE(map.ok());
   // A mean of the profiles' divergences.
@@ -62,7 +62,7 @@ TEST(EstimateDirections, ReadsPooledProfilesAsTheFitDoes) {
 TEST(EstimateDirections, KeepsTauWhereNoPixelSeesAllLights) {
   EmOptions options;
   options.layers = 3;
-  options.tau = 0.3;
+  options.scattering.tau = 0.3;
   EmCases cases = MakeEmCases({.profiles = 16}, options, 6);
   for (int64_t i = 0; i < 16; ++i) cases.batches[static_cast<size_t>(i) % 3].valid[static_cast<size_t>(i)] = 0;
   const auto estimate = EstimateDirections(cases.lights(), 1, options, 1);

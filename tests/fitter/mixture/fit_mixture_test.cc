@@ -43,7 +43,7 @@ SrdBatch Geometry(double slope, int64_t profiles, double width_mm = 0.58) {
 // Photon noise with `peak_counts` at the brightest sample (0: none).
 void FillSamples(SrdBatch& b, const LayerSet& layers, const EmOptions& options, double peak_counts, Random& random) {
   for (int64_t i = 0; i < b.profiles(); ++i) {
-    const auto y = PredictSamples(layers, b, i, options);
+    const auto y = PredictSamples(layers, b, i, options.scattering);
     const double counts = peak_counts / *std::max_element(y.begin(), y.end());
     for (int k = 0; k < b.samples; ++k) {
       const double noise = peak_counts > 0.0 ? random.Normal() * std::sqrt(y[k] / counts) : 0.0;
@@ -109,7 +109,9 @@ TEST(FitMixture, RecoversTotalDepthAndUnseenLightOfKnownLayersUnderPhotonNoise) 
       total += fitted.weight[l] / 64;
       depth += fitted.weight[l] * fitted.depth_mm[l] / 64;
     }
-    error += Nrmse(PredictSamples(known, unseen, i, options), PredictSamples(fitted, unseen, i, options)) / 64;
+    error += Nrmse(PredictSamples(known, unseen, i, options.scattering),
+                   PredictSamples(fitted, unseen, i, options.scattering)) /
+             64;
   }
   EXPECT_NEAR(total / known_total, 1.0, 0.01);
   EXPECT_NEAR(depth / known_depth, 1.0, 0.04);
@@ -126,9 +128,9 @@ TEST(FitMixture, BeatsTheDirectionBlindFitOnUnseenLightAndFindsPositiveDepth) {
   const auto tied = Fit(lights, options), flat = Fit(lights, blind);
   ASSERT_TRUE(tied.ok() && flat.ok());
   const SrdBatch unseen = Geometry(1.0, 16);
-  const auto truth = PredictSamples(KnownLayers(), unseen, 3, options);
-  const double with = Nrmse(truth, PredictSamples(LayersOf(*tied, 3), unseen, 3, options));
-  const double without = Nrmse(truth, PredictSamples(LayersOf(*flat, 3), unseen, 3, options));
+  const auto truth = PredictSamples(KnownLayers(), unseen, 3, options.scattering);
+  const double with = Nrmse(truth, PredictSamples(LayersOf(*tied, 3), unseen, 3, options.scattering));
+  const double without = Nrmse(truth, PredictSamples(LayersOf(*flat, 3), unseen, 3, options.scattering));
   EXPECT_LT(with, 0.3 * without);
   double moment = 0.0;
   const LayerSet layers = LayersOf(*tied, 3);
@@ -173,7 +175,7 @@ TEST(FitMixture, WhiteFramesFixTheScaleThatDimSamplesCannot) {
   for (SrdBatch& b : lights.batches)
     for (int64_t i = 0; i < b.profiles(); ++i) {
       double white = 0.0;
-      for (double y : PredictSamples(KnownLayers(), b, i, options)) white += y;
+      for (double y : PredictSamples(KnownLayers(), b, i, options.scattering)) white += y;
       b.white.push_back(static_cast<float>(white * (1.0 + 0.01 * random.Normal())));
       b.white_variance.push_back(static_cast<float>(1e-4 * white * white));
     }
@@ -195,9 +197,9 @@ TEST(FitMixture, KnowsTheSlitExactly) {
   const auto map = Fit(lights, options);
   ASSERT_TRUE(map.ok());
   const SrdBatch narrow = Geometry(0.3, 16, 0.25);
-  EXPECT_LT(
-      Nrmse(PredictSamples(KnownLayers(), narrow, 5, options), PredictSamples(LayersOf(*map, 5), narrow, 5, options)),
-      0.03);
+  EXPECT_LT(Nrmse(PredictSamples(KnownLayers(), narrow, 5, options.scattering),
+                  PredictSamples(LayersOf(*map, 5), narrow, 5, options.scattering)),
+            0.03);
 }
 
 TEST(FitMixture, ModelledLightAddsUpToTheMeasured) {
@@ -206,7 +208,7 @@ TEST(FitMixture, ModelledLightAddsUpToTheMeasured) {
   const auto map = Fit(lights, options);
   ASSERT_TRUE(map.ok());
   for (size_t p = 0; p < 2; ++p) {
-    const auto y = PredictSamples(LayersOf(*map, 2), lights.batches[p], 2, options);
+    const auto y = PredictSamples(LayersOf(*map, 2), lights.batches[p], 2, options.scattering);
     double modelled = 64.0 * map->background[2 * 2 + p] + map->surface[2 * 2 + p], measured = 0.0;
     for (int k = 0; k < 64; ++k) {
       modelled += y[k];
@@ -251,6 +253,14 @@ TEST(FitMixture, CountsBadProfilesAndNeverReturnsNaN) {
   for (const auto* v :
        {&map->weight, &map->depth_mm, &map->sigma_mm, &map->surface, &map->background, &map->divergence})
     for (float x : *v) ASSERT_TRUE(std::isfinite(x));
+  // Without the rows of what is not valid, nothing else is seen.
+  for (SrdBatch& b : lights.batches) b.KeepValidRows();
+  const auto compact = Fit(lights, options);
+  ASSERT_TRUE(compact.ok());
+  EXPECT_EQ(compact->weight, map->weight);
+  EXPECT_EQ(compact->depth_mm, map->depth_mm);
+  EXPECT_EQ(compact->surface, map->surface);
+  EXPECT_EQ(compact->reason, map->reason);
   auto reason = [&](int64_t i) { return static_cast<FitReason>(map->reason[i]); };
   EXPECT_EQ(reason(0), FitReason::kNotFinite);
   EXPECT_EQ(reason(1), FitReason::kTooDark);
@@ -324,15 +334,15 @@ TEST(FitMixture, RefusesOptionsOutOfRange) {
   options.layers = 33;
   EXPECT_EQ(Fit(lights, options).status().code(), StatusCode::kUsage);
   options = {};
-  options.eta = 0.5;
+  options.scattering.eta = 0.5;
   EXPECT_EQ(Fit(lights, options).status().code(), StatusCode::kUsage);
 }
 
 TEST(EstimateTau, FindsTheObliquePathOfTheTrainingLights) {
   EmOptions options;
-  options.tau = 0.35;
+  options.scattering.tau = 0.35;
   const Lights lights = MakeLights({-1.2, 0.0, 0.7}, 64, 4000, options);
-  EXPECT_NEAR(EstimateTau(lights.pointers(), options.eta), 0.35, 0.03);
+  EXPECT_NEAR(EstimateTau(lights.pointers(), options.scattering.eta), 0.35, 0.03);
 }
 
 TEST(ShiftLaw, FollowsSnellAndKeepsTheDirection) {
@@ -364,14 +374,16 @@ TEST(LineResponse, IsTheDifferenceOfNormalDistributionsAveragedOverTheCell) {
 // The light of the very surface added to that of known layers.
 TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
   EmOptions options;
-  options.gain_model = false;
-  options.reflection = {1.2, 0.35};
+  options.scattering.gain_model = false;
+  options.scattering.reflection = {1.2, 0.35};
   Lights lights = MakeLights({-1.0, 0.0, 0.577}, 8, 0.0, options);
   for (SrdBatch& b : lights.batches)
     for (int64_t i = 0; i < b.profiles(); ++i) {
       const LayerSet surface = {
-          {ReflectanceOf(options.reflection, ReflectionAngles::Of(b, i), options.eta)}, {0.0}, {1e-3}};
-      const auto y = PredictSamples(surface, b, i, options);
+          {ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(b, i), options.scattering.eta)},
+          {0.0},
+          {1e-3}};
+      const auto y = PredictSamples(surface, b, i, options.scattering);
       for (int k = 0; k < b.samples; ++k) b.y[i * b.samples + k] += static_cast<float>(y[k]);
     }
   const auto error_of_total = [&](const EmOptions& of) {
@@ -390,20 +402,23 @@ TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
   // White frames that say otherwise move the layers, not the surface that is held.
   for (SrdBatch& b : lights.batches)
     for (int64_t i = 0; i < b.profiles(); ++i) {
-      const double surface = ReflectanceOf(options.reflection, ReflectionAngles::Of(b, i), options.eta);
+      const double surface =
+          ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(b, i), options.scattering.eta);
       b.white.push_back(static_cast<float>((WhiteReflectanceOf(b, i).value - surface) * 1.2 + surface));
       b.white_variance.push_back(1e-12F);
     }
   const auto brighter = Fit(lights, options);
   ASSERT_TRUE(brighter.ok());
-  EXPECT_NEAR(brighter->surface[0],
-              ReflectanceOf(options.reflection, ReflectionAngles::Of(lights.batches[0], 0), options.eta), 1e-6);
+  EXPECT_NEAR(
+      brighter->surface[0],
+      ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(lights.batches[0], 0), options.scattering.eta),
+      1e-6);
   double total = 0.0;
   for (double w : LayersOf(*brighter, 0).weight) total += w;
   EXPECT_NEAR(total, 1.2 * 0.45, 0.01);
   for (SrdBatch& b : lights.batches) b.white.clear();
   EmOptions unknown = options;
-  unknown.reflection = {};
+  unknown.scattering.reflection = {};
   EXPECT_GT(error_of_total(unknown), 0.03);
 }
 

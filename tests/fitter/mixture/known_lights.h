@@ -33,7 +33,7 @@ inline SrdBatch CombOf(const LayerSet& layers, double slope, int64_t profiles, d
   for (int64_t i = 0; i < profiles; ++i) {
     b.first_u_mm.push_back(static_cast<float>(-10.0 + 0.037 * static_cast<double>(i % 40)));
     b.y.resize(b.samples * (i + 1));
-    const auto y = PredictSamples(layers, b, i, options);
+    const auto y = PredictSamples(layers, b, i, options.scattering);
     const double counts = peak_counts > 0.0 ? peak_counts / *std::max_element(y.begin(), y.end()) : 1e6;
     for (int k = 0; k < b.samples; ++k) {
       const double noise = peak_counts > 0.0 ? random.Normal() * std::sqrt(y[k] / counts) : 0.0;

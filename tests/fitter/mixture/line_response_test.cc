@@ -92,7 +92,7 @@ std::vector<SrdBatch> PooledProfiles(const SampleSites& sites, const EmOptions& 
       SrdBatch one = b;  // a line is nearer to a site that lies towards it
       for (float& u : one.first_u_mm) u -= static_cast<float>(place);
       for (int64_t i = 0; i < b.profiles(); ++i) {
-        const auto y = PredictSamples(test::FiveLayers(), one, i, options);
+        const auto y = PredictSamples(test::FiveLayers(), one, i, options.scattering);
         for (int k = 0; k < b.samples; ++k)
           b.y[i * b.samples + k] += static_cast<float>(y[k] / static_cast<double>(places.size()));
       }
@@ -119,7 +119,7 @@ SrdBatch AsGaussian(SrdBatch b) {
 double WorstOfPrediction(const SrdBatch& b, const EmOptions& options) {
   double worst = 0.0, peak = 0.0;
   for (int64_t i = 0; i < b.profiles(); ++i) {
-    const auto y = PredictSamples(test::FiveLayers(), b, i, options);
+    const auto y = PredictSamples(test::FiveLayers(), b, i, options.scattering);
     for (int k = 0; k < b.samples; ++k) {
       worst = std::max(worst, std::abs(y[k] - double{b.y[i * b.samples + k]}));
       peak = std::max(peak, y[k]);

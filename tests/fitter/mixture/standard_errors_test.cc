@@ -30,7 +30,7 @@ Combs MakeCombs(const std::vector<double>& slopes, int64_t profiles, double peak
 EmOptions Options() {
   EmOptions options;
   options.surface_term = false;
-  options.gain_model = false;
+  options.scattering.gain_model = false;
   options.max_iterations = 100;
   options.tolerance = 0.0;
   return options;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/exr_file.h"
+#include "fitter/export/exr_file.h"
 
 #include <cmath>
 #include <fstream>

@@ -1,22 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/fit_stage.h"
-
 #include <gtest/gtest.h>
 
+#include "fitter/stages/layers.h"
 #include "tests/fitter/mixture/known_lights.h"
 
 namespace stratalux::fit {
 namespace {
 
 TEST(FitLayers, SweepsPooledProfilesAsManyTimesMoreAsTheyAreFewer) {
-  EmOptions options;
-  options.max_iterations = 3;
-  options.tolerance = 0.0;
-  options.choose_prior = false;  // every pixel on its own: its sweeps are counted
+  FitOptions options;
+  options.em.max_iterations = 3;
+  options.em.tolerance = 0.0;
+  options.choose.prior = false;  // every pixel on its own: its sweeps are counted
   Random random(1);
   SrdSet srds{.pool = 1, .width = 16, .height = 1, .channels = 1, .batches = {}, .row_batches = {}};
   for (double slope : {-1.0, 0.0, 0.58})
-    srds.batches.push_back(test::CombOf(test::FiveLayers(), slope, srds.width, 4000.0, options, random));
+    srds.batches.push_back(test::CombOf(test::FiveLayers(), slope, srds.width, 4000.0, options.em, random));
   Logger logger;
   for (int pool : {1, 2}) {
     srds.pool = pool;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/free_fit.h"
+#include "fitter/mixture/free_fit.h"
 
 #include <cmath>
 
@@ -28,7 +28,7 @@ SrdBatch Light(double slope, const LayerSet& layers, const EmOptions& options, u
   Random random(seed);
   for (int64_t i = 0; i < kProfiles; ++i) b.first_u_mm.push_back(static_cast<float>(-10.0 + 0.05 * double(i)));
   for (int64_t i = 0; i < kProfiles; ++i) {
-    const auto y = PredictSamples(layers, b, i, options);
+    const auto y = PredictSamples(layers, b, i, options.scattering);
     for (int k = 0; k < 64; ++k) {
       const double variance = std::max(y[k], 1e-5) * 0.1 / 4000.0;
       b.y[i * 64 + k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
@@ -63,7 +63,8 @@ double HeldOutError(const MixtureMap& map, const Case& c, double slope, double d
   for (int64_t i = 0; i < kProfiles; ++i) {
     LayerSet layers = LayersOf(map, i);
     for (double& d : layers.depth_mm) d *= depth_factor;
-    const auto truth = PredictSamples(c.layers, heldout, i, tied), guess = PredictSamples(layers, heldout, i, tied);
+    const auto truth = PredictSamples(c.layers, heldout, i, tied.scattering),
+               guess = PredictSamples(layers, heldout, i, tied.scattering);
     for (int k = 0; k < 64; ++k) {
       error += std::pow(guess[k] - truth[k], 2);
       power += truth[k] * truth[k];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/heldout_takes.h"
+#include "fitter/evaluation/heldout_takes.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,8 +13,12 @@
 
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/simulated/simulated_rig.h"
-#include "fitter/pipeline/geometry_stage.h"
-#include "fitter/pipeline/srd_stage.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/decode.h"
+#include "fitter/stages/normals.h"
+#include "fitter/stages/separate.h"
+#include "fitter/stages/shape.h"
+#include "fitter/stages/srd.h"
 
 namespace stratalux::fit {
 namespace {
@@ -204,17 +208,27 @@ TEST_F(HeldOutTakes, ALostTakeIsToldByName) {
 
 // All that the layers are fitted on.
 struct Training {
-  FaceGeometry face;
+  FaceShape face;
+  std::vector<SeparationMap> separation;
+  FaceNormals normals;
   SrdSet srds;
   std::vector<Image<float>> black, white;
 };
 
 Training TrainingOf(const SessionFrames& frames, Logger& logger) {
   Training training;
-  StageClock clock(logger);
-  auto face = ReconstructFace(frames, clock, logger);
+  const auto decoded = DecodeFace(frames, logger);
+  EXPECT_TRUE(decoded.ok()) << decoded.status().message();
+  auto face = ReconstructShape(decoded->maps, *frames.calibration(), *frames.record());
   EXPECT_TRUE(face.ok()) << face.status().message();
   training.face = *std::move(face);
+  auto separation = SeparateFace(frames);
+  EXPECT_TRUE(separation.ok()) << separation.status().message();
+  training.separation = *std::move(separation);
+  auto normals = EstimateFaceNormals(training.separation, training.face.surface, *frames.calibration(),
+                                     frames.plan()->exposure_ms);
+  EXPECT_TRUE(normals.ok()) << normals.status().message();
+  training.normals = *std::move(normals);
   std::vector<SweepFigure> figures;
   auto srds = ExtractSrds(frames, training.face.surface, training.face.lit, {}, logger, figures);
   EXPECT_TRUE(srds.ok()) << srds.status().message();
@@ -239,7 +253,7 @@ bool Same(const Image<float>& a, const Image<float>& b) {
 
 void ExpectSame(const Training& a, const Training& b) {
   EXPECT_TRUE(Same(a.face.surface.point_mm, b.face.surface.point_mm));
-  EXPECT_TRUE(Same(a.face.fused_normal, b.face.fused_normal));
+  EXPECT_TRUE(Same(a.normals.fused, b.normals.fused));
   ASSERT_EQ(a.srds.batches.size(), b.srds.batches.size());
   for (size_t p = 0; p < a.srds.batches.size(); ++p) {
     const SrdBatch &x = a.srds.batches[p], &y = b.srds.batches[p];
@@ -248,7 +262,7 @@ void ExpectSame(const Training& a, const Training& b) {
     EXPECT_TRUE(Same(x.y, y.y)) << p;
     EXPECT_TRUE(Same(x.variance, y.variance)) << p;
     EXPECT_TRUE(Same(x.white, y.white)) << p;
-    EXPECT_TRUE(Same(a.face.separation[p].direct, b.face.separation[p].direct)) << p;
+    EXPECT_TRUE(Same(a.separation[p].direct, b.separation[p].direct)) << p;
     EXPECT_TRUE(Same(a.black[p], b.black[p])) << p;
     EXPECT_TRUE(Same(a.white[p], b.white[p])) << p;
   }

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/layer_maps.h"
+#include "fitter/stages/layer_maps.h"
 
 #include <cmath>
 
 #include <gtest/gtest.h>
 
-#include "fitter/pipeline/exr_file.h"
-#include "fitter/pipeline/layer_pictures.h"
+#include "fitter/export/exr_file.h"
+#include "fitter/export/pictures.h"
 #include "fitter/report/html_report.h"
+#include "fitter/report/layer_pictures.h"
 
 namespace stratalux::fit {
 namespace {

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/saved_fit.h"
-
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include "fitter/pipeline/exr_file.h"
+#include "fitter/export/exr_file.h"
+#include "fitter/stages/layers_file.h"
 
 namespace stratalux::fit {
 namespace {
@@ -31,14 +30,14 @@ TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
   std::filesystem::create_directories(folder);
   MixtureMap map = SmallMap();
   const Image<float> noise(3, 2, 3, 40.0F);
-  ASSERT_TRUE(WriteLayers(folder, map, noise, 1).ok());
+  ASSERT_TRUE(SaveLayers(folder, {map, 1, noise}).ok());
   const std::vector<std::string> shares = {"prior_share.R", "prior_share.G", "prior_share.B"};
   const auto none = ReadExr(folder / "quality.exr", shares);
   ASSERT_TRUE(none.ok()) << none.status().message();
   for (float share : none->pixels()) EXPECT_EQ(share, 0.0F);
 
   for (int64_t i = 0; i < map.profiles(); ++i) map.prior_share.push_back(0.05F * static_cast<float>(i));
-  ASSERT_TRUE(WriteLayers(folder, map, noise, 1).ok());
+  ASSERT_TRUE(SaveLayers(folder, {map, 1, noise}).ok());
   const auto quality = ReadExr(folder / "quality.exr", shares);
   const auto older = ReadExr(folder / "quality.exr", {"divergence.R", "signal_to_noise.G"});
   ASSERT_TRUE(quality.ok() && older.ok());

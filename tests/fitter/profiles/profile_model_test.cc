@@ -68,7 +68,7 @@ double Nrmse(const std::vector<double>& truth, const std::vector<double>& estima
 
 EmOptions WithoutGain() {
   EmOptions options = ProfileOptions();
-  options.gain_model = false;
+  options.scattering.gain_model = false;
   return options;
 }
 
@@ -161,12 +161,12 @@ TEST(ProfileModel, FindsTheAngularGain) {
     for (double& y : p.radiance) y *= gain(p.incidence_deg);
   const auto model = FitProfiles(profiles, ProfileOptions());
   ASSERT_TRUE(model.ok());
-  EXPECT_NEAR(model->tau, 0.3, 0.05);
+  EXPECT_NEAR(model->scattering.tau, 0.3, 0.05);
 }
 
 TEST(ProfileModel, FreeModeKnowsItsOwnSourcesOnly) {
   EmOptions options = WithoutGain();
-  options.mode = FitMode::kFree;
+  options.scattering.mode = FitMode::kFree;
   const auto model = FitProfiles(Training(), options);
   ASSERT_TRUE(model.ok());
   for (const LineProfile& p : Training()) {
@@ -183,7 +183,7 @@ TEST(ProfileModel, FreeModeKnowsItsOwnSourcesOnly) {
 TEST(ProfileModel, JsonKeepsWhatPredictionNeeds) {
   for (FitMode mode : {FitMode::kTied, FitMode::kFree}) {
     EmOptions options = ProfileOptions();
-    options.mode = mode;
+    options.scattering.mode = mode;
     const auto model = FitProfiles(Training(), options);
     ASSERT_TRUE(model.ok());
     const auto read = ProfileModel::FromJson(model->ToJson(), "m.json");
@@ -255,7 +255,7 @@ TEST(ProfileModel, LayersThatKnowNoDirectionGetNoDirectionalWeights) {
   }
   const auto model = FitProfiles(profiles, WithoutGain());
   ASSERT_TRUE(model.ok());
-  EXPECT_TRUE(model->directional.Off());
+  EXPECT_TRUE(model->scattering.directional.Off());
   ASSERT_TRUE(model->effective.has_value());
   double weight = 0.0, depth = 0.0;
   for (const Layer& l : kSkin) {
@@ -297,7 +297,7 @@ TEST(ProfileModel, DirectionalWeightsPredictSingleScatteringAtUnseenAngles) {
   options.max_iterations = 60;
   const auto with = FitProfiles(profiles, options), without = FitProfiles(profiles, options, Directional::kOff);
   ASSERT_TRUE(with.ok() && without.ok());
-  EXPECT_FALSE(with->directional.Off());
+  EXPECT_FALSE(with->scattering.directional.Off());
   for (const LineProfile& unseen : {WithSingleScattering(45, 30), WithSingleScattering(60, 0)}) {
     const double error = Nrmse(unseen.radiance, *PredictProfile(*with, unseen));
     EXPECT_LT(error, 0.04) << unseen.source;

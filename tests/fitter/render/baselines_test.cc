@@ -48,8 +48,9 @@ TEST(Dipole, SpreadsALineWithoutLosingLight) {
   }
 }
 
-// A comb cycle that looks at a dipole: box of the line by quadrature, Gaussian blur by quadrature.
-SrdBatch CombOver(const Dipole& dipole, int channels) {
+// A comb cycle that looks at a dipole, below a surface that sends back the share `surface` where it is hit: box of the
+// line and Gaussian blur by quadrature.
+SrdBatch CombOver(const Dipole& dipole, int channels, double surface = 0.0) {
   SrdBatch b;
   b.samples = 64;
   constexpr float kStep = 0.58F;
@@ -68,7 +69,11 @@ SrdBatch CombOver(const Dipole& dipole, int channels) {
         for (int s = 0; s < 8; ++s)
           y += weight * dipole.LineSpread(u + 0.2 * g + kStep * ((s + 0.5) / 8 - 0.5)) * kStep / 8;
       }
-      b.y.push_back(static_cast<float>(y / norm));
+      double hit = 0.0;
+      for (double g = -4.0; g <= 4.0; g += 0.01)
+        if (std::abs(u + 0.2 * g) < 0.5 * kStep)
+          hit += 0.01 * std::exp(-0.5 * g * g) / std::sqrt(2.0 * std::numbers::pi);
+      b.y.push_back(static_cast<float>(y / norm + surface * hit));
       b.variance.push_back(1e-8F);
     }
   }
@@ -79,10 +84,21 @@ TEST(FitDipole, FindsTheCoefficientsThatMadeTheProfile) {
   const Dipole truth{1.3, 0.06, 1.4};
   const SrdBatch b = CombOver(truth, 1);
   const SrdBatch* light = &b;
-  const Dipole found = FitDipole(std::span(&light, 1), 0, 1, 1.4);
+  const Dipole found = FitDipole(std::span(&light, 1), 0, 1, 1.4, 0.0);
   EXPECT_NEAR(found.sigma_s_prime_per_mm / truth.sigma_s_prime_per_mm, 1.0, 0.08);
   EXPECT_NEAR(found.sigma_a_per_mm / truth.sigma_a_per_mm, 1.0, 0.10);
   EXPECT_NEAR(found.TotalReflectance() / truth.TotalReflectance(), 1.0, 0.03);
+}
+
+TEST(FitDipole, TheSurfacesLightIsNoScattering) {
+  const Dipole truth{1.3, 0.06, 1.4};
+  const SrdBatch b = CombOver(truth, 1, 0.05);
+  const SrdBatch* light = &b;
+  const Dipole found = FitDipole(std::span(&light, 1), 0, 1, 1.4, 0.05);
+  const Dipole with_spike = FitDipole(std::span(&light, 1), 0, 1, 1.4, 0.0);
+  EXPECT_NEAR(found.sigma_s_prime_per_mm / truth.sigma_s_prime_per_mm, 1.0, 0.08);
+  EXPECT_NEAR(found.TotalReflectance() / truth.TotalReflectance(), 1.0, 0.03);
+  EXPECT_GT(with_spike.sigma_s_prime_per_mm, 1.2 * truth.sigma_s_prime_per_mm);  // the ablation
 }
 
 MixtureMap TwoColourMap() {

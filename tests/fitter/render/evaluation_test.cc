@@ -9,6 +9,7 @@
 
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/metrics.h"
+#include "fitter/evaluation/metrics_json.h"
 #include "fitter/evaluation/truth.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
@@ -64,6 +65,23 @@ TEST(CompareImages, MeasuresTheDecibelsOfKnownNoise) {
   EXPECT_NEAR(CompareImages(reference, noisy, kEverywhere).psnr_db, 40.0, 0.25);
 }
 
+TEST(CompareImages, NothingInCommonIsNoErrorOfZero) {
+  const Image<uint8_t> nowhere(64, 48, 1, 0);
+  const ImageError e = CompareImages(Picture(), Picture(), nowhere);
+  EXPECT_EQ(e.pixels, 0);
+  EXPECT_TRUE(std::isnan(e.nrmse));
+  EXPECT_TRUE(std::isnan(NoiseFloor(Picture(), Picture(), nowhere)));
+  HeldOutFigure figure;
+  figure.error = e;
+  const nlohmann::ordered_json json = figure;
+  const auto text = nlohmann::json::parse(json.dump());
+  EXPECT_TRUE(text["nrmse"].is_null());
+  EXPECT_TRUE(text["nrmse_without_noise"].is_null());
+  const auto back = text.get<HeldOutFigure>();
+  EXPECT_TRUE(std::isnan(back.error.nrmse));
+  EXPECT_TRUE(std::isnan(back.error.nrmse_channel[2]));
+}
+
 TEST(NoiseFloor, IsTheErrorOfThePerfectEstimate) {
   const Image<float> truth = Picture();
   Image<float> measured = truth, variance = truth;
@@ -81,7 +99,7 @@ TEST(NoiseFloor, IsTheErrorOfThePerfectEstimate) {
   Image<float> tenth_off = truth;
   for (float& v : tenth_off.pixels()) v *= 1.1F;
   figure.error = CompareImages(measured, tenth_off, kEverywhere);
-  EXPECT_NEAR(figure.AboveNoise(), 0.1, 0.002);
+  EXPECT_NEAR(figure.WithoutNoise(), 0.1, 0.002);
 }
 
 TEST(CompareImages, TakesThePeakAtTheUpperMilleOfTheReference) {
@@ -179,7 +197,7 @@ TEST(SceneTruth, IsAbsentWhereTheSessionHasNone) {
   std::filesystem::remove_all(folder);
 }
 
-TEST(Metrics, WritesSchemaOne) {
+TEST(Metrics, WritesSchemaTwo) {
   Metrics m;
   m.session = "s";
   m.fit = "f";
@@ -187,34 +205,44 @@ TEST(Metrics, WritesSchemaOne) {
                        "stripe",
                        "tied",
                        "total",
-                       "measured",
+                       "separated",
                        "reconstructed",
                        2,
+                       2,
                        {0.05, {0.04, 0.05, 0.06}, -0.02, 33.0, 0.97, 1234},
-                       0.03});
-  m.ablations.push_back({"projectors_permuted", 3, "stripe", "total", 0.2, 0.05});
+                       0.03,
+                       0.031});
+  m.ablations.push_back(m.heldout[0]);
+  m.ablations[0].model = "projectors_permuted";
+  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, 1, {{"stripe", 0.2}}});
+  m.evaluation = "full";
   m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
-  m.masked_by_reason["too dark"] = 7;
+  m.summary.masked_by_reason["too dark"] = 7;
   const auto without_truth = nlohmann::json::parse(m.ToJson());
   EXPECT_FALSE(without_truth.contains("truth"));
   m.truth = SurfaceError{0.1, -0.2, 2.0, 99};
   const auto json = nlohmann::json::parse(m.ToJson());
-  EXPECT_EQ(json["schema"], 1);
-  const auto& figure = json["heldout"][0];
+  EXPECT_EQ(json["schema"], 2);
+  EXPECT_EQ(json["evaluation"], "full");
+  const auto& figure = json["prediction"][0];
   EXPECT_EQ(figure["projector"], 3);
   EXPECT_EQ(figure["light"], "stripe");
   EXPECT_EQ(figure["model"], "tied");
   EXPECT_EQ(figure["part"], "total");
-  EXPECT_EQ(figure["direct"], "measured");
+  EXPECT_EQ(figure["direct"], "separated");
+  EXPECT_EQ(figure["takes"], 2);
+  EXPECT_EQ(figure["camera_noise_nrmse"], 0.031);
   EXPECT_EQ(figure["nrmse"], 0.05);
   EXPECT_EQ(figure["noise_nrmse"], 0.03);
-  EXPECT_NEAR(figure["nrmse_above_noise"], 0.04, 1e-12);
+  EXPECT_NEAR(figure["nrmse_without_noise"], 0.04, 1e-12);
   EXPECT_EQ(figure["nrmse_rgb"][2], 0.06);
   EXPECT_EQ(figure["bias"], -0.02);
   EXPECT_EQ(figure["psnr_db"], 33.0);
   EXPECT_EQ(figure["ssim"], 0.97);
   EXPECT_EQ(figure["pixels"], 1234);
-  EXPECT_EQ(json["ablations"][0]["baseline_nrmse"], 0.05);
+  EXPECT_EQ(json["ablations"][0]["model"], "projectors_permuted");
+  EXPECT_EQ(json["coverage"][0]["lit_skin"], 100);
+  EXPECT_EQ(json["coverage"][0]["left_out_nrmse"]["stripe"], 0.2);
   EXPECT_EQ(json["fit"]["masked_by_reason"]["too dark"], 7);
   EXPECT_EQ(json["stages"][0]["cpu_seconds"], 2.5);
   EXPECT_EQ(json["stages"][0]["peak_rss_bytes"], 1 << 20);

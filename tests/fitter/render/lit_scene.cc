@@ -77,7 +77,7 @@ MixtureMap UniformSkin(const LitScene& scene, const std::vector<Layer>& layers) 
   map.height = scene.surface.height();
   map.channels = QuadChannels(scene.rig.camera.cfa);
   map.layers = static_cast<int>(layers.size());
-  map.tau = 0.2;
+  map.scattering.tau = 0.2;
   map.training_projectors = {0};
   for (int64_t i = 0; i < map.profiles(); ++i)
     for (const Layer& l : layers) {

@@ -54,7 +54,8 @@ TEST(RenderSubsurface, ReflectsTheSumOfTheWeightsUnderUniformLight) {
     for (int j = 15; j < 21; ++j)
       for (int i = 20; i < 28; ++i) {
         const Eigen::Vector3d p = scene.surface.Point(i, j), n = scene.surface.Normal(i, j);
-        const double gain = AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.eta, map.tau);
+        const double gain =
+            AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.scattering.eta, map.scattering.tau);
         const double white = light.WhiteTargetDn(p, n, 0, kExposureMs);
         EXPECT_NEAR(image(i, j) / (0.45 * gain * white), 1.0, 0.01) << i << ", " << j;
       }
@@ -70,7 +71,8 @@ TEST(RenderSubsurface, KeepsTheEnergyOfLayersNarrowerThanAnyPixel) {
     for (int j = 10; j < 26; ++j)
       for (int i = 14; i < 34; ++i) {
         const Eigen::Vector3d p = scene.surface.Point(i, j), n = scene.surface.Normal(i, j);
-        const double gain = AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.eta, map.tau);
+        const double gain =
+            AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.scattering.eta, map.scattering.tau);
         EXPECT_NEAR(image(i, j) / (0.3 * gain * light.WhiteTargetDn(p, n, 0, kExposureMs)), 1.0, 0.01);
       }
   }
@@ -97,7 +99,7 @@ struct LineOnPlane {
     const Eigen::Vector3d p = scene.surface.Point(i, j), to_lamp = (light.CentreInCamera() - p).normalized();
     // Both rays refracted by hand; the plane's normal is -z, so x slopes are plain ratios.
     auto refracted = [&](double outer_sine) {
-      const double sine = outer_sine / map.eta;
+      const double sine = outer_sine / map.scattering.eta;
       return sine / std::sqrt(1.0 - sine * sine);
     };
     const double shift = refracted(to_lamp.x()) - refracted(-p.normalized().x());
@@ -109,7 +111,7 @@ struct LineOnPlane {
       reflectance += l.weight * (Phi((right_mm - centre) / s) - Phi((left_mm - centre) / s));
     }
     const Eigen::Vector3d on_line(0.5 * (left_mm + right_mm), p.y(), kDistanceMm);
-    return reflectance * AngularGain(-to_lamp.z(), map.eta, map.tau) *
+    return reflectance * AngularGain(-to_lamp.z(), map.scattering.eta, map.scattering.tau) *
            light.WhiteTargetDn(on_line, {0, 0, -1}, 0, kExposureMs);
   }
 };
@@ -139,7 +141,7 @@ TEST(RenderSubsurface, GlowsOnTheSideAwayFromTheLamp) {
   for (ShiftLaw law : {ShiftLaw::kPaper, ShiftLaw::kRefracted, ShiftLaw::kRefractedSine}) {
     MixtureMap deep = UniformSkin(scene, {{0.4F, static_cast<float>(depth), 1.2F}}),
                flat = UniformSkin(scene, {{0.4F, 0.0F, 1.2F}});
-    deep.shift_law = flat.shift_law = law;
+    deep.scattering.shift_law = flat.scattering.shift_law = law;
     const Pattern line = MiddleLine(scene, 4);
     const double moved = CentroidX(scene, Render(scene, deep, line)) - CentroidX(scene, Render(scene, flat, line));
     const double sine = std::sqrt(0.5) / 1.4;
@@ -284,13 +286,13 @@ TEST(SurfaceReflectance, HighlightFollowsTheLamp) {
   for (const double lamp_x : {-160.0, 120.0}) {
     const LitScene scene = MakeScene(FrontalPlane(), {lamp_x, 0.0, 0.0});
     MixtureMap skin = UniformSkin(scene, SkinLayers());
-    skin.reflection = {1.0, 0.15};
+    skin.scattering.reflection = {1.0, 0.15};
     const Image<float> reflectance = SurfaceReflectance(skin, scene.surface, scene.lit.light, 1);
     EXPECT_GT(reflectance(lamp_x < 0.0 ? 0 : 47, 18), 1.5F * reflectance(lamp_x < 0.0 ? 47 : 0, 18));
     const Eigen::Vector3d point = scene.surface.Point(10, 18);
     const auto angles = ReflectionAngles::Between((Eigen::Vector3d(lamp_x, 0.0, 0.0) - point).normalized(),
                                                   -point.normalized(), scene.surface.Normal(10, 18));
-    EXPECT_NEAR(reflectance(10, 18), ReflectanceOf(skin.reflection, angles, skin.eta), 1e-6);
+    EXPECT_NEAR(reflectance(10, 18), ReflectanceOf(skin.scattering.reflection, angles, skin.scattering.eta), 1e-6);
   }
 }
 

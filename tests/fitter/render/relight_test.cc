@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/pipeline/relight.h"
+#include "fitter/stages/relight.h"
 
 #include <cmath>
 
@@ -21,12 +21,12 @@ class RelightTest : public ::testing::Test {
     VirtualLight light;
     light.kind = VirtualLight::Kind::kDirectional;
     light.vector = towards;
-    auto relit = Relight(fit_, scene_.rig, light);
+    auto relit = Relight(fit_, light);
     EXPECT_TRUE(relit.ok()) << relit.status().message();
     return std::move(*relit);
   }
   static SavedFit FitOf(const LitScene& scene) {
-    SavedFit fit{scene.surface, UniformSkin(scene, SkinLayers()), 1};
+    SavedFit fit{{scene.rig, scene.surface, {}, {}, {}}, UniformSkin(scene, SkinLayers()), 1};
     fit.map.training_projectors = {0};
     fit.map.surface.assign(static_cast<size_t>(fit.map.profiles()), 0.04F);
     return fit;

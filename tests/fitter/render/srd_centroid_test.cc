@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/evaluation/srd_centroid.h"
+#include "fitter/mixture/srd_centroid.h"
 
 #include <cmath>
 
@@ -37,8 +37,8 @@ MixtureMap OneLayer(float depth_mm) {
   map.height = 1;
   map.channels = 1;
   map.layers = 1;
-  map.shift_law = ShiftLaw::kPaper;
-  map.gain_model = false;
+  map.scattering.shift_law = ShiftLaw::kPaper;
+  map.scattering.gain_model = false;
   map.training_projectors = {0};
   map.weight.assign(kProfiles, 0.4F);
   map.depth_mm.assign(kProfiles, depth_mm);
@@ -52,10 +52,10 @@ MixtureMap OneLayer(float depth_mm) {
 SrdBatch LitSkin(const MixtureMap& skin) {
   SrdBatch b = Batch();
   EmOptions options;
-  options.shift_law = ShiftLaw::kPaper;
-  options.gain_model = false;
+  options.scattering.shift_law = ShiftLaw::kPaper;
+  options.scattering.gain_model = false;
   for (int i = 0; i < kProfiles; ++i) {
-    const auto y = PredictSamples(LayersOf(skin, i), b, i, options);
+    const auto y = PredictSamples(LayersOf(skin, i), b, i, options.scattering);
     for (int k = 0; k < 64; ++k) b.y[i * 64 + k] = static_cast<float>(y[k]);
   }
   return b;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "fitter/export/pictures.h"
+
 #include <cmath>
 #include <cstdint>
 #include <limits>
 
 #include <gtest/gtest.h>
-
-#include "fitter/report/html_report.h"
 
 namespace stratalux::fit {
 namespace {

@@ -61,8 +61,8 @@ double Centroid(const SrdBatch& b, int64_t profile) {
   double c = 0.0, s = 0.0;
   for (int k = 0; k < b.samples; ++k) {
     const double angle = 2.0 * M_PI * (b.first_u_mm[profile] + k * step) / period;
-    c += b.y[profile * b.samples + k] * std::cos(angle);
-    s += b.y[profile * b.samples + k] * std::sin(angle);
+    c += b.Samples(profile)[k] * std::cos(angle);
+    s += b.Samples(profile)[k] * std::sin(angle);
   }
   return std::atan2(s, c) * period / (2.0 * M_PI);
 }
@@ -75,7 +75,7 @@ TEST(SrdExtractor, CycleAddsUpToTheWhiteReflectance) {
   for (int64_t i = 0; i < batch.profiles(); ++i) {
     ASSERT_EQ(batch.valid[i], 1);
     double sum = 0.0;
-    for (int k = 0; k < batch.samples; ++k) sum += batch.y[i * batch.samples + k];
+    for (int k = 0; k < batch.samples; ++k) sum += batch.Samples(i)[k];
     EXPECT_NEAR(sum, albedo[i % 3], 2e-3) << "profile " << i;  // rounding to digital numbers
   }
 }
@@ -104,7 +104,7 @@ double WorstPrediction(const SrdBatch& batch, double box_columns, const Response
     line = response_of(line);
     for (int k = 0; k < batch.samples; ++k) {
       const double u = std::remainder(batch.first_u_mm[i] + k * step, period);
-      worst = std::max(worst, std::abs(batch.y[i * batch.samples + k] - albedo[i % 3] * line.At(u)));
+      worst = std::max(worst, std::abs(batch.Samples(i)[k] - albedo[i % 3] * line.At(u)));
     }
   }
   return worst;
@@ -138,7 +138,7 @@ TEST(SrdExtractor, PoolingKeepsCentroidAndBlurOfASite) {
   ASSERT_EQ(pooled.profiles() * 4, fine.profiles());
   const auto total_variance = [](const SrdBatch& b, int64_t profile) {
     double sum = 0.0;
-    for (int k = 0; k < b.samples; ++k) sum += b.variance[profile * b.samples + k];
+    for (int k = 0; k < b.samples; ++k) sum += b.Variances(profile)[k];
     return sum;
   };
   const int width = kWidth / 4;

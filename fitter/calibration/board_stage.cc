@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/calibration/board_stage.h"
+
+#include <algorithm>
+#include <set>
+
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/decode.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr Pattern kWhite{.kind = PatternKind::kWhite};
+constexpr Pattern kBlack{.kind = PatternKind::kBlack};
+
+// Projectors that show codes.
+int CountProjectors(const SessionFrames& frames) {
+  int count = 0;
+  for (const db::FrameRow& row : frames.rows())
+    if (row.record.pattern.kind == PatternKind::kGray) count = std::max(count, row.record.projector + 1);
+  return count;
+}
+
+// The poses of a session: numbered ones, or the whole session as one.
+std::vector<int> NumberedPoses(const SessionFrames& frames) {
+  std::vector<int> poses = frames.poses();
+  if (poses.size() > 1) std::erase(poses, -1);  // pre-roll frames belong to none
+  return poses;
+}
+
+// Mean of the last code pair that the projector shows: together, all of it is white once more, at half the light.
+Result<Image<uint16_t>> MeanOfLastCodes(const SessionFrames& frames, int projector, int pose, int rows) {
+  const int bits = GrayBits(rows);
+  Pattern code{.kind = PatternKind::kGray, .axis = PatternAxis::kRows, .bit = bits - 1, .bits = bits};
+  SLX_ASSIGN_OR_RETURN(auto mean, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
+  code.inverse = true;
+  SLX_ASSIGN_OR_RETURN(const auto inverse, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
+  for (size_t i = 0; i < mean.size(); ++i)
+    mean.pixels()[i] = static_cast<uint16_t>((uint32_t{mean.pixels()[i]} + inverse.pixels()[i]) / 2);
+  return mean;
+}
+
+Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector, int pose, int rows,
+                                     double saturation_dn) {
+  const db::FrameRow* row = frames.Find(projector, CapturePhase::kReference, kWhite, pose);
+  SLX_ASSIGN_OR_RETURN(const auto white, frames.Read(projector, CapturePhase::kReference, kWhite, pose));
+  SLX_ASSIGN_OR_RETURN(const auto black, frames.Read(projector, CapturePhase::kReference, kBlack, pose));
+  SLX_ASSIGN_OR_RETURN(const auto codes, MeanOfLastCodes(frames, projector, pose, rows));
+  Image<float> dark(black.width(), black.height());
+  ProjectorPictures pictures{projector, {}, {}, Image<uint8_t>(white.width(), white.height())};
+  for (size_t i = 0; i < dark.size(); ++i) {
+    dark.pixels()[i] = black.pixels()[i];
+    pictures.saturated.pixels()[i] = white.pixels()[i] >= saturation_dn;
+  }
+  pictures.white_light = BoardLight(white, dark, row->record.cfa);
+  pictures.codes_light = BoardLight(codes, dark, row->record.cfa);
+  return pictures;
+}
+
+Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const std::string& pose_name,
+                                    const CalibrationObservations& known, const BoardStageOptions& options,
+                                    Logger& logger) {
+  const SensorNoise noise = NoiseOf(frames);
+  const CodeSize code = CodeSizeOf(frames);
+  const int projectors = static_cast<int>(known.projectors.size());
+  std::vector<ProjectorPictures> pictures;
+  for (int p = 0; p < projectors; ++p) {
+    SLX_ASSIGN_OR_RETURN(auto of_projector, PicturesOf(frames, p, pose, code.rows, noise.saturation_dn));
+    pictures.push_back(std::move(of_projector));
+  }
+  SLX_ASSIGN_OR_RETURN(const auto corners, FindStillBoard(pictures, options.board, options.observe));
+  pictures.clear();
+  const FrameRecord& record = frames.Find(0, CapturePhase::kReference, kWhite, pose)->record;
+  PoseObservation observation{pose, pose_name, {}};
+  for (const BoardCorner& corner : corners)
+    observation.corners.push_back({corner.corner, corner.pixel_px + Eigen::Vector2d(record.crop_x, record.crop_y),
+                                   std::vector<std::optional<Eigen::Vector2d>>(known.projectors.size())});
+  for (int p = 0; p < projectors; ++p) {
+    const std::string name = "projector " + std::to_string(p);
+    SLX_ASSIGN_OR_RETURN(const auto decoded, DecodeProjector(frames, p, pose, code.columns, code.rows, noise));
+    auto seen = LookUpCorners(decoded.map, corners, {code.columns, code.rows}, options.observe);
+    if (!seen.ok()) return seen.status().WithContext(name);
+    if (!seen->seen) logger.Warning(pose_name + ": " + name + " lights too few corners; it sits this pose out");
+    for (size_t i = 0; seen->seen && i < corners.size(); ++i)
+      observation.corners[i].projector_px[p] = seen->column_row[i];
+  }
+  return observation;
+}
+
+DeviceSize CameraSize(const SessionFrames& frames, const BoardStageOptions& options) {
+  if (options.camera_size) return *options.camera_size;
+  if (frames.calibration())
+    return {frames.calibration()->camera.model.width, frames.calibration()->camera.model.height};
+  DeviceSize size;
+  for (const db::FrameRow& row : frames.rows()) {
+    size.width = std::max(size.width, row.record.crop_x + row.record.width);
+    size.height = std::max(size.height, row.record.crop_y + row.record.height);
+  }
+  return size;
+}
+
+// What all sessions must agree in.
+Status CheckSession(const SessionFrames& frames, const BoardStageOptions& options, BoardPoses& boards) {
+  const std::string name = "session " + frames.info().id;
+  const int projectors = CountProjectors(frames);
+  if (projectors == 0)
+    return Status::Usage(name + " (" + ToString(frames.info().kind) +
+                         ") has no codes; capture with --kind calibration");
+  const CodeSize code = CodeSizeOf(frames);
+  const DeviceSize camera = CameraSize(frames, options);
+  CalibrationObservations& o = boards.observations;
+  if (o.projectors.empty()) {
+    o.board = options.board;
+    o.camera = camera;
+    o.projectors.assign(static_cast<size_t>(projectors),
+                        options.projector_size.value_or(DeviceSize{code.columns, code.rows}));
+    boards.code = code;
+  }
+  const bool same = o.camera.width == camera.width && o.camera.height == camera.height &&
+                    o.projectors.size() == static_cast<size_t>(projectors) && boards.code.columns == code.columns &&
+                    boards.code.rows == code.rows;
+  return same ? Status::Ok()
+              : Status::Usage(name + " has another camera or other projectors than session " + boards.sessions[0] +
+                              "; calibrate sessions of one rig together");
+}
+
+}  // namespace
+
+Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std::string>& sessions,
+                                 const BoardStageOptions& options, Logger& logger) {
+  SLX_RETURN_IF_ERROR(options.board.Validate());
+  BoardPoses boards;
+  std::set<std::string> seen;
+  for (const std::string& selector : sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, selector));
+    for (const std::string& note : frames.store().notes()) logger.Warning(note);
+    const std::string id = frames.info().id;
+    if (!seen.insert(id).second) return Status::Usage("session " + id + " is given twice");
+    boards.sessions.push_back(id);
+    SLX_RETURN_IF_ERROR(CheckSession(frames, options, boards));
+    if (frames.record()) boards.calibration = frames.record();
+    for (const int pose : NumberedPoses(frames)) {
+      const std::string name = pose >= 0 ? "pose " + std::to_string(pose) + " (session " + id + ")" : "session " + id;
+      auto observed = ObservePose(frames, pose, name, boards.observations, options, logger);
+      if (!observed.ok()) {
+        // What the disk or the store has to say ends the work; what the board has to say, this pose.
+        if (observed.status().code() == StatusCode::kIntegrity) return observed.status();
+        boards.left_out.push_back(name + ": " + observed.status().message());
+        logger.Warning(boards.left_out.back());
+        continue;
+      }
+      std::erase_if(boards.observations.poses,
+                    [&](const PoseObservation& earlier) { return pose >= 0 && earlier.pose == pose; });
+      boards.observations.poses.push_back(std::move(observed).value());
+      logger.Info(name + ": " + std::to_string(boards.observations.poses.back().corners.size()) + " corners");
+    }
+  }
+  if (boards.observations.poses.empty())
+    return Status::Failed(boards.left_out.empty() ? "no board pose in the sessions" : boards.left_out.front());
+  return boards;
+}
+
+}  // namespace stratalux::fit

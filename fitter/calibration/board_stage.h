@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// The board poses of calibration sessions, as calibration wants them.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "fitter/calibration/observe_board.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/session/session_frames.h"
+#include "fitter/stages/decode.h"
+
+namespace stratalux::fit {
+
+struct BoardPoses {
+  CalibrationObservations observations;
+  CodeSize code;                              // of all sessions
+  std::vector<std::string> left_out;          // poses that could not be used: name, cause, remedy
+  std::optional<RigCalibration> calibration;  // the newest session's own record, if any
+  std::vector<std::string> sessions;          // ids, in the order given
+};
+
+struct BoardStageOptions {
+  BoardDescription board;
+  ObserveOptions observe;
+  std::optional<DeviceSize> camera_size;     // of imports that are crops; else the calibration record's or the frames'
+  std::optional<DeviceSize> projector_size;  // of imports; else the plan's, or what the code can number
+};
+
+// All poses of the sessions; a session without pose numbers is one pose; a pose of the same number in a later session
+// replaces an earlier one. Fails where sessions do not belong together
+// or hold no board pose at all.
+[[nodiscard]] Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std::string>& sessions,
+                                               const BoardStageOptions& options, Logger& logger);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/compare.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fitter/evaluation/direct_light.h"
+#include "fitter/evaluation/heldout_takes.h"
+#include "fitter/evaluation/metrics_json.h"
+#include "fitter/export/exr_file.h"
+#include "fitter/render/mlsss.h"
+#include "fitter/sensor/linear_frame.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/colours.h"
+#include "fitter/stages/stage_json.h"
+
+namespace stratalux::fit {
+namespace {
+
+template <typename Operation>
+Image<float> Combine(const Image<float>& a, const Image<float>& b, Operation operation) {
+  Image<float> result = a;
+  for (size_t i = 0; i < result.size(); ++i) result.pixels()[i] = operation(a.pixels()[i], b.pixels()[i]);
+  return result;
+}
+Image<float> Sum(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::plus<>()); }
+Image<float> Difference(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::minus<>()); }
+
+bool FiniteAt(const Image<float>& image, int i, int j) {
+  for (int c = 0; c < image.channels(); ++c)
+    if (!std::isfinite(image(i, j, c))) return false;
+  return true;
+}
+
+// Quads that every model has fitted, in all colours.
+Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, int height) {
+  Image<uint8_t> fitted(width, height, 1, 1);
+  for (const ComparedModel& model : models)
+    for (const auto& [light, prediction] : model.predictions)
+      for (int j = 0; j < height; ++j)
+        for (int i = 0; i < width; ++i)
+          if (!FiniteAt(prediction.surface, i, j)) fitted(i, j) = 0;
+  return fitted;
+}
+
+// What of the scene the truth calls skin that the light reaches; empty where there is no truth. A scene without any
+// skin (a sphere of wax) is judged wherever the light reaches it.
+struct TrueSkin {
+  Image<uint8_t> skin, lit;  // on quads
+  [[nodiscard]] bool known() const { return !skin.empty() && !lit.empty(); }
+};
+
+Result<TrueSkin> ReadTrueSkin(const CompareInput& in) {
+  TrueSkin truth;
+  if (!in.truth) return truth;
+  SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
+  SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.projector));
+  const auto skin = truth.skin.pixels();
+  if (std::none_of(skin.begin(), skin.end(), [](uint8_t s) { return s != 0; })) std::fill(skin.begin(), skin.end(), 1);
+  return truth;
+}
+
+struct Masks {
+  Image<uint8_t> judged, left_out;
+};
+
+// Judged: fitted skin that the light reaches. Left out: what was predicted and, as far as is known, is lit, and is not
+// judged.
+Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const TrueSkin& truth, Coverage& coverage) {
+  const Image<uint8_t>& lit = in.shape.lit[in.projector];
+  Masks masks{Image<uint8_t>(lit.width(), lit.height()), Image<uint8_t>(lit.width(), lit.height())};
+  for (int j = 0; j < lit.height(); ++j)
+    for (int i = 0; i < lit.width(); ++i) {
+      const bool surface = in.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
+      const bool skin = !truth.known() || truth.skin(i, j) != 0;
+      const bool shines = !truth.known() || truth.lit(i, j) != 0;
+      const bool judged = surface && reached && has_fit && skin && shines;
+      masks.judged(i, j) = judged ? 1 : 0;
+      masks.left_out(i, j) = surface && has_fit && shines && !judged ? 1 : 0;
+      coverage.judged += judged ? 1 : 0;
+      coverage.not_skin += surface && reached && has_fit && !skin ? 1 : 0;
+      coverage.in_shadow += surface && reached && has_fit && skin && !shines ? 1 : 0;
+      if (!(skin && shines)) continue;
+      coverage.lit_skin += truth.known() ? 1 : 0;
+      coverage.no_surface += truth.known() && !surface ? 1 : 0;
+      coverage.unlit += surface && !reached ? 1 : 0;
+      coverage.not_fitted += surface && reached && !has_fit ? 1 : 0;
+    }
+  return masks;
+}
+
+// The light as it was captured: the mean of its takes, half their difference, the camera's own noise of that mean.
+struct Target {
+  Image<float> light, noise, variance;
+  int takes = 1;
+};
+
+Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
+  const CameraCalibration& camera = in.frames.calibration()->camera;
+  SLX_ASSIGN_OR_RETURN(const auto raw,
+                       in.frames.Read(in.projector, HeldOutPhase(light), HeldOutPattern(light, *in.frames.plan())));
+  Target target;
+  target.variance = QuadVariance(raw, camera);
+  auto taken = ReadHeldOutTarget(in.frames, in.projector, light);
+  if (taken.ok()) {
+    target.light = std::move(taken->target);
+    target.noise = std::move(taken->noise);
+    target.takes = taken->takes;
+    for (float& v : target.variance.pixels()) v /= static_cast<float>(target.takes);
+    return target;
+  }
+  if (taken.status().code() != StatusCode::kNotFound) return taken.status();
+  SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.projector));
+  target.light = QuadSignal(raw, dark, camera);
+  return target;
+}
+
+// NoiseFloor of the takes' difference: its square is as large as the noise's variance, in expectation.
+double NoiseOfTakes(const Target& target, const Image<uint8_t>& mask) {
+  if (target.noise.empty()) return NoiseFloor(target.light, target.variance, mask);
+  return NoiseFloor(target.light, Combine(target.noise, target.noise, std::multiplies<>()), mask);
+}
+
+}  // namespace
+
+Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<ComparedModel>& models) {
+  const RigCalibration rig = LinearRig(in.shape.record);
+  const PlanOptions& plan = *in.frames.plan();
+  const SurfaceMap& surface = in.shape.surface;
+  Comparison comparison;
+  SLX_ASSIGN_OR_RETURN(const auto true_skin, ReadTrueSkin(in));
+  const Image<uint8_t> fitted = FittedByAll(models, surface.width(), surface.height());
+  const Masks masks = MakeMasks(in, fitted, true_skin, comparison.coverage);
+  comparison.coverage.projector = in.projector;
+  comparison.coverage.geometry = in.geometry;
+  const Image<float> direct_reflectance =
+      DirectReflectance({rig, in.projector, plan.exposure_ms, double(plan.separation_period)}, surface, in.separation);
+  const LitSurface lit = BuildLitSurface(surface, rig.projectors[in.projector], plan.exposure_ms);
+  for (const std::string& light : in.lights) {
+    SLX_ASSIGN_OR_RETURN(const Target target, ReadTarget(in, light));
+    const LitPyramid pyramid =
+        LightWith(lit, HeldOutPattern(light, plan), 1.0 - rig.projectors[in.projector].black_level);
+    const Image<float> direct = RenderSurface(direct_reflectance, surface, rig, pyramid, lit);
+    std::optional<Image<float>> true_subsurface;
+    if (in.truth) {
+      SLX_ASSIGN_OR_RETURN(true_subsurface, in.truth->Subsurface(light, in.projector));
+    }
+    const double noise = NoiseOfTakes(target, masks.judged),
+                 camera_noise = NoiseFloor(target.light, target.variance, masks.judged);
+    LightComparison picture{light, target.light, {}, {}, {}, {}};
+    for (const ComparedModel& model : models) {
+      const Prediction& p = model.predictions.at(light);
+      auto add = [&](const char* part, const char* with, const Image<float>& real, const Image<float>& estimate,
+                     bool captured) {
+        comparison.figures.push_back({in.projector, light, model.name, part, with, in.geometry, in.pool, target.takes,
+                                      CompareImages(real, estimate, masks.judged), captured ? noise : 0.0,
+                                      captured ? camera_noise : 0.0});
+      };
+      const Image<float> remaining = Difference(direct, p.direct_part), total = Sum(p.subsurface, remaining);
+      add("total", "separated", target.light, total, true);
+      add("total", "predicted", target.light, Sum(p.subsurface, p.surface), true);
+      if (true_subsurface)
+        add("subsurface", "truth", *true_subsurface, p.subsurface, false);
+      else
+        add("subsurface", "separated", Difference(target.light, remaining), p.subsurface, true);
+      if (model.name == "homogeneous") picture.total_homogeneous = total;
+      if (&model != &models[0]) continue;
+      picture.direct = remaining;
+      picture.subsurface = p.subsurface;
+      picture.total = total;
+      comparison.coverage.left_out_nrmse[light] = CompareImages(target.light, total, masks.left_out).nrmse;
+    }
+    comparison.pictures.push_back(std::move(picture));
+  }
+  return comparison;
+}
+
+namespace {
+
+using PictureFile = std::pair<const char*, Image<float> LightComparison::*>;
+constexpr PictureFile kPictures[] = {{"_measured.exr", &LightComparison::measured},
+                                     {"_direct.exr", &LightComparison::direct},
+                                     {"_subsurface.exr", &LightComparison::subsurface},
+                                     {"_total.exr", &LightComparison::total},
+                                     {"_total_homogeneous.exr", &LightComparison::total_homogeneous}};
+
+}  // namespace
+
+Status SaveComparison(const std::filesystem::path& folder, const Comparison& comparison) {
+  nlohmann::ordered_json json = {{"figures", comparison.figures}, {"coverage", comparison.coverage}};
+  json["lights"] = nlohmann::ordered_json::array();
+  for (const LightComparison& picture : comparison.pictures) {
+    json["lights"].push_back(picture.light);
+    json["channels"] = picture.measured.channels();
+    for (const auto& [name, member] : kPictures)
+      if (!(picture.*member).empty())
+        SLX_RETURN_IF_ERROR(
+            WriteExr(folder / (picture.light + name), picture.*member, Colours(picture.measured.channels())));
+  }
+  return WriteJson(folder / "compare.json", json);
+}
+
+Result<Comparison> LoadComparison(const std::filesystem::path& folder) {
+  Comparison comparison;
+  int channels = 1;
+  SLX_RETURN_IF_ERROR(ReadJson(folder / "compare.json", [&](const nlohmann::json& json) {
+    json.at("figures").get_to(comparison.figures);
+    json.at("coverage").get_to(comparison.coverage);
+    if (json.contains("channels")) json.at("channels").get_to(channels);
+    for (const auto& light : json.at("lights")) comparison.pictures.push_back({light, {}, {}, {}, {}, {}});
+  }));
+  for (LightComparison& picture : comparison.pictures)
+    for (const auto& [name, member] : kPictures) {
+      const std::filesystem::path file = folder / (picture.light + name);
+      if (std::error_code error; !std::filesystem::exists(file, error)) continue;
+      SLX_ASSIGN_OR_RETURN(picture.*member, ReadExr(file, Colours(channels)));
+    }
+  return comparison;
+}
+
+}  // namespace stratalux::fit

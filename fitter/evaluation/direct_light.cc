@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/direct_light.h"
+
+#include <array>
+#include <cmath>
+#include <functional>
+#include <numbers>
+#include <optional>
+
+#include "fitter/mixture/scattering_model.h"
+#include "fitter/separation/shrink_noise.h"
+#include "fitter/srd/srd_extractor.h"
+#include "shared/base/parallel.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr int kReach = 3;  // quads on either side that noise is shrunk towards
+
+constexpr std::array<PatternAxis, 2> kAxes = {PatternAxis::kColumns, PatternAxis::kRows};
+
+// A quad under the light. Contrast is taken at the site of red: the amplitude is found site by site, so the blur of a
+// single site counts, also for the two greens.
+struct LitQuad {
+  std::array<SrdGeometry, 2> axes;   // columns, rows
+  std::array<double, 2> surface{};   // contrast of the very surface under the sinusoids of that axis
+  std::array<double, 3> white_dn{};  // E of each colour
+};
+
+std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surface, int i, int j) {
+  if (surface.mask(i, j) == 0) return std::nullopt;
+  const Eigen::Vector3d point = surface.Point(i, j), normal = surface.Normal(i, j);
+  const Cfa cfa = light.rig.camera.cfa;
+  const auto geometry_of = [&](int channel, PatternAxis axis) {
+    return ComputeSrdGeometry(light.rig, light.projector, point, normal, QuadCentre(cfa, i, j), channel,
+                              light.exposure_ms, axis);
+  };
+  LitQuad quad;
+  for (size_t a = 0; a < 2; ++a) {
+    const SrdGeometry& g = quad.axes[a] = geometry_of(0, kAxes[a]);
+    if (!(g.white_dn > 0.0)) return std::nullopt;
+    const double wave = 2.0 * std::numbers::pi / (light.separation_period * g.mm_per_column);
+    const double half_pixel = std::numbers::pi / light.separation_period;  // the projector's pixels are boxes
+    quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
+  }
+  for (int c = 0; c < QuadChannels(cfa); ++c) quad.white_dn[c] = geometry_of(c, PatternAxis::kColumns).white_dn;
+  return quad;
+}
+
+// Light of a profile's layers that the sinusoids of axis `a` still resolve, as a share of the irradiance and seen with
+// the contrast of the very surface: sum w exp(-2 pi^2 sigma^2 / period^2).
+double ResolvedLayers(const LitQuad& quad, size_t a, double period, const RefractedDirections& directions,
+                      const MixtureMap& map, int64_t profile) {
+  const SrdGeometry& g = quad.axes[a];
+  const double wave = 2.0 * std::numbers::pi / (period * g.mm_per_column);
+  double narrow = 0.0;
+  for (int l = 0; l < map.layers; ++l) {
+    const size_t at = static_cast<size_t>(profile) * map.layers + l;
+    const double sigma = map.sigma_mm[at];
+    narrow += map.weight[at] * DirectionalFactor(map.scattering.directional, directions, map.depth_mm[at], sigma) *
+              std::exp(-0.5 * wave * wave * sigma * sigma);
+  }
+  return quad.surface[a] * narrow * AngularGain(map.scattering, g.cos_in);
+}
+
+void ForEachQuad(const SurfaceMap& surface, const std::function<void(int i, int j)>& look) {
+  ParallelFor(surface.height(), 4, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) look(i, j);
+  });
+}
+
+}  // namespace
+
+Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface, const SeparationMap& separation) {
+  const int channels = separation.direct.channels();
+  Image<float> direct(surface.width(), surface.height(), channels, std::nanf("")), variance = direct;
+  ForEachQuad(surface, [&](int i, int j) {
+    const auto quad = LookAt(light, surface, i, j);
+    if (!quad) return;
+    for (int c = 0; c < channels; ++c) {
+      const double scale = 2.0 / (quad->white_dn[c] * (quad->surface[0] + quad->surface[1]));
+      if (!(quad->white_dn[c] > 0.0)) continue;
+      direct(i, j, c) = static_cast<float>(separation.direct(i, j, c) * scale);
+      variance(i, j, c) = static_cast<float>(separation.direct_variance(i, j, c) * scale * scale);
+    }
+  });
+  return ShrinkNoise(direct, variance, kReach);
+}
+
+Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map, int pool) {
+  Image<float> part(surface.width(), surface.height(), map.channels, std::nanf(""));
+  ForEachQuad(surface, [&](int i, int j) {
+    const auto quad = LookAt(light, surface, i, j);
+    if (!quad) return;
+    const Eigen::Vector3d point = surface.Point(i, j);
+    const RefractedDirections directions =
+        DirectionsOf((light.rig.projectors[light.projector].CentreInCamera() - point).normalized(), -point.normalized(),
+                     surface.Normal(i, j), map.scattering.eta);
+    for (int c = 0; c < map.channels; ++c) {
+      const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+      if (profile < 0 || !map.Fitted(profile)) continue;
+      double resolved = 0.0;
+      for (size_t a = 0; a < 2; ++a)
+        resolved += ResolvedLayers(*quad, a, light.separation_period, directions, map, profile);
+      part(i, j, c) = static_cast<float>(resolved / (quad->surface[0] + quad->surface[1]));
+    }
+  });
+  return part;
+}
+
+}  // namespace stratalux::fit

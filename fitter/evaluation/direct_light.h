@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the held-out light's own sinusoids call direct, and what of a model's light they would.
+//
+// The separated direct image holds the very surface's light and what of the layers' the sinusoids' period still
+// resolves (docs/math/evaluation.md). It is measured, and depends on no model. A model's share of it follows from its
+// layers; so
+//   total = direct image under the pattern + (the model's subsurface light - its share of the direct image)
+// counts nothing twice, and is the same definition for every model.
+#pragma once
+
+#include "fitter/mixture/mixture_map.h"
+#include "fitter/reconstruction/surface_map.h"
+#include "fitter/separation/separation_map.h"
+#include "shared/capture/rig_calibration.h"
+
+namespace stratalux::fit {
+
+struct HeldOutLight {
+  const RigCalibration& rig;  // linear (LinearRig)
+  int projector = 0;
+  double exposure_ms = 0.0;
+  double separation_period = 8.0;  // px, of the sinusoids
+};
+
+// As a reflectance of the very surface, W x H x C on quads; NaN where unknown. Noise of the direct image is shrunk
+// towards the neighbours.
+[[nodiscard]] Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface,
+                                             const SeparationMap& separation);
+// The model's share of it, in the same unit; NaN where nothing was fitted.
+[[nodiscard]] Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,
+                                      int pool);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/heldout_takes.h"
+
+#include <map>
+#include <vector>
+
+#include "fitter/session/quad_signal.h"
+
+namespace stratalux::fit {
+namespace {
+
+bool IsTake(const FrameRecord& r, int projector, const std::string& light, const Pattern& pattern) {
+  const bool phase = light == "white" ? r.phase == CapturePhase::kMotion
+                                      : r.phase == HeldOutPhase(light) || r.phase == CapturePhase::kRepeat;
+  return phase && r.projector == projector && r.bracket == 0 && r.pattern == pattern &&
+         r.level_check != LevelCheck::kFailed;
+}
+
+// The last good shot of each step, in the order of the steps.
+std::vector<const db::FrameRow*> TakesOf(const SessionFrames& frames, int projector, const std::string& light) {
+  const Pattern pattern = HeldOutPattern(light, *frames.plan());
+  std::map<int, const db::FrameRow*> of_step;
+  for (const db::FrameRow& row : frames.rows())
+    if (IsTake(row.record, projector, light, pattern)) of_step[row.record.step] = &row;
+  std::vector<const db::FrameRow*> takes;
+  for (const auto& [step, row] : of_step) takes.push_back(row);
+  if (takes.size() % 2 == 1) takes.erase(takes.begin() + static_cast<int64_t>(takes.size() / 2));
+  return takes;
+}
+
+// Of the exposure that the light's phase begins with.
+Result<Image<float>> BlackOf(const SessionFrames& frames, int projector, const std::string& light) {
+  const double factor = light == "white" ? 1.0 : frames.plan()->BracketsOf(HeldOutPhase(light))[0];
+  return factor == 1.0 ? frames.MeanBlack(projector) : frames.MeanBlack(projector, factor);
+}
+
+}  // namespace
+
+Pattern HeldOutPattern(const std::string& light, const PlanOptions& plan) {
+  if (light == "stripe")
+    return {.kind = PatternKind::kComb, .period = plan.comb_period, .width = plan.comb_width, .shift = 0};
+  if (light == "spot") return {.kind = PatternKind::kSpots, .period = plan.spot_pitch, .width = plan.spot_radius};
+  return {.kind = PatternKind::kWhite};
+}
+
+CapturePhase HeldOutPhase(const std::string& light) {
+  return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
+}
+
+Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int projector, const std::string& light) {
+  if (!frames.plan() || !frames.calibration())
+    return Status::NotFound("session " + frames.info().id +
+                            " has no plan or no calibration: which frames are takes is not known");
+  const std::vector<const db::FrameRow*> takes = TakesOf(frames, projector, light);
+  if (takes.size() < 2)
+    return Status::NotFound("session " + frames.info().id + " has less than two good takes of the " + light +
+                            " light of projector " + std::to_string(projector) +
+                            "; capture it with `second_takes` and `motion_whites` in [plan]");
+  const CameraCalibration& camera = frames.calibration()->camera;
+  SLX_ASSIGN_OR_RETURN(const auto black, BlackOf(frames, projector, light));
+  HeldOutTarget result;
+  result.takes = static_cast<int>(takes.size());
+  for (size_t k = 0; k < takes.size(); ++k) {
+    SLX_ASSIGN_OR_RETURN(const auto raw, frames.ReadLinear(*takes[k]));
+    const Image<float> y = QuadSignal(raw, black, camera);
+    if (k == 0) result.target = result.noise = Image<float>(y.width(), y.height(), y.channels());
+    if (y.size() != result.target.size())
+      return Status::Integrity("session " + frames.info().id + ": takes of the " + light + " light of projector " +
+                               std::to_string(projector) + " differ in size");
+    const float share = 1.0F / static_cast<float>(takes.size()), sign = 2 * k < takes.size() ? share : -share;
+    for (size_t i = 0; i < y.size(); ++i) {
+      result.target.pixels()[i] += share * y.pixels()[i];
+      result.noise.pixels()[i] += sign * y.pixels()[i];
+    }
+  }
+  return result;
+}
+
+}  // namespace stratalux::fit

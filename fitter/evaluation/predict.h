@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// The predict stage: what a fit says of the held-out projector's lights.
+#pragma once
+
+#include <filesystem>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "fitter/mixture/mixture_map.h"
+#include "fitter/stages/shape.h"
+#include "shared/capture/plan.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kPredictVersion = 1;
+
+// Under one light; quads x colours, digital numbers above black.
+struct Prediction {
+  Image<float> subsurface;   // 0 outside the surface
+  Image<float> surface;      // by the fit's own reflection of the very surface; NaN where nothing was fitted
+  Image<float> direct_part;  // of `subsurface`, what separation would call direct (direct_light.h); NaN as `surface`
+};
+using Predictions = std::map<std::string, Prediction>;  // by light
+
+// Lights that sessions of the plan hold: stripe, white and, where it has them, spot.
+[[nodiscard]] std::vector<std::string> HeldOutLights(const PlanOptions& plan);
+
+[[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, const PlanOptions& plan,
+                                  int projector, const std::vector<std::string>& lights);
+
+// <light>_subsurface.exr, <light>_surface.exr, <light>_direct_part.exr, predict.json.
+Status SavePredictions(const std::filesystem::path& folder, const Predictions& predictions);
+[[nodiscard]] Result<Predictions> LoadPredictions(const std::filesystem::path& folder);
+
+}  // namespace stratalux::fit

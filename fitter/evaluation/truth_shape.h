@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+// The truth_shape stage: of the truth of a simulation an ordinary shape, for the runs that separate errors of the
+// geometry from those of the model. No other stage of a fit may open truth.seg.
+#pragma once
+
+#include "fitter/evaluation/truth.h"
+#include "fitter/stages/shape.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kTruthShapeVersion = 1;
+
+// `reconstructed`: of the same session; which quads a projector lights stays as its codes say. `record`: the session's.
+[[nodiscard]] Result<FaceShape> TruthShape(const SceneTruth& truth, const FaceShape& reconstructed,
+                                           const RigCalibration& record);
+
+}  // namespace stratalux::fit

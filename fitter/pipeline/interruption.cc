@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/interruption.h"
+
+#include <csignal>
+#include <mutex>
+#include <set>
+#include <thread>
+
+#include <pthread.h>
+#include <unistd.h>
+
+#include "shared/base/log.h"
+
+namespace stratalux::fit {
+namespace {
+
+// Never destroyed: the watching thread outlives main.
+struct Registered {
+  std::recursive_mutex mutex;
+  std::multiset<std::filesystem::path> folders;
+};
+Registered& Folders() {
+  static auto* const registered = new Registered;
+  return *registered;
+}
+
+sigset_t Interruptions() {
+  sigset_t set;
+  sigemptyset(&set);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction action {};
+    sigaction(signal, nullptr, &action);
+    if (action.sa_handler != SIG_IGN) sigaddset(&set, signal);  // nohup
+  }
+  return set;
+}
+
+// For good: whoever else would register, make or rename a folder waits for the end of the process.
+void RemoveAll() {
+  Folders().mutex.lock();
+  std::error_code error;
+  // Another thread may be writing into them: a file that comes between the last look and the folder's end keeps it.
+  for (const std::filesystem::path& folder : Folders().folders)
+    for (int tries = 0; tries < 20 && std::filesystem::exists(folder, error); ++tries)
+      std::filesystem::remove_all(folder, error);
+}
+
+void End(int signal) {
+  FlushLoggers();
+  std::signal(signal, SIG_DFL);
+  sigset_t one;
+  sigemptyset(&one);
+  sigaddset(&one, signal);
+  pthread_sigmask(SIG_UNBLOCK, &one, nullptr);
+  kill(getpid(), signal);
+  _exit(128 + signal);
+}
+
+}  // namespace
+
+void RemoveOnInterruption() {
+  const sigset_t set = Interruptions();
+  pthread_sigmask(SIG_BLOCK, &set, nullptr);
+  std::thread([set] {
+    int signal = 0;
+    if (sigwait(&set, &signal) != 0) return;
+    RemoveAll();
+    End(signal);
+  }).detach();
+}
+
+RemovedOnSignal::RemovedOnSignal(std::filesystem::path folder) : folder_(std::move(folder)) {
+  const std::lock_guard lock(Folders().mutex);
+  Folders().folders.insert(folder_);
+}
+
+RemovedOnSignal::~RemovedOnSignal() {
+  const std::lock_guard lock(Folders().mutex);
+  const auto found = Folders().folders.find(folder_);
+  if (found != Folders().folders.end()) Folders().folders.erase(found);
+}
+
+NotInterrupted::NotInterrupted() { Folders().mutex.lock(); }
+NotInterrupted::~NotInterrupted() { Folders().mutex.unlock(); }
+
+}  // namespace stratalux::fit

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ctrl-C leaves nothing half made: folders that are being made go with the process.
+#pragma once
+
+#include <filesystem>
+
+namespace stratalux::fit {
+
+// Before the first thread: from now on INT, TERM and HUP remove what is registered, then end the process as they always
+// do. What a killed process (KILL, a power cut) leaves, the next run removes.
+void RemoveOnInterruption();
+
+// While it lives, the folder is one of those. Without RemoveOnInterruption() it does nothing. Thread-safe.
+class RemovedOnSignal {
+ public:
+  explicit RemovedOnSignal(std::filesystem::path folder);
+  RemovedOnSignal(const RemovedOnSignal&) = delete;
+  RemovedOnSignal& operator=(const RemovedOnSignal&) = delete;
+  ~RemovedOnSignal();
+
+ private:
+  std::filesystem::path folder_;
+};
+
+// While one lives, nothing is removed: what is being removed must get no name of what is whole, and nothing may be made
+// anew behind its removal. For a moment only: Ctrl-C waits for it.
+class NotInterrupted {
+ public:
+  NotInterrupted();
+  NotInterrupted(const NotInterrupted&) = delete;
+  NotInterrupted& operator=(const NotInterrupted&) = delete;
+  ~NotInterrupted();
+};
+
+}  // namespace stratalux::fit

@@ -1,0 +1,291 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/pipeline/publish.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <stdio.h>
+
+#include "db/base/durable_file.h"
+#include "db/base/own_hash.h"
+#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
+#include "fitter/evaluation/compare.h"
+#include "fitter/pipeline/interruption.h"
+#include "fitter/report/session_report.h"
+#include "fitter/stages/separate.h"
+#include "fitter/stages/srd_file.h"
+#include "fitter/stages/stage_json.h"
+#include "shared/base/json_nesting.h"
+#include "shared/base/read_file.h"
+#include "shared/base/version.h"
+
+namespace stratalux::fit {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kPartial = ".partial";
+constexpr const char* kEnters = "enters this fit";
+constexpr const char* kAblations[] = {"projectors_permuted", "comb_frames_shuffled"};
+
+// One run at a time puts a fit in its place.
+std::string LockOf(const std::string& fit) { return "fit-" + fit; }
+
+// Keys of the stages that a fit is made of; their files are the fit's.
+std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOptions& options) {
+  std::map<std::string, std::string> keys = {{"shape", graph.Shape(options.geometry)},
+                                             {"separate", graph.Separate()},
+                                             {"normals", graph.Normals()},
+                                             {"fit", graph.Fit(options.geometry, options.heldout, FitKind::kJudged)}};
+  if (options.standard_errors) keys["standard_errors"] = graph.StandardErrors();
+  return keys;
+}
+
+// The file by another name; where the file system has no links, a copy.
+Status Link(const fs::path& from, const fs::path& to) {
+  std::error_code error;
+  fs::create_hard_link(from, to, error);
+  if (error) fs::copy_file(from, to, error);
+  return error ? Status::Failed("cannot copy " + from.string() + " to " + to.string() + ": " + error.message())
+               : Status::Ok();
+}
+
+Status LinkFiles(const fs::path& from, const fs::path& to) {
+  std::error_code error;
+  for (auto entry = fs::directory_iterator(from, error); !error && entry != fs::end(entry); entry.increment(error))
+    if (entry->path().filename() != db::kArtifactRecordFile && entry->is_regular_file())
+      SLX_RETURN_IF_ERROR(Link(entry->path(), to / entry->path().filename()));
+  return error ? Status::Failed("cannot read " + from.string() + ": " + error.message()) : Status::Ok();
+}
+
+Status AddComparison(SessionGraph& graph, const std::string& key, Metrics& metrics,
+                     std::vector<LightComparison>* pictures) {
+  SLX_ASSIGN_OR_RETURN(const fs::path folder, graph.stages().Folder(key));
+  SLX_ASSIGN_OR_RETURN(auto comparison, LoadComparison(folder));
+  metrics.heldout.insert(metrics.heldout.end(), comparison.figures.begin(), comparison.figures.end());
+  metrics.coverage.push_back(comparison.coverage);
+  if (pictures != nullptr) *pictures = std::move(comparison.pictures);
+  return Status::Ok();
+}
+
+Status AddCentroid(SessionGraph& graph, GeometrySource source, int heldout, Metrics& metrics) {
+  SLX_ASSIGN_OR_RETURN(const fs::path folder, graph.stages().Folder(graph.Fit(source, heldout, FitKind::kJudged)));
+  SLX_ASSIGN_OR_RETURN(const auto summary, LoadSummary(folder));
+  metrics.centroids.push_back({heldout, ToString(source), summary.centroid});
+  return Status::Ok();
+}
+
+// The projectors that --full-evaluation holds out, and the surface that it does so on.
+std::vector<std::pair<GeometrySource, int>> FullViews(const SessionGraph& graph, const RunOptions& options,
+                                                      int projectors) {
+  std::vector<std::pair<GeometrySource, int>> views;
+  for (int p = 0; p < projectors; ++p)
+    if (p != options.heldout) views.emplace_back(options.geometry, p);
+  if (graph.has_truth() && options.geometry == GeometrySource::kReconstructed)
+    views.emplace_back(GeometrySource::kTruth, options.heldout);
+  return views;
+}
+
+std::string Ablations(SessionGraph& graph, const RunOptions& options) {
+  std::vector<std::string> spoilt = {graph.JudgedModel()};
+  spoilt.insert(spoilt.end(), std::begin(kAblations), std::end(kAblations));
+  return graph.Compare(spoilt, options.geometry, options.heldout);
+}
+
+// Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
+// the reconstruction's.
+Status EvaluateFully(SessionGraph& graph, const RunOptions& options, int projectors, Metrics& metrics) {
+  const std::vector<std::string> models = ModelsOf(graph, Evaluation::kFull);
+  SLX_ASSIGN_OR_RETURN(const fs::path ablations, graph.stages().Folder(Ablations(graph, options)));
+  SLX_ASSIGN_OR_RETURN(const auto compared, LoadComparison(ablations));
+  metrics.ablations = compared.figures;
+  for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
+    SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr));
+    SLX_RETURN_IF_ERROR(AddCentroid(graph, source, projector, metrics));
+  }
+  return Status::Ok();
+}
+
+Result<std::optional<SurfaceError>> AgainstTruth(const SessionFrames& frames, const SurfaceMap& surface) {
+  SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
+  if (!truth) return std::optional<SurfaceError>();
+  SLX_ASSIGN_OR_RETURN(const auto depth, truth->Depth());
+  SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
+  return std::optional(CompareSurface(surface, depth, normal));
+}
+
+// `made` in the place of `place`, in one step.
+Status PutInPlace(const fs::path& made, const fs::path& place) {
+  std::error_code error;
+  const NotInterrupted whole;
+  if (!fs::exists(place, error)) {
+    fs::rename(made, place, error);
+  } else if (renameat2(AT_FDCWD, made.c_str(), AT_FDCWD, place.c_str(), RENAME_EXCHANGE) == 0) {
+    fs::remove_all(made, error);  // the earlier one
+  } else {
+    return Status::Failed("cannot replace " + place.string() + ": " + std::strerror(errno));
+  }
+  return error ? Status::Failed("cannot move " + made.string() + ": " + error.message()) : Status::Ok();
+}
+
+Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
+  std::string reasons;
+  for (const auto& [reason, count] : summary.masked_by_reason)
+    reasons += (reasons.empty() ? "" : ", ") + reason + " " + std::to_string(count);
+  return Status::Failed("session " + frames.info().id + ": no pixel could be fitted (" + reasons +
+                        "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
+}
+
+}  // namespace
+
+const char* ToString(Evaluation evaluation) {
+  switch (evaluation) {
+    case Evaluation::kFirst:
+      return "first";
+    case Evaluation::kHeldOut:
+      return "held_out";
+    case Evaluation::kFull:
+      return "full";
+  }
+  return "";
+}
+
+std::vector<std::string> ModelsOf(const SessionGraph& graph, Evaluation evaluation) {
+  std::vector<std::string> models = {graph.JudgedModel(), "homogeneous"};
+  if (evaluation == Evaluation::kFirst) return models;
+  for (const char* name : {"homogeneous_local_albedo", "direction_blind", "dipole"}) models.emplace_back(name);
+  return models;
+}
+
+std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
+  return db::HashHex(nlohmann::json(StagesOf(graph, options)).dump()).substr(0, 16);
+}
+
+std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
+  std::vector<std::string> keys = {graph.Normals()};
+  if (options.standard_errors) keys.push_back(graph.StandardErrors());
+  for (const Evaluation step : {Evaluation::kFirst, Evaluation::kHeldOut})
+    if (step <= evaluation) keys.push_back(graph.Compare(ModelsOf(graph, step), options.geometry, options.heldout));
+  if (evaluation != Evaluation::kFull) return keys;
+  keys.push_back(Ablations(graph, options));
+  for (const auto& [source, projector] : FullViews(graph, options, projectors))
+    keys.push_back(graph.Compare(ModelsOf(graph, evaluation), source, projector));
+  return keys;
+}
+
+Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::string& fit) {
+  const ArtifactStore& locks = graph.stages().store();
+  const fs::path place = frames.store().FitFolder(frames.info().id, fit);
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(place.parent_path(), error)) {
+    if (entry.path().extension() != kPartial) continue;
+    SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.TryLock(LockOf(entry.path().stem().string())));
+    if (lock.held()) fs::remove_all(entry.path(), error);
+  }
+  if (!fs::exists(place / db::kFitRecordFile, error)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.Lock(LockOf(fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const db::FitRow made, db::ReadFitRecord(place, frames.info().id));
+  SLX_ASSIGN_OR_RETURN(const auto rows, frames.store().ListFits(frames.info().id));
+  for (const db::FitRow& row : rows)
+    if (row.id == fit && row.metrics_json == made.metrics_json) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const db::FitRow proven, db::ReadProvenFit(place, frames.info().id));
+  return db::RegisterFit(frames.store().folder(), proven);
+}
+
+Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit) {
+  std::optional<Evaluation> none;
+  const fs::path folder = frames.store().FitFolder(frames.info().id, fit);
+  SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
+  const bool listed = std::any_of(fits.begin(), fits.end(), [&](const db::FitRow& row) { return row.id == fit; });
+  std::error_code error;
+  if (!listed || !fs::exists(folder / db::kFitRecordFile, error)) return none;
+  SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(folder / "metrics.json"));
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext((folder / "metrics.json").string()));
+  const auto json = nlohmann::json::parse(text, nullptr, false);
+  const std::string held = json.is_object() ? json.value("evaluation", "") : "";
+  for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, Evaluation::kFull})
+    if (held == ToString(evaluation)) return std::optional(evaluation);
+  return none;
+}
+
+Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, SessionFrames& frames, Evaluation evaluation) {
+  StageGraph& stages = graph.stages();
+  const std::map<std::string, std::string> keys = StagesOf(graph, options);
+  // Also what an earlier run has made of it: the figures list the stages of all.
+  (void)KeysOf(graph, options, std::min(evaluation, Evaluation::kHeldOut), 0);
+  SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages.Folder(keys.at("fit")));
+  Metrics metrics;
+  SLX_ASSIGN_OR_RETURN(metrics.summary, LoadSummary(fit_folder));
+  if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);
+
+  SLX_ASSIGN_OR_RETURN(const fs::path shape_folder, stages.Folder(keys.at("shape")));
+  SLX_ASSIGN_OR_RETURN(const auto shape, LoadShape(shape_folder));
+  SLX_ASSIGN_OR_RETURN(const fs::path separate_folder, stages.Folder(keys.at("separate")));
+  SLX_ASSIGN_OR_RETURN(const auto separation, LoadSeparation(separate_folder));
+  SLX_ASSIGN_OR_RETURN(const auto layers, LoadLayers(fit_folder));
+  SLX_ASSIGN_OR_RETURN(const fs::path normals_folder, stages.Folder(keys.at("normals")));
+  SLX_ASSIGN_OR_RETURN(const auto normals, LoadNormals(normals_folder, layers.map.channels));
+  ReportInput input{frames, shape, separation, normals, layers, ProfileToShow(layers.map), {}, {}, options.heldout};
+  SLX_ASSIGN_OR_RETURN(const fs::path srd_folder, stages.Folder(graph.Srd(options.geometry)));
+  {
+    SLX_ASSIGN_OR_RETURN(const auto srds, LoadSrds(srd_folder));
+    metrics.sweeps = srds.figures;
+    if (input.chosen_profile >= 0)
+      for (const SrdBatch& batch : srds.set.batches)
+        input.chosen_srds.push_back(ProfilesOf(batch, {&input.chosen_profile, 1}));
+  }
+  const std::string compare = graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout);
+  SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons));
+  SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
+  if (evaluation == Evaluation::kFull)
+    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, static_cast<int>(shape.record.projectors.size()), metrics));
+  for (const auto& [stage, key] : keys)
+    if (stage == "standard_errors") SLX_RETURN_IF_ERROR(stages.Need(key).status());
+
+  metrics.session = frames.info().id;
+  metrics.fit = FitIdOf(graph, options);
+  metrics.program_version = kVersion;
+  metrics.options_json = options.ToJson();
+  metrics.evaluation = ToString(evaluation);
+  metrics.drift = shape.drift;
+  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(frames, shape.surface));
+  for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
+  for (const auto& [label, record] : graph.Records())
+    metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});
+
+  fs::path place = frames.store().FitFolder(metrics.session, metrics.fit);
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, stages.store().Lock(LockOf(metrics.fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, metrics.fit));
+  if (held && *held >= evaluation) return place;  // another run's, meanwhile
+  const fs::path partial = place.string() + kPartial;
+  const RemovedOnSignal guard(partial);
+  std::error_code error;
+  fs::remove_all(partial, error);
+  {
+    const NotInterrupted whole;
+    fs::create_directories(partial / "report", error);
+  }
+  if (error) return Status::Failed("cannot create " + partial.string() + ": " + error.message());
+  for (const auto& [stage, key] : keys) {
+    SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.Folder(key));
+    SLX_RETURN_IF_ERROR(LinkFiles(folder, partial));
+  }
+  SLX_RETURN_IF_ERROR(WriteReport(partial, input, metrics));
+  SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", metrics.ToJson()));
+  db::FitRow row{metrics.fit, metrics.session, metrics.options_json, metrics.ToJson(), WallNow()};
+  row.artifacts = metrics.artifacts;
+  // With its proof, on the disk, before it takes the place of one that is listed.
+  SLX_ASSIGN_OR_RETURN(const std::string record, db::FitRecordOf(partial, row));
+  SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
+  SLX_RETURN_IF_ERROR(db::SyncTree(partial));
+  SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
+  SLX_RETURN_IF_ERROR(frames.store().RegisterFit(row));
+  return place;
+}
+
+}  // namespace stratalux::fit

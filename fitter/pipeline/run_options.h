@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a user may choose of a run.
+#pragma once
+
+#include <string>
+
+#include "fitter/srd/srd_extractor.h"
+#include "fitter/stages/layers.h"
+
+namespace stratalux::fit {
+
+// Stages that a user can ask for by name; kReport: a whole fit.
+enum class Stage { kReconstruct, kSeparate, kNormals, kSrd, kFit, kReport };
+
+enum class GeometrySource { kReconstructed, kTruth };
+[[nodiscard]] const char* ToString(GeometrySource source);
+
+struct RunOptions {
+  std::string store;
+  std::string session = "latest";
+  FitOptions fit;
+  int heldout = 3;               // the projector left out of the full-size fit
+  SrdOptions srd;                // pool: quads per side of that fit's profiles
+  bool full_evaluation = false;  // every projector held out in turn; ablations, true geometry
+  bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
+  GeometrySource geometry = GeometrySource::kReconstructed;
+  Stage until = Stage::kReport;
+  bool dry_run = false;
+  [[nodiscard]] Status Validate() const;
+  [[nodiscard]] std::string ToJson() const;
+};
+
+}  // namespace stratalux::fit

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// The stages of one session: which reads what. Each method adds a node, and what it reads, and gives its key.
+//
+//   frames -> decode -> shape --------+-> srd -> fit -> model -> predict -> compare
+//         \-> separate -> normals      \-> (truth_shape, of the truth of a simulation, in its place)
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "fitter/evaluation/truth.h"
+#include "fitter/pipeline/run_options.h"
+#include "fitter/pipeline/stage_graph.h"
+#include "fitter/session/session_frames.h"
+
+namespace stratalux::fit {
+
+// What a fit is made of data for: itself, a baseline, an ablation.
+enum class FitKind { kJudged, kDirectionBlind, kProjectorsPermuted, kCombFramesShuffled };
+
+class SessionGraph {
+ public:
+  // Hashes the session's frames. kIntegrity, kNotFound.
+  static Result<std::unique_ptr<SessionGraph>> Open(const RunOptions& options, const SessionFrames& frames,
+                                                    Logger& logger);
+
+  std::string Decode();
+  std::string Shape(GeometrySource source);
+  std::string Separate();
+  std::string Normals();
+  std::string Srd(GeometrySource source);
+  std::string Fit(GeometrySource source, int heldout, FitKind kind);
+  std::string StandardErrors();
+  // A model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
+  std::string Model(const std::string& name, GeometrySource source, int heldout);
+  std::string Predict(const std::string& model, GeometrySource source, int heldout);
+  std::string Compare(const std::vector<std::string>& models, GeometrySource source, int heldout);
+
+  [[nodiscard]] StageGraph& stages() { return stages_; }
+  [[nodiscard]] std::string JudgedModel() const {
+    return options_.fit.em.scattering.mode == FitMode::kTied ? "tied" : "free";
+  }
+  [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
+  // Every artifact that is there of the nodes added so far, in their order.
+  [[nodiscard]] std::vector<std::pair<std::string, db::ArtifactRecord>> Records() const;
+
+ private:
+  SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts, Logger& logger);
+  std::string Add(StageNode node);
+  std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
+                     const std::string& label);
+  [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;
+
+  const RunOptions options_;
+  const std::string session_;
+  const RigCalibration record_;
+  const PlanOptions plan_;
+  Logger& logger_;
+  std::string frames_hash_, record_hash_, truth_hash_, isa_;
+  StageGraph stages_;
+  std::vector<std::string> order_;
+};
+
+}  // namespace stratalux::fit

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stages as a graph: each names what its result depends on, so that its key says whether it must run.
+//
+// A node is added after the nodes that it reads; its key follows from its identity, before anything is computed.
+// Need() gives its artifact: found, or made, its inputs before it. So a run that was killed goes on where it was, a
+// changed option runs the stages that read it and those behind them, and two runs share their work (artifact_store.h).
+#pragma once
+
+#include <functional>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "fitter/pipeline/artifact_store.h"
+
+namespace stratalux::fit {
+
+// What a run would do with a node.
+struct PlannedStage {
+  std::string stage, label, key;
+  bool exists = false;
+  std::string why;  // it runs: what is new against the newest artifact of that stage
+};
+
+struct StageNode {
+  db::ArtifactIdentity identity;
+  std::string label;                  // for people, such as "fit (projector 3 held out)"
+  std::vector<std::string> upstream;  // keys of the nodes that `make` reads
+  // Writes the files of the artifact into the folder. A pure function of what the identity names.
+  std::function<Status(const std::filesystem::path& folder)> make;
+};
+
+class StageGraph {
+ public:
+  StageGraph(ArtifactStore store, Logger& logger) : store_(std::move(store)), logger_(logger) {}
+
+  // Its key; a node of the same key is there once.
+  std::string Add(StageNode node);
+  [[nodiscard]] Result<Artifact> Need(const std::string& key);
+  // Where the files of a node's artifact are, once it was needed.
+  [[nodiscard]] Result<std::filesystem::path> Folder(const std::string& key);
+  // The nodes that Need(key) would look at, in the order in which they would run.
+  [[nodiscard]] std::vector<PlannedStage> Plan(const std::vector<std::string>& keys) const;
+  // Of a node and all that stand before it, made or found so far: label -> record.
+  [[nodiscard]] std::vector<std::pair<std::string, db::ArtifactRecord>> Used() const { return used_; }
+  [[nodiscard]] const StageNode& Node(const std::string& key) const { return nodes_.at(key); }
+  [[nodiscard]] const ArtifactStore& store() const { return store_; }
+
+ private:
+  void PlanNode(const std::string& key, std::set<std::string>& seen, std::vector<PlannedStage>& plan) const;
+  [[nodiscard]] std::string WhyItRuns(const StageNode& node) const;
+
+  ArtifactStore store_;
+  Logger& logger_;
+  std::map<std::string, StageNode> nodes_;
+  std::vector<std::pair<std::string, db::ArtifactRecord>> used_;
+  std::set<std::string> used_keys_;
+};
+
+}  // namespace stratalux::fit

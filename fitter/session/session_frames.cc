@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/session/session_frames.h"
+
+#include <cmath>
+#include <set>
+
+#include "db/base/own_hash.h"
+#include "db/catalogue/pixel_digest.h"
+#include "fitter/sensor/dark_frame.h"
+
+namespace stratalux::fit {
+
+SessionFrames::SessionFrames(db::SessionStore store, db::SessionRow session)
+    : store_(std::move(store)), session_(std::move(session)) {}
+
+std::string SessionFrames::Key(int projector, CapturePhase phase, const Pattern& pattern, int pose, int bracket) {
+  return std::to_string(projector) + "|" + ToString(phase) + "|" + pattern.ToString() + "|" + std::to_string(pose) +
+         "|" + std::to_string(bracket);
+}
+
+Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const std::string& selector) {
+  SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadWrite));
+  SLX_ASSIGN_OR_RETURN(auto session, store.FindSession(selector));
+  const std::string where = "session " + session.info.id;
+  SessionFrames frames(std::move(store), std::move(session));
+  const SessionInfo& info = frames.session_.info;
+  if (!info.plan_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(frames.plan_, PlanOptionsFromJson(info.plan_json).WithContext(where));
+  }
+  if (!info.calibration_json.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto record, RigCalibration::FromJson(info.calibration_json).WithContext(where));
+    frames.UseRecord(record);
+  }
+  SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
+  for (size_t i = 0; i < frames.rows_.size(); ++i) {
+    const FrameRecord& r = frames.rows_[i].record;
+    if (r.level_check == LevelCheck::kFailed) continue;
+    frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose, r.bracket)] = i;
+  }
+  return frames;
+}
+
+void SessionFrames::UseRecord(const RigCalibration& record) {
+  record_ = calibration_ = record;
+  lineariser_.emplace(record.camera);
+  calibration_ = LinearRig(record);
+}
+
+Result<Image<uint16_t>> SessionFrames::ReadRaw(const db::FrameRow& row) const {
+  return store_.ReadFrame(info().id, row);
+}
+
+Result<Image<uint16_t>> SessionFrames::ReadLinear(const db::FrameRow& row) const {
+  SLX_ASSIGN_OR_RETURN(auto frame, ReadRaw(row));
+  if (lineariser_) lineariser_->Apply(frame, row.record.crop_x, row.record.crop_y);
+  return frame;
+}
+
+std::filesystem::path SessionFrames::folder() const { return store_.SessionFolder(session_.info.id); }
+
+std::vector<int> SessionFrames::poses() const {
+  std::set<int> poses;
+  for (const db::FrameRow& row : rows_) poses.insert(row.record.pose);
+  return {poses.begin(), poses.end()};
+}
+
+const db::FrameRow* SessionFrames::Find(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                        int bracket) const {
+  const auto found = by_key_.find(Key(projector, phase, pattern, pose, bracket));
+  return found == by_key_.end() ? nullptr : &rows_[found->second];
+}
+
+Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                            int bracket) const {
+  const db::FrameRow* row = Find(projector, phase, pattern, pose, bracket);
+  if (row == nullptr)
+    return Status::NotFound("session " + info().id + " has no good frame of projector " + std::to_string(projector) +
+                            ", " + ToString(phase) + ", '" + pattern.ToString() + "'" +
+                            (pose >= 0 ? ", pose " + std::to_string(pose) : "") +
+                            (bracket > 0 ? ", bracket " + std::to_string(bracket) : "") +
+                            " (its reasons: `stratalux-db show`); capture it again with nothing moving");
+  return ReadLinear(*row);
+}
+
+Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int bracket, int& count) const {
+  const float saturation = calibration_ ? static_cast<float>(calibration_->camera.saturation_dn) : 1e9F;
+  const std::string name = kind == PatternKind::kWhite ? "white" : "black";
+  Image<float> mean;
+  count = 0;
+  for (const db::FrameRow& row : rows_) {
+    const FrameRecord& r = row.record;
+    if (r.projector != projector || r.pattern.kind != kind || r.bracket != bracket ||
+        r.level_check == LevelCheck::kFailed)
+      continue;
+    SLX_ASSIGN_OR_RETURN(const auto image, ReadLinear(row));
+    if (mean.empty()) mean = Image<float>(image.width(), image.height());
+    if (mean.width() != image.width() || mean.height() != image.height())
+      return Status::Integrity("session " + info().id + ": " + name + " frames of projector " +
+                               std::to_string(projector) + " differ in size");
+    for (size_t i = 0; i < mean.size(); ++i) {
+      const float level = image.pixels()[i];
+      mean.pixels()[i] += kind == PatternKind::kWhite && level >= saturation ? std::nanf("") : level;
+    }
+    ++count;
+  }
+  if (count == 0)
+    return Status::NotFound("session " + info().id + " has no " + name + " frame of projector " +
+                            std::to_string(projector));
+  for (float& v : mean.pixels()) v /= static_cast<float>(count);
+  return mean;
+}
+
+Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
+  int count = 0;
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, 0, count));
+  return calibration_ ? QuietDarkFrame(mean, count, calibration_->camera) : std::move(mean);
+}
+
+Result<Image<float>> SessionFrames::MeanBlack(int projector, double factor) const {
+  const std::vector<double> captured = plan_ ? plan_->reference_brackets : std::vector<double>{1.0};
+  for (size_t b = 1; b < captured.size(); ++b) {
+    int count = 0;
+    if (std::abs(captured[b] / factor - 1.0) > 0.01) continue;
+    auto mean = MeanOf(projector, PatternKind::kBlack, static_cast<int>(b), count);
+    if (mean.status().code() == StatusCode::kNotFound) break;
+    if (!mean.ok() || !calibration_) return mean;
+    return QuietDarkFrame(*mean, count, calibration_->camera);
+  }
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanBlack(projector));
+  const auto level = static_cast<float>(calibration_ ? calibration_->camera.black_level_dn : 0.0);
+  for (float& v : mean.pixels()) v = level + (v - level) * static_cast<float>(factor);
+  return mean;
+}
+
+Result<Image<float>> SessionFrames::MeanWhite(int projector, int& count) const {
+  return MeanOf(projector, PatternKind::kWhite, 0, count);
+}
+
+std::string SessionFrames::RecordHash() const { return db::HashHex(record_ ? record_->ToJson() : std::string()); }
+
+Result<std::string> SessionFrames::FramesHash() const {
+  SLX_ASSIGN_OR_RETURN(const std::string pixels, db::PixelDigest(store_, session_, rows_));
+  std::string all = info().id + info().plan_json + pixels;
+  for (const db::FrameRow& row : rows_) all += row.record.pattern.ToString();
+  return db::HashHex(all);
+}
+
+}  // namespace stratalux::fit

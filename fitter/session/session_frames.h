@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frames of one session by what they show: the only door between the store and the stages, which take views.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "db/catalogue/session_store.h"
+#include "fitter/sensor/linear_frame.h"
+#include "shared/capture/rig_calibration.h"
+
+namespace stratalux::fit {
+
+class SessionFrames {
+ public:
+  // kNotFound / kUsage for the selector; kIntegrity where manifest texts are damaged.
+  static Result<SessionFrames> Open(const std::string& store_folder, const std::string& selector);
+
+  [[nodiscard]] const SessionInfo& info() const { return session_.info; }
+  [[nodiscard]] std::filesystem::path folder() const;
+  [[nodiscard]] db::SessionStore& store() { return store_; }
+  [[nodiscard]] const db::SessionStore& store() const { return store_; }
+  // From the session's manifest; nullopt for imports without one.
+  [[nodiscard]] const std::optional<PlanOptions>& plan() const { return plan_; }
+  // Of the frames as Read gives them: a linear camera without vignetting (FrameLineariser).
+  [[nodiscard]] const std::optional<RigCalibration>& calibration() const { return calibration_; }
+  // As the manifest has it.
+  [[nodiscard]] const std::optional<RigCalibration>& record() const { return record_; }
+  [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
+  [[nodiscard]] std::vector<int> poses() const;
+
+  // The last good shot (a failed level check does not count) of a pattern in exposure bracket `bracket` (0: nominal);
+  // nullptr when there is none.
+  [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
+                                         int bracket = 0) const;
+  // As Find, then decoded pixels, linear; kNotFound names projector, phase and pattern.
+  [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
+                                             int bracket = 0) const;
+  // Any frame, linear as Read gives it.
+  [[nodiscard]] Result<Image<uint16_t>> ReadLinear(const db::FrameRow& row) const;
+  // Any frame, as the camera gave it.
+  [[nodiscard]] Result<Image<uint16_t>> ReadRaw(const db::FrameRow& row) const;
+  // Reads on as if the session had been captured with this record.
+  void UseRecord(const RigCalibration& record);
+  // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
+  // black.
+  [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
+  // The same for frames of another exposure, `factor` times the nominal one: of black frames that were captured so
+  // (reference brackets), else the nominal ones with their light scaled.
+  [[nodiscard]] Result<Image<float>> MeanBlack(int projector, double factor) const;
+  // Mean of the projector's white frames (reference and motion checks); NaN where a site was saturated. `count`
+  // receives their number.
+  [[nodiscard]] Result<Image<float>> MeanWhite(int projector, int& count) const;
+  // Of the session's plan, patterns and pixels, however the frames are coded; and of the record by which they are read.
+  [[nodiscard]] Result<std::string> FramesHash() const;
+  [[nodiscard]] std::string RecordHash() const;
+
+ private:
+  [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int bracket, int& count) const;
+  SessionFrames(db::SessionStore store, db::SessionRow session);
+  static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose, int bracket);
+
+  db::SessionStore store_;
+  db::SessionRow session_;
+  std::optional<PlanOptions> plan_;
+  std::optional<RigCalibration> record_, calibration_;
+  std::optional<FrameLineariser> lineariser_;
+  std::vector<db::FrameRow> rows_;
+  std::map<std::string, size_t> by_key_;
+};
+
+}  // namespace stratalux::fit

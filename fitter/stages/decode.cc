@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/decode.h"
+
+#include "fitter/export/exr_file.h"
+#include "fitter/session/quad_signal.h"
+#include "fitter/stages/stage_json.h"
+
+namespace stratalux::fit {
+namespace {
+
+const std::vector<std::string> kChannels = {"column", "row", "column_sigma", "row_sigma", "reason"};
+
+std::filesystem::path FileOf(const std::filesystem::path& folder, size_t projector) {
+  return folder / ("decoded_" + std::to_string(projector) + ".exr");
+}
+
+// Frames of one axis' codes, kept alive while views of them are decoded.
+struct AxisFrames {
+  std::vector<Image<uint16_t>> positive, inverse, shifts;
+};
+
+Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count) {
+  AxisFrames read;
+  const int bits = GrayBits(count);
+  for (int bit = 0; bit < bits; ++bit)
+    for (bool inverse : {false, true}) {
+      SLX_ASSIGN_OR_RETURN(
+          auto image,
+          frames.Read(projector, CapturePhase::kCorrespondence,
+                      {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse}, pose));
+      (inverse ? read.inverse : read.positive).push_back(std::move(image));
+    }
+  if (!frames.plan()) return read;
+  const PlanOptions& o = *frames.plan();
+  for (int shift = 0; shift < o.separation_shifts; ++shift) {
+    const Pattern pattern{.kind = PatternKind::kSinusoid,
+                          .axis = axis,
+                          .period = o.separation_period,
+                          .shift = shift,
+                          .shifts = o.separation_shifts};
+    if (frames.Find(projector, CapturePhase::kSeparation, pattern, pose) == nullptr) continue;
+    SLX_ASSIGN_OR_RETURN(auto image, frames.Read(projector, CapturePhase::kSeparation, pattern, pose));
+    read.shifts.push_back(std::move(image));
+  }
+  return read;
+}
+
+AxisCode CodeOf(const AxisFrames& frames, int count, int period) {
+  AxisCode code;
+  code.count = count;
+  for (size_t b = 0; b < frames.positive.size(); ++b) code.bits.push_back({frames.positive[b], frames.inverse[b]});
+  for (const auto& image : frames.shifts) code.shifts.push_back(image);
+  code.period_px = frames.shifts.empty() ? 0 : period;
+  return code;
+}
+
+Result<Image<float>> BlackOfPose(const SessionFrames& frames, int projector, int pose) {
+  if (pose < 0) return frames.MeanBlack(projector);
+  SLX_ASSIGN_OR_RETURN(const auto black,
+                       frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kBlack}, pose));
+  Image<float> mean(black.width(), black.height());
+  for (size_t i = 0; i < mean.size(); ++i) mean.pixels()[i] = black.pixels()[i];
+  return mean;
+}
+
+}  // namespace
+
+CodeSize CodeSizeOf(const SessionFrames& frames) {
+  if (frames.plan()) return {frames.plan()->projector_width, frames.plan()->projector_height};
+  CodeSize size;
+  for (const db::FrameRow& row : frames.rows()) {
+    const Pattern& p = row.record.pattern;
+    if (p.kind == PatternKind::kGray) (p.axis == PatternAxis::kColumns ? size.columns : size.rows) = 1 << p.bits;
+  }
+  return size;
+}
+
+Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
+                                     int code_height, const SensorNoise& noise) {
+  SLX_ASSIGN_OR_RETURN(const auto white,
+                       frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
+  SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));
+  SLX_ASSIGN_OR_RETURN(const auto columns, ReadAxis(frames, projector, pose, PatternAxis::kColumns, code_width));
+  SLX_ASSIGN_OR_RETURN(const auto rows, ReadAxis(frames, projector, pose, PatternAxis::kRows, code_height));
+  const int period = frames.plan() ? frames.plan()->separation_period : 0;
+  DecodeInput input;
+  input.white = white;
+  input.black = black;
+  input.columns = CodeOf(columns, code_width, period);
+  input.rows = CodeOf(rows, code_height, period);
+  return DecodeGray(input, noise);
+}
+
+Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger) {
+  const RigCalibration& rig = *frames.calibration();
+  const SensorNoise noise = SensorNoise::From(rig.camera);
+  DecodedFace face;
+  Progress progress(logger, "decode", static_cast<int64_t>(rig.projectors.size()));
+  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
+    const Pinhole& model = rig.projectors[p].model;
+    SLX_ASSIGN_OR_RETURN(auto report, DecodeProjector(frames, p, -1, model.width, model.height, noise));
+    for (int r = 0; r < kDecodeReasons; ++r) face.counts[r] += report.counts[r];
+    face.maps.push_back(std::move(report.map));
+    progress.Advance();
+  }
+  return face;
+}
+
+Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face) {
+  for (size_t p = 0; p < face.maps.size(); ++p) {
+    const DecodedMap& map = face.maps[p];
+    Image<float> all(map.reason.width(), map.reason.height(), 5);
+    for (size_t i = 0; i < map.reason.size(); ++i) {
+      float* site = all.data() + 5 * i;
+      site[0] = map.column.pixels()[i];
+      site[1] = map.row.pixels()[i];
+      site[2] = map.column_sigma.pixels()[i];
+      site[3] = map.row_sigma.pixels()[i];
+      site[4] = map.reason.pixels()[i];
+    }
+    SLX_RETURN_IF_ERROR(WriteExr(FileOf(folder, p), all, kChannels));
+  }
+  return WriteJson(folder / "decode.json", {{"projectors", face.maps.size()}, {"counts", face.counts}});
+}
+
+Result<DecodedFace> LoadDecoded(const std::filesystem::path& folder) {
+  DecodedFace face;
+  size_t projectors = 0;
+  SLX_RETURN_IF_ERROR(ReadJson(folder / "decode.json", [&](const nlohmann::json& json) {
+    json.at("projectors").get_to(projectors);
+    json.at("counts").get_to(face.counts);
+  }));
+  for (size_t p = 0; p < projectors; ++p) {
+    SLX_ASSIGN_OR_RETURN(const auto all, ReadExr(FileOf(folder, p), kChannels));
+    const Image<float> empty(all.width(), all.height());
+    DecodedMap map{empty, empty, empty, empty, Image<uint8_t>(all.width(), all.height())};
+    for (size_t i = 0; i < map.reason.size(); ++i) {
+      const float* site = all.data() + 5 * i;
+      map.column.pixels()[i] = site[0];
+      map.row.pixels()[i] = site[1];
+      map.column_sigma.pixels()[i] = site[2];
+      map.row_sigma.pixels()[i] = site[3];
+      map.reason.pixels()[i] = static_cast<uint8_t>(site[4]);
+    }
+    face.maps.push_back(std::move(map));
+  }
+  return face;
+}
+
+}  // namespace stratalux::fit

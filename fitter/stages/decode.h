@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// The decode stage: projector coordinates of every camera site, of each projector's codes.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "fitter/session/session_frames.h"
+#include "fitter/structured_light/gray_decoder.h"
+#include "fitter/structured_light/sensor_noise.h"
+#include "shared/base/log.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kDecodeVersion = 1;
+
+struct CodeSize {
+  int columns = 0, rows = 0;  // of the projectors: as the plan says, or the most that the stored code can number
+};
+[[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
+
+// Decodes projector p of a session whose frames have `width` x `height` code columns and rows; sinusoids where the plan
+// has them.
+[[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
+                                                   int code_height, const SensorNoise& noise);
+
+struct DecodedFace {
+  std::vector<DecodedMap> maps;  // by projector
+  std::array<int64_t, kDecodeReasons> counts{};
+};
+// Of all projectors of a calibrated session.
+[[nodiscard]] Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger);
+
+// decoded_<p>.exr, decode.json.
+Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face);
+[[nodiscard]] Result<DecodedFace> LoadDecoded(const std::filesystem::path& folder);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/layer_maps.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "fitter/export/exr_file.h"
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/standard_errors.h"
+#include "shared/base/parallel.h"
+
+namespace stratalux::fit {
+namespace {
+
+bool DepthKnown(const MixtureMap& map, int64_t profile) {
+  return static_cast<FitReason>(map.reason[profile]) == FitReason::kFitted;
+}
+
+// Width up to which the share `fraction` of the light comes back, from a histogram of weights.
+double WidthOfShare(const std::vector<double>& weights, double cell_mm, double fraction) {
+  double all = 0.0, below = 0.0;
+  for (double w : weights) all += w;
+  for (size_t i = 0; i < weights.size(); ++i) {
+    if (below + weights[i] >= fraction * all && weights[i] > 0.0)
+      return cell_mm * (static_cast<double>(i) + (fraction * all - below) / weights[i]);
+    below += weights[i];
+  }
+  return cell_mm * static_cast<double>(weights.size());
+}
+
+DepthBands FindBands(const MixtureMap& map) {
+  constexpr double kCellMm = 0.01;
+  std::vector<double> weights(2000, 0.0);
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    if (!map.Fitted(i)) continue;
+    for (int64_t at = i * map.layers; at < (i + 1) * map.layers; ++at) {
+      const double cell = std::min(map.sigma_mm[at] / kCellMm, static_cast<double>(weights.size() - 1));
+      weights[static_cast<size_t>(cell)] += map.weight[at];
+    }
+  }
+  return {WidthOfShare(weights, kCellMm, 1.0 / 3.0), WidthOfShare(weights, kCellMm, 2.0 / 3.0)};
+}
+
+std::vector<std::string> Names(const std::string& prefix, int channels) {
+  std::vector<std::string> names;
+  for (const char* colour : channels == 1 ? std::vector<const char*>{"Y"} : std::vector<const char*>{"R", "G", "B"})
+    names.push_back(prefix + colour);
+  return names;
+}
+
+// Maps of equal size as channels of one file, each with its prefix.
+Status WriteTogether(const std::filesystem::path& file,
+                     const std::vector<std::pair<const char*, const Image<float>*>>& maps) {
+  const Image<float>& any = *maps.front().second;
+  const int colours = any.channels(), all = static_cast<int>(maps.size()) * colours;
+  Image<float> together(any.width(), any.height(), all);
+  std::vector<std::string> names;
+  for (size_t m = 0; m < maps.size(); ++m) {
+    for (const std::string& name : Names(maps[m].first, colours)) names.push_back(name);
+    for (size_t i = 0; i < any.size(); ++i) {
+      const size_t pixel = i / static_cast<size_t>(colours), colour = i % static_cast<size_t>(colours);
+      together.pixels()[pixel * static_cast<size_t>(all) + m * static_cast<size_t>(colours) + colour] =
+          maps[m].second->pixels()[i];
+    }
+  }
+  return WriteExr(file, together, names);
+}
+
+}  // namespace
+
+LayerMaps SummariseLayers(const MixtureMap& map) {
+  const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
+  LayerMaps maps{unknown, unknown, unknown, unknown, unknown, unknown, unknown, FindBands(map)};
+  ParallelFor(map.profiles(), 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (!map.Fitted(i)) continue;
+      double total = 0.0, depth = 0.0, width2 = 0.0;
+      std::array<double, 3> band{};
+      for (int64_t at = i * map.layers; at < (i + 1) * map.layers; ++at) {
+        const double w = map.weight[at], sigma = map.sigma_mm[at];
+        total += w;
+        depth += w * map.depth_mm[at];
+        width2 += w * sigma * sigma;
+        band[sigma < maps.bands.shallow_mm ? 0 : sigma < maps.bands.deep_mm ? 1 : 2] += w;
+      }
+      maps.total_weight.pixels()[i] = static_cast<float>(total);
+      maps.absorption.pixels()[i] = static_cast<float>(1.0 - total);
+      if (!(total > 0.0)) continue;
+      maps.effective_width_mm.pixels()[i] = static_cast<float>(std::sqrt(width2 / total));
+      if (DepthKnown(map, i)) maps.mean_depth_mm.pixels()[i] = static_cast<float>(depth / total);
+      maps.shallow.pixels()[i] = static_cast<float>(band[0]);
+      maps.middle.pixels()[i] = static_cast<float>(band[1]);
+      maps.deep.pixels()[i] = static_cast<float>(band[2]);
+    }
+  });
+  return maps;
+}
+
+Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* const> lights) {
+  Image<float> ratio(map.width, map.height, map.channels);
+  ParallelFor(map.profiles(), 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      double sum = 0.0, variance = 0.0;
+      for (const SrdBatch* batch : lights) {
+        if (batch->valid[i] == 0) continue;
+        for (const float y : batch->Samples(i)) sum += y;
+        for (const float v : batch->Variances(i)) variance += v;
+      }
+      ratio.pixels()[i] = variance > 0.0 ? static_cast<float>(std::max(sum, 0.0) / std::sqrt(variance)) : 0.0F;
+    }
+  });
+  return ratio;
+}
+
+StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights, EmOptions options,
+                                     const std::function<void(int64_t)>& progress) {
+  const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
+  StandardErrorMaps maps{unknown, unknown, unknown};
+  options.scattering = map.scattering;
+  ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (!map.Fitted(i)) continue;
+      const EffectiveParameters errors = EffectiveParametersOf(map, i, lights, options);
+      maps.total_weight.pixels()[i] = static_cast<float>(errors.total_weight.standard_error);
+      if (DepthKnown(map, i)) maps.mean_depth_mm.pixels()[i] = static_cast<float>(errors.mean_depth_mm.standard_error);
+      maps.width_mm.pixels()[i] = static_cast<float>(errors.width_mm.standard_error);
+    }
+    progress(end - begin);
+  });
+  return maps;
+}
+
+Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps) {
+  return WriteTogether(
+      folder / "standard_errors.exr",
+      {{"total_weight.", &maps.total_weight}, {"mean_depth_mm.", &maps.mean_depth_mm}, {"width_mm.", &maps.width_mm}});
+}
+
+Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps) {
+  const int channels = maps.total_weight.channels();
+  for (const auto& [name, image] : {std::pair("total_weight", &maps.total_weight),
+                                    {"absorption", &maps.absorption},
+                                    {"mean_depth_mm", &maps.mean_depth_mm},
+                                    {"effective_width_mm", &maps.effective_width_mm}})
+    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, Names("", channels)));
+  return WriteTogether(folder / "depth_bands.exr",
+                       {{"shallow.", &maps.shallow}, {"middle.", &maps.middle}, {"deep.", &maps.deep}});
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the fitted layers of each pixel amount to, as maps: how much light comes back, from how deep, how far it spread.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <functional>
+#include <span>
+
+#include "fitter/mixture/em_options.h"
+#include "fitter/mixture/mixture_map.h"
+#include "shared/base/result.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+// Widths of layers that part the light into three bands of equal strength, over the whole session and all colours.
+// Bands are of width, not of the fitted depth: light that comes from deeper has spread wider, and widths are well
+// measured, while the depths of all layers of a pixel share the error of the geometry, which is as large as they are.
+struct DepthBands {
+  double shallow_mm = 0.0, deep_mm = 0.0;  // sigma below the first: shallow; from the second on: deep
+};
+
+// All W x H x C as the MixtureMap; NaN where nothing was fitted. Depths also where they cannot be estimated.
+struct LayerMaps {
+  Image<float> total_weight;           // sum w: the albedo of the light that went through the skin
+  Image<float> absorption;             // w_a = 1 - sum w [M 6]
+  Image<float> mean_depth_mm;          // sum w d / sum w; NaN where no shift tells of depths
+  Image<float> effective_width_mm;     // sqrt(sum w sigma^2 / sum w): one Gaussian with the same second moment
+  Image<float> shallow, middle, deep;  // sum of w in each band
+  DepthBands bands;
+};
+[[nodiscard]] LayerMaps SummariseLayers(const MixtureMap& map);
+
+// Signal-to-noise ratio of each profile's samples, all lights (those that the map was fitted to) together: sum y /
+// sqrt(sum variance); 0 where no light is usable.
+[[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* const> lights);
+
+// Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
+// where nothing was fitted. For tied fits.
+struct StandardErrorMaps {
+  Image<float> total_weight, mean_depth_mm, width_mm;
+};
+// `lights`, `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives profiles
+// done.
+[[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights,
+                                                   EmOptions options, const std::function<void(int64_t)>& progress);
+// standard_errors.exr: total_weight.R, mean_depth_mm.R, width_mm.R ...
+Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
+
+// total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).
+Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps);
+
+}  // namespace stratalux::fit

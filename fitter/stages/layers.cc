@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/layers.h"
+
+#include <algorithm>
+#include <sstream>
+
+#include <nlohmann/json.hpp>
+
+#include "fitter/mixture/choose_prior.h"
+#include "fitter/mixture/estimate_directions.h"
+#include "fitter/mixture/free_fit.h"
+
+namespace stratalux::fit {
+namespace {
+
+using Lights = std::vector<const SrdBatch*>;
+
+std::string Describe(const ScatteringModel& model) {
+  std::ostringstream text;
+  text.precision(3);
+  text << "tau " << model.tau << ", surface ";
+  if (model.reflection.Known())
+    text << model.reflection.strength << " of Fresnel's, roughness " << model.reflection.roughness;
+  else
+    text << "of each light its own";
+  return text.str();
+}
+
+std::string Describe(const DirectionEstimate& chosen) {
+  std::ostringstream text;
+  text << "tau " << chosen.tau << ", kappa " << chosen.weights.kappa_per_mm << " / mm, phase slope "
+       << chosen.weights.phase_slope << ", sigma_0 " << chosen.weights.sigma_0_mm << " mm; training divergence "
+       << chosen.divergence << ", without " << chosen.divergence_without;
+  return text.str();
+}
+
+std::string Describe(const PriorChoice& choice) {
+  std::ostringstream text;
+  text << "prior of " << choice.prior.photons << " photons a profile";
+  for (const auto& trial : choice.trials)
+    text << (&trial == &choice.trials.front() ? "; divergence of the lights left out in turn: " : ", ")
+         << trial.divergence << " with " << trial.photons;
+  return text.str();
+}
+
+// What EM is told but for the prior, with all that the profiles of the session share.
+Result<EmOptions> WithShared(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
+                             const std::string& label) {
+  EmOptions em = options.em;
+  // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
+  constexpr int kMostSweeps = 100000;
+  em.max_iterations =
+      static_cast<int>(std::min<int64_t>(int64_t{em.max_iterations} * srds.pool * srds.pool, kMostSweeps));
+  ScatteringModel& model = em.scattering;
+  model.reflection = {};
+  if (em.surface_term && options.choose.reflection) {
+    model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
+    if (!model.reflection.Known())
+      logger.Warning(label +
+                     ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
+                     "reflects; of each light its own, as with --surface free");
+  }
+  if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);
+  logger.Info(label + ": " + Describe(model));
+  if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
+    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));
+    model.tau = chosen.tau;
+    model.directional = chosen.weights;
+    logger.Info(label + ": " + Describe(chosen));
+  }
+  return em;
+}
+
+int64_t UsableProfiles(const Lights& lights) {
+  int64_t usable = 0;
+  for (int64_t i = 0; i < lights[0]->profiles(); ++i)
+    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->valid[i] != 0; }) ? 1 : 0;
+  return usable;
+}
+
+}  // namespace
+
+std::string FitOptionsJson(const FitOptions& options) {
+  const EmOptions& o = options.em;
+  const ScatteringModel& model = o.scattering;
+  const nlohmann::json json = {{"layers", o.layers},
+                               {"mode", model.mode == FitMode::kTied ? "tied" : "free"},
+                               {"shift_law", ToString(model.shift_law)},
+                               {"eta", model.eta},
+                               {"gain_model", model.gain_model},
+                               {"choose_directions", options.choose.directions},
+                               {"direction_blind", o.direction_blind},
+                               {"surface_term", o.surface_term},
+                               {"estimate_reflection", options.choose.reflection},
+                               {"background_term", o.background_term},
+                               {"shared_background", o.shared_background},
+                               {"max_iterations", o.max_iterations},
+                               {"refinement_iterations", o.refinement_iterations},
+                               {"prior_photons", o.prior.photons},
+                               {"prior_square_shift", o.prior.square_shift},
+                               {"choose_prior", options.choose.prior},
+                               {"tolerance", o.tolerance},
+                               {"accelerated", o.accelerated},
+                               {"cells_per_sample", o.cells_per_sample},
+                               {"min_sigma_mm", o.min_sigma_mm},
+                               {"max_sigma_mm", o.max_sigma_mm},
+                               {"max_cell_mm", o.max_cell_mm},
+                               {"min_depth_mm", o.min_depth_mm},
+                               {"max_depth_mm", o.max_depth_mm}};
+  return json.dump();
+}
+
+Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
+  TrainingLights lights;
+  for (const auto* batches : {&srds.batches, &srds.row_batches})
+    for (int p = 0; p < static_cast<int>(batches->size()); ++p) {
+      if (p == heldout) continue;
+      lights.batches.push_back(&(*batches)[p]);
+      lights.projectors.push_back(p);
+    }
+  if (lights.batches.empty())
+    return Status::Usage("with projector " + std::to_string(heldout) +
+                         " held out no light is left to fit: the layers need sweeps of two projectors at least");
+  return lights;
+}
+
+Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
+                             const std::string& label) {
+  SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
+  const auto& [lights, projectors] = training;
+  SLX_ASSIGN_OR_RETURN(EmOptions em, WithShared(options, lights, srds, logger, label));
+  std::vector<LayerSet> start;
+  if (options.choose.prior || em.prior.photons > 0.0) {
+    EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
+    tied.scattering.mode = FitMode::kTied;
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
+    if (options.choose.prior) {
+      SLX_ASSIGN_OR_RETURN(const auto choice, ChoosePrior(lights, projectors, srds.channels, tied));
+      em.prior = choice.prior;
+      logger.Info(label + ": " + Describe(choice));
+    }
+  }
+  const bool free = em.scattering.mode == FitMode::kFree;
+  const int64_t fits = UsableProfiles(lights) * (free ? static_cast<int64_t>(lights.size()) : 1);
+  Progress progress(logger, label, fits);
+  const auto advance = [&](int64_t done) { progress.Advance(done); };
+  if (free) return FitFree(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
+  return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// The fit stage (layers): the layers of every pixel by EM, and what all pixels of a session share, on the training
+// lights alone.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "fitter/mixture/fit_mixture.h"
+#include "fitter/stages/srd.h"
+#include "shared/base/log.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kFitVersion = 1;
+
+// What a session's fit finds on its training lights by itself.
+struct SessionChoices {
+  bool directions = false;  // directional weights and tau (EstimateDirections); of tied fits
+  bool reflection = true;   // of the very surface (EstimateSurfaceReflection); else unknown
+  bool prior = true;        // its strength (ChoosePrior); else em.prior
+};
+
+struct FitOptions {
+  EmOptions em;
+  SessionChoices choose;
+};
+
+// All of them, as JSON: what the fit's key holds.
+[[nodiscard]] std::string FitOptionsJson(const FitOptions& options);
+
+// The batches of all projectors but one, their row sweeps after their column sweeps. `srds` must outlive it.
+struct TrainingLights {
+  std::vector<const SrdBatch*> batches;
+  std::vector<int> projectors;  // of each batch
+};
+// kUsage when none is left.
+[[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
+
+// EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
+// directional weights, and the prior with the mean layers that it is centred on.
+[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
+                                           const std::string& label);
+
+}  // namespace stratalux::fit

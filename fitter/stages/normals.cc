@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/normals.h"
+
+#include "fitter/export/exr_file.h"
+#include "fitter/photometric/fuse_normals.h"
+#include "fitter/stages/colours.h"
+
+namespace stratalux::fit {
+
+Result<FaceNormals> EstimateFaceNormals(std::span<const SeparationMap> separation, const SurfaceMap& surface,
+                                        const RigCalibration& rig, double exposure_ms) {
+  std::vector<ImageView<const float>> direct;
+  for (const SeparationMap& s : separation) direct.push_back(s.direct);
+  FaceNormals normals;
+  SLX_ASSIGN_OR_RETURN(normals.photometric, EstimateNormals(direct, surface, rig, exposure_ms));
+  SLX_ASSIGN_OR_RETURN(normals.fused, FuseNormals(surface, normals.photometric));
+  return normals;
+}
+
+Status SaveNormals(const std::filesystem::path& folder, const FaceNormals& normals) {
+  const PhotometricMap& map = normals.photometric;
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "normal_photometric.exr", map.normal, {"X", "Y", "Z"}));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "normal_fused.exr", normals.fused, {"X", "Y", "Z"}));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "albedo.exr", map.albedo, Colours(map.albedo.channels())));
+  Image<float> quality(map.reason.width(), map.reason.height(), 4);
+  for (size_t i = 0; i < map.reason.size(); ++i) {
+    float* quad = quality.data() + 4 * i;
+    quad[0] = map.residual.pixels()[i];
+    quad[1] = map.normal_sigma_rad.pixels()[i];
+    quad[2] = map.usable.pixels()[i];
+    quad[3] = map.reason.pixels()[i];
+  }
+  return WriteExr(folder / "photometric.exr", quality, {"residual", "sigma_rad", "sources", "reason"});
+}
+
+Result<FaceNormals> LoadNormals(const std::filesystem::path& folder, int channels) {
+  FaceNormals normals;
+  SLX_ASSIGN_OR_RETURN(normals.photometric.normal, ReadExr(folder / "normal_photometric.exr", {"X", "Y", "Z"}));
+  SLX_ASSIGN_OR_RETURN(normals.photometric.albedo, ReadExr(folder / "albedo.exr", Colours(channels)));
+  SLX_ASSIGN_OR_RETURN(normals.fused, ReadExr(folder / "normal_fused.exr", {"X", "Y", "Z"}));
+  return normals;
+}
+
+}  // namespace stratalux::fit

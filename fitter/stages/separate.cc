@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/separate.h"
+
+#include "fitter/export/exr_file.h"
+#include "fitter/separation/separate.h"
+#include "fitter/stages/colours.h"
+#include "fitter/stages/stage_json.h"
+
+namespace stratalux::fit {
+namespace {
+
+Result<Separation> SeparateProjector(const SessionFrames& frames, int projector, const RigCalibration& rig,
+                                     const SensorNoise& noise) {
+  const PlanOptions& o = *frames.plan();
+  SLX_ASSIGN_OR_RETURN(const auto white,
+                       frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
+  SLX_ASSIGN_OR_RETURN(const auto black, frames.MeanBlack(projector));
+  std::vector<Image<uint16_t>> images;
+  SeparationFrames input;
+  for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
+    for (int shift = 0; shift < o.separation_shifts; ++shift) {
+      SLX_ASSIGN_OR_RETURN(auto image, frames.Read(projector, CapturePhase::kSeparation,
+                                                   {.kind = PatternKind::kSinusoid,
+                                                    .axis = axis,
+                                                    .period = o.separation_period,
+                                                    .shift = shift,
+                                                    .shifts = o.separation_shifts}));
+      images.push_back(std::move(image));
+    }
+  input.white = white;
+  input.black = black;
+  for (size_t i = 0; i < images.size(); ++i)
+    (i < images.size() / 2 ? input.column_shifts : input.row_shifts).push_back(images[i]);
+  SeparationOptions options;
+  options.projector_black = rig.projectors[projector].black_level;
+  options.sinusoid_amplitude = rig.projectors[projector].SinusoidAmplitude();
+  return SeparateSinusoids(input, rig.camera.cfa, noise, options);
+}
+
+std::vector<std::string> DetailChannels(int channels) {
+  std::vector<std::string> names = WithColours("variance.", channels);
+  for (const std::string& name : WithColours("white.", channels)) names.push_back(name);
+  names.push_back("reason");
+  return names;
+}
+
+}  // namespace
+
+Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames) {
+  const RigCalibration& rig = *frames.calibration();
+  const SensorNoise noise = SensorNoise::From(rig.camera);
+  std::vector<SeparationMap> maps;
+  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
+    SLX_ASSIGN_OR_RETURN(auto separation, SeparateProjector(frames, p, rig, noise));
+    maps.push_back(std::move(separation.map));
+  }
+  return maps;
+}
+
+Status SaveSeparation(const std::filesystem::path& folder, const std::vector<SeparationMap>& maps) {
+  for (size_t p = 0; p < maps.size(); ++p) {
+    const SeparationMap& map = maps[p];
+    const std::string number = std::to_string(p) + ".exr";
+    const int channels = map.direct.channels(), all = 2 * channels + 1;
+    SLX_RETURN_IF_ERROR(WriteExr(folder / ("direct_" + number), map.direct, Colours(channels)));
+    SLX_RETURN_IF_ERROR(WriteExr(folder / ("global_" + number), map.global, Colours(channels)));
+    Image<float> detail(map.reason.width(), map.reason.height(), all);
+    for (size_t i = 0; i < map.reason.size(); ++i) {
+      for (int c = 0; c < channels; ++c) {
+        detail.data()[i * all + c] = map.direct_variance.data()[i * channels + c];
+        detail.data()[i * all + channels + c] = map.white.data()[i * channels + c];
+      }
+      detail.data()[i * all + 2 * channels] = map.reason.pixels()[i];
+    }
+    SLX_RETURN_IF_ERROR(WriteExr(folder / ("separation_" + number), detail, DetailChannels(channels)));
+  }
+  return WriteJson(folder / "separate.json",
+                   {{"projectors", maps.size()}, {"channels", maps.empty() ? 0 : maps[0].direct.channels()}});
+}
+
+Result<std::vector<SeparationMap>> LoadSeparation(const std::filesystem::path& folder) {
+  size_t projectors = 0;
+  int channels = 0;
+  SLX_RETURN_IF_ERROR(ReadJson(folder / "separate.json", [&](const nlohmann::json& json) {
+    json.at("projectors").get_to(projectors);
+    json.at("channels").get_to(channels);
+  }));
+  std::vector<SeparationMap> maps(projectors);
+  for (size_t p = 0; p < projectors; ++p) {
+    SeparationMap& map = maps[p];
+    const std::string number = std::to_string(p) + ".exr";
+    SLX_ASSIGN_OR_RETURN(map.direct, ReadExr(folder / ("direct_" + number), Colours(channels)));
+    SLX_ASSIGN_OR_RETURN(map.global, ReadExr(folder / ("global_" + number), Colours(channels)));
+    SLX_ASSIGN_OR_RETURN(const auto detail, ReadExr(folder / ("separation_" + number), DetailChannels(channels)));
+    if (map.direct.width() != detail.width() || map.direct.height() != detail.height())
+      return Status::Integrity(folder.string() + ": its maps differ in size");
+    const int all = detail.channels();
+    map.direct_variance = map.white = map.direct;
+    map.reason = Image<uint8_t>(detail.width(), detail.height());
+    for (size_t i = 0; i < map.reason.size(); ++i) {
+      for (int c = 0; c < channels; ++c) {
+        map.direct_variance.data()[i * channels + c] = detail.data()[i * all + c];
+        map.white.data()[i * channels + c] = detail.data()[i * all + channels + c];
+      }
+      map.reason.pixels()[i] = static_cast<uint8_t>(detail.data()[i * all + 2 * channels]);
+    }
+  }
+  return maps;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/srd.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "shared/base/formatted.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+// Frames that are decoded before they are handed on: enough to fill the cache lines of the batches.
+constexpr int kFramesAtATime = 16;
+
+struct Sweep {
+  const SessionFrames& frames;
+  int projector = 0;
+  CombCycle cycle;
+
+  [[nodiscard]] Pattern PatternOf(int k) const {
+    return {.kind = PatternKind::kComb,
+            .axis = cycle.axis,
+            .period = cycle.period,
+            .width = cycle.width,
+            .shift = k * cycle.step};
+  }
+  [[nodiscard]] const db::FrameRow* Find(int k, int bracket) const {
+    return frames.Find(projector, CapturePhase::kSweep, PatternOf(k), -1, bracket);
+  }
+  [[nodiscard]] bool Has(int k) const {
+    for (size_t b = 0; b < frames.plan()->brackets.size(); ++b)
+      if (Find(k, static_cast<int>(b)) != nullptr) return true;
+    return false;
+  }
+  // Exposure of a bracket over the nominal one: planned. The proof of the frames holds the camera to it within 2 %;
+  // what it reports of both is more exact.
+  [[nodiscard]] double Factor(int k, int bracket) const {
+    const double planned = frames.plan()->brackets[bracket];
+    const db::FrameRow* nominal = Find(k, 0);
+    const double nominal_ms = nominal != nullptr ? nominal->record.exposure_ms : 0.0;
+    const double reported_ms = Find(k, bracket)->record.exposure_ms;
+    return nominal_ms > 0.0 && reported_ms > 0.0 ? frames.plan()->brackets[0] * reported_ms / nominal_ms : planned;
+  }
+};
+
+// Reads the shots of cycle positions [first, last) and hands them to the extractor. `darks`: by exposure factor of the
+// plan.
+Status AddBlock(const Sweep& sweep, int first, int last, const std::vector<Image<float>>& darks,
+                SrdExtractor& extractor) {
+  std::vector<Image<uint16_t>> images;
+  std::vector<CombFrame> combs;
+  images.reserve(static_cast<size_t>(last - first) * darks.size());  // views of them are kept
+  for (int k = first; k < last; ++k) {
+    CombFrame comb{k, {}};
+    for (int b = 0; b < static_cast<int>(darks.size()); ++b) {
+      if (sweep.Find(k, b) == nullptr) continue;
+      SLX_ASSIGN_OR_RETURN(auto image,
+                           sweep.frames.Read(sweep.projector, CapturePhase::kSweep, sweep.PatternOf(k), -1, b));
+      if (image.width() != darks[b].width() || image.height() != darks[b].height())
+        return Status::Integrity("session " + sweep.frames.info().id + ": frame '" + sweep.PatternOf(k).ToString() +
+                                 "' of projector " + std::to_string(sweep.projector) +
+                                 " differs in size from the black frames");
+      images.push_back(std::move(image));
+      comb.shots.push_back({images.back(), darks[b], sweep.cycle.exposure_ms * sweep.Factor(k, b)});
+    }
+    if (!comb.shots.empty()) combs.push_back(std::move(comb));
+  }
+  extractor.AddFrames(combs);
+  return Status::Ok();
+}
+
+std::string Describe(const SweepFigure& figure) {
+  std::string text = "SRDs of projector " + std::to_string(figure.projector) + ", " + figure.axis + ":";
+  const char* separator = " ";
+  for (const auto& [reason, count] : figure.profiles_by_reason) {
+    text += separator + reason + " " + std::to_string(count);
+    separator = ", ";
+  }
+  if (figure.energy_profiles > 0) {
+    text +=
+        Formatted("; cycle over white: median %.4f, 95 %% within %.3f", figure.energy_median, figure.energy_p95_error);
+  }
+  return text;
+}
+
+// The scatter reading samples the picture beside the line: too coarse a picture cannot show the profile. Quads per comb
+// step on the skin, median.
+double QuadsPerStep(const SrdBatch& batch, const SurfaceMap& surface, const RigCalibration& rig, int pool) {
+  std::vector<double> ratios;
+  const int step = QuadStep(rig.camera.cfa) * pool, width = surface.width() / pool;
+  const int channels = QuadChannels(rig.camera.cfa);
+  for (int64_t i = 0; i < batch.profiles(); i += channels) {
+    const int x = static_cast<int>(i / channels % width) * pool, y = static_cast<int>(i / channels / width) * pool;
+    if (batch.valid[i] != 0 && surface.mask(x, y) != 0)
+      ratios.push_back(batch.step_mm[i] * rig.camera.model.fx / (step * surface.Point(x, y).z()));
+  }
+  if (ratios.empty()) return 1.0;
+  std::nth_element(ratios.begin(), ratios.begin() + static_cast<int64_t>(ratios.size() / 2), ratios.end());
+  return ratios[ratios.size() / 2];
+}
+
+Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, const Image<uint8_t>& lit,
+                              const SrdOptions& options, Logger& logger, SrdSet& set, SweepFigure& figure) {
+  const PlanOptions& plan = *sweep.frames.plan();
+  const int p = sweep.projector;
+  figure.projector = p;
+  figure.axis = sweep.cycle.axis == PatternAxis::kRows ? "rows" : "columns";
+  for (int k = 0; k < sweep.cycle.frames(); ++k) figure.missing_frames += sweep.Has(k) ? 0 : 1;
+  const bool left_out = figure.missing_frames > (options.reading == SrdReading::kGather ? 1 : 0);
+  if (figure.missing_frames > 0)
+    logger.Warning("projector " + std::to_string(p) + ": " + std::to_string(figure.missing_frames) + " of " +
+                   std::to_string(sweep.cycle.frames()) + " frames of the sweep are missing (`stratalux-db show`); " +
+                   (left_out ? "it is left out of the fit. Capture the visitor again with nothing moving"
+                             : "taken from the white frames, less all others"));
+  // A projector that is left out has profiles, none of them lit.
+  const Image<uint8_t> nothing(lit.width(), lit.height());
+  SrdExtractor extractor(surface, left_out ? nothing : lit, *sweep.frames.calibration(), p, sweep.cycle, options);
+  set.width = extractor.width();
+  set.height = extractor.height();
+  if (!left_out) {
+    std::vector<Image<float>> darks;
+    for (double factor : plan.brackets) {
+      SLX_ASSIGN_OR_RETURN(auto dark, sweep.frames.MeanBlack(p, factor));
+      darks.push_back(std::move(dark));
+    }
+    const int at_a_time = std::max(1, kFramesAtATime / static_cast<int>(darks.size()));
+    for (int k = 0; k < sweep.cycle.frames(); k += at_a_time)
+      SLX_RETURN_IF_ERROR(AddBlock(sweep, k, std::min(k + at_a_time, sweep.cycle.frames()), darks, extractor));
+    if (options.reading == SrdReading::kGather) {
+      int whites = 0;
+      SLX_ASSIGN_OR_RETURN(const auto white, sweep.frames.MeanWhite(p, whites));
+      SLX_ASSIGN_OR_RETURN(const auto dark, sweep.frames.MeanBlack(p));
+      extractor.SetWhite(white, whites, dark);
+    }
+  }
+  SrdBatch batch = extractor.Take();
+  for (int r = 0; r < kSrdReasons; ++r)
+    if (extractor.counts()[r] > 0)
+      figure.profiles_by_reason[ToString(static_cast<SrdReason>(r))] = extractor.counts()[r];
+  figure.energy_profiles = extractor.energy().profiles;
+  figure.energy_median = extractor.energy().median_ratio;
+  figure.energy_p95_error = extractor.energy().p95_error;
+  logger.Info(Describe(figure));
+  if (options.reading == SrdReading::kScatter) {
+    const double quads = QuadsPerStep(batch, surface, *sweep.frames.calibration(), options.pool);
+    if (quads < 1.0) {
+      logger.Warning(Formatted(
+          "projector %d: the camera has %.2f quads a step of the comb; the scatter reading needs one at least "
+          "(a finer camera, --pool 1, or the gather reading)",
+          p, quads));
+    }
+  }
+  return batch;
+}
+
+}  // namespace
+
+Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
+                           const std::vector<Image<uint8_t>>& lit, const SrdOptions& options, Logger& logger,
+                           std::vector<SweepFigure>& figures) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  const PlanOptions& plan = *frames.plan();
+  SrdSet set;
+  set.pool = options.pool;
+  set.channels = QuadChannels(frames.calibration()->camera.cfa);
+  bool any = false;
+  for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+    if (axis == PatternAxis::kRows && !plan.row_sweep) continue;
+    const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step, plan.exposure_ms, axis};
+    SLX_RETURN_IF_ERROR(cycle.Validate());
+    for (int p = 0; p < static_cast<int>(frames.calibration()->projectors.size()); ++p) {
+      SweepFigure figure;
+      SLX_ASSIGN_OR_RETURN(auto batch, ExtractSweep({frames, p, cycle}, surface, lit[p], options, logger, set, figure));
+      any = any || figure.profiles_by_reason.contains(ToString(SrdReason::kValid));
+      (axis == PatternAxis::kColumns ? set.batches : set.row_batches).push_back(std::move(batch));
+      figures.push_back(figure);
+    }
+  }
+  if (!any && std::any_of(figures.begin(), figures.end(), [](const SweepFigure& f) { return f.missing_frames > 0; }))
+    return Status::Failed("session " + frames.info().id +
+                          " lacks frames of every sweep (its reasons: `stratalux-db show`); capture the visitor again");
+  return set;
+}
+
+}  // namespace stratalux::fit

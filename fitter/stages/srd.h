@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The srd stage: the frames of each projector's sweep, streamed from the store into batches of samples.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "fitter/mixture/srd_samples.h"
+#include "fitter/reconstruction/surface_map.h"
+#include "fitter/session/session_frames.h"
+#include "fitter/srd/srd_extractor.h"
+#include "shared/base/log.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kSrdVersion = 1;
+
+// What became of one projector's sweep along one axis.
+struct SweepFigure {
+  int projector = 0;
+  std::string axis;  // columns | rows
+  std::map<std::string, int64_t> profiles_by_reason;
+  int missing_frames = 0;
+  // Cycle sum over w / q whites, where both are known: median, and the 95th percentile of its distance from 1.
+  int64_t energy_profiles = 0;
+  double energy_median = 1.0;
+  double energy_p95_error = 0.0;
+};
+
+// SRDs of every projector on profiles of `pool` x `pool` quads.
+struct SrdSet {
+  int pool = 1;
+  int width = 0, height = 0, channels = 0;
+  std::vector<SrdBatch> batches;      // by projector: of its columns
+  std::vector<SrdBatch> row_batches;  // by projector: of its rows; empty without a row sweep
+};
+
+// All sweeps of a session. Frames that the capture lost: one of a cycle is made up for by the white frames, with more
+// the projector is left out (no profile valid), both with a warning; kFailed when no projector is left. `figures`: one
+// a sweep.
+[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
+                                         const std::vector<Image<uint8_t>>& lit, const SrdOptions& options,
+                                         Logger& logger, std::vector<SweepFigure>& figures);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/stages/srd_file.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/support/scratch_folder.h"
+
+namespace stratalux::fit {
+namespace {
+
+class SrdFile : public ScratchFolderTest {};
+
+// Three profiles of two samples, the middle one not valid; no white frames.
+TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
+  SrdBatch batch;
+  batch.samples = 2;
+  batch.pool = 2;
+  batch.valid = {1, 0, 1};
+  batch.y = {1.0F, 2.0F, 99.0F, 99.0F, 5.0F, 6.0F};
+  batch.variance = {0.1F, 0.2F, 99.0F, 99.0F, 0.5F, 0.6F};
+  for (auto* v : {&batch.first_u_mm, &batch.step_mm, &batch.line_width_mm, &batch.blur_mm, &batch.quad_x_mm,
+                  &batch.quad_y_mm, &batch.pair_mm, &batch.slope_in, &batch.slope_out, &batch.cos_in, &batch.cos_out,
+                  &batch.slope_in_across, &batch.slope_out_across})
+    *v = {0.25F, 99.0F, 0.75F};
+  ExtractedSrds srds;
+  srds.set = {2, 3, 1, 1, {batch}, {}};
+  srds.figures.push_back({0, "columns", {{"valid", 2}, {"unlit", 1}}, 1, 2, 0.99, 0.02});
+  ASSERT_TRUE(SaveSrds(folder_, srds).ok());
+  const auto read = LoadSrds(folder_);
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  ASSERT_EQ(read->set.batches.size(), 1U);
+  EXPECT_TRUE(read->set.row_batches.empty());
+  EXPECT_EQ(read->set.pool, 2);
+  EXPECT_EQ(read->set.width, 3);
+  const SrdBatch& back = read->set.batches[0];
+  EXPECT_EQ(back.valid, batch.valid);
+  EXPECT_EQ(back.row, (std::vector<int32_t>{0, -1, 1}));
+  EXPECT_EQ(back.y, (std::vector<float>{1.0F, 2.0F, 5.0F, 6.0F}));
+  EXPECT_EQ(back.Variances(2)[1], 0.6F);
+  EXPECT_EQ(back.slope_out_across, (std::vector<float>{0.25F, 0.0F, 0.75F}));
+  EXPECT_TRUE(back.white.empty());
+  EXPECT_EQ(back.pool, 2);
+  EXPECT_TRUE(back.wrapped);
+  ASSERT_EQ(read->figures.size(), 1U);
+  EXPECT_EQ(read->figures[0].profiles_by_reason.at("unlit"), 1);
+  EXPECT_EQ(read->figures[0].energy_median, 0.99);
+}
+
+}  // namespace
+}  // namespace stratalux::fit
