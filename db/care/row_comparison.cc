@@ -232,8 +232,9 @@ Status SetUnlistedAside(SessionIndex& index, int64_t number, const fs::path& fol
                       " `stratalux-db reindex` lists it");
       continue;
     }
-    if (fit.created_wall.ns > row->created_wall.ns && fit.options_json == row->options_json &&
-        fit.calibration_json.empty() && CheckFitFiles(place).ok()) {
+    // Other figures, too: a time alone that differs is damage.
+    if (fit.created_wall.ns > row->created_wall.ns && fit.metrics_json != row->metrics_json &&
+        fit.options_json == row->options_json && fit.calibration_json.empty() && CheckFitFiles(place).ok()) {
       notes.push_back(place.string() +
                       " is newer than what the index lists of it: its registration was broken off; `stratalux-fit run`"
                       " of the session, or `stratalux-db reindex`, ends it");

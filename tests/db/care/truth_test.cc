@@ -11,6 +11,7 @@
 #include "db/care/session_rebuild.h"
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "shared/capture/rig_calibration.h"
 #include "tests/db/forged_segment.h"
@@ -168,6 +169,28 @@ TEST_F(TruthTest, EveryColumnThatIsChangedWithSqlIsNamed) {
   }
   EXPECT_THAT(Problems(), IsEmpty()) << "each change was taken back";
   EXPECT_GT(changed, 50);
+}
+
+// A registration that was broken off left figures that the index has not; a time alone that differs is damage.
+TEST_F(TruthTest, AFitThatIsNewerThanItsRowIsANoteOnlyWithFiguresOfItsOwn) {
+  const fs::path fit = Session() / "fits" / "f2";
+  FitRow row{"f2", id_, "{}", R"({"fit": {"divergence": 0.25}})", {7'000}};
+  {
+    SessionStore store = OpenStore();
+    fs::create_directories(fit);
+    WriteText(fit / "map.exr", "map");
+    ASSERT_TRUE(store.RegisterFit(row).ok());
+  }
+  ASSERT_THAT(Problems(), IsEmpty());
+  ASSERT_TRUE(Index().Execute("UPDATE fits SET created_wall_ns = 17 WHERE id = 'f2'").ok());
+  EXPECT_THAT(Problems(), Contains(HasSubstr("fits")));
+  ASSERT_TRUE(Index().Execute("UPDATE fits SET created_wall_ns = 7000 WHERE id = 'f2'").ok());
+  row.created_wall.ns = 8'000;
+  WriteText(fit / "fit.json", *FitRecordOf(fit, row));
+  EXPECT_THAT(Problems(), Contains(HasSubstr("fits"))) << "the time of the record alone";
+  row.metrics_json = R"({"fit": {"divergence": 0.125}})";
+  WriteText(fit / "fit.json", *FitRecordOf(fit, row));
+  EXPECT_THAT(Problems(), IsEmpty());
 }
 
 TEST_F(TruthTest, RowsThatAreGoneOrTooManyAreNamed) {
