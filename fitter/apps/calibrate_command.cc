@@ -19,6 +19,7 @@
 #include "fitter/calibration/light_stage.h"
 #include "fitter/report/calibration_page.h"
 #include "fitter/session/choose_session.h"
+#include "fitter/stages/stage_json.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
 #include "shared/base/version.h"
@@ -119,17 +120,12 @@ Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, R
   return Status::Ok();
 }
 
-Status WriteText(const std::filesystem::path& file, const std::string& text) {
-  std::ofstream out(file, std::ios::binary);
-  out << text << "\n";
-  out.close();
-  return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
-}
+Status WriteLine(const std::filesystem::path& file, const std::string& text) { return WriteText(file, text + "\n"); }
 
 // Beside --out and where --page says, whether accepted or refused.
 Status WritePage(const Flags& f, const std::string& html) {
-  if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(std::filesystem::path(f.out).replace_extension(".html"), html));
-  return f.page.empty() ? Status::Ok() : WriteText(f.page, html);
+  if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteLine(std::filesystem::path(f.out).replace_extension(".html"), html));
+  return f.page.empty() ? Status::Ok() : WriteLine(f.page, html);
 }
 
 // In the store: a fit of the newest session that it came from.
@@ -148,9 +144,9 @@ Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::st
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
-  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration.json", record));
-  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.json", figures));
-  SLX_RETURN_IF_ERROR(WriteText(folder / "calibration_report.html", html));
+  SLX_RETURN_IF_ERROR(WriteLine(folder / "calibration.json", record));
+  SLX_RETURN_IF_ERROR(WriteLine(folder / "calibration_report.json", figures));
+  SLX_RETURN_IF_ERROR(WriteLine(folder / "calibration_report.html", html));
   SLX_RETURN_IF_ERROR(store.RegisterFit({fit, session, options.dump(), figures, WallNow()}));
   return folder / "calibration.json";
 }
@@ -196,7 +192,7 @@ Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_jso
   if (!IsRefused(page.findings)) {
     const std::string record = page.record.ToJson();
     SLX_ASSIGN_OR_RETURN(const auto file, Register(f, page.sessions, record, json.dump(1), html));
-    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteText(f.out, record));
+    if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteLine(f.out, record));
     text += (f.out.empty() ? file.string() : f.out) + "\n";
     text += "page " + (file.parent_path() / "calibration_report.html").string() + "\n";
     json["record"] = f.out.empty() ? file.string() : f.out;

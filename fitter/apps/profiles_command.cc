@@ -13,6 +13,7 @@
 
 #include "fitter/apps/run_command.h"
 #include "fitter/profiles/profile_model.h"
+#include "fitter/stages/stage_json.h"
 #include "shared/base/log.h"
 #include "shared/base/standard_output.h"
 
@@ -24,12 +25,8 @@ struct Flags {
   EmOptions em = ProfileOptions();
 };
 
-Status WriteText(const std::string& path, const std::string& text) {
-  if (path == "-") return WriteStdout(text);
-  std::ofstream out(path, std::ios::trunc);
-  out << text;
-  out.flush();
-  return out ? Status::Ok() : Status::Failed("cannot write " + path + ": " + std::strerror(errno));
+Status WriteOut(const std::string& path, const std::string& text) {
+  return path == "-" ? WriteStdout(text) : WriteText(path, text);
 }
 
 Directional DirectionalOf(const std::string& text) {
@@ -49,7 +46,7 @@ Status Fit(Flags& f, Logger& logger) {
          << s.slit_mm << " mm, NRMSE " << 100.0 * s.nrmse << " %";
     logger.Info(line.str());
   }
-  return WriteText(f.out, model.ToJson());
+  return WriteOut(f.out, model.ToJson());
 }
 
 Status Predict(const Flags& f) {

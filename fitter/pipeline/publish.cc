@@ -244,8 +244,6 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
   if (evaluation == Evaluation::kFull)
     SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, static_cast<int>(shape.record.projectors.size()), metrics));
-  for (const auto& [stage, key] : keys)
-    if (stage == "standard_errors") SLX_RETURN_IF_ERROR(stages.Need(key).status());
 
   metrics.session = frames.info().id;
   metrics.fit = FitIdOf(graph, options);

@@ -36,7 +36,6 @@ Result<Artifact> StageGraph::Need(const std::string& key) {
   }
   const int made_before = store_.made();
   SLX_ASSIGN_OR_RETURN(auto artifact, store_.Obtain(node.identity, node.make));
-  if (used_keys_.insert(key).second) used_.emplace_back(node.label, artifact.record);
   if (store_.made() > made_before) logger_.Info(node.label + ": " + Seconds(artifact.record));
   return artifact;
 }

@@ -42,8 +42,6 @@ class StageGraph {
   [[nodiscard]] Result<std::filesystem::path> Folder(const std::string& key);
   // The nodes that Need(key) would look at, in the order in which they would run.
   [[nodiscard]] std::vector<PlannedStage> Plan(const std::vector<std::string>& keys) const;
-  // Of a node and all that stand before it, made or found so far: label -> record.
-  [[nodiscard]] std::vector<std::pair<std::string, db::ArtifactRecord>> Used() const { return used_; }
   [[nodiscard]] const StageNode& Node(const std::string& key) const { return nodes_.at(key); }
   [[nodiscard]] const ArtifactStore& store() const { return store_; }
 
@@ -54,8 +52,6 @@ class StageGraph {
   ArtifactStore store_;
   Logger& logger_;
   std::map<std::string, StageNode> nodes_;
-  std::vector<std::pair<std::string, db::ArtifactRecord>> used_;
-  std::set<std::string> used_keys_;
 };
 
 }  // namespace stratalux::fit

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/stage_json.h"
 
+#include <cerrno>
+#include <cstring>
 #include <fstream>
 
 #include "shared/base/json_nesting.h"
@@ -12,7 +14,7 @@ Status WriteText(const std::filesystem::path& file, const std::string& text) {
   std::ofstream out(file, std::ios::trunc);
   out << text;
   out.flush();
-  return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
+  return out ? Status::Ok() : Status::Failed("cannot write " + file.string() + ": " + std::strerror(errno));
 }
 
 Status WriteJson(const std::filesystem::path& file, const nlohmann::ordered_json& json) {

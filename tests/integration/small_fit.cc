@@ -12,6 +12,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "tests/integration/smallest_plan.h"
 #include "tests/support/text_file.h"
 
 extern char** environ;
@@ -26,20 +27,7 @@ using std::chrono::steady_clock;
 
 // A mono camera sees a quad with each of its pixels: a surface as fine as that of a mosaic twice as wide.
 constexpr const char* kScene = "name = \"face\"\n[subject]\nshape = \"head\"\n[camera]\ncfa = \"mono\"\n";
-constexpr const char* kConfig = R"([camera]
-width = 174
-height = 130
-[plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-)";
+const std::string kConfig = "[camera]\nwidth = 174\nheight = 130\n" + kSmallestPlan;
 
 // Made by the first case, removed when the program ends.
 struct Original {

@@ -8,6 +8,8 @@
 #include <gmock/gmock.h>
 #include <unistd.h>
 
+#include "tests/integration/smallest_plan.h"
+
 namespace stratalux {
 namespace {
 
@@ -50,20 +52,7 @@ std::vector<std::string> Complaints(const std::string& text) {
 
 }  // namespace
 
-const char* const kTinyConfig = R"([camera]
-width = 96
-height = 72
-[plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-)";
+const std::string kTinyConfig = "[camera]\nwidth = 96\nheight = 72\n" + kSmallestPlan;
 
 std::map<std::string, std::string> Contents(const fs::path& folder) {
   std::map<std::string, std::string> contents;

@@ -42,6 +42,6 @@ class TinyStore : public ::testing::Test {
   std::filesystem::path folder_, store_;
 };
 
-extern const char* const kTinyConfig;  // rig.toml of those captures
+extern const std::string kTinyConfig;  // rig.toml of those captures
 
 }  // namespace stratalux
