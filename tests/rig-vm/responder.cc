@@ -6,7 +6,8 @@
 // vivid, which vivid loops to its capture side (v4l2-ctl -c loop_video=1). The program under test knows none of this.
 //   rig-vm-responder CONFIG SCREEN [FAULT@N]...
 // CONFIG: the rig.toml of the capture; its lines are made, on a gpio-sim chip of their own. SCREEN: vivid's output.
-// FAULT, at the N-th TRIGGER pulse of all projectors, from 0 (swap: memory place N):
+// FAULT, at the N-th TRIGGER pulse that a lit projector gets, from 0 (swap: memory place N). Pulses in the dark, on the
+// way to a section of the memory, do not count: an edge too few or too many there is made good, and no frame is met.
 //   lost-edge doubled-edge no-step          of that pulse alone
 //   stuck-sync emergency-stop door unplug   from then on
 //   swap                                    places N and N + 1 of projector 0's memory hold each other's pattern
@@ -248,7 +249,9 @@ struct Fault {
 Fault ParseFault(const std::string& text) {
   const size_t at = text.rfind('@');
   if (at == std::string::npos) Die("fault without @N: " + text);
-  return {text.substr(0, at), std::stoll(text.substr(at + 1))};
+  Fault fault{text.substr(0, at), std::stoll(text.substr(at + 1))};
+  if (fault.at < 0) Die("fault before the first pulse: " + text);
+  return fault;
 }
 
 class Responder {
@@ -282,7 +285,7 @@ class Responder {
     }
   }
   void Step(Module& module, const ProjectorLines& lines) {
-    const int64_t pulse = pulses_++;
+    const int64_t pulse = module.lit ? lit_pulses_++ : kInTheDark;
     if (!Has("no-step", pulse)) {
       module.shown = module.next;
       module.next = (module.next + 1) % static_cast<int>(module.memory.size());
@@ -320,6 +323,7 @@ class Responder {
                        [&](const Fault& fault) { return fault.kind == kind && fault.at == pulse; });
   }
 
+  static constexpr int64_t kInTheDark = -1;  // a pulse that no fault is bound to
   PulseTrace trace_;
   const GpioWiring& wiring_;
   Lines lines_;
@@ -327,7 +331,7 @@ class Responder {
   Scene& scene_;
   std::vector<Fault> faults_;
   std::vector<Module> modules_;
-  int64_t pulses_ = 0;
+  int64_t lit_pulses_ = 0;
   bool unplugged_ = false;
 };
 

@@ -65,16 +65,14 @@ capture_once() {
   [ "$verdict" = "ok     " ]
 }
 
-# name; plan; allowed ends of the session; control of vivid given before the capture; fault of the responder. The short
-# plan's first frame comes with pulse 224: before it the memories are on their way to their section, in the dark, where an
-# edge too few or too many is made good and nobody counts it.
+# name; plan; allowed ends of the session; control of vivid given before the capture; fault of the responder.
 faults() {
   sed 's/ *; */;/g' <<'ROWS'
 swapped patterns      ; whole ; degraded          ;                                ; swap@60
 bit for its inverse   ; short ; degraded          ;                                ; swap@126
 no step               ; short ; complete degraded ;                                ; no-step@30
-lost edge             ; short ; complete degraded ;                                ; lost-edge@236
-doubled edge          ; short ; complete degraded ;                                ; doubled-edge@236
+lost edge             ; short ; complete degraded ;                                ; lost-edge@30
+doubled edge          ; short ; complete degraded ;                                ; doubled-edge@30
 stuck SYNC            ; short ; degraded failed   ;                                ; stuck-sync@30
 dropped buffers       ; short ; complete degraded ;                                ; control:Percentage of Dropped Buffers=10@20
 buffer error flag     ; short ; complete degraded ;                                ; control:Inject V4L2_BUF_FLAG_ERROR=1@30

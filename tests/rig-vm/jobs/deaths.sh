@@ -12,6 +12,7 @@ export STATE_DIRECTORY=/tmp/state
 mkdir -p "$STATE_DIRECTORY"
 tracing=/sys/kernel/tracing/instances/deaths  # the responder takes what it reads from the first one
 disk=/tmp/disk                                # a file system of its own: the share and the root never stand still
+disk_mib=96
 limit_s=180                                   # of each wait: a busy machine's emulator takes minutes
 
 pull() {  # LINE up|down: what the world outside puts on it
@@ -57,6 +58,9 @@ freeze() {
   fsfreeze --freeze $disk
 }
 
+# set_aside BLOCKS: the disk gives no more away; at once, where writing it full takes longer than a capture.
+set_aside() { echo "$1" >"/sys/fs/ext4/$(basename "$(df $disk | awk 'END {print $1}')")/reserved_clusters"; }
+
 # The ways to die and to stall; the light must be gone when they return, but for the time it takes to go.
 die_of() { kill "-$1" "$pid"; }
 stall() {
@@ -70,7 +74,7 @@ stall() {
       soon dark
       kill "-${1#frozen-disk-twice-}" "$pid"
       ;;
-    full-disk) dd if=/dev/zero of=$disk/filler bs=64k 2>/dev/null ;;
+    full-disk) set_aside $((disk_mib * 1024 - 1)) ;;
     silent-camera) v4l2-ctl -d "$camera" -c percentage_of_dropped_buffers=100 ;;
     no-camera) v4l2-ctl -d "$camera" -c disconnect=1 ;;
     silent-projectors) kill -STOP "$responder" ;;
@@ -103,7 +107,7 @@ death_once() {
   mkdir -p "$out"
   load_camera
   mount -o noatime -t ext2 /tmp/disk.img $disk
-  rm -rf ${store:?} $disk/filler
+  rm -rf ${store:?}
   echo >"$tracing/trace"
   /build/bin/rig-vm-responder $plan "$screen" >"$out/responder.log" 2>&1 &
   responder=$!
@@ -138,7 +142,7 @@ death_once() {
   while kill $responder 2>/dev/null; do usleep 100000; done
   wait $responder
   [ "$timer" = "" ] || kill $timer
-  rm -f $disk/filler
+  set_aside 0
   /build/bin/stratalux-db reindex --store $store >>"$out/rig.log" 2>&1
   session=$(/build/bin/stratalux-db show s000001 --json --store $store 2>>"$out/rig.log" | sed -nE 's/^ *"status": "([a-z]+)".*/\1/p')
   umount $disk || why="${why:+$why; }the disk is held"
@@ -191,8 +195,8 @@ mkdir -p $disk $tracing
 echo mono >$tracing/trace_clock
 echo 16384 >$tracing/buffer_size_kb  # minutes of light, whose guard reads both lines every 5 ms
 echo 1 >$tracing/events/gpio/gpio_value/enable
-dd if=/dev/zero of=/tmp/disk.img bs=1M count=96 2>/dev/null
-mke2fs -F /tmp/disk.img >/dev/null
+dd if=/dev/zero of=/tmp/disk.img bs=1M count=$disk_mib 2>/dev/null
+mke2fs -b 1024 -F /tmp/disk.img >/dev/null
 echo "        death | ms after the first light | exit | session | ENABLE lines: times on, last written, last read" >$cases
 lit_ms=0
 death "none" none 0
