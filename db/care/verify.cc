@@ -9,6 +9,7 @@
 #include "db/care/row_comparison.h"
 #include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
+#include "db/care/verify_seals.h"
 #include "db/catalogue/artifact_record.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
@@ -277,6 +278,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (!recording) CheckManifest(folder, session, report);
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
+  CheckSeals(store, session, report);
   if (options.depth == VerifyDepth::kDeep) {
     CheckFits(store, session, report);
     CheckArtifacts(folder, report);

@@ -16,11 +16,13 @@ using Json = nlohmann::json;  // members sorted: canonical
 constexpr int kSchema = 1;
 
 Json IdentityJson(const ArtifactIdentity& identity) {
-  return {{"stage", identity.stage},
-          {"version", identity.version},
-          {"options", Json::parse(identity.options_json)},
-          {"inputs", identity.inputs},
-          {"isa", identity.isa}};
+  Json json = {{"stage", identity.stage},
+               {"version", identity.version},
+               {"options", Json::parse(identity.options_json)},
+               {"inputs", identity.inputs},
+               {"isa", identity.isa}};
+  if (!identity.seal.empty()) json["seal"] = identity.seal;
+  return json;
 }
 
 }  // namespace
@@ -61,6 +63,7 @@ Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
     record.identity.options_json = json.at("options").dump();
     json.at("inputs").get_to(record.identity.inputs);
     json.at("isa").get_to(record.identity.isa);
+    if (json.contains("seal")) json.at("seal").get_to(record.identity.seal);
     json.at("seconds").get_to(record.seconds);
     json.at("cpu_seconds").get_to(record.cpu_seconds);
     record.peak_rss_bytes = WholeAt<int64_t>(json, "peak_rss_bytes");
@@ -74,6 +77,10 @@ Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
   }
+}
+
+std::string PlaceOfArtifact(const std::string& folder_name, const std::string& file) {
+  return std::string(kArtifactsFolder) + "/" + folder_name + "/" + file;
 }
 
 Status CheckArtifactFiles(const std::filesystem::path& folder, const ArtifactRecord& record, FileDepth depth) {

@@ -2,8 +2,9 @@
 // sessions/<id>/artifacts/<stage>-<key>/: what a stage of the fitter made, never changed afterwards, and its
 // artifact.json (docs/file-formats.md, "Artifacts").
 //
-// The key is the XXH3-128 of the canonical JSON {stage, version, options, inputs, isa}: of all that the bytes depend
-// on. So an artifact of a key is what any run would make, and whoever finds one need not make it again.
+// The key is the XXH3-128 of the canonical JSON {stage, version, options, inputs, isa}, of an encrypted session with
+// {seal}, too: of all that the bytes depend on. So an artifact of a key is what any run would make, and whoever finds
+// one need not make it again.
 #pragma once
 
 #include <filesystem>
@@ -26,6 +27,7 @@ struct ArtifactIdentity {
   std::string options_json = "{}";            // those that the stage reads, an object
   std::map<std::string, std::string> inputs;  // name -> key of an artifact, or hash of what else it reads
   std::string isa;                            // instruction set of its kernels; empty: none that matters
+  std::string seal = {};                      // id of the key its files are sealed under; empty: they are plain
   [[nodiscard]] std::string Key() const;      // 32 hex digits
   [[nodiscard]] std::string FolderName() const { return stage + "-" + Key(); }
 };
@@ -42,6 +44,8 @@ struct ArtifactRecord {
 [[nodiscard]] std::string ToJson(const ArtifactRecord& record);
 // kNotFound: no artifact there; kIntegrity: the record is damaged or of another folder; kNewerSchema.
 [[nodiscard]] Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder);
+// The place within its session's folder that the artifact's file of that name is sealed for (db/segment/sealed_file.h).
+[[nodiscard]] std::string PlaceOfArtifact(const std::string& folder_name, const std::string& file);
 // The folder's files against the record; kIntegrity names the file.
 Status CheckArtifactFiles(const std::filesystem::path& folder, const ArtifactRecord& record, FileDepth depth);
 

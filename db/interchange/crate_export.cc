@@ -15,6 +15,8 @@
 #include "db/base/durable_file.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
+#include "db/catalogue/fit_reader.h"
+#include "db/catalogue/fit_record.h"
 #include "db/interchange/crate_colmap.h"
 #include "db/interchange/crate_files.h"
 #include "db/interchange/crate_fits.h"
@@ -81,7 +83,7 @@ class CrateWriter {
     SLX_RETURN_IF_ERROR(MakeFolder(staging_.folder() / prefix_));
     SLX_RETURN_IF_ERROR(WriteFrames(row.info.id, frames, described, progress));
     SLX_RETURN_IF_ERROR(WriteFacts(described, frames));
-    SLX_RETURN_IF_ERROR(WriteFits(row.info, fits));
+    SLX_RETURN_IF_ERROR(WriteFits(row, fits));
     SLX_RETURN_IF_ERROR(truth.Write(staging_.folder() / prefix_));
     for (const std::string& file : truth.Files()) SLX_RETURN_IF_ERROR(Count(prefix_ + file));
     report_.frames += described.frames;
@@ -195,24 +197,36 @@ class CrateWriter {
     return WriteText(prefix_ + "calibration/points3D.txt", text.points);
   }
 
-  Status WriteFits(const SessionInfo& info, const std::vector<FitRow>& fits) {
+  Status WriteFits(const SessionRow& session, const std::vector<FitRow>& fits) {
+    const SessionInfo& info = session.info;
     if (fits.empty()) return Status::Ok();
     SLX_RETURN_IF_ERROR(WriteText(prefix_ + "fits.csv", FitsCsv(fits)));
     SLX_RETURN_IF_ERROR(WriteText(prefix_ + "metrics.csv", MetricsCsv(fits)));
     const PseudonymChange change{info.visitor, PseudonymOf(info)};
-    for (const FitRow& fit : fits) {
-      const fs::path folder = store_.FitFolder(info.id, fit.id);
-      for (const fs::path& file : FitFiles(folder)) {
-        const std::string path = prefix_ + "fits/" + fit.id + "/" + file.string();
-        SLX_ASSIGN_OR_RETURN(const CopiedFit copied, CopyFitFile(folder / file, staging_.folder() / path, change));
-        if (copied == CopiedFit::kCopied) {
-          SLX_RETURN_IF_ERROR(Count(path));
-        } else {
-          report_.notes.push_back(path + " is left out: it may name the visitor by the store's pseudonym");
-        }
+    const FileSeal seal = SealOf(store_.folder(), info, session.key_id);
+    for (const FitRow& fit : fits) SLX_RETURN_IF_ERROR(WriteFit(info.id, fit.id, seal, change));
+    return Status::Ok();
+  }
+  // Of an encrypted visit unsealed, with a record of the plain files.
+  Status WriteFit(const std::string& session, const std::string& fit, const FileSeal& seal,
+                  const PseudonymChange& change) {
+    const fs::path folder = store_.FitFolder(session, fit);
+    const std::string prefix = prefix_ + "fits/" + fit + "/";
+    SLX_ASSIGN_OR_RETURN(auto reader, FitReader::Open(folder, session, seal));
+    for (const fs::path& file : FitFiles(folder)) {
+      if (reader.sealed() && file == kFitRecordFile) continue;
+      const std::string path = prefix + file.string();
+      SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(file.string()));
+      SLX_ASSIGN_OR_RETURN(const CopiedFit copied, CopyFitFile(plain.path, staging_.folder() / path, change));
+      if (copied == CopiedFit::kCopied) {
+        SLX_RETURN_IF_ERROR(Count(path));
+      } else {
+        report_.notes.push_back(path + " is left out: it may name the visitor by the store's pseudonym");
       }
     }
-    return Status::Ok();
+    if (!reader.sealed()) return Status::Ok();
+    SLX_ASSIGN_OR_RETURN(const std::string record, reader.RecordOfCopy(staging_.folder() / prefix));
+    return WriteText(prefix + kFitRecordFile, record);
   }
 
   Status WriteText(const std::string& path, const std::string& text) {

@@ -127,7 +127,7 @@ Result<CopiedFit> CopyFitFile(const fs::path& from, const fs::path& to, const Ps
   };
   if (change.none()) return copy();
   const bool small = fs::file_size(from, error) <= static_cast<uintmax_t>(kTextLimit) && !error;
-  if (small && from.extension() == ".json") {
+  if (small && to.extension() == ".json") {
     SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(from, kTextLimit));
     Json json = CheckNesting(text).ok() ? Json::parse(text, nullptr, false) : Json(Json::value_t::discarded);
     if (!json.is_discarded()) {
@@ -136,9 +136,9 @@ Result<CopiedFit> CopyFitFile(const fs::path& from, const fs::path& to, const Ps
       return CopiedFit::kCopied;
     }
   }
-  const bool page = HasSuffix(from, {".html", ".htm"});
+  const bool page = HasSuffix(to, {".html", ".htm"});
   if (!IsDistinctive(change.from)) return page ? Result<CopiedFit>(CopiedFit::kLeftOut) : copy();
-  if (small && (page || HasSuffix(from, {".csv", ".txt", ".md", ".svg", ".toml", ".xml"}))) {
+  if (small && (page || HasSuffix(to, {".csv", ".txt", ".md", ".svg", ".toml", ".xml"}))) {
     SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(from, kTextLimit));
     const std::string replaced = ReplaceWords(text, change.from, change.to);
     SLX_RETURN_IF_ERROR(WriteWhole(to, ReplaceWords(replaced, HtmlOf(change.from), change.to)));

@@ -21,7 +21,8 @@ struct PseudonymChange {
 [[nodiscard]] std::vector<std::filesystem::path> FitFiles(const std::filesystem::path& fit_folder);
 
 enum class CopiedFit { kCopied, kLeftOut };
-// Bit for bit, but for the pseudonym: texts get the new one; a file in which it cannot be replaced is left out.
+// Bit for bit, but for the pseudonym: texts get the new one; a file in which it cannot be replaced is left out. What is
+// a text says the name of `to`: `from` may be a file in memory.
 [[nodiscard]] Result<CopiedFit> CopyFitFile(const std::filesystem::path& from, const std::filesystem::path& to,
                                             const PseudonymChange& change);
 

@@ -2,10 +2,13 @@
 #include "db/interchange/export.h"
 
 #include <algorithm>
+#include <map>
 
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/catalogue/fit_reader.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/session_index.h"
 #include "db/catalogue/shortfall.h"
@@ -28,7 +31,7 @@ std::vector<FrameRow> Chosen(std::vector<FrameRow> frames, const ExportOptions& 
 }
 
 // Files below the session's fits/, relative to it; what a running fit makes is left out.
-std::vector<fs::path> FitFiles(const fs::path& fits) {
+std::vector<fs::path> FilesOfFits(const fs::path& fits) {
   std::vector<fs::path> files;
   std::error_code error;
   for (auto entry = fs::recursive_directory_iterator(fits, error);
@@ -40,6 +43,24 @@ std::vector<fs::path> FitFiles(const fs::path& fits) {
   return files;
 }
 
+// One fit, or what lies beside fits, to out/fits/; of an encrypted visit unsealed, with a record of the plain files.
+Status ExportFit(const SessionStore& store, const SessionRow& session, const fs::path& out, const std::string& fit,
+                 const std::vector<fs::path>& files) {
+  const fs::path folder = store.SessionFolder(session.info.id) / "fits" / fit;
+  SLX_ASSIGN_OR_RETURN(auto reader,
+                       FitReader::Open(folder, session.info.id, SealOf(store.folder(), session.info, session.key_id)));
+  for (const fs::path& file : files) {
+    if (reader.sealed() && file == kFitRecordFile) continue;
+    SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(file.string()));
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(plain.path, kAnyFileSize));
+    SLX_RETURN_IF_ERROR(MakeFolder((out / fit / file).parent_path()));
+    SLX_RETURN_IF_ERROR(WriteTextOnce(out / fit / file, bytes).status());
+  }
+  if (!reader.sealed()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const std::string record, reader.RecordOfCopy(out / fit));
+  return WriteTextOnce(out / fit / kFitRecordFile, record).status();
+}
+
 enum class Fits { kLeftOut, kIncluded };
 
 Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& session, const ExportOptions& options,
@@ -48,7 +69,8 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
   if (const std::string text = Shortfall(session.info); !text.empty()) logger.Warning(text);
   SLX_ASSIGN_OR_RETURN(auto all, store.ListFrames(id));
   const auto frames = Chosen(std::move(all), options);
-  const auto fit_files = fits == Fits::kIncluded ? FitFiles(store.SessionFolder(id) / "fits") : std::vector<fs::path>();
+  const auto fit_files =
+      fits == Fits::kIncluded ? FilesOfFits(store.SessionFolder(id) / "fits") : std::vector<fs::path>();
   std::vector<std::string> names = {"frames.json", "session.json", "import.toml"};
   // So that the pictures can be held against what the rig signed.
   std::error_code error;
@@ -70,11 +92,13 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     ++(written == Written::kNow ? report.written : report.kept);
     progress.Advance();
   }
+  std::map<std::string, std::vector<fs::path>> files_of;
   for (const fs::path& file : fit_files) {
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(store.SessionFolder(id) / "fits" / file, kAnyFileSize));
-    SLX_RETURN_IF_ERROR(MakeFolder((options.out / "fits" / file).parent_path()));
-    SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "fits" / file, bytes).status());
+    const fs::path fit = file.has_parent_path() ? *file.begin() : fs::path();
+    files_of[fit.string()].push_back(fit.empty() ? file : file.lexically_relative(fit));
   }
+  for (const auto& [fit, files] : files_of)
+    SLX_RETURN_IF_ERROR(ExportFit(store, session, options.out / "fits", fit, files));
   SLX_ASSIGN_OR_RETURN(const std::string manifest, ReadFile(store.SessionFolder(id) / "manifest.json"));
   SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "session.json", manifest).status());
   if (is_signed) {

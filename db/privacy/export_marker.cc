@@ -81,8 +81,9 @@ std::vector<std::string> ExportsIn(const fs::path& folder) {
 
 std::string ExportPlace(const fs::path& folder) {
   std::error_code error;
-  const fs::path whole = fs::weakly_canonical(folder, error);
-  return HostName() + ":" + (error ? fs::absolute(folder) : whole).string();
+  // Absolute first: of a relative name that is not there yet the other makes nothing whole.
+  const fs::path absolute = fs::absolute(folder), whole = fs::weakly_canonical(absolute, error);
+  return HostName() + ":" + (error ? absolute : whole).string();
 }
 
 std::optional<fs::path> LocalFolder(const std::string& place) {

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/memory_folder.h"
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
 #include "db/catalogue/ledger_follow.h"
@@ -385,6 +386,7 @@ Result<ForgetReport> Forgetting::Run() {
   const Status removed = Remove();
   if (removed.ok()) Done(ForgetStep::kUnlocked);
   SLX_RETURN_IF_ERROR(RemoveFoldersAside());  // whoever reads the index keeps no frame alive
+  RemoveAbandonedMemory();                    // what a killed run of it left plain
   SLX_RETURN_IF_ERROR(removed);
   SLX_RETURN_IF_ERROR(Scan());
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));

@@ -8,6 +8,8 @@
 
 #include <sodium.h>
 
+#include "db/keys/session_key.h"
+
 namespace stratalux::db {
 namespace {
 
@@ -31,14 +33,6 @@ AssociatedData DataOf(const std::string& session_id, const FrameHeader& header) 
 }
 
 const unsigned char* BytesOf(const AssociatedData& data) { return reinterpret_cast<const unsigned char*>(&data); }
-
-Status WithoutKey(const Status& status, const std::string& session_id) {
-  if (status.code() != StatusCode::kNotFound) return status;
-  return Status::NotFound(
-      "session " + session_id + " is encrypted and cannot be read: " + status.message() +
-      "; it was destroyed by `forget`, or this copy was made without keys (`stratalux-db key export`"
-      " on the machine that captured it, `key import` here)");
-}
 
 }  // namespace
 
@@ -92,9 +86,7 @@ Result<const SecretKey*> FrameOpener::KeyOf(const std::string& session_id, const
   if (header.cipher == 0) return static_cast<const SecretKey*>(nullptr);
   const KeyId id = KeyIdOf(header);
   if (key_.key == nullptr || key_.id != id) {
-    auto found = FindKey(store_, id);
-    if (!found.ok()) return WithoutKey(found.status(), session_id);
-    key_ = std::move(found).value();
+    SLX_ASSIGN_OR_RETURN(key_, FindKeyOf(store_, session_id, id));
   }
   return key_.key.get();
 }

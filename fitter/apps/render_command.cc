@@ -6,7 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
-#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_reader.h"
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/session_fits.h"
@@ -50,22 +50,24 @@ Status Render(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   const std::string session = frames.info().id;
-  std::filesystem::path folder;
+  SLX_ASSIGN_OR_RETURN(const auto seal, db::FindSeal(frames.store(), session));
+  StoredFit stored{session, f.fit, frames.store().FitFolder(session, f.fit), seal};
   if (f.fit.empty()) {
-    SLX_ASSIGN_OR_RETURN(folder, NewestFit(f.store, session, logger));
-  } else {
-    folder = frames.store().FitFolder(session, f.fit);
+    SLX_ASSIGN_OR_RETURN(stored, NewestFit(f.store, session, logger));
   }
-  if (std::error_code error; std::filesystem::exists(folder / db::kFitRecordFile, error))
-    SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
-  SLX_ASSIGN_OR_RETURN(const auto fit, LoadFit(folder));
-  logger.Info("relighting fit " + folder.filename().string() + " of session " + session);
+  SavedFit fit;
+  SLX_RETURN_IF_ERROR(ReadFit(stored, [&](const std::filesystem::path& folder) -> Status {
+    SLX_ASSIGN_OR_RETURN(fit, LoadFit(folder));
+    return Status::Ok();
+  }));
+  logger.Info("relighting fit " + stored.id + " of session " + session);
   SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, light));
   for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));
+  if (stored.seal.active()) logger.Info(PlainCopyNote(session, f.out));
   if (f.json) {
-    const nlohmann::ordered_json json = {{"session", session}, {"fit", folder.filename().string()}, {"folder", f.out}};
+    const nlohmann::ordered_json json = {{"session", session}, {"fit", stored.id}, {"folder", f.out}};
     return WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
   }
   return WriteStdout((std::filesystem::path(f.out) / "total.png").string() + "\n");

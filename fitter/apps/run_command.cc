@@ -23,6 +23,7 @@ struct Flags {
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
               distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
   bool json = false, path_only = false;
+  std::string out;
   CleanOptions clean;
 };
 
@@ -143,12 +144,13 @@ int Execute(Flags& f) {
   if (!outcome.ok()) return finish(outcome.status());
   if (f.run.dry_run) return finish(PrintPlan(*outcome, f.json));
   const auto report = outcome->folder / "report" / "index.html";
+  if (outcome->sealed)
+    logger.Info("sealed under the session's key; to look at it: `stratalux-fit report " + outcome->session +
+                " --out FOLDER`, or `stratalux-db serve`");
   if (f.json) {
-    const nlohmann::ordered_json json = {{"session", outcome->session},
-                                         {"fit", outcome->fit},
-                                         {"folder", outcome->folder.string()},
-                                         {"report", report.string()},
-                                         {"was_complete", outcome->was_complete}};
+    const nlohmann::ordered_json json = {{"session", outcome->session},        {"fit", outcome->fit},
+                                         {"folder", outcome->folder.string()}, {"report", report.string()},
+                                         {"sealed", outcome->sealed},          {"was_complete", outcome->was_complete}};
     return finish(WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n"));
   }
   return finish(WriteStdout((f.run.until == Stage::kReport ? report : outcome->folder).string() + "\n"));
@@ -157,12 +159,17 @@ int Execute(Flags& f) {
 Status Clean(const Flags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.run.store, f.run.session, f.clean, logger));
   if (f.json) {
-    const nlohmann::ordered_json json = {
-        {"removed", report.removed}, {"bytes", report.bytes}, {"kept", report.kept}, {"dry_run", f.clean.dry_run}};
+    const nlohmann::ordered_json json = {{"removed", report.removed},
+                                         {"bytes", report.bytes},
+                                         {"kept", report.kept},
+                                         {"sealed", report.sealed},
+                                         {"dry_run", f.clean.dry_run}};
     return WriteStdout(json.dump(1) + "\n");
   }
   std::string text;
   for (const std::string& name : report.removed) text += name + "\n";
+  for (const std::string& fit : report.sealed)
+    text += "fit " + fit + (f.clean.dry_run ? " would be sealed\n" : " sealed\n");
   const std::string size = Formatted("%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
   return WriteStdout(text + std::to_string(report.removed.size()) + " artifacts " +
                      (f.clean.dry_run ? "would be removed, " : "removed, ") + size + "; " +
@@ -170,15 +177,23 @@ Status Clean(const Flags& f, Logger& logger) {
 }
 
 Status PrintReport(const Flags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto folder, NewestFit(f.run.store, f.run.session, logger));
+  SLX_ASSIGN_OR_RETURN(const StoredFit fit, NewestFit(f.run.store, f.run.session, logger));
+  if (!std::filesystem::exists(fit.folder / "report" / "index.html"))
+    return Status::NotFound((fit.folder / "report" / "index.html").string() +
+                            " is missing; `stratalux-fit run` makes it again");
+  if (std::error_code error; std::filesystem::exists(fit.folder / db::kFitRecordFile, error))
+    SLX_RETURN_IF_ERROR(db::CheckFitFiles(fit.folder));
+  if (fit.seal.active() && f.out.empty())
+    return Status::Usage("the report of session " + fit.session +
+                         " is sealed under the session's key: `--out FOLDER` writes a plain copy of it, or look at it "
+                         "in a browser, without one (`stratalux-db serve`)");
+  const std::filesystem::path folder = f.out.empty() ? fit.folder : std::filesystem::path(f.out);
+  if (f.out.empty())
+    SLX_RETURN_IF_ERROR(db::LogAccess(f.run.store, "report", fit.session, "fit " + fit.id));
+  else
+    SLX_RETURN_IF_ERROR(CopyFit(f.run.store, fit, "report", folder));
+  if (fit.seal.active()) logger.Info(PlainCopyNote(fit.session, f.out));
   const auto page = folder / "report" / "index.html", metrics = folder / "metrics.json";
-  if (!std::filesystem::exists(page))
-    return Status::NotFound(page.string() + " is missing; `stratalux-fit run` makes it again");
-  if (std::error_code error; std::filesystem::exists(folder / db::kFitRecordFile, error))
-    SLX_RETURN_IF_ERROR(db::CheckFitFiles(folder));
-  // STORE/sessions/<id>/fits/<fit>
-  const std::string session = folder.parent_path().parent_path().filename().string();
-  SLX_RETURN_IF_ERROR(db::LogAccess(f.run.store, "report", session, "fit " + folder.filename().string()));
   if (!f.path_only) logger.Info("metrics: " + metrics.string());
   if (!f.json) return WriteStdout(page.string() + "\n");
   const nlohmann::ordered_json json = {{"report", page.string()}, {"metrics", metrics.string()}};
@@ -186,6 +201,10 @@ Status PrintReport(const Flags& f, Logger& logger) {
 }
 
 }  // namespace
+
+std::string PlainCopyNote(const std::string& session, const std::string& folder) {
+  return "session " + session + " is encrypted; the files in " + folder + " are not";
+}
 
 void AddRunCommands(CLI::App& app, int& exit_code) {
   const struct {
@@ -233,6 +252,10 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<Flags>();
   auto* report = app.add_subcommand("report", "Where the newest report of a session is");
   AddStore(*report, *flags);
+  report->footer(
+      "Example:\n  stratalux-fit report latest --store store --out seen   # a plain copy, of an encrypted session's, "
+      "too");
+  report->add_option("--out", flags->out, "Folder for a copy of the fit's files, plain; logged, and found by `forget`");
   report->add_flag("--path-only", flags->path_only, "Nothing but the path");
   report->callback([flags, &exit_code] {
     Logger logger;

@@ -2,11 +2,16 @@
 // `stratalux-fit run`, one verb a stage, and `report`.
 #pragma once
 
+#include <string>
+
 namespace CLI {
 class App;
 }
 
 namespace stratalux::fit {
+
+// What whoever writes plain files of an encrypted session says, once.
+[[nodiscard]] std::string PlainCopyNote(const std::string& session, const std::string& folder);
 
 // Registers the verbs; the chosen one stores its exit code.
 void AddRunCommands(CLI::App& app, int& exit_code);

@@ -60,8 +60,8 @@ int64_t BytesOf(const fs::path& folder) {
 
 }  // namespace
 
-Result<ArtifactStore> ArtifactStore::Open(const fs::path& session_folder, Logger& logger) {
-  ArtifactStore store(session_folder / db::kArtifactsFolder, logger);
+Result<ArtifactStore> ArtifactStore::Open(const fs::path& session_folder, PlainFiles files, Logger& logger) {
+  ArtifactStore store(session_folder / db::kArtifactsFolder, std::move(files), logger);
   // One level: the folder of a session that was forgotten stays gone.
   if (mkdir(store.folder_.c_str(), 0750) != 0 && errno != EEXIST)
     return Status::Failed("cannot create " + store.folder_.string() + ": " + std::strerror(errno));
@@ -123,7 +123,13 @@ Result<Artifact> ArtifactStore::Read(const db::ArtifactIdentity& identity) {
   return artifact;
 }
 
-Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::function<Status(const fs::path&)>& make) {
+Status ArtifactStore::ReadFiles(const Artifact& artifact, const UseOfFolder& read) {
+  const std::string name = artifact.folder.filename().string();
+  const auto places = [&](const std::string& file) { return std::set{db::PlaceOfArtifact(name, file)}; };
+  return files_.Read(artifact.folder, places, {db::kArtifactRecordFile}, read);
+}
+
+Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFolder& make) {
   const std::string name = identity.FolderName();
   const fs::path making = NewMakingFolder(folder_, name);
   const RemovedOnSignal guard(making);
@@ -134,7 +140,7 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::func
       if (mkdir(making.c_str(), 0750) != 0)
         return Status::Failed("cannot create " + making.string() + ": " + std::strerror(errno));
     }
-    SLX_RETURN_IF_ERROR(make(making));
+    SLX_RETURN_IF_ERROR(files_.Write(making, std::string(db::kArtifactsFolder) + "/" + name, make));
     db::ArtifactRecord record{identity, {}, watch.Seconds(), watch.CpuSeconds(), PeakRssBytes(), kVersion, WallNow()};
     SLX_ASSIGN_OR_RETURN(record.files, db::ListFiles(making, db::kArtifactRecordFile));
     SLX_RETURN_IF_ERROR(db::ReplaceFile(making / db::kArtifactRecordFile, ToJson(record)));
@@ -153,8 +159,7 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const std::func
   return made;
 }
 
-Result<Artifact> ArtifactStore::Obtain(const db::ArtifactIdentity& identity,
-                                       const std::function<Status(const fs::path&)>& make) {
+Result<Artifact> ArtifactStore::Obtain(const db::ArtifactIdentity& identity, const UseOfFolder& make) {
   if (!Has(identity)) {
     SLX_ASSIGN_OR_RETURN(const KeyLock lock, Lock(identity.FolderName(), "makes '" + identity.stage + "'"));
     if (!Has(identity)) SLX_RETURN_IF_ERROR(Make(identity, make));
@@ -208,7 +213,9 @@ Result<CleanReport> ArtifactStore::Clean(const std::set<std::string>& wanted, co
     const bool damaged = !record.ok() || !db::CheckArtifactFiles(folder, *record, db::FileDepth::kHashes).ok();
     const double age_days =
         record.ok() ? 1e-9 * static_cast<double>(WallNow().ns - record->finished_wall.ns) / 86400.0 : 0;
-    const bool goes = damaged || (!options.damaged_only && !wanted.contains(name) && age_days >= options.keep_days);
+    const bool plain = record.ok() && record->identity.seal != files_.seal().key_id();  // or of no seal of this session
+    const bool goes =
+        damaged || plain || (!options.damaged_only && !wanted.contains(name) && age_days >= options.keep_days);
     const auto lock = TryLock(name);
     if (!goes || !lock.ok() || !lock->held()) {
       ++report.kept;

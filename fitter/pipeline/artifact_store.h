@@ -3,7 +3,9 @@
 //
 // Made in artifacts/.making-<key>-<pid>-<random>/ under a lock of the key, which a second run waits for and then reads
 // what the first has made, or takes over when that has died. Files and folder are synced, the files read-only, before
-// the folder gets its name. If the name exists by then, the own one is thrown away: equal by definition.
+// the folder gets its name. Of an encrypted session they are sealed (plain_files.h), and what an older program left
+// plain is of another key, hence not found. If the name exists by then, the own one is thrown away: equal by
+// definition.
 //
 // Processes may share a store; an ArtifactStore is bound to a thread.
 #pragma once
@@ -17,6 +19,7 @@
 
 #include "db/catalogue/artifact_record.h"
 #include "fitter/pipeline/key_lock.h"
+#include "fitter/pipeline/plain_files.h"
 #include "shared/base/log.h"
 #include "shared/base/unique_fd.h"
 
@@ -32,11 +35,12 @@ struct Artifact {
 struct CleanReport {
   std::vector<std::string> removed;  // folder names
   int64_t bytes = 0;                 // of those
+  std::vector<std::string> sealed;   // fits that lay plain in an encrypted session
   int kept = 0;
 };
 
 struct CleanOptions {
-  bool damaged_only = false;  // those whose files are not what their record says, and nothing else
+  bool damaged_only = false;  // those whose files are not what their record says or must not be, and nothing else
   double keep_days = 0.0;     // younger ones stay
   bool dry_run = false;
 };
@@ -44,7 +48,7 @@ struct CleanOptions {
 class ArtifactStore {
  public:
   // `session_folder`: STORE/sessions/<id>. Removes what killed runs left half made.
-  static Result<ArtifactStore> Open(const std::filesystem::path& session_folder, Logger& logger);
+  static Result<ArtifactStore> Open(const std::filesystem::path& session_folder, PlainFiles files, Logger& logger);
 
   [[nodiscard]] std::filesystem::path FolderOf(const db::ArtifactIdentity& identity) const {
     return folder_ / identity.FolderName();
@@ -55,13 +59,15 @@ class ArtifactStore {
   [[nodiscard]] Result<Artifact> Read(const db::ArtifactIdentity& identity);
   // The artifact, made by `make` into the folder that it is given where it is not there yet. `making`, if there is one,
   // is told before that, under the lock.
-  [[nodiscard]] Result<Artifact> Obtain(const db::ArtifactIdentity& identity,
-                                        const std::function<Status(const std::filesystem::path&)>& make);
+  [[nodiscard]] Result<Artifact> Obtain(const db::ArtifactIdentity& identity, const UseOfFolder& make);
+  // `read` finds its files in the folder it is given, for as long as it runs.
+  Status ReadFiles(const Artifact& artifact, const UseOfFolder& read);
   // Records of all artifacts of a stage, the newest first; damaged ones are left out.
   [[nodiscard]] std::vector<db::ArtifactRecord> OfStage(const std::string& stage) const;
   // Until its descriptor is closed no artifact is removed: what a run has made it still has to read.
   [[nodiscard]] Result<UniqueFd> Use() const;
-  // Removes artifacts that no `wanted` folder name names and no lock holds. kBusy while a run uses them.
+  // Removes artifacts that no `wanted` folder name names and no lock holds, and whatever is damaged or, of an encrypted
+  // session, plain. kBusy while a run uses them.
   [[nodiscard]] Result<CleanReport> Clean(const std::set<std::string>& wanted, const CleanOptions& options);
 
   // The lock of an artifact's folder name, or of another name that the runs of a session agree on. Lock() waits, and
@@ -71,14 +77,17 @@ class ArtifactStore {
 
   // Artifacts that this one made, and found made.
   [[nodiscard]] int made() const { return made_; }
+  [[nodiscard]] PlainFiles& files() { return files_; }
 
  private:
-  ArtifactStore(std::filesystem::path folder, Logger& logger) : folder_(std::move(folder)), logger_(logger) {}
-  Status Make(const db::ArtifactIdentity& identity, const std::function<Status(const std::filesystem::path&)>& make);
+  ArtifactStore(std::filesystem::path folder, PlainFiles files, Logger& logger)
+      : folder_(std::move(folder)), files_(std::move(files)), logger_(logger) {}
+  Status Make(const db::ArtifactIdentity& identity, const UseOfFolder& make);
   void RemoveLeftovers();
   [[nodiscard]] Result<UniqueFd> Flock(int operation) const;
 
   std::filesystem::path folder_;  // artifacts/
+  PlainFiles files_;
   std::reference_wrapper<Logger> logger_;
   std::set<std::string> hashed_;  // folder names that this process has hashed
   int made_ = 0;

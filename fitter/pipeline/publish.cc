@@ -11,6 +11,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/own_hash.h"
+#include "db/catalogue/fit_reader.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/fit_store.h"
 #include "fitter/evaluation/compare.h"
@@ -31,9 +32,6 @@ namespace fs = std::filesystem;
 constexpr const char* kPartial = ".partial";
 constexpr const char* kEnters = "enters this fit";
 constexpr const char* kAblations[] = {"projectors_permuted", "comb_frames_shuffled"};
-
-// One run at a time puts a fit in its place.
-std::string LockOf(const std::string& fit) { return "fit-" + fit; }
 
 // Keys of the stages that a fit is made of; their files are the fit's.
 std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOptions& options) {
@@ -64,8 +62,7 @@ Status LinkFiles(const fs::path& from, const fs::path& to) {
 
 Status AddComparison(SessionGraph& graph, const std::string& key, Metrics& metrics,
                      std::vector<LightComparison>* pictures) {
-  SLX_ASSIGN_OR_RETURN(const fs::path folder, graph.stages().Folder(key));
-  SLX_ASSIGN_OR_RETURN(auto comparison, LoadComparison(folder));
+  SLX_ASSIGN_OR_RETURN(auto comparison, graph.stages().Load(key, LoadComparison));
   metrics.heldout.insert(metrics.heldout.end(), comparison.figures.begin(), comparison.figures.end());
   metrics.coverage.push_back(comparison.coverage);
   if (pictures != nullptr) *pictures = std::move(comparison.pictures);
@@ -73,8 +70,8 @@ Status AddComparison(SessionGraph& graph, const std::string& key, Metrics& metri
 }
 
 Status AddCentroid(SessionGraph& graph, GeometrySource source, int heldout, Metrics& metrics) {
-  SLX_ASSIGN_OR_RETURN(const fs::path folder, graph.stages().Folder(graph.Fit(source, heldout, FitKind::kJudged)));
-  SLX_ASSIGN_OR_RETURN(const auto summary, LoadSummary(folder));
+  const std::string fit = graph.Fit(source, heldout, FitKind::kJudged);
+  SLX_ASSIGN_OR_RETURN(const auto summary, graph.stages().Load(fit, LoadSummary));
   metrics.centroids.push_back({heldout, ToString(source), summary.centroid});
   return Status::Ok();
 }
@@ -100,8 +97,7 @@ std::string Ablations(SessionGraph& graph, const RunOptions& options) {
 // the reconstruction's.
 Status EvaluateFully(SessionGraph& graph, const RunOptions& options, int projectors, Metrics& metrics) {
   const std::vector<std::string> models = ModelsOf(graph, Evaluation::kFull);
-  SLX_ASSIGN_OR_RETURN(const fs::path ablations, graph.stages().Folder(Ablations(graph, options)));
-  SLX_ASSIGN_OR_RETURN(const auto compared, LoadComparison(ablations));
+  SLX_ASSIGN_OR_RETURN(const auto compared, graph.stages().Load(Ablations(graph, options), LoadComparison));
   metrics.ablations = compared.figures;
   for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
     SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr));
@@ -118,7 +114,25 @@ Result<std::optional<SurfaceError>> AgainstTruth(const SessionFrames& frames, co
   return std::optional(CompareSurface(surface, depth, normal));
 }
 
-// `made` in the place of `place`, in one step.
+Status MakeReportFolder(const fs::path& fit) {
+  std::error_code error;
+  const NotInterrupted whole;
+  fs::create_directories(fit / "report", error);
+  return error ? Status::Failed("cannot create " + fit.string() + ": " + error.message()) : Status::Ok();
+}
+
+Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
+  std::string reasons;
+  for (const auto& [reason, count] : summary.masked_by_reason)
+    reasons += (reasons.empty() ? "" : ", ") + reason + " " + std::to_string(count);
+  return Status::Failed("session " + frames.info().id + ": no pixel could be fitted (" + reasons +
+                        "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
+}
+
+}  // namespace
+
+std::string LockOfFit(const std::string& fit) { return "fit-" + fit; }
+
 Status PutInPlace(const fs::path& made, const fs::path& place) {
   std::error_code error;
   const NotInterrupted whole;
@@ -131,16 +145,6 @@ Status PutInPlace(const fs::path& made, const fs::path& place) {
   }
   return error ? Status::Failed("cannot move " + made.string() + ": " + error.message()) : Status::Ok();
 }
-
-Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
-  std::string reasons;
-  for (const auto& [reason, count] : summary.masked_by_reason)
-    reasons += (reasons.empty() ? "" : ", ") + reason + " " + std::to_string(count);
-  return Status::Failed("session " + frames.info().id + ": no pixel could be fitted (" + reasons +
-                        "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
-}
-
-}  // namespace
 
 const char* ToString(Evaluation evaluation) {
   switch (evaluation) {
@@ -183,11 +187,11 @@ Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::s
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(place.parent_path(), error)) {
     if (entry.path().extension() != kPartial) continue;
-    SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.TryLock(LockOf(entry.path().stem().string())));
+    SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.TryLock(LockOfFit(entry.path().stem().string())));
     if (lock.held()) fs::remove_all(entry.path(), error);
   }
   if (!fs::exists(place / db::kFitRecordFile, error)) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.Lock(LockOf(fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, locks.Lock(LockOfFit(fit), kEnters));
   SLX_ASSIGN_OR_RETURN(const db::FitRow made, db::ReadFitRecord(place, frames.info().id));
   SLX_ASSIGN_OR_RETURN(const auto rows, frames.store().ListFits(frames.info().id));
   for (const db::FitRow& row : rows)
@@ -218,22 +222,18 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   const std::map<std::string, std::string> keys = StagesOf(graph, options);
   // Also what an earlier run has made of it: the figures list the stages of all.
   (void)KeysOf(graph, options, std::min(evaluation, Evaluation::kHeldOut), 0);
-  SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages.Folder(keys.at("fit")));
   Metrics metrics;
-  SLX_ASSIGN_OR_RETURN(metrics.summary, LoadSummary(fit_folder));
+  SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);
 
-  SLX_ASSIGN_OR_RETURN(const fs::path shape_folder, stages.Folder(keys.at("shape")));
-  SLX_ASSIGN_OR_RETURN(const auto shape, LoadShape(shape_folder));
-  SLX_ASSIGN_OR_RETURN(const fs::path separate_folder, stages.Folder(keys.at("separate")));
-  SLX_ASSIGN_OR_RETURN(const auto separation, LoadSeparation(separate_folder));
-  SLX_ASSIGN_OR_RETURN(const auto layers, LoadLayers(fit_folder));
-  SLX_ASSIGN_OR_RETURN(const fs::path normals_folder, stages.Folder(keys.at("normals")));
-  SLX_ASSIGN_OR_RETURN(const auto normals, LoadNormals(normals_folder, layers.map.channels));
+  SLX_ASSIGN_OR_RETURN(const auto shape, stages.Load(keys.at("shape"), LoadShape));
+  SLX_ASSIGN_OR_RETURN(const auto separation, stages.Load(keys.at("separate"), LoadSeparation));
+  SLX_ASSIGN_OR_RETURN(const auto layers, stages.Load(keys.at("fit"), LoadLayers));
+  const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers.map.channels); };
+  SLX_ASSIGN_OR_RETURN(const auto normals, stages.Load(keys.at("normals"), load_normals));
   ReportInput input{frames, shape, separation, normals, layers, ProfileToShow(layers.map), {}, {}, options.heldout};
-  SLX_ASSIGN_OR_RETURN(const fs::path srd_folder, stages.Folder(graph.Srd(options.geometry)));
   {
-    SLX_ASSIGN_OR_RETURN(const auto srds, LoadSrds(srd_folder));
+    SLX_ASSIGN_OR_RETURN(const auto srds, stages.Load(graph.Srd(options.geometry), LoadSrds));
     metrics.sweeps = srds.figures;
     if (input.chosen_profile >= 0)
       for (const SrdBatch& batch : srds.set.batches)
@@ -257,23 +257,23 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});
 
   fs::path place = frames.store().FitFolder(metrics.session, metrics.fit);
-  SLX_ASSIGN_OR_RETURN(const KeyLock lock, stages.store().Lock(LockOf(metrics.fit), kEnters));
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, stages.store().Lock(LockOfFit(metrics.fit), kEnters));
   SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, metrics.fit));
   if (held && *held >= evaluation) return place;  // another run's, meanwhile
   const fs::path partial = place.string() + kPartial;
   const RemovedOnSignal guard(partial);
   std::error_code error;
   fs::remove_all(partial, error);
-  {
-    const NotInterrupted whole;
-    fs::create_directories(partial / "report", error);
-  }
-  if (error) return Status::Failed("cannot create " + partial.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(MakeReportFolder(partial));
   for (const auto& [stage, key] : keys) {
-    SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.Folder(key));
+    SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.StoredFolder(key));
     SLX_RETURN_IF_ERROR(LinkFiles(folder, partial));
   }
-  SLX_RETURN_IF_ERROR(WriteReport(partial, input, metrics));
+  const auto write_report = [&](const fs::path& folder) -> Status {
+    SLX_RETURN_IF_ERROR(MakeReportFolder(folder));
+    return WriteReport(folder, input, metrics);
+  };
+  SLX_RETURN_IF_ERROR(stages.store().files().Write(partial, db::PlaceOfFit(metrics.fit), write_report));
   SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", metrics.ToJson()));
   db::FitRow row{metrics.fit, metrics.session, metrics.options_json, metrics.ToJson(), WallNow()};
   row.artifacts = metrics.artifacts;

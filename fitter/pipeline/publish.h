@@ -34,6 +34,11 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 // What a listed fit holds; nullopt: there is none. kIntegrity names the file that is not what fit.json says.
 [[nodiscard]] Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit);
 
+// Held by whoever puts the fit in its place: one at a time.
+[[nodiscard]] std::string LockOfFit(const std::string& fit);
+// `made` in the place of `place`, which may be there, in one step.
+Status PutInPlace(const std::filesystem::path& made, const std::filesystem::path& place);
+
 // Runs what is missing and enters the fit; its folder.
 [[nodiscard]] Result<std::filesystem::path> Publish(SessionGraph& graph, const RunOptions& options,
                                                     SessionFrames& frames, Evaluation evaluation);

@@ -54,10 +54,13 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
 // Each time, not only when the shape is made.
 Status SayDrift(SessionGraph& graph, const RunOptions& options, Logger& logger) {
   if (options.until == Stage::kSeparate) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(const auto folder, graph.stages().Folder(graph.Shape(GeometrySource::kReconstructed)));
-  std::string warning;
-  SLX_RETURN_IF_ERROR(ReadJson(folder / "shape.json",
-                               [&](const nlohmann::json& json) { json.at("drift").at("warning").get_to(warning); }));
+  const auto load = [](const std::filesystem::path& folder) -> Result<std::string> {
+    std::string warning;
+    SLX_RETURN_IF_ERROR(ReadJson(folder / "shape.json",
+                                 [&](const nlohmann::json& json) { json.at("drift").at("warning").get_to(warning); }));
+    return warning;
+  };
+  SLX_ASSIGN_OR_RETURN(const auto warning, graph.stages().Load(graph.Shape(GeometrySource::kReconstructed), load));
   if (!warning.empty()) logger.Warning(warning);
   return Status::Ok();
 }
@@ -66,7 +69,7 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
                  RunOutcome& outcome) {
   if (options.until != Stage::kReport) {
     SLX_RETURN_IF_ERROR(SayDrift(graph, options, logger));
-    SLX_ASSIGN_OR_RETURN(outcome.folder, graph.stages().Folder(KeyOf(graph, options)));
+    SLX_ASSIGN_OR_RETURN(outcome.folder, graph.stages().StoredFolder(KeyOf(graph, options)));
     return Status::Ok();
   }
   const Evaluation wanted = EvaluationOf(options);
@@ -111,6 +114,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   RunOutcome outcome;
   outcome.session = frames.info().id;
   SLX_ASSIGN_OR_RETURN(const auto graph, SessionGraph::Open(options, frames, logger));
+  db::FileSeal seal = graph->stages().store().files().seal();
+  outcome.sealed = seal.active();
   if (options.geometry == GeometrySource::kTruth && !graph->has_truth())
     return Status::Usage("session " + outcome.session +
                          " has no truth: --geometry truth works on simulated sessions with their truth.seg");
@@ -125,6 +130,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
                                             : std::vector<std::string>{KeyOf(*graph, options)});
     return outcome;
   }
+  SLX_RETURN_IF_ERROR(seal.RequireKey());
   SLX_ASSIGN_OR_RETURN(const UniqueFd in_use, graph->stages().store().Use());
   SLX_RETURN_IF_ERROR(AfterRun(RunStages(*graph, options, frames, logger, outcome), options, outcome));
   if (outcome.was_complete) {

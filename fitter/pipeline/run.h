@@ -15,6 +15,7 @@ namespace stratalux::fit {
 struct RunOutcome {
   std::string session, fit;
   std::filesystem::path folder;    // of the fit, STORE/sessions/<id>/fits/<fit>, or of the stage's artifact
+  bool sealed = false;             // its files: the session is encrypted
   bool was_complete = false;       // nothing had to be done
   std::vector<PlannedStage> plan;  // of a dry run
 };

@@ -1,30 +1,89 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/session_fits.h"
 
+#include <algorithm>
 #include <set>
 
+#include "db/base/durable_file.h"
+#include "db/catalogue/fit_reader.h"
 #include "db/catalogue/fit_record.h"
+#include "db/privacy/export_marker.h"
+#include "fitter/pipeline/interruption.h"
+#include "fitter/pipeline/publish.h"
 #include "fitter/session/choose_session.h"
-#include "fitter/session/session_frames.h"
 
 namespace stratalux::fit {
+namespace {
+
+namespace fs = std::filesystem;
+
+Result<bool> HoldsPlainFiles(const fs::path& fit) {
+  SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(fit, db::kFitRecordFile));
+  for (const std::string& name : names) {
+    if (db::FitFilesLeftPlain().contains(name)) continue;
+    SLX_ASSIGN_OR_RETURN(const auto header, db::ReadSealedHeader(fit / name));
+    if (!header) return true;
+  }
+  return false;
+}
+
+// The sealed fit takes the place of the plain one in one step. The index says the same of both.
+Status SealFit(const SessionFrames& frames, ArtifactStore& artifacts, const std::string& fit) {
+  const fs::path place = frames.store().FitFolder(frames.info().id, fit), partial = place.string() + ".partial";
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, artifacts.Lock(LockOfFit(fit), "enters the fit " + fit));
+  SLX_RETURN_IF_ERROR(db::CheckFitFiles(place));
+  SLX_ASSIGN_OR_RETURN(const db::FitRow row, db::ReadFitRecord(place, frames.info().id));
+  const RemovedOnSignal guard(partial);
+  std::error_code error;
+  fs::remove_all(partial, error);
+  {
+    const NotInterrupted whole;
+    fs::create_directory(partial, error);
+  }
+  const auto make = [&]() -> Status {
+    if (error) return Status::Failed("cannot create " + partial.string() + ": " + error.message());
+    SLX_RETURN_IF_ERROR(artifacts.files().SealFiles(place, partial, db::PlaceOfFit(fit), db::FitFilesLeftPlain()));
+    fs::copy_file(place / "metrics.json", partial / "metrics.json", error);
+    if (error) return Status::Failed("cannot copy to " + partial.string() + ": " + error.message());
+    SLX_ASSIGN_OR_RETURN(const std::string record, db::FitRecordOf(partial, row));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
+    SLX_RETURN_IF_ERROR(db::SyncTree(partial));
+    SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
+    return db::SyncFolder(place.parent_path());
+  };
+  const Status made = make();
+  if (!made.ok()) fs::remove_all(partial, error);
+  return made;
+}
+
+}  // namespace
 
 Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& session, const CleanOptions& options,
                                    Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store, session, SessionUse::kVisitor, logger));
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, chosen));
-  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), logger));
+  SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(frames.store(), frames.info().id));
+  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), PlainFiles(seal), logger));
   SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
-  std::set<std::string> wanted;
+  std::set<std::string> wanted, plain;
   for (const db::FitRow& fit : fits) {
-    const auto row = db::ReadFitRecord(frames.store().FitFolder(frames.info().id, fit.id), frames.info().id);
-    if (row.ok())
-      for (const auto& [stage, folder] : row->artifacts) wanted.insert(folder);
+    const fs::path folder = frames.store().FitFolder(frames.info().id, fit.id);
+    const auto row = db::ReadFitRecord(folder, frames.info().id);
+    if (!row.ok()) continue;
+    for (const auto& [stage, name] : row->artifacts) wanted.insert(name);
+    if (!seal.active()) continue;
+    SLX_ASSIGN_OR_RETURN(const bool holds_plain, HoldsPlainFiles(folder));
+    if (holds_plain) plain.insert(fit.id);
   }
-  return artifacts.Clean(wanted, options);
+  SLX_ASSIGN_OR_RETURN(auto report, artifacts.Clean(wanted, options));
+  for (const std::string& fit : plain) {
+    if (!options.dry_run) SLX_RETURN_IF_ERROR(SealFit(frames, artifacts, fit));
+    report.sealed.push_back(fit);
+  }
+  return report;
 }
 
-Result<std::filesystem::path> NewestFit(const std::string& store_folder, const std::string& session, Logger& logger) {
+Result<StoredFit> NewestFit(const std::string& store_folder, const std::string& session, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store_folder, session, SessionUse::kFit, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(chosen));
@@ -32,7 +91,35 @@ Result<std::filesystem::path> NewestFit(const std::string& store_folder, const s
   if (fits.empty())
     return Status::NotFound("session " + row.info.id + " has no complete fit (`stratalux-fit run " + row.info.id +
                             "`)");
-  return store.FitFolder(row.info.id, fits[0].id);
+  return StoredFit{row.info.id, fits[0].id, store.FitFolder(row.info.id, fits[0].id),
+                   db::SealOf(store.folder(), row.info, row.key_id)};
+}
+
+Status ReadFit(const StoredFit& fit, const UseOfFolder& read) {
+  if (std::error_code error; fs::exists(fit.folder / db::kFitRecordFile, error))
+    SLX_RETURN_IF_ERROR(db::CheckFitFiles(fit.folder));
+  db::FitRow row;
+  if (fit.seal.active()) {
+    SLX_ASSIGN_OR_RETURN(row, db::ReadFitRecord(fit.folder, fit.session));
+  }
+  const auto places = [&](const std::string& name) { return db::PlacesOfFitFile(row, name); };
+  return PlainFiles(fit.seal).Read(fit.folder, places, db::FitFilesLeftPlain(), read);
+}
+
+Status CopyFit(const std::string& store, const StoredFit& fit, const std::string& action, const fs::path& out) {
+  SLX_ASSIGN_OR_RETURN(auto reader, db::FitReader::Open(fit.folder, fit.session, fit.seal));
+  SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(fit.folder, db::kFitRecordFile));
+  for (bool announced = false; const std::string& name : names) {
+    // Opened before anything is written: without the key nothing is.
+    SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(name));
+    if (!announced) SLX_RETURN_IF_ERROR(db::BeginExport(store, action, fit.session, out, names));
+    announced = true;
+    SLX_RETURN_IF_ERROR(db::MakeFolder((out / name).parent_path()));
+    std::error_code error;
+    fs::copy_file(plain.path, out / name, fs::copy_options::overwrite_existing, error);
+    if (error) return Status::Failed("cannot write " + (out / name).string() + ": " + error.message());
+  }
+  return Status::Ok();
 }
 
 }  // namespace stratalux::fit

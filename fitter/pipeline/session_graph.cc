@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/own_hash.h"
+#include "db/catalogue/fit_reader.h"
 #include "fitter/evaluation/ablations.h"
 #include "fitter/evaluation/compare.h"
 #include "fitter/evaluation/truth_shape.h"
@@ -68,18 +69,19 @@ Result<SessionFrames> OpenFrames(const RunOptions& options, const std::string& s
   return frames;
 }
 
-Result<MixtureMap> Baseline(const std::string& name, const FittedLayers& fit, const fs::path& srds, int heldout) {
-  if (name == "homogeneous") return Homogeneous(fit.map);
-  if (name == "homogeneous_local_albedo") return HomogeneousLocalAlbedo(fit.map);
+MixtureMap Baseline(const std::string& name, const MixtureMap& fit) {
+  return name == "homogeneous" ? Homogeneous(fit) : HomogeneousLocalAlbedo(fit);
+}
+
+Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, StageGraph& stages, const std::string& srd, int heldout) {
   std::vector<Dipole> dipoles;
   {
-    SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srds));
+    SLX_ASSIGN_OR_RETURN(const auto extracted, stages.Load(srd, LoadSrds));
     SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, heldout));
-    for (int c = 0; c < fit.map.channels; ++c)
-      dipoles.push_back(
-          FitDipole(lights.batches, c, fit.map.channels, fit.map.scattering.eta, MeanSurfaceReflectance(fit.map, c)));
+    for (int c = 0; c < fit.channels; ++c)
+      dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta, MeanSurfaceReflectance(fit, c)));
   }
-  return DipoleMap(fit.map, dipoles);
+  return DipoleMap(fit, dipoles);
 }
 
 }  // namespace
@@ -97,7 +99,8 @@ SessionGraph::SessionGraph(const RunOptions& options, const SessionFrames& frame
 
 Result<std::unique_ptr<SessionGraph>> SessionGraph::Open(const RunOptions& options, const SessionFrames& frames,
                                                          Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), logger));
+  SLX_ASSIGN_OR_RETURN(auto seal, db::FindSeal(frames.store(), frames.info().id));
+  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), PlainFiles(std::move(seal)), logger));
   std::unique_ptr<SessionGraph> graph(new SessionGraph(options, frames, std::move(artifacts), logger));
   SLX_ASSIGN_OR_RETURN(graph->frames_hash_, frames.FramesHash());
   const fs::path truth = frames.folder() / "truth.seg", exact = frames.folder() / "truth_calibration.json";
@@ -158,8 +161,7 @@ std::string SessionGraph::Shape(GeometrySource source) {
                 "shape, of the truth",
                 {shape},
                 [this, shape](const fs::path& folder) -> Status {
-                  SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(shape));
-                  SLX_ASSIGN_OR_RETURN(const auto reconstructed, LoadShape(from));
+                  SLX_ASSIGN_OR_RETURN(const auto reconstructed, stages_.Load(shape, LoadShape));
                   SLX_ASSIGN_OR_RETURN(const auto truth,
                                        SceneTruth::Open(fs::path(options_.store) / "sessions" / session_));
                   SLX_ASSIGN_OR_RETURN(const auto made, TruthShape(*truth, reconstructed, record_));
@@ -171,8 +173,7 @@ std::string SessionGraph::Shape(GeometrySource source) {
               "shape",
               {decoded},
               [this, decoded](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(decoded));
-                SLX_ASSIGN_OR_RETURN(const auto face, LoadDecoded(from));
+                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(decoded, LoadDecoded));
                 SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face.maps, LinearRig(record_), record_));
                 return SaveShape(folder, shape);
               }});
@@ -199,10 +200,8 @@ std::string SessionGraph::Normals() {
               "normals",
               {separate, shape},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path shape_folder, stages_.Folder(shape));
-                SLX_ASSIGN_OR_RETURN(const auto face, LoadShape(shape_folder));
-                SLX_ASSIGN_OR_RETURN(const fs::path separate_folder, stages_.Folder(separate));
-                SLX_ASSIGN_OR_RETURN(const auto maps, LoadSeparation(separate_folder));
+                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
+                SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
                 SLX_ASSIGN_OR_RETURN(const auto normals, EstimateFaceNormals(maps, face.surface, LinearRig(face.record),
                                                                              plan_.exposure_ms));
                 return SaveNormals(folder, normals);
@@ -215,8 +214,7 @@ std::string SessionGraph::Srd(GeometrySource source) {
               source == GeometrySource::kTruth ? "srd, true geometry" : "srd",
               {shape},
               [this, shape](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(shape));
-                SLX_ASSIGN_OR_RETURN(const auto face, LoadShape(from));
+                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
                 SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, face.record));
                 ExtractedSrds srds;
                 SLX_ASSIGN_OR_RETURN(srds.set,
@@ -245,8 +243,7 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
               label,
               {srd},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(srd));
-                SLX_ASSIGN_OR_RETURN(auto extracted, LoadSrds(from));
+                SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(srd, LoadSrds));
                 const SrdSet srds = Spoilt(std::move(extracted.set), kind, heldout);
                 FittedLayers layers;
                 layers.pool = srds.pool;
@@ -266,10 +263,8 @@ std::string SessionGraph::StandardErrors() {
        "standard errors",
        {srd, fit},
        [=, this](const fs::path& folder) -> Status {
-         SLX_ASSIGN_OR_RETURN(const fs::path srd_folder, stages_.Folder(srd));
-         SLX_ASSIGN_OR_RETURN(const auto extracted, LoadSrds(srd_folder));
-         SLX_ASSIGN_OR_RETURN(const fs::path fit_folder, stages_.Folder(fit));
-         SLX_ASSIGN_OR_RETURN(const auto layers, LoadLayers(fit_folder));
+         SLX_ASSIGN_OR_RETURN(const auto extracted, stages_.Load(srd, LoadSrds));
+         SLX_ASSIGN_OR_RETURN(const auto layers, stages_.Load(fit, LoadLayers));
          SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, options_.heldout));
          Progress progress(logger_, "standard errors", layers.map.profiles());
          return WriteStandardErrors(folder, FindStandardErrors(layers.map, lights.batches, options_.fit.em,
@@ -288,10 +283,9 @@ std::string SessionGraph::Model(const std::string& name, GeometrySource source, 
               LabelOf(name, source, heldout),
               name == "dipole" ? std::vector<std::string>{fit, srd} : std::vector<std::string>{fit},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(fit));
-                SLX_ASSIGN_OR_RETURN(auto layers, LoadLayers(from));
-                SLX_ASSIGN_OR_RETURN(const fs::path srds, name == "dipole" ? stages_.Folder(srd) : from);
-                SLX_ASSIGN_OR_RETURN(layers.map, Baseline(name, layers, srds, heldout));
+                SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
+                SLX_ASSIGN_OR_RETURN(layers.map, name == "dipole" ? DipoleBaseline(layers.map, stages_, srd, heldout)
+                                                                  : Baseline(name, layers.map));
                 return SaveLayers(folder, layers);
               }});
 }
@@ -308,10 +302,8 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
        LabelOf("predict, " + model, source, heldout),
        {layers, shape},
        [=, this](const fs::path& folder) -> Status {
-         SLX_ASSIGN_OR_RETURN(const fs::path layers_folder, stages_.Folder(layers));
-         SLX_ASSIGN_OR_RETURN(const auto fitted, LoadLayers(layers_folder));
-         SLX_ASSIGN_OR_RETURN(const fs::path shape_folder, stages_.Folder(shape));
-         SLX_ASSIGN_OR_RETURN(const auto face, LoadShape(shape_folder));
+         SLX_ASSIGN_OR_RETURN(const auto fitted, stages_.Load(layers, LoadLayers));
+         SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
          return SavePredictions(folder, fit::Predict(fitted.map, fitted.pool, face, plan_, heldout, lights));
        }});
 }
@@ -337,16 +329,13 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
               LabelOf("compare", source, heldout),
               upstream,
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path shape_folder, stages_.Folder(shape));
-                SLX_ASSIGN_OR_RETURN(const auto face, LoadShape(shape_folder));
-                SLX_ASSIGN_OR_RETURN(const fs::path separate_folder, stages_.Folder(separate));
-                SLX_ASSIGN_OR_RETURN(const auto maps, LoadSeparation(separate_folder));
+                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
+                SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
                 SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, face.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
-                  SLX_ASSIGN_OR_RETURN(const fs::path from, stages_.Folder(predictions[m]));
-                  SLX_ASSIGN_OR_RETURN(auto loaded, LoadPredictions(from));
+                  SLX_ASSIGN_OR_RETURN(auto loaded, stages_.Load(predictions[m], LoadPredictions));
                   compared.push_back({models[m], std::move(loaded)});
                 }
                 const CompareInput input{frames,

@@ -22,6 +22,7 @@ std::string Short(const nlohmann::json& value) {
 }  // namespace
 
 std::string StageGraph::Add(StageNode node) {
+  node.identity.seal = store_.files().seal().key_id();
   std::string key = node.identity.Key();
   for (const std::string& upstream : node.upstream) SLX_CHECK(nodes_.contains(upstream));
   nodes_.try_emplace(key, std::move(node));
@@ -40,7 +41,7 @@ Result<Artifact> StageGraph::Need(const std::string& key) {
   return artifact;
 }
 
-Result<std::filesystem::path> StageGraph::Folder(const std::string& key) {
+Result<std::filesystem::path> StageGraph::StoredFolder(const std::string& key) {
   SLX_ASSIGN_OR_RETURN(const Artifact artifact, Need(key));
   return artifact.folder;
 }
@@ -73,6 +74,7 @@ std::string StageGraph::WhyItRuns(const StageNode& node) const {
     if (before.version != now.version)
       changes.push_back("stage version " + std::to_string(before.version) + " -> " + std::to_string(now.version));
     if (before.isa != now.isa) changes.push_back("instruction set " + before.isa + " -> " + now.isa);
+    if (before.seal != now.seal) changes.push_back(before.seal.empty() ? "it is plain" : "another key of the session");
     const auto was = nlohmann::json::parse(before.options_json), is = nlohmann::json::parse(now.options_json);
     for (const auto& [name, value] : is.items())
       if (!was.contains(name))

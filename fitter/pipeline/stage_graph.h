@@ -8,8 +8,10 @@
 
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "fitter/pipeline/artifact_store.h"
@@ -35,15 +37,20 @@ class StageGraph {
  public:
   StageGraph(ArtifactStore store, Logger& logger) : store_(std::move(store)), logger_(logger) {}
 
-  // Its key; a node of the same key is there once.
+  // Its key, of an encrypted session with the seal; a node of the same key is there once.
   std::string Add(StageNode node);
   [[nodiscard]] Result<Artifact> Need(const std::string& key);
-  // Where the files of a node's artifact are, once it was needed.
-  [[nodiscard]] Result<std::filesystem::path> Folder(const std::string& key);
+  // What `load` makes of the files of a node's artifact: a function of the folder that holds them, which is there for
+  // as long as it runs, to a Result.
+  template <typename Loading>
+  [[nodiscard]] auto Load(const std::string& key, const Loading& load);
+  // Where the files of a node's artifact are stored, once it was needed; of an encrypted session they are sealed.
+  [[nodiscard]] Result<std::filesystem::path> StoredFolder(const std::string& key);
   // The nodes that Need(key) would look at, in the order in which they would run.
   [[nodiscard]] std::vector<PlannedStage> Plan(const std::vector<std::string>& keys) const;
   [[nodiscard]] const StageNode& Node(const std::string& key) const { return nodes_.at(key); }
   [[nodiscard]] const ArtifactStore& store() const { return store_; }
+  [[nodiscard]] ArtifactStore& store() { return store_; }
 
  private:
   void PlanNode(const std::string& key, std::set<std::string>& seen, std::vector<PlannedStage>& plan) const;
@@ -53,5 +60,18 @@ class StageGraph {
   Logger& logger_;
   std::map<std::string, StageNode> nodes_;
 };
+
+template <typename Loading>
+auto StageGraph::Load(const std::string& key, const Loading& load) {
+  using Loaded = std::invoke_result_t<const Loading&, const std::filesystem::path&>;
+  std::optional<Loaded> loaded;
+  const auto read = [&](const std::filesystem::path& folder) {
+    loaded.emplace(load(folder));
+    return loaded->status();
+  };
+  const auto artifact = Need(key);
+  const Status status = artifact.ok() ? store_.ReadFiles(*artifact, read) : artifact.status();
+  return status.ok() ? std::move(*loaded) : Loaded(status);
+}
 
 }  // namespace stratalux::fit

@@ -44,14 +44,6 @@ const Original& TheOriginal() {
 
 std::string Program(const std::string& name) { return std::string(STRATALUX_BIN_DIR) + "/" + name; }
 
-fs::path CopyOf(const std::string& original, const fs::path& folder) {
-  fs::create_directories(folder);
-  fs::path store = folder / "store";
-  EXPECT_EQ(
-      Shell("cp -a " + (TheOriginal().folder / original / "store").string() + " " + folder.string() + " 2>&1").out, "");
-  return store;
-}
-
 void ForgetTimes(Json& metrics) {
   for (Json& stage : metrics["stages"]) stage = stage["name"];
 }
@@ -228,18 +220,31 @@ void SmallFit::ExpectNothingHalf(const fs::path& store, const std::string& where
   EXPECT_TRUE(fs::exists(fit / "report" / "index.html")) << where;
 }
 
+fs::path SmallFit::Originals() { return TheOriginal().folder; }
+
+fs::path SmallFit::CopyOfOriginal(const std::string& original, const fs::path& folder) {
+  fs::create_directories(folder);
+  fs::path store = folder / "store";
+  EXPECT_EQ(
+      Shell("cp -a " + (TheOriginal().folder / original / "store").string() + " " + folder.string() + " 2>&1").out, "");
+  return store;
+}
+
+Outcome SmallFit::Capture(const fs::path& store, const std::string& options) {
+  const fs::path folder = Originals();
+  return Execute("stratalux-rig capture --simulate=" + (folder / "scene.toml").string() + " --seed 3 --config " +
+                 (folder / "rig.toml").string() + " --store " + store.string() + " " + options);
+}
+
 void SmallFit::SetUpTestSuite() {
   const fs::path folder = TheOriginal().folder;
   if (fs::exists(folder)) return;
   fs::create_directories(folder / "captured");
   WriteText(folder / "rig.toml", kConfig);
   WriteText(folder / "scene.toml", kScene);
-  const fs::path captured = folder / "captured" / "store";
-  const Outcome capture =
-      Execute("stratalux-rig capture --simulate=" + (folder / "scene.toml").string() + " --seed 3 --config " +
-              (folder / "rig.toml").string() + " --store " + captured.string());
+  const Outcome capture = Capture(folder / "captured" / "store");
   ASSERT_EQ(capture.code, 0) << capture.out;
-  const fs::path fitted = CopyOf("captured", folder / "fitted"), count = folder / "count";
+  const fs::path fitted = CopyOfOriginal("captured", folder / "fitted"), count = folder / "count";
   auto environment = DiesAt(fitted, kNever);
   environment.push_back("STORE_FAULT_COUNT=" + count.string());
   const auto begin = steady_clock::now();
@@ -258,7 +263,7 @@ void SmallFit::SetUp() {
 
 void SmallFit::TearDown() { fs::remove_all(folder_); }
 
-fs::path SmallFit::Captured(const std::string& name) const { return CopyOf("captured", folder_ / name); }
-fs::path SmallFit::Fitted(const std::string& name) const { return CopyOf("fitted", folder_ / name); }
+fs::path SmallFit::Captured(const std::string& name) const { return CopyOfOriginal("captured", folder_ / name); }
+fs::path SmallFit::Fitted(const std::string& name) const { return CopyOfOriginal("fitted", folder_ / name); }
 
 }  // namespace stratalux

@@ -28,6 +28,7 @@ class Running {
   void Send(int signal) const;
   // False where it still runs then.
   bool WaitFor(std::chrono::milliseconds patience);
+  [[nodiscard]] pid_t pid() const { return pid_; }
   // code and signal; `out` is what it printed on both.
   Outcome Wait();
 
@@ -51,6 +52,11 @@ class SmallFit : public ::testing::Test {
   void SetUp() override;
   void TearDown() override;
 
+  // The folder of what all cases copy, and a copy of one of its stores, ORIGINAL/store, in `folder`.
+  static std::filesystem::path Originals();
+  static std::filesystem::path CopyOfOriginal(const std::string& original, const std::filesystem::path& folder);
+  // Captures the session of all cases: the same frames, bit for bit, in any store.
+  static Outcome Capture(const std::filesystem::path& store, const std::string& options = "");
   // A copy of the store: as captured, or as the undisturbed run left it. Hard links stay links.
   [[nodiscard]] std::filesystem::path Captured(const std::string& name) const;
   [[nodiscard]] std::filesystem::path Fitted(const std::string& name) const;

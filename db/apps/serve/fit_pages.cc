@@ -8,6 +8,7 @@
 #include "db/apps/serve/html.h"
 #include "db/apps/serve/site.h"
 #include "db/apps/table_output.h"
+#include "db/catalogue/fit_reader.h"
 #include "shared/http/static_files.h"
 #include "shared/http/target.h"
 
@@ -97,6 +98,20 @@ Result<std::string> ShowFit(Site& site, const Request& request) {
          HtmlTable(figures, "Figures of the fit");
 }
 
+// What an encrypted visit's fit keeps sealed, out of memory; any other file as it is.
+Result<http::FileBody> Unsealed(const Site& site, const ServedSession& session, const Request& request,
+                                http::FileBody file) {
+  const std::string& id = session.info.id;
+  const auto folder = site.store() / "sessions" / id / "fits" / request.Wildcard("fit");
+  SLX_ASSIGN_OR_RETURN(auto reader, FitReader::Open(folder, id, SealOf(site.store(), session.info, session.key_id)));
+  SLX_ASSIGN_OR_RETURN(auto plain, reader.Read(request.Wildcard("file")));
+  if (!plain.memory.ok()) return file;
+  std::error_code error;
+  const uint64_t bytes = std::filesystem::file_size(plain.path, error);
+  if (error) return Status::Failed("cannot read " + plain.path.string() + ": " + error.message());
+  return http::FileBody{std::move(plain.memory), bytes};
+}
+
 Result<http::FileBody> OpenFile(Site& site, const Request& request) {
   const std::string id = request.Wildcard("session"), fit = request.Wildcard("fit");
   SLX_ASSIGN_OR_RETURN(auto index, site.OpenIndex());
@@ -104,8 +119,9 @@ Result<http::FileBody> OpenFile(Site& site, const Request& request) {
   SLX_RETURN_IF_ERROR(FiguresOf(index, session, fit).status());
   SLX_ASSIGN_OR_RETURN(
       auto file, http::OpenBelow(site.store() / "sessions", id + "/fits/" + fit + "/" + request.Wildcard("file")));
+  SLX_ASSIGN_OR_RETURN(auto plain, Unsealed(site, session, request, std::move(file)));
   SLX_RETURN_IF_ERROR(site.Disclose(id, "fit " + fit, request.peer).status());
-  return file;
+  return plain;
 }
 
 Response ShowFile(Site& site, const Request& request) {

@@ -157,7 +157,7 @@ std::string FactsOf(const ServedSession& session) {
                 {"Attempt", info.attempt > 0 ? std::to_string(info.attempt) : ""},
                 {"Consent", info.kind == SessionKind::kVisitor ? Escape(ConsentText(info.consent)) : ""},
                 {"Retention", Escape(ToString(info.retention))},
-                {"Encrypted", session.encrypted ? "yes" : "no"},
+                {"Encrypted", session.key_id.empty() ? "no" : "yes"},
                 {"Simulated", info.simulated ? "seed " + std::to_string(info.seed) : ""},
                 {"Calibration", Escape(session.calibration)},
                 {"Program", Escape(info.program_version)},

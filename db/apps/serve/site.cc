@@ -13,7 +13,7 @@ namespace {
 constexpr const char* kSession = R"(
 SELECT number, id, kind, rig, visitor, consent_json, retention, simulated, seed, started_wall_ns,
        coalesce(finished_wall_ns, 0), status, reasons_json, program_version, frame_count, stored_bytes,
-       key_id IS NOT NULL, coalesce(calibration_id, ''),
+       coalesce(lower(hex(key_id)), ''), coalesce(calibration_id, ''),
        (SELECT c.withdrawn_wall_ns FROM session_consents c WHERE c.session = sessions.number),
        visit, attempt, findings_json, faults_json
 FROM sessions WHERE id = :session)";
@@ -48,7 +48,7 @@ Result<ServedSession> SessionOf(const std::vector<Cell>& row) {
   info.program_version = TextOf(row[13]);
   session.frames = IntegerOf(row[14]);
   session.bytes = IntegerOf(row[15]);
-  session.encrypted = IntegerOf(row[16]) != 0;
+  session.key_id = TextOf(row[16]);
   session.calibration = TextOf(row[17]);
   session.withheld = WhyWithheld(session, row[18]);
   info.visit = TextOf(row[19]);

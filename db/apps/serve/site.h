@@ -21,7 +21,7 @@ namespace stratalux::db {
 struct ServedSession {
   SessionInfo info;  // without plan and calibration
   int64_t number = 0, frames = 0, bytes = 0;
-  bool encrypted = false;
+  std::string key_id;       // 32 hex digits; empty: not encrypted
   std::string calibration;  // id
   // Why its pictures and reports are not shown: a withdrawn consent, or none that covers `fit`. Empty: they are.
   std::string withheld;

@@ -30,6 +30,17 @@ TEST_F(ExportMarkerTest, DeletesItsFilesAndTheFolderTheyMade) {
   EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kNotThere);
 }
 
+// The folder is named before it is made, and by whoever stands elsewhere later.
+TEST_F(ExportMarkerTest, ANameThatIsNotThereYetLeadsToTheFolderAllTheSame) {
+  const fs::path before = fs::current_path();
+  fs::current_path(folder_);
+  const std::string not_yet = ExportPlace("seen"), there = ExportPlace("out");
+  fs::current_path(before);
+  EXPECT_EQ(LocalFolder(not_yet), fs::canonical(folder_) / "seen");
+  EXPECT_EQ(*RemoveExport(there, "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_FALSE(fs::exists(out_));
+}
+
 TEST_F(ExportMarkerTest, TouchesNothingElse) {
   ASSERT_TRUE(WriteExportMarker(out_, "s000002-0badcafe", {"c.png"}).ok());
   WriteText(out_ / "c.png", "pixels");

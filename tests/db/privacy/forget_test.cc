@@ -18,6 +18,7 @@
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
+#include "db/catalogue/fit_reader.h"
 #include "db/interchange/import.h"
 #include "db/keys/key_store.h"
 #include "db/ledger/ledger.h"
@@ -69,8 +70,16 @@ class ForgetTest : public StoreTest {
     EXPECT_TRUE(writer->AppendTruth("depth", map.view()).ok());
     EXPECT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
     const std::string id = writer->info().id;
-    fs::create_directories(store.FitFolder(id, "f1") / "report");
-    WriteText(store.FitFolder(id, "f1") / "report" / "index.html", "<h1>" + id + " " + visitor + "</h1>");
+    for (const fs::path& folder : {store.FitFolder(id, "f1") / "report", exports_}) fs::create_directories(folder);
+    const fs::path page = store.FitFolder(id, "f1") / "report" / "index.html", plain = exports_ / "page.html";
+    WriteText(plain, "<h1>" + id + " " + visitor + "</h1>");
+    auto seal = FindSeal(store, id);
+    EXPECT_TRUE(seal.ok());
+    if (seal->active())
+      EXPECT_TRUE(seal->Seal(plain, "fits/f1/report/index.html", page).ok());
+    else
+      fs::copy_file(plain, page);
+    fs::remove(plain);
     EXPECT_TRUE(store.RegisterFit({"f1", id, "{}", R"({"session": ")" + id + R"("})", {5}}).ok());
     Logger quiet(LogLevel::kError);
     EXPECT_TRUE(ExtractFrames(store, id, *store.ListFrames(id), exports_ / id, quiet).ok());

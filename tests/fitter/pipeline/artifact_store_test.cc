@@ -31,7 +31,7 @@ db::ArtifactIdentity Named(const std::string& stage, const std::string& options 
 class ArtifactStoreTest : public ScratchFolderTest {
  protected:
   ArtifactStore Open() {
-    auto store = ArtifactStore::Open(folder_, logger_);
+    auto store = ArtifactStore::Open(folder_, PlainFiles(seal_), logger_);
     EXPECT_TRUE(store.ok()) << store.status().message();
     return std::move(*store);
   }
@@ -53,6 +53,7 @@ class ArtifactStoreTest : public ScratchFolderTest {
   }
 
   Logger logger_{LogLevel::kError};
+  db::FileSeal seal_;
   int calls_ = 0;
 };
 
@@ -145,7 +146,7 @@ TEST_F(ArtifactStoreTest, ThreeRunsAtOnceMakeItOnce) {
   for (int i = 0; i < 3; ++i) {
     const pid_t child = fork();
     if (child == 0) {
-      auto store = ArtifactStore::Open(folder_, logger_);
+      auto store = ArtifactStore::Open(folder_, PlainFiles(seal_), logger_);
       const auto artifact = store->Obtain(Named("shape"), [&](const fs::path& folder) {
         std::ofstream(log, std::ios::app) << "x";
         std::this_thread::sleep_for(std::chrono::milliseconds(200));
@@ -169,7 +170,7 @@ TEST_F(ArtifactStoreTest, WhatAKilledRunLeftIsRemovedAndMadeByTheNext) {
   const fs::path begun = folder_ / "begun";
   const pid_t child = fork();
   if (child == 0) {
-    auto store = ArtifactStore::Open(folder_, logger_);
+    auto store = ArtifactStore::Open(folder_, PlainFiles(seal_), logger_);
     static_cast<void>(store->Obtain(Named("shape"), [&](const fs::path& folder) {
       WriteText(folder / "map.exr", "pix");
       WriteText(begun, "");
@@ -215,6 +216,79 @@ TEST_F(ArtifactStoreTest, CleanLeavesWhatIsWantedOrYoung) {
   EXPECT_EQ(store.Clean({wanted}, {})->kept, 1);
   EXPECT_FALSE(store.Has(Named("srd")));
   EXPECT_THAT(Names(), ElementsAre(wanted));
+}
+
+// Of an encrypted session: its key lies in the store's folder.
+class SealedArtifactTest : public ArtifactStoreTest {
+ protected:
+  SealedArtifactTest() : key_(db::CreateKey(folder_)->id) { seal_ = {folder_, "s000001-0badcafe", db::ToHex(key_)}; }
+  [[nodiscard]] db::ArtifactIdentity Sealed(const std::string& stage) const {
+    db::ArtifactIdentity identity = Named(stage);
+    identity.seal = db::ToHex(key_);
+    return identity;
+  }
+  db::KeyId key_;
+};
+
+TEST_F(SealedArtifactTest, IsStoredSealedAndReadPlain) {
+  fs::path memory;
+  {
+    auto store = Open();
+    const auto made = store.Obtain(Sealed("shape"), Maker());
+    ASSERT_TRUE(made.ok()) << made.status().message();
+    for (const char* name : {"map.exr", "rows/y.npy"}) {
+      const auto header = db::ReadSealedHeader(made->folder / name);
+      ASSERT_TRUE(header.ok() && *header) << name;
+      EXPECT_EQ((*header)->place, "artifacts/" + Sealed("shape").FolderName() + "/" + name);
+    }
+    std::string map, samples;
+    const Status read = store.ReadFiles(*made, [&](const fs::path& folder) {
+      memory = folder;
+      map = ReadText(folder / "map.exr");
+      samples = ReadText(folder / "rows" / "y.npy");
+      return Status::Ok();
+    });
+    ASSERT_TRUE(read.ok()) << read.message();
+    EXPECT_EQ(map + samples, "pixelssamples");
+    EXPECT_FALSE(fs::exists(memory)) << "for as long as it is read";
+    EXPECT_TRUE(fs::exists(memory.parent_path()));
+  }
+  EXPECT_FALSE(fs::exists(memory.parent_path())) << "with the store";
+}
+
+// The record's hash is right, and it is still not what was made there.
+TEST_F(SealedArtifactTest, AFileOfAnotherArtifactIsRefused) {
+  auto store = Open();
+  const auto one = store.Obtain(Sealed("shape"), Maker()), two = store.Obtain(Sealed("srd"), Maker());
+  ASSERT_TRUE(one.ok() && two.ok());
+  fs::remove(one->folder / "map.exr");
+  fs::copy(two->folder / "map.exr", one->folder / "map.exr");
+  const Status read = store.ReadFiles(*one, [](const fs::path&) { return Status::Ok(); });
+  EXPECT_EQ(read.code(), StatusCode::kIntegrity);
+  EXPECT_THAT(read.message(), HasSubstr(two->folder.filename().string()));
+}
+
+TEST_F(SealedArtifactTest, WithoutTheKeyNothingIsComputed) {
+  ASSERT_TRUE(db::DestroyKey(folder_, key_).ok());
+  const auto refused = Open().Obtain(Sealed("shape"), Maker());
+  EXPECT_EQ(refused.status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(calls_, 0);
+  EXPECT_THAT(Names(), IsEmpty());
+}
+
+TEST_F(SealedArtifactTest, PlainOnesOfAnOlderProgramAreNotFoundAndCleaned) {
+  {
+    db::FileSeal sealed;
+    std::swap(sealed, seal_);
+    ASSERT_TRUE(Open().Obtain(Named("shape"), Maker()).ok());
+    std::swap(sealed, seal_);
+  }
+  auto store = Open();
+  ASSERT_TRUE(store.Obtain(Sealed("shape"), Maker()).ok());
+  EXPECT_EQ(calls_, 2);
+  const std::string plain = Named("shape").FolderName();
+  EXPECT_THAT(store.Clean({plain}, {.damaged_only = true, .keep_days = 9.0})->removed, ElementsAre(plain));
+  EXPECT_THAT(Names(), ElementsAre(Sealed("shape").FolderName()));
 }
 
 // decode -> shape -> fit, and an option of each.

@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: Apache-2.0
+// What is derived from an encrypted visit must be sealed. Internal to db/care.
+#pragma once
+
+#include "db/care/verify.h"
+
+namespace stratalux::db {
+
+// A problem for each artifact and each listed fit that holds plain files, or files sealed for another session or place.
+// By their headers: needs no key. Nothing is asked of sessions that are not encrypted, or show nobody.
+void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyReport& report);
+
+}  // namespace stratalux::db
