@@ -8,7 +8,7 @@
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/export/exr_file.h"
-#include "fitter/render/mlsss.h"
+#include "fitter/render/surface_light.h"
 #include "fitter/sensor/linear_frame.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
@@ -136,11 +136,17 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   const Image<float> direct_reflectance =
       DirectReflectance({rig, in.projector, plan.exposure_ms, double(plan.separation_period)}, surface, in.separation);
   const LitSurface lit = BuildLitSurface(surface, rig.projectors[in.projector], plan.exposure_ms);
-  for (const std::string& light : in.lights) {
+  std::vector<Image<float>> patterns;
+  for (const std::string& light : in.lights)
+    patterns.push_back(
+        ProjectedPattern(lit, HeldOutPattern(light, plan), 1.0 - rig.projectors[in.projector].black_level));
+  std::vector<const Image<float>*> shown;
+  for (const Image<float>& pattern : patterns) shown.push_back(&pattern);
+  const std::vector<Image<float>> irradiance = SurfaceIrradiance(surface, rig, lit, shown);
+  for (size_t k = 0; k < in.lights.size(); ++k) {
+    const std::string& light = in.lights[k];
     SLX_ASSIGN_OR_RETURN(const Target target, ReadTarget(in, light));
-    const LitPyramid pyramid =
-        LightWith(lit, HeldOutPattern(light, plan), 1.0 - rig.projectors[in.projector].black_level);
-    const Image<float> direct = RenderSurface(direct_reflectance, surface, rig, pyramid, lit);
+    const Image<float> direct = ReflectedLight(direct_reflectance, irradiance[k]);
     std::optional<Image<float>> true_subsurface;
     if (in.truth) {
       SLX_ASSIGN_OR_RETURN(true_subsurface, in.truth->Subsurface(light, in.projector));

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/predict.h"
 
+#include <numeric>
+
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/render/mlsss.h"
+#include "fitter/render/surface_light.h"
 #include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
@@ -27,13 +30,39 @@ Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, con
   const Image<float> reflectance = SurfaceReflectance(map, surface, lit.light, pool),
                      part = DirectPart({rig, projector, plan.exposure_ms, double(plan.separation_period)}, surface, map,
                                        pool);
+  std::vector<LitPyramid> pyramids;
+  std::vector<const Image<float>*> patterns;
+  for (const std::string& light : lights) pyramids.push_back(LightWith(lit, HeldOutPattern(light, plan), open));
+  for (const LitPyramid& pyramid : pyramids) patterns.push_back(&pyramid.pattern);
+  std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, rig, lit, pyramids, {pool});
+  const std::vector<Image<float>> irradiance = SurfaceIrradiance(surface, rig, lit, patterns);
   Predictions predictions;
-  for (const std::string& light : lights) {
-    const LitPyramid pyramid = LightWith(lit, HeldOutPattern(light, plan), open);
-    predictions[light] = {RenderSubsurface(map, surface, rig, pyramid, lit, {pool}),
-                          RenderSurface(reflectance, surface, rig, pyramid, lit),
-                          RenderSurface(part, surface, rig, pyramid, lit)};
-  }
+  for (size_t k = 0; k < lights.size(); ++k)
+    predictions[lights[k]] = {std::move(subsurface[k]), ReflectedLight(reflectance, irradiance[k]),
+                              ReflectedLight(part, irradiance[k])};
+  return predictions;
+}
+
+namespace {
+
+double TotalWeight(const MixtureMap& map, int64_t profile) {
+  const auto first = map.weight.begin() + profile * map.layers;
+  return std::accumulate(first, first + map.layers, 0.0);
+}
+
+}  // namespace
+
+Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, const MixtureMap& scaled, int pool) {
+  for (auto& [light, prediction] : predictions)
+    for (Image<float>* image : {&prediction.subsurface, &prediction.direct_part})
+      for (int j = 0; j < image->height(); ++j)
+        for (int i = 0; i < image->width(); ++i)
+          for (int c = 0; c < image->channels(); ++c) {
+            const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+            const double of = profile < 0 ? 0.0 : TotalWeight(map, profile);
+            if (of > 0.0)
+              (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (TotalWeight(scaled, profile) / of));
+          }
   return predictions;
 }
 

@@ -13,7 +13,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 1;
+inline constexpr int kPredictVersion = 2;
 
 // Under one light; quads x colours, digital numbers above black.
 struct Prediction {
@@ -28,6 +28,11 @@ using Predictions = std::map<std::string, Prediction>;  // by light
 
 [[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, const PlanOptions& plan,
                                   int projector, const std::vector<std::string>& lights);
+
+// The predictions of `scaled` from those of `map`: of the same fit, with the same layers but for the total weight of
+// each profile, in which subsurface light is linear.
+[[nodiscard]] Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, const MixtureMap& scaled,
+                                            int pool);
 
 // <light>_subsurface.exr, <light>_surface.exr, <light>_direct_part.exr, predict.json.
 Status SavePredictions(const std::filesystem::path& folder, const Predictions& predictions);

@@ -3,11 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/profile_fit.h"
+#include "fitter/mixture/photon_noise.h"
 #include "fitter/mixture/sampled_lights.h"
-#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -25,34 +25,10 @@ struct Score {
   double divergence = 0.0, photons = 0.0;
 };
 
-// What a fit to other lights predicts of a light: its layers, the mean of its lights' floor and, where it is not
-// known, surface.
-ProfileFit Prediction(const MixtureMap& map, int64_t profile) {
-  ProfileFit fit;
-  fit.layers = LayersOf(map, profile);
-  fit.tau = map.scattering.tau;
-  fit.directional = map.scattering.directional;
-  const size_t lights = map.training_projectors.size();
-  double surface = 0.0, background = 0.0, lit = 0.0;
-  for (size_t p = profile * lights; p < (profile + 1) * lights; ++p) {
-    if (!(map.surface[p] > 0.0F) && !(map.background[p] > 0.0F)) continue;
-    surface += map.surface[p];
-    background += map.background[p];
-    lit += 1.0;
-  }
-  fit.surface = {surface / std::max(lit, 1.0)};
-  fit.background = {background / std::max(lit, 1.0)};
-  return fit;
-}
-
-Score ScoreOf(const MixtureMap& map, const SrdBatch& light, int64_t profile, const EmOptions& options) {
-  const ProfileLight left_out = ProfileLightOf(light, profile, options);
-  ProfileFit prediction = Prediction(map, profile);
-  if (left_out.reflected >= 0.0) prediction.surface = {left_out.reflected};
-  Score score;
-  score.divergence = MisfitOf(left_out, ModelOf(prediction, FineGrid(left_out), 0)).divergence;
-  for (const double y : left_out.y) score.photons += left_out.counts * y;
-  return score;
+Score ScoreOf(double divergence, const SrdBatch& light, int64_t profile) {
+  if (std::isnan(divergence)) return {};
+  const auto y = light.Samples(profile);
+  return {divergence, PhotonNoiseOf(light, profile).counts * std::accumulate(y.begin(), y.end(), 0.0)};
 }
 
 // [trial][profile of a light left out]
@@ -69,18 +45,17 @@ Status LeaveOut(int projector, std::span<const SrdBatch* const> lights, const st
   }
   const int64_t profiles = lights[0]->profiles();
   SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(training, channels, options, 1));
+  std::vector<MixtureMap> fits;
   for (size_t trial = 0; trial < std::size(kGrid); ++trial) {
     options.prior.photons = kGrid[trial];
     SLX_ASSIGN_OR_RETURN(
-        const auto map, FitMixture(training, names, static_cast<int>(profiles / channels), 1, channels, options, mean));
-    const size_t first = scores[trial].size();
-    scores[trial].resize(first + profiles * left_out.size());
-    ParallelFor(profiles, 16, [&](int64_t begin, int64_t end) {
-      for (size_t p = 0; p < left_out.size(); ++p)
-        for (int64_t i = begin; i < end; ++i)
-          if (map.Fitted(i) && left_out[p]->valid[i] != 0)
-            scores[trial][first + p * profiles + i] = ScoreOf(map, *left_out[p], i, options);
-    });
+        auto map, FitMixture(training, names, static_cast<int>(profiles / channels), 1, channels, options, mean));
+    fits.push_back(std::move(map));
+  }
+  for (const SrdBatch* light : left_out) {
+    const auto divergences = DivergencesFrom(fits, *light, channels, options);
+    for (size_t trial = 0; trial < fits.size(); ++trial)
+      for (int64_t i = 0; i < profiles; ++i) scores[trial].push_back(ScoreOf(divergences[trial][i], *light, i));
   }
   return Status::Ok();
 }

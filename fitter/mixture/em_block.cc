@@ -432,6 +432,36 @@ void EmBlock::Fit(std::span<const int64_t> profiles, const std::function<void(in
   }
 }
 
+void EmBlock::Take(const MixtureMap& fit, int lane) {
+  const int64_t profile = lanes_[lane].profile;
+  for (int l = 0; l < rows_.layers; ++l) {
+    const size_t at = static_cast<size_t>(profile) * fit.layers + l;
+    At(rows_.weight(l), lane) = fit.weight[at];
+    At(rows_.depth(l), lane) = fit.depth_mm[at];
+    At(rows_.sigma(l), lane) = fit.sigma_mm[at];
+  }
+  const UnlayeredLight mean = MeanOfLights(fit, profile);
+  for (int p = 0; p < rows_.lights; ++p) {
+    const float reflected = lights_[p].reflected[lane];
+    At(rows_.surface(p), lane) = reflected < 0.0F ? mean.surface : reflected;
+    At(rows_.background(p), lane) = mean.background;
+  }
+}
+
+void EmBlock::CompareWith(std::span<const int64_t> profiles, std::span<const MixtureMap> fits,
+                          const std::function<void(int64_t profile, size_t fit, double photons)>& done) {
+  for (size_t first = 0; first < profiles.size(); first += kEmLanes) {
+    const auto block = profiles.subspan(first, std::min<size_t>(kEmLanes, profiles.size() - first));
+    const int busy = static_cast<int>(block.size());
+    for (int lane = 0; lane < kEmLanes; ++lane) lane < busy ? Load(lane, block[lane]) : Clear(lane);
+    for (size_t f = 0; f < fits.size(); ++f) {
+      for (int lane = 0; lane < busy; ++lane) Take(fits[f], lane);
+      Sweep(false);
+      for (int lane = 0; lane < busy; ++lane) done(block[lane], f, divergence_[lane]);
+    }
+  }
+}
+
 double EmBlock::PriorShare(int lane) const {
   const double total = prior_.Photons(lane);
   return total > 0.0 ? total / (total + lanes_[lane].own) : 0.0;

@@ -15,6 +15,7 @@
 #include "fitter/mixture/em_prior.h"
 #include "fitter/mixture/em_update.h"
 #include "fitter/mixture/layer_set.h"
+#include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
@@ -29,6 +30,12 @@ class EmBlock {
   // Sweeps each of `profiles` until its divergence settles; done(lane, profile) finds the results in that lane. A
   // profile's results depend on nothing but its own data.
   void Fit(std::span<const int64_t> profiles, const std::function<void(int lane, int64_t profile)>& done);
+
+  // Divergence in photons of each of `profiles` from what the layers of each of `fits`, maps of the same profiles
+  // fitted to other lights, say of these lights: the surface as its reflection is known, else, like the floor, as the
+  // mean of the fit's own lights. Nothing is swept or scaled.
+  void CompareWith(std::span<const int64_t> profiles, std::span<const MixtureMap> fits,
+                   const std::function<void(int64_t profile, size_t fit, double photons)>& done);
 
   [[nodiscard]] float Weight(int layer, int lane) const { return At(rows_.weight(layer), lane); }
   [[nodiscard]] float DepthMm(int layer, int lane) const { return At(rows_.depth(layer), lane); }
@@ -64,6 +71,7 @@ class EmBlock {
   void LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
   void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
   void Start(int lane);
+  void Take(const MixtureMap& fit, int lane);
   void SpreadLayers(int lane, double total, double widest_mm);
   void StartFrom(const LayerSet& layers, int lane, double total);
   void Sweep(bool update);

@@ -139,20 +139,29 @@ std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgeme
   return tasks;
 }
 
+// work(block, profiles), from several threads, for all usable profiles: a block for those that may share it.
+template <typename Work>
+void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
+                 const EmOptions& options, std::span<const LayerSet> start, const Work& work) {
+  std::vector<int64_t> order;
+  const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
+  ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t t = begin; t < end; ++t) {
+      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
+      work(em, tasks[t].profiles);
+    }
+  });
+}
+
 // Runs EM on all usable profiles; `done(block, lane, profile)` and `progress(profiles)`, once a task, are called from
 // several threads.
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
                     const EmOptions& options, std::span<const LayerSet> start,
                     const std::function<void(int64_t)>& progress, const Done& done) {
-  std::vector<int64_t> work;
-  const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, work);
-  ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t t = begin; t < end; ++t) {
-      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
-      em.Fit(tasks[t].profiles, [&](int lane, int64_t profile) { done(em, lane, profile); });
-      if (progress) progress(static_cast<int64_t>(tasks[t].profiles.size()));
-    }
+  ForEachTask(lights, judged, channels, options, start, [&](EmBlock& em, std::span<const int64_t> profiles) {
+    em.Fit(profiles, [&](int lane, int64_t profile) { done(em, lane, profile); });
+    if (progress) progress(static_cast<int64_t>(profiles.size()));
   });
 }
 
@@ -258,6 +267,20 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
     }
   }
   return mean;
+}
+
+std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fits, const SrdBatch& light, int channels,
+                                                 const EmOptions& options) {
+  const SrdBatch* const lights[] = {&light};
+  const Judgement judged = JudgeAll(lights);
+  std::vector<std::vector<double>> divergence(fits.size(),
+                                              std::vector<double>(static_cast<size_t>(light.profiles()), std::nan("")));
+  ForEachTask(lights, judged, channels, options, {}, [&](EmBlock& em, std::span<const int64_t> profiles) {
+    em.CompareWith(profiles, fits, [&](int64_t i, size_t fit, double photons) {
+      if (fits[fit].Fitted(i)) divergence[fit][i] = photons;
+    });
+  });
+  return divergence;
 }
 
 double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const SurfaceReflection& surface) {

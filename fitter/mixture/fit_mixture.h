@@ -27,6 +27,12 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
                                          const EmOptions& options, int every = 16);
 
+// How far each profile of a light is from what each of `fits`, fitted to other lights of the same profiles, predicts of
+// it: Kullback-Leibler divergence in photons, [fit][profile]; NaN where the fit or the light has no such profile. The
+// surface is that of options.scattering, where that knows it; else it, and the floor, are the mean of the fit's lights.
+[[nodiscard]] std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fits, const SrdBatch& light,
+                                                               int channels, const EmOptions& options);
+
 // Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;
 // sigma_l), exact line response, wrapped with the comb. Surface and background terms are the caller's.
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,

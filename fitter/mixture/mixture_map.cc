@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/mixture/mixture_map.h"
 
+#include <algorithm>
+
 namespace stratalux::fit {
 
 const char* ToString(FitReason reason) {
@@ -17,6 +19,18 @@ LayerSet LayersOf(const MixtureMap& map, int64_t profile) {
     set.sigma_mm.push_back(map.sigma_mm[profile * map.layers + l]);
   }
   return set;
+}
+
+UnlayeredLight MeanOfLights(const MixtureMap& map, int64_t profile) {
+  const size_t lights = map.training_projectors.size();
+  double surface = 0.0, background = 0.0, lit = 0.0;
+  for (size_t at = profile * lights; at < (profile + 1) * lights; ++at) {
+    if (!(map.surface[at] > 0.0F) && !(map.background[at] > 0.0F)) continue;
+    surface += map.surface[at];
+    background += map.background[at];
+    lit += 1.0;
+  }
+  return {static_cast<float>(surface / std::max(lit, 1.0)), static_cast<float>(background / std::max(lit, 1.0))};
 }
 
 }  // namespace stratalux::fit

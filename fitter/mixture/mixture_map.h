@@ -52,4 +52,11 @@ struct MixtureMap {
 
 [[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
 
+// What no layer holds of a profile's light: its surface and floor, means over the lights that it was fitted to (a light
+// without either was none of them).
+struct UnlayeredLight {
+  float surface = 0.0F, background = 0.0F;
+};
+[[nodiscard]] UnlayeredLight MeanOfLights(const MixtureMap& map, int64_t profile);
+
 }  // namespace stratalux::fit

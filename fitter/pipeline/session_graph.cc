@@ -291,6 +291,7 @@ std::string SessionGraph::Model(const std::string& name, GeometrySource source, 
 }
 
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
+  if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
   const std::string layers = Model(model, source, heldout), shape = Shape(source);
   const std::vector<std::string> lights = HeldOutLights(plan_);
   return Add(
@@ -306,6 +307,25 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
          SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
          return SavePredictions(folder, fit::Predict(fitted.map, fitted.pool, face, plan_, heldout, lights));
        }});
+}
+
+// Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
+std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
+  const std::string mean = Model("homogeneous", source, heldout), predicted = Predict("homogeneous", source, heldout),
+                    layers = Model("homogeneous_local_albedo", source, heldout);
+  return Add({{"predict", kPredictVersion, "{}", {{"fit", layers}, {"mean", mean}, {"predict", predicted}}, isa_},
+              LabelOf("predict, homogeneous_local_albedo", source, heldout),
+              {layers, mean, predicted},
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const fs::path layers_folder, stages_.Folder(layers));
+                SLX_ASSIGN_OR_RETURN(const auto scaled, LoadLayers(layers_folder));
+                SLX_ASSIGN_OR_RETURN(const fs::path mean_folder, stages_.Folder(mean));
+                SLX_ASSIGN_OR_RETURN(const auto means, LoadLayers(mean_folder));
+                SLX_ASSIGN_OR_RETURN(const fs::path predicted_folder, stages_.Folder(predicted));
+                SLX_ASSIGN_OR_RETURN(auto predictions, LoadPredictions(predicted_folder));
+                return SavePredictions(folder,
+                                       ScaledPredictions(std::move(predictions), means.map, scaled.map, scaled.pool));
+              }});
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {

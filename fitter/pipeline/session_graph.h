@@ -48,6 +48,7 @@ class SessionGraph {
  private:
   SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts, Logger& logger);
   std::string Add(StageNode node);
+  std::string PredictLocalAlbedo(GeometrySource source, int heldout);
   std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                      const std::string& label);
   [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;

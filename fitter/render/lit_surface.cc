@@ -38,20 +38,32 @@ void FillTriangle(const std::array<const Vertex*, 3>& v, Image<LitSample>& sampl
     }
 }
 
+// Beyond its edges a row goes on as it ends.
 Image<float> BlurRows(const Image<float>& image, double sigma) {
-  const int radius = static_cast<int>(std::ceil(4 * sigma)) + 1;
-  std::vector<double> kernel(2 * radius + 1);
+  const int radius = static_cast<int>(std::ceil(4 * sigma)) + 1, width = image.width();
+  std::vector<double> kernel(2 * radius + 1), row(width + 2 * radius);
   double sum = 0.0;
   for (int k = -radius; k <= radius; ++k) sum += kernel[k + radius] = std::exp(-0.5 * k * k / (sigma * sigma));
-  Image<float> out(image.height(), image.width());  // transposed: two passes make the full blur
-  for (int y = 0; y < image.height(); ++y)
-    for (int x = 0; x < image.width(); ++x) {
+  Image<float> out(image.height(), width);  // transposed: two passes make the full blur
+  for (int y = 0; y < image.height(); ++y) {
+    for (int x = -radius; x < width + radius; ++x) row[x + radius] = image(std::clamp(x, 0, width - 1), y);
+    for (int x = 0; x < width; ++x) {
       double v = 0.0;
-      for (int k = -radius; k <= radius; ++k)
-        v += kernel[k + radius] * image(std::clamp(x + k, 0, image.width() - 1), y);
+      for (size_t k = 0; k < kernel.size(); ++k) v += kernel[k] * row[x + k];
       out(y, x) = static_cast<float>(v / sum);
     }
+  }
   return out;
+}
+
+Image<float> Blurred(const Image<float>& image, double sigma) {
+  return sigma > 0.0 ? BlurRows(BlurRows(image, sigma), sigma) : image;
+}
+
+Image<float> Shown(const LitSurface& lit, const Pattern& pattern, double scale) {
+  Image<float> shown = pattern.Render(lit.samples.width(), lit.samples.height());
+  for (float& v : shown.pixels()) v *= static_cast<float>(scale);
+  return shown;
 }
 
 // Flux-weighted sum of up to 2 x 2 samples.
@@ -86,14 +98,15 @@ Image<LitSample> Halve(const Image<LitSample>& fine) {
   return coarse;
 }
 
-LitPlanes PlanesOf(const Image<LitSample>& blocks) {
+// `colour`: whose flux the planes hold.
+LitPlanes PlanesOf(const Image<LitSample>& blocks, int colour) {
   LitPlanes planes;
   planes.width = blocks.width();
   planes.height = blocks.height();
   planes.stride = blocks.width() + kGatherLanes;
   const size_t size = static_cast<size_t>(planes.stride) * planes.height;
-  for (auto* plane : {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2,
-                      &planes.flux[0], &planes.flux[1], &planes.flux[2]})
+  for (auto* plane :
+       {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2, &planes.flux})
     plane->assign(size, 0.0F);
   for (int y = 0; y < planes.height; ++y)
     for (int x = 0; x < planes.width; ++x) {
@@ -106,7 +119,7 @@ LitPlanes PlanesOf(const Image<LitSample>& blocks) {
       planes.ny[at] = s.normal.y();
       planes.nz[at] = s.normal.z();
       planes.spread_mm2[at] = s.spread_mm2;
-      for (int c = 0; c < 3; ++c) planes.flux[c][at] = s.flux[c];
+      planes.flux[at] = s.flux[colour];
     }
   return planes;
 }
@@ -157,19 +170,24 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
   return lit;
 }
 
+Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, double scale) {
+  return Blurred(Shown(lit, pattern, scale), lit.light.line_blur_px);
+}
+
 LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale) {
   LitPyramid pyramid;
-  pyramid.shown = pattern.Render(lit.samples.width(), lit.samples.height());
-  for (float& v : pyramid.shown.pixels()) v *= static_cast<float>(pattern_scale);
-  const double sigma = lit.light.line_blur_px;
-  pyramid.pattern = sigma > 0.0 ? BlurRows(BlurRows(pyramid.shown, sigma), sigma) : pyramid.shown;
-  pyramid.levels.push_back(lit.samples);
-  for (size_t i = 0; i < lit.samples.size(); ++i) {
-    LitSample& s = pyramid.levels[0].pixels()[i];
-    for (float& f : s.flux) f *= pyramid.pattern.pixels()[i];
+  pyramid.shown = Shown(lit, pattern, pattern_scale);
+  pyramid.pattern = Blurred(pyramid.shown, lit.light.line_blur_px);
+  const auto& white = lit.light.white_dn_mm2_per_ms;
+  pyramid.colour = static_cast<int>(std::max_element(white.begin(), white.end()) - white.begin());
+  Image<LitSample> blocks = lit.samples;
+  for (size_t i = 0; i < blocks.size(); ++i)
+    for (float& f : blocks.pixels()[i].flux) f *= pyramid.pattern.pixels()[i];
+  pyramid.levels.push_back(PlanesOf(blocks, pyramid.colour));
+  for (int level = 1; level <= 6; ++level) {
+    blocks = Halve(blocks);
+    pyramid.levels.push_back(PlanesOf(blocks, pyramid.colour));
   }
-  for (int level = 1; level <= 6; ++level) pyramid.levels.push_back(Halve(pyramid.levels.back()));
-  for (const auto& blocks : pyramid.levels) pyramid.planes.push_back(PlanesOf(blocks));
   return pyramid;
 }
 

@@ -32,13 +32,16 @@ struct LitSurface {
 [[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,
                                          double exposure_ms, double max_edge_mm = 6.0);
 
-// The same lit by a pattern (blurred by the projector's optics), as a pyramid of 2^k x 2^k blocks: summed flux,
-// flux-weighted mean position.
+// A pattern times `scale` in the light's pixels, as its optics blur it.
+[[nodiscard]] Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, double scale = 1.0);
+
+// The surface lit by a pattern, as a pyramid of 2^k x 2^k blocks of the light's pixels: summed flux, flux-weighted mean
+// position.
 struct LitPyramid {
-  std::vector<Image<LitSample>> levels;
-  std::vector<LitPlanes> planes;  // the same, for the fast renderer
-  Image<float> pattern;           // blurred
-  Image<float> shown;             // before the optics blurred it
+  std::vector<LitPlanes> levels;
+  int colour = 0;        // whose flux they hold: the light's brightest
+  Image<float> pattern;  // ProjectedPattern
+  Image<float> shown;    // before the optics blurred it
 };
 [[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
 

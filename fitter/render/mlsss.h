@@ -7,6 +7,9 @@
 // oppose that of x_O do not exchange light. Reference and fast renderer share this definition.
 #pragma once
 
+#include <span>
+#include <vector>
+
 #include "fitter/mixture/mixture_map.h"
 #include "fitter/render/lit_surface.h"
 
@@ -16,25 +19,17 @@ struct RenderOptions {
   int pool = 1;  // quads per side that one profile of the MixtureMap covers
 };
 
-// Subsurface light, W x H x C on quads, digital numbers above black; 0 outside the mask. Cost: pixels x layers. Each
-// colour is rendered at its own site of the quad.
-[[nodiscard]] Image<float> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
-                                            const LitPyramid& light, const LitSurface& lit,
-                                            const RenderOptions& options = {});
+// Subsurface light under each of `lights`, patterns of the light that `lit` is lit by: W x H x C on quads, digital
+// numbers above black; 0 outside the mask. Cost: pixels x layers; what does not depend on the pattern is worked out
+// once for all of them. Each colour is rendered at its own site of the quad.
+[[nodiscard]] std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceMap& surface,
+                                                         const RigCalibration& rig, const LitSurface& lit,
+                                                         std::span<const LitPyramid> lights,
+                                                         const RenderOptions& options = {});
 
-// The same by the plain double loop over all lit samples, in double precision. Cost: pixels x samples x layers.
+// One of them by the plain double loop over all lit samples, in double precision. Cost: pixels x samples x layers.
 [[nodiscard]] Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& surface,
                                                      const RigCalibration& rig, const LitPyramid& light,
                                                      const LitSurface& lit, const RenderOptions& options = {});
-
-// Reflectance of the very surface of every quad under `light`, W x H x C: of the fit's surface reflection, or, where
-// the fit has none, the mean of its training lights'. NaN where nothing was fitted.
-[[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface,
-                                              const ProjectorCalibration& light, int pool);
-
-// Light reflected by the very surface: reflectance (W x H x C on quads) times irradiance times the pattern at (C, R),
-// averaged over the pixel's footprint.
-[[nodiscard]] Image<float> RenderSurface(ImageView<const float> reflectance, const SurfaceMap& surface,
-                                         const RigCalibration& rig, const LitPyramid& light, const LitSurface& lit);
 
 }  // namespace stratalux::fit

@@ -2,6 +2,7 @@
 #include "fitter/scattering/baselines.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -57,6 +58,78 @@ MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
   return out;
 }
 
+// The two sources of a dipole, with what every distance needs of them.
+class DipoleSources {
+ public:
+  explicit DipoleSources(const Dipole& dipole) {
+    const double st = dipole.sigma_s_prime_per_mm + dipole.sigma_a_per_mm, eta = dipole.eta;
+    const double fdr = -1.440 / (eta * eta) + 0.710 / eta + 0.668 + 0.0636 * eta;
+    transport_ = std::sqrt(3.0 * dipole.sigma_a_per_mm * st);
+    scale_ = dipole.sigma_s_prime_per_mm / st / (4.0 * kPi);
+    real_mm_ = 1.0 / st;
+    virtual_mm_ = real_mm_ * (1.0 + 4.0 / 3.0 * (1.0 + fdr) / (1.0 - fdr));
+    stretch_mm_ = 0.5 / st;
+  }
+
+  [[nodiscard]] double StretchMm() const { return stretch_mm_; }
+  // R_d at the squared distance r^2.
+  [[nodiscard]] double At(double r2) const { return scale_ * (Source(r2, real_mm_) + Source(r2, virtual_mm_)); }
+
+  // Integral along a line at x; y = a sinh(t) stretches the quadrature over the tail.
+  [[nodiscard]] double OfLine(double x_mm) const {
+    static const std::array<Node, kSteps> nodes = [] {
+      std::array<Node, kSteps> made;
+      for (int k = 0; k < kSteps; ++k) {
+        const double t = (k + 0.5) * kEnd / kSteps;
+        made[k] = {std::sinh(t) * std::sinh(t), std::cosh(t)};
+      }
+      return made;
+    }();
+    double sum = 0.0;
+    for (const Node& node : nodes) sum += At(x_mm * x_mm + stretch_mm_ * stretch_mm_ * node.sinh2) * node.cosh;
+    return 2.0 * sum * stretch_mm_ * kEnd / kSteps;
+  }
+
+ private:
+  struct Node {
+    double sinh2 = 0.0, cosh = 0.0;
+  };
+  static constexpr int kSteps = 48;
+  static constexpr double kEnd = 6.0;
+
+  [[nodiscard]] double Source(double r2, double z) const {
+    const double d2 = r2 + z * z, d = std::sqrt(d2);
+    return z * (transport_ * d + 1.0) * std::exp(-transport_ * d) / (d2 * d);
+  }
+
+  double transport_ = 0.0, scale_ = 0.0, real_mm_ = 0.0, virtual_mm_ = 0.0, stretch_mm_ = 0.0;
+};
+
+// A dipole's line spread for many x: four-point interpolation between nodes at x = a sinh(k step). Error below 1e-7 of
+// its peak, where every trial of the search asks for some three thousand values.
+class LineSpreadTable {
+ public:
+  LineSpreadTable(const Dipole& dipole, double most_mm) : stretch_mm_(DipoleSources(dipole).StretchMm()) {
+    const DipoleSources sources(dipole);
+    const int last = static_cast<int>(std::asinh(most_mm / stretch_mm_) / kStep) + 3;
+    for (int k = -1; k <= last; ++k) values_.push_back(sources.OfLine(stretch_mm_ * std::sinh(k * kStep)));
+  }
+
+  [[nodiscard]] double At(double x_mm) const {
+    const double place = std::asinh(std::abs(x_mm) / stretch_mm_) / kStep;
+    const int k = std::min(static_cast<int>(place), static_cast<int>(values_.size()) - 4);
+    const double t = place - k;
+    const double* v = &values_[k];  // of nodes k - 1 .. k + 2
+    return -t * (t - 1) * (t - 2) / 6 * v[0] + (t + 1) * (t - 1) * (t - 2) / 2 * v[1] -
+           (t + 1) * t * (t - 2) / 2 * v[2] + (t + 1) * t * (t - 1) / 6 * v[3];
+  }
+
+ private:
+  static constexpr double kStep = 0.02;
+  double stretch_mm_ = 1.0;
+  std::vector<double> values_;
+};
+
 // Mean profile of a channel over the lights in bins of u.
 struct MeanProfile {
   double step = 0.3;
@@ -99,12 +172,12 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
 }
 
 // Line spread through the line's box and blur, by quadrature.
-double Measured(const Dipole& dipole, double u, double width, double blur) {
+double Measured(const LineSpreadTable& spread, double u, double width, double blur) {
   double sum = 0.0, weights = 0.0;
   for (int i = -3; i <= 3; ++i) {
     const double g = std::exp(-0.5 * i * i * 0.64);
     for (int k = 0; k < 5; ++k) {
-      sum += g * dipole.LineSpread(u + 0.8 * i * blur + width * ((k + 0.5) / 5 - 0.5));
+      sum += g * spread.At(u + 0.8 * i * blur + width * ((k + 0.5) / 5 - 0.5));
       weights += g;
     }
   }
@@ -118,10 +191,12 @@ double SurfaceLine(double u, double width, double blur) {
 }
 
 double Misfit(const Dipole& dipole, const MeanProfile& mean) {
-  double error = 0.0;
+  double most_mm = 0.0, error = 0.0;
+  for (const double u : mean.u) most_mm = std::max(most_mm, std::abs(u));
+  const LineSpreadTable spread(dipole, most_mm + 2.4 * mean.blur + 0.5 * mean.line_width);
   for (size_t k = 0; k < mean.y.size(); ++k) {
     if (!(mean.count[k] > 0.0)) continue;
-    const double d = Measured(dipole, mean.u[k], mean.line_width, mean.blur) - mean.y[k];
+    const double d = Measured(spread, mean.u[k], mean.line_width, mean.blur) - mean.y[k];
     error += d * d;
   }
   return error;
@@ -132,30 +207,9 @@ double Misfit(const Dipole& dipole, const MeanProfile& mean) {
 MixtureMap Homogeneous(const MixtureMap& map) { return WithMeanLayers(map, false); }
 MixtureMap HomogeneousLocalAlbedo(const MixtureMap& map) { return WithMeanLayers(map, true); }
 
-double Dipole::RadialReflectance(double r_mm) const {
-  const double st = sigma_s_prime_per_mm + sigma_a_per_mm;
-  const double tr = std::sqrt(3.0 * sigma_a_per_mm * st), alpha = sigma_s_prime_per_mm / st;
-  const double fdr = -1.440 / (eta * eta) + 0.710 / eta + 0.668 + 0.0636 * eta;
-  const double zr = 1.0 / st, zv = zr * (1.0 + 4.0 / 3.0 * (1.0 + fdr) / (1.0 - fdr));
-  auto source = [&](double z) {
-    const double d = std::sqrt(r_mm * r_mm + z * z);
-    return z * (tr * d + 1.0) * std::exp(-tr * d) / (d * d * d);
-  };
-  return alpha / (4.0 * kPi) * (source(zr) + source(zv));
-}
+double Dipole::RadialReflectance(double r_mm) const { return DipoleSources(*this).At(r_mm * r_mm); }
 
-double Dipole::LineSpread(double x_mm) const {
-  // y = a sinh(t) stretches the quadrature over the tail.
-  const double a = 0.5 / (sigma_s_prime_per_mm + sigma_a_per_mm);
-  constexpr int kSteps = 48;
-  constexpr double kEnd = 6.0;
-  double sum = 0.0;
-  for (int k = 0; k < kSteps; ++k) {
-    const double t = (k + 0.5) * kEnd / kSteps, y = a * std::sinh(t);
-    sum += RadialReflectance(std::hypot(x_mm, y)) * a * std::cosh(t);
-  }
-  return 2.0 * sum * kEnd / kSteps;
-}
+double Dipole::LineSpread(double x_mm) const { return DipoleSources(*this).OfLine(x_mm); }
 
 double Dipole::TotalReflectance() const {
   const double alpha = sigma_s_prime_per_mm / (sigma_s_prime_per_mm + sigma_a_per_mm);
@@ -200,41 +254,44 @@ Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int chann
 }
 
 Result<MixtureMap> DipoleMap(const MixtureMap& map, std::span<const Dipole> dipoles) {
-  MixtureMap out = map;
-  for (int c = 0; c < map.channels; ++c) {
-    SrdBatch b;
-    b.samples = 400;
-    b.wrapped = false;
-    b.sample_box = 1.0F;
-    constexpr float kStep = 0.1F;
-    b.step_mm = {kStep};
-    b.first_u_mm = {-0.5F * kStep * 399};
-    b.line_width_mm = {0.05F};
-    b.blur_mm = {0.0F};
-    b.valid = {1};
-    for (auto* v : {&b.slope_in, &b.slope_out, &b.slope_in_across, &b.slope_out_across}) *v = {0.0F};
-    b.cos_in = b.cos_out = {1.0F};
+  constexpr float kStep = 0.1F;
+  SrdBatch b;  // one profile a colour
+  b.samples = 400;
+  b.wrapped = false;
+  b.sample_box = 1.0F;
+  const size_t colours = dipoles.size();
+  b.step_mm.assign(colours, kStep);
+  b.first_u_mm.assign(colours, -0.5F * kStep * 399);
+  b.line_width_mm.assign(colours, 0.05F);
+  b.valid.assign(colours, 1);
+  for (auto* v : {&b.blur_mm, &b.slope_in, &b.slope_out, &b.slope_in_across, &b.slope_out_across})
+    v->assign(colours, 0.0F);
+  b.cos_in.assign(colours, 1.0F);
+  b.cos_out = b.cos_in;
+  for (const Dipole& dipole : dipoles)
     for (int k = 0; k < b.samples; ++k) {
-      const double y = 0.05 * dipoles[c].LineSpread(double(b.first_u_mm[0]) + k * double(kStep));
+      const double y = 0.05 * dipole.LineSpread(double(b.first_u_mm[0]) + k * double(kStep));
       b.y.push_back(static_cast<float>(y));
       b.variance.push_back(static_cast<float>(1e-4 * y + 1e-12));
     }
-    EmOptions options;
-    options.layers = map.layers;
-    options.direction_blind = true;
-    options.surface_term = options.background_term = false;
-    options.max_iterations = 400;
-    const SrdBatch* light = &b;
-    SLX_ASSIGN_OR_RETURN(const MixtureMap fitted, FitMixture(std::span(&light, 1), {0}, 1, 1, 1, options));
-    const double total = TotalWeight(fitted, 0);
-    for (int64_t i = c; i < map.profiles(); i += map.channels) {
-      if (!map.Fitted(i)) continue;
-      const double scale = total > 0.0 ? TotalWeight(map, i) / total : 0.0;
-      for (int l = 0; l < map.layers; ++l) {
-        out.weight[i * map.layers + l] = static_cast<float>(fitted.weight[l] * scale);
-        out.depth_mm[i * map.layers + l] = 0.0F;
-        out.sigma_mm[i * map.layers + l] = fitted.sigma_mm[l];
-      }
+  EmOptions options;
+  options.layers = map.layers;
+  options.direction_blind = true;
+  options.surface_term = options.background_term = false;
+  options.max_iterations = 400;
+  const SrdBatch* light = &b;
+  SLX_ASSIGN_OR_RETURN(const MixtureMap fitted,
+                       FitMixture(std::span(&light, 1), {0}, 1, 1, static_cast<int>(colours), options));
+  MixtureMap out = map;
+  for (int64_t i = 0; i < map.profiles(); ++i) {
+    if (!map.Fitted(i)) continue;
+    const int64_t colour = i % map.channels;
+    const double total = TotalWeight(fitted, colour), scale = total > 0.0 ? TotalWeight(map, i) / total : 0.0;
+    for (int l = 0; l < map.layers; ++l) {
+      const int64_t to = i * map.layers + l, from = colour * map.layers + l;
+      out.weight[to] = static_cast<float>(fitted.weight[from] * scale);
+      out.depth_mm[to] = 0.0F;
+      out.sigma_mm[to] = fitted.sigma_mm[from];
     }
   }
   return out;

@@ -7,6 +7,7 @@
 #include "fitter/export/exr_file.h"
 #include "fitter/export/pictures.h"
 #include "fitter/render/mlsss.h"
+#include "fitter/render/surface_light.h"
 #include "fitter/sensor/linear_frame.h"
 #include "shared/image/png.h"
 
@@ -98,11 +99,11 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
     SLX_RETURN_IF_ERROR(light.pattern.Validate(projector.model.width, projector.model.height));
   }
   const LitSurface lit = BuildLitSurface(fit.shape.surface, projector, exposure_ms);
-  const LitPyramid pyramid = LightWith(lit, light.pattern);
+  const std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
   Relit relit;
-  relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, pyramid, lit, {fit.pool});
-  relit.surface = RenderSurface(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool), fit.shape.surface,
-                                rig, pyramid, lit);
+  relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool}).front();
+  relit.surface = ReflectedLight(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool),
+                                 SurfaceIrradiance(fit.shape.surface, rig, lit, {&pyramids.front().pattern}).front());
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
   MaskUnfitted(fit, relit);

@@ -76,6 +76,19 @@ TEST(ChoosePrior, BindsPixelsThatAreAlikeMoreThanThoseThatAreNot) {
   EXPECT_LT(3.0 * Chosen(unlike, options).photons, Chosen(alike, options).photons);
 }
 
+TEST(ChoosePrior, HearsNothingOfLightsThatNoFitCanUse) {
+  // Samples that are no number; light from behind the horizon, as of directions given to the wrong light.
+  const EmOptions options;
+  EmCases made = Neighbours(400.0, 44);
+  const double without = Chosen(made, options).photons;
+  made.batches[1].Samples(7)[3] = std::nanf("");
+  made.batches[2].cos_in[9] = 0.0F;
+  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
+  ASSERT_TRUE(choice.ok());
+  for (const auto& trial : choice->trials) EXPECT_TRUE(std::isfinite(trial.divergence)) << trial.photons;
+  EXPECT_EQ(choice->prior.photons, without);
+}
+
 TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeLeftOut) {
   const EmOptions options;
   EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 200.0, .alike = 40}, options, 43);

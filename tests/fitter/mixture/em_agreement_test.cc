@@ -188,5 +188,45 @@ TEST(Start, LayersGivenAreRefinedAndNoSweepKeepsThem) {
   }
 }
 
+// What a fit to other lights says of a light, in plain double precision.
+double DivergenceByHand(const MixtureMap& fit, const SrdBatch& light, int64_t profile, const EmOptions& options) {
+  const ProfileLight left_out = ProfileLightOf(light, profile, options);
+  const UnlayeredLight mean = MeanOfLights(fit, profile);
+  ProfileFit prediction;
+  prediction.layers = LayersOf(fit, profile);
+  prediction.tau = fit.scattering.tau;
+  prediction.directional = fit.scattering.directional;
+  prediction.surface = {left_out.reflected >= 0.0 ? left_out.reflected : double{mean.surface}};
+  prediction.background = {mean.background};
+  return MisfitOf(left_out, ModelOf(prediction, FineGrid(left_out), 0)).divergence;
+}
+
+TEST(DivergencesFrom, AreThoseOfThePlainModelForEveryFitAndProfile) {
+  for (const bool known : {false, true}) {
+    EmOptions options;
+    options.background_term = true;
+    options.scattering.tau = 0.3;
+    if (known) options.scattering.reflection = {1.0, 0.3};
+    EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 1000}, options, 17);
+    made.batches[2].valid[5] = 0;
+    const auto lights = made.lights();
+    const std::vector<const SrdBatch*> training = {lights[0], lights[1]};
+    EmOptions coarse = options;
+    coarse.max_iterations = 2;
+    const std::vector<MixtureMap> fits = {Fit(training, options), Fit(training, coarse)};
+    const auto divergence = DivergencesFrom(fits, made.batches[2], 1, options);
+    ASSERT_EQ(divergence.size(), fits.size());
+    for (size_t f = 0; f < fits.size(); ++f)
+      for (int64_t i = 0; i < 40; ++i) {
+        if (i == 5) {
+          EXPECT_TRUE(std::isnan(divergence[f][i]));
+          continue;
+        }
+        const double plain = DivergenceByHand(fits[f], made.batches[2], i, options);
+        EXPECT_NEAR(divergence[f][i] / plain, 1.0, 1e-3) << f << ", " << i << (known ? ", reflection known" : "");
+      }
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::fit

@@ -48,6 +48,16 @@ TEST(Dipole, SpreadsALineWithoutLosingLight) {
   }
 }
 
+TEST(Dipole, SpreadsALineAsTheIntegralOfItsRadialReflectance) {
+  // Jensen et al. 2001, equation 4, by a plain midpoint sum along the line.
+  for (const Dipole dipole : {Dipole{0.74, 0.1, 1.4}, Dipole{1.79, 0.145, 1.4}})
+    for (const double x : {0.0, 0.4, 3.0}) {
+      double sum = 0.0;
+      for (double y = 0.0005; y < 80.0; y += 0.001) sum += 2.0 * 0.001 * dipole.RadialReflectance(std::hypot(x, y));
+      EXPECT_NEAR(dipole.LineSpread(x) / sum, 1.0, 1e-3) << x;
+    }
+}
+
 // A comb cycle that looks at a dipole, below a surface that sends back the share `surface` where it is hit: box of the
 // line and Gaussian blur by quadrature.
 SrdBatch CombOver(const Dipole& dipole, int channels, double surface = 0.0) {

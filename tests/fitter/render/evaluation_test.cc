@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
@@ -10,9 +11,12 @@
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/metrics_json.h"
+#include "fitter/evaluation/predict.h"
 #include "fitter/evaluation/truth.h"
+#include "fitter/scattering/baselines.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
+#include "tests/fitter/render/lit_scene.h"
 
 namespace stratalux::fit {
 namespace {
@@ -247,6 +251,33 @@ TEST(Metrics, WritesSchemaTwo) {
   EXPECT_EQ(json["stages"][0]["cpu_seconds"], 2.5);
   EXPECT_EQ(json["stages"][0]["peak_rss_bytes"], 1 << 20);
   EXPECT_EQ(json["truth"]["depth_bias_mm"], -0.2);
+}
+
+TEST(ScaledPredictions, AreThoseOfTheScaledLayers) {
+  // Light is linear in the weights: mean layers with each pixel's own albedo need no rendering of their own.
+  const LitScene scene = MakeScene(FaceLike(), {-350.0, 0.0, 150.0}, Cfa::kRggb);
+  MixtureMap skin = VaryingSkin(scene, SkinLayers());
+  skin.reason[skin.ProfileIndex(20, 18, 1)] = static_cast<uint8_t>(FitReason::kTooDark);
+  const MixtureMap mean = Homogeneous(skin), own_albedo = HomogeneousLocalAlbedo(skin);
+  FaceShape shape;
+  shape.record = scene.rig;
+  shape.surface = scene.surface;
+  const PlanOptions plan;
+  const std::vector<std::string> lights = {"stripe", "white"};
+  const Predictions rendered = Predict(own_albedo, 1, shape, plan, 0, lights),
+                    scaled = ScaledPredictions(Predict(mean, 1, shape, plan, 0, lights), mean, own_albedo, 1);
+  ASSERT_EQ(scaled.size(), 2U);
+  for (const std::string& light : lights) {
+    const Prediction &expected = rendered.at(light), &found = scaled.at(light);
+    const auto near = [](const Image<float>& a, const Image<float>& b) {
+      const float most = *std::max_element(b.pixels().begin(), b.pixels().end());
+      EXPECT_GT(most, 1.0F);
+      for (size_t i = 0; i < a.size(); ++i) ASSERT_NEAR(a.pixels()[i], b.pixels()[i], 1e-6F * most);
+    };
+    near(found.subsurface, expected.subsurface);
+    near(found.direct_part, expected.direct_part);
+    EXPECT_TRUE(std::ranges::equal(found.surface.pixels(), expected.surface.pixels()));
+  }
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/render/gather_kernel.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -11,9 +12,9 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kWidth = 75, kHeight = 5;
+constexpr int kWidth = 75, kHeight = 9;
 
-// Lit blocks of all kinds: dark ones, those that spread too wide, those that face away.
+// Lit blocks of all kinds: dark ones, those that spread wide, those that face away.
 LitPlanes Blocks(uint64_t seed) {
   Random random(seed);
   LitPlanes planes;
@@ -21,57 +22,120 @@ LitPlanes Blocks(uint64_t seed) {
   planes.height = kHeight;
   planes.stride = kWidth + kGatherLanes;
   const size_t size = static_cast<size_t>(planes.stride) * kHeight;
-  for (auto* plane : {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2,
-                      &planes.flux[0], &planes.flux[1], &planes.flux[2]})
+  for (auto* plane :
+       {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2, &planes.flux})
     plane->assign(size, 0.0F);
   for (int y = 0; y < kHeight; ++y)
     for (int x = 0; x < kWidth; ++x) {
       const size_t at = static_cast<size_t>(y) * planes.stride + x;
       planes.x[at] = static_cast<float>(0.3 * x + random.Uniform(-0.1, 0.1));
       planes.y[at] = static_cast<float>(0.3 * y + random.Uniform(-0.1, 0.1));
-      planes.z[at] = static_cast<float>(random.Uniform(-0.2, 0.2));
+      planes.z[at] = static_cast<float>(500.0 + random.Uniform(-0.2, 0.2));
       planes.nz[at] = random.Uniform() < 0.1 ? 1.0F : -1.0F;
       planes.spread_mm2[at] = static_cast<float>(random.Uniform(0.0, 1.0));
-      if (random.Uniform() < 0.7) planes.flux[1][at] = static_cast<float>(random.Uniform(0.0, 2.0));
+      if (random.Uniform() < 0.7) planes.flux[at] = static_cast<float>(random.Uniform(0.5, 2.0));
     }
   return planes;
 }
 
-// Columns x0 .. x1 of the first rows in plain double precision.
-double Reference(const LitPlanes& planes, int x0, int x1, const GatherTarget& target) {
+// A place of the skin: normal (0, 0.6, -0.8), its plane's origin off the Gaussian's centre.
+const TangentPlane kPlane = {{8.0F, 1.0F, 500.1F}, {0.0F, 0.6F, -0.8F}, {1.0F, 0.0F, 0.0F}, {0.0F, 0.8F, 0.6F}};
+
+// The blocks of a window in plain double precision.
+double Reference(const LitPlanes& planes, const BlockWindow& window, const GatherTarget& target) {
   double sum = 0.0;
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = x0; x <= x1; ++x) {
+  for (int y = window.y0; y <= window.y1; ++y)
+    for (int x = window.x0; x <= window.x1; ++x) {
       const size_t at = static_cast<size_t>(y) * planes.stride + x;
-      const double d[3] = {double(planes.x[at]) - target.centre_mm[0], double(planes.y[at]) - target.centre_mm[1],
-                           double(planes.z[at]) - target.centre_mm[2]};
-      double along = 0.0, square = 0.0;
+      const double d[3] = {double(planes.x[at]) - kPlane.origin_mm[0], double(planes.y[at]) - kPlane.origin_mm[1],
+                           double(planes.z[at]) - kPlane.origin_mm[2]};
+      double p = -target.p_mm, q = -target.q_mm;
       for (size_t k = 0; k < 3; ++k) {
-        along += d[k] * target.normal[k];
-        square += d[k] * d[k];
+        p += d[k] * kPlane.p[k];
+        q += d[k] * kPlane.q[k];
       }
-      if (planes.spread_mm2[at] > target.max_spread_mm2 || planes.nz[at] * target.normal[2] < 0.0F) continue;
-      sum += planes.flux[1][at] * std::exp(-target.half_inverse2 * (square - along * along));
+      if (planes.spread_mm2[at] > target.max_spread_mm2 || planes.nz[at] * kPlane.normal[2] < 0.0F) continue;
+      sum += planes.flux[at] * std::exp(-target.half_inverse2 * (p * p + q * q));
     }
   return sum;
 }
 
+constexpr BlockWindow kAll = {0, kWidth - 1, 0, kHeight - 1};
+
 TEST(GatherBlocks, IsThePlainSumOnEveryInstructionSet) {
   const LitPlanes planes = Blocks(1);
-  GatherTarget target{{0.0F, 0.6F, -0.8F}, {9.0F, 0.7F, 0.05F}, 0.0F, 0.9F, 1};
-  for (const float sigma : {0.05F, 0.4F, 3.0F}) {
-    target.half_inverse2 = 0.5F / (sigma * sigma);
-    for (const auto& [x0, x1] : {std::pair(0, kWidth - 1), {20, 20}, {13, 47}, {60, kWidth - 1}}) {
-      const double reference = Reference(planes, x0, x1, target);
-      ForEachSimdTarget([&, first = x0, last = x1](const char* name) {
-        const Gathered gathered = GatherBlocks(planes, first, last, 0, kHeight - 1, target);
-        EXPECT_NEAR(gathered.sum, reference, 3e-6 * reference + 1e-30) << name << " " << sigma << " " << first;
-      });
+  for (const float spread : {0.6F, 1.0F})
+    for (const float sigma : {0.1F, 0.4F, 3.0F}) {
+      const GatherTarget target{1.1F, -0.4F, 0.5F / (sigma * sigma), spread};
+      for (const BlockWindow& window : {kAll, BlockWindow{30, 30, 2, 2}, {13, 47, 1, 6}, {60, kWidth - 1, 0, 8}}) {
+        const double reference = Reference(planes, window, target);
+        ForEachSimdTarget([&](const char* name) {
+          for (const BlockWindow& seen_window : {window, kAll}) {
+            SeenBlocks seen;
+            SeeBlocks(planes, seen_window, kPlane, seen);
+            // Positions near 500 mm are known to 3e-5 mm.
+            const double tolerance = (3e-6 + 1e-4 / sigma * 0.1) * reference + 1e-30;
+            EXPECT_NEAR(GatherBlocks(seen, window, target), reference, tolerance)
+                << name << ", sigma " << sigma << ", from column " << window.x0;
+          }
+        });
+      }
     }
-  }
-  EXPECT_TRUE(GatherBlocks(planes, 0, kWidth - 1, 0, kHeight - 1, target).left_out);
-  target.max_spread_mm2 = 1.0F;
-  EXPECT_FALSE(GatherBlocks(planes, 0, kWidth - 1, 0, kHeight - 1, target).left_out);
+}
+
+TEST(GatherBlocks, TakesItsExponentialToTheBoundInTheCode) {
+  // One block of flux 1 at a known distance: the kernel's e^-x itself.
+  LitPlanes planes;
+  planes.width = planes.height = 1;
+  planes.stride = 1 + kGatherLanes;
+  for (auto* plane :
+       {&planes.x, &planes.y, &planes.z, &planes.nx, &planes.ny, &planes.nz, &planes.spread_mm2, &planes.flux})
+    plane->assign(planes.stride, 0.0F);
+  planes.nz[0] = -1.0F;
+  planes.flux[0] = 1.0F;
+  const TangentPlane plane = {{0.0F, 0.0F, 0.0F}, {0.0F, 0.0F, -1.0F}, {1.0F, 0.0F, 0.0F}, {0.0F, 1.0F, 0.0F}};
+  ForEachSimdTarget([&](const char* name) {
+    SeenBlocks seen;
+    double worst = 0.0;
+    for (int k = 0; k <= 2000; ++k) {
+      planes.x[0] = static_cast<float>(k) / 256.0F;  // squares are exact
+      SeeBlocks(planes, {0, 0, 0, 0}, plane, seen);
+      const double x = double{planes.x[0]};
+      const double exact = std::exp(-0.5 * x * x),
+                   gathered = GatherBlocks(seen, {0, 0, 0, 0}, {0.0F, 0.0F, 0.5F, 1.0F});
+      // The slope log2(e) / 2 is rounded as well: half a unit in the last place of the exponent.
+      worst = std::max(worst, std::abs(gathered / exact - 1.0) - 6e-8 * 0.5 * x * x);
+    }
+    // And the last steps of the polynomial round; two to a step where nothing multiplies and adds at once.
+    EXPECT_LT(worst, 1.5e-7 + 3 * 6e-8) << name;
+  });
+}
+
+TEST(GatherBlocks, VanishesFarAwayAndKnowsNoOverflow) {
+  const LitPlanes planes = Blocks(2);
+  SeenBlocks seen;
+  SeeBlocks(planes, kAll, kPlane, seen);
+  EXPECT_LT(GatherBlocks(seen, kAll, {1e4F, 0.0F, 5.0F, 2.0F}), 1e-30F);
+}
+
+TEST(SeeBlocks, KnowsTheWidestBlockAndWhetherAnythingIsLit) {
+  LitPlanes planes = Blocks(3);
+  SeenBlocks seen;
+  const BlockWindow window = {10, 40, 2, 7};
+  float widest = 0.0F;
+  for (int y = window.y0; y <= window.y1; ++y)
+    for (int x = window.x0; x <= window.x1; ++x) {
+      const size_t at = static_cast<size_t>(y) * planes.stride + x;
+      if (planes.flux[at] > 0.0F) widest = std::max(widest, planes.spread_mm2[at]);
+    }
+  SeeBlocks(planes, window, kPlane, seen);
+  EXPECT_EQ(seen.widest_mm2, widest);
+  EXPECT_FALSE(seen.dark);
+  for (int y = window.y0; y <= window.y1; ++y)
+    for (int x = window.x0; x <= window.x1; ++x) planes.flux[static_cast<size_t>(y) * planes.stride + x] = 0.0F;
+  SeeBlocks(planes, window, kPlane, seen);
+  EXPECT_TRUE(seen.dark);
+  EXPECT_EQ(seen.widest_mm2, 0.0F);
 }
 
 }  // namespace

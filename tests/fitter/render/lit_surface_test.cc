@@ -105,15 +105,16 @@ TEST(LightWith, KeepsTheFluxAndItsCentroidOnEveryLevel) {
   const LitScene scene = MakeScene(FaceLike(), kOblique);
   const Pattern spots{.kind = PatternKind::kSpots, .period = 32, .width = 4};
   const LitPyramid pyramid = LightWith(scene.lit, spots);
-  auto moments = [](const Image<LitSample>& level) {
+  auto moments = [](const LitPlanes& level) {
     Eigen::Vector4d sum = Eigen::Vector4d::Zero();
-    for (const LitSample& s : level.pixels()) sum += double(s.flux[1]) * s.point_mm.cast<double>().homogeneous();
+    for (size_t k = 0; k < level.flux.size(); ++k)
+      sum += double{level.flux[k]} * Eigen::Vector3d(level.x[k], level.y[k], level.z[k]).homogeneous();
     return sum;
   };
   const Eigen::Vector4d fine = moments(pyramid.levels[0]);
   ASSERT_GT(fine.w(), 0.0);
   ASSERT_EQ(pyramid.levels.size(), 7U);
-  for (const Image<LitSample>& level : pyramid.levels) {
+  for (const LitPlanes& level : pyramid.levels) {
     const Eigen::Vector4d m = moments(level);
     EXPECT_NEAR(m.w() / fine.w(), 1.0, 1e-5);
     EXPECT_LT((m.hnormalized() - fine.hnormalized()).norm(), 1e-3);

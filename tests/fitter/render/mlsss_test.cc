@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/shift_law.h"
+#include "fitter/render/surface_light.h"
 #include "shared/geometry/quad.h"
 #include "tests/fitter/render/lit_scene.h"
 
@@ -20,7 +21,18 @@ const Pattern kWhite{.kind = PatternKind::kWhite};
 const Pattern kSpots{.kind = PatternKind::kSpots, .period = 40, .width = 4};
 
 Image<float> Render(const LitScene& scene, const MixtureMap& map, const Pattern& pattern, double scale = 1.0) {
-  return RenderSubsurface(map, scene.surface, scene.rig, LightWith(scene.lit, pattern, scale), scene.lit);
+  const std::vector<LitPyramid> lights = {LightWith(scene.lit, pattern, scale)};
+  return RenderSubsurface(map, scene.surface, scene.rig, scene.lit, lights).front();
+}
+
+Image<float> Reference(const LitScene& scene, const MixtureMap& map, const Pattern& pattern) {
+  return RenderSubsurfaceReference(map, scene.surface, scene.rig, LightWith(scene.lit, pattern), scene.lit);
+}
+
+// A surface of reflectance `reflectance` under a pattern.
+Image<float> RenderSurface(const LitScene& scene, const Image<float>& reflectance, const Pattern& pattern) {
+  const Image<float> shown = ProjectedPattern(scene.lit, pattern);
+  return ReflectedLight(reflectance, SurfaceIrradiance(scene.surface, scene.rig, scene.lit, {&shown}).front());
 }
 
 double Phi(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
@@ -177,11 +189,26 @@ TEST(RenderSubsurface, AgreesWithTheDoubleLoop) {
   const LitScene scene = MakeScene(FaceLike(), kFromLeft);
   const MixtureMap map = VaryingSkin(scene, SkinLayers());
   for (const Pattern& pattern : {kWhite, MiddleLine(scene, 2), MiddleLine(scene, 8), kSpots}) {
-    const LitPyramid light = LightWith(scene.lit, pattern);
-    const Image<float> fast = RenderSubsurface(map, scene.surface, scene.rig, light, scene.lit),
-                       exact = RenderSubsurfaceReference(map, scene.surface, scene.rig, light, scene.lit);
+    const Image<float> fast = Render(scene, map, pattern), exact = Reference(scene, map, pattern);
     ASSERT_GT(Maximum(exact), 1.0F);
     EXPECT_LT(LargestDifference(fast, exact), 0.01F * Maximum(exact)) << pattern.ToString();
+  }
+}
+
+TEST(RenderSubsurface, ShowsEachPatternAsIfItWereAlone) {
+  // Colours of unlike strength, the brightest of which the blocks hold; patterns one of which leaves much of the face
+  // dark.
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft, Cfa::kRggb);
+  const MixtureMap map = VaryingSkin(scene, SkinLayers());
+  const std::vector<Pattern> patterns = {MiddleLine(scene, 2), kWhite, kSpots};
+  std::vector<LitPyramid> lights;
+  for (const Pattern& pattern : patterns) lights.push_back(LightWith(scene.lit, pattern));
+  const auto together = RenderSubsurface(map, scene.surface, scene.rig, scene.lit, lights);
+  ASSERT_EQ(together.size(), patterns.size());
+  for (size_t k = 0; k < patterns.size(); ++k) {
+    EXPECT_EQ(LargestDifference(together[k], Render(scene, map, patterns[k])), 0.0F) << patterns[k].ToString();
+    const Image<float> exact = Reference(scene, map, patterns[k]);
+    EXPECT_LT(LargestDifference(together[k], exact), 0.01F * Maximum(exact)) << patterns[k].ToString();
   }
 }
 
@@ -200,9 +227,8 @@ TEST(RenderSubsurface, ExchangesNoLightBetweenOppositeFaces) {
   LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
   const MixtureMap map = UniformSkin(scene, SkinLayers());
   for (LitSample& s : scene.lit.samples.pixels()) s.normal = -s.normal;
-  const LitPyramid light = LightWith(scene.lit, kWhite);
-  EXPECT_EQ(Maximum(RenderSubsurface(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
-  EXPECT_EQ(Maximum(RenderSubsurfaceReference(map, scene.surface, scene.rig, light, scene.lit)), 0.0F);
+  EXPECT_EQ(Maximum(Render(scene, map, kWhite)), 0.0F);
+  EXPECT_EQ(Maximum(Reference(scene, map, kWhite)), 0.0F);
 }
 
 TEST(RenderSubsurface, LeavesUnknownSurfaceAndUnfittedSkinDark) {
@@ -234,9 +260,9 @@ TEST(RenderSubsurface, ReadsPooledProfilesAsTheirCopiesOnQuads) {
         fine.depth_mm[to] = pooled.depth_mm[from];
         fine.sigma_mm[to] = pooled.sigma_mm[from];
       }
-  const LitPyramid light = LightWith(scene.lit, kSpots);
-  const Image<float> a = RenderSubsurface(fine, scene.surface, scene.rig, light, scene.lit),
-                     b = RenderSubsurface(pooled, scene.surface, scene.rig, light, scene.lit, {.pool = 2});
+  const std::vector<LitPyramid> light = {LightWith(scene.lit, kSpots)};
+  const Image<float> a = RenderSubsurface(fine, scene.surface, scene.rig, scene.lit, light).front(),
+                     b = RenderSubsurface(pooled, scene.surface, scene.rig, scene.lit, light, {.pool = 2}).front();
   EXPECT_EQ(LargestDifference(a, b), 0.0F);
   EXPECT_GT(Maximum(a), 1.0F);
 }
@@ -252,12 +278,11 @@ TEST(RenderSubsurface, IsBitIdenticalForAnyNumberOfThreads) {
   EXPECT_EQ(LargestDifference(one, three), 0.0F);
 }
 
-TEST(RenderSurface, IsReflectanceTimesIrradianceUnderWhiteLight) {
+TEST(ReflectedLight, IsReflectanceTimesIrradianceUnderWhiteLight) {
   const LitScene scene = MakeScene(FaceLike(), {-150.0, 60.0, 50.0});
   Image<float> reflectance(48, 36, 1);
   for (size_t i = 0; i < reflectance.size(); ++i) reflectance.pixels()[i] = 0.01F * static_cast<float>(1 + i % 7);
-  const Image<float> image =
-      RenderSurface(reflectance, scene.surface, scene.rig, LightWith(scene.lit, kWhite), scene.lit);
+  const Image<float> image = RenderSurface(scene, reflectance, kWhite);
   const ProjectorCalibration& light = scene.rig.projectors[0];
   for (int j = 4; j < 32; ++j)
     for (int i = 4; i < 44; ++i) {
@@ -266,11 +291,10 @@ TEST(RenderSurface, IsReflectanceTimesIrradianceUnderWhiteLight) {
     }
 }
 
-TEST(RenderSurface, KeepsTheLightOfALineAndDoesNotMoveIt) {
+TEST(ReflectedLight, KeepsTheLightOfALineAndDoesNotMoveIt) {
   const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
   const Image<float> reflectance(48, 36, 1, 0.04F);
-  const Image<float> image =
-      RenderSurface(reflectance, scene.surface, scene.rig, LightWith(scene.lit, MiddleLine(scene, 8)), scene.lit);
+  const Image<float> image = RenderSurface(scene, reflectance, MiddleLine(scene, 8));
   const LineOnPlane line(scene, 8);
   double sum = 0.0;
   for (int i = 0; i < 48; ++i) sum += image(i, 18) * kMosaicPixelMm;

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/receiver.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
+  const Eigen::Vector3d t = omega / n.dot(omega) - n;
+  const double slope = t.norm();
+  if (slope < 1e-9) return Eigen::Vector3d::Zero();
+  return t / slope * TangentialShift(law, slope, 0.0, eta);
+}
+
+constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
+
+}  // namespace
+
+std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const SurfaceMap& surface, const RigCalibration& rig,
+                                     const ProjectorCalibration& light, int i, int j,
+                                     const Eigen::Vector2d& site_in_quad) {
+  Receiver r;
+  r.normal = surface.Normal(i, j);
+  const Pinhole& camera = rig.camera.model;
+  auto on_plane = [&](const Eigen::Vector2d& pixel) -> Eigen::Vector3d {
+    const Eigen::Vector3d ray = camera.Unproject(pixel);
+    return ray * (r.normal.dot(surface.Point(i, j)) / r.normal.dot(ray));
+  };
+  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + site_in_quad;
+  r.point = on_plane(site);
+  const Eigen::Vector3d in = (light.CentreInCamera() - r.point).normalized(), out = -r.point.normalized();
+  const double cos_in = r.normal.dot(in), cos_out = r.normal.dot(out);
+  if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
+  r.shift =
+      ShiftVector(model.shift_law, in, r.normal, model.eta) - ShiftVector(model.shift_law, out, r.normal, model.eta);
+  r.gain = AngularGain(model, cos_in);
+  r.directions = DirectionsOf(in, out, r.normal, model.eta);
+  // Box of one mosaic pixel, 1/12 px^2 an axis.
+  const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
+               py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
+  r.footprint2 = (1.0 / 12.0 + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
+  // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
+  const double distance = (light.CentreInCamera() - r.point).norm();
+  r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
+  r.narrowest2 = std::pow(0.55 * r.pitch_mm, 2) / cos_in;
+  const Rigid3& pose = light.camera_from_projector;
+  const Eigen::Vector3d in_light = pose.Inverse() * r.point;
+  r.column_per_mm =
+      light.model.fx / in_light.z() * (pose.rotation * Eigen::Vector3d(1.0, 0.0, -in_light.x() / in_light.z()));
+  r.row_per_mm =
+      light.model.fy / in_light.z() * (pose.rotation * Eigen::Vector3d(0.0, 1.0, -in_light.y() / in_light.z()));
+  return r;
+}
+
+// Offsets along the normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by
+// the face's relief.
+double Extent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm, double reach_mm) {
+  const double along = normal.dot(pixels_per_mm);
+  const double off_plane_mm = std::min(0.5 * reach_mm * reach_mm / kSharpestRadiusMm, kReliefMm);
+  return std::sqrt(std::max(0.0, pixels_per_mm.squaredNorm() - along * along)) * reach_mm +
+         std::abs(along) * off_plane_mm;
+}
+
+bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point) {
+  constexpr double kSamePlaceMm = 3.0;
+  const LitSample& s = lit.samples(std::clamp(static_cast<int>(std::lround(at.x())), 0, lit.samples.width() - 1),
+                                   std::clamp(static_cast<int>(std::lround(at.y())), 0, lit.samples.height() - 1));
+  return s.flux[1] > 0.0F && (point - lit.light.CentreInCamera()).norm() >
+                                 (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
+}
+
+NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
+  const int reach = static_cast<int>(std::ceil(4.0 * sigma + 0.5));
+  first = static_cast<int>(std::lround(mean)) - reach;
+  auto below = [&](double x) { return 0.5 * std::erfc((mean - x) / (sigma * std::numbers::sqrt2)); };
+  double last = below(first - 0.5);
+  for (int k = 0; k <= 2 * reach; ++k) {
+    const double next = below(first + k + 0.5);
+    share.push_back(next - last);
+    last = next;
+  }
+}
+
+double NarrowLayer::PixelSigma(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& per_mm,
+                               double variance) {
+  const double along_normal = receiver.normal.dot(per_mm), optics = lit.light.line_blur_px;
+  return std::sqrt(std::max(per_mm.squaredNorm() - along_normal * along_normal, 1e-12) * variance + optics * optics);
+}
+
+NarrowLayer::NarrowLayer(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& centre,
+                         const Eigen::Vector2d& at, double variance, int channel)
+    : columns_(at.x(), PixelSigma(receiver, lit, receiver.column_per_mm, variance)),
+      rows_(at.y(), PixelSigma(receiver, lit, receiver.row_per_mm, variance)) {
+  if (lit.light.model.Contains(at) && !InShadow(lit, at, centre))
+    white_dn_ = lit.light.WhiteTargetDn(centre, receiver.normal, channel, lit.exposure_ms);
+}
+
+double NarrowLayer::Under(const Image<float>& shown) const {
+  if (white_dn_ == 0.0) return 0.0;
+  double sum = 0.0;
+  for (size_t j = 0; j < rows_.share.size(); ++j) {
+    const int y = std::clamp(rows_.first + static_cast<int>(j), 0, shown.height() - 1);
+    double row = 0.0;
+    for (size_t i = 0; i < columns_.share.size(); ++i)
+      row += columns_.share[i] * shown(std::clamp(columns_.first + static_cast<int>(i), 0, shown.width() - 1), y);
+    sum += rows_.share[j] * row;
+  }
+  return sum * white_dn_;
+}
+
+}  // namespace stratalux::fit

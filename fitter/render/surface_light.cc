@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/surface_light.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fitter/render/receiver.h"
+#include "shared/base/parallel.h"
+#include "shared/geometry/quad.h"
+
+namespace stratalux::fit {
+namespace {
+
+// The pattern between its pixels; beyond its edge, the edge.
+double PatternAt(const Image<float>& pattern, const Eigen::Vector2d& at) {
+  const int x = std::clamp(static_cast<int>(std::floor(at.x())), 0, pattern.width() - 2);
+  const int y = std::clamp(static_cast<int>(std::floor(at.y())), 0, pattern.height() - 2);
+  const double u = std::clamp(at.x() - x, 0.0, 1.0), v = std::clamp(at.y() - y, 0.0, 1.0);
+  return (1 - v) * ((1 - u) * pattern(x, y) + u * pattern(x + 1, y)) +
+         v * ((1 - u) * pattern(x, y + 1) + u * pattern(x + 1, y + 1));
+}
+
+// Nine points of a pixel's footprint, in the light's pixels: one mosaic pixel, two on the diagonal for green. Those
+// that the light does not reach are left out.
+std::vector<Eigen::Vector2d> LitFootprint(const SurfaceMap& surface, const RigCalibration& rig, const LitSurface& lit,
+                                          int i, int j, int channel) {
+  const Eigen::Vector3d n = surface.Normal(i, j);
+  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
+  const double half = channel == 1 && rig.camera.cfa != Cfa::kMono ? 0.66 : 0.33;
+  std::vector<Eigen::Vector2d> reached;
+  for (int k = 0; k < 9; ++k) {
+    const Eigen::Vector3d ray = rig.camera.model.Unproject(site + half * Eigen::Vector2d(k % 3 - 1, k / 3 - 1));
+    const Eigen::Vector3d point = ray * (n.dot(surface.Point(i, j)) / n.dot(ray));
+    const auto at = lit.light.ProjectFromCamera(point);
+    if (at && lit.light.model.Contains(*at) && !InShadow(lit, *at, point)) reached.push_back(*at);
+  }
+  return reached;
+}
+
+}  // namespace
+
+Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, const ProjectorCalibration& light,
+                                int pool) {
+  Image<float> reflectance(surface.width(), surface.height(), map.channels, std::nanf(""));
+  const size_t lights = map.training_projectors.size();
+  for (int j = 0; j < reflectance.height(); ++j)
+    for (int i = 0; i < reflectance.width(); ++i)
+      for (int c = 0; c < map.channels; ++c) {
+        const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+        if (profile < 0 || !map.Fitted(profile)) continue;
+        if (map.scattering.reflection.Known()) {
+          const Eigen::Vector3d point = surface.Point(i, j);
+          const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(),
+                                                        -point.normalized(), surface.Normal(i, j));
+          reflectance(i, j, c) =
+              static_cast<float>(ReflectanceOf(map.scattering.reflection, angles, map.scattering.eta));
+          continue;
+        }
+        float sum = 0.0F;
+        for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
+        reflectance(i, j, c) = sum / static_cast<float>(lights);
+      }
+  return reflectance;
+}
+
+std::vector<Image<float>> SurfaceIrradiance(const SurfaceMap& surface, const RigCalibration& rig, const LitSurface& lit,
+                                            const std::vector<const Image<float>*>& patterns) {
+  const int channels = QuadChannels(rig.camera.cfa);
+  std::vector<Image<float>> images(patterns.size(), Image<float>(surface.width(), surface.height(), channels));
+  ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        for (int c = 0; c < channels; ++c) {
+          const auto footprint = LitFootprint(surface, rig, lit, i, j, c);
+          const double white = lit.light.WhiteTargetDn(surface.Point(i, j), surface.Normal(i, j), c, lit.exposure_ms);
+          for (size_t k = 0; k < patterns.size(); ++k) {
+            double sum = 0.0;
+            for (const Eigen::Vector2d& at : footprint) sum += PatternAt(*patterns[k], at);
+            images[k](i, j, c) = static_cast<float>(white * sum / 9.0);
+          }
+        }
+      }
+  });
+  return images;
+}
+
+Image<float> ReflectedLight(const Image<float>& reflectance, const Image<float>& irradiance) {
+  Image<float> image = irradiance;
+  for (size_t i = 0; i < image.size(); ++i) {
+    const float reflected = reflectance.pixels()[i] * irradiance.pixels()[i];
+    image.pixels()[i] = std::isfinite(reflected) ? reflected : 0.0F;
+  }
+  return image;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Light reflected by the very surface: a reflectance times the irradiance of a light's pattern.
+#pragma once
+
+#include <vector>
+
+#include "fitter/mixture/mixture_map.h"
+#include "fitter/render/lit_surface.h"
+
+namespace stratalux::fit {
+
+// Reflectance of the very surface of every quad under `light`, W x H x C: of the fit's surface reflection, or, where
+// the fit has none, the mean of its training lights'. NaN where nothing was fitted.
+[[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface,
+                                              const ProjectorCalibration& light, int pool);
+
+// What a surface of reflectance 1 returns under each of `patterns` (ProjectedPattern) of the light that `lit` is lit
+// by: W x H x C on quads, digital numbers above black, averaged over each pixel's footprint; 0 outside the surface and
+// in shadow.
+[[nodiscard]] std::vector<Image<float>> SurfaceIrradiance(const SurfaceMap& surface, const RigCalibration& rig,
+                                                          const LitSurface& lit,
+                                                          const std::vector<const Image<float>*>& patterns);
+
+// Reflectance times irradiance, pixel by pixel; 0 where the reflectance is not known.
+[[nodiscard]] Image<float> ReflectedLight(const Image<float>& reflectance, const Image<float>& irradiance);
+
+}  // namespace stratalux::fit
