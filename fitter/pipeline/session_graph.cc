@@ -317,12 +317,9 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
               {layers, mean, predicted},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const fs::path layers_folder, stages_.Folder(layers));
-                SLX_ASSIGN_OR_RETURN(const auto scaled, LoadLayers(layers_folder));
-                SLX_ASSIGN_OR_RETURN(const fs::path mean_folder, stages_.Folder(mean));
-                SLX_ASSIGN_OR_RETURN(const auto means, LoadLayers(mean_folder));
-                SLX_ASSIGN_OR_RETURN(const fs::path predicted_folder, stages_.Folder(predicted));
-                SLX_ASSIGN_OR_RETURN(auto predictions, LoadPredictions(predicted_folder));
+                SLX_ASSIGN_OR_RETURN(const auto scaled, stages_.Load(layers, LoadLayers));
+                SLX_ASSIGN_OR_RETURN(const auto means, stages_.Load(mean, LoadLayers));
+                SLX_ASSIGN_OR_RETURN(auto predictions, stages_.Load(predicted, LoadPredictions));
                 return SavePredictions(folder,
                                        ScaledPredictions(std::move(predictions), means.map, scaled.map, scaled.pool));
               }});
