@@ -15,7 +15,6 @@
 #include "db/apps/serve/site.h"
 #include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
-#include "db/catalogue/fit_reader.h"
 #include "db/catalogue/named_query.h"
 #include "db/keys/key_store.h"
 #include "db/privacy/access_log.h"
@@ -233,35 +232,6 @@ TEST_F(ServePages, AnEncryptedSessionWithoutItsKeySaysSo) {
   EXPECT_THAT(Get("/pictures/" + id + "/0").body, HasSubstr("no key"));
   EXPECT_THAT(Get("/sessions/" + id + "/frames/0").body, HasSubstr("is encrypted and cannot be read"));
   EXPECT_EQ(Get("/sessions/" + id).status, 200);
-}
-
-// Out of memory: the store holds nothing plain before or after.
-TEST_F(ServePages, ASealedReportIsShownWhereTheKeyIs) {
-  const std::string id = VisitOf("v-5f3a91c2", {.encryption = Encryption::kPerSession});
-  const auto fit = OpenStore().FitFolder(id, "f1"), plain = folder_ / "plain.html";
-  const std::string html = "<h1>a face</h1>", files = "/sessions/" + id + "/fits/f1/files/";
-  std::filesystem::create_directories(fit / "report");
-  WriteText(plain, html);
-  auto seal = FindSeal(OpenStore(AccessMode::kReadOnly), id);
-  ASSERT_TRUE(seal.ok());
-  ASSERT_TRUE(seal->Seal(plain, "fits/f1/report/index.html", fit / "report" / "index.html").ok());
-  ASSERT_TRUE(seal->Seal(plain, "fits/f1/report/index.html", fit / "report" / "moved.html").ok());
-  WriteText(fit / "report" / "older.html", html);
-  WriteText(fit / "metrics.json", R"({"fit": {"divergence": 0.5}})");
-  ASSERT_TRUE(OpenStore().RegisterFit({"f1", id, "{}", R"({"fit": {"divergence": 0.5}})", {5}}).ok());
-
-  const Answer report = Get(files + "report/index.html");
-  EXPECT_EQ(report.status, 200);
-  EXPECT_EQ(report.body, html);
-  EXPECT_THAT(report.headers.at("content-type"), HasSubstr("text/html"));
-  for (const char* name : {"report/moved.html", "report/older.html"}) {
-    EXPECT_NE(Get(files + name).status, 200) << name;
-    EXPECT_THAT(Get(files + name).body, Not(HasSubstr("a face"))) << name;
-  }
-  std::filesystem::remove(KeyFile(folder_));
-  EXPECT_THAT(Get(files + "report/index.html").body, HasSubstr("is encrypted and cannot be read"));
-  EXPECT_EQ(Get(files + "metrics.json").status, 200);
-  EXPECT_THAT(Get("/sessions/" + id + "/fits/f1").body, HasSubstr("fit.divergence"));
 }
 
 TEST_F(ServePages, AWithdrawnConsentCoversPicturesAndReports) {
