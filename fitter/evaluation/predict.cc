@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/predict.h"
 
+#include <array>
 #include <numeric>
 
 #include "fitter/evaluation/direct_light.h"
@@ -37,9 +38,11 @@ Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, con
   std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, rig, lit, pyramids, {pool});
   const std::vector<Image<float>> irradiance = SurfaceIrradiance(surface, rig, lit, patterns);
   Predictions predictions;
-  for (size_t k = 0; k < lights.size(); ++k)
-    predictions[lights[k]] = {std::move(subsurface[k]), ReflectedLight(reflectance, irradiance[k]),
-                              ReflectedLight(part, irradiance[k])};
+  for (size_t k = 0; k < lights.size(); ++k) {
+    Prediction& p = predictions[lights[k]];
+    p = {std::move(subsurface[k]), ReflectedLight(reflectance, irradiance[k]), ReflectedLight(part, irradiance[k])};
+    MarkUnfitted(map, surface, pool, std::array{&p.subsurface, &p.surface, &p.direct_part});
+  }
   return predictions;
 }
 

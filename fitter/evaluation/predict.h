@@ -13,13 +13,14 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 2;
+inline constexpr int kPredictVersion = 3;
 
-// Under one light; quads x colours, digital numbers above black.
+// Under one light; quads x colours, digital numbers above black; 0 outside the surface, NaN where that colour was not
+// fitted.
 struct Prediction {
-  Image<float> subsurface;   // 0 outside the surface
-  Image<float> surface;      // by the fit's own reflection of the very surface; NaN where nothing was fitted
-  Image<float> direct_part;  // of `subsurface`, what separation would call direct (direct_light.h); NaN as `surface`
+  Image<float> subsurface;
+  Image<float> surface;      // by the fit's own reflection of the very surface
+  Image<float> direct_part;  // of `subsurface`, what separation would call direct (direct_light.h)
 };
 using Predictions = std::map<std::string, Prediction>;  // by light
 

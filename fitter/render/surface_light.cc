@@ -94,4 +94,22 @@ Image<float> ReflectedLight(const Image<float>& reflectance, const Image<float>&
   return image;
 }
 
+int64_t MarkUnfitted(const MixtureMap& map, const SurfaceMap& surface, int pool,
+                     std::span<Image<float>* const> images) {
+  int64_t incomplete = 0;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i) {
+      if (surface.mask(i, j) == 0) continue;
+      bool complete = true;
+      for (int c = 0; c < map.channels; ++c) {
+        const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+        if (profile >= 0 && map.Fitted(profile)) continue;
+        complete = false;
+        for (Image<float>* image : images) (*image)(i, j, c) = std::nanf("");
+      }
+      incomplete += complete ? 0 : 1;
+    }
+  return incomplete;
+}
+
 }  // namespace stratalux::fit

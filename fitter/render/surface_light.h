@@ -2,6 +2,8 @@
 // Light reflected by the very surface: a reflectance times the irradiance of a light's pattern.
 #pragma once
 
+#include <cstdint>
+#include <span>
 #include <vector>
 
 #include "fitter/mixture/mixture_map.h"
@@ -23,5 +25,9 @@ namespace stratalux::fit {
 
 // Reflectance times irradiance, pixel by pixel; 0 where the reflectance is not known.
 [[nodiscard]] Image<float> ReflectedLight(const Image<float>& reflectance, const Image<float>& irradiance);
+
+// A colour that was not fitted is unknown, not dark: NaN in each of `images`, where there is surface. How many quads of
+// the surface lack one or more.
+int64_t MarkUnfitted(const MixtureMap& map, const SurfaceMap& surface, int pool, std::span<Image<float>* const> images);
 
 }  // namespace stratalux::fit

@@ -2,6 +2,7 @@
 #include "fitter/stages/relight.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "fitter/export/exr_file.h"
@@ -36,23 +37,6 @@ Extent ExtentOf(const SurfaceMap& surface, const Eigen::Vector3d& position) {
   extent.centre /= std::max(count, 1.0);
   extent.nearest_mm = std::sqrt(nearest2);
   return extent;
-}
-
-// A colour that was not fitted is unknown, not dark.
-void MaskUnfitted(const SavedFit& fit, Relit& relit) {
-  for (int j = 0; j < relit.total.height(); ++j)
-    for (int i = 0; i < relit.total.width(); ++i) {
-      if (fit.shape.surface.mask(i, j) == 0) continue;
-      ++relit.face;
-      bool complete = true;
-      for (int c = 0; c < relit.total.channels(); ++c) {
-        const int64_t profile = fit.map.ProfileOfQuad(i, j, c, fit.pool);
-        if (profile >= 0 && fit.map.Fitted(profile)) continue;
-        complete = false;
-        for (Image<float>* image : {&relit.subsurface, &relit.surface, &relit.total}) (*image)(i, j, c) = std::nanf("");
-      }
-      relit.incomplete += complete ? 0 : 1;
-    }
 }
 
 Result<ProjectorCalibration> LightFor(const SavedFit& fit, const RigCalibration& rig, const VirtualLight& light,
@@ -106,7 +90,11 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
                                  SurfaceIrradiance(fit.shape.surface, rig, lit, {&pyramids.front().pattern}).front());
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
-  MaskUnfitted(fit, relit);
+  const SurfaceMap& surface = fit.shape.surface;
+  relit.face =
+      std::count_if(surface.mask.pixels().begin(), surface.mask.pixels().end(), [](uint8_t m) { return m != 0; });
+  relit.incomplete =
+      MarkUnfitted(fit.map, surface, fit.pool, std::array{&relit.subsurface, &relit.surface, &relit.total});
   return relit;
 }
 
