@@ -16,12 +16,15 @@ endfunction()
 # What `cmake --install` installs; `cmake --build --preset release --target programs` builds no test.
 add_custom_target(programs)
 
-# stratalux_program(NAME SOURCES ... DEPS ...): a program in build/<preset>/bin.
+# stratalux_program(NAME SOURCES ... DEPS ... [PACKAGE p]): a program in build/<preset>/bin, and in the package of its name or in p.
 function(stratalux_program name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;DEPS" ${ARGN})
+  cmake_parse_arguments(ARG "" "PACKAGE" "SOURCES;DEPS" ${ARGN})
+  if(NOT ARG_PACKAGE)
+    set(ARG_PACKAGE ${name})
+  endif()
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
-  install(TARGETS ${name} RUNTIME)
+  install(TARGETS ${name} RUNTIME COMPONENT ${ARG_PACKAGE})
   add_dependencies(programs ${name})
 endfunction()
 

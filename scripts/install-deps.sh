@@ -41,6 +41,8 @@ libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
+systemd              test systemd-analyze, systemd-sysusers and systemd-tmpfiles hold the units of systemd/
+udev                 test udevadm holds the rules of systemd/
 clang-format         test the format check
 clang                test libFuzzer, for the night part fuzz; without it that part is skipped
 chromium             web  the store's page in a real browser (label web)

@@ -22,7 +22,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db verify --deep
   stratalux-db export latest --out pictures --format tiff
   stratalux-db backup --store store --to /media/disk/store-backup
-  stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
+  stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux/store
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
   stratalux-db serve --store store
