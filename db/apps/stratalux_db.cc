@@ -8,6 +8,7 @@
 #include "db/apps/display_text.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/version.h"
+#include "shared/manual/manual.h"
 
 namespace stratalux::db {
 namespace {
@@ -45,6 +46,7 @@ int Main(int argc, char** argv) {
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
   AddServeCommand(commands);
+  if (const auto manual = AskedManual(app, "stratalux-db", argc, argv)) return PrintBytes(*manual);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));
   try {
