@@ -45,8 +45,8 @@ stratalux_package(stratalux-data
   SUMMARY "tables, account and documents of Stratalux"
   DESCRIPTION "Stratalux measures how light travels under a person's skin and puts it
 back on screen. This package holds the simulated skin's light-transport
-tables, the documents, and the account that owns the store and opens a
-rig's devices."
+tables, the documents, the configuration, and the account that owns the
+store and opens a rig's devices."
   DEPENDS "systemd | systemd-standalone-sysusers | systemd-sysusers, systemd | systemd-standalone-tmpfiles | systemd-tmpfiles")
 set(CPACK_DEBIAN_STRATALUX-DATA_PACKAGE_ARCHITECTURE all)
 set(CPACK_DEBIAN_STRATALUX-DATA_PACKAGE_SHLIBDEPS OFF)
@@ -76,9 +76,9 @@ the face under new light."
       RECOMMENDS "stratalux-db")
 endif()
 
-# The rig's configuration, a conffile; `cmake --install` without packages leaves that of a machine alone.
+# The configuration, a conffile: the rig's, and on a workstation the days that a purge goes by. `cmake --install` without packages leaves that of a machine alone.
 file(READ "${CMAKE_SOURCE_DIR}/docs/examples/rig.toml" text)
 string(REPLACE "\n# store = \"/var/lib/stratalux/store\"" "\nstore = \"/var/lib/stratalux/store\"" text "${text}")
 file(WRITE "${CMAKE_BINARY_DIR}/packaging/rig.toml" "${text}")
-install(FILES "${CMAKE_BINARY_DIR}/packaging/rig.toml" DESTINATION /etc/stratalux COMPONENT stratalux-rig EXCLUDE_FROM_ALL)
+install(FILES "${CMAKE_BINARY_DIR}/packaging/rig.toml" DESTINATION /etc/stratalux COMPONENT stratalux-data EXCLUDE_FROM_ALL)
 include(CPack)

@@ -39,8 +39,8 @@ heavy='libopencv|libceres|libglog|libcholmod|libopenexr|slurm'
 ! field stratalux-rig Depends | grep -E "$heavy|libtiff" || fail "the controller depends on what only others need"
 [[ $(field stratalux-fit Depends) == *libopencv-calib3d*libopenexr* ]] || fail "the fitter's libraries are not found: $(field stratalux-fit Depends)"
 [[ $(field stratalux-rig Depends) == *libgpiod* ]] || fail "the controller's libraries are not found"
-dpkg-deb -I "$(deb stratalux-rig)" conffiles | grep -x /etc/stratalux/rig.toml >/dev/null || fail "/etc/stratalux/rig.toml is no conffile"
-dpkg-deb --fsys-tarfile "$(deb stratalux-rig)" | tar -xO ./etc/stratalux/rig.toml | grep -x 'store = "/var/lib/stratalux/store"[ ]*' >/dev/null || fail "the shipped configuration names no store"
+dpkg-deb -I "$(deb stratalux-data)" conffiles | grep -x /etc/stratalux/rig.toml >/dev/null || fail "/etc/stratalux/rig.toml is no conffile"
+dpkg-deb --fsys-tarfile "$(deb stratalux-data)" | tar -xO ./etc/stratalux/rig.toml | grep -x 'store = "/var/lib/stratalux/store"[ ]*' >/dev/null || fail "the shipped configuration names no store"
 for file in man/man1/stratalux-rig.1.gz bash-completion/completions/stratalux-rig zsh/vendor-completions/_stratalux-rig fish/vendor_completions.d/stratalux-rig.fish; do
   dpkg-deb -c "$(deb stratalux-rig)" | grep " ./usr/share/$file\$" >/dev/null || fail "stratalux-rig lacks $file"
 done

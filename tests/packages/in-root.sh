@@ -50,6 +50,12 @@ TOML
 as_rig stratalux-rig capture --simulate --config /tmp/plan.toml >/tmp/log 2>&1 || { tail -n 20 /tmp/log; fail "a capture"; }
 as_rig stratalux-db verify --deep --store $store >/dev/null || fail "verify"
 
+step "what a timer's service would run"
+for unit in purge verify; do
+  read -ra command < <(sed -n 's/^ExecStart=//p' /lib/systemd/system/stratalux-$unit.service)
+  as_rig "${command[@]}" >/tmp/log 2>&1 || { cat /tmp/log; fail "stratalux-$unit.service"; }
+done
+
 step "an upgrade with a live store: one session after another is being written"
 rm -f /tmp/upgraded
 (
