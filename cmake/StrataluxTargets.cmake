@@ -16,13 +16,36 @@ endfunction()
 # What `cmake --install` installs; `cmake --build --preset release --target programs` builds no test.
 add_custom_target(programs)
 
-# stratalux_program(NAME SOURCES ... DEPS ...): a program in build/<preset>/bin.
+# stratalux_manual(PROGRAM PACKAGE): its manual page and completions, which it makes of its own table of options.
+include(GNUInstallDirs)
+function(stratalux_manual program package)
+  set(page "${CMAKE_BINARY_DIR}/share/man/man1/${program}.1")
+  set(bash "${CMAKE_BINARY_DIR}/share/bash-completion/completions/${program}")
+  set(zsh "${CMAKE_BINARY_DIR}/share/zsh/vendor-completions/_${program}")
+  set(fish "${CMAKE_BINARY_DIR}/share/fish/vendor_completions.d/${program}.fish")
+  set(files "${page}" "${bash}" "${zsh}" "${fish}")
+  foreach(file IN LISTS files)
+    get_filename_component(folder "${file}" DIRECTORY)
+    file(MAKE_DIRECTORY "${folder}")
+    string(REPLACE "${CMAKE_BINARY_DIR}/share" "${CMAKE_INSTALL_DATADIR}" there "${folder}")
+    install(FILES "${file}" DESTINATION "${there}" COMPONENT ${package})
+  endforeach()
+  add_custom_command(TARGET ${program} POST_BUILD BYPRODUCTS ${files} VERBATIM
+                     COMMAND ${program} manual man > "${page}" COMMAND ${program} manual bash > "${bash}"
+                     COMMAND ${program} manual zsh > "${zsh}" COMMAND ${program} manual fish > "${fish}")
+endfunction()
+
+# stratalux_program(NAME SOURCES ... DEPS ... [PACKAGE p]): a program in build/<preset>/bin, and in the package of its name or in p.
 function(stratalux_program name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;DEPS" ${ARGN})
+  cmake_parse_arguments(ARG "" "PACKAGE" "SOURCES;DEPS" ${ARGN})
+  if(NOT ARG_PACKAGE)
+    set(ARG_PACKAGE ${name})
+  endif()
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
-  install(TARGETS ${name} RUNTIME)
+  install(TARGETS ${name} RUNTIME COMPONENT ${ARG_PACKAGE})
   add_dependencies(programs ${name})
+  stratalux_manual(${name} ${ARG_PACKAGE})
 endfunction()
 
 # stratalux_test_build(TARGET): how a test is compiled. Of its own lines little needs speed (but without any optimisation

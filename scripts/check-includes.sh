@@ -78,7 +78,7 @@ one_way() {
     done
   done
 }
-one_way shared base units geometry image transport pattern capture config http
+one_way shared base units geometry image transport pattern capture config http manual
 one_way db base keys segment ledger catalogue care privacy transfer interchange apps
 one_way fitter export sensor structured_light mixture reconstruction separation photometric srd scattering render profiles session stages calibration evaluation report pipeline apps
 hits=$(ls -d fitter/*/ 2>/dev/null | grep -vE '/(export|sensor|structured_light|mixture|reconstruction|separation|photometric|srd|scattering|render|profiles|session|stages|calibration|evaluation|report|pipeline|apps)/$')

@@ -41,6 +41,8 @@ libgtest-dev         test GoogleTest
 libgmock-dev         test GoogleTest's matchers
 libbenchmark-dev     test benchmarks (preset bench)
 sqlite3              test the views and named queries in a shell that knows nothing of ours
+systemd              test systemd-analyze, systemd-sysusers and systemd-tmpfiles hold the units of systemd/
+udev                 test udevadm holds the rules of systemd/
 clang-format         test the format check
 clang                test libFuzzer, for the night part fuzz; without it that part is skipped
 chromium             web  the store's page in a real browser (label web)
@@ -53,6 +55,13 @@ cpio                 vm   the guest's first file system
 kmod                 vm   depmod and modprobe for the guest's modules
 xz-utils             vm   the kernel's source is an xz archive
 mmdebstrap           night scripts/test-debian.sh: a root of another release (docs/night.md)
+dpkg-dev             pack dpkg-shlibdeps: which package has which library of ours
+gnupg                pack scripts/package.sh --sign
+lintian              pack holds the packages against Debian's policy
+mandoc               test reads the manual pages closely
+man-db               test as their readers do
+zsh                  test the completions for zsh
+fish                 test the completions for fish
 git                  test the style checks list the tracked files
 libarmadillo-dev     peer em_bench: gmm_diag; without it that peer is left out
 python3-sklearn      peer tests/bench/mixture/em_sklearn.py: GaussianMixture

@@ -9,8 +9,8 @@ usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy
   --unit, --integration, --style   only these tests (ctest labels)
   --asan                           with address and undefined-behaviour sanitizers
   --tidy                           clang-tidy over the whole tree instead of tests
-  --night [PART ...|all]           the whole numbers behind the tests' samples (docs/night.md): every part but two of the
-                                   three that build the tree anew and take turns, or those named, or all;
+  --night [PART ...|all]           the whole numbers behind the tests' samples (docs/night.md): every part but three of the
+                                   four that build the tree anew and take turns, or those named, or all;
                                    STRATALUX_SEED=N chooses the draws; without it the date
   --no-install                     do not look for missing Debian packages
 HELP
@@ -45,7 +45,7 @@ if [ $night -eq 1 ]; then
   echo "seed $STRATALUX_SEED" >&2
   known=$(ctest --test-dir "build/$preset" -C night -L night -N | sed -n 's/.*: night\.//p')
   if [ ${#parts[@]} -eq 0 ]; then
-    turns=(fuzz sanitizers debian-13)
+    turns=(fuzz sanitizers debian-13 packages-13)
     turn=$((10#$(date +%j) % ${#turns[@]}))
     echo "tonight's turn: ${turns[turn]}" >&2
     unset 'turns[turn]'

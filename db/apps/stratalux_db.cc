@@ -8,6 +8,7 @@
 #include "db/apps/display_text.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/version.h"
+#include "shared/manual/manual.h"
 
 namespace stratalux::db {
 namespace {
@@ -22,7 +23,7 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db verify --deep
   stratalux-db export latest --out pictures --format tiff
   stratalux-db backup --store store --to /media/disk/store-backup
-  stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux
+  stratalux-db pull --store store --from kiosk@rig-1:/var/lib/stratalux/store
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
   stratalux-db serve --store store
@@ -45,6 +46,7 @@ int Main(int argc, char** argv) {
   AddPrivacyCommands(commands);
   AddForgetCommands(commands);
   AddServeCommand(commands);
+  if (const auto manual = AskedManual(app, "stratalux-db", argc, argv)) return PrintBytes(*manual);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));
   try {

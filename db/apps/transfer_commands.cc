@@ -238,9 +238,9 @@ void AddTransferCommands(Commands& commands) {
                       "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
-  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux",
-                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux --dry-run",
-                         "pull --from kiosk@rig-1:/var/lib/stratalux --obey"}));
+  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux/store",
+                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux/store --dry-run",
+                         "pull --from kiosk@rig-1:/var/lib/stratalux/store --obey"}));
   pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
   pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");

@@ -13,6 +13,7 @@
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/fit_metrics.h"
 #include "db/catalogue/manifest.h"
+#include "db/catalogue/schema_check.h"
 #include "db/migration_0001.h"
 #include "db/migration_0002.h"
 #include "db/migration_0003.h"
@@ -191,10 +192,7 @@ Result<SessionIndex> SessionIndex::Open(const std::filesystem::path& folder, Acc
   if (*identity != kApplicationId)
     return Status::Integrity(file.string() + " is not a Stratalux index (application id " + std::to_string(*identity) +
                              "); restore it from a copy (the frames in sessions/ are not touched)");
-  if (version > kSchemaVersion)
-    return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
-                                                " is newer than this program's " + std::to_string(kSchemaVersion) +
-                                                "; use a newer stratalux");
+  if (version > kSchemaVersion) return NewerIndex(folder, version);
   if (!write && version < kSchemaVersion) {
     SLX_ASSIGN_OR_RETURN(auto writer, Connection::Open(file, Connection::Mode::kReadWrite));
     SLX_RETURN_IF_ERROR(

@@ -64,13 +64,16 @@ Result<Connection> OpenToWrite(const std::filesystem::path& store) {
   return connection;
 }
 
+// By errno.
+std::string NoAccess(const std::filesystem::path& file) {
+  return "cannot read " + file.string() + ": " + std::strerror(errno) + "; only the account that runs the rig may";
+}
+
 // kNotFound where there is no file. Write access where we have it: only so can SQLite undo a half-done write.
 Result<Connection> OpenToRead(const std::filesystem::path& store) {
   const auto file = KeyFile(store);
   if (access(file.c_str(), F_OK) != 0) return Status::NotFound(file.string() + " does not exist");
-  if (access(file.c_str(), R_OK) != 0)
-    return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno) +
-                          "; only the account that runs the rig may");
+  if (access(file.c_str(), R_OK) != 0) return Status::Failed(NoAccess(file));
   return Checked(file, access(file.c_str(), W_OK) == 0 ? Connection::Mode::kReadWrite : Connection::Mode::kReadOnly);
 }
 
@@ -134,6 +137,9 @@ Result<SessionKey> CreateKey(const std::filesystem::path& store) {
 }
 
 Result<SessionKey> FindKey(const std::filesystem::path& store, const KeyId& id) {
+  const auto file = KeyFile(store);
+  // Who may not read the keys has none: a pull by an account, or in a unit, without them still hashes what it copies.
+  if (access(file.c_str(), R_OK) != 0 && errno == EACCES) return Status::NotFound(NoAccess(file));
   SLX_ASSIGN_OR_RETURN(auto connection, OpenToRead(store));
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT key FROM keys WHERE id = ?1"));
   select.Bind(1, std::span<const uint8_t>(id));

@@ -40,7 +40,7 @@ struct SessionKey {
 
 // A fresh random key, safe on the disk when this returns. Makes keys.sqlite when missing.
 [[nodiscard]] Result<SessionKey> CreateKey(const std::filesystem::path& store);
-// kNotFound where the key (or keys.sqlite) is not there; kIntegrity for a damaged or foreign keys.sqlite.
+// kNotFound where the key (or keys.sqlite) is not there or may not be read; kIntegrity for a damaged or foreign file.
 [[nodiscard]] Result<SessionKey> FindKey(const std::filesystem::path& store, const KeyId& id);
 // Stores a key that came from another machine; kOk when it is there already.
 Status ImportKey(const std::filesystem::path& store, const SessionKey& key);

@@ -30,6 +30,7 @@
 #include "shared/base/printable.h"
 #include "shared/base/standard_output.h"
 #include "shared/base/version.h"
+#include "shared/manual/manual.h"
 
 namespace stratalux::rig {
 namespace {
@@ -453,6 +454,7 @@ int Main(int argc, char** argv) {
       app.add_subcommand("safe", "Take every light: ENABLE lines off, displays black, as a unit's ExecStopPost does");
   safe->footer(kSafeExamples);
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
+  if (const auto manual = AskedManual(app, "stratalux-rig", argc, argv)) return Print(*manual);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));
   try {

@@ -10,12 +10,15 @@
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
+#include "shared/base/standard_output.h"
 #include "shared/base/version.h"
+#include "shared/manual/manual.h"
 
 int main(int argc, char** argv) {
   stratalux::fit::RemoveOnInterruption();
-  CLI::App app(
-      "stratalux-fit: reconstructs, fits scattering layers, renders, compares, reports.\n\nExamples:\n"
+  CLI::App app("Stratalux's fitter: reconstructs, fits scattering layers, renders, compares, reports");
+  app.footer(
+      "Examples:\n"
       "  stratalux-fit run latest --store store\n"
       "  stratalux-fit run s000003 --store store --full-evaluation --shift refracted_sine\n"
       "  stratalux-fit calibrate --last 12 --store store\n"
@@ -32,6 +35,11 @@ int main(int argc, char** argv) {
   stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
+  if (const auto manual = stratalux::AskedManual(app, "stratalux-fit", argc, argv)) {
+    const stratalux::Status written = stratalux::WriteStdout(*manual);
+    if (!written.ok()) std::fprintf(stderr, "stratalux-fit: %s\n", written.message().c_str());
+    return written.exit_code();
+  }
   if (const std::string mistyped = stratalux::MistypedCommand(app, argc, argv); !mistyped.empty()) {
     std::fprintf(stderr, "stratalux-fit: %s\n", stratalux::PrintableLines(mistyped).c_str());
     return 2;

@@ -70,9 +70,10 @@ def install(build, prefix):
     programs = ["stratalux-rig", "stratalux-db", "stratalux-fit", "stratalux-skin-table"]
     wanted = [f"bin/{program}" for program in programs]
     wanted += ["share/stratalux/skin_table.bin", "share/stratalux/wax_table.bin", "share/doc/stratalux/privacy.md"]
-    wanted += ["share/doc/stratalux/examples/rig.toml", "lib/systemd/system/stratalux-purge.service"]
-    wanted += ["lib/systemd/system/stratalux-purge.timer", "lib/sysusers.d/stratalux.conf"]
-    wanted += ["lib/udev/rules.d/60-stratalux-gpio.rules"]
+    wanted += ["share/doc/stratalux/examples/rig.toml", "lib/sysusers.d/stratalux.conf", "lib/tmpfiles.d/stratalux.conf"]
+    wanted += ["lib/udev/rules.d/60-stratalux.rules", "lib/systemd/system/stratalux-safe.service"]
+    for unit in ("purge", "verify", "pull"):
+        wanted += [f"lib/systemd/system/stratalux-{unit}.service", f"lib/systemd/system/stratalux-{unit}.timer"]
     for name in wanted:
         if not (prefix / name).is_file():
             sys.exit(f"cmake --install: {name} is missing")

@@ -12,6 +12,7 @@
 #include "firmware-host/simulated/skin/skin_table_check.h"
 #include "firmware-host/simulated/table_tool/line_spread.h"
 #include "shared/base/version.h"
+#include "shared/manual/manual.h"
 
 namespace stratalux::rig {
 namespace {
@@ -115,8 +116,9 @@ int Profiles(const LineSpreadOptions& options, const std::string& out) {
 }  // namespace
 
 int Main(int argc, char** argv) {
-  CLI::App app(
-      "Light transport of the simulated skin by Monte Carlo.\n\nExamples:\n"
+  CLI::App app("Light transport of the simulated skin by Monte Carlo");
+  app.footer(
+      "Examples:\n"
       "  stratalux-skin-table generate --photons 1000000 --seed 1 --out skin_table.bin\n"
       "  stratalux-skin-table check skin_table.bin --channel 0 --in 1 --exit 2 --azimuth 4\n"
       "  stratalux-skin-table check skin_table.bin --interpolation --photons 200000\n"
@@ -164,6 +166,10 @@ int Main(int argc, char** argv) {
   spread->add_option("--photons", profiles.photons, "Photons for each incidence")->check(CLI::PositiveNumber);
   spread->add_option("--seed", profiles.seed, "Seed");
   spread->add_option("--out", out, "CSV file, - for stdout");
+  if (const auto manual = AskedManual(app, "stratalux-skin-table", argc, argv)) {
+    std::cout << *manual << std::flush;
+    return std::cout ? 0 : 1;
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -6,7 +6,7 @@
 //   v-5f3a91c2, p-0417                     visitors of that store
 //   store                                  the store, beside the folder the commands run in (STRATALUX_STORE too)
 //   /media/...                             a folder of the test
-//   kiosk@rig-1:/var/lib/stratalux         another store, on this machine
+//   kiosk@rig-1:/var/lib/stratalux/store         another store, on this machine
 //   archive, copy-of-the-store, workstation   stores without sessions: what was pulled, what is all signed, what
 //   imports 192.168.7.2, --port 8080               an address of this machine, a port that is free a command that
 //   serves                  is stopped with SIGTERM once it has printed its link a command with "# exit N" behind it
@@ -96,7 +96,7 @@ class Guide : public StoreTest {
     replace("s000012", oldest_);
     replace("192.168.7.2", "0.0.0.0");
     replace("--port 8080", "--port 0");
-    replace("kiosk@rig-1:/var/lib/stratalux", (place_ / "rig").string());
+    replace("kiosk@rig-1:/var/lib/stratalux/store", (place_ / "rig").string());
     replace("/media/", (place_ / "media").string() + "/");
     if (text.starts_with("stratalux-db serve "))
       text = "rm -f served; " + text +  // an earlier one's would say that this one is ready

@@ -179,6 +179,43 @@ TEST_F(MigrationTest, RefusesANewerSchema) {
   EXPECT_EQ(ReadOnlyIndex::Open(folder_).status().exit_code(), 7);
 }
 
+// A downgrade behind a migration, as docs/install.md has it: the copy of before takes the index's place, and a reindex
+// lists what was captured since.
+TEST_F(StoreTest, ANewerIndexIsRefusedWithTheWayBack) {
+  const std::string before = StoreSession(3);
+  // As Migrate() keeps it; of these two, only the first is one that we read.
+  const auto copy = folder_ / ("index-before-" + std::to_string(kSchemaVersion + 1) + ".sqlite");
+  const auto later = folder_ / ("index-before-" + std::to_string(kSchemaVersion + 2) + ".sqlite");
+  const auto execute = [](const std::filesystem::path& file, const std::string& sql) {
+    auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
+    return connection.ok() ? connection->Execute(sql) : connection.status();
+  };
+  ASSERT_TRUE(execute(folder_ / "index.sqlite", "VACUUM INTO '" + copy.string() + "'").ok());
+  ASSERT_TRUE(execute(folder_ / "index.sqlite", "VACUUM INTO '" + later.string() + "'").ok());
+  ASSERT_TRUE(execute(later, "PRAGMA user_version = " + std::to_string(kSchemaVersion + 1)).ok());
+  const std::string since = StoreSession(2);
+  ASSERT_TRUE(execute(folder_ / "index.sqlite", "PRAGMA user_version = " + std::to_string(kSchemaVersion + 2)).ok());
+
+  for (const AccessMode mode : {AccessMode::kReadOnly, AccessMode::kReadWrite}) {
+    const Status refused = SessionStore::Open(folder_, mode).status();
+    EXPECT_EQ(refused.code(), StatusCode::kNewerSchema);
+    EXPECT_THAT(refused.message(), HasSubstr("use a newer stratalux, or go back to " + copy.string()));
+  }
+
+  const std::filesystem::path aside = folder_.string() + "-newer";
+  std::filesystem::create_directory(aside);
+  for (const char* name : {"index.sqlite", "index.sqlite-wal", "index.sqlite-shm"})
+    if (std::filesystem::exists(folder_ / name)) std::filesystem::rename(folder_ / name, aside / name);
+  std::filesystem::copy_file(copy, folder_ / "index.sqlite");
+  Logger logger(LogLevel::kError);
+  const auto report = Reindex(folder_, logger);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_TRUE(report->problems.empty());
+  const SessionStore store = OpenStore(AccessMode::kReadOnly);
+  for (const std::string& id : {before, since}) EXPECT_TRUE(store.FindSession(id).ok()) << id;
+  std::filesystem::remove_all(aside);
+}
+
 // A store that a program of an older schema left, packed with what it said of itself: rows of every table, the samples
 // of every frame, the verdict of `verify --deep` (tests/db/samples/README.md).
 class FrozenStoreTest : public StoreTest {

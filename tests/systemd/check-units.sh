@@ -1,0 +1,176 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# What the units, accounts, folders and rules of systemd/ promise, held by systemd's own tools. Exit 77: a tool is missing.
+#   check-units.sh security|verify|programs|accounts|rules|pull SOURCE BUILD
+set -euo pipefail
+check=$1 source=$2 build=$3
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+fail() { printf 'FAILED: %s\n' "$@" >&2; exit 1; }
+need() { command -v "$1" >/dev/null || { echo "skipped: $1 is not installed: scripts/install-deps.sh" >&2; exit 77; }; }
+installed() {
+  for component in stratalux-data stratalux-db stratalux-rig; do
+    cmake --install "$build" --prefix "$scratch/usr" --component $component >"$scratch/log" || { cat "$scratch/log"; fail "cmake --install"; }
+  done
+}
+
+# Tenths of systemd's points of exposure that a unit may have, by what it has to reach.
+limit_of() {
+  case "$1" in
+    stratalux-kiosk|stratalux-safe) echo 15 ;;   # devices
+    stratalux-purge|stratalux-verify) echo 5 ;;  # neither devices nor network
+    stratalux-pull) echo 15 ;;                   # network
+    stratalux-display) echo 75 ;;                # a browser, which has a sandbox of its own
+    *) fail "$1.service has no limit of exposure in ${BASH_SOURCE[0]}" ;;
+  esac
+}
+exposed() { systemd-analyze security --offline=yes --threshold="$2" "$1" >"$scratch/said" 2>&1; }
+security() {
+  need systemd-analyze
+  for unit in "$source"/systemd/*.service; do
+    name=$(basename "$unit" .service)
+    limit=$(limit_of "$name")
+    exposed "$unit" "$limit" || { grep '✗' "$scratch/said" || true; fail "$name: $(tail -n 1 "$scratch/said"); at most $limit tenths"; }
+    tail -n 1 "$scratch/said"
+  done
+  grep -v PrivateNetwork "$source/systemd/stratalux-purge.service" >"$scratch/stratalux-purge.service"
+  ! exposed "$scratch/stratalux-purge.service" 5 || fail "a purge with a network passes for one without"
+}
+
+verify() {
+  need systemd-analyze
+  installed
+  units=$scratch/usr/lib/systemd/system
+  # What is not of ours need not be on this machine.
+  sed 's:=/usr/bin/cage -d -- /usr/bin/chromium:=/bin/true:' "$source/systemd/stratalux-display.service" >"$units/stratalux-display.service"
+  [ -e "$units/stratalux-kiosk.service" ] ||
+    sed 's:=/usr/bin/stratalux-rig:=/bin/true:' "$source/systemd/stratalux-kiosk.service" >"$units/stratalux-kiosk.service"
+  systemd-analyze verify --man=no "$units"/* >"$scratch/said" 2>&1 || { cat "$scratch/said"; fail "systemd-analyze verify"; }
+  [ ! -s "$scratch/said" ] || { cat "$scratch/said"; fail "systemd-analyze verify is not silent"; }
+  sed -i 's/^Nice=/Nyce=/' "$units/stratalux-purge.service"
+  systemd-analyze verify --man=no "$units/stratalux-purge.service" >"$scratch/said" 2>&1 || true
+  grep -q "Nyce" "$scratch/said" || fail "an unknown key passes"
+}
+
+# No unit is installed that calls a program, verb or option that is not there.
+programs() {
+  installed
+  count=0
+  while IFS= read -r line; do
+    words=${line#*=}
+    # shellcheck disable=SC2086
+    set -- $words
+    [ -x "$1" ] || fail "$line: no program $1"
+    "$1" "$2" --help >"$scratch/help" || fail "$line: $1 has no verb $2"
+    for word in "$@"; do
+      case "$word" in --*) grep -q -- "$word\b" "$scratch/help" || fail "$line: $2 has no option $word" ;; esac
+    done
+    count=$((count + 1))
+  done < <(grep -hE '^Exec[A-Za-z]*=' "$scratch/usr/lib/systemd/system/"*.service)
+  [ $count -ge 4 ] || fail "only $count commands in all units"
+  echo "$count commands, all known"
+}
+
+# Every account of a unit exists after systemd-sysusers, and systemd-tmpfiles makes the store's folder its own.
+accounts() {
+  need systemd-sysusers
+  need systemd-tmpfiles
+  root=$scratch/root
+  mkdir -p "$root/etc"
+  systemd-sysusers --root="$root" --dry-run "$source"/systemd/*.sysusers.conf || fail "systemd-sysusers --dry-run"
+  systemd-sysusers --root="$root" "$source"/systemd/*.sysusers.conf || fail "systemd-sysusers"
+  for kind in User:passwd Group:group; do
+    for account in $(sed -n "s/^${kind%:*}=//p" "$source"/systemd/*.service | sort -u); do
+      grep -q "^$account:" "$root/etc/${kind#*:}" || fail "${kind%:*}=$account of a unit is made by no sysusers file"
+    done
+  done
+  [ "$(id -u)" -eq 0 ] || { echo "skipped: only root can give folders to another account" >&2; exit 77; }
+  systemd-tmpfiles --root="$root" --create "$source/systemd/stratalux.tmpfiles.conf" || fail "systemd-tmpfiles"
+  id=$(awk -F: '$1 == "stratalux" {print $3 ":" $4}' "$root/etc/passwd")
+  for folder in /var/lib/stratalux /var/lib/stratalux/store; do
+    is=$(stat -c '%u:%g %a' "$root$folder") || fail "$folder was not made"
+    [ "$is" = "$id 750" ] || fail "$folder is $is, not $id 750"
+  done
+  # What is there stays, with its owner.
+  touch "$root/var/lib/stratalux/store/index.sqlite"
+  systemd-tmpfiles --root="$root" --create --remove --clean "$source/systemd/stratalux.tmpfiles.conf"
+  [ -e "$root/var/lib/stratalux/store/index.sqlite" ] || fail "systemd-tmpfiles removed a store"
+}
+
+# udev itself applies the rules, to the kernel's own /dev/null in the camera's place: in a name space in which /dev, /run and
+# the groups are the test's, for `udevadm test` changes what it finds.
+rules() {
+  need udevadm
+  [ -d /sys/class/mem/null ] || { echo "skipped: no /sys" >&2; exit 77; }
+  name_space="unshare --mount --propagation private"
+  [ "$(id -u)" -eq 0 ] || name_space="unshare --map-root-user --mount"
+  $name_space true 2>/dev/null || { echo "skipped: no mount name space for this account" >&2; exit 77; }
+  if udevadm --help | grep '^ *verify' >/dev/null; then
+    udevadm verify --resolve-names=never "$source/systemd/60-stratalux.rules" "$source/docs/examples/59-stratalux-rig.rules"
+  fi
+  mkdir "$scratch/rules"
+  sed 's/SUBSYSTEM=="gpio", KERNEL=="gpiochip\*"/SUBSYSTEM=="mem", KERNEL=="null"/' "$source/systemd/60-stratalux.rules" >"$scratch/rules/60-stratalux.rules"
+  cp "$source/docs/examples/59-stratalux-rig.rules" "$scratch/rules/"
+  { cat /etc/group; echo stratalux:x:4242:; } >"$scratch/group"
+  apply() {
+    $name_space bash -e -c '
+      mount -t tmpfs none /run
+      mkdir -p /run/udev
+      cp -r "$1/rules" /run/udev/rules.d
+      mount --bind "$1/group" /etc/group
+      mount -t tmpfs none /dev
+      udevadm test /sys/class/mem/null 2>&1' apply "$scratch" >"$scratch/said" || { cat "$scratch/said"; fail "udevadm test"; }
+  }
+  apply
+  ! grep -E 'stratalux[^ ]*:[0-9]+:? (Unknown|Invalid|invalid|Failed)' "$scratch/said" || fail "udev does not understand the rules"
+  ! grep -q 'stratalux/lines' "$scratch/said" || fail "a device that nobody marked becomes the rig's"
+  echo 'SUBSYSTEM=="mem", KERNEL=="null", ENV{STRATALUX}="lines"' >>"$scratch/rules/59-stratalux-rig.rules"
+  apply
+  grep -q "GROUP 4242" "$scratch/said" || { cat "$scratch/said"; fail "a marked device does not become the group's"; }
+  grep -q "LINK 'stratalux/lines'" "$scratch/said" || fail "a marked device has no stable name"
+}
+
+# stratalux-pull.service sees no key, and needs none: encrypted sessions arrive whole, hashed and not decoded.
+pull() {
+  grep -q '^InaccessiblePaths=-/var/lib/stratalux/store/keys.sqlite$' "$source/systemd/stratalux-pull.service" || fail "the pull sees keys"
+  as_other=""
+  if [ "$(id -u)" -eq 0 ]; then
+    need setpriv
+    as_other="setpriv --reuid=65534 --regid=65534 --clear-groups"
+  fi
+  cp "$build/bin/stratalux-db" "$scratch/"  # where any account may run it
+  chmod 755 "$scratch"
+  cat >"$scratch/tiny.toml" <<'TOML'
+[camera]
+width = 96
+height = 72
+[plan]
+projector_width = 128
+projector_height = 96
+preroll_markers = 4
+separation_shifts = 3
+comb_period = 32
+comb_step = 2
+spot_radius = 0
+motion_whites = 0
+guards = 1
+TOML
+  mkdir "$scratch/state"
+  STATE_DIRECTORY=$scratch/state STRATALUX_CACHE='' "$build/bin/stratalux-rig" capture --simulate --no-scattering --encrypt --config "$scratch/tiny.toml" \
+    --store "$scratch/rig" >"$scratch/log" 2>&1 || { cat "$scratch/log"; fail "a capture"; }
+  "$build/bin/stratalux-db" init --store "$scratch/here" >/dev/null
+  cp "$scratch/rig/keys.sqlite" "$scratch/here/"
+  [ -z "$as_other" ] || chown -R 65534:65534 "$scratch/rig" "$scratch/here"
+  chmod 000 "$scratch/here/keys.sqlite" "$scratch/rig/keys.sqlite"
+  $as_other "$scratch/stratalux-db" pull --store "$scratch/here" --from "$scratch/rig" >"$scratch/said" 2>&1 || { cat "$scratch/said"; fail "a pull without keys"; }
+  grep -q "^1 sessions pulled" "$scratch/said" || { cat "$scratch/said"; fail "nothing was pulled"; }
+  decoded() { $as_other "$scratch/stratalux-db" verify --deep --store "$scratch/here" >"$scratch/said" 2>&1 && ! grep -q "not decoded" "$scratch/said"; }
+  ! decoded || fail "the key was not out of reach: the test proves nothing"
+  chmod 600 "$scratch/here/keys.sqlite"
+  decoded || { cat "$scratch/said"; fail "what was pulled cannot be read by who has the key"; }
+}
+
+case "$check" in
+  security|verify|programs|accounts|rules|pull) $check ;;
+  *) echo "usage: check-units.sh security|verify|programs|accounts|rules|pull SOURCE BUILD" >&2; exit 2 ;;
+esac
