@@ -11,6 +11,7 @@
 #include "db/care/session_rebuild.h"
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/fit_reader.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
 #include "shared/capture/rig_calibration.h"
@@ -46,15 +47,32 @@ class TruthTest : public StoreTest {
     info.visit = "evening";
     info.attempt = 1;
     SessionStore store = OpenStore();
-    auto writer = store.BeginSession(info, {.encryption = Encryption::kPerSession});
-    ASSERT_TRUE(writer.ok()) << writer.status().message();
-    for (int i = 0; i < 3; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
-    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete, {}, SomeFindings()).ok());
-    id_ = writer->info().id;
-    const auto fit = store.FitFolder(id_, "f1");
-    fs::create_directories(fit);
-    WriteText(fit / "calibration.json", Record().ToJson() + "\n");
+    id_ = Capture(store, info, Encryption::kPerSession);
+    WriteSealed(store, "f1");
     ASSERT_TRUE(store.RegisterFit({"f1", id_, "{}", R"({"fit": {"divergence": 0.5}})", {6'000}}).ok());
+    info = SimulatedVisit();
+    info.kind = SessionKind::kCalibration;
+    const std::string boards = Capture(store, info, Encryption::kNone);
+    fs::create_directories(store.FitFolder(boards, "c1"));
+    WriteText(store.FitFolder(boards, "c1") / "calibration.json", Record().ToJson() + "\n");
+    ASSERT_TRUE(store.RegisterFit({"c1", boards, "{}", "{}", {6'500}}).ok());
+  }
+  static std::string Capture(SessionStore& store, const SessionInfo& info, Encryption encryption) {
+    auto writer = store.BeginSession(info, {.encryption = encryption});
+    EXPECT_TRUE(writer.ok()) << writer.status().message();
+    for (int i = 0; i < 3; ++i) EXPECT_TRUE(AppendTo(*writer, i).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kComplete, {}, SomeFindings()).ok());
+    return writer->info().id;
+  }
+  // A fit of the encrypted visit, with a map.
+  void WriteSealed(const SessionStore& store, const std::string& fit) const {
+    const fs::path plain = folder_.string() + ".plain";
+    fs::create_directories(store.FitFolder(id_, fit));
+    WriteText(plain, "map");
+    auto seal = FindSeal(store, id_);
+    ASSERT_TRUE(seal.ok()) << seal.status().message();
+    EXPECT_TRUE(seal->Seal(plain, "fits/" + fit + "/map.exr", store.FitFolder(id_, fit) / "map.exr").ok());
+    fs::remove(plain);
   }
   static RigCalibration Record() {
     RigCalibration record;
@@ -177,8 +195,7 @@ TEST_F(TruthTest, AFitThatIsNewerThanItsRowIsANoteOnlyWithFiguresOfItsOwn) {
   FitRow row{"f2", id_, "{}", R"({"fit": {"divergence": 0.25}})", {7'000}};
   {
     SessionStore store = OpenStore();
-    fs::create_directories(fit);
-    WriteText(fit / "map.exr", "map");
+    WriteSealed(store, "f2");
     ASSERT_TRUE(store.RegisterFit(row).ok());
   }
   ASSERT_THAT(Problems(), IsEmpty());
@@ -197,7 +214,8 @@ TEST_F(TruthTest, RowsThatAreGoneOrTooManyAreNamed) {
   Connection index = Index();
   ASSERT_TRUE(index.Execute("DELETE FROM metrics").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("metrics lacks the row")));
-  ASSERT_TRUE(index.Execute("INSERT INTO metrics SELECT session, id, 'fit.divergence', 0.5 FROM fits").ok());
+  ASSERT_TRUE(
+      index.Execute("INSERT INTO metrics SELECT session, id, 'fit.divergence', 0.5 FROM fits WHERE id = 'f1'").ok());
   EXPECT_THAT(Problems(), IsEmpty());
   ASSERT_TRUE(index.Execute("INSERT INTO metrics SELECT session, id, 'more', 0.5 FROM fits").ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("metrics has the row")));
@@ -213,9 +231,9 @@ TEST_F(TruthTest, TheSchemaItselfIsCompared) {
 TEST_F(TruthTest, WhatBelongsToNoSessionIsHeldAgainstItsFiles) {
   Connection index = Index();
   ASSERT_TRUE(index.Execute("UPDATE sqlite_sequence SET seq = 0 WHERE name = 'sessions'").ok());
-  EXPECT_THAT(Problems(), Contains(HasSubstr("sqlite_sequence.seq of sessions is 0, but the number 1 was given")));
+  EXPECT_THAT(Problems(), Contains(HasSubstr("sqlite_sequence.seq of sessions is 0, but the number 2 was given")));
   ASSERT_TRUE(index
-                  .Execute("UPDATE sqlite_sequence SET seq = 1 WHERE name = 'sessions';"
+                  .Execute("UPDATE sqlite_sequence SET seq = 2 WHERE name = 'sessions';"
                            "UPDATE calibrations SET rig = 'another'")
                   .ok());
   EXPECT_THAT(Problems(), Contains(HasSubstr("calibrations.rig")));

@@ -7,6 +7,7 @@
 
 #include "db/base/sqlite.h"
 #include "db/care/verify.h"
+#include "db/catalogue/fit_reader.h"
 #include "tests/db/crash/disk_recorder.h"
 
 namespace stratalux::db::crash {
@@ -115,8 +116,14 @@ class Checker {
     const auto fits = store.ListFits(s.id);
     if (!Ok("fits", fits.status())) return;
     Expect(fits->size() == 1 && (*fits)[0].id == *s.fit, s.id + ": the fit's row is gone");
+    auto seal = FindSeal(store, s.id);
+    if (!Ok("seal", seal.status())) return;
+    auto reader = FitReader::Open(store.FitFolder(s.id, *s.fit), s.id, std::move(*seal));
+    if (!Ok("fit", reader.status())) return;
     for (const char* name : {"position.exr", "report/index.html"}) {
-      std::ifstream in(store.FitFolder(s.id, *s.fit) / name, std::ios::binary);
+      const auto file = reader->Read(name);
+      if (!Ok("file of the fit", file.status())) continue;
+      std::ifstream in(file->path, std::ios::binary);
       const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
       Expect(text == kFitText, s.id + ": " + name + " of the registered fit is not whole");
     }

@@ -6,6 +6,7 @@
 
 #include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/fit_reader.h"
 #include "tests/db/crash/disk_recorder.h"
 #include "tests/db/store_fixture.h"
 
@@ -92,6 +93,11 @@ class Workload {
     if (connection.ok()) (void)connection->Execute("PRAGMA wal_checkpoint(RESTART)").ok();
   }
 
+  static bool WriteFitFile(FileSeal& seal, const std::string& place, const std::filesystem::path& file) {
+    const std::filesystem::path plain = seal.active() ? std::filesystem::path(file.string() + ".plain") : file;
+    if (!(std::ofstream(plain) << kFitText).flush().good()) return false;
+    return !seal.active() || (seal.Seal(plain, place, file).ok() && std::filesystem::remove(plain));
+  }
   // Written and renamed as the fitter does: without a sync of its own.
   void RegisterFit(SessionStore& store) {
     if (now_.sessions.empty() || !now_.sessions[0].ended) return;
@@ -99,9 +105,10 @@ class Workload {
     const auto folder = store.FitFolder(id, "f1"), partial = store.FitFolder(id, "f1.partial");
     std::error_code error;
     std::filesystem::create_directories(partial / "report", error);
-    bool written = true;
-    for (const auto& file : {partial / "position.exr", partial / "report" / "index.html"})
-      written = (std::ofstream(file) << kFitText).flush().good() && written;
+    auto seal = FindSeal(store, id);
+    bool written = Note(seal.status());
+    for (const std::string name : {"position.exr", "report/index.html"})
+      written = written && WriteFitFile(*seal, "fits/f1/" + name, partial / name);
     if (written) std::filesystem::rename(partial, folder, error);
     if (!written || error || !Note(store.RegisterFit({"f1", id, "{}", "{}", {5}}))) return;
     now_.sessions[0].fit = "f1";
