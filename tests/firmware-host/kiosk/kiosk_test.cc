@@ -6,6 +6,7 @@
 #include <set>
 #include <stdexcept>
 #include <thread>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -143,6 +144,37 @@ TEST_F(KioskTest, DoorAndPlugEndAVisitAndTheNextIsServed) {
   EXPECT_THAT(front_->visits[1].screens, Contains(Phase::kClosed));
   EXPECT_THAT(front_->visits[1].screens, Not(Contains(Phase::kSafe)));
   CheckStore();
+}
+
+// The pre-scans come first, so the exposure's number lies somewhere in the first capture.
+TEST_F(KioskTest, WhoMovedIsOfferedARetakeAndBothAttemptsAreKept) {
+  Simulate(options_.station, "sphere");
+  options_.station.simulated->faults.script = {*ParseFault("subject_moved@150=3")};
+  const KioskReport report = Run({Manner::kVisit});
+  EXPECT_EQ(report.captures, 2);
+  EXPECT_EQ(report.tickets, 1);
+  EXPECT_THAT(front_->visits[0].screens, Contains(Phase::kGate));
+  std::map<int, SessionInfo> attempts;
+  for (const db::SessionSummary& session : Sessions()) attempts[session.info.attempt] = session.info;
+  ASSERT_EQ(attempts.size(), 2U);
+  EXPECT_EQ(attempts[1].status, SessionStatus::kDegraded);
+  EXPECT_THAT(attempts[1].reasons, Contains(HasSubstr("moved")));
+  EXPECT_EQ(attempts[2].status, SessionStatus::kComplete);
+  EXPECT_EQ(attempts[1].visit, attempts[2].visit);
+  CheckStore();
+}
+
+TEST_F(KioskTest, ASelfcheckPassesOnAGoodRigAndVisitorsFollow) {
+  bool asked = false;
+  on_show_ = [&](const action::Show& screen) {
+    if (screen.screen == Phase::kIdle && !std::exchange(asked, true))
+      front_->Push(event::Operator{OperatorCommand::kSelfcheck});
+  };
+  // The first comes while the check runs, and START is nobody's then.
+  const KioskReport report = Run({Manner::kVisit, Manner::kVisit});
+  EXPECT_THAT(front_->visits[0].screens, Contains(Phase::kSelfcheck));
+  EXPECT_EQ(front_->told[Word::kSelfcheckFailed], 0);
+  EXPECT_EQ(report.tickets, 1);
 }
 
 // The guard's 5 ms, and what a loaded machine adds.
