@@ -67,8 +67,10 @@ int MinuteOfDay() {
   return local.tm_hour * 60 + local.tm_min;
 }
 
-// What a front may say.
-bool IsOfFront(const VisitEvent& event) {
+// What a front may say; of languages and texts those that there are.
+bool IsOfFront(const VisitEvent& event, const KioskConfig& kiosk) {
+  if (const auto* agreed = std::get_if<event::Agree>(&event))
+    return agreed->choice.language < kiosk.languages.size() && agreed->choice.text < kiosk.consent_texts.size();
   return std::holds_alternative<event::Start>(event) || std::holds_alternative<event::NotSensitive>(event) ||
          std::holds_alternative<event::Sensitive>(event) || std::holds_alternative<event::Agree>(event) ||
          std::holds_alternative<event::Refuse>(event) || std::holds_alternative<event::Leave>(event) ||
@@ -187,7 +189,7 @@ void KioskLoop::Hear() {
   HearRig();
   if (stop_.operator_asked() && !state_.closed_for.Has(Closure::kShutdown)) Feed(event::Shutdown{});
   for (const VisitEvent& event : front_.Take())
-    if (IsOfFront(event)) Feed(event);
+    if (IsOfFront(event, kiosk_)) Feed(event);
   for (const VisitEvent& event : worker_.Take()) {
     HearRig();
     Feed(event);

@@ -61,11 +61,22 @@ void RigWorker::Begin(const VisitAction& job) {
 void RigWorker::LightOff() {
   {
     const std::scoped_lock lock(mutex_);
+    // What was not begun is answered, too.
+    for (const VisitAction& job : jobs_) {
+      if (std::holds_alternative<action::StartCapture>(job)) told_.push_back(event::Failed{});
+      if (std::holds_alternative<action::CheckRig>(job)) told_.push_back(event::Checked{});
+    }
     std::erase_if(jobs_, MakesLight);
     cancelled_ = lighting_;
     if (lighting_) stop_.Request(StopReason::kVisitorLeft);
   }
   changed_.notify_all();
+  Wake();
+}
+
+void RigWorker::Wake() {
+  const uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
 }
 
 std::vector<VisitEvent> RigWorker::Take() {
@@ -85,8 +96,7 @@ void RigWorker::Tell(const VisitEvent& event) {
     const std::scoped_lock lock(mutex_);
     told_.push_back(event);
   }
-  const uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
+  Wake();
 }
 
 bool RigWorker::cancelled() const {
@@ -133,8 +143,7 @@ void RigWorker::Do(const action::Preview& /*job*/) {
       if (cancelled_ || ending_) return;
       if (seen) told_.push_back(*seen);
     }
-    const uint64_t one = 1;
-    [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
+    Wake();
     if (seen && std::holds_alternative<event::Failed>(*seen)) return;
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, options_.look_pause, [this] { return cancelled_ || ending_; });

@@ -72,6 +72,7 @@ class RigWorker {
   // Stopped by nobody's wish.
   [[nodiscard]] bool LightTaken() const;
   void Tell(const VisitEvent& event);
+  void Wake();
   [[nodiscard]] bool cancelled() const;
 
   CaptureStation& station_;

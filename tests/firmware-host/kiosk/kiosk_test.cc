@@ -17,6 +17,7 @@
 #include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
 #include "db/privacy/ticket.h"
+#include "firmware-host/kiosk/rig_worker.h"
 #include "tests/firmware-host/kiosk/scripted_front.h"
 #include "tests/firmware-host/kiosk/small_kiosk.h"
 #include "tests/support/scratch_folder.h"
@@ -72,6 +73,10 @@ class KioskTest : public ScratchFolderTest {
       EXPECT_GE(session.info.attempt, 1);
       EXPECT_LE(session.info.attempt, 3);
       EXPECT_NE(session.info.visit, "");
+      const auto store = db::SessionStore::Open(folder_ / "store", db::AccessMode::kReadOnly);
+      if (session.info.status == SessionStatus::kDegraded) {
+        EXPECT_FALSE(store->FindSession(session.info.id)->info.found.findings.empty()) << "a named finding";
+      }
       EXPECT_NE(session.key_id, "") << "a kiosk's frames are encrypted";
       found.insert(session.info.visitor);
       if (session.info.status != SessionStatus::kFailed) usable.insert(session.info.visitor);
@@ -271,6 +276,43 @@ TEST_F(KioskTest, TellsSystemdThatItIsReadyAndAlive) {
   EXPECT_GE(heard["WATCHDOG=1"], 1);
   EXPECT_EQ(heard["STOPPING=1"], 1);
   EXPECT_GE(heard["STATUS=thanks, 1 visits kept"], 1);
+}
+
+// A visitor who leaves in the moment in which the countdown ends, behind a pre-scan that still runs.
+TEST_F(KioskTest, ACaptureThatWasNotBegunIsAnsweredToo) {
+  Open();
+  RigWorker worker(*station_, {options_.station, {}, std::chrono::milliseconds(1), {}}, stop_, logger_);
+  worker.Begin(action::Preview{});
+  const auto heard = [&](auto is) {
+    for (int look = 0; look < 5000; ++look) {
+      for (const VisitEvent& event : worker.Take())
+        if (is(event)) return true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return false;
+  };
+  EXPECT_TRUE(heard([](const VisitEvent& event) { return std::holds_alternative<event::Face>(event); }));
+  worker.Begin(action::StartCapture{1, 1, 16000, {true, false, false, 0, 0}});
+  worker.LightOff();
+  EXPECT_TRUE(heard([](const VisitEvent& event) { return event == VisitEvent(event::Failed{}); }));
+  worker.Begin(action::Discard{1, Word::kLeft});
+  EXPECT_TRUE(heard([](const VisitEvent& event) { return event == VisitEvent(event::Discarded{}); }));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "store"));
+  EXPECT_TRUE(Dark());
+}
+
+// A page may send what it likes.
+TEST_F(KioskTest, AnAgreementToATextThatThereIsNotIsNone) {
+  bool asked = false;
+  on_show_ = [&](const action::Show& screen) {
+    if (screen.screen != Phase::kConsent || std::exchange(asked, true)) return;
+    front_->Push(event::Agree{{true, false, false, 200, 0}});
+    front_->Push(event::Agree{{true, false, false, 0, 200}});
+  };
+  EXPECT_EQ(Run({Manner::kVisit}).tickets, 1);
+  const auto consents = db::ListConsents(folder_ / "store", "");
+  ASSERT_TRUE(consents.ok() && consents->size() == 1);
+  EXPECT_EQ(consents->front().consent.language, "de");
 }
 
 TEST_F(KioskTest, RefusesAPlanThatIsNoVisitors) {
