@@ -44,13 +44,14 @@ Judgement JudgeCapture(const CaptureFacts& facts, const VisitSoFar& before, cons
   const bool last = before.attempt >= rules.attempts;
   const Verdict offer = last ? Verdict::kAccept : Verdict::kOffer;
   if (unproven) return {offer, Word::kProof};
+  // Who moves out of the light looks like a lamp that dims.
+  if (facts.moved) return {offer, Word::kMoved};
   if (facts.lamp) return {Verdict::kAccept, Word::kLamp};
   if (facts.saturated_permille > rules.most_saturated_permille) {
     const bool shorter = !last && before.exposure_us / 2 >= rules.shortest_exposure_us;
     return {shorter ? Verdict::kRetakeShorter : Verdict::kAccept, Word::kSaturated};
   }
   if (facts.mixed_up) return {offer, Word::kMixedUp};
-  if (facts.moved) return {offer, Word::kMoved};
   if (facts.coverage_permille < rules.least_coverage_permille) return {offer, Word::kCoverage};
   return {};
 }

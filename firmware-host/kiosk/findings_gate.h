@@ -30,9 +30,9 @@ struct VisitSoFar {
   int exposure_us = 0;
 };
 
-// In this order: the light was taken away, or the second attempt without proof: kSafe. No proof, or nothing to keep:
-// offered. Lamps: accepted, told, no retake mends it. Saturated: shorter, while that is possible. Comb cycles, motion,
-// coverage: offered. After the last attempt what is offered is accepted.
+// In this order: the light was taken away, or the second attempt without proof: kSafe. No proof, or nothing to keep,
+// and motion: offered. Lamps: accepted, told, no retake mends them. Saturated: shorter, while that is possible. Comb
+// cycles and coverage: offered. After the last attempt what is offered is accepted.
 [[nodiscard]] Judgement JudgeCapture(const CaptureFacts& facts, const VisitSoFar& before, const VisitRules& rules);
 
 }  // namespace stratalux::rig

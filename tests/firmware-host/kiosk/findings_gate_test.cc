@@ -53,9 +53,14 @@ TEST(FindingsGate, NoExposureBelowTheShortest) {
 TEST(FindingsGate, WhatNoRetakeMendsIsTheOperators) {
   const CaptureFacts lamp = Facts([](CaptureFacts& f) {
     f.lamp = true;
-    f.moved = true;
+    f.mixed_up = true;
   });
   EXPECT_EQ(First(lamp), (Judgement{Verdict::kAccept, Word::kLamp}));
+  const CaptureFacts moved = Facts([](CaptureFacts& f) {
+    f.lamp = true;
+    f.moved = true;
+  });
+  EXPECT_EQ(First(moved), (Judgement{Verdict::kOffer, Word::kMoved})) << "out of the light";
 }
 
 TEST(FindingsGate, ARigThatCannotProveItselfTwiceIsNotTrusted) {
