@@ -259,7 +259,21 @@ class FrozenStoreTest : public StoreTest {
     for (const std::string& line : expected_)
       if (line.starts_with("? ") || line.starts_with("= ")) said.push_back(line);
     ASSERT_EQ(found.size(), said.size());
-    for (size_t i = 0; i < said.size(); ++i) EXPECT_EQ(found[i], said[i]) << "line " << i;
+    for (size_t i = 0; i < said.size(); ++i)
+      EXPECT_TRUE(SameRow(found[i], said[i])) << "line " << i << "\nfound " << found[i] << "\nsaid  " << said[i];
+  }
+  // Field by field: quote() of an older SQLite writes a number's last digits out of which a newer one makes fewer.
+  static bool SameRow(const std::string& found, const std::string& said) {
+    std::istringstream a(found), b(said);
+    std::string x, y;
+    while (std::getline(a, x, '|'))
+      if (!std::getline(b, y, '|') || (x != y && !SameNumber(x, y))) return false;
+    return !std::getline(b, y, '|');
+  }
+  static bool SameNumber(const std::string& x, const std::string& y) {
+    char *x_end = nullptr, *y_end = nullptr;
+    const double a = std::strtod(x.c_str(), &x_end), b = std::strtod(y.c_str(), &y_end);
+    return a == b && !x.empty() && !y.empty() && *x_end == '\0' && *y_end == '\0';
   }
   // Returns how many there are.
   int ExpectEveryFrame(const SessionStore& store) const {
