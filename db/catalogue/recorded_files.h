@@ -18,6 +18,7 @@ struct RecordedFile {
   std::string name;  // within the folder
   int64_t bytes = 0;
   std::string xxh3_128;  // 32 hex digits
+  friend bool operator==(const RecordedFile&, const RecordedFile&) = default;
 };
 
 // Regular files at and below the folder, sorted by name; `record` is none of its own.

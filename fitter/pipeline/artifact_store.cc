@@ -148,8 +148,11 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFold
     SLX_RETURN_IF_ERROR(db::SyncTree(making));
     const fs::path place = folder_ / name;
     const NotInterrupted whole;  // what is being removed gets no name
-    if (rename(making.c_str(), place.c_str()) != 0 && errno != EEXIST && errno != ENOTEMPTY)
-      return Status::Failed("cannot move " + making.string() + " to " + place.string() + ": " + std::strerror(errno));
+    if (rename(making.c_str(), place.c_str()) != 0) {
+      if (errno != EEXIST && errno != ENOTEMPTY)
+        return Status::Failed("cannot move " + making.string() + " to " + place.string() + ": " + std::strerror(errno));
+      HoldAgainstFirst(place, record);
+    }
     return db::SyncFolder(folder_);
   };
   const Status made = publish();
@@ -157,6 +160,17 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFold
   fs::remove_all(making, error);  // of a failure, or of one that came second
   made_ += made.ok() ? 1 : 0;
   return made;
+}
+
+// Made at the same time where this lock does not reach, on another machine. The first one stays.
+void ArtifactStore::HoldAgainstFirst(const fs::path& place, const db::ArtifactRecord& own) const {
+  const auto first = db::ReadArtifactRecord(place);
+  if (!first.ok()) return;  // damaged: who reads it says so
+  for (const db::RecordedFile& file : own.files)
+    if (std::ranges::find(first->files, file) == first->files.end())
+      return logger_.get().Warning(place.string() + ": made twice at once, and " + file.name +
+                                   " came out differently; the first one is kept. A stage depends on something that is "
+                                   "not in its key: please report it, with both machines' processors");
 }
 
 Result<Artifact> ArtifactStore::Obtain(const db::ArtifactIdentity& identity, const UseOfFolder& make) {

@@ -83,6 +83,7 @@ class ArtifactStore {
   ArtifactStore(std::filesystem::path folder, PlainFiles files, Logger& logger)
       : folder_(std::move(folder)), files_(std::move(files)), logger_(logger) {}
   Status Make(const db::ArtifactIdentity& identity, const UseOfFolder& make);
+  void HoldAgainstFirst(const std::filesystem::path& place, const db::ArtifactRecord& own) const;
   void RemoveLeftovers();
   [[nodiscard]] Result<UniqueFd> Flock(int operation) const;
 

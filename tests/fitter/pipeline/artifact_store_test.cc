@@ -166,6 +166,42 @@ TEST_F(ArtifactStoreTest, ThreeRunsAtOnceMakeItOnce) {
   EXPECT_THAT(Names(), ElementsAre(Named("shape").FolderName()));
 }
 
+// Two machines whose locks do not reach each other: the second finds the first one's artifact when it is done.
+TEST_F(ArtifactStoreTest, OfTwoThatCameOutDifferentlyTheFirstStaysAndItIsSaid) {
+  char* text = nullptr;
+  size_t length = 0;
+  std::FILE* stream = open_memstream(&text, &length);
+  {
+    Logger logger(LogLevel::kWarning, stream);
+    auto store = ArtifactStore::Open(folder_, PlainFiles(seal_), logger);
+    ASSERT_TRUE(store.ok());
+    for (const auto& [stage, sample] : {std::pair("shape", "samples"), std::pair("srd", "others")}) {
+      const fs::path first = store->FolderOf(Named(stage)), aside = folder_ / "aside";
+      const auto made = store->Obtain(Named(stage), [&](const fs::path& folder) {
+        // What another machine made meanwhile, in one step as always.
+        EXPECT_TRUE(Open().Obtain(Named("elsewhere"), Maker()).ok());
+        db::ArtifactRecord record = *db::ReadArtifactRecord(store->FolderOf(Named("elsewhere")));
+        record.identity = Named(stage);
+        fs::rename(store->FolderOf(Named("elsewhere")), aside);
+        WriteText(aside / "new.json", ToJson(record));
+        fs::rename(aside / "new.json", aside / db::kArtifactRecordFile);
+        fs::rename(aside, first);
+        const Status done = Maker()(folder);
+        WriteText(folder / "rows" / "y.npy", sample);
+        return done;
+      });
+      ASSERT_TRUE(made.ok()) << made.status().message();
+      EXPECT_EQ(ReadText(made->folder / "rows" / "y.npy"), "samples") << "the first";
+    }
+    logger.Flush();
+  }
+  std::fclose(stream);
+  const std::string said(text, length);
+  std::free(text);
+  EXPECT_THAT(said, HasSubstr(Named("srd").FolderName() + ": made twice at once, and rows/y.npy came out differently"));
+  EXPECT_EQ(said.find("made twice", said.find("made twice") + 1), std::string::npos) << "equal ones are no finding";
+}
+
 TEST_F(ArtifactStoreTest, WhatAKilledRunLeftIsRemovedAndMadeByTheNext) {
   const fs::path begun = folder_ / "begun";
   const pid_t child = fork();
