@@ -87,7 +87,7 @@ TEST_F(WrongConfig, IsNamedWithFileLineKeyValueAndRemedy) {
       {"[plan]\nkind = \"party\"\n", ":2: kind 'party'", "allowed: visitor, calibration"},
       {"[plan]\nmotion_whites = 2\nmotion_blacks = 2\n", ":3: unknown key 'plan.motion_blacks'", "motion_whites"},
       {"[rig]\n[camara]\nwidth = 96\n", ":2: unknown key 'camara'",
-       "known: camera, capture, gpio, memory, plan, projector, retention, rig, store"},
+       "known: camera, capture, gpio, kiosk, memory, plan, projector, retention, rig, store"},
       {"plan = 3\n", ":1: plan: must be a table", ""},
       {"[plan\nkind = 1\n", ":1: ", ""},
       {"this is no configuration\n", ":1: ", ""},
