@@ -9,7 +9,7 @@ planted=()
 fresh() {
   planted=()
   rm -rf "${tree:?}"/*
-  mkdir -p "$tree"/{shared/{base,image,pattern,config,http},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,projector},fitter/{render,evaluation}}
+  mkdir -p "$tree"/{shared/{base,image,pattern,config,http},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,kiosk,projector},fitter/{render,evaluation}}
 }
 write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
 plant() {                             # FILE LINE: the check must complain of this line

@@ -16,6 +16,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
+#include "db/privacy/ticket.h"
 #include "shared/base/json_nesting.h"
 #include "shared/config/store_config.h"
 
@@ -26,7 +27,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 struct ForgetFlags {
-  std::string session, visitor;
+  std::string session, visitor, ticket;
   bool dry_run = false, yes = false, resume = false;
   // purge
   std::string config, now;
@@ -157,9 +158,14 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
   return request;
 }
 
-int RunForget(const CommonFlags& common, const ForgetFlags& flags) {
-  if (int(!flags.session.empty()) + int(!flags.visitor.empty()) + int(flags.resume) != 1)
-    return Report(Status::Usage("forget: name a SESSION or --visitor V (or --resume what broke off)"));
+int RunForget(const CommonFlags& common, ForgetFlags flags) {
+  if (int(!flags.session.empty()) + int(!flags.visitor.empty()) + int(!flags.ticket.empty()) + int(flags.resume) != 1)
+    return Report(Status::Usage("forget: name a SESSION, --visitor V or --ticket CODE (or --resume what broke off)"));
+  if (!flags.ticket.empty()) {
+    auto visitor = VisitorOfTicket(flags.ticket);
+    if (!visitor.ok()) return Report(visitor.status().WithContext("--ticket " + Printable(flags.ticket)));
+    flags.visitor = std::move(visitor).value();
+  }
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
   const bool nothing = request->sessions.empty() && request->visitors.empty() && request->leftovers.empty();
@@ -372,11 +378,12 @@ void AddForgetCommands(Commands& commands) {
                                   [&common, flags] { return RunForget(common, *flags); });
   forget->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   forget->add_option("--visitor", flags->visitor, "all sessions and consents of this pseudonym");
+  forget->add_option("--ticket", flags->ticket, "the same of the visitor who has this code of a kiosk's ticket");
   forget->add_flag("--resume", flags->resume, "only finish what broke off");
   forget->add_flag("--yes", flags->yes, "do it");
-  forget->footer(Examples(
-      {"forget s000017 --dry-run", "forget s000017 --yes", "forget --visitor v-5f3a91c2 --yes", "forget --resume"},
-      "Exit code 3: something of it was found after all; the report says where."));
+  forget->footer(Examples({"forget s000017 --dry-run", "forget s000017 --yes", "forget --visitor v-5f3a91c2 --yes",
+                           "forget --ticket 7K3QZ-M0P4T-3 --yes", "forget --resume"},
+                          "Exit code 3: something of it was found after all; the report says where."));
   CLI::App* purge = commands.Add("purge", "Forget visitors' sessions past their class, or whose consent was withdrawn",
                                  [&common, flags] { return RunPurge(common, *flags); });
   purge->add_option("--config", flags->config, "TOML file with [retention] (docs/examples/rig.toml)");

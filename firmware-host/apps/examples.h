@@ -7,6 +7,7 @@ namespace stratalux::rig {
 inline constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store
   stratalux-rig selftest --simulate --store store
+  stratalux-rig kiosk --config rig.toml --store store
   stratalux-rig plan show
   stratalux-rig safe
 
@@ -30,6 +31,16 @@ inline constexpr const char* kCaptureExamples = R"(Examples:
   stratalux-rig capture --config rig.toml --store store --calibration latest
 
 Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
+inline constexpr const char* kKioskExamples = R"(Examples:
+  stratalux-rig kiosk --config rig.toml --store store
+  printf 'start\nnot-sensitive\nrefuse\nstop\n' | stratalux-rig kiosk --simulate --store store
+  stratalux-rig kiosk --simulate --size 696x520 --store store --simulate-events /tmp/rig &
+      sleep 1; echo start > /tmp/rig
+
+Screens are lines of JSON on stdout, commands lines on stdin: start, not-sensitive, sensitive, agree SCOPES LANGUAGE
+[TEXT], refuse, leave, operator clean|out_of_order|open|selfcheck|reset, stop. SIGTERM ends it as stop does: the
+visit that runs is forgotten, lights are off. Frames are encrypted unless [store] encrypt says no.
+Exit codes: 0 ended, 1 the rig or the store failed, 2 usage, 3 a visit could not be forgotten, 5 a device is in use.)";
 inline constexpr const char* kSelftestExamples = R"(Examples:
   stratalux-rig selftest --config rig.toml --store store
   stratalux-rig selftest --simulate --store store --json

@@ -9,6 +9,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/segment/frame_codec.h"
+#include "firmware-host/session/learnt_deadlines.h"
+#include "firmware-host/session/open_rig.h"
 #include "firmware-host/session/store_disk.h"
 
 namespace stratalux::rig {
@@ -212,6 +214,32 @@ std::string SelftestAsJson(const SelftestReport& report) {
   }
   if (!report.codecs.empty()) json["recommended_codec"] = ToString(report.recommended);
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+Result<SelftestReport> SelftestOf(const RigConfig& config, std::optional<SimulatedRigOptions> simulated,
+                                  StopToken& stop, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(config.plan));
+  // Lamps, cables and camera are what is looked at: what happens inside the skin is not worth the minutes.
+  if (simulated) simulated->scattering = false;
+  if (simulated) logger.Info("selftest of the simulated rig: " + simulated->scene + ", its skin without scattering");
+  const Result<OpenedRig> rig = OpenRig(config, simulated, stop, logger);
+  if (!rig.ok()) return rig.status();
+  SelftestOptions options;
+  options.store = config.store.folder;
+  options.codec = config.store.codec;
+  for (const PlanStep& step : plan.steps)
+    if (step.phase == CapturePhase::kPreroll) options.rig.markers.push_back(step.pattern);
+  options.rig.exposure_ms = config.plan.exposure_ms;
+  options.rig.settle = FromMilliseconds(config.settle_ms);
+  // What was learnt before is no measure for what is learnt now.
+  options.rig.deadline = config.LongestDeadline();
+  options.rig.max_on_time = FromMilliseconds(1e3 * config.max_on_time_s);
+  options.rig.wait = rig->wait();
+  options.keep_delays = [&](const RigDelays& delays) -> Result<std::string> {
+    SLX_RETURN_IF_ERROR(KeepDelays(StateFolder(), config, simulated, delays));
+    return DelaysFile(StateFolder(), simulated).string();
+  };
+  return RunSelftest(rig->devices(), options);
 }
 
 }  // namespace stratalux::rig

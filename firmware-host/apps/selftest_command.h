@@ -4,10 +4,15 @@
 
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "firmware-host/config/rig_config.h"
+#include "firmware-host/safety/stop_token.h"
 #include "firmware-host/sequence/rig_check.h"
+#include "firmware-host/simulated/simulated_rig.h"
+#include "shared/base/log.h"
 #include "shared/base/result.h"
 #include "shared/capture/store_codec.h"
 
@@ -44,5 +49,9 @@ struct SelftestReport {
 [[nodiscard]] std::string SelftestAsJson(const SelftestReport& report);
 // Of latencies, ms: up to ten rows of equal width from the least to the most, "0.400 ..  0.500 ms | ####  12".
 [[nodiscard]] std::string Histogram(const std::vector<double>& values_ms);
+
+// Of the rig that `config` wires, or of the simulated one in its place; what was learnt is kept in StateFolder().
+[[nodiscard]] Result<SelftestReport> SelftestOf(const RigConfig& config, std::optional<SimulatedRigOptions> simulated,
+                                                StopToken& stop, Logger& logger);
 
 }  // namespace stratalux::rig

@@ -15,6 +15,7 @@
 #include "firmware-host/apps/capture_command.h"
 #include "firmware-host/apps/examples.h"
 #include "firmware-host/apps/guided_capture.h"
+#include "firmware-host/apps/kiosk_command.h"
 #include "firmware-host/apps/plan_command.h"
 #include "firmware-host/apps/selftest_command.h"
 #include "firmware-host/apps/timing_flags.h"
@@ -247,36 +248,23 @@ int RunCapture(const Flags& flags) {
   return captured != 0 ? captured : printed;
 }
 
+int RunKioskCommand(const Flags& flags) {
+  const Result<CaptureJob> job = CaptureFrom(flags);
+  if (!job.ok()) return Report(job.status());
+  Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
+  const Result<KioskReport> report = KioskUntilStopped(*job, StopOfProcess(), logger);
+  if (!report.ok()) return Report(report.status());
+  const int printed = Print(KioskReportAsJson(*report));
+  return report->owed ? static_cast<int>(StatusCode::kDegraded) : printed;
+}
+
 int RunSelftestCommand(const Flags& flags) {
   const Result<RigConfig> config = ConfigFrom(flags);
   if (!config.ok()) return Report(config.status());
-  const Result<CapturePlan> plan = BuildPlan(config->plan);
-  if (!plan.ok()) return Report(plan.status());
-  Result<std::optional<SimulatedRigOptions>> asked = SimulationFrom(flags, *config);
-  if (!asked.ok()) return Report(asked.status());
-  std::optional<SimulatedRigOptions> simulated = std::move(asked).value();
-  // Lamps, cables and camera are what is looked at: what happens inside the skin is not worth the minutes.
-  if (simulated) simulated->scattering = false;
+  const Result<std::optional<SimulatedRigOptions>> simulated = SimulationFrom(flags, *config);
+  if (!simulated.ok()) return Report(simulated.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
-  if (simulated) logger.Info("selftest of the simulated rig: " + simulated->scene + ", its skin without scattering");
-  const Result<OpenedRig> rig = OpenRig(*config, simulated, StopOfProcess(), logger);
-  if (!rig.ok()) return Report(rig.status());
-  SelftestOptions options;
-  options.store = config->store.folder;
-  options.codec = config->store.codec;
-  for (const PlanStep& step : plan->steps)
-    if (step.phase == CapturePhase::kPreroll) options.rig.markers.push_back(step.pattern);
-  options.rig.exposure_ms = config->plan.exposure_ms;
-  options.rig.settle = FromMilliseconds(config->settle_ms);
-  // What was learnt before is no measure for what is learnt now.
-  options.rig.deadline = config->LongestDeadline();
-  options.rig.max_on_time = FromMilliseconds(1e3 * config->max_on_time_s);
-  options.rig.wait = rig->wait();
-  options.keep_delays = [&](const RigDelays& delays) -> Result<std::string> {
-    SLX_RETURN_IF_ERROR(KeepDelays(StateFolder(), *config, simulated, delays));
-    return DelaysFile(StateFolder(), simulated).string();
-  };
-  const Result<SelftestReport> report = RunSelftest(rig->devices(), options);
+  const Result<SelftestReport> report = SelftestOf(*config, *simulated, StopOfProcess(), logger);
   if (!report.ok()) return Report(report.status());
   const int printed = Print((flags.json ? SelftestAsJson : SelftestAsText)(*report));
   return report->passed() ? printed : static_cast<int>(StatusCode::kFailed);
@@ -422,6 +410,18 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   return capture;
 }
 
+CLI::App* AddKiosk(CLI::App& app, Flags& flags) {
+  CLI::App* kiosk = app.add_subcommand("kiosk", "One visitor after another, until it is stopped");
+  kiosk->footer(kKioskExamples);
+  kiosk->add_option("--store", flags.store, "folder of the store (default: as of capture); created when new");
+  AddSimulationFlags(*kiosk, flags);
+  kiosk->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
+  kiosk->add_option("--calibration", flags.calibration, "that sessions name, as of capture");
+  AddTimingFlags(*kiosk, flags.timing);
+  kiosk->add_flag("--verbose", flags.verbose, "more on stderr: each step of the machine");
+  return kiosk;
+}
+
 int Main(int argc, char** argv) {
   Flags flags;
   CLI::App app("Stratalux's controller: steps the projectors, grabs and proves frames, writes sessions");
@@ -438,6 +438,7 @@ int Main(int argc, char** argv) {
   selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
   selftest->add_flag("--json", flags.json, "print one JSON object");
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
+  CLI::App* kiosk = AddKiosk(app, flags);
   CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
   plan->require_subcommand(1);
   plan->footer(kPlanExamples);
@@ -462,11 +463,12 @@ int Main(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
   }
   if (safe->parsed()) return RunSafe(flags);
-  for (const CLI::App* command : {capture, selftest})
+  for (const CLI::App* command : {capture, selftest, kiosk})
     if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
   if (ChoosesExposure(flags) && !capture->parsed())
     return Report(Status::Usage("--exposure auto: a capture alone looks at who is there; give it in ms"));
   if (capture->parsed()) return RunCapture(flags);
+  if (kiosk->parsed()) return RunKioskCommand(flags);
   if (selftest->parsed()) return RunSelftestCommand(flags);
   return RunPlan(flags, *render);
 }

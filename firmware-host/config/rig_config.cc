@@ -2,6 +2,7 @@
 #include "firmware-host/config/rig_config.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "shared/config/toml_reader.h"
 
@@ -231,10 +232,12 @@ Result<RigConfig> Read(TomlTable root) {
   capture.Get("realtime_priority", config.realtime_priority, 0, kHighestCapturePriority);
   SLX_RETURN_IF_ERROR(ReadPlan(plan, config.plan));
   const Status memory = ReadMemory(root.Table("memory"), config.memory);
+  Result<KioskConfig> kiosk = ReadKiosk(root.Table("kiosk"));
   const Status devices = ReadDevices(root, config);
   SLX_RETURN_IF_ERROR(root.Finish());
   SLX_RETURN_IF_ERROR(devices);
   SLX_RETURN_IF_ERROR(memory);
+  SLX_ASSIGN_OR_RETURN(config.kiosk, std::move(kiosk));
   SLX_RETURN_IF_ERROR(BuildPlan(config.plan).status().WithContext(plan.Where()));
   SLX_RETURN_IF_ERROR(LayOutMemories(config.plan, config.memory).status());
   return config;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "firmware-host/camera/camera_wiring.h"
+#include "firmware-host/config/kiosk_config.h"
 #include "firmware-host/gpio/gpio_wiring.h"
 #include "firmware-host/projector/memory_layout.h"
 #include "firmware-host/projector/memory_way.h"
@@ -43,6 +44,7 @@ struct RigConfig {
   std::string calibration;              // that sessions name: latest, an id or a file; empty: as `capture --help` says
   int realtime_priority = 0;  // of the capture thread under SCHED_FIFO, memory locked; 0: scheduled as all others
   PlanOptions plan;
+  KioskConfig kiosk;
   MemoryOptions memory;  // what the projectors' pattern memories hold of it
   CameraWiring camera;
   GpioWiring gpio;

@@ -306,6 +306,13 @@ Status CaptureStation::SetSubject(const SubjectOptions& subject) {
   return Status::Ok();
 }
 
+Result<RigCalibration> CaptureStation::Calibration(const std::string& asked) const {
+  const RigCalibration* exact = rig_.simulation ? &rig_.simulation->calibration() : nullptr;
+  SLX_ASSIGN_OR_RETURN(const std::string json, ChooseCalibration(asked, options_.config, exact, logger_));
+  if (json.empty()) return Status::NotFound("there is no calibration of this rig");
+  return RigCalibration::FromJson(json);
+}
+
 ExposureRule CaptureStation::RuleOfCamera() const {
   const WitnessOptions witness = SequencerOptionsFor().witness;
   ExposureRule rule;
@@ -319,6 +326,13 @@ ExposureRule CaptureStation::RuleOfCamera() const {
 
 Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, const VisitTiming& timing,
                                                       std::chrono::nanoseconds longest_visit) {
+  SLX_ASSIGN_OR_RETURN(PreScanTaken taken, TakePreScan(plan, timing, longest_visit));
+  if (!taken.choice) return Status::Failed("pre-scan: no projector lights anything; is somebody there?");
+  return std::move(*taken.choice);
+}
+
+Result<PreScanTaken> CaptureStation::TakePreScan(const PlanOptions& plan, const VisitTiming& timing,
+                                                 std::chrono::nanoseconds longest_visit) {
   ExposureRule rule = RuleOfCamera();
   rule.nominal_ms = plan.exposure_ms;
   SLX_ASSIGN_OR_RETURN(const double longest_ms, LongestExposureMs(plan, timing, longest_visit));
@@ -333,18 +347,22 @@ Result<ExposureChoice> CaptureStation::ChooseExposure(const PlanOptions& plan, c
   constexpr int kHalvings = 5;
   double scan_ms = std::min(plan.exposure_ms, rule.longest_ms);
   for (int halving = 0;; ++halving) {
-    std::vector<Shot> shots;
+    PreScanTaken taken;
+    taken.exposure_ms = scan_ms;
     for (int p = 0; p < plan.projectors; ++p)
       for (const PatternKind kind : {PatternKind::kWhite, PatternKind::kBlack}) {
         SLX_ASSIGN_OR_RETURN(Shot shot, SnapPattern(p, {.kind = kind}, scan_ms));
-        shots.push_back(std::move(shot));
+        taken.shots.push_back(std::move(shot));
       }
     std::vector<PreScan> scans;
-    for (size_t i = 0; i < shots.size(); i += 2) scans.push_back({shots[i].pixels, shots[i + 1].pixels});
-    SLX_ASSIGN_OR_RETURN(ExposureChoice choice, stratalux::rig::ChooseExposure(scans, scan_ms, rule));
-    if (!choice.prescan_saturated || halving == kHalvings || 0.5 * scan_ms < rule.shortest_ms) {
+    for (size_t i = 0; i < taken.shots.size(); i += 2)
+      scans.push_back({taken.shots[i].pixels, taken.shots[i + 1].pixels});
+    Result<ExposureChoice> choice = stratalux::rig::ChooseExposure(scans, scan_ms, rule);
+    const bool shorter = choice.ok() && choice->prescan_saturated && 0.5 * scan_ms >= rule.shortest_ms;
+    if (!shorter || halving == kHalvings) {
       Rest();
-      return choice;
+      if (choice.ok()) taken.choice = std::move(choice).value();
+      return taken;
     }
     scan_ms *= 0.5;
   }

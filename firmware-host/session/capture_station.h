@@ -59,6 +59,13 @@ struct CaptureOutcome {
   double seconds = 0.0;
 };
 
+// A white and a black of each projector, before a capture. Never stored.
+struct PreScanTaken {
+  std::vector<Shot> shots;               // white, black of projector 0, then of 1, ...
+  double exposure_ms = 0.0;              // of them
+  std::optional<ExposureChoice> choice;  // nullopt: no projector lights anything
+};
+
 // Used by one thread. When it goes, all lights are off and the pattern memories at rest.
 class CaptureStation {
  public:
@@ -89,6 +96,9 @@ class CaptureStation {
 
   // The pre-scan: a white and a black of each projector, again at half the exposure while they saturate. One exposure
   // for all, such that the plan takes `longest_visit` at most. Nothing is stored.
+  Result<PreScanTaken> TakePreScan(const PlanOptions& plan, const VisitTiming& timing,
+                                   std::chrono::nanoseconds longest_visit);
+  // Its choice alone; kFailed where nobody is there.
   Result<ExposureChoice> ChooseExposure(const PlanOptions& plan, const VisitTiming& timing,
                                         std::chrono::nanoseconds longest_visit);
 
@@ -103,6 +113,10 @@ class CaptureStation {
 
   [[nodiscard]] const OpenedRig& rig() const { return rig_; }
   [[nodiscard]] LightGuard& light() const { return *rig_.light; }
+  // What sessions are to name, as CaptureRequest::calibration asks for it. kNotFound: none.
+  [[nodiscard]] Result<RigCalibration> Calibration(const std::string& asked) const;
+  // What an exposure is chosen by, of this camera.
+  [[nodiscard]] ExposureRule RuleOfCamera() const;
   // What captures go by: as learnt until one of them finds the rig slower.
   [[nodiscard]] const RigDeadlines& deadlines() const { return deadlines_; }
 
@@ -116,8 +130,6 @@ class CaptureStation {
                        CaptureObserver& observer);
   // With the camera running; what a second try may heal is tried again.
   Result<Shot> Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take);
-
-  [[nodiscard]] ExposureRule RuleOfCamera() const;
 
   StationOptions options_;
   OpenedRig rig_;

@@ -8,34 +8,13 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr int kBlock = 8;             // px
-constexpr double kQuad = 4.0;         // samples of a quad
-constexpr double kLitShare = 0.1;     // of the brightest tenth's signal
-constexpr double kLeastSigmas = 6.0;  // of a block's mean, to be light at all
-constexpr size_t kLeastBlocks = 16;
+constexpr double kQuad = 4.0;  // samples of a quad
 
 // Reorders.
 double Percentile(std::vector<float>& values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
-}
-
-struct Block {
-  int x, y;      // its corner
-  float signal;  // of a quad, white minus black, mean over the block, DN
-};
-
-std::vector<Block> BlocksOf(const PreScan& scan) {
-  std::vector<Block> blocks;
-  for (int y = 0; y + kBlock <= scan.white.height(); y += kBlock)
-    for (int x = 0; x + kBlock <= scan.white.width(); x += kBlock) {
-      double sum = 0.0;
-      for (int j = 0; j < kBlock; ++j)
-        for (int i = 0; i < kBlock; ++i) sum += double(scan.white(x + i, y + j)) - double(scan.black(x + i, y + j));
-      blocks.push_back({x, y, static_cast<float>(sum * kQuad / (kBlock * kBlock))});
-    }
-  return blocks;
 }
 
 struct Lit {
@@ -46,19 +25,11 @@ struct Lit {
 
 Lit LitOf(const PreScan& scan, const ExposureRule& rule) {
   Lit lit;
-  const double noise = kQuad * rule.read_noise_dn * std::sqrt(2.0 / (kBlock * kBlock));
-  std::vector<Block> blocks = BlocksOf(scan);
-  std::erase_if(blocks, [&](const Block& block) { return block.signal <= kLeastSigmas * noise; });
-  if (blocks.size() < kLeastBlocks) return lit;
-  std::vector<float> signals;
-  for (const Block& block : blocks) signals.push_back(block.signal);
-  const double least = kLitShare * Percentile(signals, 0.9);
   size_t saturated = 0;
-  for (const Block& block : blocks) {
-    if (block.signal < least) continue;
+  for (const LitBlock& block : LitBlocks(scan, rule.read_noise_dn)) {
     lit.quads.push_back(block.signal);
-    for (int j = 0; j < kBlock; ++j)
-      for (int i = 0; i < kBlock; ++i) {
+    for (int j = 0; j < kLitBlock; ++j)
+      for (int i = 0; i < kLitBlock; ++i) {
         const uint16_t white = scan.white(block.x + i, block.y + j);
         lit.samples.push_back(static_cast<float>(white - rule.black_level_dn));
         saturated += white >= rule.saturation_dn;

@@ -6,10 +6,10 @@
 #include <vector>
 
 #include "firmware-host/sequence/visit_time.h"
+#include "firmware-host/session/lit_blocks.h"
 #include "shared/base/result.h"
 #include "shared/capture/finding.h"
 #include "shared/capture/plan.h"
-#include "shared/image/image.h"
 
 namespace stratalux::rig {
 
@@ -26,12 +26,6 @@ struct ExposureRule {
   double black_level_dn = 0.0, saturation_dn = 4095.0, gain_e_per_dn = 4.0, read_noise_dn = 3.0;
 };
 
-// Raw mosaics of one projector, of the same exposure.
-struct PreScan {
-  const Image<uint16_t>& white;
-  const Image<uint16_t>& black;
-};
-
 struct ExposureChoice {
   double exposure_ms = 0.0;
   double snr = 0.0;                // foreseen, of the darkest tenth, of the projector that has it lowest
@@ -41,8 +35,7 @@ struct ExposureChoice {
 };
 
 // One exposure for all projectors: the nominal one, or a longer one at which each has the wanted ratio, unless one
-// would saturate or the bounds end before. Lit are blocks of 8x8 pixels with a tenth and more of the signal that the
-// brightest tenth has. kFailed where no projector lights anything.
+// would saturate or the bounds end before. Of what is lit (LitBlocks). kFailed where no projector lights anything.
 [[nodiscard]] Result<ExposureChoice> ChooseExposure(const std::vector<PreScan>& scans, double scan_ms,
                                                     const ExposureRule& rule);
 

@@ -25,7 +25,7 @@ Result<StoreConfig> LoadStoreConfig(const std::filesystem::path& file) {
   SLX_ASSIGN_OR_RETURN(auto root, TomlTable::ParseFile(file));
   SLX_ASSIGN_OR_RETURN(StoreConfig config, ReadStoreConfig(root));
   // A mistyped [retention] must not pass for a table of the controller, so those are named.
-  for (const char* table : {"camera", "capture", "plan", "gpio", "memory", "projector"}) root.Skip(table);
+  for (const char* table : {"camera", "capture", "plan", "gpio", "memory", "projector", "kiosk"}) root.Skip(table);
   SLX_RETURN_IF_ERROR(root.Finish());
   return config;
 }

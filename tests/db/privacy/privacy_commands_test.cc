@@ -74,6 +74,16 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(Db("show " + id).code, 4);
 }
 
+TEST_F(PrivacyCommands, ForgetKnowsTheTicketOfAKiosk) {
+  ASSERT_EQ(Db("consent give --visitor t-7k3qzm0p4t3 --text-version 3 --language de --scope fit").code, 0);
+  EXPECT_EQ(Db("forget --ticket 7K3QZ-M0P4T-4 --yes").code, 2) << "mistyped";
+  EXPECT_EQ(Db("forget --ticket 12345-67890-1 --yes").code, 4) << "somebody else's";
+  EXPECT_EQ(Db("forget --ticket 7K3QZ-M0P4T-3 --visitor t-7k3qzm0p4t3 --yes").code, 2);
+  EXPECT_EQ(Db("forget --ticket 7K3QZ-M0P4T-3").code, 2) << "not asked for with --yes";
+  EXPECT_EQ(Db("forget --ticket '7k3qz mop4t 3' --yes").code, 0);
+  EXPECT_EQ(Db("consent show --visitor t-7k3qzm0p4t3").code, 4);
+}
+
 // As a restored home folder, a copy by hand or a broken-off transfer puts it back: `verify` names the command, and it
 // must do what it says.
 TEST_F(PrivacyCommands, ForgetRemovesAForgottenSessionThatLiesHereAgain) {

@@ -66,6 +66,15 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
       {"[memory]\nsections = [\"visitor\", \"dark\"]\n\ncapacity = 150\n",
        "rig.toml:4: [memory] sections: no room for 'dark': memory.capacity = 150 patterns, but 187 are needed"},
       {"[memory]\ncapacity = 1\n", "rig.toml:2: memory.capacity = 1 patterns: no section fits"},
+      {"[kiosk]\nopening = \"08:00\"\n", "rig.toml:2: unknown key 'kiosk.opening'"},
+      {"[kiosk]\nopens = \"8:00\"\ncloses = \"18:00\"\n", "rig.toml:2: kiosk.opens = \"8:00\" is no time of day"},
+      {"[kiosk]\nopens = \"08:00\"\ncloses = \"25:00\"\n", "rig.toml:3: kiosk.closes = \"25:00\" is no time of day"},
+      {"[kiosk]\nopens = \"08:00\"\ncloses = \"08:00\"\n", "rig.toml:3: kiosk.closes is when it opens"},
+      {"[kiosk]\nopens = \"08:00\"\n", "kiosk.closes: is missing"},
+      {"[kiosk]\nattempts = 4\n", "rig.toml:2: kiosk.attempts: value 4"},
+      {"[kiosk]\nlanguages = []\n", "rig.toml:2: kiosk.languages names 0"},
+      {"[kiosk]\nretention = \"ever\"\n", "rig.toml:2: "},
+      {"[kiosk]\nnearest_mm = 900\nfurthest_mm = 800\n", "rig.toml:3: kiosk.furthest_mm is not beyond"},
       {"[[projector]]\nkind = \"display\"\nconnector = \"HDMI-A-1\"\n",
        "1 [[projector]] tables, but the plan has projectors = 4"},
   };
@@ -74,6 +83,18 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
     EXPECT_EQ(status.code(), StatusCode::kUsage) << c.text;
     EXPECT_NE(status.message().find(c.says), std::string::npos) << status.message();
   }
+}
+
+TEST(RigConfig, KioskIsOpenFromToAndOverMidnight) {
+  const auto day = ParseRigConfig("[kiosk]\nopens = \"08:30\"\ncloses = \"18:00\"\n", "rig.toml");
+  ASSERT_TRUE(day.ok() && day->kiosk.hours) << day.status().message();
+  for (const auto& [minute, open] : {std::pair(509, false), {510, true}, {1079, true}, {1080, false}})
+    EXPECT_EQ(day->kiosk.hours->IsOpenAt(minute), open) << minute;
+  const auto night = ParseRigConfig("[kiosk]\nopens = \"20:00\"\ncloses = \"02:00\"\n", "rig.toml");
+  ASSERT_TRUE(night.ok() && night->kiosk.hours);
+  for (const auto& [minute, open] : {std::pair(1199, false), {1200, true}, {0, true}, {119, true}, {120, false}})
+    EXPECT_EQ(night->kiosk.hours->IsOpenAt(minute), open) << minute;
+  EXPECT_FALSE(ParseRigConfig("", "rig.toml")->kiosk.hours) << "always";
 }
 
 TEST(RigConfig, ReadsWhatThePatternMemoriesHold) {

@@ -1,0 +1,332 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/kiosk/kiosk.h"
+
+#include <cerrno>
+#include <cmath>
+#include <ctime>
+#include <filesystem>
+#include <string>
+#include <utility>
+
+#include <poll.h>
+#include <sys/timerfd.h>
+#include <unistd.h>
+
+#include "db/catalogue/calibration_store.h"
+#include "db/catalogue/consent.h"
+#include "firmware-host/kiosk/rig_worker.h"
+#include "firmware-host/kiosk/service_notice.h"
+#include "firmware-host/kiosk/visit_machine.h"
+#include "firmware-host/session/store_disk.h"
+
+namespace stratalux::rig {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kHousekeeping = std::chrono::seconds(10);
+constexpr int kLookMs = 500;        // for the watchdog, the clock and an operator whose stop came behind another
+constexpr int kStoppedLookMs = 20;  // a token that is stopped stays readable: nothing wakes us for the operator
+constexpr auto kClockJump = std::chrono::seconds(5);
+
+int Permille(double share) { return static_cast<int>(std::lround(1000.0 * share)); }
+
+int SecondsOf(Deadline deadline, const KioskConfig& kiosk) {
+  switch (deadline) {
+    case Deadline::kQuestion:
+      return kiosk.question_s;
+    case Deadline::kConsent:
+      return kiosk.consent_s;
+    case Deadline::kPosition:
+      return kiosk.position_s;
+    case Deadline::kCapture:
+      return kiosk.capture_s;
+    case Deadline::kGate:
+      return kiosk.gate_s;
+    case Deadline::kThanks:
+      return kiosk.thanks_s;
+    case Deadline::kForgetting:
+      return kiosk.forgetting_s;
+    case Deadline::kSelfcheck:
+      return kiosk.selfcheck_s;
+    case Deadline::kCountdown:
+      return 1;
+    case Deadline::kNone:
+      return 0;
+  }
+  return 0;
+}
+
+// Wall clock less monotonic clock: changes when somebody sets the clock.
+std::chrono::nanoseconds ClockOffset() { return std::chrono::nanoseconds(WallNow().ns - MonotonicNow().ns); }
+
+int MinuteOfDay() {
+  const std::time_t now = std::time(nullptr);
+  std::tm local{};
+  localtime_r(&now, &local);
+  return local.tm_hour * 60 + local.tm_min;
+}
+
+// What a front may say.
+bool IsOfFront(const VisitEvent& event) {
+  return std::holds_alternative<event::Start>(event) || std::holds_alternative<event::NotSensitive>(event) ||
+         std::holds_alternative<event::Sensitive>(event) || std::holds_alternative<event::Agree>(event) ||
+         std::holds_alternative<event::Refuse>(event) || std::holds_alternative<event::Leave>(event) ||
+         std::holds_alternative<event::Operator>(event) || std::holds_alternative<event::PageLost>(event) ||
+         std::holds_alternative<event::PageBack>(event) || std::holds_alternative<event::Shutdown>(event);
+}
+
+class KioskLoop {
+ public:
+  KioskLoop(CaptureStation& station, const KioskOptions& options, const VisitRules& rules, KioskFront& front,
+            StopToken& stop, Logger& logger)
+      : station_(station),
+        options_(options),
+        kiosk_(options.station.config.kiosk),
+        rules_(rules),
+        front_(front),
+        stop_(stop),
+        logger_(logger),
+        worker_(station,
+                {options.station, options.timing, options.second / 5,
+                 [&front](const Image<uint16_t>& m) { front.Preview(m); }},
+                stop, logger),
+        timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
+
+  Result<KioskReport> Run();
+
+ private:
+  [[nodiscard]] bool Ended() const {
+    return state_.closed_for.Has(Closure::kShutdown) && state_.work == VisitState::Work::kNone;
+  }
+  void Wait() const;
+  void Hear();
+  void HearRig();
+  void KeepHouse();
+  void Feed(const VisitEvent& event);
+
+  void Perform(const action::LightOff& /*action*/) { worker_.LightOff(); }
+  void Perform(const action::StopCapture& action) {
+    logger_.Info(std::string("the capture is ended: ") + ToString(action.reason));
+    worker_.LightOff();
+  }
+  void Perform(const action::Preview& action) { worker_.Begin(action); }
+  void Perform(const action::CheckRig& action) { worker_.Begin(action); }
+  void Perform(const action::Recover& action) { worker_.Begin(action); }
+  void Perform(const action::StartCapture& action) {
+    ++report_.captures;
+    worker_.Begin(action);
+  }
+  void Perform(const action::Discard& action) {
+    ++report_.discarded;
+    worker_.Begin(action);
+  }
+  void Perform(const action::Show& action);
+  void Perform(const action::PrintTicket& /*action*/) {
+    ++report_.tickets;
+    front_.GiveTicket(worker_.names().ticket);
+  }
+  void Perform(const action::TellOperator& action);
+  void Perform(const action::Count& action) { ++report_.ended[static_cast<size_t>(action.end)]; }
+  void Perform(const action::Arm& action);
+
+  [[nodiscard]] event::Space SpaceLeft() const;
+  [[nodiscard]] event::Calibration CalibrationAtHand() const;
+  [[nodiscard]] event::Hours HoursNow() const { return {!kiosk_.hours || kiosk_.hours->IsOpenAt(MinuteOfDay())}; }
+
+  CaptureStation& station_;
+  const KioskOptions& options_;
+  const KioskConfig& kiosk_;
+  const VisitRules& rules_;
+  KioskFront& front_;
+  StopToken& stop_;
+  Logger& logger_;
+  VisitState state_;
+  KioskReport report_;
+  ServiceNotice notice_;
+  RigWorker worker_;
+  UniqueFd timer_;
+  Clock::time_point next_housekeeping_;
+  std::chrono::nanoseconds clock_offset_ = ClockOffset();
+};
+
+Result<KioskReport> KioskLoop::Run() {
+  if (timer_.get() < 0) return Status::Failed("timerfd_create: out of descriptors");
+  for (const RigSignal signal : {RigSignal::kDoor, RigSignal::kEmergencyStop, RigSignal::kCamera, RigSignal::kLines})
+    if (!station_.events().IsActive(signal))
+      continue;
+    else if (signal == RigSignal::kDoor || signal == RigSignal::kEmergencyStop)
+      Feed(event::InterlockChanged{signal == RigSignal::kDoor ? Interlock::kDoor : Interlock::kEmergencyStop, true});
+    else
+      Feed(event::DeviceChanged{signal == RigSignal::kCamera ? Device::kCamera : Device::kLines, false});
+  KeepHouse();
+  notice_.Ready();
+  while (!Ended()) {
+    Wait();
+    Hear();
+    // A work that never ends is the watchdog's: the machine has been safe since, and cannot go on.
+    const bool stuck = state_.phase == Phase::kSafe && state_.safe_for == Word::kStuck;
+    if (!stuck || state_.work == VisitState::Work::kNone) notice_.Alive();
+  }
+  notice_.Stopping();
+  report_.begun = state_.visit;
+  report_.owed = state_.closed_for.Has(Closure::kUnforgotten);
+  return report_;
+}
+
+void KioskLoop::Wait() const {
+  const bool stopped = stop_.stopped();
+  std::array<pollfd, 5> fds = {pollfd{station_.events().fd(), POLLIN, 0}, pollfd{worker_.fd(), POLLIN, 0},
+                               pollfd{timer_.get(), POLLIN, 0}, pollfd{front_.fd(), POLLIN, 0},
+                               pollfd{stopped ? -1 : stop_.fd(), POLLIN, 0}};
+  poll(fds.data(), fds.size(), stopped ? kStoppedLookMs : kLookMs);
+}
+
+// What takes the light away first: who fails because of it is not asked why.
+void KioskLoop::Hear() {
+  HearRig();
+  if (stop_.operator_asked() && !state_.closed_for.Has(Closure::kShutdown)) Feed(event::Shutdown{});
+  for (const VisitEvent& event : front_.Take())
+    if (IsOfFront(event)) Feed(event);
+  for (const VisitEvent& event : worker_.Take()) {
+    HearRig();
+    Feed(event);
+  }
+  uint64_t expirations = 0;
+  if (read(timer_.get(), &expirations, sizeof expirations) == sizeof expirations) Feed(event::Tick{state_.armed});
+  if (Clock::now() >= next_housekeeping_) KeepHouse();
+  if (std::chrono::abs(ClockOffset() - clock_offset_) < kClockJump) return;
+  clock_offset_ = ClockOffset();
+  Feed(event::ClockJumped{});
+  Feed(HoursNow());
+}
+
+void KioskLoop::HearRig() {
+  for (const RigEvent& event : station_.events().Take()) {
+    const bool active = event.level == SignalLevel::kActive;
+    switch (event.signal) {
+      case RigSignal::kStart:
+        Feed(event::Start{});
+        break;
+      case RigSignal::kDoor:
+        Feed(event::InterlockChanged{Interlock::kDoor, active});
+        break;
+      case RigSignal::kEmergencyStop:
+        Feed(event::InterlockChanged{Interlock::kEmergencyStop, active});
+        break;
+      case RigSignal::kCamera:
+        Feed(event::DeviceChanged{Device::kCamera, !active});
+        break;
+      case RigSignal::kLines:
+        Feed(event::DeviceChanged{Device::kLines, !active});
+        break;
+    }
+  }
+}
+
+void KioskLoop::KeepHouse() {
+  next_housekeeping_ = Clock::now() + kHousekeeping;
+  Feed(SpaceLeft());
+  Feed(CalibrationAtHand());
+  Feed(HoursNow());
+}
+
+void KioskLoop::Feed(const VisitEvent& event) {
+  VisitStep step = Step(rules_, state_, event);
+  if (logger_.Shows(LogLevel::kDebug) && !(step.state == state_))
+    logger_.Debug(ToString(event) + " -> " + ToString(step.state));
+  state_ = step.state;
+  for (const VisitAction& action : step.actions) std::visit([this](const auto& one) { Perform(one); }, action);
+  if (options_.after_step) options_.after_step(state_, event);
+}
+
+void KioskLoop::Perform(const action::Show& action) {
+  front_.Show(action);
+  notice_.State(std::string(ToString(action.screen)) + ", " + std::to_string(report_.tickets) + " visits kept");
+}
+
+void KioskLoop::Perform(const action::TellOperator& action) {
+  logger_.Write(LogLevel::kWarning, std::string("operator: ") + ToString(action.word),
+                {{"STRATALUX_KIOSK", ToString(action.word)}});
+  front_.TellOperator(action.word);
+}
+
+// Anew, also for the same one; what had run out before is gone with it.
+void KioskLoop::Perform(const action::Arm& action) {
+  itimerspec spec{};
+  const std::chrono::nanoseconds after = SecondsOf(action.deadline, kiosk_) * options_.second;
+  spec.it_value = {static_cast<time_t>(after.count() / 1'000'000'000),
+                   static_cast<long>(after.count() % 1'000'000'000)};
+  timerfd_settime(timer_.get(), 0, &spec, nullptr);
+}
+
+event::Space KioskLoop::SpaceLeft() const {
+  std::error_code error;
+  const auto space = std::filesystem::space(ExistingFolder(options_.station.config.store.folder), error);
+  return {error ? INT64_MAX : static_cast<int64_t>(space.available)};
+}
+
+// One that is a file, or not wanted, was chosen by the operator.
+event::Calibration KioskLoop::CalibrationAtHand() const {
+  const RigConfig& config = options_.station.config;
+  const std::string& asked = config.calibration;
+  const bool simulated = options_.station.simulated.has_value();
+  const bool by_operator = asked == "none" || asked.find('/') != std::string::npos || asked.ends_with(".json");
+  if (by_operator || (simulated && (asked.empty() || asked == "exact"))) return {true, 0};
+  const auto found =
+      db::FindCalibration(config.store.folder, {config.store.rig, simulated}, asked.empty() ? "latest" : asked);
+  if (!found.ok()) logger_.Debug("no calibration: " + found.status().message());
+  if (!found.ok()) return {false, 0};
+  return {true, static_cast<int>(std::max(0.0, found->AgeDays(WallNow())))};
+}
+
+}  // namespace
+
+Result<VisitRules> RulesOf(const StationOptions& station) {
+  const KioskConfig& kiosk = station.config.kiosk;
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(station.config.plan));
+  VisitRules rules;
+  rules.attempts = kiosk.attempts;
+  rules.countdown = kiosk.countdown_s;
+  rules.steady_looks = kiosk.steady_looks;
+  rules.space_bytes = kiosk.attempts * SessionBytes(static_cast<int64_t>(plan.steps.size()),
+                                                    station.config.camera.width, station.config.camera.height);
+  rules.calibration_days = kiosk.calibration_days;
+  rules.margin_permille = Permille(kiosk.margin);
+  rules.height_permille = Permille(kiosk.height);
+  rules.off_centre_permille = Permille(kiosk.off_centre);
+  rules.nearest_mm = static_cast<int>(kiosk.nearest_mm);
+  rules.furthest_mm = static_cast<int>(kiosk.furthest_mm);
+  rules.level_permille = Permille(kiosk.snr);
+  rules.most_saturated_permille = Permille(kiosk.most_saturated);
+  rules.least_coverage_permille = Permille(kiosk.least_coverage);
+  rules.paper_consent = !kiosk.paper_scope.empty();
+  if (rules.paper_consent) {
+    Consent paper;
+    SLX_RETURN_IF_ERROR(db::SetScope(kiosk.paper_scope, paper).WithContext("kiosk.paper_scope"));
+    rules.paper = {paper.fit, paper.research, paper.publication, 0, 0};
+  }
+  SLX_RETURN_IF_ERROR(rules.Validate());
+  return rules;
+}
+
+Status KioskOptions::Validate() const {
+  if (station.config.plan.kind != SessionKind::kVisitor)
+    return Status::Usage(std::string("the kiosk captures visitors; plan.kind is ") +
+                         ToString(station.config.plan.kind));
+  if (station.config.store.folder.empty())
+    return Status::Usage(
+        "no store given; use --store DIR, set STRATALUX_STORE or write [rig] store in the configuration");
+  SLX_RETURN_IF_ERROR(station.Validate());
+  return RulesOf(station).status();
+}
+
+Result<KioskReport> RunKiosk(CaptureStation& station, const KioskOptions& options, KioskFront& front, StopToken& stop,
+                             Logger& logger) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_ASSIGN_OR_RETURN(const VisitRules rules, RulesOf(options.station));
+  KioskLoop loop(station, options, rules, front, stop, logger);
+  return loop.Run();
+}
+
+}  // namespace stratalux::rig

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// The kiosk: one loop that performs what the machine (visit_machine.h) asks for on an open rig and its store, and tells
+// it what came of it.
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+
+#include "firmware-host/kiosk/kiosk_front.h"
+#include "firmware-host/kiosk/visit_rules.h"
+#include "firmware-host/kiosk/visit_state.h"
+#include "firmware-host/session/capture_station.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+
+namespace stratalux::rig {
+
+struct KioskOptions {
+  StationOptions station;  // with [kiosk]
+  VisitTiming timing;
+  // Of the deadlines; tests have shorter ones.
+  std::chrono::nanoseconds second = std::chrono::seconds(1);
+  // After each step of the machine; may be empty.
+  std::function<void(const VisitState& state, const VisitEvent& event)> after_step = {};
+
+  // kUsage for a plan that is no visitor's, and what [kiosk] may not say.
+  [[nodiscard]] Status Validate() const;
+};
+
+// [kiosk] as the machine has it. `station`: with a valid plan. Fails as KioskOptions::Validate.
+[[nodiscard]] Result<VisitRules> RulesOf(const StationOptions& station);
+
+// Of all visits since the kiosk began.
+struct KioskReport {
+  int64_t begun = 0;  // visitors who pressed START
+  int64_t captures = 0;
+  int64_t tickets = 0, discarded = 0;   // visits that were kept, that were forgotten
+  std::array<int64_t, kWords> ended{};  // by why, of those that left nothing else
+  bool owed = false;                    // a visit could not be forgotten
+};
+
+// Until an operator's stop (StopToken, the front's Shutdown): then no capture runs, all lights are off, and what was to
+// be forgotten is. kFailed where that could not be. `station` was opened with `stop`.
+[[nodiscard]] Result<KioskReport> RunKiosk(CaptureStation& station, const KioskOptions& options, KioskFront& front,
+                                           StopToken& stop, Logger& logger);
+
+}  // namespace stratalux::rig

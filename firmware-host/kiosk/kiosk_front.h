@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// KioskFront: what shows the kiosk's screens and brings in what visitors and operators do. A page, or a script.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "firmware-host/kiosk/visit_actions.h"
+#include "firmware-host/kiosk/visit_events.h"
+#include "shared/image/image.h"
+
+namespace stratalux::rig {
+
+// Used by the kiosk's loop, but for Preview.
+class KioskFront {
+ public:
+  virtual ~KioskFront() = default;
+  // Readable when there is something to take.
+  [[nodiscard]] virtual int fd() const = 0;
+  // What happened, in order. Only Start, NotSensitive, Sensitive, Agree, Refuse, Leave, Operator, PageLost, PageBack
+  // and Shutdown are heard; an operator was recognised before.
+  virtual std::vector<VisitEvent> Take() = 0;
+  virtual void Show(const action::Show& screen) = 0;
+  virtual void GiveTicket(const std::string& code) = 0;
+  virtual void TellOperator(Word word) = 0;
+  // A raw mosaic of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
+  // meanwhile. It must neither be stored nor leave the machine.
+  virtual void Preview(const Image<uint16_t>& /*mosaic*/) {}
+};
+
+}  // namespace stratalux::rig

@@ -1,0 +1,318 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/kiosk/rig_worker.h"
+
+#include <cmath>
+#include <cstdio>
+#include <optional>
+#include <random>
+#include <utility>
+
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include "db/catalogue/consent.h"
+#include "db/privacy/forget.h"
+#include "db/privacy/ticket.h"
+#include "firmware-host/kiosk/capture_watch.h"
+#include "firmware-host/sequence/rig_check.h"
+#include "shared/base/check.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr int kDistanceBits = 5;  // 32 stripes
+constexpr int kForgetTries = 5;   // a second apart, while another program writes or reads
+
+bool MakesLight(const VisitAction& job) {
+  return std::holds_alternative<action::Preview>(job) || std::holds_alternative<action::CheckRig>(job) ||
+         std::holds_alternative<action::StartCapture>(job);
+}
+
+}  // namespace
+
+RigWorker::RigWorker(CaptureStation& station, WorkerOptions options, StopToken& stop, Logger& logger)
+    : station_(station),
+      options_(std::move(options)),
+      stop_(stop),
+      logger_(logger),
+      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  SLX_CHECK(wake_.get() >= 0);
+  thread_ = std::thread([this] { Work(); });
+}
+
+RigWorker::~RigWorker() {
+  LightOff();
+  {
+    const std::scoped_lock lock(mutex_);
+    ending_ = true;
+  }
+  changed_.notify_all();
+  thread_.join();
+}
+
+void RigWorker::Begin(const VisitAction& job) {
+  {
+    const std::scoped_lock lock(mutex_);
+    jobs_.push_back(job);
+  }
+  changed_.notify_all();
+}
+
+void RigWorker::LightOff() {
+  {
+    const std::scoped_lock lock(mutex_);
+    std::erase_if(jobs_, MakesLight);
+    cancelled_ = lighting_;
+    if (lighting_) stop_.Request(StopReason::kVisitorLeft);
+  }
+  changed_.notify_all();
+}
+
+std::vector<VisitEvent> RigWorker::Take() {
+  uint64_t count = 0;
+  [[maybe_unused]] const ssize_t read_bytes = read(wake_.get(), &count, sizeof count);
+  const std::scoped_lock lock(mutex_);
+  return std::exchange(told_, {});
+}
+
+VisitNames RigWorker::names() const {
+  const std::scoped_lock lock(mutex_);
+  return names_;
+}
+
+void RigWorker::Tell(const VisitEvent& event) {
+  {
+    const std::scoped_lock lock(mutex_);
+    told_.push_back(event);
+  }
+  const uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
+}
+
+bool RigWorker::cancelled() const {
+  const std::scoped_lock lock(mutex_);
+  return cancelled_ || ending_;
+}
+
+bool RigWorker::LightTaken() const {
+  const StopReason reason = stop_.reason();
+  return reason == StopReason::kLeaseExpired || reason == StopReason::kOnTimeLimit || reason == StopReason::kLinesGone;
+}
+
+void RigWorker::Work() {
+  while (true) {
+    VisitAction job;
+    {
+      std::unique_lock lock(mutex_);
+      changed_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
+      if (jobs_.empty()) return;
+      job = jobs_.front();
+      jobs_.pop_front();
+      lighting_ = MakesLight(job);
+      cancelled_ = false;
+    }
+    std::visit([this](const auto& one) { Do(one); }, job);
+    {
+      const std::scoped_lock lock(mutex_);
+      lighting_ = cancelled_ = false;
+    }
+    // What we asked for is done. While door or E-STOP are open this fails: their own way out resets it then.
+    if (stop_.reason() == StopReason::kVisitorLeft) {
+      if (const Status reset = station_.light().Reset(); !reset.ok())
+        logger_.Debug("not reset yet: " + reset.message());
+    }
+  }
+}
+
+void RigWorker::Do(const action::Preview& /*job*/) {
+  foreground_ = {};
+  while (!cancelled()) {
+    const std::optional<VisitEvent> seen = Look();
+    {
+      std::unique_lock lock(mutex_);
+      if (cancelled_ || ending_) return;
+      if (seen) told_.push_back(*seen);
+    }
+    const uint64_t one = 1;
+    [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
+    if (seen && std::holds_alternative<event::Failed>(*seen)) return;
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, options_.look_pause, [this] { return cancelled_ || ending_; });
+  }
+}
+
+std::optional<VisitEvent> RigWorker::Look() {
+  const RigConfig& config = options_.station.config;
+  const auto longest = FromMilliseconds(1000.0 * config.max_visit_s);
+  const Result<PreScanTaken> taken = station_.TakePreScan(config.plan, options_.timing, longest);
+  if (!taken.ok()) {
+    // Door, E-STOP and cable speak for themselves.
+    if (stop_.stopped() && !LightTaken()) return std::nullopt;
+    logger_.Warning("pre-scan: " + taken.status().message());
+    return event::Failed{LightTaken()};
+  }
+  if (options_.preview) options_.preview(taken->shots.front().pixels);
+  std::vector<PreScan> scans;
+  for (size_t i = 0; i < taken->shots.size(); i += 2)
+    scans.push_back({taken->shots[i].pixels, taken->shots[i + 1].pixels});
+  const ExposureRule rule = station_.RuleOfCamera();
+  std::optional<Foreground> foreground = ForegroundOf(scans, rule.read_noise_dn);
+  if (!foreground || !taken->choice) return event::NoFace{};
+  event::Face face;
+  face.box = BoxOf(*foreground);
+  face.level_permille = static_cast<int>(std::lround(1000.0 * std::min(10.0, taken->choice->snr / rule.wanted_snr)));
+  face.exposure_us = static_cast<int>(std::lround(1000.0 * taken->choice->exposure_ms));
+  if (const auto distance = Distance(*foreground)) face.distance_mm = static_cast<int>(std::lround(*distance));
+  foreground_ = std::move(*foreground);
+  prescan_ = taken->choice->findings;
+  return face;
+}
+
+std::optional<double> RigWorker::Distance(const Foreground& foreground) {
+  const RigConfig& config = options_.station.config;
+  if (config.kiosk.nearest_mm <= 0.0 && config.kiosk.furthest_mm <= 0.0) return std::nullopt;
+  const Result<CapturePlan> plan = BuildPlan(config.plan);
+  const Result<RigCalibration> calibration = station_.Calibration(config.calibration);
+  if (!plan.ok() || !calibration.ok()) return std::nullopt;
+  std::vector<Shot> shots;
+  const auto code = CoarseCode(*plan, 0, kDistanceBits);
+  for (const auto& [bit, inverse] : code)
+    for (const Pattern& pattern : {bit, inverse}) {
+      Result<Shot> shot = station_.SnapPattern(0, pattern, config.plan.exposure_ms);
+      if (!shot.ok()) return std::nullopt;
+      shots.push_back(std::move(shot).value());
+    }
+  if (shots.empty()) return std::nullopt;
+  std::vector<CodeBit> bits;
+  for (size_t i = 0; i < shots.size(); i += 2) bits.push_back({shots[i].pixels, shots[i + 1].pixels});
+  return MedianDistanceMm(foreground, bits, code.front().first.bits, *calibration, 0);
+}
+
+void RigWorker::Do(const action::CheckRig& /*job*/) {
+  const RigConfig& config = options_.station.config;
+  RigCheckOptions check;
+  if (const Result<CapturePlan> plan = BuildPlan(config.plan); plan.ok())
+    for (const PlanStep& step : plan->steps)
+      if (step.phase == CapturePhase::kPreroll) check.markers.push_back(step.pattern);
+  check.exposure_ms = config.plan.exposure_ms;
+  check.settle = FromMilliseconds(config.settle_ms);
+  check.deadline = config.LongestDeadline();
+  check.max_on_time = FromMilliseconds(1e3 * config.max_on_time_s);
+  check.wait = station_.rig().wait();
+  const Result<RigCheckReport> report = CheckRig(station_.rig().devices(), check);
+  bool passed = report.ok();
+  if (!report.ok()) logger_.Warning("self-check: " + report.status().message());
+  if (report.ok())
+    for (const CheckItem& item : report->items) {
+      passed &= item.state != CheckState::kFailed;
+      if (item.state == CheckState::kFailed)
+        logger_.Warning("self-check: " + item.name + ": " + item.found + "; " + item.remedy);
+    }
+  station_.Rest();
+  Tell(event::Checked{passed});
+}
+
+void RigWorker::Do(const action::Recover& /*job*/) {
+  Status recovered;
+  if (station_.events().IsActive(RigSignal::kCamera) || stop_.reason() == StopReason::kCameraGone)
+    recovered = station_.ReopenCamera();
+  if (recovered.ok() && stop_.stopped()) recovered = station_.light().Reset();
+  if (!recovered.ok()) logger_.Warning(recovered.message());
+  Tell(event::Recovered{recovered.ok()});
+}
+
+void RigWorker::NameVisit(uint32_t visit) {
+  VisitNames names;
+  names.visit = visit;
+  names.ticket = db::DrawTicket();
+  const Result<std::string> visitor = db::VisitorOfTicket(names.ticket);
+  SLX_CHECK(visitor.ok());
+  names.visitor = *visitor;
+  std::random_device random;
+  char name[32];
+  std::snprintf(name, sizeof name, "visit-%08x", random());
+  names.name = name;
+  const std::scoped_lock lock(mutex_);
+  names_ = names;
+}
+
+CaptureRequest RigWorker::RequestFor(const action::StartCapture& job) const {
+  const RigConfig& config = options_.station.config;
+  const VisitNames named = names();
+  CaptureRequest request;
+  request.plan = config.plan;
+  request.plan.exposure_ms = 1e-3 * job.exposure_us;
+  request.visitor = named.visitor;
+  request.visit = named.name;
+  request.attempt = job.attempt;
+  request.calibration = config.calibration;
+  request.prescan = prescan_;
+  if (const auto retention = ParseRetention(config.kiosk.retention); retention.ok()) request.retention = *retention;
+  // That of the first attempt holds for all.
+  if (job.attempt > 1) return request;
+  Consent& consent = request.consent.emplace();
+  consent.fit = job.consent.fit;
+  consent.research = job.consent.research;
+  consent.publication = job.consent.publication;
+  consent.language = config.kiosk.languages.at(job.consent.language);
+  consent.text_version = config.kiosk.consent_texts.at(job.consent.text);
+  return request;
+}
+
+void RigWorker::Do(const action::StartCapture& job) {
+  if (job.attempt == 1) NameVisit(job.visit);
+  const CaptureRequest request = RequestFor(job);
+  const Result<CapturePlan> plan = BuildPlan(request.plan);
+  const int steps = plan.ok() ? static_cast<int>(plan->steps.size()) : 1;
+  CaptureWatch watch(foreground_, station_.RuleOfCamera(), steps, [this](int done, int of) {
+    Tell(event::Progress{done, of});
+  });
+  const Result<CaptureOutcome> outcome = station_.Capture(request, &watch);
+  if (!outcome.ok()) {
+    logger_.Warning("no capture: " + outcome.status().message());
+    return Tell(event::Failed{LightTaken()});
+  }
+  const CaptureReport& report = outcome->report;
+  logger_.Write(
+      LogLevel::kInfo,
+      "session " + outcome->session + ": " + ToString(report.status) + ", attempt " + std::to_string(job.attempt),
+      {{"SESSION", outcome->session}});
+  for (const std::string& reason : report.Reasons()) logger_.Warning(reason);
+  Tell(event::Captured{watch.Facts(report, LightTaken())});
+}
+
+void RigWorker::Do(const action::Discard& job) {
+  const VisitNames named = names();
+  Status forgotten;
+  if (named.visit == job.visit) forgotten = Forget(named.visitor);
+  if (!forgotten.ok()) logger_.Error("a visit could not be forgotten: " + forgotten.message());
+  forgotten.ok() ? Tell(event::Discarded{}) : Tell(event::DiscardFailed{});
+}
+
+Status RigWorker::Forget(const std::string& visitor) {
+  const std::string& folder = options_.station.config.store.folder;
+  Status last;
+  for (int attempt = 0; attempt < kForgetTries; ++attempt) {
+    if (attempt > 0) std::this_thread::sleep_for(std::chrono::seconds(1));
+    db::ForgetRequest request;
+    {
+      const auto store = db::SessionStore::Open(folder, db::AccessMode::kReadOnly);
+      // No capture came as far as making one.
+      if (!store.ok() && store.status().code() == StatusCode::kNotFound) return Status::Ok();
+      if (!store.ok()) return store.status();
+      SLX_ASSIGN_OR_RETURN(const auto rows, store->ListSessionsOf(visitor));
+      for (const db::SessionSummary& row : rows) request.sessions.push_back(row.info.id);
+      SLX_ASSIGN_OR_RETURN(const auto consents, db::ListConsents(folder, visitor));
+      if (rows.empty() && consents.empty()) return Status::Ok();
+    }
+    request.visitors = {visitor};
+    const Result<db::ForgetReport> report = db::Forget(folder, request, logger_);
+    if (report.ok() && report->leftovers.empty()) return Status::Ok();
+    if (report.ok()) return Status::Failed("found after all: " + report->leftovers.front());
+    last = report.status();
+    if (last.code() != StatusCode::kBusy) return last;
+  }
+  return last;
+}
+
+}  // namespace stratalux::rig

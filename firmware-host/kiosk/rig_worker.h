@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// RigWorker: the one thread that works rig and store for the kiosk, a job at a time, and answers with events.
+#pragma once
+
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <variant>
+#include <vector>
+
+#include "firmware-host/kiosk/face_look.h"
+#include "firmware-host/kiosk/visit_actions.h"
+#include "firmware-host/kiosk/visit_events.h"
+#include "firmware-host/session/capture_station.h"
+#include "shared/base/unique_fd.h"
+
+namespace stratalux::rig {
+
+struct WorkerOptions {
+  StationOptions station;
+  VisitTiming timing;
+  std::chrono::nanoseconds look_pause = std::chrono::milliseconds(200);  // between two pre-scans
+  // Raw mosaics of the preview, on the worker's thread.
+  std::function<void(const Image<uint16_t>&)> preview;
+};
+
+// Whom a visit's sessions belong to: drawn by chance, kept nowhere else.
+struct VisitNames {
+  uint32_t visit = 0;
+  std::string ticket;   // 7K3QZ-M0P4T-3
+  std::string visitor;  // the pseudonym, by which the ticket finds it
+  std::string name;     // of the visit
+};
+
+class RigWorker {
+ public:
+  // `station` is the worker's from here on; it, `stop` and `logger` outlive it.
+  RigWorker(CaptureStation& station, WorkerOptions options, StopToken& stop, Logger& logger);
+  // Ends what runs.
+  ~RigWorker();
+  RigWorker(const RigWorker&) = delete;
+  RigWorker& operator=(const RigWorker&) = delete;
+
+  // One of action::Preview, CheckRig, Recover, StartCapture, Discard. Behind what still runs.
+  void Begin(const VisitAction& job);
+  // Never waits: the guard takes the light, what makes it ends, and a preview tells nothing any more.
+  void LightOff();
+  // Readable when there is something to take.
+  [[nodiscard]] int fd() const { return wake_.get(); }
+  std::vector<VisitEvent> Take();
+  // Of the visit whose capture was begun last.
+  [[nodiscard]] VisitNames names() const;
+
+ private:
+  void Work();
+  void Do(const action::Preview& job);
+  void Do(const action::CheckRig& job);
+  void Do(const action::Recover& job);
+  void Do(const action::StartCapture& job);
+  void Do(const action::Discard& job);
+  template <typename T>
+  void Do(const T& /*not a job*/) {}
+  // One pre-scan; nullopt: ended, or not worth telling.
+  std::optional<VisitEvent> Look();
+  [[nodiscard]] std::optional<double> Distance(const Foreground& foreground);
+  Status Forget(const std::string& visitor);
+  void NameVisit(uint32_t visit);
+  [[nodiscard]] CaptureRequest RequestFor(const action::StartCapture& job) const;
+  // Stopped by nobody's wish.
+  [[nodiscard]] bool LightTaken() const;
+  void Tell(const VisitEvent& event);
+  [[nodiscard]] bool cancelled() const;
+
+  CaptureStation& station_;
+  const WorkerOptions options_;
+  StopToken& stop_;
+  Logger& logger_;
+  Foreground foreground_;  // of the last look that found one
+  std::vector<Finding> prescan_;
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<VisitAction> jobs_;
+  std::vector<VisitEvent> told_;
+  VisitNames names_;
+  bool lighting_ = false;   // a job that makes light runs
+  bool cancelled_ = false;  // it was told to end
+  bool ending_ = false;
+  UniqueFd wake_;
+  std::thread thread_;
+};
+
+}  // namespace stratalux::rig

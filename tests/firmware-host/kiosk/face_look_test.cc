@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "firmware-host/kiosk/face_look.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "tests/firmware-host/session/small_station.h"
+#include "tests/support/scratch_folder.h"
+
+namespace stratalux::rig {
+namespace {
+
+constexpr int kWidth = 320, kHeight = 240;
+
+// White of a projector: `level` within the rectangle, dark elsewhere.
+Image<uint16_t> Rectangle(int left, int top, int right, int bottom, uint16_t level) {
+  Image<uint16_t> image(kWidth, kHeight, 1, uint16_t{64});
+  for (int y = top; y < bottom; ++y)
+    for (int x = left; x < right; ++x) image(x, y) = level;
+  return image;
+}
+const Image<uint16_t> kBlack(kWidth, kHeight, 1, uint16_t{64});
+
+TEST(FaceLook, TheBoxIsThatOfTheLargestPart) {
+  Image<uint16_t> white = Rectangle(80, 48, 240, 216, 1000);
+  for (int y = 0; y < 40; ++y)
+    for (int x = 280; x < 320; ++x) white(x, y) = 1000;  // something that shines in the corner
+  const std::vector<PreScan> scans = {{white, kBlack}};
+  const auto foreground = ForegroundOf(scans, 3.0);
+  ASSERT_TRUE(foreground);
+  EXPECT_EQ(foreground->Count(), (160 / 8) * (168 / 8));
+  EXPECT_EQ(BoxOf(*foreground), (FaceBox{250, 200, 750, 900}));
+}
+
+TEST(FaceLook, WhatAnyProjectorLightsIsForeground) {
+  const Image<uint16_t> left = Rectangle(80, 48, 160, 216, 1000), right = Rectangle(160, 48, 240, 216, 300);
+  const std::vector<PreScan> scans = {{left, kBlack}, {right, kBlack}};
+  EXPECT_EQ(BoxOf(*ForegroundOf(scans, 3.0)), (FaceBox{250, 200, 750, 900}));
+}
+
+TEST(FaceLook, NobodyIsNoFace) {
+  const std::vector<PreScan> scans = {{kBlack, kBlack}};
+  EXPECT_FALSE(ForegroundOf(scans, 3.0));
+  const Image<uint16_t> speck = Rectangle(80, 48, 88, 56, 1000);
+  const std::vector<PreScan> little = {{speck, kBlack}};
+  EXPECT_FALSE(ForegroundOf(little, 3.0));
+}
+
+TEST(FaceLook, CoverageIsTheShareOfWhatWasThere) {
+  const Image<uint16_t> before = Rectangle(80, 48, 240, 216, 1000), turned = Rectangle(80, 48, 160, 216, 1000);
+  const std::vector<PreScan> first = {{before, kBlack}}, then = {{turned, kBlack}};
+  EXPECT_EQ(CoveragePermille(*ForegroundOf(first, 3.0), *ForegroundOf(then, 3.0)), 500);
+  EXPECT_EQ(CoveragePermille(*ForegroundOf(then, 3.0), *ForegroundOf(first, 3.0)), 1000);
+}
+
+class FaceDistance : public ScratchFolderTest {};
+
+// By the simulation's own depth. A stripe is 1/32 of the projector; the median over the blocks evens that out.
+TEST_F(FaceDistance, IsTheMedianOfTheDepth) {
+  StationOptions options = SmallStation(folder_);
+  options.config.camera.width = 348;
+  options.config.camera.height = 260;
+  options.config.plan.projector_width = 256;
+  options.config.plan.projector_height = 192;
+  for (const char* scene : {"plane", "sphere", "head"}) {
+    Simulate(options, scene);
+    StopToken stop;
+    Logger logger(LogLevel::kError);
+    const auto opened = CaptureStation::Open(options, stop, logger);
+    ASSERT_TRUE(opened.ok()) << opened.status().message();
+    CaptureStation& station = **opened;
+    const auto taken = station.TakePreScan(options.config.plan, {}, std::chrono::seconds(100));
+    ASSERT_TRUE(taken.ok()) << taken.status().message();
+    std::vector<PreScan> scans;
+    for (size_t i = 0; i < taken->shots.size(); i += 2)
+      scans.push_back({taken->shots[i].pixels, taken->shots[i + 1].pixels});
+    const auto foreground = ForegroundOf(scans, 3.0);
+    ASSERT_TRUE(foreground) << scene;
+    const CapturePlan plan = *BuildPlan(options.config.plan);
+    const auto code = CoarseCode(plan, 0, 5);
+    ASSERT_EQ(code.size(), 5U);
+    std::vector<Shot> shots;
+    for (const auto& [bit, inverse] : code)
+      for (const Pattern& pattern : {bit, inverse}) {
+        auto shot = station.SnapPattern(0, pattern, 16.0);
+        ASSERT_TRUE(shot.ok()) << shot.status().message();
+        shots.push_back(std::move(*shot));
+      }
+    std::vector<CodeBit> bits;
+    for (size_t i = 0; i < shots.size(); i += 2) bits.push_back({shots[i].pixels, shots[i + 1].pixels});
+    const auto distance =
+        MedianDistanceMm(*foreground, bits, code.front().first.bits, *station.Calibration("exact"), 0);
+    ASSERT_TRUE(distance) << scene;
+    const auto truth = station.rig().simulation->Truth(plan);
+    ASSERT_TRUE(truth.ok());
+    const auto depth = std::find_if(truth->begin(), truth->end(), [](const TruthMap& m) { return m.name == "depth"; });
+    ASSERT_TRUE(depth != truth->end());
+    std::vector<float> depths;
+    for (int y = 0; y < depth->map.height(); ++y)
+      for (int x = 0; x < depth->map.width(); ++x)
+        if (std::isfinite(depth->map(x, y))) depths.push_back(depth->map(x, y));
+    std::nth_element(depths.begin(), depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2), depths.end());
+    const double median = depths[depths.size() / 2];
+    const FaceBox box = BoxOf(*foreground);
+    std::printf("%s: %.0f mm, truly %.0f; box %d %d %d %d\n", scene, *distance, median, box.left, box.top, box.right,
+                box.bottom);
+    EXPECT_NEAR(*distance, median, 0.03 * median) << scene;
+  }
+}
+
+}  // namespace
+}  // namespace stratalux::rig
