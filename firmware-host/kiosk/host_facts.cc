@@ -64,7 +64,9 @@ std::vector<Temperature> Temperatures(const fs::path& sys) {
 
 std::optional<int64_t> FreeBytes(const fs::path& folder) {
   std::error_code unknown;
-  const fs::space_info space = fs::space(folder, unknown);
+  fs::path there = fs::absolute(folder, unknown);
+  while (!fs::exists(there, unknown) && there.has_relative_path()) there = there.parent_path();
+  const fs::space_info space = fs::space(there, unknown);
   if (unknown) return std::nullopt;
   return static_cast<int64_t>(space.available);
 }

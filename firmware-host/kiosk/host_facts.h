@@ -19,7 +19,8 @@ struct Temperature {
 // What cannot be read, or is no thousandth of a degree within -55 .. 200 degrees, is left out. `sys`: for tests.
 [[nodiscard]] std::vector<Temperature> Temperatures(const std::filesystem::path& sys = "/sys");
 
-// That the program's account may still use, bytes; nullopt where the folder is not there.
+// That the program's account may still use, bytes, on the disk of the folder or, where it is yet to be made, of the
+// nearest one above it; nullopt: the system cannot say.
 [[nodiscard]] std::optional<int64_t> FreeBytes(const std::filesystem::path& folder);
 
 }  // namespace stratalux::rig

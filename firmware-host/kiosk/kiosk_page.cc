@@ -109,7 +109,7 @@ struct KioskPage::Impl {
   std::optional<http::Server> server;
 
   Impl(const KioskPageOptions& o, KioskPageInput i, Logger& l, std::vector<PageLanguage> all)
-      : options(o), input(std::move(i)), logger(l), languages(std::move(all)), state(o.languages) {}
+      : options(o), input(std::move(i)), logger(l), languages(std::move(all)), state(o.languages, o.opens) {}
 
   void Publish() { stream->Publish("state", state.Json()); }
   http::Router Routes();
@@ -226,6 +226,13 @@ Response KioskPage::Impl::Order(const Request& request) {
 
 Response KioskPage::Impl::Withdraw(const Request& request) {
   if (!input.withdraw) return Response::Text(501, "this kiosk does not forget by ticket; stratalux-db forget does");
+  {
+    // What is forgotten locks the store, which a visitor's capture would find.
+    const std::lock_guard lock(mutex);
+    const Phase screen = state.shown().screen;
+    if (screen != Phase::kIdle && screen != Phase::kClosed && screen != Phase::kSafe)
+      return Response::Text(409, "a visit is under way; withdraw when it is over, or close the kiosk first");
+  }
   const auto body = ObjectOf(request);
   const std::string ticket = body ? TextIn(*body, "ticket") : "";
   if (ticket.empty()) return Response::Text(400, "a withdrawal is a JSON object with ticket");
@@ -378,11 +385,6 @@ void KioskPage::ShowPreview(const FrameRecord& record, ImageView<const uint16_t>
   impl_->preview = std::move(*picture);
   impl_->state.NextPreview();
   impl_->Publish();
-}
-
-void KioskPage::ShowOpening(const std::string& opens) {
-  const std::lock_guard lock(impl_->mutex);
-  if (impl_->state.SetOpens(opens)) impl_->Publish();
 }
 
 void KioskPage::Tell(Word word) {

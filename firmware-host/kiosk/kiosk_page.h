@@ -30,6 +30,7 @@ struct KioskPageOptions {
   // Of the page's files and words; empty: those that come with the program (share/stratalux/kiosk).
   std::string page_folder, language_folder;
   std::vector<std::string> languages = {"en", "de", "ja"};  // the first is what every visit begins with
+  std::string opens;  // of each day, as a clock says it ("09:30"); empty: always open
   // Whose disk, sessions and calibrations (of `rig`) the operator sees; empty: none.
   std::filesystem::path store;
   std::string rig;
@@ -61,8 +62,6 @@ class KioskPage {
   void ShowTicket(const std::string& code);
   // A look at whoever sits there, while the screen is kPosition; at most five a second are taken, others ignored.
   void ShowPreview(const FrameRecord& record, ImageView<const uint16_t> frame);
-  // When it opens again, in words of a clock ("09:30"); empty: not known.
-  void ShowOpening(const std::string& opens);
   void Tell(Word word);
   // The machine's loop still turns; /healthz fails ten seconds after the last time.
   void Beat();

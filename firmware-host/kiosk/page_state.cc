@@ -70,8 +70,6 @@ bool PageState::SetTicket(const std::string& code) {
   return shown_.screen == Phase::kThanks;
 }
 
-bool PageState::SetOpens(const std::string& opens) { return std::exchange(opens_, opens) != opens; }
-
 bool PageState::Rest(Moment now) {
   if (std::exchange(untold_, false)) return true;
   if (language_ == 0 || !AtRest(shown_.screen) || now - touched_ < kGreetAgainAfter) return false;
@@ -124,7 +122,7 @@ std::string PageState::Json() const {
     json["box"] = {box.left, box.top, box.right, box.bottom};
   if (shown_.screen == Phase::kPosition && seen_) json["preview"] = preview_;
   if (shown_.screen == Phase::kThanks && !ticket_.empty()) json["ticket"] = ticket_;
-  if (shown_.screen == Phase::kClosed && !opens_.empty()) json["opens"] = opens_;
+  if (shown_.closures.Has(Closure::kHours) && !opens_.empty()) json["opens"] = opens_;
   return json.dump();
 }
 

@@ -31,15 +31,15 @@ struct PressVerdict {
 class PageState {
  public:
   using Moment = std::chrono::steady_clock::time_point;
-  // `languages`: ids; the first is what a visit begins with.
-  explicit PageState(std::vector<std::string> languages) : languages_(std::move(languages)) {}
+  // `languages`: ids; the first is what a visit begins with. `opens`: KioskPageOptions.
+  explicit PageState(std::vector<std::string> languages, std::string opens = "")
+      : languages_(std::move(languages)), opens_(std::move(opens)) {}
 
   // `fresh_nonce` takes the old one's place where a visit begins or ends. False: a step of a progress that comes too
   // soon after the one that was told to be worth telling.
   bool Show(const action::Show& show, const std::string& fresh_nonce, Moment now);
   // True: worth telling.
   bool SetTicket(const std::string& code);
-  bool SetOpens(const std::string& opens);
   // Another picture is there, until the screen is another one.
   void NextPreview() {
     ++preview_;
@@ -62,8 +62,9 @@ class PageState {
   [[nodiscard]] PressVerdict PressLanguage(const PagePress& press, Moment now);
 
   std::vector<std::string> languages_;
+  std::string opens_;
   action::Show shown_{Phase::kClosed, Word::kNone, {}, 0, 0, {}};
-  std::string nonce_, ticket_, opens_;
+  std::string nonce_, ticket_;
   size_t language_ = 0;
   bool untold_ = false, seen_ = false;
   int64_t visit_ = 0, preview_ = 0;

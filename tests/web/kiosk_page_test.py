@@ -181,7 +181,7 @@ class Page(unittest.TestCase):
         self.until_screen("idle")
         self.kiosk.happen("selfcheck")
         see("selfcheck")
-        self.kiosk.happen("checked", "clean", "space_low", "opens 09:30")
+        self.kiosk.happen("checked", "clean", "hours_closed")
         self.until_screen("closed", "document.querySelectorAll('.reasons li').length === 2 && "
                           "document.body.innerText.includes('9:30')")
         see("closed")

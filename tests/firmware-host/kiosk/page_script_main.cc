@@ -2,11 +2,12 @@
 // kiosk_page_script: the kiosk's page over a scripted world, for tests/web/kiosk_page_test.py. Says where it serves as
 // a line of JSON; then each line of standard input happens and is answered by a line, the machine's state:
 //   EVENT (a name of visit_cases.cc) | open | progress DONE OF | box LEFT TOP RIGHT BOTTOM | preview FILE.png |
-//   opens HH:MM | stop
+//   stop
 #include <cstdio>
 #include <cstring>
 #include <iostream>
 #include <sstream>
+#include <thread>
 
 #include "tests/firmware-host/kiosk/page_script.h"
 
@@ -34,10 +35,6 @@ bool Obey(ScriptedKiosk& kiosk, const std::string& line) {
     return !words.fail();
   }
   std::string text;
-  if (verb == "opens" && words >> text) {
-    kiosk.page().ShowOpening(text);
-    return true;
-  }
   if (verb == "preview" && words >> text) {
     const auto frame = FrameOf(text);
     if (frame.ok()) kiosk.page().ShowPreview(frame->record, frame->pixels);
@@ -54,6 +51,9 @@ int Run(const KioskPageOptions& options) {
     return 1;
   }
   std::cout << R"({"url": ")" << (*kiosk)->page().url() << "\"}" << std::endl;
+  const std::jthread turns([&kiosk](const std::stop_token& ends) {
+    for (; !ends.stop_requested(); std::this_thread::sleep_for(std::chrono::milliseconds(500))) (*kiosk)->page().Beat();
+  });
   for (std::string line; std::getline(std::cin, line) && line != "stop";) {
     (*kiosk)->page().Beat();
     const bool known = line.empty() || Obey(**kiosk, line);
@@ -71,6 +71,7 @@ int main(int argc, char** argv) {
   stratalux::rig::KioskPageOptions options;
   options.operator_token = argv[1];
   options.store = argv[2];
+  options.opens = "09:30";
   if (argc > 3) options.port = std::stoi(argv[3]);
   return stratalux::rig::Run(options);
 }
