@@ -362,7 +362,7 @@ TEST_F(KioskPageTest, AThousandConnectionsAreBoundedAndThePageAnswersAfterwards)
   int status = 0;
   const auto patience = std::chrono::steady_clock::now() + std::chrono::seconds(40);
   while (status != 200 && std::chrono::steady_clock::now() < patience) {
-    status = http::Get(port_, "/healthz").status;
+    status = http::Get(port_, "/readyz").status;
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
   }
   EXPECT_EQ(status, 200);
