@@ -18,6 +18,8 @@ ninja-build          rig  build tool of the presets
 pkg-config           rig  finds libxxhash, libsodium and libzstd
 libeigen3-dev        rig  small vectors, rotations
 libpng-dev           rig  PNG files
+libjpeg-dev          rig  the kiosk's live picture
+libqrencode-dev      rig  QR codes of the kiosk's tickets
 libsqlite3-dev       rig  the store's index
 libtiff-dev          rig  stratalux-db: import and export of TIFF files (the controller does not link it); peer in benchmarks
 rsync                rig  stratalux-db pull
@@ -46,9 +48,10 @@ systemd              test systemd-analyze, systemd-sysusers and systemd-tmpfiles
 udev                 test udevadm holds the rules of systemd/
 clang-format         test the format check
 clang                test libFuzzer, for the night part fuzz; without it that part is skipped
-chromium             web  the store's page in a real browser (label web)
+chromium             web  the store's and the kiosk's page in a real browser (label web)
 chromium-driver      web  drives it
 python3-selenium     web  drives it
+fonts-ipafont-gothic web  Japanese letters of the kiosk's page
 npm                  web  fetches axe-core, the accessibility checks of the page (npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest

@@ -36,8 +36,10 @@ inline constexpr const char* kKioskExamples = R"(Examples:
   printf 'start\nnot-sensitive\nrefuse\nstop\n' | stratalux-rig kiosk --simulate --store store
   stratalux-rig kiosk --simulate --size 696x520 --store store --simulate-events /tmp/rig &
       sleep 1; echo start > /tmp/rig
+  stratalux-rig kiosk --simulate --store store --page
 
-Screens are lines of JSON on stdout, commands lines on stdin: start, not-sensitive, sensitive, agree SCOPES LANGUAGE
+With --page or [kiosk.page] a browser shows the screens; its address is a line of JSON on stdout. Else screens are
+lines of JSON on stdout, commands lines on stdin: start, not-sensitive, sensitive, agree SCOPES LANGUAGE
 [TEXT], refuse, leave, operator clean|out_of_order|open|selfcheck|reset, stop. SIGTERM ends it as stop does: the
 visit that runs is forgotten, lights are off. Frames are encrypted unless [store] encrypt says no.
 Exit codes: 0 ended, 1 the rig or the store failed, 2 usage, 3 a visit could not be forgotten, 5 a device is in use.)";

@@ -4,9 +4,56 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include "db/privacy/ticket.h"
+#include "firmware-host/kiosk/forget_visitor.h"
+#include "firmware-host/kiosk/page_front.h"
 #include "firmware-host/kiosk/plain_front.h"
+#include "shared/base/formatted.h"
+#include "shared/base/standard_output.h"
+#include "shared/http/access.h"
 
 namespace stratalux::rig {
+namespace {
+
+Result<std::string> TokenOf(const std::string& file) {
+  return file.empty() ? Result<std::string>(std::string()) : http::ReadTokenFile(file);
+}
+
+Result<KioskPageOptions> PageOptionsOf(const StationOptions& station) {
+  const KioskConfig& kiosk = station.config.kiosk;
+  const KioskPageConfig& page = *kiosk.page;
+  KioskPageOptions options;
+  SLX_ASSIGN_OR_RETURN(options.token, TokenOf(page.token_file));
+  SLX_ASSIGN_OR_RETURN(options.operator_token, TokenOf(page.operator_token_file));
+  options.address = page.address;
+  options.port = page.port;
+  options.host_names = page.host_names;
+  options.page_folder = page.page_folder;
+  options.language_folder = page.language_folder;
+  options.ticket_text = page.ticket_text;
+  options.languages = kiosk.languages;
+  if (kiosk.hours) options.opens = Formatted("%02d:%02d", kiosk.hours->opens / 60, kiosk.hours->opens % 60);
+  options.store = station.config.store.folder;
+  options.rig = station.config.store.rig;
+  options.simulated = station.simulated.has_value();
+  return options;
+}
+
+Result<KioskReport> RunWithPage(CaptureStation& station, const KioskOptions& options, StopToken& stop, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const KioskPageOptions page, PageOptionsOf(options.station));
+  const auto withdraw = [&](const std::string& ticket) -> Status {
+    SLX_ASSIGN_OR_RETURN(const std::string visitor, db::VisitorOfTicket(ticket));
+    return ForgetVisitor(options.station.config.store.folder, visitor, logger);
+  };
+  SLX_ASSIGN_OR_RETURN(const auto front, PageFront::Start(page, withdraw, logger));
+  if (page.operator_token.empty())
+    logger.Warning("[kiosk.page] names no operator_token_file: nobody can sign in as operator");
+  const nlohmann::ordered_json where = {{"page", front->page().url() + "/"}};
+  SLX_RETURN_IF_ERROR(WriteStdout(where.dump() + "\n"));
+  return RunKiosk(station, options, *front, stop, logger);
+}
+
+}  // namespace
 
 Result<KioskReport> KioskUntilStopped(const CaptureJob& job, StopToken& stop, Logger& logger) {
   KioskOptions options;
@@ -16,6 +63,7 @@ Result<KioskReport> KioskUntilStopped(const CaptureJob& job, StopToken& stop, Lo
   if (!encrypt) logger.Warning("[store] encrypt = false: what is forgotten may stay on the disk's free blocks");
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const auto station, CaptureStation::Open(options.station, stop, logger));
+  if (options.station.config.kiosk.page) return RunWithPage(*station, options, stop, logger);
   PlainFront front(STDIN_FILENO, STDOUT_FILENO, options.station.config.kiosk, logger);
   return RunKiosk(*station, options, front, stop, logger);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-rig kiosk`: one visitor after another, with the plain front on stdin and stdout.
+// `stratalux-rig kiosk`: one visitor after another, with a page ([kiosk.page]) or lines on stdin and stdout.
 #pragma once
 
 #include <string>

@@ -62,6 +62,7 @@ struct Flags {
   bool sign = false;
   bool json = false;
   bool verbose = false;
+  bool page = false;
 };
 
 int Report(const Status& status) {
@@ -250,8 +251,10 @@ int RunCapture(const Flags& flags) {
 }
 
 int RunKioskCommand(const Flags& flags) {
-  const Result<CaptureJob> job = CaptureFrom(flags);
+  Result<CaptureJob> job = CaptureFrom(flags);
   if (!job.ok()) return Report(job.status());
+  std::optional<KioskPageConfig>& page = job->station.config.kiosk.page;
+  if (flags.page && !page) page.emplace();
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   const Result<KioskReport> report = KioskUntilStopped(*job, StopOfProcess(), logger);
   if (!report.ok()) return Report(report.status());
@@ -419,6 +422,7 @@ CLI::App* AddKiosk(CLI::App& app, Flags& flags) {
   kiosk->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
   kiosk->add_option("--calibration", flags.calibration, "that sessions name, as of capture");
   AddTimingFlags(*kiosk, flags.timing);
+  kiosk->add_flag("--page", flags.page, "show it in a browser, at 127.0.0.1:8080 unless [kiosk.page] says where");
   kiosk->add_flag("--verbose", flags.verbose, "more on stderr: each step of the machine");
   return kiosk;
 }

@@ -82,6 +82,17 @@ void ReadLimits(TomlTable& kiosk, KioskConfig& c) {
   kiosk.Get("least_coverage", c.least_coverage, 0, 1);
 }
 
+void ReadPage(TomlTable page, KioskPageConfig& c) {
+  page.Get("address", c.address);
+  page.Get("port", c.port, 0, 65535);
+  page.Get("token_file", c.token_file);
+  page.Get("operator_token_file", c.operator_token_file);
+  page.Get("host_names", c.host_names);
+  page.Get("ticket_text", c.ticket_text);
+  page.Get("page_folder", c.page_folder);
+  page.Get("language_folder", c.language_folder);
+}
+
 }  // namespace
 
 Result<KioskConfig> ReadKiosk(TomlTable kiosk) {
@@ -92,6 +103,7 @@ Result<KioskConfig> ReadKiosk(TomlTable kiosk) {
   kiosk.Get("retention", c.retention);
   ReadTimes(kiosk, c);
   ReadLimits(kiosk, c);
+  if (kiosk.Has("page")) ReadPage(kiosk.Table("page"), c.page.emplace());
   SLX_RETURN_IF_ERROR(ReadHours(kiosk, c.hours));
   SLX_RETURN_IF_ERROR(CheckNames(kiosk, "languages", c.languages));
   SLX_RETURN_IF_ERROR(CheckNames(kiosk, "consent_texts", c.consent_texts));

@@ -24,6 +24,17 @@ struct OpeningHours {
   }
 };
 
+// [kiosk.page]: what visitors and operators see in a browser (docs/kiosk-page.md).
+struct KioskPageConfig {
+  std::string address = "127.0.0.1";
+  int port = 8080;
+  std::string token_file;           // of all who look at it; none: loopback alone
+  std::string operator_token_file;  // none: nobody is an operator
+  std::vector<std::string> host_names;
+  std::string ticket_text = "{code}";        // what the ticket's QR code says
+  std::string page_folder, language_folder;  // others than those that come with the program
+};
+
 struct KioskConfig {
   std::optional<OpeningHours> hours;  // nullopt: always open
   // What the visitor is shown; the consent of each visit names one of both.
@@ -41,9 +52,10 @@ struct KioskConfig {
   // Of the face, by the pre-scan: shares of the frame; distances from the camera, 0: not asked, not measured.
   double margin = 0.01, height = 0.25, off_centre = 0.12;
   double nearest_mm = 0.0, furthest_mm = 0.0;
-  double snr = 0.5;              // of the wanted signal-to-noise ratio: below, nothing is captured
-  double most_saturated = 0.01;  // of the lit samples of a capture
-  double least_coverage = 0.7;   // of what the pre-scan lit
+  double snr = 0.5;                     // of the wanted signal-to-noise ratio: below, nothing is captured
+  double most_saturated = 0.01;         // of the lit samples of a capture
+  double least_coverage = 0.7;          // of what the pre-scan lit
+  std::optional<KioskPageConfig> page;  // nullopt: lines on stdin and stdout
 };
 
 // kUsage with file:line where hours or scope are none; other keys by TomlTable::Finish.

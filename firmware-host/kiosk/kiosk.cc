@@ -91,7 +91,7 @@ class KioskLoop {
         logger_(logger),
         worker_(station,
                 {options.station, options.timing, options.second / 5,
-                 [&front](const Image<uint16_t>& m) { front.Preview(m); }},
+                 [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); }},
                 stop, logger),
         timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
 

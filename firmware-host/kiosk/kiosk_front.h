@@ -8,6 +8,7 @@
 
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
+#include "shared/capture/frame_record.h"
 #include "shared/image/image.h"
 
 namespace stratalux::rig {
@@ -24,9 +25,9 @@ class KioskFront {
   virtual void Show(const action::Show& screen) = 0;
   virtual void GiveTicket(const std::string& code) = 0;
   virtual void TellOperator(Word word) = 0;
-  // A raw mosaic of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
+  // A frame of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
   // meanwhile. It must neither be stored nor leave the machine.
-  virtual void Preview(const Image<uint16_t>& /*mosaic*/) {}
+  virtual void Preview(const FrameRecord& /*record*/, const Image<uint16_t>& /*pixels*/) {}
 };
 
 }  // namespace stratalux::rig

@@ -11,9 +11,9 @@
 #include <unistd.h>
 
 #include "db/catalogue/consent.h"
-#include "db/privacy/forget.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/capture_watch.h"
+#include "firmware-host/kiosk/forget_visitor.h"
 #include "firmware-host/sequence/rig_check.h"
 #include "shared/base/check.h"
 
@@ -21,7 +21,6 @@ namespace stratalux::rig {
 namespace {
 
 constexpr int kDistanceBits = 5;  // 32 stripes
-constexpr int kForgetTries = 5;   // a second apart, while another program writes or reads
 
 bool MakesLight(const VisitAction& job) {
   return std::holds_alternative<action::Preview>(job) || std::holds_alternative<action::CheckRig>(job) ||
@@ -160,7 +159,7 @@ std::optional<VisitEvent> RigWorker::Look() {
     logger_.Warning("pre-scan: " + taken.status().message());
     return event::Failed{LightTaken()};
   }
-  if (options_.preview) options_.preview(taken->shots.front().pixels);
+  if (options_.preview) options_.preview(taken->shots.front());
   std::vector<PreScan> scans;
   for (size_t i = 0; i < taken->shots.size(); i += 2)
     scans.push_back({taken->shots[i].pixels, taken->shots[i + 1].pixels});
@@ -293,35 +292,11 @@ void RigWorker::Do(const action::StartCapture& job) {
 void RigWorker::Do(const action::Discard& job) {
   const VisitNames named = names();
   Status forgotten;
-  if (named.visit == job.visit) forgotten = Forget(named.visitor);
+  if (named.visit == job.visit) forgotten = ForgetVisitor(options_.station.config.store.folder, named.visitor, logger_);
+  // No capture came as far as making anything.
+  if (forgotten.code() == StatusCode::kNotFound) forgotten = Status::Ok();
   if (!forgotten.ok()) logger_.Error("a visit could not be forgotten: " + forgotten.message());
   forgotten.ok() ? Tell(event::Discarded{}) : Tell(event::DiscardFailed{});
-}
-
-Status RigWorker::Forget(const std::string& visitor) {
-  const std::string& folder = options_.station.config.store.folder;
-  Status last;
-  for (int attempt = 0; attempt < kForgetTries; ++attempt) {
-    if (attempt > 0) std::this_thread::sleep_for(std::chrono::seconds(1));
-    db::ForgetRequest request;
-    {
-      const auto store = db::SessionStore::Open(folder, db::AccessMode::kReadOnly);
-      // No capture came as far as making one.
-      if (!store.ok() && store.status().code() == StatusCode::kNotFound) return Status::Ok();
-      if (!store.ok()) return store.status();
-      SLX_ASSIGN_OR_RETURN(const auto rows, store->ListSessionsOf(visitor));
-      for (const db::SessionSummary& row : rows) request.sessions.push_back(row.info.id);
-      SLX_ASSIGN_OR_RETURN(const auto consents, db::ListConsents(folder, visitor));
-      if (rows.empty() && consents.empty()) return Status::Ok();
-    }
-    request.visitors = {visitor};
-    const Result<db::ForgetReport> report = db::Forget(folder, request, logger_);
-    if (report.ok() && report->leftovers.empty()) return Status::Ok();
-    if (report.ok()) return Status::Failed("found after all: " + report->leftovers.front());
-    last = report.status();
-    if (last.code() != StatusCode::kBusy) return last;
-  }
-  return last;
 }
 
 }  // namespace stratalux::rig

@@ -23,8 +23,8 @@ struct WorkerOptions {
   StationOptions station;
   VisitTiming timing;
   std::chrono::nanoseconds look_pause = std::chrono::milliseconds(200);  // between two pre-scans
-  // Raw mosaics of the preview, on the worker's thread.
-  std::function<void(const Image<uint16_t>&)> preview;
+  // Frames of the preview, on the worker's thread.
+  std::function<void(const Shot&)> preview;
 };
 
 // Whom a visit's sessions belong to: drawn by chance, kept nowhere else.
@@ -66,7 +66,6 @@ class RigWorker {
   // One pre-scan; nullopt: ended, or not worth telling.
   std::optional<VisitEvent> Look();
   [[nodiscard]] std::optional<double> Distance(const Foreground& foreground);
-  Status Forget(const std::string& visitor);
   void NameVisit(uint32_t visit);
   [[nodiscard]] CaptureRequest RequestFor(const action::StartCapture& job) const;
   // Stopped by nobody's wish.

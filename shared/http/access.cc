@@ -20,8 +20,7 @@
 namespace stratalux::http {
 namespace {
 
-constexpr size_t kMostSessions = 32;  // browsers at once; the oldest must take the link again
-constexpr size_t kMostPeers = 256;    // whose wrong tokens are remembered
+constexpr size_t kMostPeers = 256;  // whose wrong tokens are remembered
 
 std::string Lower(std::string text) {
   std::transform(text.begin(), text.end(), text.begin(),
@@ -47,18 +46,6 @@ bool IsAddress(const std::string& host) {
   if (inet_pton(AF_INET, host.c_str(), bytes.data()) == 1) return true;
   const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
   return bracketed && inet_pton(AF_INET6, host.substr(1, host.size() - 2).c_str(), bytes.data()) == 1;
-}
-
-// The value of a cookie, "" without it.
-std::string Cookie(const std::string& header, const std::string& name) {
-  for (size_t at = 0; at < header.size();) {
-    at = std::min(header.find_first_not_of(" ;,", at), header.size());
-    const size_t end = std::min(header.find_first_of(";,", at), header.size());
-    const std::string pair = header.substr(at, end - at);
-    if (pair.starts_with(name + "=")) return pair.substr(name.size() + 1);
-    at = end;
-  }
-  return "";
 }
 
 std::string WithoutToken(const Request& request) {
@@ -121,7 +108,11 @@ Result<std::string> ReadTokenFile(const std::string& file) {
 }
 
 AccessGuard::AccessGuard(AccessOptions options, int port)
-    : options_(std::move(options)), port_(port), cookie_name_("stratalux_" + std::to_string(port)) {
+    : options_(std::move(options)),
+      port_(port),
+      // A browser does not keep cookies apart by port.
+      visitors_("stratalux_" + std::to_string(port), std::chrono::seconds(0), options_.now),
+      keepers_("stratalux_keeper_" + std::to_string(port), options_.keeper_idle, options_.now) {
   for (std::string& name : options_.host_names) name = Lower(name);
 }
 
@@ -136,7 +127,8 @@ std::optional<Response> AccessGuard::CheckHost(const Request& request) const {
 }
 
 std::optional<Response> AccessGuard::CheckOrigin(const Request& request) const {
-  if (request.method == Method::kGet || request.method == Method::kHead || HasBearer(request)) return std::nullopt;
+  if (request.method == Method::kGet || request.method == Method::kHead) return std::nullopt;
+  if (HasBearer(request, Audience::kHoldersOfToken)) return std::nullopt;
   const std::string origin = request.Header("origin"), site = request.Header("sec-fetch-site");
   const std::string host = Lower(request.Header("host"));
   const bool ours = Lower(origin) == "http://" + host || Lower(origin) == "https://" + host;
@@ -145,18 +137,12 @@ std::optional<Response> AccessGuard::CheckOrigin(const Request& request) const {
   return Response::Text(403, "this can be asked from our own pages alone");
 }
 
-bool AccessGuard::HasBearer(const Request& request) const {
+bool AccessGuard::HasBearer(const Request& request, Audience audience) const {
   const std::string header = request.Header("authorization");
-  return Lower(header.substr(0, 7)) == "bearer " && SameSecret(std::string_view(header).substr(7), options_.token);
-}
-
-bool AccessGuard::HasSession(const Request& request) const {
-  const std::string given = Cookie(request.Header("cookie"), cookie_name_);
-  if (given.empty()) return false;
-  const std::lock_guard lock(mutex_);
-  bool known = false;
-  for (const std::string& session : sessions_) known |= SameSecret(given, session);
-  return known;
+  if (Lower(header.substr(0, 7)) != "bearer ") return false;
+  const std::string_view given = std::string_view(header).substr(7);
+  return SameSecret(given, options_.keeper_token) ||
+         (audience != Audience::kKeepers && SameSecret(given, options_.token));
 }
 
 bool AccessGuard::TooManyWrong(const std::string& peer) {
@@ -176,34 +162,58 @@ void AccessGuard::NoteWrong(const std::string& peer) {
 }
 
 Response AccessGuard::Enter(const Request& request) {
-  auto session = RandomToken();
-  if (!session.ok()) return Response::Text(500, session.status().message());
+  {
+    const std::lock_guard lock(mutex_);
+    if (options_.link_use == LinkUse::kOnce && std::exchange(link_used_, true))
+      return Response::Text(401, "this link was used already; restart the server for a new one");
+  }
+  const auto cookie = visitors_.Begin();
+  if (!cookie.ok()) return Response::Text(500, cookie.status().message());
   Response response = Response::SeeOther(WithoutToken(request));
-  response.With("Set-Cookie", cookie_name_ + "=" + *session + "; Path=/; HttpOnly; SameSite=Strict");
-  const std::lock_guard lock(mutex_);
-  if (options_.link_use == LinkUse::kOnce && std::exchange(link_used_, true))
-    return Response::Text(401, "this link was used already; restart the server for a new one");
-  if (sessions_.size() >= kMostSessions) sessions_.pop_front();
-  sessions_.push_back(std::move(*session));
-  return response;
+  return std::move(response.With("Set-Cookie", *cookie));
 }
 
-std::optional<Response> AccessGuard::CheckToken(const Request& request) {
-  if (options_.token.empty()) return std::nullopt;
+std::optional<Response> AccessGuard::CheckSignIn(const Request& request) {
+  if (options_.sign_in.empty() || request.path != options_.sign_in) return std::nullopt;
+  Response response;
+  response.status = 204;
+  if (request.method == Method::kDelete) {
+    if (auto refusal = CheckOrigin(request)) return refusal;
+    return std::move(response.With("Set-Cookie", keepers_.End(request)));
+  }
+  if (request.method != Method::kPost) return std::nullopt;
+  if (TooManyWrong(request.peer)) return Response::Text(429, "too many wrong tokens; wait a minute");
+  if (!HasBearer(request, Audience::kKeepers)) {
+    NoteWrong(request.peer);
+    Response refusal = Response::Text(401, "that is not the token of this program");
+    return std::move(refusal.With("WWW-Authenticate", "Bearer"));
+  }
+  const auto cookie = keepers_.Begin();
+  if (!cookie.ok()) return Response::Text(500, cookie.status().message());
+  return std::move(response.With("Set-Cookie", *cookie));
+}
+
+std::optional<Response> AccessGuard::CheckToken(const Request& request, Audience audience) {
+  if (audience == Audience::kEverybody) return std::nullopt;
+  if (audience == Audience::kHoldersOfToken && options_.token.empty()) return std::nullopt;
   const auto given = request.query.find("token");
-  if (HasSession(request))
+  if (keepers_.Has(request)) return std::nullopt;
+  if (audience == Audience::kHoldersOfToken && visitors_.Has(request))
     return given == request.query.end() ? std::nullopt : std::optional(Response::SeeOther(WithoutToken(request)));
   const bool tries = given != request.query.end() || request.headers.count("authorization") != 0;
   if (tries && TooManyWrong(request.peer)) return Response::Text(429, "too many wrong tokens; wait a minute");
-  if (HasBearer(request)) return std::nullopt;
+  if (HasBearer(request, audience)) return std::nullopt;
   const bool reads = request.method == Method::kGet || request.method == Method::kHead;
-  if (reads && given != request.query.end() && SameSecret(given->second, options_.token)) {
+  if (audience == Audience::kHoldersOfToken && reads && given != request.query.end() &&
+      SameSecret(given->second, options_.token)) {
     // Programs that look at links before people do (HEAD) must not use them up.
     if (request.method == Method::kHead) return Response::SeeOther(WithoutToken(request));
     return Enter(request);
   }
   if (tries) NoteWrong(request.peer);
-  Response refusal = Response::Text(401, "open the link that the program printed when it started");
+  Response refusal =
+      Response::Text(401, audience == Audience::kKeepers ? "this is for who runs the place: sign in"
+                                                         : "open the link that the program printed when it started");
   return std::move(refusal.With("WWW-Authenticate", "Bearer"));
 }
 

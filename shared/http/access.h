@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "shared/base/result.h"
+#include "shared/http/browser_sessions.h"
 #include "shared/http/message.h"
 
 namespace stratalux::http {
@@ -25,15 +26,25 @@ namespace stratalux::http {
 // kUsage otherwise, with the remedy.
 [[nodiscard]] Result<std::string> ReadTokenFile(const std::string& file);
 
+// Who may ask: a route is for holders of the token unless it says that it is open (a style sheet, a health check), or
+// for those who run the place alone.
+enum class Audience { kHoldersOfToken, kEverybody, kKeepers };
+
 // A link with ?token= gives a browser its session: printed links work once, so that none in a history or a log opens
 // anything; a token out of a file is given to several people.
 enum class LinkUse { kOnce, kAlways };
 
 struct AccessOptions {
-  std::string token;  // empty: everybody may ask
+  std::string token;  // empty: everybody may ask, but for what is the keepers'
   LinkUse link_use = LinkUse::kOnce;
   std::vector<std::string> host_names = {};  // beside localhost and addresses, which no foreign name can stand for
   int wrong_tokens_per_minute = 20;          // of one peer; then 429
+  // Of those who run the place (Audience::kKeepers); it opens all that `token` does. Empty: nobody is one.
+  std::string keeper_token = {};
+  // Where a keeper's browser gets its session: POST there with the keepers' token as bearer, DELETE ends it. Empty:
+  // nowhere.
+  std::string sign_in = {};
+  std::chrono::minutes keeper_idle{30};  // after which a keeper's session ends
   std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 };
 
@@ -48,23 +59,25 @@ class AccessGuard {
   [[nodiscard]] std::optional<Response> CheckHost(const Request& request) const;
   // 403: a POST, PUT or DELETE that does not come from a page of ours (Origin, Sec-Fetch-Site) nor carries the token.
   [[nodiscard]] std::optional<Response> CheckOrigin(const Request& request) const;
-  // 401 without `Authorization: Bearer TOKEN` or a session; 429. A right ?token= is answered by 303 to the same path
-  // without it, with the session's cookie (HttpOnly, SameSite=Strict).
-  [[nodiscard]] std::optional<Response> CheckToken(const Request& request);
+  // 401 without `Authorization: Bearer TOKEN` or a session that opens what is for `audience`; 429. A right ?token= is
+  // answered by 303 to the same path without it, with the session's cookie. Keepers have no such links: what is in an
+  // address is in histories and logs.
+  [[nodiscard]] std::optional<Response> CheckToken(const Request& request, Audience audience);
+  // The answer to a POST (204 with the session's cookie, 401, 429) or DELETE (204) of the place to sign in; nullopt for
+  // all else.
+  [[nodiscard]] std::optional<Response> CheckSignIn(const Request& request);
 
  private:
-  [[nodiscard]] bool HasBearer(const Request& request) const;
-  [[nodiscard]] bool HasSession(const Request& request) const;
+  [[nodiscard]] bool HasBearer(const Request& request, Audience audience) const;
   [[nodiscard]] bool TooManyWrong(const std::string& peer);
   void NoteWrong(const std::string& peer);
   [[nodiscard]] Response Enter(const Request& request);
 
   AccessOptions options_;
   int port_;
-  std::string cookie_name_;  // a browser does not keep cookies apart by port
-  mutable std::mutex mutex_;
+  BrowserSessions visitors_, keepers_;
+  std::mutex mutex_;
   bool link_used_ = false;
-  std::deque<std::string> sessions_;
   std::map<std::string, std::deque<std::chrono::steady_clock::time_point>> wrong_;
 };
 

@@ -288,9 +288,11 @@ std::optional<Response> Server::Impl::Admit(Exchange& exchange, std::optional<Me
   request.query = target->query;
   if (auto refusal = guard.CheckHost(request)) return refusal;
   auto match = router.Find(request.method, *target);
+  if (method)
+    if (auto answer = guard.CheckSignIn(request)) return answer;
   // Strangers do not learn which paths there are.
-  if (match.handler == nullptr || match.audience == Audience::kHoldersOfToken)
-    if (auto refusal = guard.CheckToken(request)) return refusal;
+  const Audience audience = match.handler == nullptr ? Audience::kHoldersOfToken : match.audience;
+  if (auto refusal = guard.CheckToken(request, audience)) return refusal;
   if (match.allowed.empty()) return Response::Text(404, "there is nothing at " + request.path);
   if (match.handler == nullptr || !method) {
     std::string allowed;

@@ -5,13 +5,11 @@
 #include <string>
 #include <vector>
 
+#include "shared/http/access.h"
 #include "shared/http/message.h"
 #include "shared/http/target.h"
 
 namespace stratalux::http {
-
-// Who may ask: a route is closed unless it says that it is open (a style sheet, a health check).
-enum class Audience { kHoldersOfToken, kEverybody };
 
 // Filled before the server starts, then only read.
 class Router {

@@ -3,10 +3,10 @@
 // reverse proxy in front.
 //
 // Each request passes in this order: size of its header (431) and body (413), form of its target (400), Host (421),
-// route (404, 405 with Allow), token (401, 429), origin (403), handler. A handler that throws is answered by 500 and
-// told in the log. Every answer carries Content-Security-Policy (own files alone, nothing inline, in no frame),
-// X-Content-Type-Options, Referrer-Policy, Cross-Origin-Resource-Policy and Cache-Control: no-store; but what is no
-// HTTP, or overflows all that is read of a header, is answered by the library alone, before any of this is known.
+// signing in, route (404, 405 with Allow), token (401, 429), origin (403), handler. A handler that throws is answered
+// by 500 and told in the log. Every answer carries Content-Security-Policy (own files alone, nothing inline, in no
+// frame), X-Content-Type-Options, Referrer-Policy, Cross-Origin-Resource-Policy and Cache-Control: no-store; but what
+// is no HTTP, or overflows all that is read of a header, is answered by the library alone, before any of this is known.
 #pragma once
 
 #include <chrono>

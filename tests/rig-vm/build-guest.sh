@@ -24,6 +24,8 @@ udev              libcamera finds its devices through it
 v4l-utils         v4l2-ctl sets the controls of vivid that inject faults
 libstdc++6        every program
 libpng16-16       stratalux-rig
+libjpeg62-turbo   stratalux-rig: the kiosk's live picture
+libqrencode4      stratalux-rig: the kiosk's tickets
 libsqlite3-0      stratalux-rig
 libmicrohttpd12   stratalux-db serve; with what it needs:
 libgnutls30       libmicrohttpd

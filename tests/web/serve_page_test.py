@@ -12,7 +12,8 @@ import tempfile
 import unittest
 import zlib
 
-SKIPPED = 77
+import browser
+
 OPTIONS = None
 
 REPORT = """<!doctype html><html lang="en"><head><title>Report</title><style>p { color: #123 }</style></head><body>
@@ -82,7 +83,6 @@ patterns = ["gray columns bit=0/6", "gray columns bit=0/6 inverse", "gray column
 class Pages(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        from selenium import webdriver
         cls.folder = tempfile.mkdtemp(prefix="stratalux-web-")
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         cls.store = Store(cls.folder)
@@ -96,18 +96,8 @@ class Pages(unittest.TestCase):
             text += line
         cls.link = json.loads(text)["url"]
         cls.base = cls.link.split("/?")[0]
-        options = webdriver.ChromeOptions()
-        for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-                     "--disable-background-networking", "--window-size=1280,900",
-                     f"--user-data-dir={os.path.join(cls.folder, 'profile')}"):
-            options.add_argument(flag)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        options.binary_location = shutil.which("chromium")
-        service = webdriver.ChromeService(executable_path=shutil.which("chromedriver")) if hasattr(
-            webdriver, "ChromeService") else webdriver.chrome.service.Service(shutil.which("chromedriver"))
-        cls.browser = webdriver.Chrome(service=service, options=options)
+        cls.browser = browser.open_chromium(cls.folder)
         cls.addClassCleanup(cls.browser.quit)
-        cls.browser.set_page_load_timeout(60)
         cls.browser.get(cls.link)
 
     @classmethod
@@ -128,7 +118,7 @@ class Pages(unittest.TestCase):
             lambda b: is_there(b.current_url) and b.execute_script("return document.readyState") == "complete")
 
     def complaints(self):
-        return [entry for entry in self.browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+        return browser.complaints(self.browser)
 
     def places(self):
         visit, hostile = self.store.visit, self.store.hostile
@@ -150,11 +140,7 @@ class Pages(unittest.TestCase):
             self.assertEqual([], self.complaints(), place)
 
     def violations(self, axe):
-        self.browser.execute_script(axe)  # by the debugger, which no policy of a page keeps out
-        found = self.browser.execute_async_script(
-            "const done = arguments[arguments.length - 1];"
-            "axe.run(document).then(r => done(r.violations), e => done([{id: String(e), nodes: []}]));")
-        return [f"{v['id']}: {[n.get('html') for n in v['nodes']]}" for v in found]
+        return browser.violations(self.browser, axe)
 
     def test_axe_finds_nothing(self):
         with open(OPTIONS.axe, encoding="utf-8") as file:
@@ -163,12 +149,11 @@ class Pages(unittest.TestCase):
         self.browser.execute_script("document.querySelector('label').remove()")
         self.assertIn("select-name", "".join(self.violations(axe)), "axe would find nothing anywhere")
         for scheme in ("light", "dark"):
-            self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia",
-                                         {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+            browser.media(self.browser, prefers_color_scheme=scheme)
             for place in self.places():
                 self.open(place)
                 self.assertEqual([], self.violations(axe), f"{place}, {scheme}")
-        self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+        browser.media(self.browser)
 
     def test_filters_choose_sessions(self):
         from selenium.webdriver.support.ui import Select
@@ -196,19 +181,11 @@ class Pages(unittest.TestCase):
         self.assertIn("<img src=x onerror=alert(1)>", text)
         self.assertEqual([], self.browser.find_elements("css selector", "img[src=x]"))
 
-    def press_until(self, key, reached, limit=80):
-        from selenium.webdriver.common.action_chains import ActionChains
-        for _ in range(limit):
-            ActionChains(self.browser).send_keys(key).perform()
-            if reached(self.browser.switch_to.active_element):
-                return
-        self.fail("the keyboard does not get there")
-
     def follow(self, href):
-        from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
-        self.press_until(Keys.TAB, lambda e: (e.get_attribute("href") or "").endswith(href))
-        ActionChains(self.browser).send_keys(Keys.ENTER).perform()
+        reached = browser.press_until(self.browser, Keys.TAB, lambda e: (e.get_attribute("href") or "").endswith(href))
+        self.assertTrue(reached, f"the keyboard does not get to {href}")
+        browser.press(self.browser, Keys.ENTER)
         self.arrive(lambda url: url.endswith(href))
 
     def test_the_keyboard_alone_opens_a_session_and_its_report(self):
@@ -244,7 +221,7 @@ def main():
     OPTIONS, rest = parser.parse_known_args()
     if shutil.which("chromium") is None:
         print("skipped: no chromium; scripts/install-deps.sh installs it")
-        return SKIPPED
+        return browser.SKIPPED
     return 0 if unittest.main(argv=[sys.argv[0], *rest], exit=False, verbosity=2).result.wasSuccessful() else 1
 
 

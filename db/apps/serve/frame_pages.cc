@@ -6,9 +6,9 @@
 
 #include "db/apps/display_text.h"
 #include "db/apps/serve/html.h"
-#include "db/apps/serve/picture.h"
 #include "db/apps/serve/site.h"
 #include "db/apps/table_output.h"
+#include "shared/capture/reduced_picture.h"
 #include "shared/http/target.h"
 #include "shared/image/png.h"
 

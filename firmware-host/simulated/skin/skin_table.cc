@@ -11,6 +11,7 @@
 #include <span>
 
 #include "firmware-host/simulated/skin/skin_table_code.h"
+#include "shared/base/program_data.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::rig {
@@ -390,22 +391,9 @@ std::vector<std::string> SkinTable::DefaultPlaces(const std::string& file) {
   if (const char* path = std::getenv("STRATALUX_SKIN_TABLE")) {
     return {file == kSkinFile ? path : fs::path(path).replace_filename(file).string()};
   }
-  std::vector<std::string> places;
-  std::error_code unknown;
-  const fs::path program = fs::read_symlink("/proc/self/exe", unknown);
-  if (!unknown) places.push_back((program.parent_path().parent_path() / "share" / "stratalux" / file).string());
-  const std::string installed = (fs::path(STRATALUX_DATA_FOLDER) / file).string();
-  if (places.empty() || places[0] != installed) places.push_back(installed);
-  return places;
+  return ProgramDataPlaces(file);
 }
 
-std::string SkinTable::DefaultPathOf(const std::string& file) {
-  const std::vector<std::string> places = DefaultPlaces(file);
-  for (const std::string& place : places) {
-    std::error_code ignored;
-    if (std::filesystem::exists(place, ignored)) return place;
-  }
-  return places.front();
-}
+std::string SkinTable::DefaultPathOf(const std::string& file) { return FirstThatIsThere(DefaultPlaces(file)); }
 
 }  // namespace stratalux::rig

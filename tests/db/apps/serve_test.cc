@@ -11,7 +11,6 @@
 #include <unistd.h>
 
 #include "db/apps/serve/html.h"
-#include "db/apps/serve/picture.h"
 #include "db/apps/serve/site.h"
 #include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
@@ -20,6 +19,7 @@
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget.h"
 #include "db/segment/segment.h"
+#include "shared/capture/reduced_picture.h"
 #include "shared/http/server.h"
 #include "shared/image/png.h"
 #include "tests/db/store_fixture.h"
@@ -187,23 +187,6 @@ TEST_F(ServePages, PicturesAreTheFramesReduced) {
   EXPECT_THAT(Get("/pictures/" + id + "/7").body, HasSubstr("not here"));
   EXPECT_EQ(Get("/pictures/" + id + "/x").status, 400);
   EXPECT_EQ(Get("/pictures/none/0").status, 404);
-}
-
-TEST(ReducedPicture, IsTheMeanOfEachColourInSrgb) {
-  FrameRecord record = RecordFor(0, PixelFormat::kMono12, 8, 8);
-  record.cfa = Cfa::kRggb;
-  Image<uint16_t> frame(8, 8);
-  for (int y = 0; y < 8; ++y)
-    for (int x = 0; x < 8; ++x)
-      frame(x, y) = CfaColour(record.cfa, x, y) == 0 ? 4095 : CfaColour(record.cfa, x, y) == 1 ? 877 : 0;
-  const auto picture = ReducedPicture(record, frame.view(), 2);
-  ASSERT_EQ(picture.width(), 2);
-  ASSERT_EQ(picture.channels(), 3);
-  EXPECT_EQ(picture(1, 1, 0), 255);
-  EXPECT_EQ(picture(1, 1, 1), 128);  // half of sRGB is 0.21404 linear; this is 0.21416
-  EXPECT_EQ(picture(1, 1, 2), 0);
-  record.cfa = Cfa::kMono;
-  EXPECT_EQ(ReducedPicture(record, frame.view(), 8).channels(), 1);
 }
 
 TEST_F(ServePages, DamageIsSaidWhereItIsAndTheRestIsShown) {

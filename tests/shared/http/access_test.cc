@@ -24,6 +24,9 @@ Request Asked(Method method, std::map<std::string, std::string> headers,
   return request;
 }
 int StatusOf(const std::optional<Response>& refusal) { return refusal ? refusal->status : 200; }
+int TokenStatus(AccessGuard& guard, const Request& request, Audience audience = Audience::kHoldersOfToken) {
+  return StatusOf(guard.CheckToken(request, audience));
+}
 std::string HeaderOf(const Response& response, const std::string& name) {
   for (const auto& [key, value] : response.headers)
     if (key == name) return value;
@@ -79,30 +82,31 @@ TEST(AccessGuard, TakesPostsOfItsOwnPagesAlone) {
 
 TEST(AccessGuard, ALinkOpensOneSessionOnce) {
   AccessGuard guard({.token = kToken}, kPort);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}))), 401);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {})), 401);
   // A program that only looks at the link does not use it up.
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kHead, {}, {{"token", kToken}}))), 303);
-  const auto entered = guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}, {"phase", "a&b"}}));
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kHead, {}, {{"token", kToken}})), 303);
+  const auto entered =
+      guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}, {"phase", "a&b"}}), Audience::kHoldersOfToken);
   ASSERT_EQ(StatusOf(entered), 303);
   EXPECT_EQ(HeaderOf(*entered, "Location"), "/sessions/s%201?phase=a%26b");
   const std::string cookie = HeaderOf(*entered, "Set-Cookie");
   EXPECT_NE(cookie.find("; HttpOnly; SameSite=Strict"), std::string::npos);
   EXPECT_EQ(cookie.find(kToken), std::string::npos);
   const std::string session = cookie.substr(0, cookie.find(';'));
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session}}))), 200);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", "other=1; " + session}}))), 200);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session + "0"}}))), 401);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", "x" + session}}))), 401);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"cookie", session}})), 200);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"cookie", "other=1; " + session}})), 200);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"cookie", session + "0"}})), 401);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"cookie", "x" + session}})), 401);
   // Again: from the browser that has the session it leads on, from another it opens nothing.
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"cookie", session}}, {{"token", kToken}}))), 303);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}}))), 401);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "bearer " + kToken}}))), 200);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"cookie", session}}, {{"token", kToken}})), 303);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {}, {{"token", kToken}})), 401);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"authorization", "bearer " + kToken}})), 200);
 }
 
 TEST(AccessGuard, ATokenOfAFileOpensSeveral) {
   AccessGuard guard({.token = kToken, .link_use = LinkUse::kAlways}, kPort);
-  for (int i = 0; i < 40; ++i) EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {}, {{"token", kToken}}))), 303);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kPost, {}, {{"token", kToken}}))), 401);
+  for (int i = 0; i < 40; ++i) EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {}, {{"token", kToken}})), 303);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kPost, {}, {{"token", kToken}})), 401);
 }
 
 TEST(AccessGuard, MakesGuessersWait) {
@@ -110,15 +114,84 @@ TEST(AccessGuard, MakesGuessersWait) {
   AccessOptions options{.token = kToken, .wrong_tokens_per_minute = 3};
   options.now = [&now] { return now; };
   AccessGuard guard(options, kPort);
-  for (int i = 0; i < 3; ++i)
-    EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer x"}}))), 401);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer " + kToken}}))), 429);
+  for (int i = 0; i < 3; ++i) EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"authorization", "Bearer x"}})), 401);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"authorization", "Bearer " + kToken}})), 429);
   // Another peer is not kept waiting for it.
   Request other = Asked(Method::kGet, {{"authorization", "Bearer " + kToken}});
   other.peer = "192.168.7.3";
-  EXPECT_EQ(StatusOf(guard.CheckToken(other)), 200);
+  EXPECT_EQ(TokenStatus(guard, other), 200);
   now += std::chrono::seconds(61);
-  EXPECT_EQ(StatusOf(guard.CheckToken(Asked(Method::kGet, {{"authorization", "Bearer " + kToken}}))), 200);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {{"authorization", "Bearer " + kToken}})), 200);
+}
+
+const std::string kKeeperToken = "fedcba9876543210fedcba9876543210";
+Request SigningIn(Method method, const std::string& token) {
+  Request request = Asked(method, {{"authorization", "Bearer " + token}, {"host", "localhost:8123"}});
+  request.path = "/operator/session";
+  return request;
+}
+
+TEST(AccessGuard, KeepersAreKnownByTheirOwnTokenAlone) {
+  AccessGuard guard({.token = kToken, .keeper_token = kKeeperToken}, kPort);
+  const Request visitor = Asked(Method::kGet, {{"authorization", "Bearer " + kToken}});
+  const Request keeper = Asked(Method::kGet, {{"authorization", "Bearer " + kKeeperToken}});
+  EXPECT_EQ(TokenStatus(guard, visitor), 200);
+  EXPECT_EQ(TokenStatus(guard, visitor, Audience::kKeepers), 401);
+  EXPECT_EQ(TokenStatus(guard, keeper), 200);
+  EXPECT_EQ(TokenStatus(guard, keeper, Audience::kKeepers), 200);
+  EXPECT_EQ(TokenStatus(guard, Asked(Method::kGet, {}, {{"token", kKeeperToken}}), Audience::kKeepers), 401);
+  AccessGuard open({.token = ""}, kPort);
+  EXPECT_EQ(TokenStatus(open, Asked(Method::kGet, {})), 200);
+  EXPECT_EQ(TokenStatus(open, Asked(Method::kGet, {}), Audience::kKeepers), 401);
+  EXPECT_EQ(TokenStatus(open, Asked(Method::kGet, {{"authorization", "Bearer "}}), Audience::kKeepers), 401);
+}
+
+TEST(AccessGuard, AKeepersSessionBeginsAndEndsWhereOneSignsIn) {
+  auto now = std::chrono::steady_clock::time_point() + std::chrono::hours(1);
+  AccessOptions options{.token = "", .wrong_tokens_per_minute = 2, .keeper_token = kKeeperToken};
+  options.sign_in = "/operator/session";
+  options.now = [&now] { return now; };
+  AccessGuard guard(options, kPort);
+  EXPECT_FALSE(guard.CheckSignIn(Asked(Method::kPost, {})).has_value()) << "another place";
+  EXPECT_FALSE(guard.CheckSignIn(SigningIn(Method::kGet, kKeeperToken)).has_value());
+  EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, kToken))), 401);
+  const auto entered = guard.CheckSignIn(SigningIn(Method::kPost, kKeeperToken));
+  ASSERT_EQ(StatusOf(entered), 204);
+  const std::string cookie = HeaderOf(*entered, "Set-Cookie");
+  EXPECT_NE(cookie.find("; HttpOnly; SameSite=Strict"), std::string::npos);
+  Request asks = Asked(Method::kGet, {{"cookie", cookie.substr(0, cookie.find(';'))}, {"host", "localhost:8123"}});
+  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
+  // Each use holds it for another half hour.
+  now += std::chrono::minutes(29);
+  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
+  now += std::chrono::minutes(29);
+  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
+  Request ends = asks;
+  ends.method = Method::kDelete;
+  ends.path = "/operator/session";
+  EXPECT_EQ(StatusOf(guard.CheckSignIn(ends)), 403) << "of another page";
+  ends.headers["sec-fetch-site"] = "same-origin";
+  EXPECT_EQ(StatusOf(guard.CheckSignIn(ends)), 204);
+  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 401);
+}
+
+TEST(AccessGuard, AKeepersSessionThatNobodyUsesEnds) {
+  auto now = std::chrono::steady_clock::time_point() + std::chrono::hours(1);
+  AccessOptions options{.token = "", .keeper_token = kKeeperToken, .sign_in = "/operator/session"};
+  options.now = [&now] { return now; };
+  AccessGuard guard(options, kPort);
+  const std::string cookie = HeaderOf(*guard.CheckSignIn(SigningIn(Method::kPost, kKeeperToken)), "Set-Cookie");
+  const Request asks = Asked(Method::kGet, {{"cookie", cookie.substr(0, cookie.find(';'))}});
+  now += std::chrono::minutes(31);
+  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 401);
+}
+
+TEST(AccessGuard, MakesThoseWaitWhoGuessTheKeepersToken) {
+  AccessOptions options{.token = "", .wrong_tokens_per_minute = 2, .keeper_token = kKeeperToken};
+  options.sign_in = "/operator/session";
+  AccessGuard guard(options, kPort);
+  for (int i = 0; i < 2; ++i) EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, "wrong"))), 401);
+  EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, kKeeperToken))), 429);
 }
 
 class TokenFile : public ::testing::Test {

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "db/apps/serve/picture.h"
+#include "shared/capture/reduced_picture.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 
-namespace stratalux::db {
+namespace stratalux {
 namespace {
 
 // IEC 61966-2-1.
@@ -50,4 +50,4 @@ Image<uint8_t> ReducedPicture(const FrameRecord& record, ImageView<const uint16_
   return picture;
 }
 
-}  // namespace stratalux::db
+}  // namespace stratalux

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+// The operator's screen: the machine's state as visitors' screens get it, and figures that are asked for every few seconds.
+import {Machine, fetchJson, fill, post, putTexts, textsOf} from './machine.js';
+
+const kStatusMs = 3000;
+const byId = id => document.getElementById(id);
+
+let words = null, state = null, status = null, inside = false, sure = '', language = '';
+
+const make = (tag, text, more = {}) => Object.assign(document.createElement(tag), {textContent: text, ...more});
+const say = text => { byId('answer').textContent = text; };
+const number = (value, digits) => value === null || value === undefined
+  ? words.operator.unknown
+  : value.toLocaleString(language, {minimumFractionDigits: digits, maximumFractionDigits: digits});
+const moment = seconds => new Date(1000 * seconds).toLocaleString(language, {dateStyle: 'short', timeStyle: 'medium'});
+const known = (value, text) => value === null || value === undefined ? words.operator.unknown : text;
+
+function putPairs(id, pairs) {
+  byId(id).replaceChildren(...pairs.flatMap(([name, value]) => [make('dt', name), make('dd', value)]));
+}
+
+function putTable(id, heads, rows, nothing) {
+  const table = byId(id);
+  if (!rows.length) return table.replaceChildren(Object.assign(make('caption', nothing)));
+  const head = document.createElement('tr'), body = document.createElement('tbody');
+  head.append(...heads.map(text => make('th', text, {scope: 'col'})));
+  for (const row of rows) {
+    const line = document.createElement('tr');
+    line.append(...row.map((cell, i) => make(i ? 'td' : 'th', cell.text ?? cell, {className: cell.kind ?? '', ...(i ? {} : {scope: 'row'})})));
+    body.append(line);
+  }
+  const top = document.createElement('thead');
+  top.append(head);
+  table.replaceChildren(top, body);
+}
+
+function showState() {
+  const o = words.operator, phase = byId('phase');
+  if (phase.textContent !== o.phases[state.screen]) phase.textContent = o.phases[state.screen];
+  phase.className = `phase ${state.screen}`;
+  byId('reasons').textContent = state.closures.map(name => words.closures[name]).join(' ');
+  putPairs('now', [
+    [o.visit, state.visit ? String(state.visit) : '–'],
+    [o.finding, words.words[state.word] || '–'],
+    ...(state.screen === 'capture' ? [[o.frames, `${state.number} / ${state.of}`]] : [])
+  ]);
+}
+
+function showStatus() {
+  const o = words.operator, gib = bytes => `${number(bytes / 2 ** 30, 1)} GiB`;
+  putPairs('machine', [
+    [o.frame_rate, number(status.frames_per_second, 1)],
+    ...(status.temperatures.length ? status.temperatures : [{name: '', celsius: null}]).map(({name, celsius}) =>
+      [`${o.temperature} ${name}`, known(celsius, `${number(celsius, 1)} °C`)]),
+    [o.disk, known(status.disk_free_bytes, gib(status.disk_free_bytes))],
+    [o.calibration, known(status.calibration_age_days, fill(o.days, {days: number(status.calibration_age_days, 0)}))],
+    [o.viewers, String(status.viewers)]
+  ]);
+  putPairs('today', [
+    [o.visits, String(status.visits_begun)],
+    ...Object.keys(o.ends).map(end => [o.ends[end], String(status.visits[end] ?? 0)]),
+    // What ends a visit seldom has the visitor's words.
+    ...Object.entries(status.visits).filter(([end]) => !(end in o.ends)).map(([end, count]) => [words.words[end] ?? end, String(count)]),
+    [o.retakes, String(status.retakes)]
+  ]);
+  putTable('faults', [o.when, o.what], status.faults.map(fault =>
+    [moment(fault.at), words.words[fault.word] ?? fault.word]), o.no_faults);
+  putTable('sessions', [o.session, o.started, o.kind, o.status, o.frames, o.findings], status.sessions.map(session =>
+    [session.id, moment(session.started), session.kind, {text: session.status, kind: session.status},
+      {text: String(session.frames), kind: 'number'}, session.findings.join(', ') || '–']), o.no_sessions);
+}
+
+function showDoor() {
+  byId('door').hidden = inside;
+  byId('inside').hidden = !inside;
+  byId('leave').hidden = !inside;
+}
+
+async function ask() {
+  if (document.hidden) return;
+  const answer = await fetch('/operator/status', {cache: 'no-store', signal: AbortSignal.timeout(kStatusMs)}).catch(() => null);
+  if (!answer) return;
+  const was = inside;
+  inside = answer.ok;
+  if (answer.ok) status = await answer.json();
+  if (!words) return;
+  if (was !== inside || byId('door').hidden === byId('inside').hidden) showDoor();
+  if (inside) showStatus();
+}
+
+async function enter(event) {
+  event.preventDefault();
+  const token = byId('token').value.trim();
+  byId('token').value = '';
+  const answer = await fetch('/operator/session', {method: 'POST', headers: {Authorization: `Bearer ${token}`}}).catch(() => null);
+  say(answer?.status === 429 ? words.operator.too_many : answer?.ok ? '' : words.operator.wrong_token);
+  await ask();
+  (inside ? byId('inside').querySelector('button') : byId('token')).focus();
+}
+
+async function leave() {
+  await fetch('/operator/session', {method: 'DELETE'}).catch(() => null);
+  await ask();
+  byId('token').focus();
+}
+
+async function order(place, body) {
+  const answer = await post(place, body);
+  const good = answer.status >= 200 && answer.status < 300;
+  say(good ? words.operator.done : fill(words.operator.refused, {reason: answer.text || String(answer.status)}));
+  await ask();
+}
+
+function beSure(ticket) {
+  sure = ticket;
+  byId('sure-ticket').textContent = ticket;
+  byId('sure').hidden = !ticket;
+  (ticket ? byId('sure-no') : byId('ticket')).focus();
+}
+
+async function speak(next) {
+  language = next;
+  words = await textsOf(next);
+  document.documentElement.lang = next;
+  putTexts(document, words);
+  document.title = `${words.title}: ${words.operator.title}`;
+  for (const button of byId('languages').children) button.setAttribute('aria-pressed', String(button.lang === next));
+  showDoor();
+  if (state) showState();
+  if (status && inside) showStatus();
+}
+
+async function begin() {
+  const languages = await fetchJson('/languages.json');
+  byId('languages').replaceChildren(...languages.map(({id, name}) => {
+    const button = make('button', name, {type: 'button', lang: id});
+    button.addEventListener('click', () => speak(id));
+    return button;
+  }));
+  const mine = navigator.language.slice(0, 2);
+  await ask();
+  await speak((languages.find(({id}) => id === mine) ?? languages[0]).id);
+  new Machine({
+    onState: next => { state = next; showState(); },
+    onLost: () => {
+      byId('lost').replaceChildren(make('p', words.lost.title));
+      byId('lost').hidden = false;
+    },
+    onBack: () => { byId('lost').hidden = true; }
+  });
+  setInterval(ask, kStatusMs);
+}
+
+byId('door').addEventListener('submit', enter);
+byId('leave').addEventListener('click', leave);
+for (const button of document.querySelectorAll('[data-command]'))
+  button.addEventListener('click', () => order(`/operator/${button.dataset.command}`, {}));
+byId('withdraw').addEventListener('submit', event => {
+  event.preventDefault();
+  beSure(byId('ticket').value.trim());
+});
+byId('sure-no').addEventListener('click', () => beSure(''));
+byId('sure-yes').addEventListener('click', async () => {
+  const ticket = sure;
+  byId('ticket').value = '';
+  beSure('');
+  await order('/operator/withdraw', {ticket});
+});
+begin();

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// PageFront: the kiosk's page (kiosk_page.h) as what its loop shows screens on and hears presses from.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "firmware-host/kiosk/kiosk_front.h"
+#include "firmware-host/kiosk/kiosk_page.h"
+#include "shared/base/log.h"
+#include "shared/base/result.h"
+#include "shared/base/unique_fd.h"
+
+namespace stratalux::rig {
+
+class PageFront final : public KioskFront {
+ public:
+  // `withdraw` as KioskPageInput has it. Fails as KioskPage::Start; kFailed where the system gives no descriptor.
+  static Result<std::unique_ptr<PageFront>> Start(const KioskPageOptions& options,
+                                                  std::function<Status(const std::string& ticket)> withdraw,
+                                                  Logger& logger);
+
+  // Also once a second, so that the page knows that the loop turns.
+  [[nodiscard]] int fd() const override { return either_.get(); }
+  std::vector<VisitEvent> Take() override;
+  void Show(const action::Show& screen) override { page_->Show(screen); }
+  void GiveTicket(const std::string& code) override { page_->ShowTicket(code); }
+  void TellOperator(Word word) override { page_->Tell(word); }
+  void Preview(const FrameRecord& record, const Image<uint16_t>& pixels) override {
+    page_->ShowPreview(record, pixels);
+  }
+
+  [[nodiscard]] KioskPage& page() const { return *page_; }
+
+ private:
+  PageFront() = default;
+  Status Open();
+  void Press(const VisitEvent& event);
+
+  UniqueFd pressed_, second_, either_;
+  std::mutex mutex_;
+  std::vector<VisitEvent> waiting_;
+  std::unique_ptr<KioskPage> page_;  // first to go: its threads press
+};
+
+}  // namespace stratalux::rig
