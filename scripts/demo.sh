@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # From nothing to a face under new light: installs, builds, calibrates the simulated rig, captures a visitor with it, fits,
-# renders, writes a report.
+# renders, writes a report. Or, with --kiosk: the kiosk in front of the same simulated rig.
 set -euo pipefail
 usage() {
   cat <<'HELP'
-usage: scripts/demo.sh [--out DIR] [--seed N] [--size WxH] [--no-install]
+usage: scripts/demo.sh [--kiosk] [--out DIR] [--seed N] [--size WxH] [--no-install]
+  --kiosk        the kiosk in place of a single visitor: its page's address is printed, Ctrl-C ends it
   --out DIR      where everything goes (default demo-out); its index.html is the page to open
   --seed N       another face and another skin (default 1)
   --size WxH     camera mosaic (default 696x520; the full camera has 1392x1042)
@@ -13,16 +14,18 @@ usage: scripts/demo.sh [--out DIR] [--seed N] [--size WxH] [--no-install]
 examples:
   scripts/demo.sh
   scripts/demo.sh --out /tmp/demo --seed 7
+  scripts/demo.sh --kiosk
 HELP
 }
 root=$(cd "$(dirname "$0")/.." && pwd)
-out=demo-out seed=1 size=696x520 install=1
+out=demo-out seed=1 size=696x520 install=1 kiosk=0
 while [ $# -gt 0 ]; do
   case "$1" in
     --out) out=${2:?--out needs a folder}; shift 2 ;;
     --seed) seed=${2:?--seed needs a number}; shift 2 ;;
     --size) size=${2:?--size needs WxH}; shift 2 ;;
     --no-install) install=0; shift ;;
+    --kiosk) kiosk=1; shift ;;
     -h|--help) usage; exit 0 ;;
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
@@ -45,6 +48,13 @@ echo "building ..." >&2
 cmake --preset programs >"$out/configure.log" 2>&1 || { cat "$out/configure.log" >&2; exit 1; }
 cmake --build --preset programs 2>&1 | tee "$out/build.log" | count_steps || { tail -n 50 "$out/build.log" >&2; exit 1; }
 bin=$root/build/programs/bin
+
+if [ $kiosk -eq 1 ]; then
+  [ -e "$out/operator-token" ] || (umask 077; od -An -N16 -tx1 /dev/urandom | tr -d ' \n' >"$out/operator-token")
+  printf '[kiosk.page]\noperator_token_file = "%s"\n' "$out/operator-token" >"$out/rig.toml"
+  echo "visitors: the address below; operators: /operator there, token $(cat "$out/operator-token")" >&2
+  exec "$bin/stratalux-rig" kiosk --simulate --config "$out/rig.toml" --seed "$seed" --size "$size" --store "$out/kiosk-store" --page
+fi
 
 start=$(date +%s)
 store=$out/store
