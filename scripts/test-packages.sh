@@ -75,7 +75,7 @@ cp -a --reflink=auto "$cache/clean" "$root"
 cp -L /etc/resolv.conf "$root/etc/resolv.conf"
 mkdir -p "$root/debs"
 cp -r "$debs/1" "$debs/2" "$root/debs/"
-cp "$source/tests/packages/in-root.sh" "$root/debs/"
+cp "$source/tests/packages/in-root.sh" "$source/tests/support/smallest_plan.toml" "$root/debs/"
 in_root apt-get update -qq >&2
 in_root bash /debs/in-root.sh
 rm -rf "$root"

@@ -4,18 +4,10 @@
 
 #include <string>
 
+#include "tests/support/text_file.h"
+
 namespace stratalux {
 
-inline const std::string kSmallestPlan = R"([plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-)";
+inline const std::string kSmallestPlan = ReadText(STRATALUX_SOURCE_DIR "/tests/support/smallest_plan.toml");
 
 }  // namespace stratalux

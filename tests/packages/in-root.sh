@@ -29,23 +29,7 @@ for unit in /lib/systemd/system/stratalux-*; do systemd-analyze verify --man=no 
 if udevadm verify --help >/dev/null 2>&1; then udevadm verify /lib/udev/rules.d/60-stratalux.rules || fail "udevadm verify"; fi
 
 step "a capture by the account of the rig, in the configured store"
-cat >/tmp/plan.toml <<'TOML'
-[rig]
-store = "/var/lib/stratalux/store"
-[camera]
-width = 96
-height = 72
-[plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-TOML
+{ printf '[rig]\nstore = "/var/lib/stratalux/store"\n[camera]\nwidth = 96\nheight = 72\n'; cat /debs/smallest_plan.toml; } >/tmp/plan.toml
 # Its skin scatters light: the table is found beside the program.
 as_rig stratalux-rig capture --simulate --config /tmp/plan.toml >/tmp/log 2>&1 || { tail -n 20 /tmp/log; fail "a capture"; }
 as_rig stratalux-db verify --deep --store $store >/dev/null || fail "verify"

@@ -15,22 +15,7 @@ ctest --test-dir build/asan -L '^unit$' -j "$jobs" --output-on-failure ${1:+-R "
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 export PATH=$root/build/asan/bin:$PATH STRATALUX_STORE=$work/store STRATALUX_CACHE='' STATE_DIRECTORY=/nonexistent
-# The smallest that a fit accepts.
-cat >"$work/rig.toml" <<'TOML'
-[camera]
-width = 96
-height = 72
-[plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-TOML
+{ printf '[camera]\nwidth = 96\nheight = 72\n'; cat "$root/tests/support/smallest_plan.toml"; } >"$work/rig.toml"
 step() { echo "$ $*"; "$@" >"$work/said" 2>&1 || { echo "exit code $?"; tail -n 40 "$work/said"; failed=1; }; }
 step stratalux-rig capture --simulate --config "$work/rig.toml" --seed 5
 step stratalux-fit run latest

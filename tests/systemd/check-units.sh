@@ -140,21 +140,7 @@ pull() {
   fi
   cp "$build/bin/stratalux-db" "$scratch/"  # where any account may run it
   chmod 755 "$scratch"
-  cat >"$scratch/tiny.toml" <<'TOML'
-[camera]
-width = 96
-height = 72
-[plan]
-projector_width = 128
-projector_height = 96
-preroll_markers = 4
-separation_shifts = 3
-comb_period = 32
-comb_step = 2
-spot_radius = 0
-motion_whites = 0
-guards = 1
-TOML
+  { printf '[camera]\nwidth = 96\nheight = 72\n'; cat "$source/tests/support/smallest_plan.toml"; } >"$scratch/tiny.toml"
   mkdir "$scratch/state"
   STATE_DIRECTORY=$scratch/state STRATALUX_CACHE='' "$build/bin/stratalux-rig" capture --simulate --no-scattering --encrypt --config "$scratch/tiny.toml" \
     --store "$scratch/rig" >"$scratch/log" 2>&1 || { cat "$scratch/log"; fail "a capture"; }
