@@ -9,9 +9,9 @@ trap 'rm -rf "$scratch"' EXIT
 fail() { printf 'FAILED: %s\n' "$@" >&2; exit 1; }
 need() { command -v "$1" >/dev/null || { echo "skipped: $1 is not installed: scripts/install-deps.sh" >&2; exit 77; }; }
 installed() {
-  for component in stratalux-data stratalux-db stratalux-rig; do
-    cmake --install "$build" --prefix "$scratch/usr" --component $component >"$scratch/log" || { cat "$scratch/log"; fail "cmake --install"; }
-  done
+  # The configuration's place is /etc whatever the prefix is: its package goes by DESTDIR.
+  { cmake --install "$build" --prefix "$scratch/usr" --component stratalux-db && cmake --install "$build" --prefix "$scratch/usr" --component stratalux-rig &&
+    DESTDIR=$scratch cmake --install "$build" --prefix /usr --component stratalux-data; } >"$scratch/log" || { cat "$scratch/log"; fail "cmake --install"; }
 }
 
 # Tenths of systemd's points of exposure that a unit may have, by what it has to reach.
