@@ -69,7 +69,7 @@ write fitter/render/a.cc '#include <opencv2/core.hpp>'
 write fitter/render/a.h '#include <ceres/ceres.h>'
 expect_clean
 
-# Devices: each library in the one adapter of its folder.
+# Devices: each library in the adapter of its folder, of one source or of those that are named for it.
 adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<linux/videodev2.h>' camera '<libcamera/camera.h>'
           projector '<xf86drm.h>' projector '<xf86drmMode.h>' projector '<drm/drm.h>' projector '<drm_fourcc.h>' kiosk '<qrencode.h>' kiosk '<jpeglib.h>')
 for ((i = 0; i < ${#adapters[@]}; i += 2)); do
@@ -79,12 +79,17 @@ for ((i = 0; i < ${#adapters[@]}; i += 2)); do
 done
 expect_all_found
 for adapter in 'gpio/gpiod_lines.cc <gpiod.h>' 'camera/v4l2_source.cc <linux/videodev2.h>' \
-               'camera/libcamera_source.cc <libcamera/camera.h>' 'projector/kms_projector.cc <xf86drmMode.h>'; do
+               'camera/v4l2_list.cc <linux/videodev2.h>' 'camera/libcamera_source.cc <libcamera/camera.h>' \
+               'projector/kms_projector.cc <xf86drmMode.h>' 'projector/kms_list.cc <xf86drm.h>'; do
   read -r file header <<<"$adapter"
   write "firmware-host/$file" "#include $header"
   write "firmware-host/${file%.cc}.h" '#include "shared/base/result.h"'
 done
 expect_clean
+for name in camera/list.cc camera/my_v4l2_list.cc; do plant "firmware-host/$name" '#include <linux/videodev2.h>'; done
+for name in projector/list.cc projector/my_kms_list.cc; do plant "firmware-host/$name" '#include <xf86drm.h>'; done
+expect_all_found
+adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<libcamera/camera.h>')
 for ((i = 0; i < ${#adapters[@]}; i += 2)); do
   for name in one two; do write "firmware-host/${adapters[i]}/$name.cc" "#include ${adapters[i + 1]}"; done
   log=$("$check" "$tree") && { echo "not found: ${adapters[i + 1]} in two adapters"; exit 1; }

@@ -45,10 +45,12 @@ done
 # Libraries stay where they are wrapped.
 only_in 'db/(base|catalogue)/[^/]*\.cc' 'sqlite3' 'sqlite3 only in the sources of db/base and db/catalogue'
 only_in 'fitter/.*' '(opencv2|ceres)/|opencv\.hpp' 'OpenCV and Ceres only in fitter'
+# family PREFIX HEADERS WHAT: the sources that include them are named for it (one lists the devices, one drives them).
+family() { only_in "$1_[a-z0-9_]*\.cc" "$2" "$3 only in the sources $1_*.cc"; }
 one_adapter firmware-host/gpio 'gpiod\.h' 'libgpiod'
-one_adapter firmware-host/camera 'linux/videodev2\.h|linux/v4l2' 'V4L2'
+family firmware-host/camera/v4l2 'linux/videodev2\.h|linux/v4l2' 'V4L2'
 one_adapter firmware-host/camera 'libcamera/' 'libcamera'
-one_adapter firmware-host/projector 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
+family firmware-host/projector/kms 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
 one_adapter firmware-host/kiosk 'systemd/' 'libsystemd'
 one_adapter shared/http 'microhttpd\.h' 'libmicrohttpd'
 one_adapter firmware-host/kiosk 'qrencode\.h' 'libqrencode'
@@ -60,7 +62,7 @@ headers() { grep -rnE --include='*.h' "$1" db firmware-host 2>/dev/null | grep -
 hits=$(headers '#include ' | grep -vE '#include (<[a-z_]+>|<Eigen/[A-Za-z]+>|"(shared|db|firmware-host)/[^"]+")')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a header that shows more than the standard library, Eigen and ours|'; bad=1; }
 types='sqlite3|gpiod_[a-z]|gpiod::|v4l2_[a-z]|libcamera::|drm[A-Z_]|cv::|ceres::|nlohmann::|toml::|CLI::|png_[a-z]|XXH'
-hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -v '^db/base/sqlite\.h:')
+hits=$(headers "$types" | sed -E 's|//.*||' | grep -E "^[^:]+:[0-9]+:(.*[^A-Za-z_])?($types)" | grep -vE '^db/base/sqlite\.h:|:#include ')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a type of a library in a header|'; bad=1; }
 rooms_of_sqlite='base|keys|catalogue|care|privacy'
 hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/base/sqlite\.h"' shared firmware-host fitter db 2>/dev/null |

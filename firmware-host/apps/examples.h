@@ -8,6 +8,7 @@ inline constexpr const char* kExamples = R"(Examples:
   stratalux-rig capture --simulate --store store
   stratalux-rig selftest --simulate --store store
   stratalux-rig kiosk --config rig.toml --store store
+  stratalux-rig devices
   stratalux-rig plan show
   stratalux-rig safe
 
@@ -48,6 +49,13 @@ inline constexpr const char* kSelftestExamples = R"(Examples:
   stratalux-rig selftest --simulate --store store --json
 
 Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5 a device is in use.)";
+inline constexpr const char* kDevicesExamples = R"(Examples:
+  stratalux-rig devices
+  stratalux-rig devices --config rig.toml
+  stratalux-rig devices --json | jq '.v4l2[].path'
+
+Takes, switches and changes nothing; a rig that runs is not disturbed. What may not be opened is listed with the reason.
+Exit codes: 0 the list was made, whatever is in it, 2 usage.)";
 inline constexpr const char* kPlanExamples = R"(Examples:
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration

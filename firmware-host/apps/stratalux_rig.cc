@@ -13,6 +13,7 @@
 
 #include "db/catalogue/consent.h"
 #include "firmware-host/apps/capture_command.h"
+#include "firmware-host/apps/devices_command.h"
 #include "firmware-host/apps/examples.h"
 #include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/kiosk_command.h"
@@ -312,6 +313,13 @@ int RunSafe(const Flags& flags) {
   return off.ok() ? 0 : Report(off);
 }
 
+int RunDevices(const Flags& flags) {
+  std::error_code none;
+  const bool installed = flags.config.empty() && std::filesystem::exists(kSystemConfig, none);
+  const Result<DeviceList> list = DevicesBeside(installed ? kSystemConfig : flags.config);
+  return list.ok() ? Print((flags.json ? DevicesAsJson : DevicesAsText)(*list)) : Report(list.status());
+}
+
 void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
   command.add_option("--kind", flags.kind, "visitor (default), calibration, dark, flat or response");
@@ -427,6 +435,15 @@ CLI::App* AddKiosk(CLI::App& app, Flags& flags) {
   return kiosk;
 }
 
+CLI::App* AddDevices(CLI::App& app, Flags& flags) {
+  CLI::App* devices = app.add_subcommand("devices", "List cameras, lines and displays, and what they can do");
+  devices->footer(kDevicesExamples);
+  devices->add_option("--config", flags.config,
+                      "TOML file whose devices are looked for (default: " + std::string(kSystemConfig) + ", if there)");
+  devices->add_flag("--json", flags.json, "print one JSON object");
+  return devices;
+}
+
 int Main(int argc, char** argv) {
   Flags flags;
   CLI::App app("Stratalux's controller: steps the projectors, grabs and proves frames, writes sessions");
@@ -444,6 +461,7 @@ int Main(int argc, char** argv) {
   selftest->add_flag("--json", flags.json, "print one JSON object");
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* kiosk = AddKiosk(app, flags);
+  CLI::App* devices = AddDevices(app, flags);
   CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
   plan->require_subcommand(1);
   plan->footer(kPlanExamples);
@@ -469,6 +487,7 @@ int Main(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : static_cast<int>(StatusCode::kUsage);
   }
   if (safe->parsed()) return RunSafe(flags);
+  if (devices->parsed()) return RunDevices(flags);
   for (const CLI::App* command : {capture, selftest, kiosk})
     if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
   if (ChoosesExposure(flags) && !capture->parsed())

@@ -4,6 +4,10 @@
 
 namespace stratalux::rig {
 
+Result<std::vector<LibcameraDevice>> LibcameraFrameSource::List() {
+  return Status::Usage("this program was built without libcamera; install libcamera-dev and build again");
+}
+
 Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiring&, Logger&) {
   return Status::Usage(
       "[camera] backend = \"libcamera\": this program was built without libcamera; install libcamera-dev and build "

@@ -9,13 +9,11 @@
 #include <cstring>
 #include <deque>
 #include <functional>
-#include <future>
 #include <map>
 #include <mutex>
 #include <optional>
 #include <span>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -24,6 +22,7 @@
 
 #include "firmware-host/camera/frame_stream.h"
 #include "firmware-host/camera/mapped_buffer.h"
+#include "firmware-host/camera/patient_call.h"
 #include "firmware-host/camera/raw_format.h"
 #include "firmware-host/camera/raw_unpack.h"
 
@@ -334,14 +333,9 @@ class Camera final : public FrameSource {
 
 Status Camera::Within(const std::string& what, std::function<Status(Session&)> call) {
   if (!session_) return Status::Failed(why_);
-  auto task = std::make_shared<std::packaged_task<Status()>>(
-      [session = session_, call = std::move(call)] { return call(*session); });
-  std::future<Status> done = task->get_future();
-  std::thread([task]() mutable {
-    (*task)();
-    task.reset();
-  }).detach();
-  if (done.wait_for(kPatience) == std::future_status::ready) return done.get();
+  const std::optional<Status> done =
+      CallPatiently<Status>(kPatience, [session = session_, call = std::move(call)] { return call(*session); });
+  if (done) return *done;
   return GiveUp("camera: " + what + " hangs inside libcamera", Failure::kHung);
 }
 
@@ -454,15 +448,10 @@ Image<uint16_t> Camera::PixelsOf(const libcamera::FrameBuffer& buffer, CapturedF
   const std::span<const uint8_t> mapped = session_->MappingOf(&buffer).bytes();
   const size_t used = std::min<size_t>(mapped.size(), buffer.metadata().planes()[0].bytesused);
   if (session_->format().green_of_bgr) {
-    Image<uint16_t> green(wiring_.width, wiring_.height);
-    if (used >= session_->stride() * static_cast<size_t>(wiring_.height)) {
-      for (int y = 0; y < wiring_.height; ++y)
-        for (int x = 0; x < wiring_.width; ++x)
-          green(x, y) = static_cast<uint16_t>(mapped[y * session_->stride() + 3U * x + 1] << 4U);
-      return green;
-    }
+    const bool whole = used >= session_->stride() * static_cast<size_t>(wiring_.height);
+    if (whole) return UnpackGreenOfBgr(mapped, wiring_.width, wiring_.height, session_->stride());
     frame.corrupt = true;
-    return green;
+    return {wiring_.width, wiring_.height};
   }
   Result<Image<uint16_t>> pixels =
       UnpackRaw(mapped.first(used), session_->format().raw, wiring_.width, wiring_.height, session_->stride());
@@ -473,7 +462,36 @@ Image<uint16_t> Camera::PixelsOf(const libcamera::FrameBuffer& buffer, CapturedF
   return {wiring_.width, wiring_.height};
 }
 
+LibcameraDevice Describe(libcamera::Camera& camera) {
+  LibcameraDevice device{camera.id(), camera.properties().get(libcamera::properties::Model).value_or(""), {}};
+  auto configuration = camera.generateConfiguration({libcamera::StreamRole::Raw});
+  if (!configuration || configuration->empty())
+    configuration = camera.generateConfiguration({libcamera::StreamRole::Viewfinder});
+  if (!configuration || configuration->empty()) return device;
+  const libcamera::StreamFormats formats = configuration->at(0).formats();
+  for (const libcamera::PixelFormat& format : formats.pixelformats()) {
+    LibcameraFormat& listed = device.formats.emplace_back(format.toString());
+    for (const libcamera::Size& size : formats.sizes(format))
+      listed.sizes.emplace_back(static_cast<int>(size.width), static_cast<int>(size.height));
+  }
+  return device;
+}
+
+Result<std::vector<LibcameraDevice>> ListDevices() {
+  SLX_ASSIGN_OR_RETURN(Manager::Pointer manager, Manager::Get());
+  std::vector<LibcameraDevice> devices;
+  for (const std::shared_ptr<libcamera::Camera>& camera : manager->cameras()) devices.push_back(Describe(*camera));
+  Manager::Release(manager);
+  return devices;
+}
+
 }  // namespace
+
+Result<std::vector<LibcameraDevice>> LibcameraFrameSource::List() {
+  if (auto listed = CallPatiently<Result<std::vector<LibcameraDevice>>>(kPatience, ListDevices))
+    return std::move(*listed);
+  return Status::Failed("libcamera does not answer; unplug the camera, reload its driver if need be, and try again");
+}
 
 Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiring& wiring, Logger& logger) {
   if (camera_in_use.exchange(true))

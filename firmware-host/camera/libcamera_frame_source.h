@@ -18,6 +18,9 @@
 #pragma once
 
 #include <memory>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "firmware-host/camera/camera_wiring.h"
 #include "firmware-host/camera/frame_source.h"
@@ -26,11 +29,25 @@
 
 namespace stratalux::rig {
 
+struct LibcameraFormat {
+  std::string name;                        // libcamera's, for [camera] format
+  std::vector<std::pair<int, int>> sizes;  // width, height, px
+};
+
+struct LibcameraDevice {
+  std::string id, model;  // id: for [camera] device; model: of the sensor, empty where it does not say
+  // Of the raw stream; of the processed one where the camera has none.
+  std::vector<LibcameraFormat> formats;
+};
+
 class LibcameraFrameSource {
  public:
-  // [camera] device is the camera's id as `cam -l` lists it; empty where there is but one. kNotFound: no such camera;
-  // kUsage: it lacks that format or size, or this program was built without libcamera; kBusy: another program has it,
-  // or this process already has one. Thread-bound.
+  // The cameras that libcamera finds; none is taken. kFailed: it does not start or answer; kUsage: this program was
+  // built without libcamera. Reentrant.
+  static Result<std::vector<LibcameraDevice>> List();
+  // [camera] device is the camera's id as `stratalux-rig devices` lists it; empty where there is but one. kNotFound: no
+  // such camera; kUsage: it lacks that format or size, or this program was built without libcamera; kBusy: another
+  // program has it, or this process already has one. Thread-bound.
   static Result<std::unique_ptr<FrameSource>> Open(const CameraWiring& wiring, Logger& logger);
   // Whether libcamera lists the camera. True where nobody can tell, as long as this process never opened one.
   // Reentrant.

@@ -67,4 +67,11 @@ Result<Image<uint16_t>> UnpackRaw(std::span<const uint8_t> bytes, const RawForma
   return image;
 }
 
+Image<uint16_t> UnpackGreenOfBgr(std::span<const uint8_t> bytes, int width, int height, size_t stride) {
+  Image<uint16_t> green(width, height);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) green(x, y) = static_cast<uint16_t>(bytes[y * stride + 3U * x + 1] << 4U);
+  return green;
+}
+
 }  // namespace stratalux::rig

@@ -37,4 +37,7 @@ struct RawFormat {
 [[nodiscard]] Result<Image<uint16_t>> UnpackRaw(std::span<const uint8_t> bytes, const RawFormat& format, int width,
                                                 int height, size_t stride);
 
+// The green of BGR888, 8 bits moved to the upper ones of 12; `bytes` hold `height` rows of `stride` bytes.
+[[nodiscard]] Image<uint16_t> UnpackGreenOfBgr(std::span<const uint8_t> bytes, int width, int height, size_t stride);
+
 }  // namespace stratalux::rig

@@ -5,22 +5,20 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <span>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
-#include <fcntl.h>
 #include <linux/videodev2.h>
 #include <poll.h>
-#include <sys/ioctl.h>
 #include <sys/mman.h>
 
 #include "firmware-host/camera/frame_stream.h"
 #include "firmware-host/camera/mapped_buffer.h"
 #include "firmware-host/camera/raw_format.h"
+#include "firmware-host/camera/v4l2_devices.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
@@ -28,60 +26,18 @@ namespace {
 
 constexpr auto kReopenPause = std::chrono::milliseconds(500);  // a USB device needs some seconds to come back
 
-int Call(int fd, unsigned long request, void* argument) {
-  int result = 0;
-  do {
-    result = ioctl(fd, request, argument);
-  } while (result != 0 && errno == EINTR);
-  return result;
-}
-
-std::string Text(const uint8_t* text, size_t size) {
-  return {reinterpret_cast<const char*>(text), strnlen(reinterpret_cast<const char*>(text), size)};
-}
-
-struct Node {
-  std::string path, driver, card, bus;
-
-  [[nodiscard]] std::string ToString() const { return path + " (" + driver + ", " + card + ", " + bus + ")"; }
-};
-
-// nullopt: no device that streams frames.
-std::optional<Node> Describe(int fd, const std::string& path) {
-  v4l2_capability capability{};
-  if (Call(fd, VIDIOC_QUERYCAP, &capability) != 0) return std::nullopt;
-  const uint32_t can =
-      (capability.capabilities & V4L2_CAP_DEVICE_CAPS) != 0 ? capability.device_caps : capability.capabilities;
-  if ((can & V4L2_CAP_VIDEO_CAPTURE) == 0 || (can & V4L2_CAP_STREAMING) == 0) return std::nullopt;
-  return Node{path, Text(capability.driver, sizeof capability.driver), Text(capability.card, sizeof capability.card),
-              Text(capability.bus_info, sizeof capability.bus_info)};
-}
-
-UniqueFd OpenNode(const std::string& path) { return UniqueFd(open(path.c_str(), O_RDWR | O_NONBLOCK | O_CLOEXEC)); }
-
-std::vector<std::string> VideoNodes() {
-  std::vector<std::string> paths;
-  std::error_code ignored;
-  for (const auto& entry : std::filesystem::directory_iterator("/dev", ignored))
-    if (entry.path().filename().string().starts_with("video")) paths.push_back(entry.path().string());
-  std::sort(paths.begin(), paths.end());
-  return paths;
-}
-
-Result<Node> FindCamera(const CameraWiring& wiring) {
-  auto wanted = [](const std::string& given, const std::string& is) { return given.empty() || given == is; };
-  const std::vector<std::string> paths = wiring.device.empty() ? VideoNodes() : std::vector<std::string>{wiring.device};
-  std::vector<Node> fitting;
+Result<V4l2Node> FindCamera(const CameraWiring& wiring) {
+  const std::vector<std::string> paths = wiring.device.empty() ? V4l2Paths() : std::vector<std::string>{wiring.device};
+  std::vector<V4l2Node> fitting;
   std::string seen;
   for (const std::string& path : paths) {
-    const UniqueFd fd = OpenNode(path);
+    const UniqueFd fd = OpenV4l2(path);
     if (!fd.ok() && !wiring.device.empty())
-      return Status::NotFound(path + ": " + std::strerror(errno) + "; `v4l2-ctl --list-devices` lists the cameras");
-    const std::optional<Node> node = fd.ok() ? Describe(fd.get(), path) : std::nullopt;
+      return Status::NotFound(path + ": " + std::strerror(errno) + "; `stratalux-rig devices` lists the cameras");
+    const std::optional<V4l2Node> node = fd.ok() ? DescribeV4l2(fd.get(), path) : std::nullopt;
     if (!node) continue;
     seen += (seen.empty() ? "" : ", ") + node->ToString();
-    if (wanted(wiring.driver, node->driver) && wanted(wiring.card, node->card) && wanted(wiring.bus, node->bus))
-      fitting.push_back(*node);
+    if (Names(wiring, *node)) fitting.push_back(*node);
   }
   if (fitting.size() == 1) return fitting.front();
   if (fitting.size() > 1)
@@ -117,7 +73,6 @@ class Camera final : public FrameSource {
   }
   Status SetUp();
   Status SetFormat();
-  Result<uint32_t> ChooseFormat();
   Status SetFrameRate();
   Status StreamOn();
   void Close();
@@ -165,9 +120,9 @@ uint32_t Camera::GainId() const {
 }
 
 Status Camera::OpenDevice() {
-  SLX_ASSIGN_OR_RETURN(const Node node, FindCamera(wiring_));
+  SLX_ASSIGN_OR_RETURN(const V4l2Node node, FindCamera(wiring_));
   path_ = node.path;
-  fd_ = OpenNode(path_);
+  fd_ = OpenV4l2(path_);
   if (!fd_.ok()) return Error("cannot be opened");
   Status ready = SetUp();
   if (!ready.ok()) Close();
@@ -182,35 +137,15 @@ Status Camera::SetUp() {
   return ApplySettings();
 }
 
-Result<uint32_t> Camera::ChooseFormat() {
-  std::string offered;
-  std::optional<uint32_t> best;
-  int best_bits = 0;
-  v4l2_fmtdesc description{};
-  description.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  for (; Call(fd_.get(), VIDIOC_ENUM_FMT, &description) == 0; ++description.index) {
-    const std::string name = FourccText(description.pixelformat);
-    const std::optional<RawFormat> format = RawFormatOf(name);
-    if (!format) continue;
-    offered += (offered.empty() ? "" : ", ") + name;
-    if (wiring_.format.empty() ? format->bits <= best_bits : name != wiring_.format) continue;
-    best = description.pixelformat;
-    best_bits = format->bits;
-  }
-  if (best) return *best;
-  return Status::Usage(path_ + ": [camera] format '" + wiring_.format +
-                       "' is not offered; raw formats of this camera: " + (offered.empty() ? "none" : offered));
-}
-
 Status Camera::SetFormat() {
-  SLX_ASSIGN_OR_RETURN(const uint32_t fourcc, ChooseFormat());
+  SLX_ASSIGN_OR_RETURN(const uint32_t fourcc, ChooseV4l2Format(path_, V4l2Formats(fd_.get()), wiring_.format));
   v4l2_format format{};
   format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   format.fmt.pix.width = static_cast<uint32_t>(wiring_.width);
   format.fmt.pix.height = static_cast<uint32_t>(wiring_.height);
   format.fmt.pix.pixelformat = fourcc;
   format.fmt.pix.field = V4L2_FIELD_NONE;
-  if (Call(fd_.get(), VIDIOC_S_FMT, &format) != 0) return Error("format " + FourccText(fourcc) + " refused");
+  if (CallV4l2(fd_.get(), VIDIOC_S_FMT, &format) != 0) return Error("format " + FourccText(fourcc) + " refused");
   const v4l2_pix_format& got = format.fmt.pix;
   if (got.pixelformat != fourcc || static_cast<int>(got.width) != wiring_.width ||
       static_cast<int>(got.height) != wiring_.height)
@@ -229,7 +164,7 @@ Status Camera::SetFrameRate() {
   parameters.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   v4l2_fract& period = parameters.parm.capture.timeperframe;
   period = {1000, static_cast<uint32_t>(std::lround(1000.0 * wiring_.frame_rate_hz))};
-  if (Call(fd_.get(), VIDIOC_S_PARM, &parameters) != 0) return Error("[camera] frame_rate_hz cannot be set");
+  if (CallV4l2(fd_.get(), VIDIOC_S_PARM, &parameters) != 0) return Error("[camera] frame_rate_hz cannot be set");
   const double got_hz = period.numerator > 0 ? static_cast<double>(period.denominator) / period.numerator : 0.0;
   if (std::abs(got_hz - wiring_.frame_rate_hz) <= 0.01 * wiring_.frame_rate_hz) return Status::Ok();
   return Status::Usage(path_ + ": [camera] asks for frame_rate_hz = " + std::to_string(wiring_.frame_rate_hz) +
@@ -241,15 +176,15 @@ Status Camera::CheckControls() {
   for (auto [id, value] : {std::pair<uint32_t, int>{V4L2_CID_EXPOSURE_AUTO, V4L2_EXPOSURE_MANUAL},
                            std::pair<uint32_t, int>{V4L2_CID_AUTOGAIN, 0}}) {
     v4l2_control control{id, value};
-    if (Call(fd_.get(), VIDIOC_S_CTRL, &control) != 0 && errno != EINVAL)
+    if (CallV4l2(fd_.get(), VIDIOC_S_CTRL, &control) != 0 && errno != EINVAL)
       logger_.Warning(path_ + ": automatic exposure or gain cannot be switched off: " + std::strerror(errno));
   }
   auto check = [this](bool used, uint32_t id, const char* key) {
     v4l2_queryctrl query{};
     query.id = id;
-    if (!used || Call(fd_.get(), VIDIOC_QUERYCTRL, &query) == 0) return Status::Ok();
+    if (!used || CallV4l2(fd_.get(), VIDIOC_QUERYCTRL, &query) == 0) return Status::Ok();
     return Status::Usage(path_ + ": the camera lacks the control that [camera] " + key +
-                         " names; `v4l2-ctl -L` lists what it has");
+                         " names; `stratalux-rig devices` lists what it has");
   };
   SLX_RETURN_IF_ERROR(check(wiring_.exposure_control != ExposureControl::kNone, ExposureId(), "exposure_control"));
   return check(wiring_.gain_control != GainControl::kNone, GainId(), "gain_control");
@@ -258,23 +193,23 @@ Status Camera::CheckControls() {
 Status Camera::SetControl(uint32_t id, const std::string& name, double value) {
   v4l2_queryctrl query{};
   query.id = id;
-  if (Call(fd_.get(), VIDIOC_QUERYCTRL, &query) != 0) return Error(name);
+  if (CallV4l2(fd_.get(), VIDIOC_QUERYCTRL, &query) != 0) return Error(name);
   const double rounded = std::round(value);
   if (rounded < query.minimum || rounded > query.maximum)
     return Status::Usage(path_ + ": " + name + " would be " + std::to_string(value) + " units, the camera allows " +
                          std::to_string(query.minimum) + " .. " + std::to_string(query.maximum));
   v4l2_control control{id, static_cast<int32_t>(rounded)};
-  if (Call(fd_.get(), VIDIOC_S_CTRL, &control) != 0) return Error(name);
+  if (CallV4l2(fd_.get(), VIDIOC_S_CTRL, &control) != 0) return Error(name);
   return Status::Ok();
 }
 
 Settings Camera::ReadBack() {
   Settings settings{wiring_.fixed_exposure_ms, 1.0};
   v4l2_control control{ExposureId(), 0};
-  if (wiring_.exposure_control != ExposureControl::kNone && Call(fd_.get(), VIDIOC_G_CTRL, &control) == 0)
+  if (wiring_.exposure_control != ExposureControl::kNone && CallV4l2(fd_.get(), VIDIOC_G_CTRL, &control) == 0)
     settings.exposure_ms = 1e-3 * control.value * wiring_.exposure_unit_us;
   control = {GainId(), 0};
-  if (wiring_.gain_control != GainControl::kNone && Call(fd_.get(), VIDIOC_G_CTRL, &control) == 0)
+  if (wiring_.gain_control != GainControl::kNone && CallV4l2(fd_.get(), VIDIOC_G_CTRL, &control) == 0)
     settings.gain = control.value / wiring_.gain_unit;
   return settings;
 }
@@ -313,7 +248,7 @@ Status Camera::StreamOn() {
   request.count = static_cast<uint32_t>(wiring_.buffers);
   request.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   request.memory = V4L2_MEMORY_MMAP;
-  if (Call(fd_.get(), VIDIOC_REQBUFS, &request) != 0) return Error("no buffers");
+  if (CallV4l2(fd_.get(), VIDIOC_REQBUFS, &request) != 0) return Error("no buffers");
   if (request.count < 2)
     return Status::Failed(path_ + ": the driver grants " + std::to_string(request.count) + " buffers");
   if (static_cast<int>(request.count) < wiring_.buffers)
@@ -324,23 +259,23 @@ Status Camera::StreamOn() {
     buffer.type = request.type;
     buffer.memory = request.memory;
     buffer.index = i;
-    if (Call(fd_.get(), VIDIOC_QUERYBUF, &buffer) != 0) return Error("buffer " + std::to_string(i));
+    if (CallV4l2(fd_.get(), VIDIOC_QUERYBUF, &buffer) != 0) return Error("buffer " + std::to_string(i));
     void* address = mmap(nullptr, buffer.length, PROT_READ | PROT_WRITE, MAP_SHARED, fd_.get(),
                          static_cast<off_t>(buffer.m.offset));
     if (address == MAP_FAILED) return Error("buffer " + std::to_string(i) + " cannot be mapped");
     mappings_.emplace_back(address, buffer.length);
-    if (Call(fd_.get(), VIDIOC_QBUF, &buffer) != 0) return Error("buffer " + std::to_string(i) + " refused");
+    if (CallV4l2(fd_.get(), VIDIOC_QBUF, &buffer) != 0) return Error("buffer " + std::to_string(i) + " refused");
   }
   started_at_ = MonotonicNow();
   int type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  if (Call(fd_.get(), VIDIOC_STREAMON, &type) != 0) return Error("streaming does not start");
+  if (CallV4l2(fd_.get(), VIDIOC_STREAMON, &type) != 0) return Error("streaming does not start");
   return Status::Ok();
 }
 
 void Camera::Close() {
   if (fd_.ok()) {
     int type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-    Call(fd_.get(), VIDIOC_STREAMOFF, &type);
+    CallV4l2(fd_.get(), VIDIOC_STREAMOFF, &type);
   }
   mappings_.clear();
   fd_ = UniqueFd();
@@ -437,7 +372,7 @@ Result<std::optional<CapturedFrame>> Camera::Dequeue() {
   v4l2_buffer buffer{};
   buffer.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   buffer.memory = V4L2_MEMORY_MMAP;
-  if (Call(fd_.get(), VIDIOC_DQBUF, &buffer) != 0) {
+  if (CallV4l2(fd_.get(), VIDIOC_DQBUF, &buffer) != 0) {
     if (errno == EAGAIN) return std::optional<CapturedFrame>();
     return Error("no frame");
   }
@@ -445,7 +380,7 @@ Result<std::optional<CapturedFrame>> Camera::Dequeue() {
   CapturedFrame frame = FrameOf(buffer);
   failed_tries_ = 0;
   // The frame is good whatever becomes of its buffer.
-  if (Call(fd_.get(), VIDIOC_QBUF, &buffer) != 0) Break(Error("buffer refused"));
+  if (CallV4l2(fd_.get(), VIDIOC_QBUF, &buffer) != 0) Break(Error("buffer refused"));
   if (!frame.corrupt && frame.clock == ClockSource::kMonotonic && frame.time < started_at_)
     return std::optional<CapturedFrame>();  // exposed before the stream was ours
   return std::optional(std::move(frame));
@@ -491,17 +426,17 @@ Result<std::unique_ptr<FrameSource>> V4l2FrameSource::Open(const CameraWiring& w
 bool V4l2FrameSource::IsThere(const CameraWiring& wiring) {
   // A node that is in use, or may not be opened just now, is there.
   const auto away = [](const std::string& node) {
-    const UniqueFd fd = OpenNode(node);
+    const UniqueFd fd = OpenV4l2(node);
     return !fd.ok() && (errno == ENOENT || errno == ENODEV || errno == ENXIO);
   };
-  if (!wiring.device.empty() && !OpenNode(wiring.device).ok()) return !away(wiring.device);
-  const Result<Node> found = FindCamera(wiring);
+  if (!wiring.device.empty() && !OpenV4l2(wiring.device).ok()) return !away(wiring.device);
+  const Result<V4l2Node> found = FindCamera(wiring);
   // Several: one more than wanted.
   if (found.ok() || found.status().code() == StatusCode::kUsage) return true;
   if (!wiring.device.empty()) return false;
-  const std::vector<std::string> nodes = VideoNodes();
+  const std::vector<std::string> nodes = V4l2Paths();
   return std::any_of(nodes.begin(), nodes.end(),
-                     [&](const std::string& node) { return !OpenNode(node).ok() && !away(node); });
+                     [&](const std::string& node) { return !OpenV4l2(node).ok() && !away(node); });
 }
 
 }  // namespace stratalux::rig

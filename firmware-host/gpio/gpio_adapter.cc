@@ -27,7 +27,8 @@ constexpr uint32_t kEventBuffer = 1024;
 Status RequestError(const std::string& chip_path, int error) {
   const std::string message = chip_path + ": cannot take the lines: " + std::strerror(error);
   if (error == EBUSY)
-    return Status::Busy(message + "; `gpioinfo` names their consumer: another stratalux-rig, or a driver of the board");
+    return Status::Busy(
+        message + "; `stratalux-rig devices` names their consumer: another stratalux-rig, or a driver of the board");
   if (error == EACCES || error == EPERM)
     return Status::Failed(message + "; this user must be in the group gpio (systemd/README.md)");
   return Status::Failed(message);
@@ -50,9 +51,13 @@ GpioChip Describe(gpiod_chip* chip, const std::string& path) {
   const size_t lines = gpiod_chip_info_get_num_lines(info);
   gpiod_chip_info_free(info);
   for (unsigned offset = 0; offset < lines; ++offset) {
+    GpioLine& described_line = described.lines.emplace_back();
     gpiod_line_info* line = gpiod_chip_get_line_info(chip, offset);
-    described.line_names.push_back(line != nullptr ? Text(gpiod_line_info_get_name(line)) : "");
-    if (line != nullptr) gpiod_line_info_free(line);
+    if (line == nullptr) continue;
+    const bool output = gpiod_line_info_get_direction(line) == GPIOD_LINE_DIRECTION_OUTPUT;
+    described_line = {Text(gpiod_line_info_get_name(line)), output ? LineDirection::kOutput : LineDirection::kInput,
+                      gpiod_line_info_is_used(line), Text(gpiod_line_info_get_consumer(line))};
+    gpiod_line_info_free(line);
   }
   return described;
 }
@@ -117,8 +122,12 @@ Result<std::unique_ptr<OutputRequest>> MakeOutputs(Chip chip, const std::string&
 GpioChip Describe(gpiod_chip* chip, const std::string& path) {
   GpioChip described{path, Text(gpiod_chip_label(chip)), {}};
   for (unsigned offset = 0; offset < gpiod_chip_num_lines(chip); ++offset) {
+    GpioLine& described_line = described.lines.emplace_back();
     gpiod_line* line = gpiod_chip_get_line(chip, offset);
-    described.line_names.push_back(line != nullptr ? Text(gpiod_line_name(line)) : "");
+    if (line == nullptr) continue;
+    const bool output = gpiod_line_direction(line) == GPIOD_LINE_DIRECTION_OUTPUT;
+    described_line = {Text(gpiod_line_name(line)), output ? LineDirection::kOutput : LineDirection::kInput,
+                      gpiod_line_is_used(line), Text(gpiod_line_consumer(line))};
   }
   return described;
 }
@@ -232,15 +241,27 @@ class Inputs final : public InputRequest {
 
 }  // namespace
 
+std::vector<std::string> ChipPaths() {
+  std::vector<std::string> paths;
+  std::error_code ignored;
+  for (const auto& entry : std::filesystem::directory_iterator("/dev", ignored))
+    if (entry.path().filename().string().starts_with("gpiochip") && !entry.is_symlink(ignored))
+      paths.push_back(entry.path().string());
+  std::sort(paths.begin(), paths.end());
+  return paths;
+}
+
+int DescribeChip(const std::string& path, GpioChip& chip) {
+  const Chip opened(gpiod_chip_open(path.c_str()));
+  if (!opened) return errno;
+  chip = Describe(opened.get(), path);
+  return 0;
+}
+
 std::vector<GpioChip> ListChips() {
   std::vector<GpioChip> chips;
-  std::error_code ignored;
-  for (const auto& entry : std::filesystem::directory_iterator("/dev", ignored)) {
-    const std::string path = entry.path().string();
-    if (!entry.path().filename().string().starts_with("gpiochip") || entry.is_symlink(ignored)) continue;
-    if (const Chip chip(gpiod_chip_open(path.c_str())); chip) chips.push_back(Describe(chip.get(), path));
-  }
-  std::sort(chips.begin(), chips.end(), [](const GpioChip& a, const GpioChip& b) { return a.path < b.path; });
+  for (const std::string& path : ChipPaths())
+    if (GpioChip chip; DescribeChip(path, chip) == 0) chips.push_back(std::move(chip));
   return chips;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The kernel's GPIO lines without a library's types. Internal to gpio/.
+// The kernel's GPIO lines without a library's types. For gpio/ and the list of devices (apps/device_list.h).
 //
 // Chips and outputs go through libgpiod, 1.6 or 2.x. Inputs go through the kernel's own interface (linux/gpio.h, v2),
 // since libgpiod 1.6 hides the numbers by which a lost edge is seen, and its 16 events are soon full.
@@ -18,6 +18,10 @@
 
 namespace stratalux::rig {
 
+// Device nodes of all chips, sorted.
+[[nodiscard]] std::vector<std::string> ChipPaths();
+// The chip behind a node and its lines as they are now; takes none. 0, or errno of a chip that cannot be opened.
+[[nodiscard]] int DescribeChip(const std::string& path, GpioChip& chip);
 // All chips that this user may open.
 [[nodiscard]] std::vector<GpioChip> ListChips();
 

@@ -19,12 +19,12 @@ Result<FoundLine> FindLine(std::span<const GpioChip> chips, const LineAddress& a
     if (!address.chip.empty() && chip.label != address.chip) continue;
     chip_seen = true;
     if (address.name.empty()) {
-      if (address.offset >= 0 && address.offset < static_cast<int>(chip.line_names.size()))
+      if (address.offset >= 0 && address.offset < static_cast<int>(chip.lines.size()))
         found.push_back({chip.path, static_cast<unsigned>(address.offset)});
       continue;
     }
-    for (size_t offset = 0; offset < chip.line_names.size(); ++offset)
-      if (chip.line_names[offset] == address.name) found.push_back({chip.path, static_cast<unsigned>(offset)});
+    for (size_t offset = 0; offset < chip.lines.size(); ++offset)
+      if (chip.lines[offset].name == address.name) found.push_back({chip.path, static_cast<unsigned>(offset)});
   }
   const std::string line = "GPIO line " + address.ToString();
   if (found.size() == 1) return found.front();
@@ -34,7 +34,7 @@ Result<FoundLine> FindLine(std::span<const GpioChip> chips, const LineAddress& a
                          std::to_string(found[1].offset) + "); name the chip by its label, the line by its offset");
   if (!chip_seen && !address.chip.empty())
     return Status::NotFound(line + ": no chip has the label '" + address.chip + "'; " + Labels(chips));
-  return Status::NotFound(line + " does not exist; " + Labels(chips) + "; `gpioinfo` lists the lines");
+  return Status::NotFound(line + " does not exist; " + Labels(chips) + "; `stratalux-rig devices` lists the lines");
 }
 
 }  // namespace stratalux::rig

@@ -2,6 +2,7 @@
 // Finds lines among the chips of this machine.
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <string>
 #include <vector>
@@ -11,10 +12,19 @@
 
 namespace stratalux::rig {
 
+enum class LineDirection : uint8_t { kInput, kOutput };
+
+struct GpioLine {
+  std::string name;  // empty: it has none
+  LineDirection direction = LineDirection::kInput;
+  bool in_use = false;     // by a program, or by a driver of the board
+  std::string consumer{};  // what that calls itself; may be empty
+};
+
 struct GpioChip {
   std::string path;  // /dev/gpiochipN
   std::string label;
-  std::vector<std::string> line_names;  // by offset; empty where a line has none
+  std::vector<GpioLine> lines;  // by offset
 };
 
 struct FoundLine {

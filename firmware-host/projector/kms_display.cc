@@ -6,7 +6,6 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <mutex>
 #include <set>
@@ -22,6 +21,7 @@
 #include <xf86drmMode.h>
 
 #include "firmware-host/projector/display_picture.h"
+#include "firmware-host/projector/kms_cards.h"
 
 namespace stratalux::rig {
 namespace {
@@ -301,26 +301,22 @@ uint32_t FindConnector(const Card& card, const std::string& name) {
   for (int i = 0; resources && i < resources->count_connectors; ++i) {
     const Connector connector(drmModeGetConnectorCurrent(card.fd(), resources->connectors[i]));
     if (!connector) continue;
-    const char* type = drmModeGetConnectorTypeName(connector->connector_type);
-    const std::string found =
-        std::string(type != nullptr ? type : "Unknown") + "-" + std::to_string(connector->connector_type_id);
-    if (found == name) return connector->connector_id;
+    if (KmsConnectorName(connector->connector_type, connector->connector_type_id) == name)
+      return connector->connector_id;
   }
   return 0;
 }
 
 // The card of the display, opened or found among `cards`.
 Result<std::shared_ptr<Card>> CardOf(const DisplayWiring& wiring, std::map<std::string, std::shared_ptr<Card>>& cards) {
-  std::set<std::string> paths;
-  std::error_code error;
-  if (!wiring.device.empty()) {
+  std::vector<std::string> paths;
+  if (wiring.device.empty()) {
+    paths = KmsPaths();
+  } else {
+    std::error_code error;
     const std::filesystem::path resolved = std::filesystem::canonical(wiring.device, error);
     if (error) return Status::NotFound(wiring.device + ": " + error.message());
-    paths.insert(resolved.string());
-  } else {
-    for (const auto& entry : std::filesystem::directory_iterator("/dev/dri", error)) {
-      if (entry.path().filename().string().starts_with("card")) paths.insert(entry.path().string());
-    }
+    paths = {resolved.string()};
   }
   std::string refusals;
   for (const std::string& path : paths) {
@@ -337,7 +333,7 @@ Result<std::shared_ptr<Card>> CardOf(const DisplayWiring& wiring, std::map<std::
   }
   const std::string where = wiring.device.empty() ? "any graphics card of /dev/dri" : wiring.device;
   return Status::NotFound("no connector " + wiring.connector + " on " + where + refusals +
-                          "; ls /sys/class/drm names the connectors");
+                          "; `stratalux-rig devices` lists the connectors");
 }
 
 // A CRTC that can feed the connector and feeds no other display of ours; the one it has now, if possible.
@@ -400,24 +396,6 @@ Result<std::unique_ptr<Display>> OpenDisplay(const std::shared_ptr<Card>& card, 
   return std::unique_ptr<Display>(std::move(display));
 }
 
-// "Xorg (812), stratalux-rig (1034)": other processes that have the card open.
-std::string UsersOf(const std::string& path) {
-  std::string users;
-  std::error_code error;
-  for (const auto& process : std::filesystem::directory_iterator("/proc", error)) {
-    const std::string pid = process.path().filename().string();
-    if (pid.find_first_not_of("0123456789") != std::string::npos || pid == std::to_string(getpid())) continue;
-    for (const auto& open : std::filesystem::directory_iterator(process.path() / "fd", error)) {
-      if (std::filesystem::read_symlink(open.path(), error) != path) continue;
-      std::string name;
-      std::getline(std::ifstream(process.path() / "comm"), name);
-      users += (users.empty() ? "" : ", ") + name + " (" + pid + ")";
-      break;
-    }
-  }
-  return users.empty() ? "a program that this account cannot see" : users;
-}
-
 }  // namespace
 
 Result<std::vector<std::unique_ptr<Display>>> OpenKmsDisplays(const std::vector<DisplayWiring>& wirings) {
@@ -435,7 +413,7 @@ Status BlankDisplay(const DisplayWiring& wiring) {
   std::map<std::string, std::shared_ptr<Card>> cards;
   SLX_ASSIGN_OR_RETURN(const std::shared_ptr<Card> card, CardOf(wiring, cards));
   if (drmIsMaster(card->fd()) == 0 && drmSetMaster(card->fd()) != 0)
-    return Status::Busy(card->path() + ": " + wiring.connector + " is driven by " + UsersOf(card->path()) +
+    return Status::Busy(card->path() + ": " + wiring.connector + " is driven by " + UsersOfCard(card->path()) +
                         "; end that program, its picture goes with it");
   const Connector connector(drmModeGetConnectorCurrent(card->fd(), FindConnector(*card, wiring.connector)));
   const Encoder encoder(connector ? drmModeGetEncoder(card->fd(), connector->encoder_id) : nullptr);

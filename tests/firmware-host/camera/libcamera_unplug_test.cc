@@ -48,6 +48,20 @@ class LibcameraUnplugTest : public ::testing::Test {
   Logger logger_{LogLevel::kError};
 };
 
+TEST_F(LibcameraUnplugTest, IsListedWithItsSensorWhileItIsInUse) {
+  const auto camera = Open();
+  ASSERT_NE(camera, nullptr);
+  const auto listed = LibcameraFrameSource::List();
+  ASSERT_TRUE(listed.ok()) << listed.status().message();
+  ASSERT_EQ(listed->size(), 1U);
+  EXPECT_EQ(listed->front().id, "imx");
+  EXPECT_EQ(listed->front().model, "imx477");
+  ASSERT_EQ(listed->front().formats.size(), 1U);
+  EXPECT_EQ(listed->front().formats[0].name, "SRGGB12");
+  EXPECT_EQ(listed->front().formats[0].sizes.back(), (std::pair{64, 48}));
+  EXPECT_TRUE(camera->Start().ok()) << "the list took nothing from it";
+}
+
 TEST_F(LibcameraUnplugTest, AClosedCameraLeavesNothing) {
   const auto before = Descriptors();
   for (int i = 0; i < 3; ++i) {

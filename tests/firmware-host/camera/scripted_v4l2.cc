@@ -71,6 +71,20 @@ int Answer(unsigned long request, void* argument) {
       format_set = streaming = false;
       return 0;
     }
+    case VIDIOC_ENUM_FRAMESIZES: {
+      auto& size = *static_cast<v4l2_frmsizeenum*>(argument);
+      if (size.index > 0) return Fail(EINVAL);
+      size.type = V4L2_FRMSIZE_TYPE_DISCRETE;
+      size.discrete = {ScriptedV4l2::kWidth, ScriptedV4l2::kHeight};
+      return 0;
+    }
+    case VIDIOC_ENUM_FRAMEINTERVALS: {
+      // Never says that its list ends.
+      auto& interval = *static_cast<v4l2_frmivalenum*>(argument);
+      interval.type = V4L2_FRMIVAL_TYPE_DISCRETE;
+      interval.discrete = {1, 25};
+      return 0;
+    }
     case VIDIOC_S_FMT:
       return SetFormat(static_cast<v4l2_format*>(argument)->fmt.pix);
     case VIDIOC_QUERYCTRL: {

@@ -75,7 +75,7 @@ TEST_F(GpioAdapterTest, OutputsSwitchTogether) {
   EXPECT_TRUE(sim_->Level(0));
   const auto second = RequestOutputs(path_, {0}, 0);
   EXPECT_EQ(second.status().code(), StatusCode::kBusy);
-  EXPECT_THAT(second.status().message(), HasSubstr("gpioinfo"));
+  EXPECT_THAT(second.status().message(), HasSubstr("stratalux-rig devices"));
   sim_->Unplug();
   EXPECT_NE((*outputs)->Write(0), 0);
   uint64_t levels = 0;

@@ -9,8 +9,14 @@ namespace {
 
 using ::testing::HasSubstr;
 
-const std::vector<GpioChip> kChips = {{"/dev/gpiochip0", "pinctrl-rp1", {"ID_SDA", "ID_SCL", "GPIO2", ""}},
-                                      {"/dev/gpiochip11", "expander", {"STOP", "GPIO2"}}};
+GpioChip Chip(const std::string& path, const std::string& label, const std::vector<std::string>& names) {
+  GpioChip chip{path, label, {}};
+  for (const std::string& name : names) chip.lines.push_back({.name = name});
+  return chip;
+}
+
+const std::vector<GpioChip> kChips = {Chip("/dev/gpiochip0", "pinctrl-rp1", {"ID_SDA", "ID_SCL", "GPIO2", ""}),
+                                      Chip("/dev/gpiochip11", "expander", {"STOP", "GPIO2"})};
 
 TEST(FindLine, ByNameWhateverTheChipsNumber) {
   EXPECT_EQ(FindLine(kChips, {"STOP", "", -1}).value(), (FoundLine{"/dev/gpiochip11", 0}));
@@ -28,8 +34,8 @@ TEST(FindLine, ANameOnTwoChipsNeedsTheLabel) {
 }
 
 TEST(FindLine, TwoChipsOfOneLabelAreTwoPossibilities) {
-  const std::vector<GpioChip> twins = {{"/dev/gpiochip0", "mcp23017", {"", ""}},
-                                       {"/dev/gpiochip1", "mcp23017", {"", ""}}};
+  const std::vector<GpioChip> twins = {Chip("/dev/gpiochip0", "mcp23017", {"", ""}),
+                                       Chip("/dev/gpiochip1", "mcp23017", {"", ""})};
   EXPECT_EQ(FindLine(twins, {"", "mcp23017", 1}).status().code(), StatusCode::kUsage);
 }
 

@@ -136,7 +136,7 @@ ScriptedGpio& TheGpio() {
 
 std::vector<GpioChip> ListChips() {
   GpioChip chip{kPath, "scripted", {}};
-  for (int i = 0; i < ScriptedGpio::kLines; ++i) chip.line_names.push_back("LINE" + std::to_string(i));
+  for (int i = 0; i < ScriptedGpio::kLines; ++i) chip.lines.push_back({.name = "LINE" + std::to_string(i)});
   return {chip};
 }
 

@@ -83,6 +83,9 @@ inline const Control<float> AnalogueGain{3};
 inline const Control<int64_t> SensorTimestamp{4};
 inline const ControlInfoMap controls;
 }  // namespace controls
+namespace properties {
+inline const Control<std::string> Model{5};
+}  // namespace properties
 class ControlList {
  public:
   ControlList() = default;
@@ -114,9 +117,10 @@ struct Size {
 };
 class Stream {};
 struct StreamFormats {
+  [[nodiscard]] std::vector<Size> sizes(const PixelFormat& /*format*/) const { return {{32, 24}, {64, 48}}; }
   [[nodiscard]] std::vector<PixelFormat> pixelformats() const { return {{"SRGGB12"}}; }
 };
-enum class StreamRole { Raw };
+enum class StreamRole { Raw, Viewfinder };
 struct StreamConfiguration {
   PixelFormat pixelFormat;
   Size size;
@@ -228,6 +232,14 @@ class Camera {
   [[nodiscard]] const ControlInfoMap& controls() const {
     static const ControlInfoMap kControls = {{1, 0}, {2, 0}, {3, 0}};
     return kControls;
+  }
+  [[nodiscard]] const ControlList& properties() const {
+    static const ControlList kProperties = [] {
+      ControlList list;
+      list.set(libcamera::properties::Model, std::string("imx477"));
+      return list;
+    }();
+    return kProperties;
   }
   int start(const ControlList* /*controls*/) {
     while (fake.hang_in_start) usleep(1000);
