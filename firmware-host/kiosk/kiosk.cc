@@ -91,7 +91,7 @@ class KioskLoop {
         logger_(logger),
         worker_(station,
                 {options.station, options.timing, options.second / 5,
-                 [&front](const Image<uint16_t>& m) { front.Preview(m); }},
+                 [&front](const Image<uint16_t>& m) { front.Preview(m); }, options.after_forget_step},
                 stop, logger),
         timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
 
@@ -124,9 +124,10 @@ class KioskLoop {
     worker_.Begin(action);
   }
   void Perform(const action::Show& action);
-  void Perform(const action::PrintTicket& /*action*/) {
+  void Perform(const action::PrintTicket& action) {
     ++report_.tickets;
     front_.GiveTicket(worker_.names().ticket);
+    worker_.Begin(action);
   }
   void Perform(const action::TellOperator& action);
   void Perform(const action::Count& action) { ++report_.ended[static_cast<size_t>(action.end)]; }
@@ -238,6 +239,8 @@ void KioskLoop::Feed(const VisitEvent& event) {
   if (logger_.Shows(LogLevel::kDebug) && !(step.state == state_))
     logger_.Debug(ToString(event) + " -> " + ToString(step.state));
   state_ = step.state;
+  const bool nobody = state_.phase == Phase::kIdle || state_.phase == Phase::kClosed || state_.phase == Phase::kSafe;
+  worker_.SetRest(nobody && state_.work == VisitState::Work::kNone);
   for (const VisitAction& action : step.actions) std::visit([this](const auto& one) { Perform(one); }, action);
   if (options_.after_step) options_.after_step(state_, event);
 }

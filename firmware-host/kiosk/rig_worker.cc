@@ -10,8 +10,6 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-#include "db/catalogue/consent.h"
-#include "db/privacy/forget.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/capture_watch.h"
 #include "firmware-host/sequence/rig_check.h"
@@ -21,7 +19,6 @@ namespace stratalux::rig {
 namespace {
 
 constexpr int kDistanceBits = 5;  // 32 stripes
-constexpr int kForgetTries = 5;   // a second apart, while another program writes or reads
 
 bool MakesLight(const VisitAction& job) {
   return std::holds_alternative<action::Preview>(job) || std::holds_alternative<action::CheckRig>(job) ||
@@ -35,7 +32,9 @@ RigWorker::RigWorker(CaptureStation& station, WorkerOptions options, StopToken& 
       options_(std::move(options)),
       stop_(stop),
       logger_(logger),
-      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+      search_([this] { Tell(event::Leftover{}); }, logger),
+      forgetting_(options_.station.config.store.folder, options_.after_forget_step, search_, logger) {
   SLX_CHECK(wake_.get() >= 0);
   thread_ = std::thread([this] { Work(); });
 }
@@ -110,6 +109,7 @@ bool RigWorker::LightTaken() const {
 }
 
 void RigWorker::Work() {
+  ForgetWhatWasLeft();
   while (true) {
     VisitAction job;
     {
@@ -270,6 +270,12 @@ CaptureRequest RigWorker::RequestFor(const action::StartCapture& job) const {
 
 void RigWorker::Do(const action::StartCapture& job) {
   if (job.attempt == 1) NameVisit(job.visit);
+  const VisitNames named = names();
+  if (const Status noted = forgetting_.Begin(named.name, named.visitor); !noted.ok()) {
+    logger_.Error("no capture of whom a power cut would leave without a ticket: " + noted.message());
+    return Tell(event::Failed{});
+  }
+  const auto turn = search_.Turn();
   const CaptureRequest request = RequestFor(job);
   const Result<CapturePlan> plan = BuildPlan(request.plan);
   const int steps = plan.ok() ? static_cast<int>(plan->steps.size()) : 1;
@@ -290,38 +296,28 @@ void RigWorker::Do(const action::StartCapture& job) {
   Tell(event::Captured{watch.Facts(report, LightTaken())});
 }
 
+void RigWorker::Do(const action::PrintTicket& job) {
+  const VisitNames named = names();
+  if (named.visit != job.visit) return;
+  if (const Status kept = forgetting_.Keep(named.name); !kept.ok())
+    logger_.Error("a visit that has its ticket is forgotten at the next start: " + kept.message());
+}
+
 void RigWorker::Do(const action::Discard& job) {
   const VisitNames named = names();
   Status forgotten;
-  if (named.visit == job.visit) forgotten = Forget(named.visitor);
+  if (named.visit == job.visit) forgotten = forgetting_.Begin(named.name, named.visitor);
+  if (forgotten.ok()) forgotten = forgetting_.ForgetUnkept();
   if (!forgotten.ok()) logger_.Error("a visit could not be forgotten: " + forgotten.message());
   forgotten.ok() ? Tell(event::Discarded{}) : Tell(event::DiscardFailed{});
 }
 
-Status RigWorker::Forget(const std::string& visitor) {
-  const std::string& folder = options_.station.config.store.folder;
-  Status last;
-  for (int attempt = 0; attempt < kForgetTries; ++attempt) {
-    if (attempt > 0) std::this_thread::sleep_for(std::chrono::seconds(1));
-    db::ForgetRequest request;
-    {
-      const auto store = db::SessionStore::Open(folder, db::AccessMode::kReadOnly);
-      // No capture came as far as making one.
-      if (!store.ok() && store.status().code() == StatusCode::kNotFound) return Status::Ok();
-      if (!store.ok()) return store.status();
-      SLX_ASSIGN_OR_RETURN(const auto rows, store->ListSessionsOf(visitor));
-      for (const db::SessionSummary& row : rows) request.sessions.push_back(row.info.id);
-      SLX_ASSIGN_OR_RETURN(const auto consents, db::ListConsents(folder, visitor));
-      if (rows.empty() && consents.empty()) return Status::Ok();
-    }
-    request.visitors = {visitor};
-    const Result<db::ForgetReport> report = db::Forget(folder, request, logger_);
-    if (report.ok() && report->leftovers.empty()) return Status::Ok();
-    if (report.ok()) return Status::Failed("found after all: " + report->leftovers.front());
-    last = report.status();
-    if (last.code() != StatusCode::kBusy) return last;
-  }
-  return last;
+void RigWorker::ForgetWhatWasLeft() {
+  const Status forgotten = forgetting_.ForgetUnkept();
+  if (forgotten.ok()) return;
+  logger_.Error("what was left without a ticket could not be forgotten: " + forgotten.message() +
+                "; the next discarding or start tries again");
+  Tell(event::Leftover{});
 }
 
 }  // namespace stratalux::rig
