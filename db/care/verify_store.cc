@@ -72,9 +72,10 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
 
 bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
-      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",       "deletions",
-      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",       "incoming.lock",
-      "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json", "forgetting"};
+      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
+      "deletions",    "ledger",           "keys.sqlite",      "keys.sqlite-wal", "keys.sqlite-shm",
+      "incoming",     "incoming.lock",    "reindex.new",      "lost+found",      "backup.json",
+      "rig.key",      "transcode.json",   "forgetting",       "visits"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 

@@ -13,10 +13,9 @@
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
 #include "db/ledger/ledger.h"
-#include "db/privacy/access_log.h"
 #include "db/privacy/forget_intent.h"
+#include "db/privacy/forget_proof.h"
 #include "db/privacy/store_scan.h"
-#include "shared/base/version.h"
 
 namespace stratalux::db {
 namespace {
@@ -24,12 +23,16 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-// The steps of one call, over the sessions asked for and those left from a call before.
+// The first half of one call, over the sessions asked for and those left from a call before.
 class Forgetting {
  public:
-  Forgetting(fs::path store, const ForgetRequest& request, Logger& logger)
-      : store_(std::move(store)), request_(request), logger_(logger) {}
-  Result<ForgetReport> Run();
+  Forgetting(fs::path store, const ForgetRequest& request)
+      : store_(std::move(store)), request_(request), removed_(std::make_unique<ForgetProof::Removed>()) {
+    removed_->store = store_;
+    removed_->visitors = request.visitors;
+    removed_->after_step = request.after_step;
+  }
+  Result<ForgetProof> Run();
 
  private:
   Status WriteIntents();
@@ -44,43 +47,17 @@ class Forgetting {
   Status RemoveRows(SessionIndex& index);
   Status RemoveVisitorKeys(SessionIndex& index);
   Status Compact(SessionIndex& index);
-  Status Scan();
-  Status RewriteIndex(const ScanPlan& plan);
-  Status Certify(SessionIndex& index);
   Status FindGoneVisitors(SessionIndex& index);
-  [[nodiscard]] std::string CertificateFor(const ForgetIntent& intent, const ForgottenSession& session,
-                                           WallNs now) const;
-  [[nodiscard]] bool Concerns(const StoreScanResult::Leftover& leftover, const ForgetIntent& intent) const;
   void Done(ForgetStep step) const {
     if (request_.after_step) request_.after_step(step);
   }
 
   const fs::path store_;
   const ForgetRequest& request_;
-  Logger& logger_;
-  std::vector<ForgetIntent> intents_;
-  ForgetReport report_;  // sessions in the order of intents_
-  std::vector<std::string> gone_visitors_;
-  StoreScanResult scan_;
-  std::vector<StoreScanResult::Leftover> kept_exports_;
+  std::unique_ptr<ForgetProof::Removed> removed_;
+  std::vector<ForgetIntent>& intents_ = removed_->intents;
+  ForgetReport& report_ = removed_->report;  // sessions in the order of intents_
 };
-
-std::string Without(std::string text, const std::string& pseudonym) {
-  if (pseudonym.empty()) return text;
-  for (size_t at = 0; (at = text.find(pseudonym, at)) != std::string::npos;)
-    text.replace(at, pseudonym.size(), "(forgotten)");
-  return text;
-}
-
-Status Checkpoint(Connection& connection) {
-  // The first column says whether somebody kept the log from being emptied.
-  SLX_ASSIGN_OR_RETURN(const int64_t busy, connection.QueryInteger("PRAGMA wal_checkpoint(TRUNCATE)"));
-  if (busy != 0)
-    return Status::Busy(
-        "another program reads the index, whose log therefore still holds the old rows; the frames are"
-        " gone: run `stratalux-db forget --resume` once it has finished");
-  return Status::Ok();
-}
 
 Status Forgetting::WriteIntents() {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
@@ -169,7 +146,7 @@ void Forgetting::RemoveExports() {
       report_.sessions[i].exports.push_back({place, state.ok() ? *state : ExportState::kKept});
       // A folder we may not write keeps no frame alive: it is named, and the next call tries again.
       if (!state.ok())
-        kept_exports_.push_back(
+        removed_->kept_exports.push_back(
             {intents_[i].session, intents_[i].visitor, "export " + place + ": " + state.status().message(), {}});
       Done(ForgetStep::kExport);
     }
@@ -264,68 +241,15 @@ Status Forgetting::FindGoneVisitors(SessionIndex& index) {
   std::set<std::string> names(request_.visitors.begin(), request_.visitors.end());
   for (const ForgetIntent& intent : intents_) names.insert(intent.visitor);
   names.erase("");
+  std::vector<std::string>& gone = removed_->gone_visitors;
   SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT count(*) FROM visitors WHERE id = ?1"));
   for (const std::string& name : names) {
     SLX_RETURN_IF_ERROR(select.Bind(1, name).Step().status());
-    if (select.Integer(0) == 0) gone_visitors_.push_back(name);
+    if (select.Integer(0) == 0) gone.push_back(name);
     select.Reset();
   }
   for (size_t i = 0; i < intents_.size(); ++i)
-    report_.sessions[i].visitor_removed =
-        std::find(gone_visitors_.begin(), gone_visitors_.end(), intents_[i].visitor) != gone_visitors_.end();
-  return Status::Ok();
-}
-
-bool Forgetting::Concerns(const StoreScanResult::Leftover& leftover, const ForgetIntent& intent) const {
-  return leftover.session.empty() ? leftover.visitor == intent.visitor : leftover.session == intent.session;
-}
-
-std::string Forgetting::CertificateFor(const ForgetIntent& intent, const ForgottenSession& session, WallNs now) const {
-  Json exports = Json::array(), leftovers = Json::array();
-  for (const ForgottenExport& e : session.exports)
-    exports.push_back({{"place", Without(e.place, intent.visitor)}, {"state", ToString(e.state)}});
-  for (const auto& leftover : scan_.leftovers)
-    if (Concerns(leftover, intent)) leftovers.push_back(Without(leftover.text, intent.visitor));
-  const Json json = {{"schema", 1},
-                     {"session", intent.session},
-                     {"reason", intent.reason},
-                     {"deleted", ToIso8601(now)},
-                     {"deleted_wall_ns", now.ns},
-                     {"by", OperatingSystemUser()},
-                     {"program_version", kVersion},
-                     {"frames", session.frames},
-                     {"fits", session.fits},
-                     {"files", session.files},
-                     {"bytes", session.bytes},
-                     {"key_destroyed", session.encrypted},
-                     {"visitor_removed", session.visitor_removed},
-                     {"exports", exports},
-                     {"verification",
-                      {{"clean", leftovers.empty()},
-                       {"markers", scan_.markers},
-                       {"files_read", scan_.files},
-                       {"bytes_read", scan_.bytes},
-                       {"leftovers", leftovers}}}};
-  return json.dump(-1, ' ', false, Json::error_handler_t::replace);  // as the ledger writes it
-}
-
-// In the ledger, which the index follows. Two forgets that finish the same session certify it twice.
-Status Forgetting::Certify(SessionIndex& index) {
-  for (size_t i = 0; i < intents_.size(); ++i) {
-    const WallNs now = WallNow();
-    const std::string certificate = CertificateFor(intents_[i], report_.sessions[i], now);
-    SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kForgotten, now, {intents_[i].session}, "", certificate}));
-    Done(ForgetStep::kEntry);
-  }
-  SLX_RETURN_IF_ERROR(FollowLedger(index, store_));
-  Done(ForgetStep::kCertified);
-  // What is not clean stays begun, so that the next call looks again.
-  for (const ForgetIntent& intent : intents_) {
-    if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),
-                    [&](const auto& leftover) { return Concerns(leftover, intent); }))
-      continue;
-    SLX_RETURN_IF_ERROR(WipeIntent(store_, intent.session));
-  }
+    report_.sessions[i].visitor_removed = std::find(gone.begin(), gone.end(), intents_[i].visitor) != gone.end();
   return Status::Ok();
 }
 
@@ -351,61 +275,29 @@ Status Forgetting::Remove() {
   return FindGoneVisitors(index);
 }
 
-// A page still holds what it once moved elsewhere: written anew, no page ever held it.
-Status Forgetting::RewriteIndex(const ScanPlan& plan) {
-  {
-    SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
-    SLX_RETURN_IF_ERROR(index.connection().Execute("VACUUM"));
-    SLX_RETURN_IF_ERROR(Checkpoint(index.connection()));
-  }
-  SLX_ASSIGN_OR_RETURN(const auto again, ScanIndex(store_, intents_, plan));
-  std::erase_if(scan_.leftovers, [](const auto& leftover) { return IsOfIndex(leftover.file); });
-  scan_.leftovers.insert(scan_.leftovers.end(), again.leftovers.begin(), again.leftovers.end());
-  return Status::Ok();
-}
-
-// Index closed: it is read as a file, and closing that drops the locks of this process on it.
-Status Forgetting::Scan() {
-  if (intents_.empty() && gone_visitors_.empty()) return Status::Ok();  // nothing to look for
-  ScanPlan plan;
-  {
-    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
-    SLX_ASSIGN_OR_RETURN(plan, PlanScan(index, intents_, gone_visitors_));
-  }
-  SLX_ASSIGN_OR_RETURN(scan_, ScanStore(store_, intents_, plan, logger_));
-  if (std::any_of(scan_.leftovers.begin(), scan_.leftovers.end(),
-                  [](const auto& leftover) { return IsOfIndex(leftover.file); }))
-    SLX_RETURN_IF_ERROR(RewriteIndex(plan));
-  scan_.leftovers.insert(scan_.leftovers.end(), kept_exports_.begin(), kept_exports_.end());
-  Done(ForgetStep::kScanned);
-  return Status::Ok();
-}
-
-Result<ForgetReport> Forgetting::Run() {
+Result<ForgetProof> Forgetting::Run() {
   const Status removed = Remove();
   if (removed.ok()) Done(ForgetStep::kUnlocked);
   SLX_RETURN_IF_ERROR(RemoveFoldersAside());  // whoever reads the index keeps no frame alive
   RemoveAbandonedMemory();                    // what a killed run of it left plain
   SLX_RETURN_IF_ERROR(removed);
-  SLX_RETURN_IF_ERROR(Scan());
-  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
-  SLX_RETURN_IF_ERROR(Certify(index));
-  (void)Checkpoint(index.connection()).ok();  // of the certificate alone: a reader may keep that in the log
-  Done(ForgetStep::kDone);
-  report_.markers = scan_.markers;
-  report_.scanned_files = scan_.files;
-  report_.scanned_bytes = scan_.bytes;
-  for (const auto& leftover : scan_.leftovers) report_.leftovers.push_back(leftover.text);
-  return std::move(report_);
+  Done(ForgetStep::kRemoved);
+  return ForgetProof(std::move(removed_));
 }
 
 }  // namespace
 
 const char* ToString(ForgetReason reason) { return reason == ForgetReason::kPurge ? "purge" : "forget"; }
 
+Result<ForgetProof> BeginForget(const fs::path& store, const ForgetRequest& request) {
+  return Forgetting(store, request).Run();
+}
+
 Result<ForgetReport> Forget(const fs::path& store, const ForgetRequest& request, Logger& logger) {
-  return Forgetting(store, request, logger).Run();
+  SLX_ASSIGN_OR_RETURN(ForgetProof proof, BeginForget(store, request));
+  SLX_RETURN_IF_ERROR(proof.Search(logger));
+  if (proof.NeedsIndexRewritten()) SLX_RETURN_IF_ERROR(proof.RewriteIndex());
+  return proof.Certify();
 }
 
 }  // namespace stratalux::db

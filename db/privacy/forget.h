@@ -4,8 +4,10 @@
 // In this order: an intent that outlives a power cut and an entry in the ledger (from here on the session cannot come
 // back), the key, logged exports on this machine, the session's folder, what a broken-off transfer left of it in
 // incoming/, the rows, the visitor's key with the last session. So far under the store's write lock, within a second:
-// captures start again. Then, beside them, a scan of every file of the store for what would give the session away, and
-// the certificate into the ledger. Broken off anywhere, the next call finishes it.
+// captures start again. Then the folder's files are deleted: nothing of the session can be read any more, and how long
+// that took does not depend on the other sessions of the store (BeginForget). Beside captures again, a scan of every
+// file of the store for what would give the session away, and the certificate into the ledger (ForgetProof). Broken off
+// anywhere, the next call finishes it.
 //
 // The rows go without VACUUM, which would rewrite the whole index: SQLite zeroes deleted cells and freed pages
 // (secure_delete), and the log is cut to nothing. What a page may keep of a row that it once moved elsewhere, the scan
@@ -20,6 +22,7 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -44,6 +47,7 @@ enum class ForgetStep {
   kCompacted,
   kUnlocked,  // captures start again
   kFile,      // deleted
+  kRemoved,   // the end of the first half
   kScanned,
   kEntry,      // certificates stand in the ledger
   kCertified,  // and in the index
@@ -91,9 +95,36 @@ struct ForgetReport {
 // Session id -> the places it was exported to, as the access log has them; of sessions that are here and that are gone.
 [[nodiscard]] Result<std::map<std::string, std::vector<std::string>>> LoggedExports(const std::filesystem::path& store);
 
-// Also finishes what an earlier call began. kBusy while a session is written (call again when it is finished) or
-// another program reads the index (then the files are gone already; call again). Leftovers are no error: they stand in
-// the report and in the certificate, and the next call looks again.
+// The second half of a forgetting: search and certificate, in this order: Search, RewriteIndex where it is needed,
+// Certify. One that goes before, as its program ends, leaves what the next BeginForget takes up. Used by one thread.
+class ForgetProof {
+ public:
+  struct Removed;  // db/privacy/forget_proof.h
+  explicit ForgetProof(std::unique_ptr<Removed> removed);
+  ForgetProof(ForgetProof&&) noexcept;
+  ForgetProof& operator=(ForgetProof&&) noexcept;
+  ~ForgetProof();
+
+  // Reads every file of the store, which takes its time, and holds no lock of it meanwhile. What another proof has
+  // certified by now is left out. `goes_on`, asked for each MiB, may end it: kTryAgain.
+  Status Search(Logger& logger, const std::function<bool()>& goes_on = {});
+  // Whether a page of the index still holds what it once moved elsewhere.
+  [[nodiscard]] bool NeedsIndexRewritten() const;
+  // Under the store's write lock, seconds for a large index; and searches it again. kBusy while a session is written.
+  Status RewriteIndex();
+  // What was not clean stays begun: the next BeginForget takes it up.
+  Result<ForgetReport> Certify();
+
+ private:
+  std::unique_ptr<Removed> removed_;
+};
+
+// The first half. Also takes up what an earlier call began. kBusy as of Forget.
+[[nodiscard]] Result<ForgetProof> BeginForget(const std::filesystem::path& store, const ForgetRequest& request);
+
+// Both halves. Also finishes what an earlier call began. kBusy while a session is written (call again when it is
+// finished) or another program reads the index (then the files are gone already; call again). Leftovers are no error:
+// they stand in the report and in the certificate, and the next call looks again.
 [[nodiscard]] Result<ForgetReport> Forget(const std::filesystem::path& store, const ForgetRequest& request,
                                           Logger& logger);
 

@@ -4,8 +4,12 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 
+#include <fcntl.h>
+#include <unistd.h>
+
+#include "db/base/descriptor.h"
+#include "db/base/held_descriptor.h"
 #include "shared/base/check.h"
 
 namespace stratalux::db {
@@ -21,6 +25,19 @@ uint64_t Load(const uint8_t* at) {
 }
 // Multiplicative hashing: the upper bits of the product depend on all bytes.
 uint64_t FilterBit(uint64_t word) { return (word * 0x9e3779b97f4a7c15ULL) >> (64 - kFilterBits); }
+
+// Fills `block` behind its first `kept` bytes; it begins at `offset` of the file. Returns how many bytes are valid.
+Result<size_t> ReadBlock(int fd, std::span<uint8_t> block, size_t kept, int64_t offset) {
+  size_t filled = kept;
+  while (filled < block.size()) {
+    const ssize_t got = pread(fd, block.data() + filled, block.size() - filled, offset + static_cast<int64_t>(filled));
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) return Status::Failed(std::string("cannot read: ") + std::strerror(errno));
+    if (got == 0) break;
+    filled += static_cast<size_t>(got);
+  }
+  return filled;
+}
 
 }  // namespace
 
@@ -57,22 +74,25 @@ void MarkerScan::ScanBlock(std::span<const uint8_t> block, size_t starts, int64_
   }
 }
 
-Result<std::vector<MarkerScan::Hit>> MarkerScan::Scan(const std::filesystem::path& file) const {
-  std::ifstream in(file, std::ios::binary);
-  if (!in) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
+Result<std::vector<MarkerScan::Hit>> MarkerScan::Scan(const std::filesystem::path& file,
+                                                      const std::function<bool()>& goes_on) const {
+  const bool held = MayBeOfSqlite(file);
+  const UniqueFd own = held ? UniqueFd() : OpenDescriptor(file, O_RDONLY);
+  const int fd = held ? HeldDescriptor(file) : own.get();
+  if (fd < 0) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
   std::vector<Hit> hits;
   std::vector<uint8_t> block(kBlock + longest_ - 1);
   size_t kept = 0;  // bytes of the block before, in which a marker may have started
   int64_t offset = 0;
   while (true) {
-    in.read(reinterpret_cast<char*>(block.data() + kept), static_cast<std::streamsize>(block.size() - kept));
-    const size_t filled = kept + static_cast<size_t>(in.gcount());
-    const bool last = filled < block.size();
-    if (in.bad()) return Status::Failed("cannot read " + file.string());
-    const size_t starts = last ? filled : kBlock;
-    ScanBlock(std::span(block).first(filled), starts, offset, hits);
+    if (goes_on && !goes_on()) return Status(StatusCode::kTryAgain, "the search of " + file.string() + " was ended");
+    const auto filled = ReadBlock(fd, block, kept, offset);
+    if (!filled.ok()) return filled.status().WithContext(file.string());
+    const bool last = *filled < block.size();
+    const size_t starts = last ? *filled : kBlock;
+    ScanBlock(std::span(block).first(*filled), starts, offset, hits);
     if (last) return hits;
-    kept = filled - starts;
+    kept = *filled - starts;
     std::memmove(block.data(), block.data() + starts, kept);
     offset += static_cast<int64_t>(starts);
   }

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <span>
 #include <string>
 #include <unordered_map>
@@ -27,8 +28,10 @@ class MarkerScan {
     int marker = 0;
     int64_t offset = 0;
   };
-  // Every place of every marker, in the order of offsets. kFailed where the file cannot be read.
-  [[nodiscard]] Result<std::vector<Hit>> Scan(const std::filesystem::path& file) const;
+  // Every place of every marker, in the order of offsets. kFailed where the file cannot be read, kTryAgain where
+  // `goes_on`, asked for each MiB, ended it. A database that this process has open may be read so, too.
+  [[nodiscard]] Result<std::vector<Hit>> Scan(const std::filesystem::path& file,
+                                              const std::function<bool()>& goes_on = {}) const;
 
  private:
   void ScanBlock(std::span<const uint8_t> block, size_t starts, int64_t offset, std::vector<Hit>& hits) const;

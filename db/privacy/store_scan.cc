@@ -112,8 +112,8 @@ void AddLeftover(StoreScanResult& result, const Marker& marker, const std::strin
 }
 
 Status ScanOne(const fs::path& store, const fs::path& file, const Markers& markers, const ScanPlan& plan,
-               StoreScanResult& result) {
-  const auto hits = markers.scan().Scan(file);
+               StoreScanResult& result, const std::function<bool()>& goes_on) {
+  const auto hits = markers.scan().Scan(file, goes_on);
   if (std::error_code error; !hits.ok() && !fs::exists(file, error)) return Status::Ok();  // gone meanwhile
   if (!hits.ok()) return hits.status();
   std::error_code error;
@@ -242,12 +242,12 @@ Result<StoreScanResult> ScanIndex(const fs::path& store, const std::vector<Forge
   StoreScanResult result;
   result.markers = static_cast<int64_t>(markers.scan().size());
   for (const char* file : {"index.sqlite", "index.sqlite-wal"})
-    SLX_RETURN_IF_ERROR(ScanOne(store, store / file, markers, plan, result));
+    SLX_RETURN_IF_ERROR(ScanOne(store, store / file, markers, plan, result, {}));
   return result;
 }
 
 Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
-                                  Logger& logger) {
+                                  Logger& logger, const std::function<bool()>& goes_on) {
   Markers markers;
   std::vector<SoughtNames> names;  // what a file's name may tell, too
   SLX_RETURN_IF_ERROR(AddMarkers(intents, plan, markers, names));
@@ -261,7 +261,7 @@ Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<Forge
         AddLeftover(result, marker, path.lexically_relative(store).string(), " (its name)");
   Progress progress(logger, "scan", static_cast<int64_t>(files.size()));
   for (const fs::path& file : files) {
-    SLX_RETURN_IF_ERROR(ScanOne(store, file, markers, plan, result));
+    SLX_RETURN_IF_ERROR(ScanOne(store, file, markers, plan, result, goes_on));
     progress.Advance();
   }
   return result;

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <set>
 #include <string>
@@ -24,8 +25,7 @@ struct StoreScanResult {
   std::vector<Leftover> leftovers;
 };
 
-// What the index says before the scan, which reads index.sqlite as a file and therefore needs it closed: closing a file
-// drops every lock that the process holds on it, SQLite's own included.
+// What the index says before the scan.
 struct ScanPlan {
   std::map<std::string, int64_t>
       ids_in_index;                     // session -> how often its id stands in rows of deletions and access_log
@@ -40,10 +40,11 @@ struct ScanPlan {
 
 // The intents' own files are left out: they go next. A session's id may stand in the chains of the ledger and, as often
 // as the plan says, in the index. Others may write to the store meanwhile: what they remove is passed over, and
-// SQLite's log, whose pages are copies of the index's, may hold ids as often as it likes.
+// SQLite's log, whose pages are copies of the index's, may hold ids as often as it likes. `goes_on` may end it:
+// kTryAgain.
 [[nodiscard]] Result<StoreScanResult> ScanStore(const std::filesystem::path& store,
                                                 const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
-                                                Logger& logger);
+                                                Logger& logger, const std::function<bool()>& goes_on = {});
 
 // The same of the index and its log alone, without a progress bar.
 [[nodiscard]] Result<StoreScanResult> ScanIndex(const std::filesystem::path& store,

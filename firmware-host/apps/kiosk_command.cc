@@ -4,8 +4,6 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
-#include "db/privacy/ticket.h"
-#include "firmware-host/kiosk/forget_visitor.h"
 #include "firmware-host/kiosk/page_front.h"
 #include "firmware-host/kiosk/plain_front.h"
 #include "shared/base/formatted.h"
@@ -41,11 +39,7 @@ Result<KioskPageOptions> PageOptionsOf(const StationOptions& station) {
 
 Result<KioskReport> RunWithPage(CaptureStation& station, const KioskOptions& options, StopToken& stop, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const KioskPageOptions page, PageOptionsOf(options.station));
-  const auto withdraw = [&](const std::string& ticket) -> Status {
-    SLX_ASSIGN_OR_RETURN(const std::string visitor, db::VisitorOfTicket(ticket));
-    return ForgetVisitor(options.station.config.store.folder, visitor, logger);
-  };
-  SLX_ASSIGN_OR_RETURN(const auto front, PageFront::Start(page, withdraw, logger));
+  SLX_ASSIGN_OR_RETURN(const auto front, PageFront::Start(page, logger));
   if (page.operator_token.empty())
     logger.Warning("[kiosk.page] names no operator_token_file: nobody can sign in as operator");
   const nlohmann::ordered_json where = {{"page", front->page().url() + "/"}};

@@ -91,7 +91,7 @@ class KioskLoop {
         logger_(logger),
         worker_(station,
                 {options.station, options.timing, options.second / 5,
-                 [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); }},
+                 [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); }, options.after_forget_step},
                 stop, logger),
         timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
 
@@ -124,9 +124,10 @@ class KioskLoop {
     worker_.Begin(action);
   }
   void Perform(const action::Show& action);
-  void Perform(const action::PrintTicket& /*action*/) {
+  void Perform(const action::PrintTicket& action) {
     ++report_.tickets;
     front_.GiveTicket(worker_.names().ticket);
+    worker_.Begin(action);
   }
   void Perform(const action::TellOperator& action);
   void Perform(const action::Count& action) { ++report_.ended[static_cast<size_t>(action.end)]; }
@@ -161,6 +162,7 @@ Result<KioskReport> KioskLoop::Run() {
       Feed(event::InterlockChanged{signal == RigSignal::kDoor ? Interlock::kDoor : Interlock::kEmergencyStop, true});
     else
       Feed(event::DeviceChanged{signal == RigSignal::kCamera ? Device::kCamera : Device::kLines, false});
+  front_.ServeWithdrawals([this](const std::string& visitor) { return worker_.Withdraw(visitor); });
   KeepHouse();
   notice_.Ready();
   while (!Ended()) {
@@ -170,6 +172,7 @@ Result<KioskReport> KioskLoop::Run() {
     const bool stuck = state_.phase == Phase::kSafe && state_.safe_for == Word::kStuck;
     if (!stuck || state_.work == VisitState::Work::kNone) notice_.Alive();
   }
+  front_.ServeWithdrawals(nullptr);
   notice_.Stopping();
   report_.begun = state_.visit;
   report_.owed = state_.closed_for.Has(Closure::kUnforgotten);
@@ -238,6 +241,8 @@ void KioskLoop::Feed(const VisitEvent& event) {
   if (logger_.Shows(LogLevel::kDebug) && !(step.state == state_))
     logger_.Debug(ToString(event) + " -> " + ToString(step.state));
   state_ = step.state;
+  const bool nobody = state_.phase == Phase::kIdle || state_.phase == Phase::kClosed || state_.phase == Phase::kSafe;
+  worker_.SetRest(nobody && state_.work == VisitState::Work::kNone);
   for (const VisitAction& action : step.actions) std::visit([this](const auto& one) { Perform(one); }, action);
   if (options_.after_step) options_.after_step(state_, event);
 }

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 
+#include "db/privacy/forget.h"
 #include "firmware-host/kiosk/kiosk_front.h"
 #include "firmware-host/kiosk/visit_rules.h"
 #include "firmware-host/kiosk/visit_state.h"
@@ -24,6 +25,7 @@ struct KioskOptions {
   std::chrono::nanoseconds second = std::chrono::seconds(1);
   // After each step of the machine; may be empty.
   std::function<void(const VisitState& state, const VisitEvent& event)> after_step = {};
+  std::function<void(db::ForgetStep)> after_forget_step = {};  // WorkerOptions
 
   // kUsage for a plan that is no visitor's, and what [kiosk] may not say.
   [[nodiscard]] Status Validate() const;
@@ -42,7 +44,8 @@ struct KioskReport {
 };
 
 // Until an operator's stop (StopToken, the front's Shutdown): then no capture runs, all lights are off, and what was to
-// be forgotten is. kFailed where that could not be. `station` was opened with `stop`.
+// be forgotten is gone; a search for what might be left of it that is not finished is made after the next start.
+// kFailed where that could not be. `station` was opened with `stop`.
 [[nodiscard]] Result<KioskReport> RunKiosk(CaptureStation& station, const KioskOptions& options, KioskFront& front,
                                            StopToken& stop, Logger& logger);
 

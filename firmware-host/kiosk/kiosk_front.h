@@ -3,15 +3,19 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
+#include "shared/base/result.h"
 #include "shared/capture/frame_record.h"
 #include "shared/image/image.h"
 
 namespace stratalux::rig {
+
+using Withdrawal = std::function<Status(const std::string& visitor)>;
 
 // Used by the kiosk's loop, but for Preview.
 class KioskFront {
@@ -28,6 +32,9 @@ class KioskFront {
   // A frame of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
   // meanwhile. It must neither be stored nor leave the machine.
   virtual void Preview(const FrameRecord& /*record*/, const Image<uint16_t>& /*pixels*/) {}
+  // How to forget a visitor (by pseudonym) whose ticket an operator has, from any thread: RigWorker::Withdraw. Given
+  // before anything is shown; null when the kiosk ends: nobody is in it when this returns.
+  virtual void ServeWithdrawals(Withdrawal /*withdraw*/) {}
 };
 
 }  // namespace stratalux::rig

@@ -10,6 +10,8 @@
 #include <sys/timerfd.h>
 #include <unistd.h>
 
+#include "db/privacy/ticket.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -37,14 +39,12 @@ Status PageFront::Open() {
   return open ? Status::Ok() : Status::Failed(std::string("the kiosk's page: ") + std::strerror(errno));
 }
 
-Result<std::unique_ptr<PageFront>> PageFront::Start(const KioskPageOptions& options,
-                                                    std::function<Status(const std::string& ticket)> withdraw,
-                                                    Logger& logger) {
+Result<std::unique_ptr<PageFront>> PageFront::Start(const KioskPageOptions& options, Logger& logger) {
   std::unique_ptr<PageFront> front(new PageFront);
   SLX_RETURN_IF_ERROR(front->Open());
   KioskPageInput input;
   input.event = [self = front.get()](const VisitEvent& event) { self->Press(event); };
-  input.withdraw = std::move(withdraw);
+  input.withdraw = [self = front.get()](const std::string& ticket) { return self->Withdraw(ticket); };
   SLX_ASSIGN_OR_RETURN(front->page_, KioskPage::Start(options, std::move(input), logger));
   return front;
 }
@@ -56,6 +56,18 @@ void PageFront::Press(const VisitEvent& event) {
   }
   const uint64_t one = 1;
   [[maybe_unused]] const ssize_t written = write(pressed_.get(), &one, sizeof one);
+}
+
+void PageFront::ServeWithdrawals(Withdrawal withdraw) {
+  const std::lock_guard lock(withdraw_mutex_);
+  withdraw_ = std::move(withdraw);
+}
+
+Status PageFront::Withdraw(const std::string& ticket) {
+  SLX_ASSIGN_OR_RETURN(const std::string visitor, db::VisitorOfTicket(ticket));
+  const std::lock_guard lock(withdraw_mutex_);
+  if (!withdraw_) return Status(StatusCode::kBusy, "the kiosk starts or ends; try again when it is idle");
+  return withdraw_(visitor);
 }
 
 std::vector<VisitEvent> PageFront::Take() {

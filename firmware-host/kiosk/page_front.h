@@ -2,7 +2,6 @@
 // PageFront: the kiosk's page (kiosk_page.h) as what its loop shows screens on and hears presses from.
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -18,10 +17,8 @@ namespace stratalux::rig {
 
 class PageFront final : public KioskFront {
  public:
-  // `withdraw` as KioskPageInput has it. Fails as KioskPage::Start; kFailed where the system gives no descriptor.
-  static Result<std::unique_ptr<PageFront>> Start(const KioskPageOptions& options,
-                                                  std::function<Status(const std::string& ticket)> withdraw,
-                                                  Logger& logger);
+  // Fails as KioskPage::Start; kFailed where the system gives no descriptor.
+  static Result<std::unique_ptr<PageFront>> Start(const KioskPageOptions& options, Logger& logger);
 
   // Also once a second, so that the page knows that the loop turns.
   [[nodiscard]] int fd() const override { return either_.get(); }
@@ -32,6 +29,7 @@ class PageFront final : public KioskFront {
   void Preview(const FrameRecord& record, const Image<uint16_t>& pixels) override {
     page_->ShowPreview(record, pixels);
   }
+  void ServeWithdrawals(Withdrawal withdraw) override;
 
   [[nodiscard]] KioskPage& page() const { return *page_; }
 
@@ -39,10 +37,13 @@ class PageFront final : public KioskFront {
   PageFront() = default;
   Status Open();
   void Press(const VisitEvent& event);
+  Status Withdraw(const std::string& ticket);
 
   UniqueFd pressed_, second_, either_;
   std::mutex mutex_;
   std::vector<VisitEvent> waiting_;
+  std::mutex withdraw_mutex_;  // held while one runs
+  Withdrawal withdraw_;
   std::unique_ptr<KioskPage> page_;  // first to go: its threads press
 };
 

@@ -10,10 +10,8 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-#include "db/catalogue/consent.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/capture_watch.h"
-#include "firmware-host/kiosk/forget_visitor.h"
 #include "firmware-host/sequence/rig_check.h"
 #include "shared/base/check.h"
 
@@ -34,7 +32,9 @@ RigWorker::RigWorker(CaptureStation& station, WorkerOptions options, StopToken& 
       options_(std::move(options)),
       stop_(stop),
       logger_(logger),
-      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+      search_([this] { Tell(event::Leftover{}); }, logger),
+      forgetting_(options_.station.config.store.folder, options_.after_forget_step, search_, logger) {
   SLX_CHECK(wake_.get() >= 0);
   thread_ = std::thread([this] { Work(); });
 }
@@ -109,6 +109,7 @@ bool RigWorker::LightTaken() const {
 }
 
 void RigWorker::Work() {
+  ForgetWhatWasLeft();
   while (true) {
     VisitAction job;
     {
@@ -269,6 +270,12 @@ CaptureRequest RigWorker::RequestFor(const action::StartCapture& job) const {
 
 void RigWorker::Do(const action::StartCapture& job) {
   if (job.attempt == 1) NameVisit(job.visit);
+  const VisitNames named = names();
+  if (const Status noted = forgetting_.Begin(named.name, named.visitor); !noted.ok()) {
+    logger_.Error("no capture of whom a power cut would leave without a ticket: " + noted.message());
+    return Tell(event::Failed{});
+  }
+  const auto turn = search_.Turn();
   const CaptureRequest request = RequestFor(job);
   const Result<CapturePlan> plan = BuildPlan(request.plan);
   const int steps = plan.ok() ? static_cast<int>(plan->steps.size()) : 1;
@@ -289,14 +296,28 @@ void RigWorker::Do(const action::StartCapture& job) {
   Tell(event::Captured{watch.Facts(report, LightTaken())});
 }
 
+void RigWorker::Do(const action::PrintTicket& job) {
+  const VisitNames named = names();
+  if (named.visit != job.visit) return;
+  if (const Status kept = forgetting_.Keep(named.name); !kept.ok())
+    logger_.Error("a visit that has its ticket is forgotten at the next start: " + kept.message());
+}
+
 void RigWorker::Do(const action::Discard& job) {
   const VisitNames named = names();
   Status forgotten;
-  if (named.visit == job.visit) forgotten = ForgetVisitor(options_.station.config.store.folder, named.visitor, logger_);
-  // No capture came as far as making anything.
-  if (forgotten.code() == StatusCode::kNotFound) forgotten = Status::Ok();
+  if (named.visit == job.visit) forgotten = forgetting_.Begin(named.name, named.visitor);
+  if (forgotten.ok()) forgotten = forgetting_.ForgetUnkept();
   if (!forgotten.ok()) logger_.Error("a visit could not be forgotten: " + forgotten.message());
   forgotten.ok() ? Tell(event::Discarded{}) : Tell(event::DiscardFailed{});
+}
+
+void RigWorker::ForgetWhatWasLeft() {
+  const Status forgotten = forgetting_.ForgetUnkept();
+  if (forgotten.ok()) return;
+  logger_.Error("what was left without a ticket could not be forgotten: " + forgotten.message() +
+                "; the next discarding or start tries again");
+  Tell(event::Leftover{});
 }
 
 }  // namespace stratalux::rig

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// RigWorker: the one thread that works rig and store for the kiosk, a job at a time, and answers with events.
+// RigWorker: the one thread that works rig and store for the kiosk, a job at a time, and answers with events. Its first
+// job is its own: it forgets the visits that a killed program left without a ticket.
 #pragma once
 
 #include <condition_variable>
@@ -12,8 +13,10 @@
 #include <vector>
 
 #include "firmware-host/kiosk/face_look.h"
+#include "firmware-host/kiosk/forget_search.h"
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
+#include "firmware-host/kiosk/visit_forgetting.h"
 #include "firmware-host/session/capture_station.h"
 #include "shared/base/unique_fd.h"
 
@@ -25,6 +28,8 @@ struct WorkerOptions {
   std::chrono::nanoseconds look_pause = std::chrono::milliseconds(200);  // between two pre-scans
   // Frames of the preview, on the worker's thread.
   std::function<void(const Shot&)> preview;
+  // Of forgettings: the first half on the worker's thread, the second on that of the search. May be empty.
+  std::function<void(db::ForgetStep)> after_forget_step = {};
 };
 
 // Whom a visit's sessions belong to: drawn by chance, kept nowhere else.
@@ -44,10 +49,15 @@ class RigWorker {
   RigWorker(const RigWorker&) = delete;
   RigWorker& operator=(const RigWorker&) = delete;
 
-  // One of action::Preview, CheckRig, Recover, StartCapture, Discard. Behind what still runs.
+  // One of action::Preview, CheckRig, Recover, StartCapture, PrintTicket (which has happened), Discard. Behind what
+  // still runs.
   void Begin(const VisitAction& job);
   // Never waits: the guard takes the light, what makes it ends, and a preview tells nothing any more.
   void LightOff();
+  // Whether nobody is served (forget_search.h).
+  void SetRest(bool rest) { search_.SetRest(rest); }
+  // From any thread, as VisitForgetting::Withdraw.
+  Status Withdraw(const std::string& visitor) { return forgetting_.Withdraw(visitor); }
   // Readable when there is something to take.
   [[nodiscard]] int fd() const { return wake_.get(); }
   std::vector<VisitEvent> Take();
@@ -60,7 +70,9 @@ class RigWorker {
   void Do(const action::CheckRig& job);
   void Do(const action::Recover& job);
   void Do(const action::StartCapture& job);
+  void Do(const action::PrintTicket& job);
   void Do(const action::Discard& job);
+  void ForgetWhatWasLeft();
   template <typename T>
   void Do(const T& /*not a job*/) {}
   // One pre-scan; nullopt: ended, or not worth telling.
@@ -90,6 +102,8 @@ class RigWorker {
   bool cancelled_ = false;  // it was told to end
   bool ending_ = false;
   UniqueFd wake_;
+  ForgetSearch search_;
+  VisitForgetting forgetting_;
   std::thread thread_;
 };
 

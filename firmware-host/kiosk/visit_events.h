@@ -58,6 +58,7 @@ SLX_PLAIN_EVENT(Leave);
 SLX_PLAIN_EVENT(NoFace);
 SLX_PLAIN_EVENT(Discarded);
 SLX_PLAIN_EVENT(DiscardFailed);
+SLX_PLAIN_EVENT(Leftover);  // of a visit that was forgotten something may be left
 // The page and the machine around it.
 SLX_PLAIN_EVENT(PageLost);
 SLX_PLAIN_EVENT(PageBack);
@@ -139,7 +140,7 @@ using VisitEvent =
                  event::Face, event::NoFace, event::Tick, event::Progress, event::Captured, event::Failed,
                  event::Discarded, event::DiscardFailed, event::Checked, event::Recovered, event::InterlockChanged,
                  event::DeviceChanged, event::Space, event::Calibration, event::Hours, event::Operator, event::PageLost,
-                 event::PageBack, event::ClockJumped, event::Shutdown>;
+                 event::PageBack, event::ClockJumped, event::Leftover, event::Shutdown>;
 
 // "face 500 mm", "tick consent", "captured degraded moved".
 [[nodiscard]] std::string ToString(const VisitEvent& event);

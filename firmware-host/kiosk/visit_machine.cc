@@ -54,6 +54,7 @@ class Stepper {
   void On(const event::PageLost& /*event*/) {}
   void On(const event::PageBack& /*event*/) { Show(); }
   void On(const event::ClockJumped& /*event*/) { Do(action::TellOperator{Word::kClockJumped}); }
+  void On(const event::Leftover& /*event*/) { Do(action::TellOperator{Word::kLeftover}); }
   void On(const event::Shutdown& /*event*/);
 
   [[nodiscard]] bool In(Phase phase) const { return s_.phase == phase; }

@@ -73,6 +73,7 @@ struct EventText {
   std::string operator()(const event::PageLost& /*e*/) const { return "page_lost"; }
   std::string operator()(const event::PageBack& /*e*/) const { return "page_back"; }
   std::string operator()(const event::ClockJumped& /*e*/) const { return "clock_jumped"; }
+  std::string operator()(const event::Leftover& /*e*/) const { return "leftover"; }
   std::string operator()(const event::Shutdown& /*e*/) const { return "shutdown"; }
 };
 

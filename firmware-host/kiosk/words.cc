@@ -46,7 +46,7 @@ const char* ToString(Word word) {
                                                              "given_up",       "fault",
                                                              "unforgotten",    "selfcheck_failed",
                                                              "clock_jumped",   "closed",
-                                                             "shutdown"};
+                                                             "shutdown",       "leftover"};
   return NameIn(kNames, word);
 }
 

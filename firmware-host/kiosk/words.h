@@ -71,9 +71,10 @@ enum class Word : uint8_t {
   kSelfcheckFailed,
   kClockJumped,
   kClosed,  // closed: Show's closures say why
-  kShutdown
+  kShutdown,
+  kLeftover  // of what was forgotten; for the operator alone
 };
-inline constexpr int kWords = 29;
+inline constexpr int kWords = 30;
 
 // The one deadline that runs: of the phase that armed it.
 enum class Deadline : uint8_t {

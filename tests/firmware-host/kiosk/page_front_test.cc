@@ -10,7 +10,6 @@
 
 #include "db/catalogue/session_store.h"
 #include "db/privacy/ticket.h"
-#include "firmware-host/kiosk/forget_visitor.h"
 #include "firmware-host/kiosk/kiosk.h"
 #include "tests/firmware-host/kiosk/small_kiosk.h"
 #include "tests/shared/http/http_client.h"
@@ -28,11 +27,7 @@ class PageFrontTest : public ScratchFolderTest {
     KioskPageOptions options;
     options.operator_token = kOperator;
     options.store = folder_ / "store";
-    const auto withdraw = [this](const std::string& ticket) -> Status {
-      SLX_ASSIGN_OR_RETURN(const std::string visitor, db::VisitorOfTicket(ticket));
-      return ForgetVisitor((folder_ / "store").string(), visitor, logger_);
-    };
-    auto front = PageFront::Start(options, withdraw, logger_);
+    auto front = PageFront::Start(options, logger_);
     ASSERT_TRUE(front.ok()) << front.status().message();
     front_ = std::move(*front);
   }
@@ -89,6 +84,8 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   auto station = CaptureStation::Open(options.station, stop, logger_);
   ASSERT_TRUE(station.ok()) << station.status().message();
   Start();
+  const std::map<std::string, std::string> keeper = {{"Authorization", "Bearer " + kOperator}};
+  EXPECT_EQ(Post("/operator/withdraw", {{"ticket", "7K3QZ-M0P4T-3"}}, keeper), 409) << "no kiosk runs yet";
   std::thread loop([&] {
     const auto report = RunKiosk(**station, options, *front_, stop, logger_);
     EXPECT_TRUE(report.ok()) << report.status().message();
@@ -101,7 +98,6 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   const auto visitor = db::VisitorOfTicket(ticket);
   EXPECT_TRUE(visitor.ok()) << ticket;
   EXPECT_EQ(http::Get(port(), "/ticket.svg").status, 200);
-  const std::map<std::string, std::string> keeper = {{"Authorization", "Bearer " + kOperator}};
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", ticket}}, keeper), 409) << "somebody still reads the ticket";
   Press("done", "thanks");
   (void)Until("idle");

@@ -166,6 +166,7 @@ std::map<std::string, VisitEvent> TableEvents(const VisitState& state) {
       {"page_lost", event::PageLost{}},
       {"page_back", event::PageBack{}},
       {"clock_jumped", event::ClockJumped{}},
+      {"leftover", event::Leftover{}},
       {"shutdown", event::Shutdown{}},
   };
   for (const auto& [name, facts] : Captures()) all[name] = event::Captured{facts};

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "db/privacy/open_visits.h"
+
+#include <algorithm>
+
+#include "db/base/durable_file.h"
+#include "shared/base/read_file.h"
+
+namespace stratalux::db {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr const char* kOpen = ".open";
+constexpr const char* kTorn = ".new";  // what ReplaceFile had not yet renamed
+
+fs::path Folder(const fs::path& store) { return store / "visits"; }
+fs::path NoteOf(const fs::path& store, const std::string& visit) { return Folder(store) / (visit + kOpen); }
+
+}  // namespace
+
+Status NoteOpenVisit(const fs::path& store, const std::string& visit, const std::string& visitor) {
+  std::error_code error;
+  if (fs::exists(NoteOf(store, visit), error)) return Status::Ok();
+  SLX_RETURN_IF_ERROR(MakeFolder(Folder(store)));
+  return ReplaceFile(NoteOf(store, visit), visitor);
+}
+
+Status CloseVisit(const fs::path& store, const std::string& visit) {
+  std::error_code error;
+  if (!fs::exists(Folder(store), error)) return Status::Ok();
+  SLX_RETURN_IF_ERROR(WipeFile(NoteOf(store, visit).string() + kTorn));
+  SLX_RETURN_IF_ERROR(WipeFile(NoteOf(store, visit)));
+  return SyncFolder(Folder(store));
+}
+
+Result<std::vector<OpenVisit>> OpenVisits(const fs::path& store) {
+  std::vector<OpenVisit> visits;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(Folder(store), error)) {
+    const fs::path& file = entry.path();
+    if (file.extension() == kTorn && file.stem().extension() == kOpen) {
+      visits.push_back({file.stem().stem().string(), ""});
+    } else if (file.extension() == kOpen) {
+      SLX_ASSIGN_OR_RETURN(std::string visitor, ReadFile(file));
+      // Wiped and not yet removed: it was closed.
+      if (visitor.find('\0') != std::string::npos) visitor.clear();
+      visits.push_back({file.stem().string(), std::move(visitor)});
+    }
+  }
+  if (error && error != std::errc::no_such_file_or_directory)
+    return Status::Failed("cannot list " + Folder(store).string() + ": " + error.message());
+  // A whole note and a torn one of a visit are one visit, the whole one's.
+  std::sort(visits.begin(), visits.end(), [](const OpenVisit& a, const OpenVisit& b) {
+    return a.visit != b.visit ? a.visit < b.visit : a.visitor > b.visitor;
+  });
+  visits.erase(std::unique(visits.begin(), visits.end(),
+                           [](const OpenVisit& a, const OpenVisit& b) { return a.visit == b.visit; }),
+               visits.end());
+  return visits;
+}
+
+}  // namespace stratalux::db
