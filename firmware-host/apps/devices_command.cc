@@ -2,6 +2,10 @@
 #include "firmware-host/apps/devices_command.h"
 
 #include <algorithm>
+#include <iterator>
+#include <sstream>
+#include <string>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
@@ -32,34 +36,28 @@ const char* Mosaic(Cfa cfa) {
   return "";
 }
 
-// `first`, then the items with commas, broken before kColumns and indented like what stands behind `first`.
-std::string Wrapped(const std::string& first, const std::vector<std::string>& items) {
+// `first`, then the words, broken before kColumns and indented like what stands behind `first`.
+std::string Wrapped(const std::string& first, const std::vector<std::string>& words) {
   std::string text, line = first;
-  const std::string indent(first.size(), ' ');
-  for (size_t i = 0; i < items.size(); ++i) {
-    const std::string item = items[i] + (i + 1 < items.size() ? "," : "");
-    if (line.size() > first.size() && line.size() + 1 + item.size() > kColumns) {
-      text += line + "\n";
-      line = indent;
-    }
-    line += (line.size() > first.size() ? " " : "") + item;
-  }
-  return text + line + "\n";
-}
-
-std::string Sentence(const std::string& first, const std::string& sentence) {
-  std::string text, line = first;
-  for (size_t begin = 0; begin < sentence.size();) {
-    const size_t end = std::min(sentence.find(' ', begin), sentence.size());
-    const std::string word = sentence.substr(begin, end - begin);
+  for (const std::string& word : words) {
     if (line.size() > first.size() && line.size() + 1 + word.size() > kColumns) {
       text += line + "\n";
       line = std::string(first.size(), ' ');
     }
     line += (line.size() > first.size() ? " " : "") + word;
-    begin = end + 1;
   }
   return text + line + "\n";
+}
+
+// A comma behind each item but the last.
+std::string Listed(const std::string& first, std::vector<std::string> items) {
+  for (size_t i = 0; i + 1 < items.size(); ++i) items[i] += ",";
+  return Wrapped(first, items);
+}
+
+std::string Sentence(const std::string& first, const std::string& sentence) {
+  std::istringstream stream(sentence);
+  return Wrapped(first, {std::istream_iterator<std::string>(stream), {}});
 }
 
 std::string WiredText(const DeviceList& list, const std::string& device, const std::string& indent) {
@@ -94,14 +92,19 @@ std::string V4l2Text(const DeviceList& list, const V4l2Camera& camera) {
     std::vector<std::string> sizes;
     for (const V4l2FrameSize& size : format.sizes) sizes.push_back(SizeText(size));
     if (sizes.empty()) sizes = {"sizes not listed by the driver"};
-    text += Wrapped(Formatted("    %-6s %2d bits %-4s  ", format.name.c_str(), raw->bits, Mosaic(raw->cfa)), sizes);
+    text += Listed(Formatted("    %-6s %2d bits %-4s  ", format.name.c_str(), raw->bits, Mosaic(raw->cfa)), sizes);
   }
   if (others.size() == camera.formats.size()) text += "    no raw format: this camera cannot measure light\n";
-  if (!others.empty()) text += Wrapped("    not raw: ", others);
+  if (!others.empty()) text += Listed("    not raw: ", others);
   for (const V4l2Control& control : camera.controls)
     text += Formatted("    %s = \"%s\": %d .. %d, now %d (%s)\n", control.key.c_str(), control.value.c_str(),
                       control.minimum, control.maximum, control.current, control.name.c_str());
   return text + WiredText(list, camera.node.path, "    ");
+}
+
+std::optional<RawFormat> RawOf(const LibcameraFormat& format) {
+  const std::optional<StreamFormat> known = StreamFormatOf(format.name);
+  return known && !known->green_of_bgr ? std::optional(known->raw) : std::nullopt;
 }
 
 std::string LibcameraText(const DeviceList& list, const LibcameraDevice& camera) {
@@ -109,10 +112,9 @@ std::string LibcameraText(const DeviceList& list, const LibcameraDevice& camera)
   for (const LibcameraFormat& format : camera.formats) {
     std::vector<std::string> sizes;
     for (const auto& [width, height] : format.sizes) sizes.push_back(Formatted("%dx%d", width, height));
-    const std::optional<StreamFormat> known = StreamFormatOf(format.name);
-    const bool raw = known && !known->green_of_bgr;
-    const std::string kind = raw ? Formatted("%2d bits %s", known->raw.bits, Mosaic(known->raw.cfa)) : "not raw";
-    text += Wrapped(Formatted("    %-14s %-12s  ", format.name.c_str(), kind.c_str()), sizes);
+    const std::optional<RawFormat> raw = RawOf(format);
+    const std::string kind = raw ? Formatted("%2d bits %s", raw->bits, Mosaic(raw->cfa)) : "not raw";
+    text += Listed(Formatted("    %-14s %-12s  ", format.name.c_str(), kind.c_str()), sizes);
   }
   return text + WiredText(list, camera.id, "    ");
 }
@@ -151,7 +153,7 @@ std::string CardText(const DeviceList& list, const KmsCard& card) {
     for (const DisplayMode& mode : connector.modes)
       modes.push_back(Formatted("%dx%d@%.4g", mode.width, mode.height, mode.refresh_hz));
     if (!connector.connected) modes = {"nothing connected"};
-    text += Wrapped(Formatted("    connector = \"%s\"  ", connector.name.c_str()), modes);
+    text += Listed(Formatted("    connector = \"%s\"  ", connector.name.c_str()), modes);
     text += WiredText(list, DisplayName(card, connector), "      ");
   }
   return text;
@@ -213,11 +215,10 @@ Json LibcameraJson(const LibcameraDevice& camera) {
   for (const LibcameraFormat& format : camera.formats) {
     Json sizes = Json::array();
     for (const auto& [width, height] : format.sizes) sizes.push_back({{"width", width}, {"height", height}});
-    const std::optional<StreamFormat> known = StreamFormatOf(format.name);
-    const bool raw = known && !known->green_of_bgr;
-    Json one = {{"name", format.name}, {"raw", raw}, {"sizes", sizes}};
-    if (raw) one["bits"] = known->raw.bits;
-    if (raw) one["mosaic"] = Mosaic(known->raw.cfa);
+    const std::optional<RawFormat> raw = RawOf(format);
+    Json one = {{"name", format.name}, {"raw", raw.has_value()}, {"sizes", sizes}};
+    if (raw) one["bits"] = raw->bits;
+    if (raw) one["mosaic"] = Mosaic(raw->cfa);
     formats.push_back(std::move(one));
   }
   return {{"id", camera.id}, {"model", camera.model}, {"formats", formats}};
