@@ -286,9 +286,9 @@ Status JobStore::Cancel(int64_t id) {
 Status JobStore::Requeue(int64_t id) {
   return impl_->Change([&](Connection& connection) -> Status {
     SLX_ASSIGN_OR_RETURN(const Job job, Find(id));
-    if (job.state != JobState::kFailed && job.state != JobState::kSetAside && job.state != JobState::kCancelled)
+    if (job.state == JobState::kQueued || job.state == JobState::kRunning)
       return Status::Usage("job " + std::to_string(id) + " is " + ToString(job.state) +
-                           "; only one that failed, was set aside or cancelled begins anew");
+                           "; only one that has ended begins anew");
     SLX_ASSIGN_OR_RETURN(auto update,
                          connection.Prepare("UPDATE jobs SET state = 'queued', attempts = 0, finished_wall_ns = NULL,"
                                             " boot = '', until_boot_ns = 0, not_before_wall_ns = 0 WHERE id = ?1"));
@@ -311,9 +311,10 @@ Result<std::vector<Job>> JobStore::List(std::optional<JobState> state) {
   return ReadJobs(select);
 }
 
-Result<std::map<JobState, int64_t>> JobStore::Count() {
-  SLX_ASSIGN_OR_RETURN(auto select,
-                       impl_->index.connection().Prepare("SELECT state, count(*) FROM jobs GROUP BY state"));
+Result<std::map<JobState, int64_t>> JobStore::Count(const std::string& kind) {
+  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare("SELECT state, count(*) FROM jobs"
+                                                                      " WHERE ?1 = '' OR kind = ?1 GROUP BY state"));
+  select.Bind(1, kind);
   std::map<JobState, int64_t> counts;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

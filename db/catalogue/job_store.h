@@ -96,13 +96,13 @@ class JobStore {
 
   // Whoever runs it hears so at its next call. kUsage for a job that has ended.
   Status Cancel(int64_t id);
-  // A job that failed, was set aside or cancelled begins anew, its attempts forgotten. kUsage for others.
+  // A job that has ended, however, begins anew, its attempts forgotten. kUsage for one that waits or runs.
   Status Requeue(int64_t id);
 
   [[nodiscard]] Result<Job> Find(int64_t id);
   // Oldest first.
   [[nodiscard]] Result<std::vector<Job>> List(std::optional<JobState> state = {});
-  [[nodiscard]] Result<std::map<JobState, int64_t>> Count();
+  [[nodiscard]] Result<std::map<JobState, int64_t>> Count(const std::string& kind = {});  // empty: of any
 
  private:
   struct Impl;

@@ -47,6 +47,7 @@ class Forgetting {
   Status RemoveRows(SessionIndex& index);
   Status RemoveVisitorKeys(SessionIndex& index);
   Status Compact(SessionIndex& index);
+  Status RemoveFromNights();
   Status FindGoneVisitors(SessionIndex& index);
   void Done(ForgetStep step) const {
     if (request_.after_step) request_.after_step(step);
@@ -237,6 +238,25 @@ Status Forgetting::Compact(SessionIndex& index) {
   return Checkpoint(index.connection());
 }
 
+// What the fitter's nights say of them (fitter/batch/night_log.h): files of their own, and pages that name them among
+// others, which `stratalux-fit batch report` makes again.
+Status Forgetting::RemoveFromNights() {
+  std::error_code error;
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::recursive_directory_iterator(store_ / "nights", error))
+    if (entry.is_regular_file()) files.push_back(entry.path());
+  for (const fs::path& file : files) {
+    const std::string name = file.filename().string();
+    bool theirs = std::any_of(intents_.begin(), intents_.end(),
+                              [&name](const ForgetIntent& intent) { return name.starts_with(intent.session); });
+    if (!theirs) {
+      SLX_ASSIGN_OR_RETURN(theirs, HoldsMarker(file, intents_));
+    }
+    if (theirs) SLX_RETURN_IF_ERROR(WipeFile(file));
+  }
+  return Status::Ok();
+}
+
 Status Forgetting::FindGoneVisitors(SessionIndex& index) {
   std::set<std::string> names(request_.visitors.begin(), request_.visitors.end());
   for (const ForgetIntent& intent : intents_) names.insert(intent.visitor);
@@ -266,6 +286,7 @@ Status Forgetting::Remove() {
   RemoveExports();
   SLX_RETURN_IF_ERROR(SetFoldersAside());
   SLX_RETURN_IF_ERROR(RemoveIncoming());
+  SLX_RETURN_IF_ERROR(RemoveFromNights());
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(RemoveVisitorKeys(index));
   SLX_RETURN_IF_ERROR(RemoveRows(index));

@@ -15,6 +15,7 @@ namespace stratalux::fit {
 
 // Registers the verbs; the chosen one stores its exit code.
 void AddRunCommands(CLI::App& app, int& exit_code);
+void AddBatchCommands(CLI::App& app, int& exit_code);
 void AddRenderCommand(CLI::App& app, int& exit_code);
 void AddProfilesCommand(CLI::App& app, int& exit_code);
 void AddDecodeCommand(CLI::App& app, int& exit_code);

@@ -31,6 +31,7 @@ int main(int argc, char** argv) {
   int exit_code = 0;
   umask(0027);  // maps and pictures of a face are as private as its frames
   stratalux::fit::AddRunCommands(app, exit_code);
+  stratalux::fit::AddBatchCommands(app, exit_code);
   stratalux::fit::AddDecodeCommand(app, exit_code);
   stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);

@@ -5,8 +5,10 @@
 #include <mutex>
 #include <set>
 #include <thread>
+#include <utility>
 
 #include <pthread.h>
+#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include "shared/base/log.h"
@@ -18,6 +20,8 @@ namespace {
 struct Registered {
   std::recursive_mutex mutex;
   std::multiset<std::filesystem::path> folders;
+  std::mutex asking_mutex;
+  int asking = -1;  // of InterruptionAsks
 };
 Registered& Folders() {
   static auto* const registered = new Registered;
@@ -33,6 +37,14 @@ sigset_t Interruptions() {
     if (action.sa_handler != SIG_IGN) sigaddset(&set, signal);  // nohup
   }
   return set;
+}
+
+// True: somebody puts things in order first.
+bool Asked() {
+  const std::lock_guard lock(Folders().asking_mutex);
+  const int asking = std::exchange(Folders().asking, -1);
+  const uint64_t one = 1;
+  return asking >= 0 && write(asking, &one, sizeof one) == sizeof one;
 }
 
 // For good: whoever else would register, make or rename a folder waits for the end of the process.
@@ -63,10 +75,22 @@ void RemoveOnInterruption() {
   pthread_sigmask(SIG_BLOCK, &set, nullptr);
   std::thread([set] {
     int signal = 0;
-    if (sigwait(&set, &signal) != 0) return;
+    do {
+      if (sigwait(&set, &signal) != 0) return;
+    } while (Asked());
     RemoveAll();
     End(signal);
   }).detach();
+}
+
+InterruptionAsks::InterruptionAsks() : asked_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  const std::lock_guard lock(Folders().asking_mutex);
+  Folders().asking = asked_.get();
+}
+
+InterruptionAsks::~InterruptionAsks() {
+  const std::lock_guard lock(Folders().asking_mutex);
+  Folders().asking = -1;
 }
 
 RemovedOnSignal::RemovedOnSignal(std::filesystem::path folder) : folder_(std::move(folder)) {

@@ -4,11 +4,28 @@
 
 #include <filesystem>
 
+#include "shared/base/unique_fd.h"
+
 namespace stratalux::fit {
 
 // Before the first thread: from now on INT, TERM and HUP remove what is registered, then end the process as they always
 // do. What a killed process (KILL, a power cut) leaves, the next run removes.
 void RemoveOnInterruption();
+
+// While it lives, the first of these signals asks instead of ending the process: what must be put in order first is. The
+// next one ends it. One at a time; needs RemoveOnInterruption().
+class InterruptionAsks {
+ public:
+  InterruptionAsks();
+  InterruptionAsks(const InterruptionAsks&) = delete;
+  InterruptionAsks& operator=(const InterruptionAsks&) = delete;
+  ~InterruptionAsks();
+  // Readable once asked, for good; -1 where the system gives no descriptor: then the first signal ends the process.
+  [[nodiscard]] int fd() const { return asked_.get(); }
+
+ private:
+  UniqueFd asked_;
+};
 
 // While it lives, the folder is one of those. Without RemoveOnInterruption() it does nothing. Thread-safe.
 class RemovedOnSignal {

@@ -282,7 +282,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
   SLX_RETURN_IF_ERROR(db::SyncTree(partial));
   SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
-  SLX_RETURN_IF_ERROR(frames.store().RegisterFit(row));
+  SLX_RETURN_IF_ERROR(frames.store().RegisterFit(row, {.job_token = options.job_token}));
   return place;
 }
 

@@ -128,6 +128,10 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
     outcome.plan = graph->stages().Plan(options.until == Stage::kReport
                                             ? KeysOf(*graph, options, EvaluationOf(options), projectors)
                                             : std::vector<std::string>{KeyOf(*graph, options)});
+    SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
+    outcome.was_complete = options.until == Stage::kReport && held && *held >= EvaluationOf(options);
+    const FrameRecord& first = frames.rows().front().record;  // of a session that is fittable there is one
+    outcome.sites = int64_t{first.width} * first.height;
     return outcome;
   }
   SLX_RETURN_IF_ERROR(seal.RequireKey());

@@ -16,8 +16,9 @@ struct RunOutcome {
   std::string session, fit;
   std::filesystem::path folder;    // of the fit, STORE/sessions/<id>/fits/<fit>, or of the stage's artifact
   bool sealed = false;             // its files: the session is encrypted
-  bool was_complete = false;       // nothing had to be done
+  bool was_complete = false;       // nothing had to be done; of a dry run: has to be
   std::vector<PlannedStage> plan;  // of a dry run
+  int64_t sites = 0;               // of the camera's mosaic
 };
 
 // Goes on where an earlier run ended; shares what another run makes at the same time.

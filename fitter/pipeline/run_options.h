@@ -2,6 +2,8 @@
 // What a user may choose of a run.
 #pragma once
 
+#include <cstdint>
+#include <optional>
 #include <string>
 
 #include "fitter/srd/srd_extractor.h"
@@ -26,6 +28,8 @@ struct RunOptions {
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
   bool dry_run = false;
+  // Of the lease under which a queue's worker runs (db/catalogue/job_store.h): the fit is entered only while it stands.
+  std::optional<int64_t> job_token = {};
   [[nodiscard]] Status Validate() const;
   [[nodiscard]] std::string ToJson() const;
 };

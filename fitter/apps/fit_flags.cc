@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/apps/fit_flags.h"
+
+#include <algorithm>
+#include <charconv>
+
+#include <CLI/CLI.hpp>
+
+namespace stratalux::fit {
+namespace {
+
+Status ParsePrior(const std::string& text, FitOptions& fit) {
+  LayerPrior& prior = fit.em.prior;
+  fit.choose.prior = text == "auto";
+  prior = {};
+  if (fit.choose.prior || text == "none") return Status::Ok();
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), prior.photons);
+  if (error == std::errc() && end == text.data() + text.size() && prior.photons > 0.0 && prior.photons <= 1e7)
+    return Status::Ok();
+  return Status::Usage("--prior " + text + ": auto, none, or photons above 0 and up to 1e7");
+}
+
+}  // namespace
+
+std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
+  const std::vector<CLI::Option*> before = verb.get_options();
+  verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers a pixel")
+      ->check(CLI::Range(1, 32))
+      ->capture_default_str();
+  verb.add_option("--mode", f.mode,
+                  "tied: one set of layers a pixel for all lights; free: each SRD on its own, as the paper has it")
+      ->check(CLI::IsMember({"tied", "free"}))
+      ->capture_default_str();
+  verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
+  verb.add_option("--eta", f.run.fit.em.scattering.eta, "Refractive index of skin")
+      ->check(CLI::Range(1.0, 3.0))
+      ->capture_default_str();
+  verb.add_option("--gain", f.gain, "Angular gain: model or none")
+      ->check(CLI::IsMember({"model", "none"}))
+      ->capture_default_str();
+  verb.add_option("--directional", f.directional,
+                  "on: weights of the layers that follow the directions, chosen on the training lights; off")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
+  verb.add_option("--surface", f.surface,
+                  "Light reflected by the very surface. model: facets of one roughness and strength, found on the "
+                  "training lights; free: of each light its own, near 5 %")
+      ->check(CLI::IsMember({"model", "free"}))
+      ->capture_default_str();
+  verb.add_option("--background", f.background,
+                  "on: a uniform floor beside the layers, for rooms whose light returns from far; off")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
+  verb.add_option("--prior", f.prior,
+                  "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
+                  "predicts the training lights, left out in turn, best; none: every pixel on its own")
+      ->capture_default_str();
+  verb.add_option("--iterations", f.run.fit.em.max_iterations,
+                  "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str();
+  verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
+      ->check(CLI::Range(0, 15))
+      ->capture_default_str();
+  verb.add_option("--pool", f.run.srd.pool, "Quads per side of a fitted profile")
+      ->check(CLI::Range(1, 16))
+      ->capture_default_str();
+  verb.add_option("--reading", f.reading,
+                  "gather: a pixel's response over the sweep; scatter: the profile across the line that lies on it")
+      ->check(CLI::IsMember({"gather", "scatter"}))
+      ->capture_default_str();
+  verb.add_option("--distance", f.distance, "Distances across the line: on the tangent plane, or along the surface")
+      ->check(CLI::IsMember({"tangent", "surface"}))
+      ->capture_default_str();
+  verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
+      ->check(CLI::IsMember({"reconstructed", "truth"}))
+      ->capture_default_str();
+  verb.add_flag("--full-evaluation", f.run.full_evaluation,
+                "Hold out every projector in turn; baselines and ablations");
+  verb.add_flag(
+      "--standard-errors", f.run.standard_errors,
+      "standard_errors.exr, too: of total weight, mean depth and width of each pixel (takes long at full size)");
+  std::vector<CLI::Option*> added = verb.get_options();
+  std::erase_if(added,
+                [&](CLI::Option* option) { return std::find(before.begin(), before.end(), option) != before.end(); });
+  return added;
+}
+
+Result<RunOptions> RunOptionsOf(const FitFlags& flags) {
+  RunOptions run = flags.run;
+  SLX_ASSIGN_OR_RETURN(run.fit.em.scattering.shift_law, ParseShiftLaw(flags.shift));
+  SLX_ASSIGN_OR_RETURN(run.srd.reading, ParseSrdReading(flags.reading));
+  SLX_ASSIGN_OR_RETURN(run.srd.distance, ParseSrdDistance(flags.distance));
+  SLX_RETURN_IF_ERROR(ParsePrior(flags.prior, run.fit));
+  run.fit.em.scattering.mode = flags.mode == "free" ? FitMode::kFree : FitMode::kTied;
+  run.fit.em.scattering.gain_model = flags.gain == "model";
+  run.fit.choose.reflection = flags.surface == "model";
+  run.fit.em.background_term = flags.background == "on";
+  run.fit.choose.directions = flags.directional == "on";
+  run.geometry = flags.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
+  return run;
+}
+
+std::vector<std::string> GivenArguments(const std::vector<CLI::Option*>& options) {
+  std::vector<std::string> given;
+  for (const CLI::Option* option : options) {
+    if (option->count() == 0) continue;
+    const bool flag = option->get_items_expected_max() == 0;
+    given.push_back(option->get_name() + (flag ? "" : "=" + option->results().back()));
+  }
+  return given;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/batch/night_choice.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "db/catalogue/consent.h"
+#include "db/catalogue/deletions.h"
+#include "db/catalogue/job_store.h"
+#include "db/catalogue/session_store.h"
+#include "fitter/pipeline/run.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr std::pair<LeftOut, const char*> kNames[] = {
+    {LeftOut::kComplete, "complete"}, {LeftOut::kCapture, "capture"},   {LeftOut::kConsent, "consent"},
+    {LeftOut::kKey, "key"},           {LeftOut::kUnusable, "unusable"}, {LeftOut::kSetAside, "set-aside"},
+    {LeftOut::kQuota, "quota"}};
+
+// Why a session that can be opened is left; kOk: it is fitted.
+struct Verdict {
+  LeftOut why = LeftOut::kUnusable;
+  Status reason;
+};
+
+Verdict Judge(const RunOptions& run, const db::SessionSummary& session, ChosenVisit& visit) {
+  const SessionStatus status = session.info.status;
+  if (status == SessionStatus::kFailed || status == SessionStatus::kRecording)
+    return {LeftOut::kCapture, Status::Failed(std::string("the capture is ") + ToString(status))};
+  if (Status may = MayStillBeFitted(run.store, session.info.id, session.info.visitor); !may.ok())
+    return {LeftOut::kConsent, std::move(may)};
+  RunOptions dry = run;
+  dry.session = session.info.id;
+  dry.dry_run = true;
+  Logger quiet(LogLevel::kError);
+  const Result<RunOutcome> outcome = RunSession(dry, quiet);
+  if (!outcome.ok())
+    return {outcome.status().code() == StatusCode::kNotFound && !session.key_id.empty() ? LeftOut::kKey
+                                                                                        : LeftOut::kUnusable,
+            outcome.status()};
+  visit = {outcome->session, outcome->fit, outcome->sites};
+  if (outcome->was_complete) return {LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
+  return {};
+}
+
+}  // namespace
+
+const char* ToString(LeftOut why) {
+  for (const auto& [value, name] : kNames)
+    if (value == why) return name;
+  return "?";
+}
+
+std::string JobKey(const ChosenVisit& visit) { return "fit " + visit.session + " " + visit.fit; }
+
+Status MayStillBeFitted(const std::string& store, const std::string& session, const std::string& visitor) {
+  SLX_RETURN_IF_ERROR(db::RefuseForgotten(store, session));
+  return visitor.empty() ? Status::Ok() : db::ValidConsent(store, visitor).status();
+}
+
+Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger) {
+  NightChoice choice;
+  std::vector<db::SessionSummary> sessions;
+  {
+    SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(options.run.store, db::AccessMode::kReadOnly));
+    for (const std::string& note : store.notes()) logger.Warning(note);
+    SLX_ASSIGN_OR_RETURN(sessions, store.ListSessions());
+  }
+  std::erase_if(sessions, [](const auto& session) { return session.info.kind != SessionKind::kVisitor; });
+  if (options.order == NightOrder::kOldest) std::reverse(sessions.begin(), sessions.end());
+  Progress progress(logger, "visitors looked at", static_cast<int64_t>(sessions.size()));
+  for (const db::SessionSummary& session : sessions) {
+    progress.Advance();
+    ChosenVisit visit;
+    const Verdict verdict = Judge(options.run, session, visit);
+    if (!verdict.reason.ok())
+      choice.left_out.push_back({session.info.id, verdict.why, verdict.reason.message()});
+    else if (options.most > 0 && choice.visits.size() >= static_cast<size_t>(options.most))
+      choice.left_out.push_back({session.info.id, LeftOut::kQuota, "the night takes " + std::to_string(options.most)});
+    else
+      choice.visits.push_back(std::move(visit));
+  }
+  return choice;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/batch/night_status.h"
+
+#include <algorithm>
+
+namespace stratalux::fit {
+
+int NightStatus::Count(NightEventKind kind) const {
+  return static_cast<int>(std::count_if(visits.begin(), visits.end(), [&](const auto& v) { return v.kind == kind; }));
+}
+
+int NightStatus::Over() const {
+  return Count(NightEventKind::kDone) + Count(NightEventKind::kFailed) + Count(NightEventKind::kSetAside) +
+         Count(NightEventKind::kDropped);
+}
+
+NightStatus StatusOf(const std::vector<NightEvent>& events) {
+  NightStatus status;
+  std::map<std::string, size_t> places;
+  for (const NightEvent& event : events) {
+    switch (event.kind) {
+      case NightEventKind::kBegan:
+        status.began = event.at;
+        status.chosen = event.count;
+        break;
+      case NightEventKind::kEnded:
+        status.ended = event.at;
+        status.end_reason = event.reason;
+        break;
+      case NightEventKind::kLeftOut:
+        status.left_out.push_back(event);
+        break;
+      default: {
+        const auto [place, is_new] = places.try_emplace(event.session, status.visits.size());
+        if (is_new) status.visits.push_back({.session = event.session});
+        NightVisit& visit = status.visits[place->second];
+        if (!event.fit.empty()) visit.fit = event.fit;
+        visit.kind = event.kind;
+        visit.at = event.at;
+        visit.attempts += event.kind == NightEventKind::kStarted ? 1 : 0;
+        visit.peak_bytes = std::max(visit.peak_bytes, event.peak_bytes);
+        if (event.kind == NightEventKind::kStarted) break;
+        visit.seconds = event.seconds;
+        visit.cpu_seconds = event.cpu_seconds;
+        visit.reason = event.reason;
+      }
+    }
+  }
+  return status;
+}
+
+}  // namespace stratalux::fit

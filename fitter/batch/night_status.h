@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// How far a night is, out of its log: for `batch status`, `batch watch` and the morning report.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "fitter/batch/night_log.h"
+
+namespace stratalux::fit {
+
+// A visitor's last word: the event that ended it, or its start.
+struct NightVisit {
+  std::string session = {}, fit = {};
+  NightEventKind kind = NightEventKind::kStarted;
+  int attempts = 0;  // of tonight
+  WallNs at = {};
+  double seconds = 0.0, cpu_seconds = 0.0;  // of the attempt that ended it
+  int64_t peak_bytes = 0;                   // the most of its attempts
+  std::string reason = {};
+};
+
+struct NightStatus {
+  WallNs began = {};
+  std::optional<WallNs> ended = {};
+  std::string end_reason = {};
+  int64_t chosen = 0;
+  std::vector<NightVisit> visits;  // in the order of their first start
+  std::vector<NightEvent> left_out;
+  [[nodiscard]] int Count(NightEventKind kind) const;
+  // Visitors who are done with, one way or another.
+  [[nodiscard]] int Over() const;
+};
+
+[[nodiscard]] NightStatus StatusOf(const std::vector<NightEvent>& events);
+
+}  // namespace stratalux::fit

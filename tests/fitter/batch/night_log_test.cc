@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/batch/night_log.h"
+
+#include <fstream>
+
+#include <sys/stat.h>
+
+#include "fitter/batch/night_status.h"
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::fit {
+namespace {
+
+class NightLogTest : public db::StoreTest {};
+
+TEST_F(NightLogTest, ReadsWhatItWrote) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok()) << log.status().message();
+  const NightEvent done{
+      NightEventKind::kDone, {1'800'000'000'123'456'789}, "s1", "f", 2, 3.5, 4.25, 77, "", "a\nb\"c", 0};
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .count = 3}).ok());
+  ASSERT_TRUE(log->Add(done).ok());
+  const auto record = ReadNight(log->folder());
+  ASSERT_TRUE(record.ok());
+  ASSERT_EQ(record->events.size(), 2U);
+  EXPECT_EQ(record->unread, 0);
+  EXPECT_EQ(ToJson(record->events[1]), ToJson(done));
+  EXPECT_EQ(record->events[0].count, 3);
+  EXPECT_EQ(Nights(folder_), std::vector<std::string>{log->folder().filename().string()});
+  struct stat file {};
+  ASSERT_EQ(stat((log->folder() / "s1.jsonl").c_str(), &file), 0);
+  EXPECT_EQ(file.st_mode & 07, 0U) << "it names visitors' sessions";
+}
+
+TEST_F(NightLogTest, WhatIsDamagedOrOfALaterVersionIsCountedAndTheRestRead) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kStarted, .session = "s1", .attempt = 1}).ok());
+  std::ofstream(log->folder() / "s1.jsonl", std::ios::app)
+      << "{\"event\": \"danced\"}\n[]\n{\"event\": 3}\n{\"event\": \"done\", \"attempt\": \"x\"}\n{\"event\": \"do";
+  const auto record = ReadNight(log->folder());
+  ASSERT_TRUE(record.ok());
+  EXPECT_EQ(record->events.size(), 1U);
+  EXPECT_EQ(record->unread, 5);
+  EXPECT_EQ(ReadNight(folder_ / "none").status().code(), StatusCode::kNotFound);
+}
+
+TEST_F(NightLogTest, AVisitorsLastWordCounts) {
+  const NightStatus night = StatusOf({{.kind = NightEventKind::kBegan, .count = 2},
+                                      {.kind = NightEventKind::kLeftOut, .session = "s0", .why = "consent"},
+                                      {.kind = NightEventKind::kStarted, .session = "s1", .fit = "f", .attempt = 1},
+                                      {.kind = NightEventKind::kStarted, .session = "s2", .attempt = 1},
+                                      {.kind = NightEventKind::kRetry, .session = "s1", .peak_bytes = 9, .reason = "x"},
+                                      {.kind = NightEventKind::kStarted, .session = "s1", .attempt = 2},
+                                      {.kind = NightEventKind::kDone, .session = "s1", .seconds = 4, .peak_bytes = 5}});
+  ASSERT_EQ(night.visits.size(), 2U);
+  EXPECT_EQ(night.visits[0].kind, NightEventKind::kDone);
+  EXPECT_EQ(night.visits[0].fit, "f");
+  EXPECT_EQ(night.visits[0].attempts, 2);
+  EXPECT_EQ(night.visits[0].peak_bytes, 9);
+  EXPECT_EQ(night.visits[0].reason, "");
+  EXPECT_EQ(night.visits[1].kind, NightEventKind::kStarted);
+  EXPECT_EQ(night.Over(), 1);
+  EXPECT_EQ(night.left_out.size(), 1U);
+  EXPECT_FALSE(night.ended);
+}
+
+}  // namespace
+}  // namespace stratalux::fit

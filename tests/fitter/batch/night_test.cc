@@ -1,0 +1,321 @@
+// SPDX-License-Identifier: Apache-2.0
+// The night's queue before workers of every kind: each visitor is fitted once, whoever dies on the way.
+#include "fitter/batch/night.h"
+
+#include <csignal>
+#include <fstream>
+#include <set>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <sys/eventfd.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "db/catalogue/consent.h"
+#include "db/catalogue/job_store.h"
+#include "db/privacy/forget.h"
+#include "fitter/batch/night_status.h"
+#include "tests/db/store_fixture.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux::fit {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+using ::testing::HasSubstr;
+
+class NightTest : public db::StoreTest {
+ protected:
+  void SetUp() override {
+    StoreTest::SetUp();
+    work_ = folder_.string() + ".work";
+    std::filesystem::create_directories(work_);
+    options_.choice.run.store = folder_;
+    options_.program = work_ / "worker";
+    options_.memory_bytes = int64_t{1} << 30;
+    options_.back_off = seconds(0);
+    options_.lease = milliseconds(2000);
+  }
+  void TearDown() override {
+    std::filesystem::remove_all(work_);
+    StoreTest::TearDown();
+  }
+  // What each worker does, a shell script: $S is its session, $N its attempt; each is noted as begun and, at its end,
+  // as ended.
+  void Workers(const std::string& script) const {
+    WriteText(options_.program, "#!/bin/sh\nS=$2; W=" + work_.string() +
+                                    "\necho x >> $W/$S.begun; N=$(wc -l < $W/$S.begun)\n" + script +
+                                    "\necho x >> $W/$S.ended\n");
+    ASSERT_EQ(chmod(options_.program.c_str(), 0755), 0);
+  }
+  [[nodiscard]] int Lines(const std::string& session, const char* what) const {
+    const std::string text = ReadText(work_ / (session + what));
+    return static_cast<int>(std::count(text.begin(), text.end(), '\n'));
+  }
+  void Visitors(int many) {
+    for (int i = 0; i < many; ++i) {
+      const std::string session = StoreSession(1);
+      sessions_.push_back(session);
+      choice_.visits.push_back({session, "fit" + std::to_string(i), 1000});
+    }
+  }
+  // A visitor of whom something is left when the consent is withdrawn.
+  std::string Consenting(const std::string& visitor) {
+    Consent consent;
+    consent.fit = true;
+    consent.text_version = "1";
+    consent.language = "en";
+    EXPECT_EQ(db::GiveConsent(folder_, visitor, consent).message(), "");
+    db::SessionStore store = OpenStore();
+    SessionInfo info;
+    info.rig = "bench";
+    info.visitor = visitor;
+    auto writer = store.BeginSession(info);
+    EXPECT_TRUE(writer.ok()) << writer.status().message();
+    EXPECT_TRUE(db::AppendTo(*writer, 0).ok());
+    EXPECT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    choice_.visits.push_back({writer->info().id, "fit", 1000});
+    return writer->info().id;
+  }
+  NightOutcome Run(int stop = -1, const std::function<void(const NightEvent&)>& heard = {}) {
+    Logger quiet(LogLevel::kError);
+    const auto outcome = RunNight(options_, choice_, stop, heard, quiet);
+    EXPECT_TRUE(outcome.ok()) << outcome.status().message();
+    if (!outcome.ok()) return {};
+    night_ = StatusOf(ReadNight(outcome->folder)->events);
+    return *outcome;
+  }
+  [[nodiscard]] db::JobState StateOf(const std::string& session) const {
+    auto jobs = db::JobStore::Open(folder_);
+    const auto all = jobs->List();
+    for (const db::Job& job : *all)
+      if (job.request.session == session) return job.state;
+    ADD_FAILURE() << "no job of " << session;
+    return db::JobState::kCancelled;
+  }
+  [[nodiscard]] const NightVisit& VisitOf(const std::string& session) const {
+    for (const NightVisit& visit : night_.visits)
+      if (visit.session == session) return visit;
+    throw std::runtime_error("no visit of " + session);
+  }
+
+  std::filesystem::path work_;
+  NightOptions options_;
+  NightChoice choice_;
+  NightStatus night_;
+  std::vector<std::string> sessions_;
+};
+
+TEST_F(NightTest, EverybodyIsFittedOnceInTheOrderOfTheChoice) {
+  Visitors(5);
+  Workers("");
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 5);
+  EXPECT_EQ(outcome.waiting, 0);
+  std::vector<std::string> order;
+  for (const NightVisit& visit : night_.visits) order.push_back(visit.session);
+  EXPECT_EQ(order, sessions_);
+  for (const std::string& session : sessions_) EXPECT_EQ(Lines(session, ".ended"), 1);
+  EXPECT_TRUE(night_.ended);
+  // Once more, the fits gone: they are made again. Still there, nobody would have been chosen.
+  EXPECT_EQ(Run().fitted, 5);
+}
+
+TEST_F(NightTest, WhoeverCrashesIsTriedAgainAndTheOthersGoOn) {
+  Visitors(4);
+  Workers("[ $S != " + sessions_[1] + " ] || [ $N -gt 1 ] || kill -SEGV $$");
+  EXPECT_EQ(Run().fitted, 4);
+  EXPECT_EQ(VisitOf(sessions_[1]).attempts, 2);
+  EXPECT_EQ(VisitOf(sessions_[0]).attempts, 1);
+}
+
+TEST_F(NightTest, WhoeverFailsEachTimeIsSetAsideWithTheReason) {
+  Visitors(3);
+  Workers("[ $S != " + sessions_[0] + " ] || { echo \"error: nothing at attempt $N\"; exit 1; }");
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 2);
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 3);
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kSetAside);
+  EXPECT_EQ(VisitOf(sessions_[0]).reason, "nothing at attempt 3");
+  // The next night leaves it alone, and says how to go on.
+  Run();
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 3);
+  ASSERT_EQ(night_.left_out.size(), 1U);
+  EXPECT_THAT(night_.left_out[0].reason, HasSubstr("nothing at attempt 3; `stratalux-fit batch retry"));
+}
+
+TEST_F(NightTest, WhatIsNoAccidentIsNotTriedAgain) {
+  Visitors(2);
+  Workers("[ $S = " + sessions_[0] + " ] && exit 6; echo 'error: the same words'; exit 1");
+  EXPECT_EQ(Run().failed, 2);
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 1) << "integrity";
+  EXPECT_EQ(Lines(sessions_[1], ".begun"), 2) << "in the same words twice";
+  EXPECT_EQ(StateOf(sessions_[1]), db::JobState::kFailed);
+}
+
+TEST_F(NightTest, WhoeverHangsIsEnded) {
+  Visitors(2);
+  options_.visit_limit = seconds(1);
+  options_.attempts = 1;
+  Workers("[ $S != " + sessions_[0] + " ] || exec sleep 1000");
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 1);
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("not finished after"));
+}
+
+TEST_F(NightTest, WhoeverEatsMemoryIsEnded) {
+  Visitors(2);
+  options_.memory_bytes = int64_t{64} << 20;
+  options_.attempts = 1;
+  // 400 MB of one line.
+  WriteText(options_.program, "#!/usr/bin/env bash\n[ $2 != " + sessions_[0] +
+                                  " ] || { LINE=$(head -c 400000000 /dev/zero | tr '\\0' x); sleep 1000; }\n");
+  ASSERT_EQ(chmod(options_.program.c_str(), 0755), 0);
+  EXPECT_EQ(Run().failed, 1);
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("of memory; all workers together have 0.06 GiB (--memory)"));
+  EXPECT_EQ(VisitOf(sessions_[1]).kind, NightEventKind::kDone);
+}
+
+TEST_F(NightTest, WithoutHistoryTheFirstIsAloneThenAsManyAsTheMemoryHolds) {
+  Visitors(6);
+  options_.workers = 3;
+  Workers("ls $W/*.begun | wc -l > $W/$S.seen; sleep 0.2");
+  int running = 0, most = 0, before_first = 0;
+  bool first = true;
+  Run(-1, [&](const NightEvent& event) {
+    if (event.kind == NightEventKind::kStarted) ++running;
+    if (event.kind == NightEventKind::kStarted && first) ++before_first;
+    if (event.kind == NightEventKind::kDone) --running, first = false;
+    most = std::max(most, running);
+  });
+  EXPECT_EQ(before_first, 1);
+  EXPECT_EQ(most, 3);
+}
+
+TEST_F(NightTest, NobodyIsBegunBehindTheDeadline) {
+  Visitors(2);
+  Workers("");
+  options_.deadline = std::chrono::steady_clock::now() - seconds(1);
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 0);
+  EXPECT_EQ(outcome.waiting, 2);
+  EXPECT_TRUE(outcome.out_of_time);
+  options_.deadline = std::nullopt;
+  EXPECT_EQ(Run().fitted, 2) << "the next night goes on";
+}
+
+TEST_F(NightTest, WithdrawnBeforeAndOnTheWayIsNotFitted) {
+  const std::string early = Consenting("v-5f3a91c2"), late = Consenting("v-6e21b0d4"), other = Consenting("v-7c11d2f6");
+  ASSERT_TRUE(db::WithdrawConsent(folder_, "v-5f3a91c2").ok());
+  Workers("[ $S != " + late + " ] || exec sleep 1000");
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    if (event.kind == NightEventKind::kStarted && event.session == late) {
+      EXPECT_TRUE(db::WithdrawConsent(folder_, "v-6e21b0d4").ok());
+    }
+  });
+  EXPECT_EQ(outcome.dropped, 2);
+  EXPECT_EQ(Lines(early, ".begun"), 0);
+  EXPECT_EQ(Lines(late, ".ended"), 0);
+  EXPECT_THAT(VisitOf(late).reason, HasSubstr("withdrawn"));
+  EXPECT_EQ(StateOf(late), db::JobState::kCancelled);
+  EXPECT_EQ(StateOf(other), db::JobState::kDone);
+}
+
+TEST_F(NightTest, ForgottenOnTheWayIsNotFittedAndTheNightGoesOn) {
+  Visitors(3);
+  Workers("[ $S != " + sessions_[0] + " ] || exec sleep 1000");
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    if (event.kind != NightEventKind::kStarted || event.session != sessions_[0]) return;
+    Logger quiet(LogLevel::kError);
+    db::ForgetRequest request;
+    request.sessions = {sessions_[0]};
+    EXPECT_TRUE(db::Forget(folder_, request, quiet).ok());
+  });
+  EXPECT_EQ(outcome.dropped, 1);
+  EXPECT_EQ(outcome.fitted, 2);
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(outcome.folder)) {
+    EXPECT_FALSE(entry.path().filename().string().starts_with(sessions_[0]));
+    EXPECT_EQ(ReadText(entry.path()).find(sessions_[0]), std::string::npos) << entry.path();
+  }
+}
+
+TEST_F(NightTest, AStopGivesBackWhoRunsAndCountsNoAttempt) {
+  Visitors(2);
+  Workers("[ -e $W/go ] || exec sleep 1000");
+  const int stop = eventfd(0, EFD_CLOEXEC);
+  const NightOutcome outcome = Run(stop, [&](const NightEvent& event) {
+    const uint64_t one = 1;
+    if (event.kind == NightEventKind::kStarted) {
+      EXPECT_EQ(write(stop, &one, sizeof one), static_cast<ssize_t>(sizeof one));
+    }
+  });
+  close(stop);
+  EXPECT_TRUE(outcome.stopped);
+  EXPECT_EQ(VisitOf(sessions_[0]).kind, NightEventKind::kReleased);
+  WriteText(work_ / "go", "");
+  options_.attempts = 1;
+  EXPECT_EQ(Run().fitted, 2);
+}
+
+// Also of nights that are long over, with what was made of them.
+TEST_F(NightTest, ForgettingTakesWhatNightsSaidAlong) {
+  Visitors(2);
+  Workers("echo 'error: of '$S; exit 1");
+  const NightOutcome outcome = Run();
+  WriteText(outcome.folder / "report.html", "<p>" + sessions_[0] + " and " + sessions_[1] + "</p>");
+  Logger quiet(LogLevel::kError);
+  db::ForgetRequest request;
+  request.sessions = {sessions_[0]};
+  const auto report = db::Forget(folder_, request, quiet);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_THAT(report->leftovers, ::testing::IsEmpty());
+  EXPECT_FALSE(std::filesystem::exists(outcome.folder / "report.html"));
+  EXPECT_TRUE(std::filesystem::exists(outcome.folder / (sessions_[1] + ".jsonl")));
+  const NightStatus left = StatusOf(ReadNight(outcome.folder)->events);
+  ASSERT_EQ(left.visits.size(), 1U);
+  EXPECT_EQ(left.visits[0].session, sessions_[1]);
+}
+
+// A night that is killed, again and again, at any moment, and nights beside each other.
+TEST_F(NightTest, WhoeverIsKilledEverybodyIsFittedInTheEnd) {
+  Visitors(12);
+  Workers("sleep 0.05");
+  options_.workers = 2;
+  options_.attempts = 100;
+  options_.lease = milliseconds(300);
+  for (int kill_after_ms : {50, 90, 140, 200, 260, 330}) {
+    const pid_t night = fork();
+    if (night == 0) {
+      Run();
+      _exit(0);
+    }
+    std::this_thread::sleep_for(milliseconds(kill_after_ms));
+    kill(night, SIGKILL);
+    waitpid(night, nullptr, 0);
+  }
+  std::vector<pid_t> nights;
+  for (int i = 0; i < 2; ++i) {
+    nights.push_back(fork());
+    if (nights.back() == 0) {
+      Run();
+      _exit(::testing::Test::HasFailure() ? 1 : 0);
+    }
+  }
+  for (const pid_t night : nights) {
+    int status = -1;
+    waitpid(night, &status, 0);
+    EXPECT_EQ(status, 0);
+  }
+  for (const std::string& session : sessions_) {
+    EXPECT_EQ(StateOf(session), db::JobState::kDone);
+    EXPECT_GE(Lines(session, ".ended"), 1);
+  }
+}
+
+}  // namespace
+}  // namespace stratalux::fit
