@@ -1,6 +1,6 @@
 # shellcheck shell=bash
 # SPDX-License-Identifier: Apache-2.0
-# Roots of a release of Debian, made by mmdebstrap: for scripts/test-debian.sh and scripts/test-packages.sh, which source it.
+# Roots of a release of Debian, made by mmdebstrap: for scripts/test-debian.sh, test-packages.sh and test-arm64.sh, which source it.
 # $codename names the release, $cache the folder of one root, $root the root.
 skip() { printf 'skipped: %s\n' "$@" >&2; exit 77; }
 fail() { printf 'error: %s\n' "$@" >&2; exit 1; }
@@ -67,11 +67,11 @@ copy_sources() {
   rsync -rlp --checksum --delete --exclude=/build "$tree/" "$root/stratalux/"
   rm -rf "$tree"
 }
-# install_deps GROUP,...: of scripts/install-deps.sh, in the root.
+# install_deps GROUP,... [--cross ARCHITECTURE]: of scripts/install-deps.sh, in the root.
 install_deps() {
   cp -L /etc/resolv.conf "$root/etc/resolv.conf"
   find "$root/tmp" -mindepth 1 -delete
-  in_root /stratalux/scripts/install-deps.sh --groups "$1" >"$cache/packages.log" 2>&1 ||
+  in_root /stratalux/scripts/install-deps.sh --groups "$@" >"$cache/packages.log" 2>&1 ||
     { tail -n 20 "$cache/packages.log" >&2; fail "the packages cannot be installed, see $cache/packages.log; --fresh makes the root anew"; }
   if [ -n "${CCACHE_DIR:-}" ] && [ ! -x "$root/usr/bin/ccache" ]; then
     in_root apt-get install -y -qq --no-install-recommends ccache >>"$cache/packages.log" 2>&1 || echo "warning: no ccache in the root" >&2

@@ -5,6 +5,7 @@
 #   scripts/install-deps.sh --list          print the packages of this release, their group and what each is for
 #   scripts/install-deps.sh --rig           only what the controller needs
 #   scripts/install-deps.sh --groups G,...  only these groups
+#   scripts/install-deps.sh --groups G,... --cross arm64   their libraries for that architecture, its compiler and emulator
 #   scripts/install-deps.sh --peers         also what benchmarks compare with and nothing else needs
 set -euo pipefail
 
@@ -59,6 +60,8 @@ cpio                 vm   the guest's first file system
 kmod                 vm   depmod and modprobe for the guest's modules
 xz-utils             vm   the kernel's source is an xz archive
 mmdebstrap           night scripts/test-debian.sh: a root of another release (docs/night.md)
+crossbuild-essential-arm64 cross compiler of the preset arm64
+qemu-user            cross runs its programs on this machine
 dpkg-dev             pack dpkg-shlibdeps: which package has which library of ours
 gnupg                pack scripts/package.sh --sign
 lintian              pack holds the packages against Debian's policy
@@ -72,14 +75,36 @@ python3-sklearn      peer tests/bench/mixture/em_sklearn.py: GaussianMixture
 LIST
 }
 
+architecture=""
+case "${3:-}" in
+  "") ;;
+  --cross) architecture=${4:?--cross needs an architecture}
+    [ "$architecture" = arm64 ] || { echo "error: --cross $architecture: only arm64 is supported" >&2; exit 2; } ;;
+  *) echo "error: '$3' is not known" >&2; exit 2 ;;
+esac
 case "${1:-}" in
   --list) packages; exit 0 ;;
   --rig) wanted=$(packages | awk '$2=="rig"{print $1}') ;;
   --groups) wanted=$(packages | awk -v groups=",${2:?--groups needs G,...}," 'index(groups, "," $2 ",") {print $1}') ;;
-  --peers) wanted=$(packages | awk '{print $1}') ;;
-  "") wanted=$(packages | awk '$2!="peer"{print $1}') ;;
-  *) echo "usage: scripts/install-deps.sh [--list|--rig|--groups G,...|--peers]" >&2; exit 2 ;;
+  --peers) wanted=$(packages | awk '$2!="cross"{print $1}') ;;
+  "") wanted=$(packages | awk '$2!="peer" && $2!="cross"{print $1}') ;;
+  *) echo "usage: scripts/install-deps.sh [--list|--rig|--groups G,... [--cross arm64]|--peers]" >&2; exit 2 ;;
 esac
+
+sudo=""
+[ "$(id -u)" -eq 0 ] || ! command -v sudo >/dev/null || sudo=sudo
+# Headers that fit every architecture come in packages of none; programs are this machine's.
+if [ -n "$architecture" ]; then
+  dpkg --print-foreign-architectures | grep -qx "$architecture" || { $sudo dpkg --add-architecture "$architecture"; $sudo apt-get update -qq; }
+  foreign=()
+  for package in $wanted; do
+    case "$package" in
+      lib*-dev) [[ $(apt-cache show --no-all-versions "$package:$architecture" 2>/dev/null) != *"Architecture: $architecture"* ]] || package+=:$architecture ;;
+    esac
+    foreign+=("$package")
+  done
+  wanted="${foreign[*]} $(packages | awk '$2=="cross"{print $1}')"
+fi
 
 missing=()
 for package in $wanted; do
@@ -90,10 +115,6 @@ done
 if [ ${#missing[@]} -eq 0 ]; then exit 0; fi
 
 echo "installing: ${missing[*]}" >&2
-sudo=""
-if [ "$(id -u)" -ne 0 ]; then
-  command -v sudo >/dev/null || { echo "error: run as root or install sudo; missing: ${missing[*]}" >&2; exit 1; }
-  sudo="sudo"
-fi
+[ "$(id -u)" -eq 0 ] || [ -n "$sudo" ] || { echo "error: run as root or install sudo; missing: ${missing[*]}" >&2; exit 1; }
 $sudo apt-get update -qq || echo "warning: package lists could not be refreshed" >&2
 $sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >&2
