@@ -16,7 +16,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 3;
+inline constexpr int kCompareVersion = 4;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged

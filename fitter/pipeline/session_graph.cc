@@ -29,7 +29,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
-constexpr int kStandardErrorsVersion = 1;
+constexpr int kStandardErrorsVersion = 2;
 constexpr uint64_t kShuffleSeed = 1;
 
 const char* ToString(FitKind kind) {
