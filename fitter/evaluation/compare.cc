@@ -9,7 +9,6 @@
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/render/surface_light.h"
-#include "fitter/sensor/linear_frame.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
@@ -54,7 +53,7 @@ Result<TrueSkin> ReadTrueSkin(const CompareInput& in) {
   TrueSkin truth;
   if (!in.truth) return truth;
   SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
-  SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.projector));
+  SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.view.projector));
   const auto skin = truth.skin.pixels();
   if (std::none_of(skin.begin(), skin.end(), [](uint8_t s) { return s != 0; })) std::fill(skin.begin(), skin.end(), 1);
   return truth;
@@ -67,11 +66,11 @@ struct Masks {
 // Judged: fitted skin that the light reaches. Left out: what was predicted and, as far as is known, is lit, and is not
 // judged.
 Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const TrueSkin& truth, Coverage& coverage) {
-  const Image<uint8_t>& lit = in.shape.lit[in.projector];
+  const Image<uint8_t>& lit = in.view.shape.lit[in.view.projector];
   Masks masks{Image<uint8_t>(lit.width(), lit.height()), Image<uint8_t>(lit.width(), lit.height())};
   for (int j = 0; j < lit.height(); ++j)
     for (int i = 0; i < lit.width(); ++i) {
-      const bool surface = in.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
+      const bool surface = in.view.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
       const bool skin = !truth.known() || truth.skin(i, j) != 0;
       const bool shines = !truth.known() || truth.lit(i, j) != 0;
       const bool judged = surface && reached && has_fit && skin && shines;
@@ -97,11 +96,11 @@ struct Target {
 
 Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
   const CameraCalibration& camera = in.frames.calibration()->camera;
-  SLX_ASSIGN_OR_RETURN(const auto raw,
-                       in.frames.Read(in.projector, HeldOutPhase(light), HeldOutPattern(light, *in.frames.plan())));
+  SLX_ASSIGN_OR_RETURN(
+      const auto raw, in.frames.Read(in.view.projector, HeldOutPhase(light), HeldOutPattern(light, *in.frames.plan())));
   Target target;
   target.variance = QuadVariance(raw, camera);
-  auto taken = ReadHeldOutTarget(in.frames, in.projector, light);
+  auto taken = ReadHeldOutTarget(in.frames, in.view.projector, light);
   if (taken.ok()) {
     target.light = std::move(taken->target);
     target.noise = std::move(taken->noise);
@@ -110,7 +109,7 @@ Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
     return target;
   }
   if (taken.status().code() != StatusCode::kNotFound) return taken.status();
-  SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.projector));
+  SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.view.projector));
   target.light = QuadSignal(raw, dark, camera);
   return target;
 }
@@ -124,32 +123,23 @@ double NoiseOfTakes(const Target& target, const Image<uint8_t>& mask) {
 }  // namespace
 
 Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<ComparedModel>& models) {
-  const RigCalibration rig = LinearRig(in.shape.record);
-  const PlanOptions& plan = *in.frames.plan();
-  const SurfaceMap& surface = in.shape.surface;
+  const HeldOutView& view = in.view;
+  const SurfaceMap& surface = view.shape.surface;
   Comparison comparison;
   SLX_ASSIGN_OR_RETURN(const auto true_skin, ReadTrueSkin(in));
   const Image<uint8_t> fitted = FittedByAll(models, surface.width(), surface.height());
   const Masks masks = MakeMasks(in, fitted, true_skin, comparison.coverage);
-  comparison.coverage.projector = in.projector;
+  comparison.coverage.projector = in.view.projector;
   comparison.coverage.geometry = in.geometry;
   const Image<float> direct_reflectance =
-      DirectReflectance({rig, in.projector, plan.exposure_ms, double(plan.separation_period)}, surface, in.separation);
-  const LitSurface lit = BuildLitSurface(surface, rig.projectors[in.projector], plan.exposure_ms);
-  std::vector<Image<float>> patterns;
-  for (const std::string& light : in.lights)
-    patterns.push_back(
-        ProjectedPattern(lit, HeldOutPattern(light, plan), 1.0 - rig.projectors[in.projector].black_level));
-  std::vector<const Image<float>*> shown;
-  for (const Image<float>& pattern : patterns) shown.push_back(&pattern);
-  const std::vector<Image<float>> irradiance = SurfaceIrradiance(surface, rig, lit, shown);
-  for (size_t k = 0; k < in.lights.size(); ++k) {
-    const std::string& light = in.lights[k];
+      DirectReflectance({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface, in.separation);
+  for (size_t k = 0; k < view.lights.size(); ++k) {
+    const std::string& light = view.lights[k];
     SLX_ASSIGN_OR_RETURN(const Target target, ReadTarget(in, light));
-    const Image<float> direct = ReflectedLight(direct_reflectance, irradiance[k]);
+    const Image<float> direct = ReflectedLight(direct_reflectance, view.irradiance[k]);
     std::optional<Image<float>> true_subsurface;
     if (in.truth) {
-      SLX_ASSIGN_OR_RETURN(true_subsurface, in.truth->Subsurface(light, in.projector));
+      SLX_ASSIGN_OR_RETURN(true_subsurface, in.truth->Subsurface(light, in.view.projector));
     }
     const double noise = NoiseOfTakes(target, masks.judged),
                  camera_noise = NoiseFloor(target.light, target.variance, masks.judged);
@@ -158,8 +148,8 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
       const Prediction& p = model.predictions.at(light);
       auto add = [&](const char* part, const char* with, const Image<float>& real, const Image<float>& estimate,
                      bool captured) {
-        comparison.figures.push_back({in.projector, light, model.name, part, with, in.geometry, in.pool, target.takes,
-                                      CompareImages(real, estimate, masks.judged), captured ? noise : 0.0,
+        comparison.figures.push_back({in.view.projector, light, model.name, part, with, in.geometry, in.pool,
+                                      target.takes, CompareImages(real, estimate, masks.judged), captured ? noise : 0.0,
                                       captured ? camera_noise : 0.0});
       };
       const Image<float> remaining = Difference(direct, p.direct_part), total = Sum(p.subsurface, remaining);

@@ -16,7 +16,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 3;
+inline constexpr int kCompareVersion = 4;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
@@ -24,14 +24,12 @@ struct ComparedModel {
 };
 
 struct CompareInput {
-  const SessionFrames& frames;  // read by shape.record
-  const FaceShape& shape;
+  const SessionFrames& frames;  // read by the view's record
+  const HeldOutView& view;
   const SeparationMap& separation;  // of the projector
   const std::optional<SceneTruth>& truth;
-  int projector = 0;
   int pool = 1;
   std::string geometry;  // reconstructed | truth
-  std::vector<std::string> lights;
 };
 
 // What the report shows of one light; quads, digital numbers above black.

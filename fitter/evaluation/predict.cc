@@ -5,11 +5,9 @@
 #include <numeric>
 
 #include "fitter/evaluation/direct_light.h"
-#include "fitter/evaluation/heldout_takes.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/render/mlsss.h"
 #include "fitter/render/surface_light.h"
-#include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 
@@ -21,26 +19,17 @@ std::vector<std::string> HeldOutLights(const PlanOptions& plan) {
   return lights;
 }
 
-Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, const PlanOptions& plan, int projector,
-                    const std::vector<std::string>& lights) {
-  const RigCalibration rig = LinearRig(shape.record);
-  const SurfaceMap& surface = shape.surface;
-  const ProjectorCalibration& held_out = rig.projectors[projector];
-  const double open = 1.0 - held_out.black_level;  // a frame minus its black frame
-  const LitSurface lit = BuildLitSurface(surface, held_out, plan.exposure_ms);
-  const Image<float> reflectance = SurfaceReflectance(map, surface, lit.light, pool),
-                     part = DirectPart({rig, projector, plan.exposure_ms, double(plan.separation_period)}, surface, map,
-                                       pool);
-  std::vector<LitPyramid> pyramids;
-  std::vector<const Image<float>*> patterns;
-  for (const std::string& light : lights) pyramids.push_back(LightWith(lit, HeldOutPattern(light, plan), open));
-  for (const LitPyramid& pyramid : pyramids) patterns.push_back(&pyramid.pattern);
-  std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, rig, lit, pyramids, {pool});
-  const std::vector<Image<float>> irradiance = SurfaceIrradiance(surface, rig, lit, patterns);
+Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
+  const SurfaceMap& surface = view.shape.surface;
+  const Image<float> reflectance = SurfaceReflectance(map, surface, view.lit.light, pool),
+                     part = DirectPart({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface,
+                                       map, pool);
+  std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, view.rig, view.lit, view.pyramids, {pool});
   Predictions predictions;
-  for (size_t k = 0; k < lights.size(); ++k) {
-    Prediction& p = predictions[lights[k]];
-    p = {std::move(subsurface[k]), ReflectedLight(reflectance, irradiance[k]), ReflectedLight(part, irradiance[k])};
+  for (size_t k = 0; k < view.lights.size(); ++k) {
+    Prediction& p = predictions[view.lights[k]];
+    p = {std::move(subsurface[k]), ReflectedLight(reflectance, view.irradiance[k]),
+         ReflectedLight(part, view.irradiance[k])};
     MarkUnfitted(map, surface, pool, std::array{&p.subsurface, &p.surface, &p.direct_part});
   }
   return predictions;

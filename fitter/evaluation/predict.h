@@ -7,13 +7,13 @@
 #include <string>
 #include <vector>
 
+#include "fitter/evaluation/heldout_view.h"
 #include "fitter/mixture/mixture_map.h"
-#include "fitter/stages/shape.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 3;
+inline constexpr int kPredictVersion = 4;
 
 // Under one light; quads x colours, digital numbers above black; 0 outside the surface, NaN where that colour was not
 // fitted.
@@ -27,8 +27,7 @@ using Predictions = std::map<std::string, Prediction>;  // by light
 // Lights that sessions of the plan hold: stripe, white and, where it has them, spot.
 [[nodiscard]] std::vector<std::string> HeldOutLights(const PlanOptions& plan);
 
-[[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const FaceShape& shape, const PlanOptions& plan,
-                                  int projector, const std::vector<std::string>& lights);
+[[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view);
 
 // The predictions of `scaled` from those of `map`: of the same fit, with the same layers but for the total weight of
 // each profile, in which subsurface light is linear.

@@ -29,6 +29,8 @@ Status WriteExr(const std::filesystem::path& file, ImageView<const float> image,
   try {
     Imf::Header header(image.width(), image.height());
     header.compression() = Imf::ZIP_COMPRESSION;
+    // At OpenEXR's own 4 deflate took 6.6 % of a full evaluation's time, for artifacts 0.6 % smaller.
+    header.zipCompressionLevel() = 1;
     for (const std::string& name : channels) header.channels().insert(name.c_str(), Imf::Channel(Imf::FLOAT));
     Imf::OutputFile out(file.c_str(), header);
     // OpenEXR's frame buffers take char*, also for writing, and do not modify it.

@@ -36,7 +36,7 @@ using Scores = std::vector<std::vector<Score>>;
 
 // One projector left out: what the fits of the others with each N0 make of it, behind `scores`.
 Status LeaveOut(int projector, std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                int channels, EmOptions options, Scores& scores) {
+                int channels, const EmOptions& options, Scores& scores) {
   std::vector<const SrdBatch*> training, left_out;
   std::vector<int> names;
   for (size_t p = 0; p < lights.size(); ++p) {
@@ -45,13 +45,7 @@ Status LeaveOut(int projector, std::span<const SrdBatch* const> lights, const st
   }
   const int64_t profiles = lights[0]->profiles();
   SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(training, channels, options, 1));
-  std::vector<MixtureMap> fits;
-  for (size_t trial = 0; trial < std::size(kGrid); ++trial) {
-    options.prior.photons = kGrid[trial];
-    SLX_ASSIGN_OR_RETURN(
-        auto map, FitMixture(training, names, static_cast<int>(profiles / channels), 1, channels, options, mean));
-    fits.push_back(std::move(map));
-  }
+  SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(training, names, channels, options, mean, kGrid));
   for (const SrdBatch* light : left_out) {
     const auto divergences = DivergencesFrom(fits, *light, channels, options);
     for (size_t trial = 0; trial < fits.size(); ++trial)

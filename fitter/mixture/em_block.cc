@@ -6,8 +6,6 @@
 #include <numeric>
 
 #include "fitter/mixture/em_projection.h"
-#include "fitter/mixture/line_response.h"
-#include "fitter/mixture/photon_noise.h"
 
 namespace stratalux::fit {
 namespace {
@@ -39,9 +37,6 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
   for (auto* v : {&cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(Row(options.layers), 0.0F);
   if (!options.scattering.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
   moments_.assign(Row(3 * options.layers), 0.0F);
-  if (!start.empty() && options.prior.photons > 0.0)
-    prior_ = EmPrior(rows_, options.prior.photons, free ? 0.0 : options.prior.square_shift,
-                     options.scattering.reflection.Known());
   for (size_t p = 0; p < lights.size(); ++p) {
     EmLight& light = lights_[p];
     light.samples = lights[p]->samples;
@@ -62,22 +57,16 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
 // An idle lane: no light, no layers, numbers that divide well.
 void EmBlock::Clear(int lane) {
   lanes_[lane] = {};
+  ClearLayers(lane);
+  bounds_.least_sigma_mm[lane] = bounds_.most_sigma_mm[lane] = 1.0F;
+  for (EmLight& light : lights_) ClearLane(lane, light);
+}
+
+void EmBlock::ClearLayers(int lane) {
   for (int row = 0; row < rows_.size(); ++row)
     at_[Row(row) + lane] = image_[Row(row) + lane] = last_[Row(row) + lane] = 0.0F;
-  prior_.Clear(lane);
-  bounds_.least_sigma_mm[lane] = bounds_.most_sigma_mm[lane] = 1.0F;
   for (int l = 0; l < rows_.layers; ++l) At(rows_.sigma(l), lane) = 1.0F;
-  for (EmLight& light : lights_) {
-    light.cell_mm[lane] = light.gain[lane] = 1.0F;
-    light.origin[lane] = 0.5F * static_cast<float>(light.grid.cells);
-    for (LaneRow* row : {&light.shift, &light.surface_total, &light.s, &light.counts, &light.extra_path,
-                         &light.phase_m1, &light.coverage, &light.white, &light.white_variance})
-      (*row)[lane] = 0.0F;
-    for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen})
-      for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;
-    for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t)
-      light.response[Row(light.reach_limit + t) + lane] = 0.0F;
-  }
+  prior_.Clear(lane);
 }
 
 void EmBlock::Load(int lane, int64_t profile) {
@@ -86,93 +75,22 @@ void EmBlock::Load(int lane, int64_t profile) {
   float floor = static_cast<float>(options_.min_sigma_mm);
   for (size_t p = 0; p < lights_.size(); ++p) {
     if (usable_[p][profile] == 0) continue;
-    LoadLight(*batches_[p], profile, lane, lights_[p]);
-    LoadResponse(*batches_[p], profile, lane, lights_[p]);
+    LoadLane(options_.scattering, *batches_[p], profile, lane, lights_[p]);
     floor = std::max(floor, 0.9F * lights_[p].cell_mm[lane]);
   }
   bounds_.least_sigma_mm[lane] = floor;
   bounds_.most_sigma_mm[lane] = std::max(floor, static_cast<float>(options_.max_sigma_mm));
-  Start(lane);
+}
+
+// The loaded profile from its start, with a prior of `photons`.
+void EmBlock::Begin(int lane, size_t trial, double photons) {
+  lanes_[lane] = {.profile = lanes_[lane].profile, .trial = trial};
+  ClearLayers(lane);
+  Start(lane, photons);
   lanes_[lane].last_pass = most_sweeps_ == 0;
 }
 
-void EmBlock::LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const {
-  const float step = batch.step_mm[profile];
-  // Wrapped profiles are turned so that the pixel's own entry point lies mid-grid in every lane: layers then meet the
-  // same cells in all lanes.
-  int turn = 0;
-  float first_u = batch.first_u_mm[profile];
-  if (batch.wrapped) {
-    turn = static_cast<int>(std::lround(-first_u / step)) - light.samples / 2;
-    first_u += static_cast<float>(turn) * step;
-    turn = (turn % light.samples + light.samples) % light.samples;
-  }
-  const auto y = batch.Samples(profile);
-  const PhotonNoise noise = PhotonNoiseOf(batch, profile);
-  light.shift[lane] = static_cast<float>(noise.read_shift);
-  light.counts[lane] = static_cast<float>(noise.counts);
-  for (int k = 0; k < light.samples; ++k)
-    light.data[Row(k) + lane] = std::max(y[(k + turn) % light.samples] + light.shift[lane], 0.0F);
-  light.cell_mm[lane] = step / static_cast<float>(light.cells_per_sample);
-  // Cell j has its centre at first_u + (j - pad - (cells_per_sample - 1) / 2) cells.
-  light.origin[lane] = static_cast<float>(light.pad_cells) + 0.5F * static_cast<float>(light.cells_per_sample - 1) -
-                       first_u / light.cell_mm[lane];
-  const ScatteringModel& model = options_.scattering;
-  light.s[lane] = static_cast<float>(ShiftCoefficient(model, batch, profile));
-  light.gain[lane] = static_cast<float>(AngularGain(model, batch.cos_in[profile]));
-  light.reflected[lane] =
-      model.reflection.Known()
-          ? static_cast<float>(ReflectanceOf(model.reflection, ReflectionAngles::Of(batch, profile), model.eta))
-          : -1.0F;
-  if (!model.directional.Off()) {
-    const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
-    light.extra_path[lane] = static_cast<float>(directions.ExtraPath());
-    // What a layer of no depth and no width shows: the light of few scattering events alone.
-    DirectionalWeights narrow = model.directional;
-    narrow.sigma_0_mm = 1.0;
-    light.phase_m1[lane] = static_cast<float>(DirectionalFactor(narrow, directions, 0.0, 0.0) - 1.0);
-  }
-  if (!batch.white.empty()) {
-    light.white[lane] = batch.white[profile];
-    light.white_variance[lane] = batch.white_variance[profile];
-  }
-}
-
-void EmBlock::LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const {
-  const double cell = light.cell_mm[lane];
-  const LineResponse line = LineResponseOf(batch, profile, cell);
-  const double support = line.Support();
-  const int reach = static_cast<int>(std::min(std::ceil(support / cell) + 1.0, double(light.reach_limit)));
-  light.reach = std::max(light.reach, reach);
-  // Around a sample's own position, which lies between or on cells: (cells_per_sample - 1) / 2 after its first cell.
-  const double centre = 0.5 * (light.cells_per_sample - 1);
-  const std::vector<double> taps = line.OnCells((-reach - centre) * cell, light.cells_per_sample + 2 * reach);
-  double total = 0.0;
-  for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
-    light.response[Row(light.reach_limit + t) + lane] = static_cast<float>(taps[t + reach]);
-    total += taps[t + reach];
-  }
-  light.coverage[lane] = static_cast<float>(total / light.cells_per_sample);
-  const double period = cell * light.grid.cells;
-  for (int k = 0; k < light.samples; ++k) {
-    double u = (light.pad_cells + k * light.cells_per_sample + centre - light.origin[lane]) * cell;
-    if (light.grid.wrapped) u = std::remainder(u, period);
-    if (std::abs(u) > support) continue;
-    light.surface_response[Row(k) + lane] = static_cast<float>(line.At(u));
-    light.surface_total[lane] += light.surface_response[Row(k) + lane];
-  }
-  if (light.grid.wrapped) return;
-  // Open windows: what of each cell no sample sees (B^T 1 short of the full coverage).
-  for (int c = 0; c < light.grid.cells; ++c) light.unseen[Row(c) + lane] = light.coverage[lane];
-  for (int k = 0; k < light.samples; ++k)
-    for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
-      const int cell_at = light.pad_cells + k * light.cells_per_sample + t;
-      if (cell_at < 0 || cell_at >= light.grid.cells) continue;
-      light.unseen[Row(cell_at) + lane] -= light.response[Row(light.reach_limit + t) + lane];
-    }
-}
-
-void EmBlock::Start(int lane) {
+void EmBlock::Start(int lane, double photons) {
   double total = 0.0, exposure = 0.0, longest = 0.0;
   for (size_t p = 0; p < lights_.size(); ++p) {
     const EmLight& light = lights_[p];
@@ -216,7 +134,7 @@ void EmBlock::Start(int lane) {
   }
   if (options_.shared_background) ShareBackground(at_.data());
   lanes_[lane].own = total;
-  if (prior_.On() && !start_[channel].weight.empty()) prior_.Set(lane, at_.data());
+  if (photons > 0.0 && prior_.On() && !start_[channel].weight.empty()) prior_.Set(lane, photons, at_.data());
 }
 
 // Widths spread logarithmically, depths growing with the width, the observed total shared out in proportion to 1 /
@@ -382,13 +300,20 @@ double EmBlock::ScaleToWhite(int lane) const {
 }
 
 void EmBlock::Finish(int lane) {
-  const double scale = ScaleToWhite(lane);
+  const double scale = lanes_[lane].scale = ScaleToWhite(lane);
   for (int l = 0; l < rows_.layers; ++l) At(rows_.weight(l), lane) *= static_cast<float>(scale);
+  for (int p = 0; p < rows_.lights; ++p) {
+    At(rows_.background(p), lane) *= static_cast<float>(scale);
+    if (!options_.scattering.reflection.Known()) At(rows_.surface(p), lane) *= static_cast<float>(scale);
+  }
+}
+
+// `model` holds predictions before the scale.
+double EmBlock::Divergence(int lane) const {
+  const double scale = lanes_[lane].scale;
   double divergence = 0.0;
   for (int p = 0; p < rows_.lights; ++p) {
     const EmLight& light = lights_[p];
-    At(rows_.background(p), lane) *= static_cast<float>(scale);
-    if (!options_.scattering.reflection.Known()) At(rows_.surface(p), lane) *= static_cast<float>(scale);
     if (!(light.counts[lane] > 0.0F)) continue;
     for (int k = 0; k < light.samples; ++k) {
       const double data = light.data[Row(k) + lane], held = HeldSurface(light, p, k, lane);
@@ -397,21 +322,33 @@ void EmBlock::Finish(int lane) {
       divergence += light.counts[lane] * (model - data + (data > 0.0 ? data * std::log(data / model) : 0.0));
     }
   }
-  lanes_[lane].divergence = lanes_[lane].total > 0.0 ? divergence / lanes_[lane].total : 0.0;
+  return lanes_[lane].total > 0.0 ? divergence / lanes_[lane].total : 0.0;
 }
 
-void EmBlock::Fit(std::span<const int64_t> profiles, const std::function<void(int lane, int64_t profile)>& done) {
+// Of all that a block fits; lanes without photons are not held.
+EmPrior EmBlock::PriorFor(std::span<const double> photons) const {
+  if (start_.empty() || std::ranges::none_of(photons, [](double n0) { return n0 > 0.0; })) return {};
+  const bool free = options_.scattering.mode == FitMode::kFree;
+  return EmPrior(rows_, free ? 0.0 : options_.prior.square_shift, options_.scattering.reflection.Known());
+}
+
+void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> photons,
+                  const std::function<void(int lane, int64_t profile, size_t trial)>& done) {
+  prior_ = PriorFor(photons);
   size_t next = 0;
   int busy = 0;
-  for (int lane = 0; lane < kEmLanes && next < profiles.size(); ++lane, ++busy) Load(lane, profiles[next++]);
+  const auto take_next = [&](int lane) {
+    Load(lane, profiles[next++]);
+    Begin(lane, 0, photons[0]);
+  };
+  for (int lane = 0; lane < kEmLanes && next < profiles.size(); ++lane, ++busy) take_next(lane);
   while (busy > 0) {
     int sweeping = 0;
-    for (const Lane& lane : lanes_) sweeping += lane.profile >= 0 && !lane.last_pass ? 1 : 0;
-    const auto finished = [&] {
-      std::array<bool, kEmLanes> lanes{};
-      for (int i = 0; i < kEmLanes; ++i) lanes[i] = lanes_[i].profile >= 0 && lanes_[i].last_pass;
-      return lanes;
-    }();
+    std::array<bool, kEmLanes> finished{};
+    for (int i = 0; i < kEmLanes; ++i) {
+      finished[i] = lanes_[i].profile >= 0 && lanes_[i].last_pass;
+      sweeping += lanes_[i].profile >= 0 && !lanes_[i].last_pass ? 1 : 0;
+    }
     Sweep(sweeping > 0);
     for (const EmLight& light : lights_) grid_components_ += int64_t{light.grid.cells} * rows_.layers * sweeping;
     if (sweeping > 0) {
@@ -421,9 +358,12 @@ void EmBlock::Fit(std::span<const int64_t> profiles, const std::function<void(in
     for (int lane = 0; lane < kEmLanes; ++lane) {
       if (!finished[lane]) continue;
       Finish(lane);
-      done(lane, lanes_[lane].profile);
-      if (next < profiles.size()) {
-        Load(lane, profiles[next++]);
+      const size_t trial = lanes_[lane].trial;
+      done(lane, lanes_[lane].profile, trial);
+      if (trial + 1 < photons.size()) {
+        Begin(lane, trial + 1, photons[trial + 1]);
+      } else if (next < profiles.size()) {
+        take_next(lane);
       } else {
         Clear(lane);
         --busy;

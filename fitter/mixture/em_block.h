@@ -27,9 +27,11 @@ class EmBlock {
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
           std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start);
 
-  // Sweeps each of `profiles` until its divergence settles; done(lane, profile) finds the results in that lane. A
-  // profile's results depend on nothing but its own data.
-  void Fit(std::span<const int64_t> profiles, const std::function<void(int lane, int64_t profile)>& done);
+  // Sweeps each of `profiles` until its divergence settles, with a prior of each of `photons` (at least one, 0: none;
+  // in the place of options.prior's): loaded once, it is fitted as often. done(lane, profile, trial) finds the results
+  // in that lane. They depend on nothing but the profile's own data and photons[trial].
+  void Fit(std::span<const int64_t> profiles, std::span<const double> photons,
+           const std::function<void(int lane, int64_t profile, size_t trial)>& done);
 
   // Divergence in photons of each of `profiles` from what the layers of each of `fits`, maps of the same profiles
   // fitted to other lights, say of these lights: the surface as its reflection is known, else, like the floor, as the
@@ -42,8 +44,8 @@ class EmBlock {
   [[nodiscard]] float SigmaMm(int layer, int lane) const { return At(rows_.sigma(layer), lane); }
   [[nodiscard]] float Surface(int light, int lane) const { return At(rows_.surface(light), lane); }
   [[nodiscard]] float Background(int light, int lane) const { return At(rows_.background(light), lane); }
-  // Kullback-Leibler divergence of data and model over the data's sum.
-  [[nodiscard]] double Divergence(int lane) const { return lanes_[lane].divergence; }
+  // Kullback-Leibler divergence of data and model over the data's sum; worked out when asked.
+  [[nodiscard]] double Divergence(int lane) const;
   // Share of the prior's photons in those that the layers were fitted to.
   [[nodiscard]] double PriorShare(int lane) const;
   [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].sweeps; }
@@ -58,19 +60,22 @@ class EmBlock {
  private:
   struct Lane {
     int64_t profile = -1;  // -1: idle
-    double total = 0.0;    // photons of data
-    double own = 0.0;      // of them, the profile's light
+    size_t trial = 0;
+    double total = 0.0;  // photons of data
+    double own = 0.0;    // of them, the profile's light
     int sweeps = 0;
     bool last_pass = false;  // the layers are final: only their divergence is missing
-    double best = std::numeric_limits<double>::infinity(), checked = best, divergence = 0.0;
+    double best = std::numeric_limits<double>::infinity(), checked = best;
     double momentum = 1.0;  // Nesterov's t
+    double scale = 1.0;     // of the model to the white frames
   };
 
   void Load(int lane, int64_t profile);
   void Clear(int lane);
-  void LoadLight(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
-  void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) const;
-  void Start(int lane);
+  void ClearLayers(int lane);
+  void Begin(int lane, size_t trial, double photons);
+  void Start(int lane, double photons);
+  [[nodiscard]] EmPrior PriorFor(std::span<const double> photons) const;
   void Take(const MixtureMap& fit, int lane);
   void SpreadLayers(int lane, double total, double widest_mm);
   void StartFrom(const LayerSet& layers, int lane, double total);

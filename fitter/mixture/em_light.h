@@ -4,6 +4,8 @@
 
 #include "fitter/mixture/em_kernel.h"
 #include "fitter/mixture/em_lanes.h"
+#include "fitter/mixture/scattering_model.h"
+#include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
 
@@ -41,5 +43,10 @@ struct EmLight {
   // Of the first of a sample's own cells.
   [[nodiscard]] const float* Response() const { return response.data() + size_t(reach_limit) * kEmLanes; }
 };
+
+// No light in that lane.
+void ClearLane(int lane, EmLight& light);
+// `profile` of `batch` in that lane, which was clear.
+void LoadLane(const ScatteringModel& model, const SrdBatch& batch, int64_t profile, int lane, EmLight& light);
 
 }  // namespace stratalux::fit

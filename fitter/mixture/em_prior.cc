@@ -2,6 +2,7 @@
 #include "fitter/mixture/em_prior.h"
 
 #include <algorithm>
+#include <utility>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "fitter/mixture/em_prior.cc"
@@ -94,20 +95,20 @@ namespace {
 size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
 }  // namespace
 
-EmPrior::EmPrior(const ParameterRows& rows, double photons, double square_shift, bool surface_held)
-    : rows_(rows), n0_(photons), square_shift_(static_cast<float>(square_shift)), surface_held_(surface_held) {
+EmPrior::EmPrior(const ParameterRows& rows, double square_shift, bool surface_held)
+    : rows_(rows), square_shift_(static_cast<float>(square_shift)), surface_held_(surface_held) {
   for (auto* v : {&centre_, &photons_, &shown_}) v->assign(Row(rows.size()), 0.0F);
 }
 
 void EmPrior::Clear(int lane) {
   total_[lane] = 0.0F;
-  fresh_[lane] = false;
+  fresh_[lane] = 0.0;
   for (size_t i = lane; i < photons_.size(); i += kEmLanes) photons_[i] = 0.0F;
 }
 
-void EmPrior::Set(int lane, const float* at) {
+void EmPrior::Set(int lane, double photons, const float* at) {
   for (size_t i = lane; i < centre_.size(); i += kEmLanes) centre_[i] = at[i];
-  fresh_[lane] = true;
+  fresh_[lane] = photons;
 }
 
 void EmPrior::BeginSweep() { std::fill(shown_.begin(), shown_.end(), 0.0F); }
@@ -125,18 +126,18 @@ void EmPrior::AddShown(int p, const EmLight& light, const float* at, const float
 
 // N0 photons, as the lights show those of the known pixel.
 void EmPrior::ShareOut(int lane) {
-  fresh_[lane] = false;
+  const double n0 = std::exchange(fresh_[lane], 0.0);
   double all = 0.0;
   for (int row = 0; row < rows_.size(); ++row) all += shown_[Row(row) + lane];
   if (!(all > 0.0)) return;
-  total_[lane] = static_cast<float>(n0_);
+  total_[lane] = static_cast<float>(n0);
   for (int row = 0; row < rows_.size(); ++row)
-    photons_[Row(row) + lane] = static_cast<float>(n0_ / all * shown_[Row(row) + lane]);
+    photons_[Row(row) + lane] = static_cast<float>(n0 / all * shown_[Row(row) + lane]);
 }
 
 void EmPrior::AddCost(const float* at, float* cost) {
   for (int lane = 0; lane < kEmLanes; ++lane)
-    if (fresh_[lane]) ShareOut(lane);
+    if (fresh_[lane] > 0.0) ShareOut(lane);
   HWY_DYNAMIC_DISPATCH(AddPriorCost)
   (rows_, square_shift_, centre_.data(), photons_.data(), total_.data(), shown_.data(), at, cost);
 }

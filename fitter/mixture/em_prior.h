@@ -17,14 +17,14 @@ class EmPrior {
   EmPrior() = default;  // none
   // `square_shift`: as in LayerPrior; 0 where means are free and no depths. `surface_held`: it is known, and no part of
   // what the prior binds.
-  EmPrior(const ParameterRows& rows, double photons, double square_shift, bool surface_held);
+  EmPrior(const ParameterRows& rows, double square_shift, bool surface_held);
 
   [[nodiscard]] bool On() const { return !centre_.empty(); }
   [[nodiscard]] double Photons(int lane) const { return total_[lane]; }
   void Clear(int lane);
-  // The known pixel of a lane is what `at` holds of it; its photons are shared out as the lane's lights would show it,
-  // in the lane's first sweep.
-  void Set(int lane, const float* at);
+  // The known pixel of a lane is what `at` holds of it; its `photons` (N0 > 0) are shared out as the lane's lights
+  // would show it, in the lane's first sweep. A lane that was cleared and not set is not held.
+  void Set(int lane, double photons, const float* at);
 
   // In each sweep, in this order. What the model of `at` shows of each light; `weight`: of its layers, gain and
   // directions included (PlaceLayers).
@@ -41,14 +41,13 @@ class EmPrior {
   void ShareOut(int lane);
 
   ParameterRows rows_;
-  double n0_ = 0.0;
   float square_shift_ = 0.0F;
   bool surface_held_ = false;
   LaneRows centre_;   // [parameter row][lane]: the known pixel
   LaneRows photons_;  // [parameter row][lane]: N0 pi of each weight, surface and floor; else 0
   LaneRows shown_;    // [parameter row][lane]: photons of each weight, surface and floor in the model
   LaneRow total_;     // N0; 0: no prior
-  std::array<bool, kEmLanes> fresh_{};
+  std::array<double, kEmLanes> fresh_{};  // N0 of a lane that was just set; else 0
 };
 
 }  // namespace stratalux::fit

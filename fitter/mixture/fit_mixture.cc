@@ -153,16 +153,39 @@ void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judge
   });
 }
 
-// Runs EM on all usable profiles; `done(block, lane, profile)` and `progress(profiles)`, once a task, are called from
-// several threads.
+// Runs EM on all usable profiles with each of `photons`; `done(block, lane, profile, trial)` and `progress(profiles)`,
+// once a task, are called from several threads.
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                    const EmOptions& options, std::span<const LayerSet> start,
+                    const EmOptions& options, std::span<const LayerSet> start, std::span<const double> photons,
                     const std::function<void(int64_t)>& progress, const Done& done) {
   ForEachTask(lights, judged, channels, options, start, [&](EmBlock& em, std::span<const int64_t> profiles) {
-    em.Fit(profiles, [&](int lane, int64_t profile) { done(em, lane, profile); });
+    em.Fit(profiles, photons, [&](int lane, int64_t profile, size_t trial) { done(em, lane, profile, trial); });
     if (progress) progress(static_cast<int64_t>(profiles.size()));
   });
+}
+
+// What the lane has found of the profile, but for the figures of the fit.
+void TakeLayers(const EmBlock& em, int lane, int64_t i, const EmOptions& options, MixtureMap& map) {
+  for (int l = 0; l < options.layers; ++l) {
+    map.weight[i * options.layers + l] = em.Weight(l, lane);
+    map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
+    map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
+  }
+  const size_t lights = map.training_projectors.size();
+  for (size_t p = 0; p < lights; ++p) {
+    map.surface[i * lights + p] = em.Surface(static_cast<int>(p), lane);
+    map.background[i * lights + p] = em.Background(static_cast<int>(p), lane);
+  }
+  if (options.scattering.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
+    map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
+}
+
+Status CheckFit(std::span<const SrdBatch* const> lights, int64_t profiles, int channels, const EmOptions& options,
+                std::span<const LayerSet> start) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_CHECK(start.empty() || static_cast<int>(start.size()) == channels);
+  return CheckBatches(lights, profiles);
 }
 
 }  // namespace
@@ -187,10 +210,8 @@ Status EmOptions::Validate() const {
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
                               int height, int channels, const EmOptions& options, std::span<const LayerSet> start,
                               const std::function<void(int64_t)>& progress) {
-  SLX_RETURN_IF_ERROR(options.Validate());
   const int64_t profiles = int64_t{width} * height * channels;
-  SLX_RETURN_IF_ERROR(CheckBatches(lights, profiles));
-  SLX_CHECK(start.empty() || static_cast<int>(start.size()) == channels);
+  SLX_RETURN_IF_ERROR(CheckFit(lights, profiles, channels, options, start));
   MixtureMap map = EmptyMap(width, height, channels, options, projectors);
   Judgement judged = JudgeAll(lights);
   map.reason = std::move(judged.reason);
@@ -198,23 +219,32 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
     map.prior_photons = options.prior.photons;
     map.prior_share.assign(static_cast<size_t>(profiles), 0.0F);
   }
-  ForEachProfile(lights, judged, channels, options, start, progress, [&](const EmBlock& em, int lane, int64_t i) {
-    for (int l = 0; l < options.layers; ++l) {
-      map.weight[i * options.layers + l] = em.Weight(l, lane);
-      map.depth_mm[i * options.layers + l] = em.DepthMm(l, lane);
-      map.sigma_mm[i * options.layers + l] = em.SigmaMm(l, lane);
-    }
-    for (size_t p = 0; p < lights.size(); ++p) {
-      map.surface[i * lights.size() + p] = em.Surface(static_cast<int>(p), lane);
-      map.background[i * lights.size() + p] = em.Background(static_cast<int>(p), lane);
-    }
-    map.divergence[i] = static_cast<float>(em.Divergence(lane));
-    if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
-    map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
-    if (options.scattering.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
-      map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
-  });
+  ForEachProfile(lights, judged, channels, options, start, {&options.prior.photons, 1}, progress,
+                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
+                   TakeLayers(em, lane, i, options, map);
+                   map.divergence[i] = static_cast<float>(em.Divergence(lane));
+                   if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
+                   map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
+                 });
   return map;
+}
+
+Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
+                                              const std::vector<int>& projectors, int channels,
+                                              const EmOptions& options, std::span<const LayerSet> start,
+                                              std::span<const double> photons) {
+  if (lights.empty()) return Status::Usage("EM needs at least one light");
+  SLX_CHECK(!photons.empty());
+  const int64_t profiles = lights[0]->profiles();
+  SLX_RETURN_IF_ERROR(CheckFit(lights, profiles, channels, options, start));
+  const Judgement judged = JudgeAll(lights);
+  std::vector<MixtureMap> maps(photons.size(),
+                               EmptyMap(static_cast<int>(profiles / channels), 1, channels, options, projectors));
+  for (MixtureMap& map : maps) map.reason = judged.reason;
+  ForEachProfile(
+      lights, judged, channels, options, start, photons, {},
+      [&](const EmBlock& em, int lane, int64_t i, size_t trial) { TakeLayers(em, lane, i, options, maps[trial]); });
+  return maps;
 }
 
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
@@ -232,15 +262,17 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
   std::vector<float> fitted(judged.work.size() * stride);
   std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
   for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
-  ForEachProfile(lights, judged, channels, options, {}, {}, [&](const EmBlock& em, int lane, int64_t i) {
-    float* profile = fitted.data() + place[i] * stride;
-    for (size_t l = 0; l < layers; ++l) {
-      profile[3 * l] = em.Weight(static_cast<int>(l), lane);
-      profile[3 * l + 1] = em.DepthMm(static_cast<int>(l), lane);
-      profile[3 * l + 2] = em.SigmaMm(static_cast<int>(l), lane);
-    }
-    profile[3 * layers] = em.MeanBackground(lane);
-  });
+  const double no_prior[] = {0.0};
+  ForEachProfile(lights, judged, channels, options, {}, no_prior, {},
+                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
+                   float* profile = fitted.data() + place[i] * stride;
+                   for (size_t l = 0; l < layers; ++l) {
+                     profile[3 * l] = em.Weight(static_cast<int>(l), lane);
+                     profile[3 * l + 1] = em.DepthMm(static_cast<int>(l), lane);
+                     profile[3 * l + 2] = em.SigmaMm(static_cast<int>(l), lane);
+                   }
+                   profile[3 * layers] = em.MeanBackground(lane);
+                 });
   std::vector<LayerSet> mean(channels);
   std::vector<int64_t> count(channels, 0);
   for (size_t k = 0; k < judged.work.size(); ++k) {

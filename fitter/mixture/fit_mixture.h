@@ -22,6 +22,13 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
                               int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
                               const std::function<void(int64_t)>& progress = {});
 
+// FitMixture of a row of pixels with each of `photons` (at least one) for options.prior.photons: the same bits. What
+// does not depend on the prior is worked out once. Divergences, sweeps and prior shares are not: they stay 0.
+Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
+                                              const std::vector<int>& projectors, int channels,
+                                              const EmOptions& options, std::span<const LayerSet> start,
+                                              std::span<const double> photons);
+
 // Mean weight, depth and width of each layer, by channel, over one usable profile in `every`: the coarser level that
 // single pixels start from. Empty where a channel has none.
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,

@@ -11,10 +11,13 @@ namespace {
 
 double NormalDistribution(double x) { return 0.5 * std::erfc(-x / std::numbers::sqrt2); }
 
+constexpr double kEnd =
+    7.0;  // of the normal distribution function and its antiderivatives: beyond they are 0 or polynomials, to 1e-13
+
 // First antiderivative of the normal distribution function: cubic Hermite interpolation of a table, since every profile
 // asks for some two hundred values. Error below 1e-11.
 double Ramp(double x) {
-  constexpr double kPerUnit = 128.0, kEnd = 7.0;  // beyond: 0 or x, to 1e-13
+  constexpr double kPerUnit = 128.0;
   constexpr int kIntervals = static_cast<int>(2 * kEnd * kPerUnit);
   struct Node {
     double value, slope;  // slope: per interval
@@ -79,6 +82,7 @@ double LineResponse::OfOneSite(double t_mm) const {
   // Boxes convolved with a Gaussian are differences of its repeated antiderivatives at the boxes' corners.
   const double s = std::max(blur_mm, 1e-3 * cell_mm);
   const double w = 0.5 * line_width_mm, c = 0.5 * cell_mm, b = 0.5 * sample_box_mm;
+  if (std::abs(t_mm) >= w + c + b + kEnd * s) return 0.0;
   auto ramp = [&](double t) { return s * Ramp(t / s); };
   auto bowl = [&](double t) { return s * s * Bowl(t / s); };
   if (b <= 0.0) return (ramp(t_mm + w + c) - ramp(t_mm + w - c) - ramp(t_mm - w + c) + ramp(t_mm - w - c)) / cell_mm;

@@ -7,12 +7,12 @@
 namespace stratalux::fit {
 namespace {
 
-// Exact response of a sample at u to a layer: the line response's Gaussian and the layer's add in variance.
-double LayerResponse(double u, double sigma, const LineResponse& line) {
-  LineResponse wide = line;
-  wide.blur_mm = std::hypot(line.blur_mm, sigma);
-  wide.cell_mm = 1e-3 * wide.blur_mm;  // a point, not a cell
-  return wide.At(u);
+// Exact response of a sample to a layer, by their distance: the line response's Gaussian and the layer's add in
+// variance.
+LineResponse WithLayer(LineResponse line, double sigma) {
+  line.blur_mm = std::hypot(line.blur_mm, sigma);
+  line.cell_mm = 1e-3 * line.blur_mm;  // a point, not a cell
+  return line;
 }
 
 }  // namespace
@@ -24,9 +24,12 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
   const double s = ShiftCoefficient(model, batch, profile), gain = AngularGain(model, batch.cos_in[profile]);
   const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
   std::vector<double> weight;
-  for (size_t l = 0; l < layers.weight.size(); ++l)
+  std::vector<LineResponse> response;
+  for (size_t l = 0; l < layers.weight.size(); ++l) {
     weight.push_back(gain * layers.weight[l] *
                      DirectionalFactor(model.directional, directions, layers.depth_mm[l], layers.sigma_mm[l]));
+    response.push_back(WithLayer(line, layers.sigma_mm[l]));
+  }
   std::vector<double> y(batch.samples, 0.0);
   for (int k = 0; k < batch.samples; ++k)
     for (size_t l = 0; l < layers.weight.size(); ++l) {
@@ -34,10 +37,9 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
       double sum = 0.0;
       if (batch.wrapped) {
         const double nearest = std::remainder(u, period);
-        for (int image = -1; image <= 1; ++image)
-          sum += LayerResponse(nearest + image * period, layers.sigma_mm[l], line);
+        for (int image = -1; image <= 1; ++image) sum += response[l].At(nearest + image * period);
       } else {
-        sum = LayerResponse(u, layers.sigma_mm[l], line);
+        sum = response[l].At(u);
       }
       y[k] += weight[l] * sum;
     }

@@ -29,7 +29,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
-constexpr int kStandardErrorsVersion = 1, kModelVersion = 1;
+constexpr int kStandardErrorsVersion = 2;
 constexpr uint64_t kShuffleSeed = 1;
 
 const char* ToString(FitKind kind) {
@@ -62,15 +62,13 @@ SrdSet Spoilt(SrdSet srds, FitKind kind, int heldout) {
   return srds;
 }
 
+bool IsBaseline(const std::string& model) { return model == "homogeneous" || model == "dipole"; }
+
 // The session's frames as `record` reads them.
 Result<SessionFrames> OpenFrames(const RunOptions& options, const std::string& session, const RigCalibration& record) {
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, session));
   frames.UseRecord(record);
   return frames;
-}
-
-MixtureMap Baseline(const std::string& name, const MixtureMap& fit) {
-  return name == "homogeneous" ? Homogeneous(fit) : HomogeneousLocalAlbedo(fit);
 }
 
 Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, StageGraph& stages, const std::string& srd, int heldout) {
@@ -243,6 +241,8 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
               label,
               {srd},
               [=, this](const fs::path& folder) -> Status {
+                view_.Drop();
+                layers_.Drop();
                 SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(srd, LoadSrds));
                 const SrdSet srds = Spoilt(std::move(extracted.set), kind, heldout);
                 FittedLayers layers;
@@ -272,62 +272,74 @@ std::string SessionGraph::StandardErrors() {
        }});
 }
 
-std::string SessionGraph::Model(const std::string& name, GeometrySource source, int heldout) {
-  if (name == JudgedModel()) return Fit(source, heldout, FitKind::kJudged);
+std::string SessionGraph::FitOf(const std::string& model, GeometrySource source, int heldout) {
   for (const FitKind kind : {FitKind::kDirectionBlind, FitKind::kProjectorsPermuted, FitKind::kCombFramesShuffled})
-    if (name == ToString(kind)) return Fit(source, heldout, kind);
-  const std::string fit = Fit(source, heldout, FitKind::kJudged), srd = Srd(source);
-  std::map<std::string, std::string> inputs = {{"fit", fit}};
-  if (name == "dipole") inputs["srd"] = srd;
-  return Add({{"model", kModelVersion, Json({{"model", name}, {"heldout", heldout}}).dump(), inputs, isa_},
-              LabelOf(name, source, heldout),
-              name == "dipole" ? std::vector<std::string>{fit, srd} : std::vector<std::string>{fit},
-              [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
-                SLX_ASSIGN_OR_RETURN(layers.map, name == "dipole" ? DipoleBaseline(layers.map, stages_, srd, heldout)
-                                                                  : Baseline(name, layers.map));
-                return SaveLayers(folder, layers);
-              }});
+    if (model == ToString(kind)) return Fit(source, heldout, kind);
+  return Fit(source, heldout, FitKind::kJudged);
+}
+
+Result<const HeldOutView*> SessionGraph::View(const std::string& shape, int heldout) {
+  return view_.Of(shape + " " + std::to_string(heldout), [&]() -> Result<HeldOutView> {
+    SLX_ASSIGN_OR_RETURN(auto face, stages_.Load(shape, LoadShape));
+    return ViewOf(std::move(face), plan_, heldout, HeldOutLights(plan_));
+  });
+}
+
+Result<const FittedLayers*> SessionGraph::Layers(const std::string& fit) {
+  return layers_.Of(fit, [&] { return stages_.Load(fit, LoadLayers); });
 }
 
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
   if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
-  const std::string layers = Model(model, source, heldout), shape = Shape(source);
-  const std::vector<std::string> lights = HeldOutLights(plan_);
-  return Add(
-      {{"predict",
-        kPredictVersion,
-        Json({{"projector", heldout}, {"lights", lights}, {"plan", Json::parse(PlanOptionsToJson(plan_))}}).dump(),
-        {{"fit", layers}, {"shape", shape}},
-        isa_},
-       LabelOf("predict, " + model, source, heldout),
-       {layers, shape},
-       [=, this](const fs::path& folder) -> Status {
-         SLX_ASSIGN_OR_RETURN(const auto fitted, stages_.Load(layers, LoadLayers));
-         SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
-         return SavePredictions(folder, fit::Predict(fitted.map, fitted.pool, face, plan_, heldout, lights));
-       }});
+  const std::string fit = FitOf(model, source, heldout), shape = Shape(source), srd = Srd(source);
+  Json options = {
+      {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", Json::parse(PlanOptionsToJson(plan_))}};
+  std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
+  std::vector<std::string> upstream = {fit, shape};
+  if (IsBaseline(model)) options["baseline"] = model;
+  if (model == "dipole") {
+    inputs["srd"] = srd;
+    upstream.push_back(srd);
+  }
+  return Add({{"predict", kPredictVersion, options.dump(), inputs, isa_},
+              LabelOf("predict, " + model, source, heldout),
+              upstream,
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
+                std::optional<MixtureMap> baseline;
+                if (model == "homogeneous") baseline = Homogeneous(fitted->map);
+                if (model == "dipole") {
+                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, stages_, srd, heldout));
+                }
+                SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
+                return SavePredictions(folder, fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
+              }});
 }
 
 // Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
 std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
-  const std::string mean = Model("homogeneous", source, heldout), predicted = Predict("homogeneous", source, heldout),
-                    layers = Model("homogeneous_local_albedo", source, heldout);
-  return Add({{"predict", kPredictVersion, "{}", {{"fit", layers}, {"mean", mean}, {"predict", predicted}}, isa_},
+  const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout);
+  return Add({{"predict",
+               kPredictVersion,
+               Json({{"baseline", "homogeneous_local_albedo"}}).dump(),
+               {{"fit", fit}, {"predict", predicted}},
+               isa_},
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
-              {layers, mean, predicted},
+              {fit, predicted},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto scaled, stages_.Load(layers, LoadLayers));
-                SLX_ASSIGN_OR_RETURN(const auto means, stages_.Load(mean, LoadLayers));
                 SLX_ASSIGN_OR_RETURN(auto predictions, stages_.Load(predicted, LoadPredictions));
-                return SavePredictions(folder,
-                                       ScaledPredictions(std::move(predictions), means.map, scaled.map, scaled.pool));
+                SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
+                return SavePredictions(folder, ScaledPredictions(std::move(predictions), Homogeneous(fitted->map),
+                                                                 HomogeneousLocalAlbedo(fitted->map), fitted->pool));
               }});
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
   const std::string shape = Shape(source), separate = Separate();
   std::vector<std::string> upstream = {shape, separate}, predictions;
+  // Fits before predictions, which share what they are lit by.
+  for (const std::string& model : models)
+    if (!stages_.Has(Predict(model, source, heldout))) upstream.push_back(FitOf(model, source, heldout));
   std::map<std::string, std::string> inputs = {{"frames", frames_hash_}, {"shape", shape}, {"separate", separate}};
   if (has_truth()) inputs["truth"] = truth_hash_;
   for (const std::string& model : models) {
@@ -346,24 +358,19 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
               LabelOf("compare", source, heldout),
               upstream,
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
+                layers_.Drop();
+                SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
                 SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
-                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, face.record));
+                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, view->shape.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
                   SLX_ASSIGN_OR_RETURN(auto loaded, stages_.Load(predictions[m], LoadPredictions));
                   compared.push_back({models[m], std::move(loaded)});
                 }
-                const CompareInput input{frames,
-                                         face,
-                                         maps[heldout],
-                                         truth,
-                                         heldout,
-                                         options_.srd.pool,
-                                         fit::ToString(source),
-                                         HeldOutLights(plan_)};
+                const CompareInput input{frames, *view, maps[heldout], truth, options_.srd.pool, fit::ToString(source)};
                 SLX_ASSIGN_OR_RETURN(const auto comparison, CompareHeldOut(input, compared));
+                view_.Drop();
                 return SaveComparison(folder, comparison);
               }});
 }

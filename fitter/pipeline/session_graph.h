@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The stages of one session: which reads what. Each method adds a node, and what it reads, and gives its key.
 //
-//   frames -> decode -> shape --------+-> srd -> fit -> model -> predict -> compare
+//   frames -> decode -> shape --------+-> srd -> fit -> predict -> compare
 //         \-> separate -> normals      \-> (truth_shape, of the truth of a simulation, in its place)
 #pragma once
 
@@ -9,10 +9,13 @@
 #include <string>
 #include <vector>
 
+#include "fitter/evaluation/heldout_view.h"
 #include "fitter/evaluation/truth.h"
+#include "fitter/pipeline/kept.h"
 #include "fitter/pipeline/run_options.h"
 #include "fitter/pipeline/stage_graph.h"
 #include "fitter/session/session_frames.h"
+#include "fitter/stages/layers_file.h"
 
 namespace stratalux::fit {
 
@@ -32,8 +35,7 @@ class SessionGraph {
   std::string Srd(GeometrySource source);
   std::string Fit(GeometrySource source, int heldout, FitKind kind);
   std::string StandardErrors();
-  // A model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
-  std::string Model(const std::string& name, GeometrySource source, int heldout);
+  // Of a model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
   std::string Predict(const std::string& model, GeometrySource source, int heldout);
   std::string Compare(const std::vector<std::string>& models, GeometrySource source, int heldout);
 
@@ -49,6 +51,11 @@ class SessionGraph {
   SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts, Logger& logger);
   std::string Add(StageNode node);
   std::string PredictLocalAlbedo(GeometrySource source, int heldout);
+  // The fit that a model is, or is derived from.
+  std::string FitOf(const std::string& model, GeometrySource source, int heldout);
+  // Of the keys of a shape and of a fit; there until the next of theirs is asked for, or a fit is made.
+  Result<const HeldOutView*> View(const std::string& shape, int heldout);
+  Result<const FittedLayers*> Layers(const std::string& fit);
   std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                      const std::string& label);
   [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;
@@ -61,6 +68,9 @@ class SessionGraph {
   std::string frames_hash_, record_hash_, truth_hash_, isa_;
   StageGraph stages_;
   std::vector<std::string> order_;
+  // What one prediction leaves for the next.
+  Kept<HeldOutView> view_;
+  Kept<FittedLayers> layers_;
 };
 
 }  // namespace stratalux::fit

@@ -48,6 +48,8 @@ class StageGraph {
   [[nodiscard]] Result<std::filesystem::path> StoredFolder(const std::string& key);
   // The nodes that Need(key) would look at, in the order in which they would run.
   [[nodiscard]] std::vector<PlannedStage> Plan(const std::vector<std::string>& keys) const;
+  // Whether its artifact is there.
+  [[nodiscard]] bool Has(const std::string& key) const { return store_.Has(Node(key).identity); }
   [[nodiscard]] const StageNode& Node(const std::string& key) const { return nodes_.at(key); }
   [[nodiscard]] const ArtifactStore& store() const { return store_; }
   [[nodiscard]] ArtifactStore& store() { return store_; }

@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 1;
+inline constexpr int kNormalsVersion = 2;
 
 struct FaceNormals {
   PhotometricMap photometric;

@@ -6,6 +6,7 @@
 // A component evaluation is one profile x cell of the fine grid x layer x sweep. "grid" counts all of them as the model
 // has them; "evaluated" only those not skipped as negligible. Rates are per second of processor time and per core.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -105,7 +106,7 @@ void Components(benchmark::State& state, int64_t target) {
   for (auto _ : state) {
     OnThreads(threads, [&] {
       fit::EmBlock em(lights, usable, cells, options, {});
-      em.Fit(members, [](int /*lane*/, int64_t /*profile*/) {});
+      em.Fit(members, std::array{0.0}, [](int /*lane*/, int64_t /*profile*/, size_t /*trial*/) {});
       grid = static_cast<double>(em.GridComponents());
       evaluated = static_cast<double>(em.EvaluatedComponents());
     });

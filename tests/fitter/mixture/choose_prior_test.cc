@@ -89,6 +89,32 @@ TEST(ChoosePrior, HearsNothingOfLightsThatNoFitCanUse) {
   EXPECT_EQ(choice->prior.photons, without);
 }
 
+TEST(FitWithPriors, FindsTheLayersOfOneFitEach) {
+  EmOptions options;
+  options.tolerance = 3e-4;  // some lanes settle early, so that trials of several profiles meet in a block
+  EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 400.0, .alike = 8}, options, 45);
+  made.batches[1].valid[3] = 0;                             // a light that one profile lacks
+  for (SrdBatch& light : made.batches) light.valid[5] = 0;  // and a profile that none lights
+  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  ASSERT_TRUE(mean.ok());
+  const std::vector<double> photons = {300.0, 0.0, 1e6, 300.0};
+  const auto fits = FitWithPriors(made.lights(), kProjectors, 1, options, *mean, photons);
+  ASSERT_TRUE(fits.ok()) << fits.status().message();
+  ASSERT_EQ(fits->size(), photons.size());
+  for (size_t trial = 0; trial < photons.size(); ++trial) {
+    options.prior.photons = photons[trial];
+    const auto alone = FitMixture(made.lights(), kProjectors, 40, 1, 1, options, *mean);
+    ASSERT_TRUE(alone.ok());
+    const MixtureMap& shared = (*fits)[trial];
+    for (const auto field : {&MixtureMap::weight, &MixtureMap::depth_mm, &MixtureMap::sigma_mm, &MixtureMap::surface,
+                             &MixtureMap::background})
+      EXPECT_EQ(shared.*field, (*alone).*field) << "N0 = " << photons[trial];
+    EXPECT_EQ(shared.reason, alone->reason);
+  }
+  EXPECT_NE((*fits)[0].weight, (*fits)[1].weight);
+  EXPECT_NE((*fits)[0].weight, (*fits)[2].weight);
+}
+
 TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeLeftOut) {
   const EmOptions options;
   EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 200.0, .alike = 40}, options, 43);

@@ -264,8 +264,9 @@ TEST(ScaledPredictions, AreThoseOfTheScaledLayers) {
   shape.surface = scene.surface;
   const PlanOptions plan;
   const std::vector<std::string> lights = {"stripe", "white"};
-  const Predictions rendered = Predict(own_albedo, 1, shape, plan, 0, lights),
-                    scaled = ScaledPredictions(Predict(mean, 1, shape, plan, 0, lights), mean, own_albedo, 1);
+  const HeldOutView view = ViewOf(shape, plan, 0, lights);
+  const Predictions rendered = Predict(own_albedo, 1, view),
+                    scaled = ScaledPredictions(Predict(mean, 1, view), mean, own_albedo, 1);
   ASSERT_EQ(scaled.size(), 2U);
   for (const std::string& light : lights) {
     const Prediction &expected = rendered.at(light), &found = scaled.at(light);
@@ -295,7 +296,7 @@ TEST(Predict, WhatWasNotFittedIsUnknownInThatColourAlone) {
   shape.record = scene.rig;
   shape.surface = scene.surface;
   ASSERT_NE(scene.surface.mask(20, 18), 0);
-  for (const auto& [light, p] : Predict(skin, 1, shape, PlanOptions(), 0, {"stripe", "white"}))
+  for (const auto& [light, p] : Predict(skin, 1, ViewOf(shape, PlanOptions(), 0, {"stripe", "white"})))
     for (const Image<float>* image : {&p.subsurface, &p.surface, &p.direct_part})
       for (int j = 0; j < image->height(); ++j)
         for (int i = 0; i < image->width(); ++i)

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/heldout_view.h"
+
+#include "fitter/evaluation/heldout_takes.h"
+#include "fitter/render/surface_light.h"
+#include "fitter/sensor/linear_frame.h"
+
+namespace stratalux::fit {
+
+HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, const std::vector<std::string>& lights) {
+  HeldOutView view;
+  view.shape = std::move(shape);
+  view.rig = LinearRig(view.shape.record);
+  view.projector = projector;
+  view.exposure_ms = plan.exposure_ms;
+  view.separation_period = double(plan.separation_period);
+  view.lights = lights;
+  const ProjectorCalibration& held_out = view.rig.projectors[projector];
+  const double open = 1.0 - held_out.black_level;  // a frame minus its black frame
+  view.lit = BuildLitSurface(view.shape.surface, held_out, plan.exposure_ms);
+  for (const std::string& light : lights)
+    view.pyramids.push_back(LightWith(view.lit, HeldOutPattern(light, plan), open));
+  std::vector<const Image<float>*> patterns;
+  for (const LitPyramid& pyramid : view.pyramids) patterns.push_back(&pyramid.pattern);
+  view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, patterns);
+  return view;
+}
+
+}  // namespace stratalux::fit
