@@ -12,8 +12,8 @@ namespace stratalux::fit {
 // do. What a killed process (KILL, a power cut) leaves, the next run removes.
 void RemoveOnInterruption();
 
-// While it lives, the first of these signals asks instead of ending the process: what must be put in order first is. The
-// next one ends it. One at a time; needs RemoveOnInterruption().
+// While it lives, the first of these signals asks instead of ending the process: what must be put in order first is.
+// The next one ends it. One at a time; needs RemoveOnInterruption().
 class InterruptionAsks {
  public:
   InterruptionAsks();
