@@ -5,8 +5,9 @@
 set -euo pipefail
 usage() {
   cat <<'HELP'
-usage: scripts/demo.sh [--kiosk] [--out DIR] [--seed N] [--size WxH] [--no-install]
+usage: scripts/demo.sh [--kiosk | --night N] [--out DIR] [--seed N] [--size WxH] [--no-install]
   --kiosk        the kiosk in place of a single visitor: its page's address is printed, Ctrl-C ends it
+  --night N      N visitors of light to dark skin, fitted in a batch of which a worker is killed; ends with the morning's report
   --out DIR      where everything goes (default demo-out); its index.html is the page to open
   --seed N       another face and another skin (default 1)
   --size WxH     camera mosaic (default 696x520; the full camera has 1392x1042)
@@ -15,10 +16,11 @@ examples:
   scripts/demo.sh
   scripts/demo.sh --out /tmp/demo --seed 7
   scripts/demo.sh --kiosk
+  scripts/demo.sh --night 6 --size 348x260
 HELP
 }
 root=$(cd "$(dirname "$0")/.." && pwd)
-out=demo-out seed=1 size=696x520 install=1 kiosk=0
+out=demo-out seed=1 size=696x520 install=1 kiosk=0 night=0
 while [ $# -gt 0 ]; do
   case "$1" in
     --out) out=${2:?--out needs a folder}; shift 2 ;;
@@ -26,6 +28,8 @@ while [ $# -gt 0 ]; do
     --size) size=${2:?--size needs WxH}; shift 2 ;;
     --no-install) install=0; shift ;;
     --kiosk) kiosk=1; shift ;;
+    --night) night=${2:?--night needs a number}; shift 2
+      [[ $night =~ ^[1-9][0-9]{0,3}$ ]] || { echo "error: --night $night: visitors, 1 .. 9999" >&2; exit 2; } ;;
     -h|--help) usage; exit 0 ;;
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
@@ -54,6 +58,34 @@ if [ $kiosk -eq 1 ]; then
   printf '[kiosk.page]\noperator_token_file = "%s"\n' "$out/operator-token" >"$out/rig.toml"
   echo "visitors: the address below; operators: /operator there, token $(cat "$out/operator-token")" >&2
   exec "$bin/stratalux-rig" kiosk --simulate --config "$out/rig.toml" --seed "$seed" --size "$size" --store "$out/kiosk-store" --page
+fi
+
+if [ "$night" -gt 0 ]; then
+  store=$out/night-store
+  for ((i = 0; i < night; ++i)); do
+    # Melanin from 1 to 25 %, evenly spaced in the logarithm; each another head.
+    melanin=$(awk -v i="$i" -v n="$night" 'BEGIN { print 0.01 * 25 ^ (n > 1 ? i / (n - 1) : 0.5) }')
+    printf '[subject]\nshape = "head"\n[skin]\nmelanin = %s\n' "$melanin" >"$out/visitor.toml"
+    "$bin/stratalux-rig" capture --simulate="$out/visitor.toml" --exposure auto --store "$store" --seed $((seed + i)) --size "$size" >&2
+  done
+  "$bin/stratalux-fit" batch plan --store "$store" >&2
+  # Whoever is being fitted when somebody pulls the plug loses a moment's work: stages that are finished stay.
+  "$bin/stratalux-fit" batch run --store "$store" >"$out/night.txt" &
+  batch=$!
+  for ((tries = 0; tries < 600; ++tries)); do
+    worker=$(ps -o pid= --ppid "$batch" | awk 'NR == 1 { print $1 }')
+    if [ -n "$worker" ] && compgen -G "$store/sessions/*/artifacts/srd-*" >/dev/null; then
+      echo "killing worker $worker" >&2
+      kill -KILL "$worker" 2>/dev/null || true
+      break
+    fi
+    kill -0 "$batch" 2>/dev/null || break
+    sleep 0.1
+  done
+  wait "$batch"
+  "$bin/stratalux-fit" batch report --store "$store" --text >&2
+  cat "$out/night.txt"
+  exit 0
 fi
 
 start=$(date +%s)

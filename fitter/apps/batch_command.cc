@@ -15,6 +15,7 @@
 #include "db/catalogue/job_store.h"
 #include "fitter/apps/fit_flags.h"
 #include "fitter/apps/run_command.h"
+#include "fitter/batch/morning_report.h"
 #include "fitter/batch/night.h"
 #include "fitter/batch/night_status.h"
 #include "fitter/batch/visit_cost.h"
@@ -39,7 +40,8 @@ struct Flags {
   int most = 0, workers = 0, threads = 0, attempts = 3;
   double memory_gib = 0.0, visit_limit_min = 60.0;
   std::vector<int64_t> jobs;
-  bool all = false, json = false;
+  std::string night = "latest";
+  bool all = false, json = false, text = false;
 };
 
 std::string Text(const Json& json) { return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n"; }
@@ -197,7 +199,9 @@ Status RunBatch(const Flags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const NightOutcome outcome, RunNight(night, choice, asks.fd(), heard, logger));
   SLX_RETURN_IF_ERROR(written);
-  if (!flags.json) SLX_RETURN_IF_ERROR(WriteStdout(outcome.folder.string() + "\n"));
+  SLX_ASSIGN_OR_RETURN(const fs::path report,
+                       WriteMorningReport(night.choice.run.store, outcome.folder.filename().string()));
+  if (!flags.json) SLX_RETURN_IF_ERROR(WriteStdout(report.string() + "\n"));
   if (outcome.waiting > 0)
     logger.Info(Formatted("%lld visitors wait for the next night", static_cast<long long>(outcome.waiting)));
   if (outcome.failed > 0)
@@ -259,6 +263,20 @@ Status PrintStatus(const Flags& flags) {
     json["left_out"].push_back({{"session", event.session}, {"why", event.why}, {"reason", event.reason}});
   for (const auto& [state, count] : counts) json["queue"][ToString(state)] = count;
   return WriteStdout(Text(json));
+}
+
+Status PrintReport(const Flags& flags) {
+  const std::string& store = flags.fit.run.store;
+  const auto nights = Nights(store);
+  if (nights.empty())
+    return Status::NotFound("store " + store + " has had no night; `stratalux-fit batch run` makes one");
+  const std::string night = flags.night == "latest" ? nights.back() : flags.night;
+  if (std::find(nights.begin(), nights.end(), night) == nights.end())
+    return Status::NotFound("store " + store + " has no night '" + night + "'; the newest is " + nights.back());
+  SLX_ASSIGN_OR_RETURN(const fs::path page, WriteMorningReport(store, night));
+  if (!flags.text) return WriteStdout(page.string() + "\n");
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(page.parent_path() / "report.txt"));
+  return WriteStdout(text);
 }
 
 // Until the night is over, or Ctrl-C; a new picture a second on a terminal, elsewhere when something changed.
@@ -348,7 +366,7 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   OnCall(*plan, exit_code, [planned](Logger& logger) { return PrintPlan(*planned, logger); });
 
   auto ran = std::make_shared<Flags>();
-  auto* run = batch->add_subcommand("run", "Fit them: until all are, or the time is up; prints the night's folder");
+  auto* run = batch->add_subcommand("run", "Fit them: until all are, or the time is up; prints where the report is");
   run->footer(
       "A night that was stopped or killed is gone on with by the next one. Exit code 3: somebody could not be fitted.\n"
       "Examples:\n"
@@ -377,6 +395,16 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   watch->footer("Example:\n  stratalux-fit batch watch --store store");
   AddStore(*watch, *watched);
   OnCall(*watch, exit_code, [watched](Logger&) { return WatchNight(*watched); });
+
+  auto reported = std::make_shared<Flags>();
+  auto* report = batch->add_subcommand("report", "The morning's report of a night, made anew; prints where it is");
+  report->footer(
+      "Examples:\n  stratalux-fit batch report --store store\n"
+      "  stratalux-fit batch report --store store --text | mail -s 'last night' operator");
+  AddStore(*report, *reported);
+  report->add_option("night", reported->night, "Name of its folder, or latest")->capture_default_str();
+  report->add_flag("--text", reported->text, "Print it as text, for a mail");
+  OnCall(*report, exit_code, [reported](Logger&) { return PrintReport(*reported); });
 
   auto retried = std::make_shared<Flags>();
   auto* retry = batch->add_subcommand("retry", "Jobs that failed, were set aside or cancelled begin anew");

@@ -135,13 +135,19 @@ std::string ColourBar(const ReportImage& image) {
          "</span></div>";
 }
 
+std::string Linked(const std::string& html, const std::string& link) {
+  return link.empty() ? html : "<a href=\"" + EscapeHtml(link) + "\">" + html + "</a>";
+}
+
 std::string TableHtml(const ReportTable& table) {
   std::string html = "<table><caption>" + EscapeHtml(table.caption) + "</caption><thead><tr>";
   for (const std::string& cell : table.header) html += "<th>" + EscapeHtml(cell) + "</th>";
   html += "</tr></thead><tbody>";
-  for (const auto& row : table.rows) {
+  for (size_t i = 0; i < table.rows.size(); ++i) {
     html += "<tr>";
-    for (const std::string& cell : row) html += "<td>" + EscapeHtml(cell) + "</td>";
+    std::string link = i < table.links.size() ? table.links[i] : "";
+    for (const std::string& cell : table.rows[i])
+      html += "<td>" + Linked(EscapeHtml(cell), std::exchange(link, "")) + "</td>";
     html += "</tr>";
   }
   return html + "</tbody></table>\n";
@@ -162,8 +168,10 @@ Result<std::string> RenderHtml(const Report& report) {
     html += "<div class='row'>";
     for (const ReportImage& image : section.images) {
       SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(image.pixels));
-      html += "<figure><img alt=\"" + EscapeHtml(image.caption) + "\" src='data:image/png;base64," + Base64(png) +
-              "'>" + ColourBar(image) + "<figcaption>" + EscapeHtml(image.caption) + "</figcaption></figure>\n";
+      const std::string picture =
+          "<img alt=\"" + EscapeHtml(image.caption) + "\" src='data:image/png;base64," + Base64(png) + "'>";
+      html += "<figure>" + Linked(picture, image.link) + ColourBar(image) + "<figcaption>" + EscapeHtml(image.caption) +
+              "</figcaption></figure>\n";
     }
     for (const ReportPlot& plot : section.plots)
       html += "<figure class='plot'>" + PlotSvg(plot) + "<figcaption>" + EscapeHtml(plot.caption) +

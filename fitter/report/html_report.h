@@ -18,6 +18,7 @@ struct ReportImage {
   Image<uint8_t> pixels;  // 1 or 3 channels
   // Values at the ends of a bar of ToColourScale's colours; empty: no bar.
   std::string bar_low = {}, bar_high = {};
+  std::string link = {};  // where it leads, relative to the page; empty: nowhere
 };
 
 struct ReportSeries {
@@ -42,6 +43,8 @@ struct ReportTable {
   std::string caption;
   std::vector<std::string> header;
   std::vector<std::vector<std::string>> rows;
+  // Where each row's first cell leads, relative to the page; empty: nowhere. Empty as a whole: none does.
+  std::vector<std::string> links{};
 };
 
 struct ReportSection {
