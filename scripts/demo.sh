@@ -73,7 +73,7 @@ if [ "$night" -gt 0 ]; then
   "$bin/stratalux-fit" batch run --store "$store" >"$out/night.txt" &
   batch=$!
   for ((tries = 0; tries < 600; ++tries)); do
-    worker=$(ps -o pid= --ppid "$batch" | awk 'NR == 1 { print $1 }')
+    read -r worker _ <"/proc/$batch/task/$batch/children" || true
     if [ -n "$worker" ] && compgen -G "$store/sessions/*/artifacts/srd-*" >/dev/null; then
       echo "killing worker $worker" >&2
       kill -KILL "$worker" 2>/dev/null || true
