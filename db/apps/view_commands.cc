@@ -165,7 +165,8 @@ void AddViewCommands(Commands& commands) {
   show->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
-  verify->add_flag("--deep", flags->deep, "decode every frame, too: its pixel hash, complementary patterns, signature");
+  verify->add_flag("--deep", flags->deep,
+                   "decode every frame, too: its pixel hash, complementary patterns, signature; open sealed files");
   verify->add_option("--public-key", flags->public_key,
                      "each session must be signed by this key: 64 hex digits, or a file that holds them");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");

@@ -278,7 +278,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   if (!recording) CheckManifest(folder, session, report);
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
-  CheckSeals(store, session, report);
+  CheckSeals(store, session, options.depth, report);
   if (options.depth == VerifyDepth::kDeep) {
     CheckFits(store, session, report);
     CheckArtifacts(folder, report);

@@ -22,7 +22,8 @@ struct VerifyReport {
 
 enum class VerifyDepth {
   kHeaders,  // every header and footer, every row and column of the index, manifest, plan, proofs, signature
-  kDeep,  // every byte as well: decoded, held against its pixel hash; whether complementary pairs add up; fits' files
+  kDeep,  // every byte as well: decoded, held against its pixel hash; whether complementary pairs add up; files of fits
+          // and artifacts, of an encrypted visit opened
 };
 
 struct VerifyOptions {

@@ -12,51 +12,84 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void CheckArtifact(const fs::path& folder, const FileSeal& seal, const std::string& session, VerifyReport& report) {
-  const auto record = ReadArtifactRecord(folder);
-  if (!record.ok()) return;  // damaged: who reads all bytes says so
-  const std::string name = folder.filename().string();
-  if (record->identity.seal != seal.key_id())
-    return report.problems.push_back(folder.string() +
-                                     ": plain artifact of an encrypted session, made by an older program; "
-                                     "`stratalux-fit clean " +
-                                     session + "` removes it");
-  for (const RecordedFile& file : record->files) {
-    const Status sealed = seal.CheckHeader(folder / file.name, {PlaceOfArtifact(name, file.name)});
-    if (sealed.ok()) continue;
-    return report.problems.push_back(sealed.message() + " (`stratalux-fit clean " + session +
-                                     " --damaged` removes the artifact; it is made again)");
-  }
-}
+class SealChecker {
+ public:
+  SealChecker(const SessionStore& store, const SessionRow& session, VerifyDepth depth, VerifyReport& report)
+      : seal_(SealOf(store.folder(), session.info, session.key_id)),
+        session_(session.info.id),
+        depth_(depth),
+        report_(report) {}
+  [[nodiscard]] bool active() const { return seal_.active(); }
 
-void CheckFit(const fs::path& folder, const FileSeal& seal, const std::string& session, VerifyReport& report) {
-  const auto names = NamesOfFiles(folder, kFitRecordFile);
-  const auto fit = ReadFitRecord(folder, session);
-  if (!names.ok() || !fit.ok()) return;  // as above
-  for (const std::string& name : *names) {
-    if (FitFilesLeftPlain().contains(name)) continue;
-    const auto header = ReadSealedHeader(folder / name);
-    if (header.ok() && !*header)
-      return report.problems.push_back(folder.string() + ": plain fit of an encrypted session (" + name +
-                                       "), made by an older program; `stratalux-fit clean " + session + "` seals it");
-    if (const Status sealed = seal.CheckHeader(folder / name, PlacesOfFitFile(*fit, name)); !sealed.ok())
-      report.problems.push_back(sealed.message());
+  void CheckArtifact(const fs::path& folder) {
+    const auto record = ReadArtifactRecord(folder);
+    if (!record.ok()) return;  // damaged: who reads all bytes says so
+    const std::string name = folder.filename().string();
+    if (record->identity.seal != seal_.key_id())
+      return report_.problems.push_back(folder.string() +
+                                        ": plain artifact of an encrypted session, made by an older program; "
+                                        "`stratalux-fit clean " +
+                                        session_ + "` removes it");
+    for (const RecordedFile& file : record->files) {
+      const Status sealed = CheckFile(folder / file.name, {PlaceOfArtifact(name, file.name)});
+      if (sealed.ok()) continue;
+      return report_.problems.push_back(sealed.message() + " (`stratalux-fit clean " + session_ +
+                                        " --damaged` removes the artifact; it is made again)");
+    }
   }
-}
+
+  void CheckFit(const fs::path& folder) {
+    const auto names = NamesOfFiles(folder, kFitRecordFile);
+    const auto fit = ReadFitRecord(folder, session_);
+    if (!names.ok() || !fit.ok()) return;  // as above
+    for (const std::string& name : *names) {
+      if (FitFilesLeftPlain().contains(name)) continue;
+      const auto header = ReadSealedHeader(folder / name);
+      if (header.ok() && !*header)
+        return report_.problems.push_back(folder.string() + ": plain fit of an encrypted session (" + name +
+                                          "), made by an older program; `stratalux-fit clean " + session_ +
+                                          "` seals it");
+      if (const Status sealed = CheckFile(folder / name, PlacesOfFitFile(*fit, name)); !sealed.ok())
+        report_.problems.push_back(sealed.message());
+    }
+  }
+
+  void NoteUnopened() const {
+    if (unopened_ > 0)
+      report_.notes.push_back("session " + session_ + ": " + std::to_string(unopened_) +
+                              " sealed files were hashed, but not opened: their key is not here");
+  }
+
+ private:
+  Status CheckFile(const fs::path& file, const std::set<std::string>& places) {
+    if (depth_ == VerifyDepth::kHeaders) return seal_.CheckHeader(file, places);
+    const Status opened = seal_.Check(file, places);
+    if (opened.code() != StatusCode::kNotFound) return opened;
+    ++unopened_;
+    return Status::Ok();
+  }
+
+  FileSeal seal_;
+  std::string session_;
+  VerifyDepth depth_;
+  VerifyReport& report_;
+  int64_t unopened_ = 0;
+};
 
 }  // namespace
 
-void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyReport& report) {
-  const FileSeal seal = SealOf(store.folder(), session.info, session.key_id);
-  if (!seal.active()) return;
+void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyDepth depth, VerifyReport& report) {
+  SealChecker checker(store, session, depth, report);
+  if (!checker.active()) return;
   std::error_code error;
   const std::string& id = session.info.id;
   for (const auto& entry : fs::directory_iterator(store.SessionFolder(id) / kArtifactsFolder, error))
-    if (!entry.path().filename().string().starts_with(".")) CheckArtifact(entry.path(), seal, id, report);
+    if (!entry.path().filename().string().starts_with(".")) checker.CheckArtifact(entry.path());
   const auto fits = store.ListFits(id);
   if (!fits.ok()) return report.problems.push_back(fits.status().message());
   for (const FitRow& fit : *fits)
-    if (fs::exists(store.FitFolder(id, fit.id), error)) CheckFit(store.FitFolder(id, fit.id), seal, id, report);
+    if (fs::exists(store.FitFolder(id, fit.id), error)) checker.CheckFit(store.FitFolder(id, fit.id));
+  checker.NoteUnopened();
 }
 
 }  // namespace stratalux::db

@@ -6,8 +6,9 @@
 
 namespace stratalux::db {
 
-// A problem for each artifact and each listed fit that holds plain files, or files sealed for another session or place.
-// By their headers: needs no key. Nothing is asked of sessions that are not encrypted, or show nobody.
-void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyReport& report);
+// A problem for each artifact and each listed fit that holds plain files, or files sealed for another session or place;
+// kHeaders: by their headers, without the key. kDeep: or files that do not open, whatever hashes say of them; where the
+// key is not here a note says so. Nothing is asked of sessions that are not encrypted, or show nobody.
+void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyDepth depth, VerifyReport& report);
 
 }  // namespace stratalux::db

@@ -228,10 +228,37 @@ Result<OpenSealed> OpenSealedFile(const fs::path& file, const std::string& key_i
   return std::move(*sealed);
 }
 
+// The plain bytes of each piece in turn. kIntegrity where one is not what was sealed.
+template <typename Use>
+Status OpenPieces(const OpenSealed& sealed, const fs::path& file, const std::string& session_id, const SecretKey& key,
+                  const Use& use) {
+  const std::string data = AssociatedData(sealed.header, sealed.place, session_id);
+  const uint64_t bytes = sealed.header.plain_bytes;
+  std::vector<uint8_t> stored(std::min(bytes, kSealedPieceBytes) + kTagBytes), plain(stored.size() - kTagBytes);
+  for (uint64_t piece = 0; piece < PiecesOf(bytes); ++piece) {
+    const uint64_t size = std::min(kSealedPieceBytes, bytes - piece * kSealedPieceBytes) + kTagBytes;
+    SLX_ASSIGN_OR_RETURN(const size_t there, Fill(sealed.fd.get(), std::span(stored).first(size), file));
+    unsigned long long opened = 0;
+    if (there < size || crypto_aead_xchacha20poly1305_ietf_decrypt(
+                            plain.data(), &opened, nullptr, stored.data(), size, BytesOf(data), data.size(),
+                            NonceOf(sealed.header, piece).data(), key.bytes.data()) != 0)
+      return Status::Integrity(file.string() + " does not open with its session's key: it was changed, at bytes " +
+                               std::to_string(piece * kSealedPieceBytes) + " and on of what it holds");
+    SLX_RETURN_IF_ERROR(use(std::span<const uint8_t>(plain).first(opened)));
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
 Status FileSeal::CheckHeader(const fs::path& sealed, const std::set<std::string>& places) const {
   return OpenSealedFile(sealed, key_id_, places).status();
+}
+
+Status FileSeal::Check(const fs::path& file, const std::set<std::string>& places) {
+  SLX_ASSIGN_OR_RETURN(const OpenSealed sealed, OpenSealedFile(file, key_id_, places));
+  SLX_RETURN_IF_ERROR(RequireKey());
+  return OpenPieces(sealed, file, session_id_, keys_->piece, [](std::span<const uint8_t>) { return Status::Ok(); });
 }
 
 Status FileSeal::Open(const fs::path& file, const std::set<std::string>& places, const fs::path& into) {
@@ -239,22 +266,9 @@ Status FileSeal::Open(const fs::path& file, const std::set<std::string>& places,
   SLX_RETURN_IF_ERROR(RequireKey());
   const UniqueFd to(open(into.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
   if (!to.ok()) return Cannot("create", into);
-  const std::string data = AssociatedData(sealed.header, sealed.place, session_id_);
-  const uint64_t bytes = sealed.header.plain_bytes;
-  std::vector<uint8_t> stored(std::min(bytes, kSealedPieceBytes) + kTagBytes), plain(stored.size() - kTagBytes);
-  const auto open_piece = [&](uint64_t piece) -> Status {
-    const uint64_t size = std::min(kSealedPieceBytes, bytes - piece * kSealedPieceBytes) + kTagBytes;
-    SLX_ASSIGN_OR_RETURN(const size_t there, Fill(sealed.fd.get(), std::span(stored).first(size), file));
-    unsigned long long opened = 0;
-    if (there < size || crypto_aead_xchacha20poly1305_ietf_decrypt(
-                            plain.data(), &opened, nullptr, stored.data(), size, BytesOf(data), data.size(),
-                            NonceOf(sealed.header, piece).data(), keys_->piece.bytes.data()) != 0)
-      return Status::Integrity(file.string() + " does not open with its session's key: it was changed, at bytes " +
-                               std::to_string(piece * kSealedPieceBytes) + " and on of what it holds");
-    return WriteAll(to.get(), plain.data(), opened, into.string());
-  };
-  Status opened;
-  for (uint64_t piece = 0; opened.ok() && piece < PiecesOf(bytes); ++piece) opened = open_piece(piece);
+  const Status opened = OpenPieces(sealed, file, session_id_, keys_->piece, [&](std::span<const uint8_t> plain) {
+    return WriteAll(to.get(), plain.data(), plain.size(), into.string());
+  });
   // Of a file that is not whole nothing is shown.
   if (!opened.ok() && ftruncate(to.get(), 0) != 0) return Cannot("empty", into);
   return opened;

@@ -55,6 +55,8 @@ class FileSeal {
   // `into` is nothing.
   Status Open(const std::filesystem::path& sealed, const std::set<std::string>& places,
               const std::filesystem::path& into);
+  // As Open, and writes nothing: whether every byte is what was sealed.
+  Status Check(const std::filesystem::path& sealed, const std::set<std::string>& places);
   // Without the key: whether the header says that the file is sealed under this key, for one of the places, and has its
   // length. kIntegrity as above.
   [[nodiscard]] Status CheckHeader(const std::filesystem::path& sealed, const std::set<std::string>& places) const;

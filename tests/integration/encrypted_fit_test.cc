@@ -229,6 +229,9 @@ TEST_F(EncryptedFit, WithoutItsKeyIsCheckedAndCopiedAndNotRead) {
   }
   EXPECT_EQ(Fit(store, "clean latest --dry-run").code, 0);
   EXPECT_EQ(Db(store, "ls").code, 0);
+  const Outcome verify = Db(store, "verify --deep");
+  EXPECT_EQ(verify.code, 0) << verify.out;
+  EXPECT_THAT(verify.out, HasSubstr("sealed files were hashed, but not opened: their key is not here"));
   EXPECT_TRUE(StateOf(store) == before);
   fs::rename(folder_ / "keys.sqlite", store / "keys.sqlite");
   EXPECT_EQ(Fit(store, "report latest --out " + out.string()).code, 0);
@@ -255,6 +258,9 @@ TEST_F(EncryptedFit, FilesPutInTheirPlaceByAnotherAreNamed) {
     EXPECT_EQ(lit.code, 6) << why << ": " << lit.out;
     EXPECT_THAT(lit.out, HasSubstr(file.string())) << why;
     EXPECT_FALSE(fs::exists(folder_ / "out")) << why;
+    const Outcome verify = Db(store, "verify --deep");
+    EXPECT_EQ(verify.code, 6) << why << ": " << verify.out;
+    EXPECT_THAT(verify.out, HasSubstr("position.exr")) << why;
   };
   std::string flipped = intact;
   flipped[flipped.size() / 2] = static_cast<char>(flipped[flipped.size() / 2] ^ 1);

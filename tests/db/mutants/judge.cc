@@ -7,6 +7,9 @@
 #include "db/base/own_hash.h"
 #include "db/care/reindex.h"
 #include "db/care/verify.h"
+#include "db/catalogue/artifact_record.h"
+#include "db/catalogue/fit_reader.h"
+#include "db/catalogue/fit_record.h"
 #include "db/catalogue/named_query.h"
 #include "db/catalogue/session_index.h"
 #include "db/interchange/export.h"
@@ -65,6 +68,39 @@ void AddFiles(const SessionStore& store, const std::string& id, Picture& picture
     if (name.find("/fits/") != std::string::npos || name.ends_with("truth_calibration.json"))
       picture.push_back(name + " " + HashHex(ReadBytes(entry.path())));
   }
+}
+
+std::vector<std::string> NamesIn(const fs::path& folder, const char* record) {
+  auto names = NamesOfFiles(folder, record);
+  return names.ok() ? *std::move(names) : std::vector<std::string>();
+}
+
+// What an encrypted session's artifacts and fits hold, as whoever has the key reads it.
+void AddSealed(const SessionStore& store, const std::string& id, Picture& picture) {
+  auto seal = FindSeal(store, id);
+  if (!seal.ok()) return picture.push_back(Refusal(id + " seal", seal.status()));
+  if (!seal->active()) return;
+  const fs::path opened = store.folder().string() + "-opened";
+  const auto add = [&](const fs::path& file, const Result<fs::path>& plain) {
+    const std::string name = file.lexically_relative(store.folder()).string() + " opened";
+    picture.push_back(plain.ok() ? name + " " + HashHex(ReadBytes(*plain)) : Refusal(name, plain.status()));
+  };
+  std::error_code error;
+  for (const auto& artifact : fs::directory_iterator(store.SessionFolder(id) / kArtifactsFolder, error)) {
+    for (const std::string& name : NamesIn(artifact.path(), kArtifactRecordFile)) {
+      const std::string place = PlaceOfArtifact(artifact.path().filename(), name);
+      const Status status = seal->Open(artifact.path() / name, {place}, opened);
+      add(artifact.path() / name, status.ok() ? Result<fs::path>(opened) : status);
+    }
+  }
+  for (const auto& fit : fs::directory_iterator(store.SessionFolder(id) / "fits", error)) {
+    auto reader = FitReader::Open(fit.path(), id, *seal);
+    for (const std::string& name : NamesIn(fit.path(), kFitRecordFile)) {
+      const auto file = reader.ok() ? reader->Read(name) : reader.status();
+      add(fit.path() / name, file.ok() ? Result<fs::path>(file->path) : file.status());
+    }
+  }
+  fs::remove(opened, error);
 }
 
 void AddFrames(const SessionStore& store, const std::string& id, Picture& picture) {
@@ -186,6 +222,7 @@ Picture PictureOf(const fs::path& folder) {
   for (size_t i = 0; sessions.ok() && i < sessions->size(); ++i) {
     AddFrames(*store, (*sessions)[i].info.id, picture);
     AddFiles(*store, (*sessions)[i].info.id, picture);
+    AddSealed(*store, (*sessions)[i].info.id, picture);
   }
   std::sort(picture.begin(), picture.end());
   return picture;

@@ -37,11 +37,13 @@ int64_t Number(const char* name, int64_t otherwise) {
   return text != nullptr ? std::strtoll(text, nullptr, 10) : otherwise;
 }
 
-// Ids are random: sessions/*/frames-*.seg, ledger/*.jsonl, sessions/*/fits/f1/mesh.ply.
+// Ids and keys are random: sessions/*/frames-*.seg, ledger/*.jsonl, sessions/*/artifacts/shape-*/mesh.ply.
 std::string KindOf(const std::string& file) {
   if (file.starts_with("ledger/") && file.ends_with(".jsonl")) return "ledger/*.jsonl";
   const size_t slash = file.starts_with("sessions/") ? file.find('/', 9) : std::string::npos;
   const std::string kind = slash == std::string::npos ? file : "sessions/*" + file.substr(slash);
+  if (const size_t key = kind.find("/artifacts/"); key != std::string::npos)
+    return kind.substr(0, kind.find('-', key)) + "-*" + kind.substr(kind.find('/', key + 11));
   const size_t number = kind.find("frames-");
   return number == std::string::npos ? kind : kind.substr(0, number) + "frames-*.seg";
 }

@@ -11,6 +11,7 @@
 #include "db/transfer/backup.h"
 #include "shared/capture/plan.h"
 #include "shared/capture/rig_calibration.h"
+#include "tests/db/mutants/sealed_sample.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -107,8 +108,12 @@ SampleStore Encrypted(const fs::path& root) {
   SampleStore sample = New(root, "encrypted");
   sample.encrypted = true;
   Agree(sample.folder, "v-5f3a91c3", 8'500);
-  for (const int64_t started : {9'000, 10'000})
-    Capture(sample.folder, Visit("v-5f3a91c3", started), 3, {.encryption = Encryption::kPerSession});
+  const WriterOptions options{.encryption = Encryption::kPerSession};
+  for (const int64_t started : {9'000, 10'000}) {
+    const std::string id = Capture(sample.folder, Visit("v-5f3a91c3", started), 3, options);
+    SessionStore store = Must(SessionStore::Open(sample.folder, AccessMode::kReadWrite));
+    if (started == 9'000) Must(FitSealed(store, id));
+  }
   return sample;
 }
 

@@ -29,8 +29,8 @@ struct SampleStore {
 };
 
 // Complete ones and degraded ones with a plan; one whose writer was killed, ended by the next opening; one that is not
-// ended yet; encrypted; signed; with fits, their calibration and a session that used it; a forgotten one; a transcoded
-// one of several segments; truth maps; a backup; the source of a pull.
+// ended yet; encrypted ones, one of them fitted; signed; with fits, their calibration and a session that used it; a
+// forgotten one; a transcoded one of several segments; truth maps; a backup; the source of a pull.
 [[nodiscard]] std::vector<SampleStore> MakeSampleStores(const std::filesystem::path& folder);
 
 }  // namespace stratalux::db
