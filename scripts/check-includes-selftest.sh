@@ -80,14 +80,16 @@ done
 expect_all_found
 for adapter in 'gpio/gpiod_lines.cc <gpiod.h>' 'camera/v4l2_source.cc <linux/videodev2.h>' \
                'camera/v4l2_list.cc <linux/videodev2.h>' 'camera/libcamera_source.cc <libcamera/camera.h>' \
-               'projector/kms_projector.cc <xf86drmMode.h>' 'projector/kms_list.cc <xf86drm.h>'; do
+               'projector/kms_projector.cc <xf86drmMode.h>' 'projector/kms_list.cc <xf86drm.h>' \
+               'projector/kms_handles.h <xf86drmMode.h>' 'projector/kms_card.cc "firmware-host/projector/kms_handles.h"'; do
   read -r file header <<<"$adapter"
   write "firmware-host/$file" "#include $header"
   write "firmware-host/${file%.cc}.h" '#include "shared/base/result.h"'
 done
 expect_clean
 for name in camera/list.cc camera/my_v4l2_list.cc; do plant "firmware-host/$name" '#include <linux/videodev2.h>'; done
-for name in projector/list.cc projector/my_kms_list.cc; do plant "firmware-host/$name" '#include <xf86drm.h>'; done
+for name in projector/list.cc projector/my_kms_list.cc projector/my_handles.h; do plant "firmware-host/$name" '#include <xf86drm.h>'; done
+for name in projector/kms_list.h projector/list.cc gpio/kms_list.cc; do plant "firmware-host/$name" '#include "firmware-host/projector/kms_handles.h"'; done
 expect_all_found
 adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<libcamera/camera.h>')
 for ((i = 0; i < ${#adapters[@]}; i += 2)); do

@@ -45,8 +45,12 @@ done
 # Libraries stay where they are wrapped.
 only_in 'db/(base|catalogue)/[^/]*\.cc' 'sqlite3' 'sqlite3 only in the sources of db/base and db/catalogue'
 only_in 'fitter/.*' '(opencv2|ceres)/|opencv\.hpp' 'OpenCV and Ceres only in fitter'
-# family PREFIX HEADERS WHAT: the sources that include them are named for it (one lists the devices, one drives them).
-family() { only_in "$1_[a-z0-9_]*\.cc" "$2" "$3 only in the sources $1_*.cc"; }
+# family PREFIX HEADERS WHAT: the sources that include them are named for it (one lists the devices, one drives them);
+# what they share of its types is PREFIX_handles.h, which is theirs alone.
+family() {
+  only_in "$1_([a-z0-9_]*\.cc|handles\.h)" "$2" "$3 only in the sources $1_*.cc and their $1_handles.h"
+  only_in "$1_[a-z0-9_]*\.cc" "$1_handles\.h" "$1_handles.h only in the sources $1_*.cc"
+}
 one_adapter firmware-host/gpio 'gpiod\.h' 'libgpiod'
 family firmware-host/camera/v4l2 'linux/videodev2\.h|linux/v4l2' 'V4L2'
 one_adapter firmware-host/camera 'libcamera/' 'libcamera'
@@ -57,8 +61,8 @@ one_adapter firmware-host/kiosk 'qrencode\.h' 'libqrencode'
 one_adapter firmware-host/kiosk 'jpeglib\.h' 'libjpeg'
 # Headers of db and firmware-host show the standard library, our own types and Eigen: no library's header, no library's
 # type. (db/base/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
-# A program's own command line (apps/command.h) is no public header.
-headers() { grep -rnE --include='*.h' "$1" db firmware-host 2>/dev/null | grep -v '/apps/command\.h:'; }
+# A program's own command line (apps/command.h) is no public header, nor is what a family's sources share.
+headers() { grep -rnE --include='*.h' "$1" db firmware-host 2>/dev/null | grep -vE '/apps/command\.h:|^firmware-host/(camera/v4l2|projector/kms)_handles\.h:'; }
 hits=$(headers '#include ' | grep -vE '#include (<[a-z_]+>|<Eigen/[A-Za-z]+>|"(shared|db|firmware-host)/[^"]+")')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a header that shows more than the standard library, Eigen and ours|'; bad=1; }
 types='sqlite3|gpiod_[a-z]|gpiod::|v4l2_[a-z]|libcamera::|drm[A-Z_]|cv::|ceres::|nlohmann::|toml::|CLI::|png_[a-z]|XXH'

@@ -6,7 +6,6 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
-#include <memory>
 #include <optional>
 #include <sstream>
 
@@ -14,24 +13,15 @@
 #include <sys/stat.h>
 #include <sys/sysmacros.h>
 #include <unistd.h>
-#include <xf86drm.h>
-#include <xf86drmMode.h>
 
-#include "shared/base/unique_fd.h"
+#include "firmware-host/projector/kms_handles.h"
 
 namespace stratalux::rig {
 namespace {
 
-template <auto kFree>
-struct Freed {
-  template <typename T>
-  void operator()(T* pointer) const {
-    kFree(pointer);
-  }
-};
-using Version = std::unique_ptr<drmVersion, Freed<drmFreeVersion>>;
-using Resources = std::unique_ptr<drmModeRes, Freed<drmModeFreeResources>>;
-using Connector = std::unique_ptr<drmModeConnector, Freed<drmModeFreeConnector>>;
+using kms::Connector;
+using kms::Resources;
+using kms::Version;
 
 bool IsNumber(const std::string& text) {
   return !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
@@ -46,6 +36,17 @@ std::string MasterOf(int fd, const std::string& path) {
     if (const std::string master = MasterAmongClients(clients); !master.empty()) return master;
   }
   return UsersOfCard(path);
+}
+
+// Its modes as the driver last read them. A card without a console may never have been asked what is plugged in, and
+// asks for its master alone: who can be that is it for this question.
+Connector AskConnector(const KmsGuest& card, uint32_t id) {
+  Connector known(drmModeGetConnectorCurrent(card.fd.get(), id));
+  const bool asked = !known || known->connection != DRM_MODE_UNKNOWNCONNECTION;
+  if (asked || card.mastered || drmSetMaster(card.fd.get()) != 0) return known;
+  Connector read_anew(drmModeGetConnector(card.fd.get(), id));
+  drmDropMaster(card.fd.get());
+  return read_anew;
 }
 
 KmsConnector Describe(const drmModeConnector& connector) {
@@ -113,21 +114,31 @@ std::string MasterAmongClients(const std::string& clients) {
   return "";
 }
 
+KmsGuest OpenAsGuest(const std::string& path) {
+  KmsGuest card;
+  card.fd = UniqueFd(open(path.c_str(), O_RDWR | O_CLOEXEC));
+  if (!card.fd.ok()) return card;
+  // Who opens a card that has no master becomes it, and opening cannot be told otherwise.
+  card.mastered = drmIsMaster(card.fd.get()) == 0;
+  if (!card.mastered) drmDropMaster(card.fd.get());
+  return card;
+}
+
 int DescribeKmsCard(const std::string& path, KmsCard& card) {
-  const UniqueFd fd(open(path.c_str(), O_RDWR | O_CLOEXEC));
-  if (!fd.ok()) return errno;
+  const KmsGuest guest = OpenAsGuest(path);
+  if (!guest.fd.ok()) return errno;
+  const int fd = guest.fd.get();
   card = {};
   card.path = path;
-  const Version version(drmGetVersion(fd.get()));
+  const Version version(drmGetVersion(fd));
   if (version && version->name != nullptr) card.driver.assign(version->name, static_cast<size_t>(version->name_len));
   uint64_t dumb = 0;
-  card.plain_buffers = drmGetCap(fd.get(), DRM_CAP_DUMB_BUFFER, &dumb) == 0 && dumb != 0;
-  // Who opens a card that has no master becomes it.
-  card.mastered = drmIsMaster(fd.get()) == 0;
-  if (card.mastered) card.master = MasterOf(fd.get(), path);
-  const Resources resources(drmModeGetResources(fd.get()));
+  card.plain_buffers = drmGetCap(fd, DRM_CAP_DUMB_BUFFER, &dumb) == 0 && dumb != 0;
+  card.mastered = guest.mastered;
+  if (card.mastered) card.master = MasterOf(fd, path);
+  const Resources resources(drmModeGetResources(fd));
   for (int i = 0; resources && i < resources->count_connectors; ++i) {
-    const Connector connector(drmModeGetConnector(fd.get(), resources->connectors[i]));
+    const Connector connector = AskConnector(guest, resources->connectors[i]);
     if (connector) card.connectors.push_back(Describe(*connector));
   }
   return 0;

@@ -11,6 +11,7 @@
 #include "firmware-host/projector/display_picture.h"
 #include "firmware-host/projector/projector_wiring.h"
 #include "shared/base/result.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
 
@@ -39,7 +40,16 @@ struct KmsCard {
 // The master among the kernel's list of a card's clients (debugfs dri/N/clients), "Xorg (812)"; empty: none in it.
 [[nodiscard]] std::string MasterAmongClients(const std::string& clients);
 
-// Opens the card for a moment, without keeping it from others. 0, or errno of a card that cannot be opened.
+// An open card that keeps no program from becoming its master: where it had none, the mastership that came with the
+// opening was given back. `mastered`: it has another master. Where `fd` is not ok, errno says why.
+struct KmsGuest {
+  UniqueFd fd;
+  bool mastered = false;
+};
+[[nodiscard]] KmsGuest OpenAsGuest(const std::string& path);
+
+// By a guest's descriptor, for a moment. What is plugged in is what the driver last found; a connector that nobody has
+// asked yet is asked, as the card's master, if it has none. 0, or errno of a card that cannot be opened.
 [[nodiscard]] int DescribeKmsCard(const std::string& path, KmsCard& card);
 
 // Whether the card and connector are those that a [[projector]] names.

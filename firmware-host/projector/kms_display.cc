@@ -17,27 +17,19 @@
 #include <poll.h>
 #include <sys/mman.h>
 #include <unistd.h>
-#include <xf86drm.h>
-#include <xf86drmMode.h>
 
 #include "firmware-host/projector/display_picture.h"
 #include "firmware-host/projector/kms_cards.h"
+#include "firmware-host/projector/kms_handles.h"
 
 namespace stratalux::rig {
 namespace {
 
 using std::chrono::steady_clock;
 
-template <auto kFree>
-struct Freed {
-  template <typename T>
-  void operator()(T* pointer) const {
-    kFree(pointer);
-  }
-};
-using Resources = std::unique_ptr<drmModeRes, Freed<drmModeFreeResources>>;
-using Connector = std::unique_ptr<drmModeConnector, Freed<drmModeFreeConnector>>;
-using Encoder = std::unique_ptr<drmModeEncoder, Freed<drmModeFreeEncoder>>;
+using kms::Connector;
+using kms::Encoder;
+using kms::Resources;
 
 // What a flip that has happened left behind.
 struct Flipped {

@@ -321,6 +321,10 @@ ExposureRule CaptureStation::RuleOfCamera() const {
   if (rig_.simulation) rule.black_level_dn = rig_.simulation->calibration().camera.black_level_dn;
   rule.gain_e_per_dn = witness.gain_e_per_dn;
   rule.read_noise_dn = witness.read_noise_dn;
+  // A camera whose exposure cannot be set leaves nothing to choose.
+  const CameraWiring& camera = options_.config.camera;
+  if (camera.exposure_control == ExposureControl::kNone && camera.fixed_exposure_ms > 0.0)
+    rule.shortest_ms = rule.longest_ms = camera.fixed_exposure_ms;
   return rule;
 }
 

@@ -44,6 +44,9 @@ dpkg-deb --fsys-tarfile "$(deb stratalux-data)" | tar -xO ./etc/stratalux/rig.to
 for file in man/man1/stratalux-rig.1.gz bash-completion/completions/stratalux-rig zsh/vendor-completions/_stratalux-rig fish/vendor_completions.d/stratalux-rig.fish; do
   dpkg-deb -c "$(deb stratalux-rig)" | grep " ./usr/share/$file\$" >/dev/null || fail "stratalux-rig lacks $file"
 done
+for file in page/index.html languages/en.json; do
+  dpkg-deb -c "$(deb stratalux-rig)" | grep " ./usr/share/stratalux/kiosk/$file\$" >/dev/null || fail "stratalux-rig lacks the kiosk's $file"
+done
 dpkg-deb --fsys-tarfile "$(deb stratalux-rig)" | tar -xO ./usr/lib/systemd/system/stratalux-safe.service | grep '^ExecStart=/usr/bin/stratalux-rig safe' >/dev/null || fail "a unit does not name /usr/bin"
 
 lintian --allow-root --fail-on error,warning --tag-display-limit 0 ./*.deb >"$scratch/lintian" 2>&1 || { cat "$scratch/lintian"; fail "lintian"; }

@@ -18,6 +18,14 @@ run_tests() {
     failures=$((failures + 1))
   fi
 }
+# judge NAME COMMAND...: a case that passes where the command succeeds.
+judge() {
+  local name="$1"
+  shift
+  if "$@"; then printf 'ok      %s\n' "$name" >>$cases; return; fi
+  printf 'FAILED  %s\n' "$name" >>$cases
+  failures=$((failures + 1))
+}
 finish() { [ "$failures" -eq 0 ]; exit; }
 
 # start_udev: libcamera learns of devices from it.
@@ -28,10 +36,47 @@ start_udev() {
   udevadm settle -t 20
 }
 
-# load_camera: vivid anew, its output looped to its capture side; sets `camera` and `screen`.
+# make_lines LABEL NAME...: a simulated chip with these lines. remove_lines LABEL: it is unplugged.
+make_lines() {
+  local at=/sys/kernel/config/gpio-sim/$1/bank0 line=0 name
+  mkdir -p "$at"
+  echo "$1" >"$at/label"
+  shift
+  echo $# >"$at/num_lines"
+  for name in "$@"; do
+    mkdir "$at/line$line"
+    echo "$name" >"$at/line$line/name"
+    line=$((line + 1))
+  done
+  echo 1 >"$at/../live"
+}
+remove_lines() {
+  local at=/sys/kernel/config/gpio-sim/$1
+  echo 0 >"$at/live"
+  rmdir "$at"/bank0/line* "$at/bank0" "$at"
+}
+
+# values_of FILE: each value of a JSON file as `stratalux-*` indents it, a line: "cards..connectors..name Virtual-1".
+# Elements of arrays have no name.
+values_of() {
+  awk '{match($0, /^ */); depth = RLENGTH / 2; text = substr($0, RLENGTH + 1); name[depth] = ""
+    if (match(text, /^"[^"]*": /)) {name[depth] = substr(text, 2, RLENGTH - 4); text = substr(text, RLENGTH + 1)}
+    sub(/,$/, "", text)
+    if (text ~ /^[][{}]+$/) next
+    gsub(/^"|"$/, "", text)
+    path = name[1]
+    for (i = 2; i <= depth; i++) path = path "." name[i]
+    print path " " text}' "$1"
+}
+
+# load_camera: vivid anew, its output looped to its capture side; sets `camera` and `screen`. set_camera: one that is
+# there.
 load_camera() {
   modprobe -r vivid 2>/dev/null
   modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
+  set_camera
+}
+set_camera() {
   camera=$(v4l2_node vid-cap) screen=$(v4l2_node vid-out)
   # 30 frames a second: what the emulator can take.
   for node in "$camera" "$screen"; do v4l2-ctl -d "$node" --set-dv-bt-timings cvt,width=800,height=600,fps=30; done >/dev/null 2>&1

@@ -4,6 +4,7 @@
 //   STRATALUX_TEST_CRC      debugfs folder of its CRTC (.../crtc-0/crc): what leaves the connector is compared, too
 #include "firmware-host/projector/kms_display.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -17,6 +18,7 @@
 
 #include "firmware-host/projector/display_line_bank.h"
 #include "firmware-host/projector/display_picture.h"
+#include "firmware-host/projector/kms_cards.h"
 
 namespace stratalux::rig {
 namespace {
@@ -122,6 +124,38 @@ TEST_F(KmsDisplay, IsForOneProgramAtATime) {
   const auto display = Open();
   ASSERT_NE(display, nullptr);
   EXPECT_EQ(OpenKmsDisplays({wiring_}).status().code(), StatusCode::kBusy);
+}
+
+TEST_F(KmsDisplay, IsNotKeptFromACaptureByWhoListsTheCards) {
+  std::vector<KmsGuest> guests;
+  for (const std::string& path : KmsPaths()) guests.push_back(OpenAsGuest(path));
+  ASSERT_FALSE(guests.empty());
+  for (const KmsGuest& guest : guests) EXPECT_TRUE(guest.fd.ok() && !guest.mastered);
+  KmsCard card;
+  ASSERT_EQ(DescribeKmsCard(KmsPaths().front(), card), 0);
+  EXPECT_FALSE(card.mastered) << card.master;
+  const auto display = Open();
+  ASSERT_NE(display, nullptr) << "whoever lists still holds the screen";
+}
+
+TEST_F(KmsDisplay, IsListedWithWhoHoldsIt) {
+  const auto display = Open();
+  ASSERT_NE(display, nullptr);
+  for (const std::string& path : KmsPaths()) {
+    KmsCard card;
+    ASSERT_EQ(DescribeKmsCard(path, card), 0);
+    const auto named = [&](const KmsConnector& one) { return one.name == wiring_.connector; };
+    const auto connector = std::find_if(card.connectors.begin(), card.connectors.end(), named);
+    if (connector == card.connectors.end()) continue;
+    EXPECT_TRUE(card.mastered);
+    EXPECT_TRUE(connector->connected);
+    EXPECT_EQ(CanShow(wiring_, {&card, 1}).code(), StatusCode::kBusy);
+    // The list took nothing: the display still shows.
+    ASSERT_TRUE(display->Load({{.kind = PatternKind::kWhite}}).ok());
+    Show(*display);
+    return;
+  }
+  FAIL() << "no card has " << wiring_.connector;
 }
 
 // As at a console switch or under a desktop that takes over: the mastership of our own descriptor goes.

@@ -178,6 +178,21 @@ TEST_F(CaptureStationTest, APreScanChoosesWhatTheSubjectNeeds) {
   EXPECT_THAT(Row(outcome->session).info.reasons, IsEmpty());
 }
 
+// Nor is there anything to choose where the driver knows no control of it: any other exposure would be refused.
+TEST_F(CaptureStationTest, ACameraOfOneExposureIsLeftAtIt) {
+  options_.simulated->scene = "white";
+  options_.config.camera.exposure_control = ExposureControl::kNone;
+  options_.config.camera.fixed_exposure_ms = 7.0;
+  const auto station = Open();
+  for (const double plan_ms : {0.7, 7.0, 70.0}) {
+    request_.plan.exposure_ms = plan_ms;
+    const auto choice = station->ChooseExposure(request_.plan, {}, std::chrono::seconds(600));
+    ASSERT_TRUE(choice.ok()) << choice.status().message();
+    EXPECT_EQ(choice->exposure_ms, 7.0) << "plan: " << plan_ms;
+  }
+  EXPECT_EQ(station->ChooseExposure(request_.plan, {}, std::chrono::seconds(1)).status().code(), StatusCode::kUsage);
+}
+
 // One filling of the memories, every kind of capture one after the other, single frames between them.
 TEST_F(CaptureStationTest, EveryKindIsShotFromOneFilling) {
   options_.simulated->scene = "white";
