@@ -54,7 +54,7 @@ family firmware-host/projector/kms 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
 one_adapter firmware-host/kiosk 'systemd/' 'libsystemd'
 one_adapter shared/http 'microhttpd\.h' 'libmicrohttpd'
 one_adapter firmware-host/kiosk 'qrencode\.h' 'libqrencode'
-one_adapter firmware-host/kiosk 'jpeglib\.h' 'libjpeg'
+one_adapter firmware-host/preview 'jpeglib\.h' 'libjpeg'
 # Headers of db and firmware-host show the standard library, our own types and Eigen: no library's header, no library's
 # type. (db/base/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
 # A program's own command line (apps/command.h) is no public header.

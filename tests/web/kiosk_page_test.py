@@ -101,7 +101,7 @@ class Page(unittest.TestCase):
         self.until(f"document.documentElement.lang === '{language}'", language)
 
     def picture(self, name):
-        self.browser.save_screenshot(os.path.join(OPTIONS.pictures, name + ".png"))
+        browser.picture(self.browser, OPTIONS.pictures, name)
 
     # --- what holds on every screen
 
