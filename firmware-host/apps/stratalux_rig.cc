@@ -289,7 +289,8 @@ int RunSafe(const Flags& flags) {
 int RunDevices(const Flags& flags) {
   std::error_code none;
   const bool installed = flags.config.empty() && std::filesystem::exists(kSystemConfig, none);
-  const Result<DeviceList> list = DevicesBeside(installed ? kSystemConfig : flags.config);
+  const Result<DeviceList> list = DevicesBeside(installed ? kSystemConfig : flags.config,
+                                                installed ? ConfigurationFrom::kInstalled : ConfigurationFrom::kAsked);
   return list.ok() ? Print((flags.json ? DevicesAsJson : DevicesAsText)(*list)) : Report(list.status());
 }
 
