@@ -17,7 +17,6 @@ pkg_check_modules(ZSTD REQUIRED IMPORTED_TARGET libzstd)
 pkg_check_modules(MICROHTTPD REQUIRED IMPORTED_TARGET libmicrohttpd>=0.9.75)
 pkg_check_modules(QRENCODE REQUIRED IMPORTED_TARGET libqrencode)
 pkg_check_modules(DRM REQUIRED IMPORTED_TARGET libdrm)
-pkg_check_modules(SYSTEMD REQUIRED IMPORTED_TARGET libsystemd)
 pkg_check_modules(LIBCAMERA IMPORTED_TARGET libcamera)
 add_feature_info(libcamera LIBCAMERA_FOUND "cameras behind libcamera (libcamera-dev)")
 # 1.6 (Debian 12) and 2.x have different interfaces: firmware-host/gpio/gpio_adapter.cc knows both.

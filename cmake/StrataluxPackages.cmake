@@ -23,15 +23,16 @@ set(CPACK_DEBIAN_PACKAGE_MAINTAINER "Stratalux maintainers <root@localhost>")
 set(CPACK_DEBIAN_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
 
-# stratalux_package(NAME SUMMARY text DESCRIPTION text [DEPENDS ...] [RECOMMENDS ...]): what is said of a package. Maintainer
+# stratalux_package(NAME SUMMARY text DESCRIPTION text [DEPENDS ...] [RECOMMENDS ...] [SUGGESTS ...]): what is said of a package. Maintainer
 # scripts and the list of its configuration files lie in packaging/NAME/.
 macro(stratalux_package name)
-  cmake_parse_arguments(ARG "" "SUMMARY;DESCRIPTION;DEPENDS;RECOMMENDS" "" ${ARGN})
+  cmake_parse_arguments(ARG "" "SUMMARY;DESCRIPTION;DEPENDS;RECOMMENDS;SUGGESTS" "" ${ARGN})
   string(TOUPPER "${name}" key)
   set(CPACK_DEBIAN_${key}_PACKAGE_NAME "${name}")
   set(CPACK_DEBIAN_${key}_DESCRIPTION "${ARG_SUMMARY}\n${ARG_DESCRIPTION}")
   set(CPACK_DEBIAN_${key}_PACKAGE_DEPENDS "${ARG_DEPENDS}")
   set(CPACK_DEBIAN_${key}_PACKAGE_RECOMMENDS "${ARG_RECOMMENDS}")
+  set(CPACK_DEBIAN_${key}_PACKAGE_SUGGESTS "${ARG_SUGGESTS}")
   set(CPACK_DEBIAN_${key}_PACKAGE_SHLIBDEPS ON)
   file(GLOB scripts "${packaging}/${name}/p*" "${packaging}/${name}/conffiles")
   set(CPACK_DEBIAN_${key}_PACKAGE_CONTROL_EXTRA "${scripts}")
@@ -64,7 +65,8 @@ back on screen. This program runs on the rig's computer: it steps the
 projectors, grabs the camera's frames, proves which frame shows which
 pattern and writes them to the store. A simulated rig stands in where there
 is none."
-  RECOMMENDS "stratalux-db")
+  RECOMMENDS "stratalux-db"
+  SUGGESTS "cage, chromium")
 if(STRATALUX_BUILD_FITTER)
   stratalux_package(stratalux-fit
     SUMMARY "fits scattering layers of skin to sessions of Stratalux"

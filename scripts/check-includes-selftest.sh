@@ -9,7 +9,7 @@ planted=()
 fresh() {
   planted=()
   rm -rf "${tree:?}"/*
-  mkdir -p "$tree"/{shared/{base,image,pattern,config,http},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,kiosk,projector},fitter/{render,evaluation}}
+  mkdir -p "$tree"/{shared/{base,image,pattern,config,http},db/{base,segment,catalogue,care,interchange,privacy},firmware-host/{apps,gpio,camera,kiosk,preview,projector},fitter/{render,evaluation}}
 }
 write() { echo "$2" >>"$tree/$1"; }   # FILE LINE
 plant() {                             # FILE LINE: the check must complain of this line
@@ -71,7 +71,7 @@ expect_clean
 
 # Devices: each library in the adapter of its folder, of one source or of those that are named for it.
 adapters=(gpio '<gpiod.h>' gpio '<gpiod.hpp>' camera '<linux/videodev2.h>' camera '<libcamera/camera.h>'
-          projector '<xf86drm.h>' projector '<xf86drmMode.h>' projector '<drm/drm.h>' projector '<drm_fourcc.h>' kiosk '<qrencode.h>' kiosk '<jpeglib.h>')
+          projector '<xf86drm.h>' projector '<xf86drmMode.h>' projector '<drm/drm.h>' projector '<drm_fourcc.h>' kiosk '<qrencode.h>' preview '<jpeglib.h>')
 for ((i = 0; i < ${#adapters[@]}; i += 2)); do
   for file in "firmware-host/${adapters[i]}/adapter.h" firmware-host/apps/a.cc shared/base/a.cc db/base/a.cc fitter/render/a.cc; do
     plant "$file" "#include ${adapters[i + 1]}"

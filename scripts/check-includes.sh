@@ -55,10 +55,9 @@ one_adapter firmware-host/gpio 'gpiod\.h' 'libgpiod'
 family firmware-host/camera/v4l2 'linux/videodev2\.h|linux/v4l2' 'V4L2'
 one_adapter firmware-host/camera 'libcamera/' 'libcamera'
 family firmware-host/projector/kms 'xf86drm|drm/|libdrm/|drm[_a-z]*\.h' 'DRM'
-one_adapter firmware-host/kiosk 'systemd/' 'libsystemd'
 one_adapter shared/http 'microhttpd\.h' 'libmicrohttpd'
 one_adapter firmware-host/kiosk 'qrencode\.h' 'libqrencode'
-one_adapter firmware-host/kiosk 'jpeglib\.h' 'libjpeg'
+one_adapter firmware-host/preview 'jpeglib\.h' 'libjpeg'
 # Headers of db and firmware-host show the standard library, our own types and Eigen: no library's header, no library's
 # type. (db/base/sqlite.h, which db alone includes, names two of SQLite's without saying what they are.)
 # A program's own command line (apps/command.h) is no public header, nor is what a family's sources share.

@@ -33,7 +33,6 @@ libsodium-dev        rig  encryption of frames
 libzstd-dev          rig  compression of frames and of the skin table
 libmicrohttpd-dev    rig  the HTTP server of the kiosk's page and of stratalux-db serve
 libdrm-dev           rig  projectors that are displays (KMS)
-libsystemd-dev       rig  the kiosk tells systemd that it is ready and alive
 libcamera-dev        rig  cameras behind libcamera; without it that back-end is left out
 libgpiod-dev         rig  the rig's digital lines
 libopenexr-dev       fit  float maps as EXR

@@ -36,6 +36,7 @@ struct DeviceList {
   std::vector<KmsCard> cards;
   std::vector<RefusedDevice> refused;
   std::string configuration;  // its file; empty: none was looked at
+  std::string unreadable;     // why that file tells nothing; empty: it was read
   std::vector<WiredDevice> wired;
 };
 

@@ -172,6 +172,8 @@ std::string MissingText(const DeviceList& list) {
   for (const WiredDevice& wired : list.wired)
     if (wired.device.empty()) text += Sentence("  " + wired.key + "  ", wired.wanted + ": " + wired.usable.message());
   if (list.configuration.empty()) return "";
+  if (!list.unreadable.empty())
+    return "Not held against " + list.configuration + ", which cannot be read\n" + Sentence("  ", list.unreadable);
   if (text.empty()) return "Everything that " + list.configuration + " names is here\n";
   return "Named in " + list.configuration + " and not here\n" + text;
 }
@@ -260,13 +262,17 @@ Json CardJson(const KmsCard& card) {
 
 }  // namespace
 
-Result<DeviceList> DevicesBeside(const std::string& config_file) {
-  RigConfig config;
-  if (!config_file.empty()) {
-    SLX_ASSIGN_OR_RETURN(config, LoadRigConfig(config_file));
-  }
+Result<DeviceList> DevicesBeside(const std::string& config_file, ConfigurationFrom from) {
+  if (config_file.empty()) return ListDevices();
+  const Result<RigConfig> config = LoadRigConfig(config_file);
+  if (!config.ok() && from == ConfigurationFrom::kAsked) return config.status();
   DeviceList list = ListDevices();
-  if (!config_file.empty()) AddWired(config, config_file, list);
+  if (config.ok()) {
+    AddWired(*config, config_file, list);
+  } else {
+    list.configuration = config_file;
+    list.unreadable = config.status().message();
+  }
   return list;
 }
 
@@ -301,6 +307,7 @@ std::string DevicesAsJson(const DeviceList& list) {
   for (const RefusedDevice& one : list.refused)
     json["refused"].push_back({{"path", one.path}, {"reason", one.reason}, {"remedy", one.remedy}});
   if (!list.configuration.empty()) json["configuration"] = list.configuration;
+  if (!list.unreadable.empty()) json["configuration_unreadable"] = list.unreadable;
   for (const WiredDevice& one : list.wired)
     json["wired"].push_back({{"key", one.key},
                              {"wanted", one.wanted},

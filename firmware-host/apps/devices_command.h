@@ -9,8 +9,11 @@
 
 namespace stratalux::rig {
 
-// Of this machine; `config_file`: held against it, empty: none is. kUsage: the configuration cannot be read.
-[[nodiscard]] Result<DeviceList> DevicesBeside(const std::string& config_file);
+// kAsked: somebody named the file. kInstalled: it is that of the machine, and no reason to list nothing.
+enum class ConfigurationFrom { kAsked, kInstalled };
+// Of this machine; `config_file`: held against it, empty: none is. kUsage: a configuration that was asked for cannot be
+// read; of the machine's own the list says why.
+[[nodiscard]] Result<DeviceList> DevicesBeside(const std::string& config_file, ConfigurationFrom from);
 
 // Tables of at most 100 columns, where no name is longer than that takes; one JSON object (docs/hardware.md).
 [[nodiscard]] std::string DevicesAsText(const DeviceList& list);

@@ -9,6 +9,7 @@ inline constexpr const char* kExamples = R"(Examples:
   stratalux-rig selftest --simulate --store store
   stratalux-rig kiosk --config rig.toml --store store
   stratalux-rig devices
+  stratalux-rig preview --simulate
   stratalux-rig plan show
   stratalux-rig safe
 
@@ -56,6 +57,15 @@ inline constexpr const char* kDevicesExamples = R"(Examples:
 
 Takes, switches and changes nothing; a rig that runs is not disturbed. What may not be opened is listed with the reason.
 Exit codes: 0 the list was made, whatever is in it, 2 usage.)";
+inline constexpr const char* kPreviewExamples = R"(Examples:
+  stratalux-rig preview --config rig.toml
+  stratalux-rig preview --config rig.toml --exposure 4 --port 8081
+  stratalux-rig preview --simulate --size 696x520
+
+The page's address is a line of JSON on stdout, on loopback; from another machine: ssh -L 8081:127.0.0.1:8081 RIG. It
+shows the picture of the camera five times a second with level, saturation and sharpness, in the dark or under the white
+of one projector. Nothing is stored. Ctrl-C or SIGTERM ends it, all lights off.
+Exit codes: 0 ended, 1 the rig failed, 2 usage, 4 no such device, 5 a device or the port is in use.)";
 inline constexpr const char* kPlanExamples = R"(Examples:
   stratalux-rig plan show
   stratalux-rig plan show --json --kind calibration

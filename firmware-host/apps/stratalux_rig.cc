@@ -18,7 +18,9 @@
 #include "firmware-host/apps/guided_capture.h"
 #include "firmware-host/apps/kiosk_command.h"
 #include "firmware-host/apps/plan_command.h"
+#include "firmware-host/apps/preview_command.h"
 #include "firmware-host/apps/selftest_command.h"
+#include "firmware-host/apps/simulation_flags.h"
 #include "firmware-host/apps/timing_flags.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
@@ -26,7 +28,6 @@
 #include "firmware-host/session/last_lights.h"
 #include "firmware-host/session/learnt_deadlines.h"
 #include "firmware-host/session/open_rig.h"
-#include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
@@ -40,10 +41,10 @@ namespace {
 constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
 struct Flags {
   std::string config;
-  std::optional<std::string> store, size, kind, sync_mode, calibration;  // unset: as the configuration says
+  std::optional<std::string> store, kind, sync_mode, calibration;  // unset: as the configuration says
   std::optional<std::string> exposure;
   TimingFlags timing;
-  std::string scene;
+  SimulationFlags simulation;
   std::string visitor, visit;
   int attempt = 0;
   std::string consent_scope, consent_text, consent_language;
@@ -52,18 +53,12 @@ struct Flags {
   int board_pose = -1, poses = 0;
   bool yes = false;
   bool on_start = false;
-  std::string events;
-  uint64_t seed = 1;
-  std::vector<std::string> faults;
-  double fault_rate = 0.0;
-  uint64_t fault_seed = 1;
-  bool no_scattering = false;
-  bool no_noise = false;
   bool encrypt = false;
   bool sign = false;
   bool json = false;
   bool verbose = false;
   bool page = false;
+  int port = 0;
 };
 
 int Report(const Status& status) {
@@ -76,19 +71,10 @@ int Print(const std::string& text) {
   return written.ok() ? 0 : Report(written);
 }
 
-// The whole of `text` as a number that T can hold.
-template <typename T>
-bool ParseWhole(std::string_view text, T& value) {
+// The whole of `text` as a number.
+bool ParseMs(std::string_view text, double& value) {
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   return error == std::errc() && end == text.data() + text.size();
-}
-
-Status ParseSize(const std::string& text, int& width, int& height) {
-  const size_t x = text.find('x');
-  if (x != std::string::npos && ParseWhole(std::string_view(text).substr(0, x), width) &&
-      ParseWhole(std::string_view(text).substr(x + 1), height))
-    return Status::Ok();
-  return Status::Usage("--size '" + text + "': expected WIDTHxHEIGHT in pixels, such as 696x520");
 }
 
 bool ChoosesExposure(const Flags& flags) { return flags.exposure == "auto"; }
@@ -109,12 +95,12 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
     SLX_ASSIGN_OR_RETURN(config.plan.sync_mode, ParseSyncMode(*flags.sync_mode));
   }
   config.calibration = flags.calibration.value_or(config.calibration);
-  if (flags.exposure && !ChoosesExposure(flags) && !ParseWhole(*flags.exposure, config.plan.exposure_ms))
+  if (flags.exposure && !ChoosesExposure(flags) && !ParseMs(*flags.exposure, config.plan.exposure_ms))
     return Status::Usage("--exposure '" + *flags.exposure + "': expected ms, or auto");
   SLX_RETURN_IF_ERROR(ApplyTimingFlags(flags.timing, config));
   if (const char* store = std::getenv("STRATALUX_STORE")) config.store.folder = store;
   config.store.folder = flags.store.value_or(config.store.folder);
-  if (flags.size) SLX_RETURN_IF_ERROR(ParseSize(*flags.size, config.camera.width, config.camera.height));
+  SLX_RETURN_IF_ERROR(ApplySize(flags.simulation, config));
   return config;
 }
 
@@ -128,32 +114,6 @@ Status ReadConsent(const Flags& flags, std::optional<Consent>& consent) {
   consent->text_version = flags.consent_text;
   consent->language = flags.consent_language;
   return db::SetScope(flags.consent_scope, *consent).WithContext("--consent-scope");
-}
-
-// The rig that --simulate asks for; nullopt: the devices.
-Result<std::optional<SimulatedRigOptions>> SimulationFrom(const Flags& flags, const RigConfig& config) {
-  if (flags.scene.empty()) return std::optional<SimulatedRigOptions>();
-  SimulatedRigOptions simulated;
-  simulated.board_pose = flags.board_pose;
-  simulated.lens_covered = config.plan.kind == SessionKind::kDark;
-  simulated.scene = flags.scene;
-  simulated.seed = flags.seed;
-  simulated.scattering = !flags.no_scattering;
-  for (const std::string& text : flags.faults) {
-    SLX_ASSIGN_OR_RETURN(const Fault fault, ParseFault(text).WithContext("--fault"));
-    simulated.faults.script.push_back(fault);
-  }
-  simulated.faults.rate = flags.fault_rate;
-  simulated.faults.seed = flags.fault_seed;
-  simulated.noise = !flags.no_noise;
-  simulated.free_running = config.plan.sync_mode == SyncMode::kFreeRunning;
-  simulated.camera_width = config.camera.width;
-  simulated.camera_height = config.camera.height;
-  simulated.projector_width = config.plan.projector_width;
-  simulated.projector_height = config.plan.projector_height;
-  simulated.cache_folder = LightCache::FolderOfUser();
-  simulated.control_pipe = flags.events;
-  return std::optional(std::move(simulated));
 }
 
 Result<CaptureJob> CaptureFrom(const Flags& flags) {
@@ -178,7 +138,7 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   SLX_ASSIGN_OR_RETURN(request.retention, ParseRetention(flags.retention).WithContext("--retention"));
   if (flags.encrypt) config.store.encrypt = true;
   if (flags.sign) config.store.sign = true;
-  SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags, config));
+  SLX_ASSIGN_OR_RETURN(job.station.simulated, SimulationFrom(flags.simulation, flags.board_pose, config));
   SLX_ASSIGN_OR_RETURN(const TimingInUse timing, ChooseTiming(flags.timing, config, job.station.simulated));
   job.timing = timing.visit;
   return job;
@@ -189,7 +149,7 @@ Status CheckOnStart(const Flags& flags, const CaptureJob& job) {
   if (!flags.on_start) return Status::Ok();
   if (job.request.plan.kind == SessionKind::kCalibration)
     return Status::Usage("--on-start: of other kinds; the poses of --kind calibration are asked for on the terminal");
-  if (job.station.simulated && flags.events.empty())
+  if (job.station.simulated && flags.simulation.events.empty())
     return Status::Usage("--on-start: the simulated rig has no button; --simulate-events PATH takes `start`");
   if (!job.station.simulated && !job.station.config.gpio.start)
     return Status::Usage("--on-start: no START is wired; name its line as [gpio] start");
@@ -203,7 +163,7 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
     return std::optional<SeriesOptions>();
   }
   if (flags.poses == 0 && flags.board_pose >= 0) return std::optional<SeriesOptions>();
-  if (!flags.events.empty())
+  if (!flags.simulation.events.empty())
     return Status::Usage("--simulate-events: each pose of a series is a rig of its own; give --pose for a single one");
   SeriesOptions series;
   series.first = std::max(0, flags.board_pose);
@@ -263,10 +223,22 @@ int RunKioskCommand(const Flags& flags) {
   return report->owed ? static_cast<int>(StatusCode::kDegraded) : printed;
 }
 
+int RunPreviewCommand(const Flags& flags) {
+  const Result<RigConfig> config = ConfigFrom(flags);
+  if (!config.ok()) return Report(config.status());
+  const Result<std::optional<SimulatedRigOptions>> simulated =
+      SimulationFrom(flags.simulation, flags.board_pose, *config);
+  if (!simulated.ok()) return Report(simulated.status());
+  Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
+  const Status ended = PreviewUntilStopped(*config, *simulated, flags.port, StopOfProcess(), logger);
+  return ended.ok() ? 0 : Report(ended);
+}
+
 int RunSelftestCommand(const Flags& flags) {
   const Result<RigConfig> config = ConfigFrom(flags);
   if (!config.ok()) return Report(config.status());
-  const Result<std::optional<SimulatedRigOptions>> simulated = SimulationFrom(flags, *config);
+  const Result<std::optional<SimulatedRigOptions>> simulated =
+      SimulationFrom(flags.simulation, flags.board_pose, *config);
   if (!simulated.ok()) return Report(simulated.status());
   Logger logger(flags.verbose ? LogLevel::kDebug : LogLevel::kInfo);
   const Result<SelftestReport> report = SelftestOf(*config, *simulated, StopOfProcess(), logger);
@@ -281,7 +253,8 @@ int RunPlan(const Flags& flags, const CLI::App& render) {
   const Result<CapturePlan> plan = BuildPlan(config->plan);
   const Result<MemoryLayout> layout = LayOutMemories(config->plan, config->memory);
   if (!plan.ok() || !layout.ok()) return Report(plan.ok() ? layout.status() : plan.status());
-  const Result<std::optional<SimulatedRigOptions>> simulated = SimulationFrom(flags, *config);
+  const Result<std::optional<SimulatedRigOptions>> simulated =
+      SimulationFrom(flags.simulation, flags.board_pose, *config);
   if (!simulated.ok()) return Report(simulated.status());
   const Result<TimingInUse> timing = ChooseTiming(flags.timing, *config, *simulated);
   if (!timing.ok()) return Report(timing.status());
@@ -316,7 +289,8 @@ int RunSafe(const Flags& flags) {
 int RunDevices(const Flags& flags) {
   std::error_code none;
   const bool installed = flags.config.empty() && std::filesystem::exists(kSystemConfig, none);
-  const Result<DeviceList> list = DevicesBeside(installed ? kSystemConfig : flags.config);
+  const Result<DeviceList> list = DevicesBeside(installed ? kSystemConfig : flags.config,
+                                                installed ? ConfigurationFrom::kInstalled : ConfigurationFrom::kAsked);
   return list.ok() ? Print((flags.json ? DevicesAsJson : DevicesAsText)(*list)) : Report(list.status());
 }
 
@@ -329,62 +303,11 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
                      "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
 }
 
-void AddSimulate(CLI::App& command, Flags& flags, const std::string& what) {
-  command
-      .add_option("--simulate", flags.scene,
-                  what +
-                      "; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-                      "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab")
-      ->expected(0, 1)
-      ->default_str("head");
-}
-
-void AddSimulationFlags(CLI::App& command, Flags& flags) {
-  AddSimulate(command, flags, "use the simulated rig");
-  command.add_option("--fault", flags.faults,
-                     "simulation: KIND@NUMBER[xCOUNT][=VALUE], repeatable; such as frame_lost@17, lamp_drift@40=0.95");
-  command
-      .add_option("--fault-rate", flags.fault_rate, "simulation: chance of a random fault at each exposure and pulse")
-      // CLI::Range lets nan pass.
-      ->check([](const std::string& text) {
-        double rate = 0.0;
-        return ParseWhole(text, rate) && rate >= 0.0 && rate <= 1.0 ? "" : "'" + text + "' is no chance of 0 .. 1";
-      });
-  command.add_option("--fault-seed", flags.fault_seed, "simulation: another seed, other random faults")
-      ->capture_default_str();
-  // CLI11 would wrap a negative seed and cut a long one.
-  command.add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
-      ->check([](const std::string& text) {
-        uint64_t seed = 0;
-        return ParseWhole(text, seed) ? "" : "'" + text + "' is no whole number of 0 .. 2^64-1";
-      })
-      ->capture_default_str();
-  command.add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
-  command.add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
-  command.add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
-  command.add_option("--simulate-events", flags.events,
-                     "simulation: a FIFO, made if need be, that takes what happens: start, door open, door closed, "
-                     "estop press, estop release, unplug camera, plug camera, unplug lines, plug lines");
-}
-
-// What only the simulated rig knows is not left unheard by a real one.
-Status CheckSimulationFlags(const CLI::App& command) {
-  if (command.count("--simulate") > 0) return Status::Ok();
-  for (const char* name : {"--fault", "--fault-rate", "--fault-seed", "--seed", "--size", "--no-scattering",
-                           "--no-noise", "--simulate-events"}) {
-    const CLI::Option* given = command.get_option(name);
-    if (given->count() == 0) continue;
-    const std::string value = given->get_expected_max() > 0 ? " " + given->results().front() : "";
-    return Status::Usage(name + value + ": only the simulated rig has it; add --simulate, or leave it away");
-  }
-  return Status::Ok();
-}
-
 CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   CLI::App* capture = app.add_subcommand("capture", "Run a capture plan and store a session");
   capture->add_option("--store", flags.store,
                       "folder of the store (default: $STRATALUX_STORE, then the configuration); created when new");
-  AddSimulationFlags(*capture, flags);
+  AddSimulationFlags(*capture, flags.simulation);
   capture->add_option(
       "--visitor", flags.visitor,
       "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the next three)");
@@ -426,13 +349,25 @@ CLI::App* AddKiosk(CLI::App& app, Flags& flags) {
   CLI::App* kiosk = app.add_subcommand("kiosk", "One visitor after another, until it is stopped");
   kiosk->footer(kKioskExamples);
   kiosk->add_option("--store", flags.store, "folder of the store (default: as of capture); created when new");
-  AddSimulationFlags(*kiosk, flags);
+  AddSimulationFlags(*kiosk, flags.simulation);
   kiosk->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
   kiosk->add_option("--calibration", flags.calibration, "that sessions name, as of capture");
   AddTimingFlags(*kiosk, flags.timing);
   kiosk->add_flag("--page", flags.page, "show it in a browser, at 127.0.0.1:8080 unless [kiosk.page] says where");
   kiosk->add_flag("--verbose", flags.verbose, "more on stderr: each step of the machine");
   return kiosk;
+}
+
+CLI::App* AddPreview(CLI::App& app, Flags& flags) {
+  CLI::App* preview = app.add_subcommand("preview", "The live picture in a browser, for focusing and aiming");
+  preview->footer(kPreviewExamples);
+  AddSimulationFlags(*preview, flags.simulation);
+  AddPlanFlags(*preview, flags);
+  AddTimingFlags(*preview, flags.timing);
+  preview->add_option("--port", flags.port, "of 127.0.0.1, where the page is (default: any free one)")
+      ->check(CLI::Range(0, 65535));
+  preview->add_flag("--verbose", flags.verbose, "more on stderr");
+  return preview;
 }
 
 CLI::App* AddDevices(CLI::App& app, Flags& flags) {
@@ -456,18 +391,20 @@ int Main(int argc, char** argv) {
   selftest->footer(kSelftestExamples);
   AddPlanFlags(*selftest, flags);
   AddTimingFlags(*selftest, flags.timing);
-  AddSimulationFlags(*selftest, flags);
+  AddSimulationFlags(*selftest, flags.simulation);
   selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
   selftest->add_flag("--json", flags.json, "print one JSON object");
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* kiosk = AddKiosk(app, flags);
+  CLI::App* preview = AddPreview(app, flags);
   CLI::App* devices = AddDevices(app, flags);
   CLI::App* plan = app.add_subcommand("plan", "The capture plan: which projector shows what, when");
   plan->require_subcommand(1);
   plan->footer(kPlanExamples);
   CLI::App* show = plan->add_subcommand("show", "List the steps");
   AddPlanFlags(*show, flags);
-  AddSimulate(*show, flags, "reckon with the timing of the simulated rig, not with the configuration's devices");
+  AddSimulate(*show, flags.simulation,
+              "reckon with the timing of the simulated rig, not with the configuration's devices");
   show->add_flag("--json", flags.json, "print JSON");
   AddTimingFlags(*show, flags.timing);
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
@@ -488,12 +425,13 @@ int Main(int argc, char** argv) {
   }
   if (safe->parsed()) return RunSafe(flags);
   if (devices->parsed()) return RunDevices(flags);
-  for (const CLI::App* command : {capture, selftest, kiosk})
+  for (const CLI::App* command : {capture, selftest, kiosk, preview})
     if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
   if (ChoosesExposure(flags) && !capture->parsed())
     return Report(Status::Usage("--exposure auto: a capture alone looks at who is there; give it in ms"));
   if (capture->parsed()) return RunCapture(flags);
   if (kiosk->parsed()) return RunKioskCommand(flags);
+  if (preview->parsed()) return RunPreviewCommand(flags);
   if (selftest->parsed()) return RunSelftestCommand(flags);
   return RunPlan(flags, *render);
 }

@@ -18,6 +18,7 @@
 #include "firmware-host/kiosk/service_notice.h"
 #include "firmware-host/kiosk/visit_machine.h"
 #include "firmware-host/session/store_disk.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::rig {
 namespace {
@@ -56,9 +57,6 @@ int SecondsOf(Deadline deadline, const KioskConfig& kiosk) {
   }
   return 0;
 }
-
-// Wall clock less monotonic clock: changes when somebody sets the clock.
-std::chrono::nanoseconds ClockOffset() { return std::chrono::nanoseconds(WallNow().ns - MonotonicNow().ns); }
 
 int MinuteOfDay() {
   const std::time_t now = std::time(nullptr);
@@ -133,6 +131,11 @@ class KioskLoop {
   void Perform(const action::Count& action) { ++report_.ended[static_cast<size_t>(action.end)]; }
   void Perform(const action::Arm& action);
 
+  // Wall clock less monotonic clock: changes when somebody sets the clock.
+  [[nodiscard]] std::chrono::nanoseconds ClockOffset() const {
+    return std::chrono::nanoseconds(options_.wall().ns - MonotonicNow().ns);
+  }
+  void SayWhetherShort(const event::Space& space);
   [[nodiscard]] event::Space SpaceLeft() const;
   [[nodiscard]] event::Calibration CalibrationAtHand() const;
   [[nodiscard]] event::Hours HoursNow() const { return {!kiosk_.hours || kiosk_.hours->IsOpenAt(MinuteOfDay())}; }
@@ -151,6 +154,7 @@ class KioskLoop {
   UniqueFd timer_;
   Clock::time_point next_housekeeping_;
   std::chrono::nanoseconds clock_offset_ = ClockOffset();
+  bool short_of_space_ = false;
 };
 
 Result<KioskReport> KioskLoop::Run() {
@@ -231,7 +235,9 @@ void KioskLoop::HearRig() {
 
 void KioskLoop::KeepHouse() {
   next_housekeeping_ = Clock::now() + kHousekeeping;
-  Feed(SpaceLeft());
+  const event::Space space = SpaceLeft();
+  SayWhetherShort(space);
+  Feed(space);
   Feed(CalibrationAtHand());
   Feed(HoursNow());
 }
@@ -265,6 +271,15 @@ void KioskLoop::Perform(const action::Arm& action) {
   spec.it_value = {static_cast<time_t>(after.count() / 1'000'000'000),
                    static_cast<long>(after.count() % 1'000'000'000)};
   timerfd_settime(timer_.get(), 0, &spec, nullptr);
+}
+
+void KioskLoop::SayWhetherShort(const event::Space& space) {
+  const bool was = std::exchange(short_of_space_, space.bytes < rules_.space_bytes);
+  if (was || !short_of_space_) return;
+  logger_.Warning("closed: " + options_.station.config.store.folder + " has " +
+                  Formatted("%.1f GB free, the attempts of a visit may take %.1f GB",
+                            1e-9 * static_cast<double>(space.bytes), 1e-9 * static_cast<double>(rules_.space_bytes)) +
+                  "; free some (stratalux-db purge), or move the store");
 }
 
 event::Space KioskLoop::SpaceLeft() const {

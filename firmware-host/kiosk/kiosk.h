@@ -23,6 +23,8 @@ struct KioskOptions {
   VisitTiming timing;
   // Of the deadlines; tests have shorter ones.
   std::chrono::nanoseconds second = std::chrono::seconds(1);
+  // What people call the time; tests set it.
+  std::function<WallNs()> wall = WallNow;
   // After each step of the machine; may be empty.
   std::function<void(const VisitState& state, const VisitEvent& event)> after_step = {};
   std::function<void(db::ForgetStep)> after_forget_step = {};  // WorkerOptions

@@ -10,9 +10,9 @@
 #include "firmware-host/kiosk/kiosk_metrics.h"
 #include "firmware-host/kiosk/page_state.h"
 #include "firmware-host/kiosk/page_words.h"
-#include "firmware-host/kiosk/preview_picture.h"
 #include "firmware-host/kiosk/store_facts.h"
 #include "firmware-host/kiosk/ticket_picture.h"
+#include "firmware-host/preview/preview_picture.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/program_data.h"
 #include "shared/http/event_stream.h"
@@ -39,15 +39,6 @@ constexpr int kSessions = 20;
 WallNs Now() {
   return {std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
               .count()};
-}
-
-Response FileOf(const std::string& folder, const std::string& name) {
-  auto file = http::OpenBelow(folder, name);
-  if (!file.ok())
-    return Response::Text(file.status().code() == StatusCode::kNotFound ? 404 : 500, file.status().message());
-  Response response;
-  response.body = std::move(*file);
-  return std::move(response.With("Content-Type", http::ContentTypeOf(name)));
 }
 
 Response Empty(int status) {
@@ -141,14 +132,15 @@ http::Router KioskPage::Impl::Routes() {
 
 void KioskPage::Impl::AddFiles(http::Router& router) {
   const auto page = [this](const char* name) {
-    return [this, name](const Request&) { return FileOf(options.page_folder, name); };
+    return [this, name](const Request&) { return http::FileOf(options.page_folder, name); };
   };
   router.Add(Method::kGet, "/", page("index.html"));
   router.Add(Method::kGet, "/operator", page("operator.html"));
   router.Add(Method::kGet, "/page/{file}",
-             [this](const Request& request) { return FileOf(options.page_folder, request.Wildcard("file")); });
-  router.Add(Method::kGet, "/languages/{file}",
-             [this](const Request& request) { return FileOf(options.language_folder, request.Wildcard("file")); });
+             [this](const Request& request) { return http::FileOf(options.page_folder, request.Wildcard("file")); });
+  router.Add(Method::kGet, "/languages/{file}", [this](const Request& request) {
+    return http::FileOf(options.language_folder, request.Wildcard("file"));
+  });
   router.Add(Method::kGet, "/languages.json", [this](const Request&) {
     Json list = Json::array();
     for (const PageLanguage& one : languages) list.push_back({{"id", one.id}, {"name", one.name}});

@@ -96,6 +96,7 @@ PressVerdict PageState::Press(const PagePress& press, Moment now) {
   if (press.screen != ToString(shown_.screen)) return Refusal(409, "another screen is shown by now");
   if (language) return PressLanguage(press, now);
   if (!verb->screens.Has(shown_.screen)) return Refusal(409, "this screen has nothing of that name");
+  if (press.verb == "keep" && !shown_.usable) return Refusal(409, "there is nothing worth keeping");
   const bool leaves = std::holds_alternative<event::Leave>(verb->event);
   if (!leaves && pressed_ && now - *pressed_ < kBetweenPresses) return Refusal(409, "pressed already");
   pressed_ = now;
@@ -120,6 +121,7 @@ std::string PageState::Json() const {
   const FaceBox& box = shown_.box;
   if (shown_.screen == Phase::kPosition && box.right > box.left)
     json["box"] = {box.left, box.top, box.right, box.bottom};
+  if (shown_.screen == Phase::kGate) json["usable"] = shown_.usable;
   if (shown_.screen == Phase::kPosition && seen_) json["preview"] = preview_;
   if (shown_.screen == Phase::kThanks && !ticket_.empty()) json["ticket"] = ticket_;
   if (shown_.closures.Has(Closure::kHours) && !opens_.empty()) json["opens"] = opens_;

@@ -63,7 +63,7 @@ class PageState {
 
   std::vector<std::string> languages_;
   std::string opens_;
-  action::Show shown_{Phase::kClosed, Word::kNone, {}, 0, 0, {}};
+  action::Show shown_{Phase::kClosed, Word::kNone, {}, 0, 0, {}, false};
   std::string nonce_, ticket_;
   size_t language_ = 0;
   bool untold_ = false, seen_ = false;

@@ -75,6 +75,9 @@ std::string ScreenAsJson(const action::Show& screen) {
     json["number"] = screen.number;
     json["of"] = screen.of;
   }
+  // What there is to say at the gate: `leave` keeps, where something is worth it.
+  if (screen.screen == Phase::kGate && screen.usable) json["offers"] = {"start", "leave", "refuse"};
+  if (screen.screen == Phase::kGate && !screen.usable) json["offers"] = {"start", "refuse"};
   if (!(screen.box == FaceBox())) json["box"] = {screen.box.left, screen.box.top, screen.box.right, screen.box.bottom};
   return json.dump();
 }

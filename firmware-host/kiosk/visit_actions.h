@@ -52,6 +52,7 @@ struct Show {
   EnumSet<Closure> closures;  // of kClosed
   int number = 0, of = 0;     // seconds of a countdown, steps of a capture, attempts at the gate
   FaceBox box;                // of kPosition
+  bool usable = false;        // of kGate: a capture is worth keeping, and is kept where the visitor ends here
   friend bool operator==(const Show&, const Show&) = default;
 };
 struct PrintTicket {

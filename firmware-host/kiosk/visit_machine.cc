@@ -65,7 +65,7 @@ class Stepper {
   [[nodiscard]] bool InVisit() const { return BeforeCapture() || In(Phase::kCapture) || In(Phase::kGate); }
 
   void Do(VisitAction action) { actions_.push_back(action); }
-  void Show() { ShowOf(0, 0, {}); }
+  void Show();
   void ShowOf(int number, int of, const FaceBox& box);
   void Enter(Phase phase, Deadline deadline);
   void Darken();
@@ -100,10 +100,17 @@ class Stepper {
   std::vector<VisitAction> actions_;
 };
 
+void Stepper::Show() {
+  if (In(Phase::kCountdown)) return ShowOf(s_.count, rules_.countdown, {});
+  if (In(Phase::kGate)) return ShowOf(s_.attempt, rules_.attempts, {});
+  ShowOf(0, 0, {});
+}
+
 void Stepper::ShowOf(int number, int of, const FaceBox& box) {
   const bool closed = In(Phase::kClosed);
   const Word word = In(Phase::kSafe) ? s_.safe_for : s_.word;
-  Do(action::Show{s_.phase, word, closed ? s_.closed_for : EnumSet<Closure>(), number, of, box});
+  const bool usable = In(Phase::kGate) && s_.usable;
+  Do(action::Show{s_.phase, word, closed ? s_.closed_for : EnumSet<Closure>(), number, of, box, usable});
 }
 
 void Stepper::Enter(Phase phase, Deadline deadline) {
@@ -183,7 +190,7 @@ void Stepper::On(const event::Tick& tick) {
     case Phase::kCountdown:
       if (--s_.count == 0) return BeginCapture();
       Enter(Phase::kCountdown, Deadline::kCountdown);
-      return ShowOf(s_.count, rules_.countdown, {});
+      return Show();
     case Phase::kGate:
       return GiveUp(Word::kTimeOut);
     case Phase::kCapture:
@@ -215,7 +222,7 @@ void Stepper::BeginCountdown() {
   Darken();
   s_.count = rules_.countdown;
   Enter(Phase::kCountdown, Deadline::kCountdown);
-  ShowOf(s_.count, rules_.countdown, {});
+  Show();
 }
 
 void Stepper::BeginCapture() {
@@ -257,7 +264,7 @@ void Stepper::Conclude(const Judgement& judgement) {
       return BeginCountdown();
     case Verdict::kOffer:
       Enter(Phase::kGate, Deadline::kGate);
-      return ShowOf(s_.attempt, rules_.attempts, {});
+      return Show();
     case Verdict::kAccept:
       return s_.usable ? Thank(judgement.word) : EndSpoilt();
   }

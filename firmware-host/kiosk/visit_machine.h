@@ -11,6 +11,8 @@
 //   4 From any state ticks alone lead to kIdle, kClosed or kSafe.
 //   5 E-STOP and door lead to kSafe from everywhere; only an operator's reset with a closed interlock leads out.
 //   6 A page that is gone changes nothing but what is shown.
+//   7 The same events give the same actions, bit for bit.
+//   8 kGate offers to keep exactly where a capture of the visit is worth keeping.
 #pragma once
 
 #include <vector>

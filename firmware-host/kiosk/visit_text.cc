@@ -92,6 +92,7 @@ struct ActionText {
   std::string operator()(const action::Show& a) const {
     std::string text = std::string("show ") + ToString(a.screen) + " " + ToString(a.word);
     if (a.of > 0) text += " " + std::to_string(a.number) + "/" + std::to_string(a.of);
+    if (a.usable) text += " usable";
     return a.closures.empty() ? text : text + " " + Of(a.closures);
   }
   std::string operator()(const action::PrintTicket& /*a*/) const { return "print_ticket"; }

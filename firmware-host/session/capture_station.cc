@@ -379,6 +379,18 @@ Result<Shot> CaptureStation::Snap(double exposure_ms) {
 }
 
 Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, double exposure_ms) {
+  return ShootPattern(projector, pattern, exposure_ms, {}, Afterwards::kDark);
+}
+
+Result<Shot> CaptureStation::ShowPattern(int projector, const Pattern& pattern, double exposure_ms,
+                                         std::chrono::nanoseconds hold) {
+  Result<Shot> shot = ShootPattern(projector, pattern, exposure_ms, hold, Afterwards::kLit);
+  if (!shot.ok()) static_cast<void>(rig_.light->AllOff());  // the guard goes on trying
+  return shot;
+}
+
+Result<Shot> CaptureStation::ShootPattern(int projector, const Pattern& pattern, double exposure_ms,
+                                          std::chrono::nanoseconds hold, Afterwards afterwards) {
   PlanStep step;
   step.projector = projector;
   step.pattern = pattern;
@@ -389,9 +401,9 @@ Result<Shot> CaptureStation::SnapPattern(int projector, const Pattern& pattern, 
   return Shoot(step, [&](Shooter& shooter) -> Result<Shot> {
     Projector& shows = *rig_.devices().projectors[static_cast<size_t>(projector)];
     SLX_RETURN_IF_ERROR(shows.Load({pattern}));
-    SLX_RETURN_IF_ERROR(rig_.light->On(projector, {options.LongestStep(exposure_ms), options.max_on_time}));
+    SLX_RETURN_IF_ERROR(rig_.light->On(projector, {options.LongestStep(exposure_ms) + hold, options.max_on_time}));
     Result<Shot> shot = shooter.Take(step, 0);
-    const Status off = rig_.light->Off(projector);
+    const Status off = afterwards == Afterwards::kDark ? rig_.light->Off(projector) : Status::Ok();
     if (shot.ok() && shot->fault == ShotFault::kNone) {
       SLX_ASSIGN_OR_RETURN(shot->fault, shooter.DrainEdges());
     }

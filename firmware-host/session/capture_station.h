@@ -106,6 +106,10 @@ class CaptureStation {
   Result<Shot> Snap(double exposure_ms);
   // The same with this projector alone showing a pattern that its memory holds; dark again when it returns.
   Result<Shot> SnapPattern(int projector, const Pattern& pattern, double exposure_ms);
+  // As SnapPattern, but it stays lit, for Snap: under a lease that lasts `hold` longer than a frame may take, and by
+  // light().Renew() as long as a light may be on at a stretch ([capture] max_on_time_s). light().Off ends it, and any
+  // failure.
+  Result<Shot> ShowPattern(int projector, const Pattern& pattern, double exposure_ms, std::chrono::nanoseconds hold);
 
   // The pattern memories go to where they wait between captures, so that the next begins at once: after opening, a
   // capture and a pre-scan of its own accord. What goes wrong is logged.
@@ -128,6 +132,9 @@ class CaptureStation {
   // Sequencer, recorder and archive over one session.
   CaptureReport Record(const CapturePlan& plan, db::SessionWriter writer, const CaptureRequest& request,
                        CaptureObserver& observer);
+  enum class Afterwards { kDark, kLit };
+  Result<Shot> ShootPattern(int projector, const Pattern& pattern, double exposure_ms, std::chrono::nanoseconds hold,
+                            Afterwards afterwards);
   // With the camera running; what a second try may heal is tried again.
   Result<Shot> Shoot(const PlanStep& step, const std::function<Result<Shot>(Shooter&)>& take);
 

@@ -62,4 +62,13 @@ std::string ContentTypeOf(const std::string& name) {
   return "application/octet-stream";
 }
 
+Response FileOf(const std::filesystem::path& root, const std::string& relative) {
+  auto file = OpenBelow(root, relative);
+  if (!file.ok())
+    return Response::Text(file.status().code() == StatusCode::kNotFound ? 404 : 500, file.status().message());
+  Response response;
+  response.body = std::move(*file);
+  return std::move(response.With("Content-Type", ContentTypeOf(relative)));
+}
+
 }  // namespace stratalux::http

@@ -15,6 +15,9 @@ namespace stratalux::http {
 // be links; root itself may not. kFailed where the file cannot be read.
 [[nodiscard]] Result<FileBody> OpenBelow(const std::filesystem::path& root, const std::string& relative);
 
+// The answer to whoever asks for it; 404, or 500 where the disk fails.
+[[nodiscard]] Response FileOf(const std::filesystem::path& root, const std::string& relative);
+
 // By the ending of the name; "application/octet-stream" for all that a browser needs not show.
 [[nodiscard]] std::string ContentTypeOf(const std::string& name);
 

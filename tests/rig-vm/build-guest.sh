@@ -26,7 +26,6 @@ libstdc++6        every program
 libpng16-16       stratalux-rig
 libjpeg62-turbo   stratalux-rig: the kiosk's live picture
 libqrencode4      stratalux-rig: the kiosk's tickets
-libsystemd0       stratalux-rig: READY and the watchdog of a service
 libsqlite3-0      stratalux-rig
 libmicrohttpd12   stratalux-db serve; with what it needs:
 libgnutls30       libmicrohttpd

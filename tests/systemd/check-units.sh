@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # What the units, accounts, folders and rules of systemd/ promise, held by systemd's own tools. Exit 77: a tool is missing.
-#   check-units.sh security|verify|programs|accounts|rules|pull SOURCE BUILD
+#   check-units.sh security|verify|programs|page|accounts|rules|pull SOURCE BUILD
 set -euo pipefail
 check=$1 source=$2 build=$3
 scratch=$(mktemp -d)
@@ -60,6 +60,11 @@ programs() {
     words=${line#*=}
     # shellcheck disable=SC2086
     set -- $words
+    case "$1" in
+      "$scratch"/*) ;;
+      /usr/bin/cage) continue ;;  # a package that is suggested, of which `page` knows more
+      *) fail "$line: $1 is none of ours" ;;
+    esac
     [ -x "$1" ] || fail "$line: no program $1"
     case "$1" in */stratalux-*) ;; *) continue ;; esac
     "$1" "$2" --help >"$scratch/help" || fail "$line: $1 has no verb $2"
@@ -74,6 +79,20 @@ programs() {
     ! grep -E '^(Condition|Assert)' "${timer%.timer}.service" || fail "${timer%.timer}.service: a timer's unit asks by ExecCondition="
   done
   echo "$count commands, all known"
+}
+
+# The screen shows what the kiosk of the shipped configuration serves, and comes back when browser or controller do.
+page() {
+  installed
+  unit=$scratch/usr/lib/systemd/system/stratalux-display.service
+  toml=$source/docs/examples/rig.toml
+  value() { sed -n "/^\[kiosk.page\]/,/^\[plan\]/s/^$1 = \"\{0,1\}\([^\" ]*\).*/\1/p" "$toml"; }
+  is=$(sed -n 's/^Environment=STRATALUX_PAGE=//p' "$unit")
+  [ "$is" = "http://$(value address):$(value port)/" ] || fail "the screen looks at $is, the kiosk serves $(value address) port $(value port)"
+  grep -q '^Restart=always$' "$unit" || fail "a browser that ends stays away"
+  ! grep -qE '^(PartOf|BindsTo|Requires)=.*stratalux-kiosk' "$unit" || fail "a controller that is stopped takes the screen for good"
+  [ -e "$scratch/usr/lib/pam.d/$(sed -n 's/^PAMName=//p' "$unit")" ] || fail "no PAM service of its name"
+  grep -q "^u $(sed -n 's/^User=//p' "$unit") " "$scratch"/usr/lib/sysusers.d/*.conf || fail "nobody makes its account"
 }
 
 # Every account of a unit exists after systemd-sysusers, and systemd-tmpfiles makes the store's folder its own.
@@ -162,6 +181,6 @@ pull() {
 }
 
 case "$check" in
-  security|verify|programs|accounts|rules|pull) $check ;;
-  *) echo "usage: check-units.sh security|verify|programs|accounts|rules|pull SOURCE BUILD" >&2; exit 2 ;;
+  security|verify|programs|page|accounts|rules|pull) $check ;;
+  *) echo "usage: check-units.sh security|verify|programs|page|accounts|rules|pull SOURCE BUILD" >&2; exit 2 ;;
 esac

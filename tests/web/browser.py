@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Headless Chromium for the tests of pages: opening it, its complaints, axe's rules, a keyboard."""
+import base64
 import os
 import shutil
 
@@ -21,6 +22,17 @@ def open_chromium(folder, size="1280,900"):
     browser = webdriver.Chrome(service=service, options=options)
     browser.set_page_load_timeout(60)
     return browser
+
+
+def picture(browser, folder, name, width=960):
+    """The screen as folder/name.png, and at most `width` wide as name.webp, for documents."""
+    browser.save_screenshot(os.path.join(folder, name + ".png"))
+    size = browser.execute_script("return [innerWidth, innerHeight]")
+    small = browser.execute_cdp_cmd("Page.captureScreenshot", {
+        "format": "webp", "quality": 80,
+        "clip": {"x": 0, "y": 0, "width": size[0], "height": size[1], "scale": min(1, width / size[0])}})
+    with open(os.path.join(folder, name + ".webp"), "wb") as file:
+        file.write(base64.b64decode(small["data"]))
 
 
 def complaints(browser):

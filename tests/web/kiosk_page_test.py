@@ -101,7 +101,7 @@ class Page(unittest.TestCase):
         self.until(f"document.documentElement.lang === '{language}'", language)
 
     def picture(self, name):
-        self.browser.save_screenshot(os.path.join(OPTIONS.pictures, name + ".png"))
+        browser.picture(self.browser, OPTIONS.pictures, name)
 
     # --- what holds on every screen
 
@@ -131,7 +131,7 @@ class Page(unittest.TestCase):
 
     def expect_equal_choices(self, name):
         sizes = self.browser.execute_script(
-            "return [...document.querySelectorAll('.equal button')].map(b => b.offsetWidth + 'x' + b.offsetHeight)")
+            "return [...document.querySelectorAll('.equal button')].filter(b => b.checkVisibility()).map(b => b.offsetWidth + 'x' + b.offsetHeight)")
         self.assertGreaterEqual(len(sizes), 2, name)
         self.assertEqual(1, len(set(sizes)), f"{name}: {sizes}")
 
@@ -229,6 +229,23 @@ class Page(unittest.TestCase):
         self.look(f"{size}-thanks")
         self.press("done")
         self.until_screen("idle")
+
+    def test_the_gate_keeps_only_what_is_worth_it(self):
+        self.sit_down()
+        self.capture("captured_failed")
+        self.until_screen("gate")
+        verbs = lambda: self.browser.execute_script(
+            "return [...document.querySelectorAll('#screen [data-verb]')].filter(b => b.checkVisibility()).map(b => b.dataset.verb)")
+        self.assertEqual(["again", "refuse"], verbs())
+        self.expect_equal_choices("gate with nothing to keep")
+        self.look("en-gate-nothing")
+        self.press("again")
+        self.until_screen("countdown")
+        self.kiosk.happen("tick", "tick", "tick", "captured_moved")
+        self.until_screen("gate")
+        self.assertEqual(["again", "keep", "refuse"], verbs())
+        self.press("keep")
+        self.until_screen("thanks")
 
     def test_how_a_visit_ended_is_said(self):
         self.press("start")

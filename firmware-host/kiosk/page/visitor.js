@@ -79,6 +79,8 @@ function update() {
     Object.assign(document.createElement('li'), {textContent: words.closures[name]}))));
   if (shown === 'position') showFace();
   if (shown === 'capture') showProgress();
+  // To finish here is to keep: where nothing is worth keeping there is once more, or nothing.
+  if (shown === 'gate') screen.querySelector('[data-verb=keep]').hidden = !state.usable;
   if (shown === 'thanks') showTicket();
   if (shown === 'countdown') say(`${state.number}`);
   else if (word && shown === state.screen && shown !== 'idle') say(word);

@@ -2,6 +2,7 @@
 #include "firmware-host/apps/devices_command.h"
 
 #include <cerrno>
+#include <fstream>
 #include <sstream>
 
 #include <gmock/gmock.h>
@@ -72,6 +73,20 @@ TEST(DevicesCommand, WhatTheConfigurationNamesIsHeldAgainstTheMachine) {
   EXPECT_EQ(Wired(list, "[gpio] camera_trigger").device, "");
   EXPECT_EQ(Wired(list, "[gpio] camera_trigger").usable.code(), StatusCode::kNotFound);
   EXPECT_THAT(Wired(list, "[[projector]] 0 display").usable.message(), HasSubstr("Xorg (812)"));
+}
+
+TEST(DevicesCommand, TheMachinesOwnBrokenConfigurationIsSaidAndEndsNothing) {
+  const std::string file = ::testing::TempDir() + "/broken-rig.toml";
+  std::ofstream(file) << "[camera]\nwidht = 3\n";
+  const auto asked = DevicesBeside(file, ConfigurationFrom::kAsked);
+  EXPECT_EQ(asked.status().code(), StatusCode::kUsage);
+  const auto list = DevicesBeside(file, ConfigurationFrom::kInstalled);
+  ASSERT_TRUE(list.ok()) << list.status().message();
+  EXPECT_THAT(DevicesAsText(*list), HasSubstr("Not held against " + file));
+  EXPECT_THAT(DevicesAsText(*list), HasSubstr("unknown key 'camera.widht'"));
+  const auto json = nlohmann::json::parse(DevicesAsJson(*list));
+  EXPECT_THAT(json["configuration_unreadable"].get<std::string>(), HasSubstr("widht"));
+  EXPECT_TRUE(json["wired"].empty());
 }
 
 TEST(DevicesCommand, AModeThatTheDisplayLacksIsNoReasonToEndAProgram) {

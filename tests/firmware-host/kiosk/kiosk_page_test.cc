@@ -102,6 +102,20 @@ TEST_F(KioskPageTest, AWholeVisitByPresses) {
   EXPECT_EQ(agreed, (ConsentChoice{true, true, false, 0, 0}));
 }
 
+TEST_F(KioskPageTest, TheGateKeepsOnlyWhatIsWorthIt) {
+  SitDown();
+  Capture("captured_failed");
+  EXPECT_EQ(State()["usable"], false);
+  EXPECT_EQ(Press("keep", State()), 409) << "nothing would be kept";
+  EXPECT_EQ(phase(), Phase::kGate);
+  ASSERT_EQ(Press("again", State()), 204);
+  Capture("captured_moved");
+  EXPECT_EQ(State()["usable"], true);
+  EXPECT_EQ(Press("keep", State()), 204);
+  EXPECT_EQ(phase(), Phase::kThanks);
+  EXPECT_FALSE(State().contains("usable"));
+}
+
 TEST_F(KioskPageTest, APressOfAnotherVisitIsRefused) {
   const Json before = State();
   ASSERT_EQ(Press("start", before), 204);

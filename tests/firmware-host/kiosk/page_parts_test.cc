@@ -10,10 +10,10 @@
 
 #include "firmware-host/kiosk/host_facts.h"
 #include "firmware-host/kiosk/page_words.h"
-#include "firmware-host/kiosk/preview_picture.h"
 #include "firmware-host/kiosk/store_facts.h"
 #include "firmware-host/kiosk/ticket_picture.h"
 #include "firmware-host/kiosk/words.h"
+#include "firmware-host/preview/preview_picture.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"

@@ -36,8 +36,13 @@ TEST(PlainFront, WritesScreensAsLinesOfJson) {
             R"({"screen":"closed","word":"none","closed_for":["hours","device"]})");
   EXPECT_EQ(ScreenAsJson({Phase::kPosition, Word::kCentre, {}, 0, 0, {1, 2, 3, 4}}),
             R"({"screen":"position","word":"centre","box":[1,2,3,4]})");
-  EXPECT_EQ(ScreenAsJson({Phase::kGate, Word::kMoved, {}, 1, 3, {}}),
-            R"({"screen":"gate","word":"moved","number":1,"of":3})");
+}
+
+TEST(PlainFront, OffersToKeepOnlyWhatIsWorthKeeping) {
+  EXPECT_EQ(ScreenAsJson({Phase::kGate, Word::kMoved, {}, 1, 3, {}, true}),
+            R"({"screen":"gate","word":"moved","number":1,"of":3,"offers":["start","leave","refuse"]})");
+  EXPECT_EQ(ScreenAsJson({Phase::kGate, Word::kProof, {}, 1, 3, {}, false}),
+            R"({"screen":"gate","word":"proof","number":1,"of":3,"offers":["start","refuse"]})");
 }
 
 TEST(PlainFront, TakesLinesHoweverTheyArriveAndItsEndIsNoCommand) {

@@ -59,6 +59,8 @@ class Watcher {
       begun_ = kept_ = false;
     }
     if (Is<event::DiscardFailed>(event)) discarding_ = false;
+    const auto* captured = std::get_if<event::Captured>(&event);
+    if (captured != nullptr && captured->facts.worth != CaptureFacts::Worth::kFailed) usable_ |= begun_;
     if (const auto* agree = std::get_if<event::Agree>(&event)) agreed_ |= agree->choice.fit;
     if (rules_.paper_consent && Is<event::Start>(event)) agreed_ = true;
     lit_ = previewing_ || capture_light_ || checking_;
@@ -77,9 +79,13 @@ class Watcher {
       discarding_ = true;
     }
     if (const auto* ticket = std::get_if<action::PrintTicket>(&action)) {
-      if (!begun_ || ticket->visit != visit_) Break("3: a ticket for nothing");
+      if (!begun_ || !usable_ || ticket->visit != visit_) Break("3: a ticket for nothing");
       kept_ = true;
     }
+    const auto* show = std::get_if<action::Show>(&action);
+    const bool offered = show != nullptr && show->usable, gate = show != nullptr && show->screen == Phase::kGate;
+    if (offered && (!gate || !usable_)) Break("8: offers to keep what is not there");
+    if (gate && usable_ && !offered) Break("8: does not offer to keep what is worth it");
     if (std::holds_alternative<action::Count>(action) && begun_) Break("2: a count of what is on the disk");
     lit_ = previewing_ || capture_light_ || checking_;
   }
@@ -88,6 +94,7 @@ class Watcher {
     if (capturing_ || discarding_) Break("3: a capture beside other work");
     if (begun_ && start.visit != visit_) Break("3: the visit before was neither kept nor discarded");
     attempts_ = begun_ ? attempts_ + 1 : 1;
+    usable_ = begun_ && usable_;
     if (attempts_ > 3 || start.attempt != attempts_) Break("3: attempt " + std::to_string(start.attempt));
     if (start.exposure_us <= 0) Break("3: a capture without an exposure");
     visit_ = start.visit;
@@ -130,6 +137,7 @@ class Watcher {
   const VisitRules& rules_;
   bool previewing_ = false, capture_light_ = false, checking_ = false, lit_ = false;
   bool agreed_ = false, begun_ = false, kept_ = false, capturing_ = false, discarding_ = false, reset_ = false;
+  bool usable_ = false;  // a capture of the visit
   uint32_t visit_ = 0;
   int attempts_ = 0;
   EnumSet<Interlock> open_;
@@ -302,6 +310,18 @@ TEST(VisitAblation, SkipsTheConsent) {
     return Step(rules, asked.state, event::Agree{{true, false, false, 0, 0}});
   };
   EXPECT_THAT(Found(broken), HasSubstr("2: "));
+}
+
+TEST(VisitAblation, OffersToKeepWhatIsNotWorthItOrHidesWhatIs) {
+  const auto says = [](bool usable) {
+    return Broken([usable](const VisitState&, const VisitEvent&, VisitStep& step) {
+      for (VisitAction& action : step.actions)
+        if (auto* show = std::get_if<action::Show>(&action); show != nullptr && show->screen == Phase::kGate)
+          show->usable = usable;
+    });
+  };
+  EXPECT_THAT(Found(says(true)), HasSubstr("8: offers to keep what is not there"));
+  EXPECT_THAT(Found(says(false)), HasSubstr("8: does not offer to keep"));
 }
 
 TEST(VisitAblation, LetsAVisitorTryAFourthTime) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/kiosk/preview_picture.h"
+#include "firmware-host/preview/preview_picture.h"
 
 #include <algorithm>
 #include <array>
