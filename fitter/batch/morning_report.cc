@@ -65,7 +65,8 @@ ReportTable FailureTable(const NightStatus& night) {
   ReportTable table{"Failed, and why", {"session", "state", "attempts", "reason"}, {}};
   for (const NightVisit& visit : night.visits) {
     if (visit.kind == NightEventKind::kDone) continue;
-    table.rows.push_back({visit.session, ToString(visit.kind), std::to_string(visit.attempts), visit.reason});
+    table.rows.push_back(
+        {visit.session, ToString(visit.kind), std::to_string(visit.attempts), PrintableLines(visit.reason)});
     table.links.push_back(Formatted("%s-%d.log", visit.session.c_str(), visit.attempts));
   }
   return table;
@@ -75,7 +76,7 @@ ReportTable FailureTable(const NightStatus& night) {
 ReportTable LeftOutTable(const NightStatus& night) {
   ReportTable table{"Left out", {"session", "why", "reason"}, {}};
   for (const NightEvent& event : night.left_out)
-    if (event.why != "complete") table.rows.push_back({event.session, event.why, event.reason});
+    if (event.why != "complete") table.rows.push_back({event.session, event.why, PrintableLines(event.reason)});
   return table;
 }
 

@@ -33,8 +33,8 @@ struct NightOptions {
   std::optional<std::chrono::steady_clock::time_point> deadline;
   std::chrono::seconds visit_limit{3600};  // of one attempt
   int attempts = 3;
-  std::chrono::seconds back_off{30};  // before the second attempt; doubled before each that follows
-  std::chrono::milliseconds lease{60'000};
+  std::chrono::seconds back_off{30};        // before the second attempt; doubled before each that follows
+  std::chrono::milliseconds lease{20'000};  // how long others wait for a night that was killed
 
   [[nodiscard]] Status Validate() const;
 };

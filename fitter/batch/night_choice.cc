@@ -35,10 +35,8 @@ Verdict Judge(const RunOptions& run, const db::SessionSummary& session, ChosenVi
   dry.dry_run = true;
   Logger quiet(LogLevel::kError);
   const Result<RunOutcome> outcome = RunSession(dry, quiet);
-  if (!outcome.ok())
-    return {outcome.status().code() == StatusCode::kNotFound && !session.key_id.empty() ? LeftOut::kKey
-                                                                                        : LeftOut::kUnusable,
-            outcome.status()};
+  if (!outcome.ok()) return {LeftOut::kUnusable, outcome.status()};
+  if (!outcome->readable.ok()) return {LeftOut::kKey, outcome->readable};
   visit = {outcome->session, outcome->fit, outcome->sites};
   if (outcome->was_complete) return {LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
   return {};

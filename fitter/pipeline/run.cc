@@ -131,6 +131,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
     SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
     outcome.was_complete = options.until == Stage::kReport && held && *held >= EvaluationOf(options);
     const FrameRecord& first = frames.rows().front().record;  // of a session that is fittable there is one
+    outcome.readable = seal.RequireKey();
     outcome.sites = int64_t{first.width} * first.height;
     return outcome;
   }

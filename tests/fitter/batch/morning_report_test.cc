@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the morning's report says, of figures that are known.
+#include "fitter/batch/morning_report.h"
+
+#include <gmock/gmock.h>
+
+#include "tests/db/store_fixture.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux::fit {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+using ::testing::SizeIs;
+
+std::string Metrics(double error, double divergence = 0.003) {
+  return R"({"prediction": [{"light": "white", "model": "tied", "geometry": "reconstructed", "nrmse_without_noise": 9},
+    {"light": "stripe", "model": "mean", "geometry": "reconstructed", "nrmse_without_noise": 8},
+    {"light": "stripe", "model": "tied", "geometry": "truth", "nrmse_without_noise": 7},
+    {"light": "stripe", "model": "tied", "geometry": "reconstructed", "nrmse_without_noise": )" +
+         std::to_string(error) + R"(}], "coverage": [{"judged": 30, "lit_skin": 40}], "fit": {"divergence": )" +
+         std::to_string(divergence) + R"(}, "drift": {"projectors": [{"shift_px": 0.25}, {"shift_px": 0.5}, {}]},
+    "stages": [{"name": "srd", "cpu_seconds": 2}, {"name": "fit", "cpu_seconds": 5}, {"name": "fit", "cpu_seconds": 1}]})";
+}
+
+TEST(FiguresOf, AreTheJudgedModelsOnTheReconstructedSurface) {
+  const Figures figures = FiguresOf(Metrics(0.04));
+  EXPECT_EQ(figures,
+            (Figures{{"error of stripes, %", 4.0}, {"coverage, %", 75.0}, {"divergence", 0.003}, {"drift, px", 0.5}}));
+  EXPECT_EQ(StageSecondsOf(Metrics(0.04)), (Figures{{"srd", 2.0}, {"fit", 6.0}}));
+}
+
+TEST(FiguresOf, WhatIsNotThereOrOfAnotherFormIsLeftOut) {
+  for (const char* text :
+       {"", "{", "[]", "{}", R"({"prediction": 3, "coverage": [1], "fit": 7, "drift": [], "stages": {}})",
+        R"({"prediction": [{"light": 1, "model": "tied"}], "coverage": [{"judged": 1, "lit_skin": 0}]})"}) {
+    EXPECT_THAT(FiguresOf(text), IsEmpty()) << text;
+    EXPECT_THAT(StageSecondsOf(text), IsEmpty()) << text;
+  }
+}
+
+// 9 fits around 4 with a median deviation of 0.2: a standard deviation of 0.2965, so that 1.04 is far.
+TEST(OutliersOf, AreFarFromTheStoresOwnFits) {
+  std::vector<Figures> earlier;
+  for (const double error : {3.6, 3.7, 3.8, 3.9, 4.0, 4.1, 4.2, 4.3, 4.4}) earlier.push_back({{"e", error}});
+  EXPECT_THAT(OutliersOf("s", {{"e", 5.0}}, earlier), IsEmpty());
+  const auto far = OutliersOf("s", {{"e", 5.1}, {"new", 1.0}}, earlier);
+  ASSERT_THAT(far, SizeIs(1));
+  EXPECT_EQ(far[0].figure, "e");
+  EXPECT_NEAR(far[0].usual, 4.0, 1e-12);
+  EXPECT_NEAR(far[0].spread, 0.29652, 1e-5);
+  EXPECT_THAT(OutliersOf("s", {{"e", 2.9}}, earlier), SizeIs(1)) << "too good is as strange";
+  earlier.resize(7);
+  EXPECT_THAT(OutliersOf("s", {{"e", 50.0}}, earlier), IsEmpty()) << "too few to say";
+}
+
+class MorningReportTest : public db::StoreTest {
+ protected:
+  std::string Fitted(double error, WallNs at) {
+    const std::string session = StoreSession(1);
+    auto store = OpenStore();
+    const auto folder = store.FitFolder(session, "f1");
+    std::filesystem::create_directories(folder);
+    WriteText(folder / "metrics.json", Metrics(error));
+    const Status entered = store.RegisterFit({"f1", session, "{}", Metrics(error), at});
+    EXPECT_TRUE(entered.ok()) << entered.message();
+    return session;
+  }
+};
+
+TEST_F(MorningReportTest, SaysWhoWasFittedWhoNotWhoIsStrangeAndHowLongTheDiskLasts) {
+  const WallNs before{WallNow().ns - 1'000'000'000};
+  for (const double error : {0.036, 0.037, 0.038, 0.039, 0.04, 0.041, 0.042, 0.043}) Fitted(error, before);
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  const std::string good = Fitted(0.0401, WallNow()), strange = Fitted(0.09, WallNow()), bad = StoreSession(1);
+  const auto add = [&](NightEvent event) {
+    event.at = WallNow();
+    ASSERT_TRUE(log->Add(event).ok());
+  };
+  add({.kind = NightEventKind::kBegan, .count = 3});
+  // As of a time before its fits.
+  NightEvent began{.kind = NightEventKind::kBegan, .at = {before.ns + 1}, .count = 3};
+  ASSERT_TRUE(log->Add(began).ok());
+  add({.kind = NightEventKind::kLeftOut, .session = "s9-consent", .why = "consent", .reason = "was withdrawn"});
+  add({.kind = NightEventKind::kLeftOut, .session = "s9-complete", .why = "complete", .reason = "is complete"});
+  for (const std::string& session : {good, strange}) {
+    add({.kind = NightEventKind::kStarted, .session = session, .fit = "f1", .attempt = 1});
+    add({.kind = NightEventKind::kDone,
+         .session = session,
+         .fit = "f1",
+         .attempt = 1,
+         .seconds = 12,
+         .cpu_seconds = 20});
+  }
+  add({.kind = NightEventKind::kStarted, .session = bad, .fit = "f2", .attempt = 1});
+  add({.kind = NightEventKind::kFailed, .session = bad, .attempt = 1, .reason = "no <light>\x1b[2J"});
+  add({.kind = NightEventKind::kEnded, .seconds = 24});
+
+  const auto facts = GatherMorning(folder_, log->folder().filename().string());
+  ASSERT_TRUE(facts.ok()) << facts.status().message();
+  EXPECT_EQ(facts->earlier, 8U);
+  ASSERT_THAT(facts->outliers, SizeIs(1));
+  EXPECT_EQ(facts->outliers[0].session, strange);
+  ASSERT_TRUE(facts->nights_left);
+  int64_t bytes = 0;
+  for (const FittedVisit& visit : facts->fitted) bytes += visit.bytes;
+  EXPECT_NEAR(*facts->nights_left, static_cast<double>(facts->free_bytes) / static_cast<double>(bytes), 1e-9);
+
+  const auto page = WriteMorningReport(folder_, log->folder().filename().string());
+  ASSERT_TRUE(page.ok()) << page.status().message();
+  const std::string html = ReadText(*page), text = ReadText(page->parent_path() / "report.txt");
+  for (const std::string& said : {html, text}) {
+    EXPECT_THAT(said, HasSubstr("2 of 3 visitors fitted, 1 failed; 1 figures to look at."));
+    EXPECT_THAT(said, HasSubstr("s9-consent"));
+    EXPECT_THAT(said, Not(HasSubstr("s9-complete"))) << "many, and nobody's worry";
+    EXPECT_THAT(said, Not(HasSubstr("\x1b")));
+  }
+  EXPECT_THAT(html, HasSubstr("<a href=\"../../sessions/" + good + "/fits/f1/report/index.html\">"));
+  EXPECT_THAT(html, HasSubstr("<a href=\"" + bad + "-1.log\">"));
+  EXPECT_THAT(html, Not(HasSubstr("no <light>")));
+  EXPECT_THAT(text, HasSubstr(strange + "  error of stripes, %  9.000"));
+}
+
+}  // namespace
+}  // namespace stratalux::fit
