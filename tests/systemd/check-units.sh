@@ -11,6 +11,7 @@ need() { command -v "$1" >/dev/null || { echo "skipped: $1 is not installed: scr
 installed() {
   # The configuration's place is /etc whatever the prefix is: its package goes by DESTDIR.
   { cmake --install "$build" --prefix "$scratch/usr" --component stratalux-db && cmake --install "$build" --prefix "$scratch/usr" --component stratalux-rig &&
+    cmake --install "$build" --prefix "$scratch/usr" --component stratalux-fit &&
     DESTDIR=$scratch cmake --install "$build" --prefix /usr --component stratalux-data; } >"$scratch/log" || { cat "$scratch/log"; fail "cmake --install"; }
 }
 
@@ -18,7 +19,7 @@ installed() {
 limit_of() {
   case "$1" in
     stratalux-kiosk|stratalux-safe) echo 15 ;;   # devices
-    stratalux-purge|stratalux-verify) echo 5 ;;  # neither devices nor network
+    stratalux-purge|stratalux-verify|stratalux-batch) echo 5 ;;  # neither devices nor network
     stratalux-pull) echo 15 ;;                   # network
     stratalux-display) echo 75 ;;                # a browser, which has a sandbox of its own
     *) fail "$1.service has no limit of exposure in ${BASH_SOURCE[0]}" ;;
@@ -68,9 +69,11 @@ programs() {
     esac
     [ -x "$1" ] || fail "$line: no program $1"
     case "$1" in */stratalux-*) ;; *) continue ;; esac
-    "$1" "$2" --help >"$scratch/help" || fail "$line: $1 has no verb $2"
+    verb=()
+    for word in "${@:2}"; do case "$word" in -*) break ;; esac; verb+=("$word"); done
+    "$1" "${verb[@]}" --help >"$scratch/help" || fail "$line: $1 has no verb ${verb[*]}"
     for word in "$@"; do
-      case "$word" in --*) grep -q -- "$word\b" "$scratch/help" || fail "$line: $2 has no option $word" ;; esac
+      case "$word" in --*) grep -q -- "$word\b" "$scratch/help" || fail "$line: ${verb[*]} has no option $word" ;; esac
     done
     count=$((count + 1))
   done < <(grep -hE '^Exec[A-Za-z]*=' "$scratch/usr/lib/systemd/system/"*.service)
