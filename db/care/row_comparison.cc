@@ -127,6 +127,7 @@ const std::vector<StoreTable>& StoreTables() {
       {"retention_classes", "the schema's own; CompareStore"},
       {"jobs", "what is to be done, not what was captured"},
       {"job_fence", "the last token given to a job"},
+      {"job_counts", "kept by triggers on jobs"},
       {"access_log", "outlives the sessions it speaks of"},
       {"sqlite_sequence", "CompareStore: no lower than any number given"},
   };

@@ -312,8 +312,9 @@ Result<std::vector<Job>> JobStore::List(std::optional<JobState> state) {
 }
 
 Result<std::map<JobState, int64_t>> JobStore::Count(const std::string& kind) {
-  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare("SELECT state, count(*) FROM jobs"
-                                                                      " WHERE ?1 = '' OR kind = ?1 GROUP BY state"));
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       impl_->index.connection().Prepare("SELECT state, sum(jobs) FROM job_counts WHERE jobs > 0"
+                                                         " AND (?1 = '' OR kind = ?1) GROUP BY state"));
   select.Bind(1, kind);
   std::map<JobState, int64_t> counts;
   while (true) {

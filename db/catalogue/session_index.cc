@@ -21,6 +21,7 @@
 #include "db/migration_0005.h"
 #include "db/migration_0006.h"
 #include "db/migration_0007.h"
+#include "db/migration_0008.h"
 #include "db/segment/pixel_hash.h"
 #include "db/session_tables.h"
 #include "shared/capture/plan.h"
@@ -166,6 +167,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   }
   if (version < 6) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0006));
   if (version < 7) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0007));
+  if (version < 8) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0008));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();

@@ -15,6 +15,7 @@
 
 #include "db/base/sqlite.h"
 #include "db/care/reindex.h"
+#include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -201,6 +202,44 @@ TEST_F(JobStoreTest, RefusesWhatNoJobCanBe) {
   ASSERT_TRUE(jobs.Enqueue({"k", "fit"}).ok());
   ASSERT_TRUE(connection->Execute("PRAGMA ignore_check_constraints = ON; UPDATE jobs SET state = 'dreaming'").ok());
   EXPECT_EQ(jobs.List().status().code(), StatusCode::kNewerSchema);
+}
+
+// By triggers, which nothing that happens to a job may miss.
+TEST_F(JobStoreTest, TheCountsAreThoseOfTheRows) {
+  const std::string session = StoreSession(1);
+  const auto expect_right = [&] {
+    JobStore jobs = Open();
+    std::map<JobState, int64_t> counted;
+    const auto all = jobs.List();
+    for (const Job& job : *all) ++counted[job.state];
+    EXPECT_EQ(*jobs.Count(), counted);
+    EXPECT_EQ(*jobs.Count("fit"), counted);
+    EXPECT_TRUE(jobs.Count("other")->empty());
+  };
+  {
+    JobStore jobs = Open();
+    for (int i = 0; i < 6; ++i) ASSERT_TRUE(jobs.Enqueue({"k" + std::to_string(i), "fit", i == 5 ? session : ""}).ok());
+    ASSERT_TRUE(jobs.Enqueue({"k0", "fit"}).ok()) << "no second one";
+    ASSERT_TRUE(jobs.Complete(Lease(jobs)->token).ok());
+    ASSERT_TRUE(jobs.Fail(Lease(jobs)->token, "no", std::nullopt).ok());
+    ASSERT_TRUE(jobs.Release(Lease(jobs)->token).ok());
+    ASSERT_TRUE(jobs.Cancel(Lease(jobs)->id).ok());
+    (void)Lease(jobs);
+  }
+  expect_right();
+  boot_id_ = "boot-2";
+  {
+    JobStore jobs = Open();
+    (void)Lease(jobs);
+  }
+  expect_right();
+  Logger quiet(LogLevel::kError);
+  ForgetRequest request;
+  request.sessions = {session};
+  ASSERT_TRUE(Forget(folder_, request, quiet).ok());
+  expect_right();
+  ASSERT_TRUE(Reindex(folder_, quiet).ok());
+  expect_right();
 }
 
 TEST_F(JobStoreTest, GoesWithItsSession) {
