@@ -17,18 +17,12 @@
 #include <xf86drm.h>
 #include <xf86drmMode.h>
 
+#include "firmware-host/projector/kms_freed.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::rig {
 namespace {
 
-template <auto kFree>
-struct Freed {
-  template <typename T>
-  void operator()(T* pointer) const {
-    kFree(pointer);
-  }
-};
 using Version = std::unique_ptr<drmVersion, Freed<drmFreeVersion>>;
 using Resources = std::unique_ptr<drmModeRes, Freed<drmModeFreeResources>>;
 using Connector = std::unique_ptr<drmModeConnector, Freed<drmModeFreeConnector>>;

@@ -22,19 +22,13 @@
 
 #include "firmware-host/projector/display_picture.h"
 #include "firmware-host/projector/kms_cards.h"
+#include "firmware-host/projector/kms_freed.h"
 
 namespace stratalux::rig {
 namespace {
 
 using std::chrono::steady_clock;
 
-template <auto kFree>
-struct Freed {
-  template <typename T>
-  void operator()(T* pointer) const {
-    kFree(pointer);
-  }
-};
 using Resources = std::unique_ptr<drmModeRes, Freed<drmModeFreeResources>>;
 using Connector = std::unique_ptr<drmModeConnector, Freed<drmModeFreeConnector>>;
 using Encoder = std::unique_ptr<drmModeEncoder, Freed<drmModeFreeEncoder>>;

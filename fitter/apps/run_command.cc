@@ -18,7 +18,7 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct RunFlags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
               distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
@@ -27,13 +27,13 @@ struct Flags {
   CleanOptions clean;
 };
 
-void AddStore(CLI::App& verb, Flags& f) {
+void AddStore(CLI::App& verb, RunFlags& f) {
   verb.add_option("session", f.run.session, "Session: id, unique prefix, or latest")->capture_default_str();
   verb.add_option("--store", f.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
   verb.add_flag("--json", f.json, "Machine-readable result on stdout");
 }
 
-void AddFitOptions(CLI::App& verb, Flags& f) {
+void AddFitOptions(CLI::App& verb, RunFlags& f) {
   verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers a pixel")
       ->check(CLI::Range(1, 32))
       ->capture_default_str();
@@ -117,7 +117,7 @@ Status PrintPlan(const RunOutcome& outcome, bool json) {
   return WriteStdout(text);
 }
 
-int Execute(Flags& f) {
+int Execute(RunFlags& f) {
   Logger logger;
   auto finish = [&](const Status& status) {
     if (!status.ok()) logger.Error(status.message());
@@ -156,7 +156,7 @@ int Execute(Flags& f) {
   return finish(WriteStdout((f.run.until == Stage::kReport ? report : outcome->folder).string() + "\n"));
 }
 
-Status Clean(const Flags& f, Logger& logger) {
+Status Clean(const RunFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.run.store, f.run.session, f.clean, logger));
   if (f.json) {
     const nlohmann::ordered_json json = {{"removed", report.removed},
@@ -176,7 +176,7 @@ Status Clean(const Flags& f, Logger& logger) {
                      std::to_string(report.kept) + " kept\n");
 }
 
-Status PrintReport(const Flags& f, Logger& logger) {
+Status PrintReport(const RunFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const StoredFit fit, NewestFit(f.run.store, f.run.session, logger));
   if (!std::filesystem::exists(fit.folder / "report" / "index.html"))
     return Status::NotFound((fit.folder / "report" / "index.html").string() +
@@ -219,7 +219,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
   for (const auto& v : verbs) {
-    auto flags = std::make_shared<Flags>();
+    auto flags = std::make_shared<RunFlags>();
     flags->run.until = v.until;
     auto* verb = app.add_subcommand(v.name, v.help);
     const std::string command = std::string("  stratalux-fit ") + v.name + " latest --store store";
@@ -230,7 +230,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     AddFitOptions(*verb, *flags);
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });
   }
-  auto cleaned = std::make_shared<Flags>();
+  auto cleaned = std::make_shared<RunFlags>();
   auto* clean = app.add_subcommand("clean", "Removes what the stages made and no fit of the session points to");
   clean->footer(
       "Fits keep all their files; what is removed is made again where a later run wants it.\n"
@@ -249,7 +249,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     if (!status.ok()) logger.Error(status.message());
     exit_code = status.exit_code();
   });
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<RunFlags>();
   auto* report = app.add_subcommand("report", "Where the newest report of a session is");
   AddStore(*report, *flags);
   report->footer(

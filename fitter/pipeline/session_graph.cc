@@ -27,7 +27,7 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 
 constexpr int kStandardErrorsVersion = 1, kModelVersion = 1;
 constexpr uint64_t kShuffleSeed = 1;
@@ -47,12 +47,12 @@ const char* ToString(FitKind kind) {
 }
 
 std::string SrdOptionsJson(const SrdOptions& o) {
-  return Json({{"pool", o.pool},
-               {"min_cos", o.min_cos},
-               {"min_signal_to_noise", o.min_signal_to_noise},
-               {"energy_tolerance", o.energy_tolerance},
-               {"reading", fit::ToString(o.reading)},
-               {"distance", fit::ToString(o.distance)}})
+  return SortedJson({{"pool", o.pool},
+                     {"min_cos", o.min_cos},
+                     {"min_signal_to_noise", o.min_signal_to_noise},
+                     {"energy_tolerance", o.energy_tolerance},
+                     {"reading", fit::ToString(o.reading)},
+                     {"distance", fit::ToString(o.distance)}})
       .dump();
 }
 
@@ -194,7 +194,7 @@ std::string SessionGraph::Normals() {
   const std::string separate = Separate(), shape = Shape(options_.geometry);
   return Add({{"normals",
                kNormalsVersion,
-               Json({{"exposure_ms", plan_.exposure_ms}}).dump(),
+               SortedJson({{"exposure_ms", plan_.exposure_ms}}).dump(),
                {{"separate", separate}, {"shape", shape}},
                ""},
               "normals",
@@ -235,7 +235,7 @@ std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) 
 
 std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                                  const std::string& label) {
-  Json options = Json::parse(FitOptionsJson(fit));
+  SortedJson options = SortedJson::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
   options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
@@ -279,7 +279,7 @@ std::string SessionGraph::Model(const std::string& name, GeometrySource source, 
   const std::string fit = Fit(source, heldout, FitKind::kJudged), srd = Srd(source);
   std::map<std::string, std::string> inputs = {{"fit", fit}};
   if (name == "dipole") inputs["srd"] = srd;
-  return Add({{"model", kModelVersion, Json({{"model", name}, {"heldout", heldout}}).dump(), inputs, isa_},
+  return Add({{"model", kModelVersion, SortedJson({{"model", name}, {"heldout", heldout}}).dump(), inputs, isa_},
               LabelOf(name, source, heldout),
               name == "dipole" ? std::vector<std::string>{fit, srd} : std::vector<std::string>{fit},
               [=, this](const fs::path& folder) -> Status {
@@ -297,7 +297,8 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
   return Add(
       {{"predict",
         kPredictVersion,
-        Json({{"projector", heldout}, {"lights", lights}, {"plan", Json::parse(PlanOptionsToJson(plan_))}}).dump(),
+        SortedJson({{"projector", heldout}, {"lights", lights}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}})
+            .dump(),
         {{"fit", layers}, {"shape", shape}},
         isa_},
        LabelOf("predict, " + model, source, heldout),
@@ -336,11 +337,11 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
     upstream.push_back(predictions.back());
   }
   return Add({{"compare", kCompareVersion,
-               Json({{"models", models},
-                     {"projector", heldout},
-                     {"geometry", fit::ToString(source)},
-                     {"pool", options_.srd.pool},
-                     {"lights", HeldOutLights(plan_)}})
+               SortedJson({{"models", models},
+                           {"projector", heldout},
+                           {"geometry", fit::ToString(source)},
+                           {"pool", options_.srd.pool},
+                           {"lights", HeldOutLights(plan_)}})
                    .dump(),
                inputs, ""},
               LabelOf("compare", source, heldout),
