@@ -11,16 +11,16 @@
 namespace stratalux::db {
 namespace {
 
-using Json = nlohmann::json;  // members sorted: canonical
+using SortedJson = nlohmann::json;  // members sorted: canonical
 
-constexpr int kSchema = 1;
+constexpr int kArtifactSchema = 1;
 
-Json IdentityJson(const ArtifactIdentity& identity) {
-  Json json = {{"stage", identity.stage},
-               {"version", identity.version},
-               {"options", Json::parse(identity.options_json)},
-               {"inputs", identity.inputs},
-               {"isa", identity.isa}};
+SortedJson IdentityJson(const ArtifactIdentity& identity) {
+  SortedJson json = {{"stage", identity.stage},
+                     {"version", identity.version},
+                     {"options", SortedJson::parse(identity.options_json)},
+                     {"inputs", identity.inputs},
+                     {"isa", identity.isa}};
   if (!identity.seal.empty()) json["seal"] = identity.seal;
   return json;
 }
@@ -30,15 +30,15 @@ Json IdentityJson(const ArtifactIdentity& identity) {
 std::string ArtifactIdentity::Key() const { return HashHex(IdentityJson(*this).dump()); }
 
 std::string ToJson(const ArtifactRecord& record) {
-  nlohmann::ordered_json json = {{"schema", kSchema}};
-  const Json identity = IdentityJson(record.identity);
+  nlohmann::ordered_json json = {{"schema", kArtifactSchema}};
+  const SortedJson identity = IdentityJson(record.identity);
   for (const auto& [name, value] : identity.items()) json[name] = value;
   json["seconds"] = record.seconds;
   json["cpu_seconds"] = record.cpu_seconds;
   json["peak_rss_bytes"] = record.peak_rss_bytes;
   json["program"] = record.program;
   json["finished_wall_ns"] = record.finished_wall.ns;
-  json["files"] = Json::array();
+  json["files"] = SortedJson::array();
   for (const RecordedFile& file : record.files)
     json["files"].push_back({{"name", file.name}, {"bytes", file.bytes}, {"xxh3_128", file.xxh3_128}});
   return WithOwnHash(json.dump(1));
@@ -52,10 +52,10 @@ Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
   if (CheckOwnHash(text) != OwnHash::kRight) return Status::Integrity(file.string() + " does not match its own hash");
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
-    const Json json = Json::parse(text);
-    if (const auto schema = WholeAt<int64_t>(json, "schema"); schema != kSchema)
+    const SortedJson json = SortedJson::parse(text);
+    if (const auto schema = WholeAt<int64_t>(json, "schema"); schema != kArtifactSchema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
-                                                  ", this program reads " + std::to_string(kSchema) +
+                                                  ", this program reads " + std::to_string(kArtifactSchema) +
                                                   "; use a newer stratalux");
     ArtifactRecord record;
     json.at("stage").get_to(record.identity.stage);
@@ -69,7 +69,7 @@ Result<ArtifactRecord> ReadArtifactRecord(const std::filesystem::path& folder) {
     record.peak_rss_bytes = WholeAt<int64_t>(json, "peak_rss_bytes");
     json.at("program").get_to(record.program);
     record.finished_wall.ns = WholeAt<int64_t>(json, "finished_wall_ns");
-    for (const Json& entry : json.at("files"))
+    for (const SortedJson& entry : json.at("files"))
       record.files.push_back({entry.at("name"), WholeAt<int64_t>(entry, "bytes"), entry.at("xxh3_128")});
     if (record.identity.FolderName() != folder.filename().string())
       return Status::Integrity(file.string() + " is of " + record.identity.FolderName());

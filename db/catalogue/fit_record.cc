@@ -17,13 +17,13 @@ using Json = nlohmann::ordered_json;
 
 namespace {
 
-constexpr int64_t kSchema = 2;  // 1: may lack its own hash and the list of its files
+constexpr int64_t kFitSchema = 2;  // 1: may lack its own hash and the list of its files
 
 }  // namespace
 
 Result<std::string> FitRecordOf(const fs::path& folder, const FitRow& fit) {
   // Options and metrics as texts: the index holds them byte for byte.
-  Json json = {{"schema", kSchema},
+  Json json = {{"schema", kFitSchema},
                {"fit", fit.id},
                {"session", fit.session},
                {"created_wall_ns", fit.created_wall.ns},
@@ -48,11 +48,11 @@ Result<Json> ReadRecord(const fs::path& file) {
   try {
     Json json = Json::parse(text);
     const auto schema = WholeAt<int64_t>(json, "schema");
-    if (schema < 1 || schema > kSchema)
+    if (schema < 1 || schema > kFitSchema)
       return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
-                                                  " is newer than this program's " + std::to_string(kSchema) +
+                                                  " is newer than this program's " + std::to_string(kFitSchema) +
                                                   "; use a newer stratalux");
-    if (schema == kSchema && hash == OwnHash::kNone) return Status::Integrity(file.string() + " lost its own hash");
+    if (schema == kFitSchema && hash == OwnHash::kNone) return Status::Integrity(file.string() + " lost its own hash");
     return json;
   } catch (const nlohmann::json::exception& error) {
     return Status::Integrity(file.string() + ": " + error.what());
@@ -65,7 +65,7 @@ Status CheckFitFiles(const fs::path& folder) {
   const fs::path file = folder / kFitRecordFile;
   SLX_ASSIGN_OR_RETURN(const Json json, ReadRecord(file));
   try {
-    if (json.at("schema") != kSchema && !json.contains("files")) return Status::Ok();
+    if (json.at("schema") != kFitSchema && !json.contains("files")) return Status::Ok();
     const auto& files = json.at("files").get_ref<const Json::array_t&>();
     SLX_ASSIGN_OR_RETURN(const auto found, NamesOfFiles(folder, kFitRecordFile));
     if (files.empty() && !found.empty())

@@ -18,7 +18,7 @@ constexpr std::pair<JobState, const char*> kStates[] = {
     {JobState::kQueued, "queued"}, {JobState::kRunning, "running"},    {JobState::kDone, "done"},
     {JobState::kFailed, "failed"}, {JobState::kSetAside, "set-aside"}, {JobState::kCancelled, "cancelled"}};
 
-constexpr const char* kColumns =
+constexpr const char* kJobColumns =
     "SELECT j.id, j.key, j.kind, coalesce(s.id, ''), j.options_json, j.priority, j.not_before_wall_ns, j.max_attempts,"
     " j.state, j.attempts, j.owner, j.fence, j.last_error, j.created_wall_ns, coalesce(j.finished_wall_ns, 0)"
     " FROM jobs j LEFT JOIN sessions s ON s.number = j.session ";
@@ -53,12 +53,11 @@ Result<std::vector<Job>> ReadJobs(Statement& select) {
 }
 
 Status Check(const JobRequest& request) {
-  using Json = nlohmann::json;
   if (request.key.empty() || request.kind.empty())
     return Status::Usage("a job needs a key and a kind (key '" + request.key + "', kind '" + request.kind + "')");
   if (request.max_attempts < 1)
     return Status::Usage("max_attempts " + std::to_string(request.max_attempts) + " must be at least 1");
-  if (Json::parse(request.options_json, nullptr, false).is_discarded())
+  if (nlohmann::json::parse(request.options_json, nullptr, false).is_discarded())
     return Status::Usage("options of job '" + request.key + "' are no JSON: " + request.options_json);
   return Status::Ok();
 }
@@ -297,7 +296,7 @@ Status JobStore::Requeue(int64_t id) {
 }
 
 Result<Job> JobStore::Find(int64_t id) {
-  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare(std::string(kColumns) + "WHERE j.id = ?1"));
+  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare(std::string(kJobColumns) + "WHERE j.id = ?1"));
   select.Bind(1, id);
   SLX_ASSIGN_OR_RETURN(auto jobs, ReadJobs(select));
   if (jobs.empty()) return Status::NotFound("no job " + std::to_string(id));
@@ -305,7 +304,7 @@ Result<Job> JobStore::Find(int64_t id) {
 }
 
 Result<std::vector<Job>> JobStore::List(std::optional<JobState> state) {
-  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare(std::string(kColumns) +
+  SLX_ASSIGN_OR_RETURN(auto select, impl_->index.connection().Prepare(std::string(kJobColumns) +
                                                                       "WHERE ?1 = '' OR j.state = ?1 ORDER BY j.id"));
   select.Bind(1, std::string(state ? ToString(*state) : ""));
   return ReadJobs(select);

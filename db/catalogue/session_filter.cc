@@ -21,7 +21,7 @@ listed AS (
   FROM sessions s LEFT JOIN calibration c ON c.id = s.calibration_id
   WHERE true)";
 
-constexpr const char* kColumns = R"(
+constexpr const char* kListColumns = R"(
 SELECT session, started, kind, rig, visitor, status, frames, bytes, fits,
        (SELECT m.value FROM metrics m WHERE m.session = number AND m.fit = newest_fit AND m.name = :nrmse) AS nrmse,
        calibration_age_days, reasons, simulated, retention, consent, calibration, finished, newest_fit, visit, attempt
@@ -128,8 +128,8 @@ std::string MetricName(const std::string& name) {
 SessionQuery QueryOf(const SessionFilter& filter) {
   SessionQuery query;
   query.parameters["nrmse"] = MetricName("nrmse");
-  query.sql =
-      kSelect + SessionConditions(filter, query.parameters) + ")" + kColumns + FitConditions(filter, query.parameters);
+  query.sql = kSelect + SessionConditions(filter, query.parameters) + ")" + kListColumns +
+              FitConditions(filter, query.parameters);
   const char* order = filter.order == SortOrder::kAscending ? "" : " DESC";
   query.sql += std::string("\nORDER BY ") + OrderOf(filter.sort) + order + " NULLS LAST, number DESC";
   query.parameters["limit"] = filter.limit.value_or(-1);

@@ -11,30 +11,30 @@
 namespace stratalux::db {
 namespace {
 
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 
 constexpr int64_t kMetadataLimit = int64_t{1} << 29;  // bytes
 constexpr int kNewestRoCrate = 3;                     // of 1.x
 
-bool HasType(const Json& entity, const char* type) {
-  const Json& types = entity.at("@type");
+bool HasType(const SortedJson& entity, const char* type) {
+  const SortedJson& types = entity.at("@type");
   if (types.is_string()) return types == type;
-  for (const Json& one : types)
+  for (const SortedJson& one : types)
     if (one == type) return true;
   return false;
 }
 
 // The @ids that a property names: of one reference, or of a list of them.
-Result<std::vector<std::string>> IdsOf(const Json& entity, const char* property) {
+Result<std::vector<std::string>> IdsOf(const SortedJson& entity, const char* property) {
   std::vector<std::string> ids;
   if (!entity.contains(property)) return ids;
-  const Json& value = entity.at(property);
-  const auto names = [](const Json& one) {
+  const SortedJson& value = entity.at(property);
+  const auto names = [](const SortedJson& one) {
     return one.is_object() && one.contains("@id") && one.at("@id").is_string();
   };
   const bool list = value.is_array();
   for (size_t i = 0; i < (list ? value.size() : 1); ++i) {
-    const Json& one = list ? value.at(i) : value;
+    const SortedJson& one = list ? value.at(i) : value;
     if (!names(one)) return Status::Integrity(entity.at("@id").get<std::string>() + ": " + property + " names no @id");
     ids.push_back(one.at("@id").get<std::string>());
   }
@@ -45,10 +45,10 @@ class Checker {
  public:
   explicit Checker(const CrateFiles& files) : files_(files) {}
 
-  Status Check(const Json& document) {
+  Status Check(const SortedJson& document) {
     if (!document.is_object() || !document.contains("@graph") || !document.at("@graph").is_array())
       return Status::Integrity("no JSON-LD with a flat @graph");
-    for (const Json& entity : document.at("@graph")) SLX_RETURN_IF_ERROR(Enter(entity));
+    for (const SortedJson& entity : document.at("@graph")) SLX_RETURN_IF_ERROR(Enter(entity));
     SLX_ASSIGN_OR_RETURN(const std::string root, Root());
     SLX_RETURN_IF_ERROR(CheckParts(root));
     for (const auto& [id, entity] : entities_)
@@ -57,7 +57,7 @@ class Checker {
   }
 
  private:
-  Status Enter(const Json& entity) {
+  Status Enter(const SortedJson& entity) {
     if (!entity.is_object() || !entity.contains("@id") || !entity.at("@id").is_string())
       return Status::Integrity("an entity of @graph has no @id");
     const std::string id = entity.at("@id").get<std::string>();
@@ -113,7 +113,7 @@ class Checker {
     }
     return Status::Ok();
   }
-  Status CheckFile(const std::string& id, const Json& entity) {
+  Status CheckFile(const std::string& id, const SortedJson& entity) {
     const std::string path = PathOfUri(id);
     if (!IsCratePath(path)) return Status::Integrity("file '" + id + "' lies outside the crate");
     const auto file = files_.find(path);
@@ -126,7 +126,7 @@ class Checker {
   }
 
   const CrateFiles& files_;
-  std::map<std::string, const Json*> entities_;
+  std::map<std::string, const SortedJson*> entities_;
 };
 
 }  // namespace
@@ -134,7 +134,7 @@ class Checker {
 Status CheckCrateMetadata(const std::filesystem::path& file, const CrateFiles& files) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(file, kMetadataLimit));
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
-  const Json document = Json::parse(text, nullptr, false);
+  const SortedJson document = SortedJson::parse(text, nullptr, false);
   if (document.is_discarded()) return Status::Integrity(file.string() + ": no JSON");
   return Checker(files).Check(document).WithContext(file.string());
 }

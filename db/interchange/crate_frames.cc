@@ -10,11 +10,12 @@
 #include <xxhash.h>
 
 #include "db/interchange/crate_files.h"
+#include "db/interchange/image_file.h"
 
 namespace stratalux::db {
 namespace {
 
-constexpr std::array kColumns = {
+constexpr std::array kFrameColumns = {
     "frame",    "file",        "step",           "projector",      "phase",       "pattern", "bracket",
     "pose",     "retry",       "retake_cause",   "trigger_number", "trigger_ns",  "sync_ns", "driver_sequence",
     "frame_ns", "frame_clock", "exposure_ms",    "gain",           "level_check", "mean_dn", "format",
@@ -25,7 +26,6 @@ constexpr std::array kChecks = {"not-checked", "passed", "failed"};
 constexpr std::array kFormats = {"", "mono8", "mono12", "mono16"};
 constexpr std::array kCfas = {"mono", "rggb", "bggr", "grbg", "gbrg"};
 constexpr size_t kLongestLine = 8192;  // bytes
-constexpr int kLargestSide = 65536;
 
 std::vector<std::string> Cells(const CrateFrame& frame) {
   const FrameRecord& r = frame.row.record;
@@ -128,7 +128,8 @@ class CellReader {
  private:
   void Note(StatusCode code, const std::string& what) {
     if (status_.ok())
-      status_ = Status(code, std::string(kColumns[next_ - 1]) + " '" + cells_[next_ - 1].substr(0, 80) + "': " + what);
+      status_ =
+          Status(code, std::string(kFrameColumns[next_ - 1]) + " '" + cells_[next_ - 1].substr(0, 80) + "': " + what);
   }
   const std::vector<std::string>& cells_;
   size_t next_ = 0;
@@ -231,7 +232,7 @@ std::string ShortestText(double value) {
   return {text.data(), std::to_chars(text.data(), text.data() + text.size(), value).ptr};
 }
 
-std::string CrateFramesHeader() { return CsvLine({kColumns.begin(), kColumns.end()}); }
+std::string CrateFramesHeader() { return CsvLine({kFrameColumns.begin(), kFrameColumns.end()}); }
 std::string CrateFrameLine(const CrateFrame& frame) { return CsvLine(Cells(frame)); }
 
 Status CrateFrameReader::Wrong(const std::string& what) const {
@@ -272,7 +273,8 @@ Result<bool> CrateFrameReader::Next(CrateFrame& frame) {
   SLX_ASSIGN_OR_RETURN(const bool any, ReadLine(line));
   if (!any) return false;
   const auto cells = SplitCsv(line);
-  if (!cells || cells->size() != kColumns.size()) return Wrong("not " + std::to_string(kColumns.size()) + " cells");
+  if (!cells || cells->size() != kFrameColumns.size())
+    return Wrong("not " + std::to_string(kFrameColumns.size()) + " cells");
   frame = {};
   SLX_RETURN_IF_ERROR(ReadCells(*cells, frame).WithContext(file_ + ":" + std::to_string(line_)));
   if (frame.row.id <= last_frame_) return Wrong("frame " + std::to_string(frame.row.id) + " is out of order");

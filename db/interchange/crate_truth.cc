@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 constexpr const char* kMaps = "truth/maps.csv";
 constexpr const char* kCalibration = "truth/truth_calibration.json";
-constexpr const char* kColumns = "name,file,width,height,channels";
+constexpr const char* kMapColumns = "name,file,width,height,channels";
 constexpr int64_t kMapsLimit = int64_t{1} << 20;  // bytes
 
 std::string MapFile(size_t number, const std::string& name) {
@@ -77,7 +77,7 @@ std::vector<std::string> CrateTruth::Files() const {
 Status CrateTruth::Write(const fs::path& crate_session) const {
   if (Files().empty()) return Status::Ok();
   SLX_RETURN_IF_ERROR(MakeFolder(crate_session / "truth"));
-  std::string rows = std::string(kColumns) + "\n";
+  std::string rows = std::string(kMapColumns) + "\n";
   for (size_t i = 0; i < names_.size(); ++i) {
     SLX_ASSIGN_OR_RETURN(const auto map, segment_->Read(names_[i]));
     SLX_RETURN_IF_ERROR(WriteNpy(crate_session / MapFile(i, names_[i]), map));
@@ -99,9 +99,9 @@ Result<std::vector<CrateTruthMap>> ReadTruthMaps(const fs::path& crate_session) 
   std::istringstream in(*text);
   std::string line;
   for (int number = 1; std::getline(in, line); ++number) {
-    const Status wrong = Status::Integrity(file + ":" + std::to_string(number) + ": not '" + kColumns + "'");
+    const Status wrong = Status::Integrity(file + ":" + std::to_string(number) + ": not '" + kMapColumns + "'");
     if (number == 1) {
-      if (line != kColumns) return wrong;
+      if (line != kMapColumns) return wrong;
       continue;
     }
     CrateTruthMap map;

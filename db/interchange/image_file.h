@@ -12,6 +12,8 @@
 
 namespace stratalux::db {
 
+inline constexpr int kLargestSide = 65536;  // of an image that is read, pixels
+
 struct ImageFile {
   Image<uint16_t> image;  // 1 channel (grey) or 3 (R, G, B); alpha is dropped
   int bits = 8;           // of a sample of the file: 8 or 16
@@ -22,9 +24,9 @@ struct ImageFile {
 // damaged or truncated.
 [[nodiscard]] Result<ImageFile> ReadImageFile(const std::filesystem::path& file);
 
-// The decoders behind it; `file` is for messages. Sides up to 65536, at most kMostImagePixels (shared/image/png.h), and
-// never more pixels than the bytes can hold: a header that lies is given no memory.
-// kUsage naming file, size and limit where there are more pixels than are read.
+// The decoders behind it; `file` is for messages. Sides up to kLargestSide, at most kMostImagePixels
+// (shared/image/png.h), and never more pixels than the bytes can hold: a header that lies is given no memory. kUsage
+// naming file, size and limit where there are more pixels than are read.
 [[nodiscard]] Status CheckPixelCount(uint64_t width, uint64_t height, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodeTga(std::span<const uint8_t> bytes, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodePnm(std::span<const uint8_t> bytes, const std::string& file);

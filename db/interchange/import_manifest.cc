@@ -8,12 +8,12 @@
 #include <map>
 #include <set>
 
+#include "db/interchange/image_file.h"
 #include "shared/config/toml_reader.h"
 
 namespace stratalux::db {
 namespace {
 
-constexpr int kLargestSide = 65536;
 constexpr int kMostPoses = 100000;
 // A few hundred bytes each; a manifest of half a megabyte can name hundreds of millions, poses times patterns.
 constexpr size_t kMostFrames = 250'000;

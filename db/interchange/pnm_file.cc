@@ -8,8 +8,6 @@
 namespace stratalux::db {
 namespace {
 
-constexpr int64_t kLargestSide = 65536;
-
 class Reader {
  public:
   Reader(std::span<const uint8_t> bytes, const std::string& file) : bytes_(bytes), file_(file) {}

@@ -9,7 +9,7 @@ namespace {
 
 constexpr size_t kHeader = 18;
 
-struct Layout {
+struct TgaLayout {
   int width = 0, height = 0;
   size_t sample_bytes = 0;  // of a pixel in the file
   bool runs = false, top_first = false, right_first = false;
@@ -20,7 +20,7 @@ Status Damaged(const std::string& file, size_t offset, const std::string& what) 
   return Status::Integrity(file + ", offset " + std::to_string(offset) + ": " + what);
 }
 
-Result<Layout> ReadLayout(std::span<const uint8_t> b, const std::string& file) {
+Result<TgaLayout> ReadLayout(std::span<const uint8_t> b, const std::string& file) {
   if (b.size() < kHeader) return Damaged(file, b.size(), "truncated within the TGA header");
   auto word = [&b](size_t at) { return b[at] | (b[at + 1] << 8); };
   const int type = b[2], depth = b[16];
@@ -29,7 +29,7 @@ Result<Layout> ReadLayout(std::span<const uint8_t> b, const std::string& file) {
   if (b[1] != 0 || (!grey && !colour))
     return Status::Usage(file + ": TGA of type " + std::to_string(type) + " with " + std::to_string(depth) +
                          " bits; 8 bit grey and 24 or 32 bit colour are read, plain or run-length encoded");
-  Layout layout;
+  TgaLayout layout;
   layout.width = word(12);
   layout.height = word(14);
   if (layout.width == 0 || layout.height == 0) return Damaged(file, 12, "size 0");
@@ -44,7 +44,7 @@ Result<Layout> ReadLayout(std::span<const uint8_t> b, const std::string& file) {
 }
 
 // The pixels one behind the other, `sample_bytes` each.
-Result<std::vector<uint8_t>> Unpack(std::span<const uint8_t> b, const Layout& layout, const std::string& file) {
+Result<std::vector<uint8_t>> Unpack(std::span<const uint8_t> b, const TgaLayout& layout, const std::string& file) {
   const size_t n = layout.sample_bytes;
   const size_t wanted = static_cast<size_t>(layout.width) * static_cast<size_t>(layout.height) * n;
   // A run packet makes at most 128 pixels of 1 + n bytes.
@@ -76,7 +76,7 @@ Result<std::vector<uint8_t>> Unpack(std::span<const uint8_t> b, const Layout& la
 }  // namespace
 
 Result<ImageFile> DecodeTga(std::span<const uint8_t> bytes, const std::string& file) {
-  SLX_ASSIGN_OR_RETURN(const Layout layout, ReadLayout(bytes, file));
+  SLX_ASSIGN_OR_RETURN(const TgaLayout layout, ReadLayout(bytes, file));
   SLX_ASSIGN_OR_RETURN(const auto pixels, Unpack(bytes, layout, file));
   const int channels = layout.sample_bytes == 1 ? 1 : 3;
   ImageFile read{Image<uint16_t>(layout.width, layout.height, channels), 8};

@@ -14,8 +14,6 @@
 namespace stratalux::db {
 namespace {
 
-constexpr uint32_t kLargestSide = 65536;
-
 // The file as libtiff sees it: bytes to read, or a buffer that grows.
 struct Memory {
   std::span<const uint8_t> in;
@@ -82,13 +80,13 @@ Status Damaged(const Memory& m, const std::string& file) {
                            ": damaged TIFF: " + (m.complaint.empty() ? "truncated" : m.complaint));
 }
 
-struct Layout {
+struct TiffLayout {
   uint32_t width = 0, height = 0;
   uint16_t bits = 1, samples = 1, planar = PLANARCONFIG_CONTIG, photometric = PHOTOMETRIC_MINISBLACK, format = 1;
 };
 
-Result<Layout> ReadLayout(TIFF* tiff, const Memory& memory, const std::string& file) {
-  Layout l;
+Result<TiffLayout> ReadTiffLayout(TIFF* tiff, const Memory& memory, const std::string& file) {
+  TiffLayout l;
   if (TIFFGetField(tiff, TIFFTAG_IMAGEWIDTH, &l.width) != 1 || TIFFGetField(tiff, TIFFTAG_IMAGELENGTH, &l.height) != 1)
     return Damaged(memory, file);
   TIFFGetFieldDefaulted(tiff, TIFFTAG_BITSPERSAMPLE, &l.bits);
@@ -116,7 +114,7 @@ Result<ImageFile> DecodeTiff(std::span<const uint8_t> bytes, const std::string& 
   memory.in = bytes;
   const Tiff tiff = Open(memory, "rm");
   if (!tiff) return Damaged(memory, file);
-  SLX_ASSIGN_OR_RETURN(const Layout l, ReadLayout(tiff.get(), memory, file));
+  SLX_ASSIGN_OR_RETURN(const TiffLayout l, ReadTiffLayout(tiff.get(), memory, file));
   // No compression of these makes more than some thousand bytes of one.
   const auto row_bytes = static_cast<uint64_t>(TIFFScanlineSize64(tiff.get()));
   if (row_bytes != uint64_t{l.width} * l.samples * (l.bits / 8U) || row_bytes * l.height / 4096 > bytes.size())

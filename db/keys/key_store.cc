@@ -12,6 +12,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/sqlite.h"
+#include "db/keys/rig_key.h"
 #include "shared/units/time.h"
 
 namespace stratalux::db {
@@ -91,13 +92,6 @@ Status Insert(const std::filesystem::path& store, const SessionKey& key) {
     SLX_RETURN_IF_ERROR(insert.Bind(3, WallNow().ns).Run());
   }
   return WipeJournal(store);
-}
-
-std::string ToHex(std::span<const uint8_t> bytes) {
-  std::string text(2 * bytes.size() + 1, '\0');
-  sodium_bin2hex(text.data(), text.size(), bytes.data(), bytes.size());
-  text.pop_back();
-  return text;
 }
 
 std::string NameUnder(const SecretKey& key, const std::string& pseudonym) {

@@ -78,7 +78,7 @@ std::array<uint8_t, crypto_aead_xchacha20poly1305_ietf_NPUBBYTES> NonceOf(const 
 }
 
 // The header, the place, the session.
-std::string AssociatedData(const RawHeader& header, const std::string& place, const std::string& session_id) {
+std::string BoundTo(const RawHeader& header, const std::string& place, const std::string& session_id) {
   return std::string(reinterpret_cast<const char*>(&header), sizeof header) + place + session_id;
 }
 const uint8_t* BytesOf(const std::string& text) { return reinterpret_cast<const uint8_t*>(text.data()); }
@@ -179,7 +179,7 @@ Status FileSeal::Seal(const fs::path& plain, const std::string& place, const fs:
   // The nonce: of all that the file says and of all that it holds.
   crypto_generichash_state hash;
   crypto_generichash_init(&hash, keys_->nonce.bytes.data(), keys_->nonce.bytes.size(), sizeof header.nonce);
-  const std::string said = AssociatedData(header, place, session_id_);
+  const std::string said = BoundTo(header, place, session_id_);
   crypto_generichash_update(&hash, BytesOf(said), said.size());
   SLX_RETURN_IF_ERROR(ForEachPiece(from.get(), header.plain_bytes, plain, [&](uint64_t, std::span<const uint8_t> part) {
     crypto_generichash_update(&hash, part.data(), part.size());
@@ -190,7 +190,7 @@ Status FileSeal::Seal(const fs::path& plain, const std::string& place, const fs:
 
   const UniqueFd to(open(sealed.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0640));
   if (!to.ok()) return Cannot("create", sealed);
-  const std::string data = AssociatedData(header, place, session_id_);
+  const std::string data = BoundTo(header, place, session_id_);
   SLX_RETURN_IF_ERROR(WriteAll(to.get(), data.data(), sizeof header + place.size(), sealed.string()));
   std::vector<uint8_t> stored(std::min(header.plain_bytes, kSealedPieceBytes) + kTagBytes);
   return ForEachPiece(from.get(), header.plain_bytes, plain, [&](uint64_t piece, std::span<const uint8_t> part) {
@@ -232,7 +232,7 @@ Result<OpenSealed> OpenSealedFile(const fs::path& file, const std::string& key_i
 template <typename Use>
 Status OpenPieces(const OpenSealed& sealed, const fs::path& file, const std::string& session_id, const SecretKey& key,
                   const Use& use) {
-  const std::string data = AssociatedData(sealed.header, sealed.place, session_id);
+  const std::string data = BoundTo(sealed.header, sealed.place, session_id);
   const uint64_t bytes = sealed.header.plain_bytes;
   std::vector<uint8_t> stored(std::min(bytes, kSealedPieceBytes) + kTagBytes), plain(stored.size() - kTagBytes);
   for (uint64_t piece = 0; piece < PiecesOf(bytes); ++piece) {

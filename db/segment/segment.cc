@@ -16,11 +16,7 @@
 #include "db/segment/segment_layout.h"
 
 namespace stratalux::db {
-namespace {
-
-std::string ErrnoText() { return std::strerror(errno); }
-
-}  // namespace
+namespace {}  // namespace
 
 std::string HashText(const uint8_t (&hash)[16]) {
   constexpr const char* kHex = "0123456789abcdef";
@@ -128,7 +124,7 @@ Result<SegmentWriter> SegmentWriter::Create(const std::filesystem::path& file, c
   writer.sealer_ = sealer;
   writer.file_ = file.string();
   writer.fd_ = open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
-  if (writer.fd_ < 0) return Status::Failed("cannot create " + writer.file_ + ": " + ErrnoText());
+  if (writer.fd_ < 0) return Status::Failed("cannot create " + writer.file_ + ": " + std::strerror(errno));
   FileHeader header{};
   std::memcpy(header.magic, kFileMagic, sizeof kFileMagic);
   header.version = 1;
@@ -168,7 +164,7 @@ Result<SegmentFrame> SegmentWriter::Append(FrameHeader header, Codec codec, std:
 Status SegmentWriter::Sync() {
   // The kernel reports lost pages once: a second sync would say ok about a file that has holes.
   if (!sync_failed_ && fdatasync(fd_) == 0) return Status::Ok();
-  const std::string reason = sync_failed_ ? "an earlier sync failed" : ErrnoText();
+  const std::string reason = sync_failed_ ? "an earlier sync failed" : std::strerror(errno);
   sync_failed_ = true;
   return Status::Failed("cannot sync " + file_ + ": " + reason);
 }

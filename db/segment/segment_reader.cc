@@ -15,8 +15,6 @@
 namespace stratalux::db {
 namespace {
 
-std::string ErrnoText() { return std::strerror(errno); }
-
 // Its start agrees with its length.
 bool IsFooter(const std::vector<uint8_t>& bytes) {
   FooterStart start{};
@@ -57,11 +55,11 @@ Result<SegmentReader> SegmentReader::OpenDamaged(const std::filesystem::path& fi
   reader.fd_ = open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // a pipe of that name must not be waited for
   if (reader.fd_ < 0) {
     const bool missing = errno == ENOENT;
-    const std::string message = "cannot open segment " + reader.file_ + ": " + ErrnoText();
+    const std::string message = "cannot open segment " + reader.file_ + ": " + std::strerror(errno);
     return missing ? Status::Integrity(message) : Status::Failed(message);
   }
   struct stat info {};
-  if (fstat(reader.fd_, &info) != 0) return Status::Failed("cannot read " + reader.file_ + ": " + ErrnoText());
+  if (fstat(reader.fd_, &info) != 0) return Status::Failed("cannot read " + reader.file_ + ": " + std::strerror(errno));
   if (!S_ISREG(info.st_mode)) return Status::Integrity(reader.file_ + " is no regular file");
   reader.size_ = info.st_size;
   FileHeader header{};
@@ -87,7 +85,7 @@ Status SegmentReader::ReadAt(int64_t offset, void* data, size_t size) const {
   while (size > 0) {
     const ssize_t done = pread(fd_, at, size, offset);
     if (done < 0 && errno == EINTR) continue;
-    if (done < 0) return Status::Failed("cannot read " + file_ + ": " + ErrnoText());
+    if (done < 0) return Status::Failed("cannot read " + file_ + ": " + std::strerror(errno));
     if (done == 0)
       return Status::Integrity(file_ + ": truncated: " + std::to_string(size_) +
                                " bytes, but a record starts at offset " + std::to_string(start));

@@ -13,6 +13,7 @@
 
 #include "firmware-host/apps/pattern_memory_file.h"
 #include "shared/image/png.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 namespace {
@@ -78,8 +79,6 @@ nlohmann::ordered_json PlanJson(const CapturePlan& plan, const VisitTiming& timi
   return json;
 }
 
-double Ms(std::chrono::nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
-
 const char* WordOf(DeadlineSource source) {
   switch (source) {
     case DeadlineSource::kDefault:
@@ -95,19 +94,21 @@ const char* WordOf(DeadlineSource source) {
 }
 
 nlohmann::ordered_json DeadlinesJson(const RigDeadlines& deadlines) {
-  nlohmann::ordered_json json = {{"source", WordOf(deadlines.source)}, {"longest_ms", Ms(deadlines.longest)}};
+  nlohmann::ordered_json json = {{"source", WordOf(deadlines.source)},
+                                 {"longest_ms", ToMilliseconds(deadlines.longest)}};
   if (!deadlines.refused.empty()) json["refused"] = deadlines.refused;
   if (!deadlines.learnt) return json;
   json["learnt_at"] = deadlines.learnt_at;
   json["sync_ms"] = nlohmann::ordered_json::array();
-  for (const AnswerLimit& sync : deadlines.learnt->sync) json["sync_ms"].push_back(Ms(sync.deadline));
-  json["frame_ms"] = Ms(deadlines.learnt->frame.deadline);
+  for (const AnswerLimit& sync : deadlines.learnt->sync) json["sync_ms"].push_back(ToMilliseconds(sync.deadline));
+  json["frame_ms"] = ToMilliseconds(deadlines.learnt->frame.deadline);
   return json;
 }
 
 std::string DeadlinesLine(const RigDeadlines& deadlines) {
   char longest[64];
-  std::snprintf(longest, sizeof longest, "deadlines: %g ms for SYNC and for a frame, ", Ms(deadlines.longest));
+  std::snprintf(longest, sizeof longest, "deadlines: %g ms for SYNC and for a frame, ",
+                ToMilliseconds(deadlines.longest));
   switch (deadlines.source) {
     case DeadlineSource::kLearnt:
       return "deadlines: " + DeadlinesAsText(*deadlines.learnt) + ", learnt by selftest " + deadlines.learnt_at + "\n";

@@ -13,11 +13,11 @@
 namespace stratalux::rig {
 namespace {
 
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 constexpr int64_t kMostBytes = 256 << 10;
 
 // "/words/moved", and of lists each place: that one text has two paragraphs and another three is the translator's.
-void CollectKeys(const Json& json, const std::string& place, std::set<std::string>& keys) {
+void CollectKeys(const SortedJson& json, const std::string& place, std::set<std::string>& keys) {
   if (!json.is_object()) {
     keys.insert(place);
     return;
@@ -25,7 +25,7 @@ void CollectKeys(const Json& json, const std::string& place, std::set<std::strin
   for (const auto& [name, value] : json.items()) CollectKeys(value, place + "/" + name, keys);
 }
 
-bool IsText(const Json& json) {
+bool IsText(const SortedJson& json) {
   if (json.is_array()) return !json.empty() && std::all_of(json.begin(), json.end(), IsText);
   return json.is_string() && !json.get<std::string>().empty();
 }
@@ -45,24 +45,24 @@ std::set<std::string> KeysOfTheMachine() {
   return keys;
 }
 
-Status CheckKeys(const std::string& file, const Json& json, const std::set<std::string>& wanted) {
+Status CheckKeys(const std::string& file, const SortedJson& json, const std::set<std::string>& wanted) {
   std::set<std::string> keys;
   CollectKeys(json, "", keys);
   for (const std::string& key : wanted)
     if (keys.count(key) == 0) return Status::Usage("language file " + file + " has no text for " + key);
   for (const std::string& key : keys) {
     const bool empty = key == std::string("/words/") + ToString(Word::kNone);
-    if (!empty && !IsText(json.at(Json::json_pointer(key))))
+    if (!empty && !IsText(json.at(SortedJson::json_pointer(key))))
       return Status::Usage("language file " + file + ": " + key + " must be a text that is not empty");
   }
   return Status::Ok();
 }
 
-Result<Json> ReadLanguage(const std::string& file) {
+Result<SortedJson> ReadLanguage(const std::string& file) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kMostBytes));
   if (const Status status = CheckNesting(text); !status.ok())
     return Status::Usage("language file " + file + ": " + status.message());
-  Json json = Json::parse(text, nullptr, false);
+  SortedJson json = SortedJson::parse(text, nullptr, false);
   if (!json.is_object()) return Status::Usage("language file " + file + " is no JSON object");
   return json;
 }

@@ -12,7 +12,7 @@ namespace {
 using std::chrono::steady_clock;
 
 // How long one source of edges is waited for while another may have one.
-constexpr auto kSlice = std::chrono::milliseconds(1);
+constexpr auto kPollSlice = std::chrono::milliseconds(1);
 
 }  // namespace
 
@@ -66,13 +66,13 @@ Result<std::optional<SyncEdge>> DisplayLineBank::WaitSync(std::chrono::nanosecon
   while (true) {
     const bool displays = AnyPending() || !edges_.empty();
     if (displays) {
-      const auto until = lines_ != nullptr ? std::min(deadline, steady_clock::now() + kSlice) : deadline;
+      const auto until = lines_ != nullptr ? std::min(deadline, steady_clock::now() + kPollSlice) : deadline;
       SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, WaitEdge(until));
       if (edge) return edge;
     }
     const auto left = std::max<std::chrono::nanoseconds>(deadline - steady_clock::now(), {});
     if (lines_ != nullptr) {
-      const auto wait = displays ? std::min<std::chrono::nanoseconds>(left, kSlice) : left;
+      const auto wait = displays ? std::min<std::chrono::nanoseconds>(left, kPollSlice) : left;
       SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, lines_->WaitSync(wait));
       if (edge) return edge;
     } else if (!displays) {
@@ -89,7 +89,7 @@ Result<std::optional<SyncEdge>> DisplayLineBank::WaitEdge(steady_clock::time_poi
       if (!channel.pending) continue;
       const auto left = std::max<std::chrono::nanoseconds>(deadline - steady_clock::now(), {});
       SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> flip,
-                           channel.wiring.display->WaitFlip(std::min<std::chrono::nanoseconds>(left, kSlice)));
+                           channel.wiring.display->WaitFlip(std::min<std::chrono::nanoseconds>(left, kPollSlice)));
       if (!flip) continue;
       channel.pending = false;
       const SyncEdge edge{.projector = p, .sequence = channel.edges++, .time = *flip + channel.wiring.latency};

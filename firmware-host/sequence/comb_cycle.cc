@@ -9,10 +9,10 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr size_t kFewestProbes = 300;  // of a cycle that is judged
-constexpr size_t kFewestInCell = 30;   // of a cell that a plane is laid through
-constexpr int kFewestFar = 8;          // frames
-constexpr double kClip = 4.0;          // standard deviations; edges and shadows must not speak for all
+constexpr size_t kFewestOfCycle = 300;  // of a cycle that is judged
+constexpr size_t kFewestInCell = 30;    // of a cell that a plane is laid through
+constexpr int kFewestFar = 8;           // frames
+constexpr double kClip = 4.0;           // standard deviations; edges and shadows must not speak for all
 
 // From the frame in which the line passes to `frame`, the short way round.
 int Offset(int frame, int passed_in, int frames) {
@@ -167,7 +167,7 @@ Fit FitStretch(const std::vector<const Excess*>& probes, const MotionOptions& op
 
 std::vector<double> FrameGains(const CombCycle& cycle) {
   const std::vector<size_t> known = KnownProbes(cycle);
-  if (known.size() < kFewestProbes) return {};
+  if (known.size() < kFewestOfCycle) return {};
   const std::vector<double> passage = MeanPassage(cycle, known);
   std::vector<double> gain;
   for (int k = 0; k < cycle.frames; ++k) {
@@ -185,11 +185,11 @@ std::vector<double> FrameGains(const CombCycle& cycle) {
 std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<bool>& spoilt,
                                      const MotionOptions& options) {
   const std::vector<size_t> known = KnownProbes(cycle);
-  if (known.size() < kFewestProbes || cycle.frames < 2 * options.near_frames + 1 + kFewestFar) return std::nullopt;
+  if (known.size() < kFewestOfCycle || cycle.frames < 2 * options.near_frames + 1 + kFewestFar) return std::nullopt;
   double slope = 0.0;
   const std::vector<Excess> all = ExcessOfAll(cycle, known, options, slope);
   const double limit = slope > options.coarse_px ? options.largest_still_score_coarse : options.largest_still_score;
-  if (all.size() < kFewestProbes) return std::nullopt;
+  if (all.size() < kFewestOfCycle) return std::nullopt;
   // A frame of another light spoils what the probes have that a line passes next to it.
   constexpr int kReach = 3;
   std::vector<std::vector<const Excess*>> passed(cycle.frames);
@@ -219,7 +219,7 @@ std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<b
 
 std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::vector<double>& gain) {
   const std::vector<size_t> known = KnownProbes(cycle);
-  if (known.size() < kFewestProbes) return std::nullopt;
+  if (known.size() < kFewestOfCycle) return std::nullopt;
   const double at_line = MeanPassage(cycle, known)[0];
   std::vector<double> sum(cycle.frames), weight(cycle.frames);
   for (const size_t i : known) {

@@ -22,8 +22,6 @@ AnswerLimit LimitOf(const DelayFigures& delay, double margin_ms, nanoseconds lon
   return {std::min(longest, FromMilliseconds(usual_ms)), std::min(longest, FromMilliseconds(usual_ms + margin_ms))};
 }
 
-double Ms(nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
-
 }  // namespace
 
 DelayFigures FiguresOf(std::span<const double> delays_ms) {
@@ -51,10 +49,10 @@ std::string DeadlinesAsText(const LearntDeadlines& deadlines) {
   std::string text = "SYNC ";
   char ms[32];
   for (const AnswerLimit& sync : deadlines.sync) {
-    std::snprintf(ms, sizeof ms, "%s%.1f", &sync == deadlines.sync.data() ? "" : ", ", Ms(sync.deadline));
+    std::snprintf(ms, sizeof ms, "%s%.1f", &sync == deadlines.sync.data() ? "" : ", ", ToMilliseconds(sync.deadline));
     text += ms;
   }
-  std::snprintf(ms, sizeof ms, "%.1f", Ms(deadlines.frame.deadline));
+  std::snprintf(ms, sizeof ms, "%.1f", ToMilliseconds(deadlines.frame.deadline));
   return text + " ms after TRIGGER, frames " + ms + " ms after their exposure";
 }
 
@@ -65,8 +63,9 @@ std::string SlowAnswersAsText(const SlowAnswers& slow) {
   std::snprintf(text, sizeof text,
                 "%s came %.1f ms or more after %s, beyond the %.1f ms that `selftest` learnt (%lld of %lld answers): "
                 "run `stratalux-rig selftest` again%s",
-                what.c_str(), Ms(slow.longest), frames ? "the exposure" : "TRIGGER", Ms(slow.limit.usual),
-                static_cast<long long>(slow.slow), static_cast<long long>(slow.answers),
+                what.c_str(), ToMilliseconds(slow.longest), frames ? "the exposure" : "TRIGGER",
+                ToMilliseconds(slow.limit.usual), static_cast<long long>(slow.slow),
+                static_cast<long long>(slow.answers),
                 slow.late > 0 ? "; until then the configured deadlines hold" : "");
   return text;
 }

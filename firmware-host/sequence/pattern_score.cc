@@ -8,7 +8,7 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr size_t kFewestProbes = 8;  // of a bin that counts
+constexpr size_t kFewestOfBin = 8;  // of a bin that counts
 
 // Mean level in bins of the distance from the comb's lines, and the variance of that mean.
 struct Profile {
@@ -59,17 +59,17 @@ double CombEvidence(const Pattern& comb, int step, const LevelsAt& frame) {
   double mean = 0.0, scatter = 0.0;
   int known = 0;
   for (int b = 0; b < bins; ++b) {
-    if (p.count[b] < kFewestProbes) continue;
+    if (p.count[b] < kFewestOfBin) continue;
     mean += p.mean[b];
     ++known;
   }
-  if (known < 3 || p.count[0] < kFewestProbes) return 0.0;
+  if (known < 3 || p.count[0] < kFewestOfBin) return 0.0;
   mean /= known;
   for (int b = 0; b < bins; ++b)
-    if (p.count[b] >= kFewestProbes) scatter += (p.mean[b] - mean) * (p.mean[b] - mean) / known;
+    if (p.count[b] >= kFewestOfBin) scatter += (p.mean[b] - mean) * (p.mean[b] - mean) / known;
   std::vector<double> value(bins), variance(bins), moved_weight = weight;
   for (int b = 0; b < bins; ++b) {
-    const bool counts = p.count[b] >= kFewestProbes;
+    const bool counts = p.count[b] >= kFewestOfBin;
     value[b] = counts ? p.mean[b] - mean : 0.0;
     variance[b] = counts ? p.variance[b] : scatter;
   }
@@ -97,7 +97,7 @@ double ShiftEvidence(const Pattern& pattern, const LevelsAt& frame) {
     known.push_back(i);
     mean += frame.level[i];
   }
-  if (known.size() < kFewestProbes) return 0.0;
+  if (known.size() < kFewestOfBin) return 0.0;
   mean /= static_cast<double>(known.size());
   double weakest = std::numeric_limits<double>::infinity();
   for (int shift = 0; shift < (plane ? pattern.shifts * pattern.shifts : pattern.shifts); ++shift) {

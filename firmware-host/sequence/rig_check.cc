@@ -7,15 +7,12 @@
 
 #include "firmware-host/sequence/probe_lattice.h"
 #include "shared/base/median.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 namespace {
 
 using std::chrono::nanoseconds;
-
-constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
-
-double Ms(nanoseconds time) { return 1e-6 * static_cast<double>(time.count()); }
 
 std::string Text(const char* format, double a, double b = 0.0, double c = 0.0) {
   char text[160];
@@ -106,7 +103,7 @@ class RigCheck {
   auto InSlices(nanoseconds limit, const Wait& wait) -> decltype(wait(limit)) {
     while (true) {
       SLX_RETURN_IF_ERROR(devices_.light.Check());
-      const nanoseconds slice = std::min<nanoseconds>(limit, kSlice);
+      const nanoseconds slice = std::min<nanoseconds>(limit, kLongestUnasked);
       auto got = wait(slice);
       limit -= slice;
       if (!got.ok() || *got || limit.count() <= 0) return got;
@@ -144,7 +141,7 @@ class RigCheck {
     SLX_RETURN_IF_ERROR(devices_.camera.SetExposure(options_.exposure_ms, options_.gain));
     SLX_ASSIGN_OR_RETURN(const std::optional<CapturedFrame> frame, Snap());
     if (!frame) {
-      Fail("camera", "no frame within " + Text("%.0f ms", Ms(options_.deadline)),
+      Fail("camera", "no frame within " + Text("%.0f ms", ToMilliseconds(options_.deadline)),
            "check the camera's TRIGGER line and polarity, and that it is set to external trigger");
       return Status::Ok();
     }
@@ -177,7 +174,7 @@ class RigCheck {
       SLX_ASSIGN_OR_RETURN(std::optional<SyncEdge> edge, WaitEdge());
       if (!edge) ++missing;
       if (edge && edge->projector != projector) foreign = edge->projector;
-      if (edge && edge->projector == projector) latency.push_back(Ms(edge->time - pulse.time));
+      if (edge && edge->projector == projector) latency.push_back(ToMilliseconds(edge->time - pulse.time));
       options_.wait(options_.settle);
       SLX_ASSIGN_OR_RETURN(edge, devices_.lines.WaitSync({}));
       if (edge) ++extra;
@@ -208,7 +205,7 @@ class RigCheck {
     SLX_RETURN_IF_ERROR(WaitEdge().status());
     SLX_RETURN_IF_ERROR(DrainEdges());
     SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, Snap());
-    if (!frame) return Status::Failed("no frame within " + Text("%.0f ms", Ms(options_.deadline)));
+    if (!frame) return Status::Failed("no frame within " + Text("%.0f ms", ToMilliseconds(options_.deadline)));
     const double mean = MeanDn(frame->pixels);
     if (report_.samples.size() < 4) report_.samples.push_back(std::move(frame->pixels));
     return mean;
@@ -283,9 +280,9 @@ class RigCheck {
       if (last && frame->sequence > *last + 1 && !triggered) report_.frames_lost += frame->sequence - *last - 1;
       last = std::max(last.value_or(frame->sequence), frame->sequence);
       if (triggered || arrived > 0) {
-        report_.frame_latency_ms.push_back(Ms(frame->time - from));
-        delays.push_back(Ms(now - from - (triggered ? exposure : 2 * exposure)));
-        transfers.push_back(Ms(now - frame->time - exposure));
+        report_.frame_latency_ms.push_back(ToMilliseconds(frame->time - from));
+        delays.push_back(ToMilliseconds(now - from - (triggered ? exposure : 2 * exposure)));
+        transfers.push_back(ToMilliseconds(now - frame->time - exposure));
       }
       if (arrived++ == 0) first_time = frame->time;
       last_time = frame->time;
@@ -296,8 +293,9 @@ class RigCheck {
     delays_.frame = FiguresOf(delays);
     delays_.transfer_ms = Median(transfers);
     delays_.exposure_ms = options_.exposure_ms;
-    if (arrived > 1) delays_.frame_period_ms = Ms(last_time - first_time) / (arrived - 1);
-    if (arrived > 1) report_.frames_per_s = 1e3 * (arrived - 1) / std::max(1e-6, Ms(last_time - first_time));
+    if (arrived > 1) delays_.frame_period_ms = ToMilliseconds(last_time - first_time) / (arrived - 1);
+    if (arrived > 1)
+      report_.frames_per_s = 1e3 * (arrived - 1) / std::max(1e-6, ToMilliseconds(last_time - first_time));
     const std::string found = std::to_string(report_.frames_asked) + " asked, " + std::to_string(report_.frames_lost) +
                               " lost, " + std::to_string(report_.frames_doubled) + " doubled, " +
                               Text("%.1f frames/s", report_.frames_per_s);

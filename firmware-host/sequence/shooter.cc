@@ -14,7 +14,6 @@ namespace {
 
 using std::chrono::nanoseconds;
 constexpr MonotonicNs kNever{std::numeric_limits<int64_t>::max()};
-constexpr nanoseconds kSlice = std::chrono::milliseconds(20);  // longest wait that nobody asks about safety
 // For a frame that may be here already when its deadline has passed while nobody looked.
 constexpr nanoseconds kLeastWait = std::chrono::milliseconds(20);
 constexpr size_t kGivenUp = 4;
@@ -26,7 +25,7 @@ template <typename T, typename Wait>
 Result<std::optional<T>> WaitSafely(nanoseconds& left, const std::function<Status()>& safe, const Wait& wait) {
   while (true) {
     SLX_RETURN_IF_ERROR(safe());
-    const nanoseconds slice = std::min(left, kSlice);
+    const nanoseconds slice = std::min(left, kLongestUnasked);
     const auto start = std::chrono::steady_clock::now();
     SLX_ASSIGN_OR_RETURN(std::optional<T> got, wait(slice));
     if (got) {
@@ -39,7 +38,7 @@ Result<std::optional<T>> WaitSafely(nanoseconds& left, const std::function<Statu
   }
 }
 
-bool Near(double reported, double set, double tolerance) { return std::abs(reported - set) <= tolerance * set; }
+bool IsNear(double reported, double set, double tolerance) { return std::abs(reported - set) <= tolerance * set; }
 
 }  // namespace
 
@@ -126,9 +125,9 @@ Status Shooter::AwaitEnd(const StepExposure& exposure) {
 }
 
 Status Shooter::Pass(nanoseconds time) {
-  for (nanoseconds left = time; left.count() > 0; left -= kSlice) {
+  for (nanoseconds left = time; left.count() > 0; left -= kLongestUnasked) {
     SLX_RETURN_IF_ERROR(safe_());
-    options_.wait(std::min(left, kSlice));
+    options_.wait(std::min(left, kLongestUnasked));
   }
   return safe_();
 }
@@ -297,8 +296,8 @@ Result<Shot> Shooter::AwaitFrame(const StepExposure& exposure, MonotonicNs due,
 }
 
 bool Shooter::HasExposure(const PlanStep& step, const CapturedFrame& frame) const {
-  return Near(frame.exposure_ms, step.exposure_ms, options_.exposure_tolerance) &&
-         Near(frame.gain, options_.gain, options_.exposure_tolerance);
+  return IsNear(frame.exposure_ms, step.exposure_ms, options_.exposure_tolerance) &&
+         IsNear(frame.gain, options_.gain, options_.exposure_tolerance);
 }
 
 Status Shooter::CheckFrame(const CapturedFrame& frame) {

@@ -30,6 +30,9 @@
 
 namespace stratalux::rig {
 
+inline constexpr std::chrono::nanoseconds kLongestUnasked =
+    std::chrono::milliseconds(20);  // of waits: then safety is asked
+
 struct RigDevices {
   LightGuard& light;
   LineBank& lines;

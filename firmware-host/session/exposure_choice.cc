@@ -8,8 +8,6 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr double kQuad = 4.0;  // samples of a quad
-
 // Reorders.
 double Percentile(std::vector<float>& values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
@@ -42,7 +40,7 @@ Lit LitOf(const PreScan& scan, const ExposureRule& rule) {
 // Electrons^2 of read noise in a quad's difference of two frames.
 double ReadVariance(const ExposureRule& rule) {
   const double read = rule.read_noise_dn * rule.gain_e_per_dn;
-  return 2.0 * kQuad * read * read;
+  return 2.0 * kQuadSamples * read * read;
 }
 
 // Ratio of a quad's signal, the difference of two frames, the light itself in one of them.

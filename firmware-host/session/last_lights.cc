@@ -16,7 +16,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kFile = "lights.json";
-constexpr int kSchema = 1;
+constexpr int kLightsSchema = 1;
 
 Json JsonOf(const RigLights& lights) {
   Json enables = Json::array(), displays = Json::array();
@@ -27,7 +27,7 @@ Json JsonOf(const RigLights& lights) {
                        {"active", line.active == ActiveLevel::kLow ? "low" : "high"}});
   for (const DisplayWiring& display : lights.displays)
     displays.push_back({{"device", display.device}, {"connector", display.connector}});
-  return {{"schema", kSchema}, {"enables", std::move(enables)}, {"displays", std::move(displays)}};
+  return {{"schema", kLightsSchema}, {"enables", std::move(enables)}, {"displays", std::move(displays)}};
 }
 
 RigLights LightsFrom(const Json& json) {
@@ -66,8 +66,8 @@ Status KeepLights(const fs::path& folder, const RigLights& lights) {
 
 Result<RigLights> ReadLights(const fs::path& folder) {
   RigLights lights;
-  SLX_RETURN_IF_ERROR(
-      ReadState(folder / kFile, kSchema, [&](const std::string& json) { lights = LightsFrom(Json::parse(json)); }));
+  SLX_RETURN_IF_ERROR(ReadState(folder / kFile, kLightsSchema,
+                                [&](const std::string& json) { lights = LightsFrom(Json::parse(json)); }));
   return lights;
 }
 

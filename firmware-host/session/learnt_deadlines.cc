@@ -17,7 +17,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr int kSchema = 1;
+constexpr int kDeadlinesSchema = 1;
 constexpr int kFewest = 30;  // delays that a worst one is taken from
 
 Json TextOf(const std::optional<InputWiring>& line) { return line ? Json(line->at.ToString()) : Json(nullptr); }
@@ -132,7 +132,7 @@ Status KeepDelays(const fs::path& folder, const RigConfig& config, const std::op
                   const RigDelays& delays) {
   if (!Usable(delays, config.plan.projectors))
     return Status::Failed("the delays are too few or too long to take deadlines from");
-  Json json = {{"schema", kSchema},
+  Json json = {{"schema", kDeadlinesSchema},
                {"rig", RigJson(config, simulated)},
                {"learnt", ToIso8601(WallNow())},
                {"exposure_ms", delays.exposure_ms},
@@ -152,7 +152,7 @@ RigDeadlines ChooseDeadlines(const fs::path& folder, const RigConfig& config,
   const fs::path file = DelaysFile(folder, simulated);
   RigDelays delays;
   std::string learnt_at, difference;
-  const Status read = ReadState(file, kSchema, [&](const std::string& text) {
+  const Status read = ReadState(file, kDeadlinesSchema, [&](const std::string& text) {
     const Json json = Json::parse(text);
     const Json rig = RigJson(config, simulated);
     if (json.at("rig") != rig) difference = FirstDifference(rig, json.at("rig"));

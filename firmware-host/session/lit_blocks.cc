@@ -8,7 +8,6 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr double kQuad = 4.0;         // samples of a quad
 constexpr double kLitShare = 0.1;     // of the brightest tenth's signal
 constexpr double kLeastSigmas = 6.0;  // of a block's mean, to be light at all
 constexpr size_t kLeastBlocks = 16;
@@ -20,7 +19,7 @@ std::vector<LitBlock> BlocksOf(const PreScan& scan) {
       double sum = 0.0;
       for (int j = 0; j < kLitBlock; ++j)
         for (int i = 0; i < kLitBlock; ++i) sum += double(scan.white(x + i, y + j)) - double(scan.black(x + i, y + j));
-      blocks.push_back({x, y, static_cast<float>(sum * kQuad / (kLitBlock * kLitBlock))});
+      blocks.push_back({x, y, static_cast<float>(sum * kQuadSamples / (kLitBlock * kLitBlock))});
     }
   return blocks;
 }
@@ -28,7 +27,7 @@ std::vector<LitBlock> BlocksOf(const PreScan& scan) {
 }  // namespace
 
 std::vector<LitBlock> LitBlocks(const PreScan& scan, double read_noise_dn) {
-  const double noise = kQuad * read_noise_dn * std::sqrt(2.0 / (kLitBlock * kLitBlock));
+  const double noise = kQuadSamples * read_noise_dn * std::sqrt(2.0 / (kLitBlock * kLitBlock));
   std::vector<LitBlock> blocks = BlocksOf(scan);
   std::erase_if(blocks, [&](const LitBlock& block) { return block.signal <= kLeastSigmas * noise; });
   if (blocks.size() < kLeastBlocks) return {};

@@ -10,6 +10,7 @@
 namespace stratalux::rig {
 
 inline constexpr int kLitBlock = 8;  // px of the mosaic, so that a block has all colours
+inline constexpr double kQuadSamples = 4.0;
 
 // Raw mosaics of one projector, of the same exposure and size.
 struct PreScan {

@@ -7,13 +7,12 @@
 #include "firmware-host/simulated/rig_description.h"
 #include "shared/base/parallel.h"
 #include "shared/base/random.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 namespace {
 
 constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
-
-double Ms(std::chrono::nanoseconds t) { return 1e-6 * static_cast<double>(t.count()); }
 
 // Integral over time of a step at 0 that is answered with time constant tau.
 double StepIntegral(double t_ms, double tau_ms) {
@@ -51,7 +50,7 @@ std::vector<double> ShareOfPictures(const std::vector<Shown>& timeline, Monotoni
   std::vector<double> answered(timeline.size() + 1, 0.0);  // of the step to each picture, share of the exposure
   answered[0] = 1.0;
   for (size_t k = 1; k < timeline.size(); ++k) {
-    const double from = Ms(start - timeline[k].since);
+    const double from = ToMilliseconds(start - timeline[k].since);
     answered[k] = (StepIntegral(from + exposure_ms, lag_ms) - StepIntegral(from, lag_ms)) / exposure_ms;
   }
   std::vector<double> shares(timeline.size());
@@ -202,7 +201,7 @@ Status World::AddProjector(Stage& stage, size_t projector, const Exposure& expos
   const ProjectorOptics& optics = options_.devices.ForProjector(projector);
   const CameraElectronics& camera = options_.devices.camera;
   const double line_ms = camera.shutter == Shutter::kRolling ? 1e-3 * camera.line_time_us : 0.0;
-  double factor = exposure.light * (1.0 + optics.drift_per_minute * Ms(exposure.start - start_) / 60000.0);
+  double factor = exposure.light * (1.0 + optics.drift_per_minute * ToMilliseconds(exposure.start - start_) / 60000.0);
   if (optics.flicker > 0.0)
     factor *= 1.0 + optics.flicker *
                         Random(options_.seed, (static_cast<uint64_t>(exposure.number) << 8) + 64 + projector).Normal();
@@ -240,7 +239,7 @@ Status World::AddProjector(Stage& stage, size_t projector, const Exposure& expos
 Result<Image<float>> World::Light(const Exposure& exposure) {
   const Pinhole& camera = calibration_.camera.model;
   if (lens_covered_) return Image<float>(camera.width, camera.height);
-  SubjectState state = scene_.StateAt(1e-3 * Ms(exposure.start - subject_start_));
+  SubjectState state = scene_.StateAt(1e-3 * ToMilliseconds(exposure.start - subject_start_));
   state.offset_mm += exposure.push_mm;
   SLX_ASSIGN_OR_RETURN(Stage * stage, StageIn(state));
   std::vector<float> light(stage->pixels.size(), 0.0F);

@@ -33,7 +33,7 @@ namespace fs = std::filesystem;
 
 constexpr double kGib = 1024.0 * 1024.0 * 1024.0;
 
-struct Flags {
+struct BatchFlags {
   FitFlags fit;
   std::vector<CLI::Option*> fit_options;
   std::string order = "newest", until;
@@ -75,7 +75,7 @@ int64_t AvailableBytes() {
   return at == std::string::npos ? 0 : std::atoll(text->c_str() + at + kKey.size()) * 1024;
 }
 
-Result<ChoiceOptions> ChoiceOf(const Flags& flags) {
+Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags) {
   ChoiceOptions choice;
   SLX_ASSIGN_OR_RETURN(choice.run, RunOptionsOf(flags.fit));
   choice.order = flags.order == "oldest" ? NightOrder::kOldest : NightOrder::kNewest;
@@ -83,7 +83,7 @@ Result<ChoiceOptions> ChoiceOf(const Flags& flags) {
   return choice;
 }
 
-Result<NightOptions> NightOf(const Flags& flags) {
+Result<NightOptions> NightOf(const BatchFlags& flags) {
   NightOptions night;
   SLX_ASSIGN_OR_RETURN(night.choice, ChoiceOf(flags));
   night.arguments = GivenArguments(flags.fit_options);
@@ -105,7 +105,7 @@ Result<NightOptions> NightOf(const Flags& flags) {
   return night;
 }
 
-Status PrintPlan(const Flags& flags, Logger& logger) {
+Status PrintPlan(const BatchFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(night.choice.run.store, db::AccessMode::kReadOnly));
@@ -179,7 +179,7 @@ std::string Sentence(const NightEvent& event, int over, int64_t chosen) {
   return "";
 }
 
-Status RunBatch(const Flags& flags, Logger& logger) {
+Status RunBatch(const BatchFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
   const InterruptionAsks asks;
   NightStatus status;
@@ -243,7 +243,7 @@ std::string StatusText(const NightStatus& night, const std::map<db::JobState, in
   return text + (counts.empty() ? " empty\n" : "\n");
 }
 
-Status PrintStatus(const Flags& flags) {
+Status PrintStatus(const BatchFlags& flags) {
   const std::string& store = flags.fit.run.store;
   SLX_ASSIGN_OR_RETURN(const auto newest, NewestNight(store));
   const NightStatus& night = newest.second;
@@ -265,7 +265,7 @@ Status PrintStatus(const Flags& flags) {
   return WriteStdout(Text(json));
 }
 
-Status PrintReport(const Flags& flags) {
+Status PrintReport(const BatchFlags& flags) {
   const std::string& store = flags.fit.run.store;
   const auto nights = Nights(store);
   if (nights.empty())
@@ -280,7 +280,7 @@ Status PrintReport(const Flags& flags) {
 }
 
 // Until the night is over, or Ctrl-C; a new picture a second on a terminal, elsewhere when something changed.
-Status WatchNight(const Flags& flags) {
+Status WatchNight(const BatchFlags& flags) {
   const std::string& store = flags.fit.run.store;
   const InterruptionAsks asks;
   const bool terminal = isatty(STDOUT_FILENO) == 1;
@@ -297,7 +297,7 @@ Status WatchNight(const Flags& flags) {
   }
 }
 
-Status Retry(const Flags& flags, Logger& logger) {
+Status Retry(const BatchFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto jobs, db::JobStore::Open(flags.fit.run.store));
   std::vector<int64_t> ids = flags.jobs;
   if (flags.all) {
@@ -313,11 +313,11 @@ Status Retry(const Flags& flags, Logger& logger) {
   return Status::Ok();
 }
 
-void AddStore(CLI::App& verb, Flags& flags) {
+void AddStore(CLI::App& verb, BatchFlags& flags) {
   verb.add_option("--store", flags.fit.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
 }
 
-void AddChoice(CLI::App& verb, Flags& flags) {
+void AddChoice(CLI::App& verb, BatchFlags& flags) {
   AddStore(verb, flags);
   verb.add_option("--order", flags.order, "Who is fitted first: newest or oldest visitors")
       ->check(CLI::IsMember({"newest", "oldest"}))
@@ -358,14 +358,14 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
       "  stratalux-fit batch plan --store store\n"
       "  stratalux-fit batch run --store store --until 07:00\n"
       "  stratalux-fit batch status --store store");
-  auto planned = std::make_shared<Flags>();
+  auto planned = std::make_shared<BatchFlags>();
   auto* plan =
       batch->add_subcommand("plan", "Who would be fitted, who not and why, and how long it takes; changes nothing");
   plan->footer("Example:\n  stratalux-fit batch plan --store store --json");
   AddChoice(*plan, *planned);
   OnCall(*plan, exit_code, [planned](Logger& logger) { return PrintPlan(*planned, logger); });
 
-  auto ran = std::make_shared<Flags>();
+  auto ran = std::make_shared<BatchFlags>();
   auto* run = batch->add_subcommand("run", "Fit them: until all are, or the time is up; prints where the report is");
   run->footer(
       "A night that was stopped or killed is gone on with by the next one. Exit code 3: somebody could not be fitted.\n"
@@ -383,20 +383,20 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   OnCall(*run, exit_code, [ran](Logger& logger) { return RunBatch(*ran, logger); });
 
-  auto asked = std::make_shared<Flags>();
+  auto asked = std::make_shared<BatchFlags>();
   auto* status = batch->add_subcommand("status", "How far the newest night is");
   status->footer("Example:\n  stratalux-fit batch status --store store --json");
   AddStore(*status, *asked);
   status->add_flag("--json", asked->json, "Machine-readable");
   OnCall(*status, exit_code, [asked](Logger&) { return PrintStatus(*asked); });
 
-  auto watched = std::make_shared<Flags>();
+  auto watched = std::make_shared<BatchFlags>();
   auto* watch = batch->add_subcommand("watch", "The same, live, until the night is over");
   watch->footer("Example:\n  stratalux-fit batch watch --store store");
   AddStore(*watch, *watched);
   OnCall(*watch, exit_code, [watched](Logger&) { return WatchNight(*watched); });
 
-  auto reported = std::make_shared<Flags>();
+  auto reported = std::make_shared<BatchFlags>();
   auto* report = batch->add_subcommand("report", "The morning's report of a night, made anew; prints where it is");
   report->footer(
       "Examples:\n  stratalux-fit batch report --store store\n"
@@ -406,7 +406,7 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   report->add_flag("--text", reported->text, "Print it as text, for a mail");
   OnCall(*report, exit_code, [reported](Logger&) { return PrintReport(*reported); });
 
-  auto retried = std::make_shared<Flags>();
+  auto retried = std::make_shared<BatchFlags>();
   auto* retry = batch->add_subcommand("retry", "Jobs that failed, were set aside or cancelled begin anew");
   retry->footer(
       "Examples:\n  stratalux-fit batch retry 17 18 --store store\n  stratalux-fit batch retry --all --store store");

@@ -27,7 +27,7 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct CalibrateFlags {
   std::string store, out, board = "charuco", squares = "10x7", distortion = "auto";
   std::string camera_size, projector_size, known_camera, known_rig, page;
   std::vector<std::string> sessions;
@@ -50,7 +50,7 @@ Result<RigCalibration> ReadRecord(const std::string& flag, const std::string& fi
   return RigCalibration::FromJson(text).WithContext(flag + " " + file);
 }
 
-Result<CalibrateOptions> OptionsFrom(Flags& f) {
+Result<CalibrateOptions> OptionsFrom(CalibrateFlags& f) {
   CalibrateOptions options;
   SLX_ASSIGN_OR_RETURN(f.stage.board.kind, ParseBoardKind(f.board).WithContext("--board"));
   SLX_RETURN_IF_ERROR(ParseSize("--squares", f.squares, f.stage.board.columns, f.stage.board.rows));
@@ -76,7 +76,7 @@ Result<CalibrateOptions> OptionsFrom(Flags& f) {
 }
 
 // The sessions named, or the newest `last` of kind calibration, oldest first.
-Result<std::vector<std::string>> ChooseSessions(const Flags& f, Logger& logger) {
+Result<std::vector<std::string>> ChooseSessions(const CalibrateFlags& f, Logger& logger) {
   if (f.last > 0 && !f.sessions.empty()) return Status::Usage("give sessions or --last, not both");
   if (f.last == 0) {
     std::vector<std::string> chosen = f.sessions.empty() ? std::vector<std::string>{"latest"} : f.sessions;
@@ -105,7 +105,7 @@ Result<std::vector<std::string>> ChooseSessions(const Flags& f, Logger& logger) 
 // Made when the newest of its sessions was captured: calibrating the same captures again makes nothing newer.
 // A record that has its time, of which light alone is new, keeps it, and its validity unless --valid-days says
 // otherwise.
-Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, RigCalibration& record) {
+Status StampValidity(const CalibrateFlags& f, const std::vector<std::string>& sessions, RigCalibration& record) {
   if (record.made_wall.ns != 0 && !f.valid_days) return Status::Ok();
   if (record.made_wall.ns == 0) {
     SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadOnly));
@@ -123,13 +123,13 @@ Status StampValidity(const Flags& f, const std::vector<std::string>& sessions, R
 Status WriteLine(const std::filesystem::path& file, const std::string& text) { return WriteText(file, text + "\n"); }
 
 // Beside --out and where --page says, whether accepted or refused.
-Status WritePage(const Flags& f, const std::string& html) {
+Status WritePage(const CalibrateFlags& f, const std::string& html) {
   if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteLine(std::filesystem::path(f.out).replace_extension(".html"), html));
   return f.page.empty() ? Status::Ok() : WriteLine(f.page, html);
 }
 
 // In the store: a fit of the newest session that it came from.
-Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::string>& sessions,
+Result<std::filesystem::path> Register(const CalibrateFlags& f, const std::vector<std::string>& sessions,
                                        const std::string& record, const std::string& figures, const std::string& html) {
   const std::string session = sessions.back();
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(f.store, db::AccessMode::kReadWrite));
@@ -152,7 +152,8 @@ Result<std::filesystem::path> Register(const Flags& f, const std::vector<std::st
 }
 
 // An earlier calibration of the same box: --known-rig, else what the sessions carry.
-Result<std::optional<RigCalibration>> KnownRig(const Flags& f, const std::optional<RigCalibration>& of_sessions) {
+Result<std::optional<RigCalibration>> KnownRig(const CalibrateFlags& f,
+                                               const std::optional<RigCalibration>& of_sessions) {
   if (f.known_rig.empty()) return of_sessions;
   SLX_ASSIGN_OR_RETURN(const RigCalibration record, ReadRecord("--known-rig", f.known_rig));
   return std::optional(record);
@@ -181,7 +182,7 @@ std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCali
 }
 
 // Verdict, record, figures and page where they belong; `accepted`: the exit code unless refused.
-Result<int> Conclude(const Flags& f, CalibrationPage page, nlohmann::ordered_json& json, std::string& text,
+Result<int> Conclude(const CalibrateFlags& f, CalibrationPage page, nlohmann::ordered_json& json, std::string& text,
                      int accepted, Logger& logger) {
   SLX_RETURN_IF_ERROR(StampValidity(f, page.sessions, page.record));
   json["verdict"] = VerdictOf(page.findings);
@@ -210,7 +211,7 @@ struct SessionsByUse {
   Cfa cfa = Cfa::kRggb;                  // of the frames
 };
 
-Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& sessions) {
+Result<SessionsByUse> SortByUse(const CalibrateFlags& f, const std::vector<std::string>& sessions) {
   SessionsByUse sorted;
   for (const std::string& selector : sessions) {
     SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, selector));
@@ -224,8 +225,8 @@ Result<SessionsByUse> SortByUse(const Flags& f, const std::vector<std::string>& 
 }
 
 // Of the light sessions on the page's geometry: record, figures and findings added to what is there.
-Status AddLight(const Flags& f, const SessionsByUse& sessions, CalibrationPage& page, nlohmann::ordered_json& json,
-                std::string& text, Logger& logger) {
+Status AddLight(const CalibrateFlags& f, const SessionsByUse& sessions, CalibrationPage& page,
+                nlohmann::ordered_json& json, std::string& text, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto light, CalibrateLight(f.store, sessions.light, page.record, f.light, logger));
   page.record = std::move(light.record);
   page.sessions.insert(page.sessions.end(), sessions.light.begin(), sessions.light.end());
@@ -237,7 +238,7 @@ Status AddLight(const Flags& f, const SessionsByUse& sessions, CalibrationPage& 
 }
 
 // Where the geometry is known already: the light alone.
-Result<int> CalibrateLightAlone(const Flags& f, const SessionsByUse& sessions, Logger& logger) {
+Result<int> CalibrateLightAlone(const CalibrateFlags& f, const SessionsByUse& sessions, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, sessions.record));
   if (!known)
     return Status::Usage(
@@ -253,7 +254,7 @@ Result<int> CalibrateLightAlone(const Flags& f, const SessionsByUse& sessions, L
   return Conclude(f, page, json, text, 0, logger);
 }
 
-Result<int> Calibrate(Flags& f, Logger& logger) {
+Result<int> Calibrate(CalibrateFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CalibrateOptions options, OptionsFrom(f));
   SLX_ASSIGN_OR_RETURN(const auto sessions, ChooseSessions(f, logger));
   SLX_ASSIGN_OR_RETURN(const SessionsByUse by_use, SortByUse(f, sessions));
@@ -279,7 +280,7 @@ Result<int> Calibrate(Flags& f, Logger& logger) {
 }
 
 // The page says why there is no calibration; wrong flags need none.
-int Fail(const Flags& f, const Status& status, Logger& logger) {
+int Fail(const CalibrateFlags& f, const Status& status, Logger& logger) {
   logger.Error(status.message());
   if (status.code() == StatusCode::kUsage) return status.exit_code();
   const auto html = RenderHtml(CalibrationReport({f.sessions, {{Severity::kRefusal, status.message(), ""}}}));
@@ -291,7 +292,7 @@ int Fail(const Flags& f, const Status& status, Logger& logger) {
 }  // namespace
 
 void AddCalibrateCommand(CLI::App& app, int& exit_code) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<CalibrateFlags>();
   auto* verb = app.add_subcommand(
       "calibrate", "Board poses, dark, flat and response sessions -> geometry and light of the rig, judged");
   verb->footer(

@@ -25,7 +25,7 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct DecodeFlags {
   std::string store, session = "latest", out, reference;
   int projector = 0, pose = -1;
   bool json = false;
@@ -57,7 +57,7 @@ Result<double> CompareCorners(const std::string& file, int pose, const DecodedMa
   return errors[errors.size() / 2];
 }
 
-Status DecodePose(const SessionFrames& frames, const Flags& f, int pose, nlohmann::ordered_json& results) {
+Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, nlohmann::ordered_json& results) {
   const CodeSize code = CodeSizeOf(frames);
   SLX_ASSIGN_OR_RETURN(const auto report,
                        DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames)));
@@ -106,7 +106,7 @@ std::string AsText(const nlohmann::ordered_json& results) {
   return text.str();
 }
 
-Status Decode(const Flags& f, Logger& logger) {
+Status Decode(const DecodeFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(f.store, f.session, SessionUse::kFrames, logger));
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
@@ -122,7 +122,7 @@ Status Decode(const Flags& f, Logger& logger) {
 }  // namespace
 
 void AddDecodeCommand(CLI::App& app, int& exit_code) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<DecodeFlags>();
   auto* verb =
       app.add_subcommand("decode", "Projector coordinates of every camera pixel; works on imported boards too");
   verb->footer("Example:\n  stratalux-fit decode latest --store store --out decoded --reference reference_corners.txt");

@@ -20,7 +20,7 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct ProfilesFlags {
   std::string in = "-", out = "-", model, shift = "refracted_sine", mode = "tied", gain = "model", directional = "auto";
   EmOptions em = ProfileOptions();
 };
@@ -33,7 +33,7 @@ Directional DirectionalOf(const std::string& text) {
   return text == "on" ? Directional::kOn : text == "off" ? Directional::kOff : Directional::kAuto;
 }
 
-Status Fit(Flags& f, Logger& logger) {
+Status Fit(ProfilesFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(f.em.scattering.shift_law, ParseShiftLaw(f.shift));
   f.em.scattering.mode = f.mode == "free" ? FitMode::kFree : FitMode::kTied;
   f.em.scattering.gain_model = f.gain == "model";
@@ -49,7 +49,7 @@ Status Fit(Flags& f, Logger& logger) {
   return WriteOut(f.out, model.ToJson());
 }
 
-Status Predict(const Flags& f) {
+Status Predict(const ProfilesFlags& f) {
   if (f.model == "-" && f.in == "-") return Status::Usage("--model and --in cannot both be standard input");
   std::string text;
   if (f.model == "-") {
@@ -90,7 +90,7 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
       "  stratalux-fit profiles predict --model arm.json --in unseen.csv --out predicted.csv\n"
       "  stratalux-fit profiles fit --in - --out - --mode free --layers 8 < arm.csv");
 
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<ProfilesFlags>();
   auto* fit = profiles->add_subcommand("fit", "Fit the layers");
   fit->add_option("--in", flags->in, "CSV of profiles")->required();
   fit->add_option("--out", flags->out, "JSON of layers")->capture_default_str();
@@ -119,7 +119,7 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
     exit_code = Finish(Fit(*flags, logger));
   });
 
-  auto predicted = std::make_shared<Flags>();
+  auto predicted = std::make_shared<ProfilesFlags>();
   auto* predict = profiles->add_subcommand("predict", "Predict radiances; the column is appended");
   predict->add_option("--model", predicted->model, "JSON of layers")->required();
   predict->add_option("--in", predicted->in, "CSV without radiance")->required();

@@ -18,7 +18,7 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct RenderFlags {
   std::string store, session = "latest", fit, out, pattern = "white";
   std::vector<double> point, direction, colour;
   int projector = -1;
@@ -26,7 +26,7 @@ struct Flags {
   bool json = false;
 };
 
-Result<VirtualLight> LightOf(const Flags& f) {
+Result<VirtualLight> LightOf(const RenderFlags& f) {
   VirtualLight light;
   const int given = (f.point.empty() ? 0 : 1) + (f.direction.empty() ? 0 : 1) + (f.projector >= 0 ? 1 : 0);
   if (given != 1) return Status::Usage("give one light: --point X,Y,Z, --direction X,Y,Z or --projector N");
@@ -43,7 +43,7 @@ Result<VirtualLight> LightOf(const Flags& f) {
   return light;
 }
 
-Status Render(const Flags& f, Logger& logger) {
+Status Render(const RenderFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto light, LightOf(f));
   SLX_RETURN_IF_ERROR(light.Validate());
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(f.store, f.session, SessionUse::kFit, logger));
@@ -76,7 +76,7 @@ Status Render(const Flags& f, Logger& logger) {
 }  // namespace
 
 void AddRenderCommand(CLI::App& app, int& exit_code) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<RenderFlags>();
   auto* verb =
       app.add_subcommand("render", "A fitted face under a new light: subsurface, surface and total as EXR, PNG");
   verb->footer(

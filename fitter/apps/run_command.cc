@@ -18,14 +18,14 @@
 namespace stratalux::fit {
 namespace {
 
-struct Flags {
+struct RunFlags {
   FitFlags fit;
   bool json = false, path_only = false;
   std::string out;
   CleanOptions clean;
 };
 
-void AddStore(CLI::App& verb, Flags& f) {
+void AddStore(CLI::App& verb, RunFlags& f) {
   verb.add_option("session", f.fit.run.session, "Session: id, unique prefix, or latest")->capture_default_str();
   verb.add_option("--store", f.fit.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
   verb.add_flag("--json", f.json, "Machine-readable result on stdout");
@@ -44,7 +44,7 @@ Status PrintPlan(const RunOutcome& outcome, bool json) {
   return WriteStdout(text);
 }
 
-int Execute(const Flags& f) {
+int Execute(const RunFlags& f) {
   Logger logger;
   auto finish = [&](const Status& status) {
     if (!status.ok()) logger.Error(status.message());
@@ -68,7 +68,7 @@ int Execute(const Flags& f) {
   return finish(WriteStdout((run->until == Stage::kReport ? report : outcome->folder).string() + "\n"));
 }
 
-Status Clean(const Flags& f, Logger& logger) {
+Status Clean(const RunFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.fit.run.store, f.fit.run.session, f.clean, logger));
   if (f.json) {
     const nlohmann::ordered_json json = {{"removed", report.removed},
@@ -88,7 +88,7 @@ Status Clean(const Flags& f, Logger& logger) {
                      std::to_string(report.kept) + " kept\n");
 }
 
-Status PrintReport(const Flags& f, Logger& logger) {
+Status PrintReport(const RunFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const StoredFit fit, NewestFit(f.fit.run.store, f.fit.run.session, logger));
   if (!std::filesystem::exists(fit.folder / "report" / "index.html"))
     return Status::NotFound((fit.folder / "report" / "index.html").string() +
@@ -131,7 +131,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
   for (const auto& v : verbs) {
-    auto flags = std::make_shared<Flags>();
+    auto flags = std::make_shared<RunFlags>();
     flags->fit.run.until = v.until;
     auto* verb = app.add_subcommand(v.name, v.help);
     const std::string command = std::string("  stratalux-fit ") + v.name + " latest --store store";
@@ -145,7 +145,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     if (v.until == Stage::kReport) verb->add_option("--job", flags->fit.run.job_token)->group("");
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });
   }
-  auto cleaned = std::make_shared<Flags>();
+  auto cleaned = std::make_shared<RunFlags>();
   auto* clean = app.add_subcommand("clean", "Removes what the stages made and no fit of the session points to");
   clean->footer(
       "Fits keep all their files; what is removed is made again where a later run wants it.\n"
@@ -164,7 +164,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     if (!status.ok()) logger.Error(status.message());
     exit_code = status.exit_code();
   });
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<RunFlags>();
   auto* report = app.add_subcommand("report", "Where the newest report of a session is");
   AddStore(*report, *flags);
   report->footer(

@@ -15,18 +15,18 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 
 constexpr size_t kEarlier = 200, kFewest = 8;
 constexpr double kFar = 3.5, kMadToDeviation = 1.4826;
 
-Json Parsed(const std::string& text) {
+SortedJson Parsed(const std::string& text) {
   if (!CheckNesting(text).ok()) return {};
-  Json json = Json::parse(text, nullptr, false);
-  return json.is_object() ? json : Json();
+  SortedJson json = SortedJson::parse(text, nullptr, false);
+  return json.is_object() ? json : SortedJson();
 }
 
-std::optional<double> Number(const Json& json, const char* key) {
+std::optional<double> Number(const SortedJson& json, const char* key) {
   const auto found = json.is_object() ? json.find(key) : json.end();
   if (!json.is_object() || found == json.end() || !found->is_number()) return std::nullopt;
   const double value = found->get<double>();
@@ -34,15 +34,15 @@ std::optional<double> Number(const Json& json, const char* key) {
 }
 
 // The objects of an array of that name.
-std::vector<Json> Objects(const Json& json, const char* key) {
-  std::vector<Json> objects;
+std::vector<SortedJson> Objects(const SortedJson& json, const char* key) {
+  std::vector<SortedJson> objects;
   if (!json.is_object() || !json.contains(key) || !json[key].is_array()) return objects;
-  for (const Json& entry : json[key])
+  for (const SortedJson& entry : json[key])
     if (entry.is_object()) objects.push_back(entry);
   return objects;
 }
 
-bool Says(const Json& json, const char* key, const char* value) {
+bool Says(const SortedJson& json, const char* key, const char* value) {
   return json.contains(key) && json[key].is_string() && json[key].get<std::string>() == value;
 }
 
@@ -79,19 +79,19 @@ std::vector<SlowStage> SlowStages(const std::vector<Figures>& tonight, const std
 }  // namespace
 
 Figures FiguresOf(const std::string& metrics_json) {
-  const Json json = Parsed(metrics_json);
+  const SortedJson json = Parsed(metrics_json);
   Figures figures;
-  for (const Json& one : Objects(json, "prediction"))
+  for (const SortedJson& one : Objects(json, "prediction"))
     if (Says(one, "light", "stripe") && Says(one, "model", "tied") && Says(one, "geometry", "reconstructed"))
       if (const auto error = Number(one, "nrmse_without_noise")) figures["error of stripes, %"] = 100.0 * *error;
-  for (const Json& one : Objects(json, "coverage")) {
+  for (const SortedJson& one : Objects(json, "coverage")) {
     const auto judged = Number(one, "judged"), lit = Number(one, "lit_skin");
     if (judged && lit && *lit > 0.0) figures["coverage, %"] = 100.0 * *judged / *lit;
   }
   if (json.is_object() && json.contains("fit"))
     if (const auto divergence = Number(json["fit"], "divergence")) figures["divergence"] = *divergence;
   if (json.is_object() && json.contains("drift"))
-    for (const Json& one : Objects(json["drift"], "projectors"))
+    for (const SortedJson& one : Objects(json["drift"], "projectors"))
       if (const auto shift = Number(one, "shift_px")) {
         double& largest = figures["drift, px"];
         largest = std::max(largest, *shift);
@@ -101,7 +101,7 @@ Figures FiguresOf(const std::string& metrics_json) {
 
 Figures StageSecondsOf(const std::string& metrics_json) {
   Figures seconds;
-  for (const Json& stage : Objects(Parsed(metrics_json), "stages"))
+  for (const SortedJson& stage : Objects(Parsed(metrics_json), "stages"))
     if (stage.contains("name") && stage["name"].is_string())
       if (const auto cpu = Number(stage, "cpu_seconds")) seconds[stage["name"].get<std::string>()] += *cpu;
   return seconds;

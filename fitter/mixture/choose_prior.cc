@@ -16,7 +16,7 @@ namespace {
 constexpr double kGrid[] = {0.0, 100.0, 300.0, 1000.0, 3000.0, 1e4, 1e6};
 
 // Fewer tell no N0 from another.
-constexpr int64_t kLeastProfiles = 100;
+constexpr int64_t kLeastJudged = 100;
 // Enough to tell them; more cost time.
 constexpr int64_t kPixels = 512;
 
@@ -105,7 +105,7 @@ Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const s
       sum.photons += score.photons;
       told += score.photons > 0.0 ? 1 : 0;
     }
-    if (told < kLeastProfiles) return PriorChoice{choice.prior, {}};
+    if (told < kLeastJudged) return PriorChoice{choice.prior, {}};
     choice.trials.push_back({kGrid[t], sum.divergence / sum.photons});
   }
   choice.prior.photons = kGrid[WeakestOfTheBest(scores, choice.trials)];

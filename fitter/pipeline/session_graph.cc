@@ -27,7 +27,7 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 
 constexpr int kStandardErrorsVersion = 2;
 constexpr uint64_t kShuffleSeed = 1;
@@ -47,7 +47,7 @@ const char* ToString(FitKind kind) {
 }
 
 std::string SrdOptionsJson(const SrdOptions& o) {
-  return Json({{"pool", o.pool},
+  return SortedJson({{"pool", o.pool},
                {"min_cos", o.min_cos},
                {"min_signal_to_noise", o.min_signal_to_noise},
                {"energy_tolerance", o.energy_tolerance},
@@ -192,7 +192,7 @@ std::string SessionGraph::Normals() {
   const std::string separate = Separate(), shape = Shape(options_.geometry);
   return Add({{"normals",
                kNormalsVersion,
-               Json({{"exposure_ms", plan_.exposure_ms}}).dump(),
+               SortedJson({{"exposure_ms", plan_.exposure_ms}}).dump(),
                {{"separate", separate}, {"shape", shape}},
                ""},
               "normals",
@@ -233,7 +233,7 @@ std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) 
 
 std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                                  const std::string& label) {
-  Json options = Json::parse(FitOptionsJson(fit));
+  SortedJson options = Json::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
   options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
@@ -292,7 +292,7 @@ Result<const FittedLayers*> SessionGraph::Layers(const std::string& fit) {
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
   if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
   const std::string fit = FitOf(model, source, heldout), shape = Shape(source), srd = Srd(source);
-  Json options = {
+  SortedJson options = {
       {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", Json::parse(PlanOptionsToJson(plan_))}};
   std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
   std::vector<std::string> upstream = {fit, shape};
@@ -321,7 +321,7 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
   const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout);
   return Add({{"predict",
                kPredictVersion,
-               Json({{"baseline", "homogeneous_local_albedo"}}).dump(),
+               SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
                {{"fit", fit}, {"predict", predicted}},
                isa_},
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
@@ -348,7 +348,7 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
     upstream.push_back(predictions.back());
   }
   return Add({{"compare", kCompareVersion,
-               Json({{"models", models},
+               SortedJson({{"models", models},
                      {"projector", heldout},
                      {"geometry", fit::ToString(source)},
                      {"pool", options_.srd.pool},

@@ -21,6 +21,9 @@ struct MonotonicNs {
 [[nodiscard]] constexpr std::chrono::nanoseconds FromMilliseconds(double ms) {
   return std::chrono::nanoseconds(static_cast<int64_t>(ms * 1e6));
 }
+[[nodiscard]] constexpr double ToMilliseconds(std::chrono::nanoseconds time) {
+  return 1e-6 * static_cast<double>(time.count());
+}
 
 // CLOCK_REALTIME, ns since 1970 UTC. Only shown to people; no order and no identity depends on it.
 struct WallNs {

@@ -18,7 +18,7 @@ namespace {
 
 using http::Request;
 using http::Response;
-using Json = nlohmann::json;
+using SortedJson = nlohmann::json;
 
 constexpr int64_t kNights = 14;
 
@@ -113,7 +113,7 @@ Result<std::string> ConsentAndRetention(Site& site) {
 }
 
 template <typename T>
-T ValueOf(const Json& object, const char* name, T otherwise) {
+T ValueOf(const SortedJson& object, const char* name, T otherwise) {
   const auto found = object.is_object() ? object.find(name) : object.end();
   if (!object.is_object() || found == object.end()) return otherwise;
   const bool fits = std::is_same_v<T, std::string> ? found->is_string()
@@ -128,8 +128,8 @@ Result<std::string> DeletionsPage(Site& site) {
   ResultTable table;
   table.columns = {{"forgotten"}, {"deleted"}, {"reason"}, {"by"}, {"frames"}, {"nothing left"}, {"files read"}};
   for (const Deletion& deletion : deletions) {
-    const Json json = Json::parse(deletion.certificate_json, nullptr, false);
-    const Json proof = json.is_object() && json.contains("verification") ? json["verification"] : Json();
+    const SortedJson json = SortedJson::parse(deletion.certificate_json, nullptr, false);
+    const SortedJson proof = json.is_object() && json.contains("verification") ? json["verification"] : SortedJson();
     table.rows.push_back(
         {deletion.session, ValueOf<std::string>(json, "deleted", "?"), ValueOf<std::string>(json, "reason", "?"),
          ValueOf<std::string>(json, "by", "?"), ValueOf<int64_t>(json, "frames", 0),

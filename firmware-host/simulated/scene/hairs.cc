@@ -9,18 +9,18 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr double kCellMm = 0.04;                              // finer than a hair is wide
+constexpr double kHairCellMm = 0.04;                          // finer than a hair is wide
 constexpr double kHalfWidthMm = 90.0, kHalfHeightMm = 110.0;  // a face
 
-int CellOf(double at_mm, double half_mm) { return static_cast<int>(std::floor((at_mm + half_mm) / kCellMm)); }
+int CellOf(double at_mm, double half_mm) { return static_cast<int>(std::floor((at_mm + half_mm) / kHairCellMm)); }
 
 }  // namespace
 
 void HairMap::Grow(const HairField& field, uint64_t seed, uint64_t stream,
                    const std::function<bool(double, double)>& region) {
   if (covered_.empty())
-    covered_ =
-        Image<uint8_t>(static_cast<int>(2 * kHalfWidthMm / kCellMm), static_cast<int>(2 * kHalfHeightMm / kCellMm));
+    covered_ = Image<uint8_t>(static_cast<int>(2 * kHalfWidthMm / kHairCellMm),
+                              static_cast<int>(2 * kHalfHeightMm / kHairCellMm));
   const double pitch = 10.0 / std::sqrt(field.per_cm2);
   Random random(seed, stream);
   for (double y = -kHalfHeightMm; y < kHalfHeightMm; y += pitch)
@@ -34,8 +34,8 @@ void HairMap::Grow(const HairField& field, uint64_t seed, uint64_t stream,
 
 void HairMap::Draw(double x, double y, double angle_rad, double length_mm, double width_mm) {
   const double dx = std::cos(angle_rad), dy = std::sin(angle_rad), half = 0.5 * width_mm;
-  for (double along = 0.0; along <= length_mm; along += 0.5 * kCellMm)
-    for (double across = -half; across <= half; across += 0.5 * kCellMm) {
+  for (double along = 0.0; along <= length_mm; along += 0.5 * kHairCellMm)
+    for (double across = -half; across <= half; across += 0.5 * kHairCellMm) {
       const int column = CellOf(x + along * dx - across * dy, kHalfWidthMm);
       const int row = CellOf(y + along * dy + across * dx, kHalfHeightMm);
       if (covered_.contains(column, row)) covered_(column, row) = 1;

@@ -11,7 +11,6 @@ namespace {
 
 constexpr double kExtentMm = 170.0;  // half-size of the tabulated square
 constexpr double kCellMm = 0.5;
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
 
@@ -27,7 +26,8 @@ void HeightField::Tabulate() {
 
 double HeightField::Tabulated(double x, double y) const {
   const double u = (x + kExtentMm) / kCellMm, v = (y + kExtentMm) / kCellMm;
-  if (!(u >= 0 && v >= 0 && u < table_.width() - 1 && v < table_.height() - 1)) return kNaN;
+  if (!(u >= 0 && v >= 0 && u < table_.width() - 1 && v < table_.height() - 1))
+    return std::numeric_limits<double>::quiet_NaN();
   const int i = static_cast<int>(u), j = static_cast<int>(v);
   const double a = u - i, b = v - j;
   return (1 - a) * (1 - b) * table_(i, j) + a * (1 - b) * table_(i + 1, j) + (1 - a) * b * table_(i, j + 1) +

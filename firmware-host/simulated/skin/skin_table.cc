@@ -18,7 +18,7 @@ namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-constexpr float kPi = std::numbers::pi_v<float>;
+constexpr float kFloatPi = std::numbers::pi_v<float>;
 
 double BinCentreMm(int bin) {
   if (bin == 0) return G::kFirstRadiusMm * 0.5;
@@ -42,7 +42,7 @@ float FastTurns(float y, float x) {
   const float big = std::max(ax, ay), small = std::min(ax, ay);
   const float t = big > 0.0F ? small / big : 0.0F;
   const float t2 = t * t;
-  float a = (((-0.0464965F * t2 + 0.159314F) * t2 - 0.327623F) * t2 + 1.0F) * t / (2.0F * kPi);
+  float a = (((-0.0464965F * t2 + 0.159314F) * t2 - 0.327623F) * t2 + 1.0F) * t / (2.0F * kFloatPi);
   if (ay > ax) a = 0.25F - a;
   if (x < 0.0F) a = 0.5F - a;
   if (y < 0.0F) a = 1.0F - a;
@@ -136,7 +136,7 @@ struct ThetaNode {
 // the normal without a jump and light along the normal is displaced to no side.
 std::array<ThetaNode, 2> ThetasAround(float theta) {
   const ThetaBins& bins = Thetas();
-  const double sine = std::sin(std::clamp(theta, 0.0F, 0.5F * kPi));
+  const double sine = std::sin(std::clamp(theta, 0.0F, 0.5F * kFloatPi));
   const double transmittance = TransmittanceAt(sine);
   auto weight = [&](int bin, double share) {
     return static_cast<float>(share * transmittance / bins.transmittance[bin]);
@@ -339,7 +339,7 @@ double SkinTable::Cell(size_t kernel, int radius, int psi) const {
 
 void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                             SkinKernel& out) const {
-  const float azimuth = std::clamp(directions.azimuth_rad / kPi * 4.0F, 0.0F, 4.0F);
+  const float azimuth = std::clamp(directions.azimuth_rad / kFloatPi * 4.0F, 0.0F, 4.0F);
   const int az = std::min(static_cast<int>(azimuth), 3);
   const float f_az = azimuth - static_cast<float>(az);
   const std::array<SkinNodeWeight, 8> nodes = NodesAround(parameters);
@@ -378,8 +378,8 @@ double SkinTable::Albedo(int channel, const SkinParameters& parameters, double t
     for (int az = 0; az < G::kAzimuths; ++az) {
       // Both signs of the azimuth; linear between the nodes, so their weights are the trapezoid's.
       const double projected = (az == 0 || az == 4 ? 0.25 : 0.5) * std::numbers::pi * 0.5 / kSteps;
-      Interpolate(channel, parameters, {static_cast<float>(theta_in_rad), theta_out, static_cast<float>(az) * kPi / 4},
-                  kernel);
+      Interpolate(channel, parameters,
+                  {static_cast<float>(theta_in_rad), theta_out, static_cast<float>(az) * kFloatPi / 4}, kernel);
       albedo += kernel.Integral() * projected;
     }
   }
