@@ -10,7 +10,7 @@ out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 ctest --test-dir "$build" -R '^web.modules$' --output-on-failure >&2
 axe=$build/web/node_modules/axe-core/axe.min.js
-/usr/bin/python3 tests/web/kiosk_page_test.py --program "$build/bin/kiosk_page_script" --axe "$axe" --pictures "$out" \
+/usr/bin/python3 tests/web/kiosk_page_test.py --program "$build/bin/kiosk_page_script" --rig "$build/bin/stratalux-rig" --axe "$axe" --pictures "$out" \
   Page.test_every_screen_in_english Page.test_every_screen_in_german Page.test_every_screen_in_japanese \
   Page.test_the_gate_keeps_only_what_is_worth_it Page.test_the_operators_screen >&2
 /usr/bin/python3 tests/web/preview_page_test.py --program "$build/bin/stratalux-rig" --axe "$axe" --pictures "$out" \

@@ -96,11 +96,17 @@ struct KioskPage::Impl {
   std::mutex store_mutex;
   Json of_store = {{"sessions", Json::array()}, {"calibration_age_days", nullptr}, {"disk_free_bytes", nullptr}};
   std::optional<Clock::time_point> store_read;
+  db::DisclosureLog disclosures;
 
   std::optional<http::Server> server;
 
   Impl(const KioskPageOptions& o, KioskPageInput i, Logger& l, std::vector<PageLanguage> all)
-      : options(o), input(std::move(i)), logger(l), languages(std::move(all)), state(o.languages, o.opens) {}
+      : options(o),
+        input(std::move(i)),
+        logger(l),
+        languages(std::move(all)),
+        state(o.languages, o.opens),
+        disclosures(o.store, "kiosk") {}
 
   void Publish() { stream->Publish("state", state.Json()); }
   http::Router Routes();
@@ -114,6 +120,9 @@ struct KioskPage::Impl {
   Response Ticket();
   Response Order(const Request& request);
   Response Withdraw(const Request& request);
+  Response PictureOf(const Request& request);
+  // What takes the store from a visitor's capture waits until there is none.
+  [[nodiscard]] bool NobodyIsServed();
   Response OperatorStatus();
   Json OfStore();
   Response Health();
@@ -159,6 +168,9 @@ void KioskPage::Impl::AddOperator(http::Router& router) {
   const auto keepers = http::Audience::kKeepers;
   router.Add(
       Method::kGet, "/operator/status", [this](const Request&) { return OperatorStatus(); }, keepers);
+  router.Add(
+      Method::kGet, "/operator/sessions/{session}/picture.jpg",
+      [this](const Request& request) { return PictureOf(request); }, keepers);
   router.Add(
       Method::kPost, "/operator/withdraw", [this](const Request& request) { return Withdraw(request); }, keepers);
   router.Add(
@@ -218,13 +230,8 @@ Response KioskPage::Impl::Order(const Request& request) {
 
 Response KioskPage::Impl::Withdraw(const Request& request) {
   if (!input.withdraw) return Response::Text(501, "this kiosk does not forget by ticket; stratalux-db forget does");
-  {
-    // What is forgotten locks the store, which a visitor's capture would find.
-    const std::lock_guard lock(mutex);
-    const Phase screen = state.shown().screen;
-    if (screen != Phase::kIdle && screen != Phase::kClosed && screen != Phase::kSafe)
-      return Response::Text(409, "a visit is under way; withdraw when it is over, or close the kiosk first");
-  }
+  if (!NobodyIsServed())
+    return Response::Text(409, "a visit is under way; withdraw when it is over, or close the kiosk first");
   const auto body = ObjectOf(request);
   const std::string ticket = body ? TextIn(*body, "ticket") : "";
   if (ticket.empty()) return Response::Text(400, "a withdrawal is a JSON object with ticket");
@@ -233,6 +240,24 @@ Response KioskPage::Impl::Withdraw(const Request& request) {
               " withdraws by ticket: " + (status.ok() ? std::string("done") : status.message()));
   if (status.ok()) return Empty(204);
   return Response::Text(status.code() == StatusCode::kNotFound ? 404 : 409, status.message());
+}
+
+bool KioskPage::Impl::NobodyIsServed() {
+  const std::lock_guard lock(mutex);
+  const Phase screen = state.shown().screen;
+  return screen == Phase::kIdle || screen == Phase::kClosed || screen == Phase::kSafe;
+}
+
+Response KioskPage::Impl::PictureOf(const Request& request) {
+  if (options.store.empty()) return Response::Text(404, "this kiosk shows no store");
+  if (!NobodyIsServed()) return Response::Text(409, "a visit is under way; pictures are shown when it is over");
+  const auto picture = SessionPicture(options.store, request.Wildcard("session"), request.peer, disclosures);
+  if (picture.ok()) return Response::Of("image/jpeg", *picture);
+  const StatusCode code = picture.status().code();
+  return Response::Text(code == StatusCode::kUsage      ? 403
+                        : code == StatusCode::kNotFound ? 404
+                                                        : 500,
+                        picture.status().message());
 }
 
 Json KioskPage::Impl::OfStore() {

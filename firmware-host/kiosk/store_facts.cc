@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/kiosk/store_facts.h"
 
+#include <algorithm>
 #include <map>
 #include <utility>
 
@@ -10,9 +11,13 @@
 #include "db/catalogue/read_only_index.h"
 #include "db/catalogue/schema_check.h"
 #include "db/catalogue/session_filter.h"
+#include "db/catalogue/session_store.h"
+#include "firmware-host/preview/preview_picture.h"
 
 namespace stratalux::rig {
 namespace {
+
+constexpr int kSmallPx = 160;
 
 using Row = std::map<std::string, db::Cell>;
 
@@ -54,6 +59,21 @@ Result<std::vector<RecentSession>> RecentSessions(const std::filesystem::path& s
                         TextsOf(TextOf(row, "reasons"))});
   }
   return sessions;
+}
+
+Result<std::string> SessionPicture(const std::filesystem::path& store, const std::string& id, const std::string& peer,
+                                   db::DisclosureLog& log) {
+  SLX_RETURN_IF_ERROR(db::RequireCurrentSchema(store));
+  SLX_ASSIGN_OR_RETURN(auto index, db::ReadOnlyIndex::Open(store));
+  SLX_RETURN_IF_ERROR(db::MayBeShown(store, index, id));
+  SLX_ASSIGN_OR_RETURN(const int64_t wanted, db::FrameAtAGlance(index, id));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto frames, sessions.ListFrames(id));
+  const auto frame = std::find_if(frames.begin(), frames.end(), [wanted](const auto& one) { return one.id == wanted; });
+  if (frame == frames.end()) return Status::NotFound("session '" + id + "' is going");
+  SLX_ASSIGN_OR_RETURN(const Image<uint16_t> pixels, sessions.ReadFrame(id, *frame));
+  SLX_RETURN_IF_ERROR(log.Enter(id, "a small picture", peer));
+  return PreviewPicture(frame->record, pixels.view(), kSmallPx);
 }
 
 std::optional<int> CalibrationAgeDays(const std::filesystem::path& store, const std::string& rig, bool simulated,

@@ -48,11 +48,11 @@ const char* ToString(FitKind kind) {
 
 std::string SrdOptionsJson(const SrdOptions& o) {
   return SortedJson({{"pool", o.pool},
-               {"min_cos", o.min_cos},
-               {"min_signal_to_noise", o.min_signal_to_noise},
-               {"energy_tolerance", o.energy_tolerance},
-               {"reading", fit::ToString(o.reading)},
-               {"distance", fit::ToString(o.distance)}})
+                     {"min_cos", o.min_cos},
+                     {"min_signal_to_noise", o.min_signal_to_noise},
+                     {"energy_tolerance", o.energy_tolerance},
+                     {"reading", fit::ToString(o.reading)},
+                     {"distance", fit::ToString(o.distance)}})
       .dump();
 }
 
@@ -233,7 +233,7 @@ std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) 
 
 std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                                  const std::string& label) {
-  SortedJson options = Json::parse(FitOptionsJson(fit));
+  SortedJson options = SortedJson::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
   options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
@@ -293,7 +293,7 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
   if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
   const std::string fit = FitOf(model, source, heldout), shape = Shape(source), srd = Srd(source);
   SortedJson options = {
-      {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", Json::parse(PlanOptionsToJson(plan_))}};
+      {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}};
   std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
   std::vector<std::string> upstream = {fit, shape};
   if (IsBaseline(model)) options["baseline"] = model;
@@ -349,10 +349,10 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
   }
   return Add({{"compare", kCompareVersion,
                SortedJson({{"models", models},
-                     {"projector", heldout},
-                     {"geometry", fit::ToString(source)},
-                     {"pool", options_.srd.pool},
-                     {"lights", HeldOutLights(plan_)}})
+                           {"projector", heldout},
+                           {"geometry", fit::ToString(source)},
+                           {"pool", options_.srd.pool},
+                           {"lights", HeldOutLights(plan_)}})
                    .dump(),
                inputs, ""},
               LabelOf("compare", source, heldout),

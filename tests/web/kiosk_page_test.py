@@ -401,7 +401,13 @@ class Page(unittest.TestCase):
         field.send_keys(token)
         self.click("#door [type=submit]")
 
+    def capture_a_session(self):
+        subprocess.run([OPTIONS.rig, "capture", "--simulate", "--no-scattering", "--size", "348x260", "--encrypt",
+                        "--store", self.store], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                       env={**os.environ, "STATE_DIRECTORY": "/nonexistent"})
+
     def test_the_operators_screen(self):
+        self.capture_a_session()
         self.kiosk.happen("estop", "estop_over")
         self.browser.get(self.kiosk.url + "/operator")
         self.until("document.getElementById('door').checkVisibility()", "door")
@@ -415,6 +421,7 @@ class Page(unittest.TestCase):
         self.browser.refresh()
         self.until("document.querySelector('#faults td')", "the session holds")
         self.assertIn("emergency stop", self.text())
+        self.until("document.querySelector('#sessions img')?.naturalWidth > 0", "a picture of the session")
         browser.complaints(self.browser)
         for language in LANGUAGES:
             self.speak(language)
@@ -424,6 +431,8 @@ class Page(unittest.TestCase):
         browser.media(self.browser)
         self.speak("en")
         self.click("[data-command=reset]")
+        # Else it recovers before anybody has asked for it.
+        self.until("document.getElementById('answer').innerText === 'Done.'", "reset is ordered")
         self.kiosk.happen("recovered")
         self.until("document.getElementById('phase').innerText.includes('Waiting')", "reset")
         self.click("[data-command=clean]")
@@ -461,6 +470,7 @@ def main():
     global OPTIONS
     parser = argparse.ArgumentParser()
     parser.add_argument("--program", required=True, help="kiosk_page_script")
+    parser.add_argument("--rig", required=True, help="stratalux-rig")
     parser.add_argument("--axe", required=True)
     parser.add_argument("--pictures", required=True, help="folder of the screenshots")
     OPTIONS, rest = parser.parse_known_args()

@@ -83,18 +83,13 @@ Response ShowPicture(Site& site, const Request& request, int64_t frame, int limi
   return png.ok() ? Response::Of("image/png", *png) : NoPicture(png.status());
 }
 
-// The brightest frame of the reference phase, where there is one.
 Response ShowThumbnail(Site& site, const Request& request) {
   auto index = site.OpenIndex();
   if (!index.ok()) return Problem(index.status());
-  const auto table = index->Run(
-      "SELECT f.frame FROM sessions s JOIN frames f ON f.session = s.number LEFT JOIN proofs p"
-      " ON p.session = f.session AND p.frame = f.frame WHERE s.id = :session"
-      " ORDER BY f.phase = 'reference' DESC, p.mean_dn DESC, f.frame LIMIT 1",
-      {{"session", request.Wildcard("session")}});
-  if (!table.ok()) return Problem(table.status());
-  if (table->rows.empty()) return NoPicture(Status::NotFound("no frame"));
-  return ShowPicture(site, request, IntegerOf(table->rows.front()[0]), kThumbnailPx);
+  const auto frame = FrameAtAGlance(*index, request.Wildcard("session"));
+  if (!frame.ok())
+    return frame.status().code() == StatusCode::kNotFound ? NoPicture(frame.status()) : Problem(frame.status());
+  return ShowPicture(site, request, *frame, kThumbnailPx);
 }
 
 std::string Card(const std::string& id, const std::vector<Cell>& row) {

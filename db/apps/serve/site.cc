@@ -4,7 +4,6 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/schema_check.h"
-#include "db/privacy/access_log.h"
 #include "db/serve_style.h"
 
 namespace stratalux::db {
@@ -22,11 +21,8 @@ constexpr const char* kIcon =
     R"(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 16 16"><rect width="16" height="16" rx="3" fill="#1f5f6b"/>)"
     R"(<path d="M3 5h10M3 8h10M3 11h10" stroke="#fff" stroke-width="1.5"/></svg>)";
 
-std::string WhyWithheld(const ServedSession& session, const Cell& withdrawn) {
-  if (session.info.kind != SessionKind::kVisitor) return "";
-  if (std::holds_alternative<int64_t>(withdrawn))
-    return "the visitor's consent was withdrawn on " + ToIso8601({IntegerOf(withdrawn)});
-  return session.info.consent.fit ? "" : "no consent of the visitor covers looking at them (scope fit)";
+std::optional<WallNs> MomentOf(const Cell& cell) {
+  return std::holds_alternative<int64_t>(cell) ? std::optional(WallNs{IntegerOf(cell)}) : std::nullopt;
 }
 
 Result<ServedSession> SessionOf(const std::vector<Cell>& row) {
@@ -50,7 +46,7 @@ Result<ServedSession> SessionOf(const std::vector<Cell>& row) {
   session.bytes = IntegerOf(row[15]);
   session.key_id = TextOf(row[16]);
   session.calibration = TextOf(row[17]);
-  session.withheld = WhyWithheld(session, row[18]);
+  session.withheld = WhyWithheld(info.kind, info.consent, MomentOf(row[18]));
   info.visit = TextOf(row[19]);
   info.attempt = static_cast<int>(IntegerOf(row[20]));
   info.found = FoundFromJson(TextOf(row[21]), TextOf(row[22]));
@@ -89,17 +85,8 @@ Result<ServedSession> Site::Disclose(const std::string& id, const std::string& w
   SLX_ASSIGN_OR_RETURN(auto index, OpenIndex());
   SLX_ASSIGN_OR_RETURN(auto session, Find(index, id));
   if (!session.withheld.empty()) return Status::Usage("pictures and reports are not shown: " + session.withheld);
-  SLX_RETURN_IF_ERROR(Log(id, what, peer));
+  SLX_RETURN_IF_ERROR(log_.Enter(id, what, peer));
   return session;
-}
-
-Status Site::Log(const std::string& id, const std::string& what, const std::string& peer) {
-  const std::lock_guard lock(mutex_);
-  if (logged_.count(id + "\n" + what) != 0) return Status::Ok();
-  // Before the bytes leave; an entry that cannot be written keeps them here.
-  SLX_RETURN_IF_ERROR(LogAccess(store_, "serve", id, what + ", to " + peer));
-  logged_.insert(id + "\n" + what);
-  return Status::Ok();
 }
 
 http::Router RoutesOf(Site& site) {

@@ -5,13 +5,12 @@
 
 #include <filesystem>
 #include <memory>
-#include <mutex>
 #include <optional>
-#include <set>
 #include <string>
 
 #include "db/catalogue/read_only_index.h"
 #include "db/catalogue/session_store.h"
+#include "db/privacy/disclosure.h"
 #include "shared/base/log.h"
 #include "shared/http/router.h"
 
@@ -30,7 +29,7 @@ struct ServedSession {
 // Thread-safe.
 class Site {
  public:
-  Site(std::filesystem::path store, Logger& logger) : store_(std::move(store)), logger_(logger) {}
+  Site(const std::filesystem::path& store, Logger& logger) : store_(store), logger_(logger), log_(store, "serve") {}
 
   [[nodiscard]] const std::filesystem::path& store() const { return store_; }
   // Never migrates: kFailed for a store of an older schema.
@@ -44,12 +43,9 @@ class Site {
   [[nodiscard]] Logger& logger() { return logger_; }
 
  private:
-  Status Log(const std::string& id, const std::string& what, const std::string& peer);
-
   std::filesystem::path store_;
   Logger& logger_;
-  std::mutex mutex_;
-  std::set<std::string> logged_;
+  DisclosureLog log_;
 };
 
 // All routes. The site must outlive them.

@@ -26,12 +26,31 @@ function putTable(id, heads, rows, nothing) {
   head.append(...heads.map(text => make('th', text, {scope: 'col'})));
   for (const row of rows) {
     const line = document.createElement('tr');
-    line.append(...row.map((cell, i) => make(i ? 'td' : 'th', cell.text ?? cell, {className: cell.kind ?? '', ...(i ? {} : {scope: 'row'})})));
+    line.append(...row.map((cell, i) => {
+      const head = i === (row[0].picture ? 1 : 0);
+      const made = make(head ? 'th' : 'td', cell.picture ? '' : cell.text ?? cell, {className: cell.kind ?? '', ...(head ? {scope: 'row'} : {})});
+      if (cell.picture) made.append(cell.picture);
+      return made;
+    }));
     body.append(line);
   }
   const top = document.createElement('thead');
   top.append(head);
   table.replaceChildren(top, body);
+}
+
+const kRest = ['idle', 'closed', 'safe'], pictures = new Map();
+function pictureOf(session) {
+  const known = pictures.get(session.id);
+  if (known) return known;
+  const place = document.createElement('span');
+  if (!kRest.includes(status.screen) || !session.frames) return place;
+  const image = Object.assign(new Image(96, 72), {alt: '', src: `/operator/sessions/${encodeURIComponent(session.id)}/picture.jpg`});
+  // No key here, no consent: there is none to show.
+  image.addEventListener('error', () => { place.textContent = '–'; });
+  place.append(image);
+  pictures.set(session.id, place);
+  return place;
 }
 
 function showState() {
@@ -65,8 +84,10 @@ function showStatus() {
   ]);
   putTable('faults', [o.when, o.what], status.faults.map(fault =>
     [moment(fault.at), words.words[fault.word] ?? fault.word]), o.no_faults);
-  putTable('sessions', [o.session, o.started, o.kind, o.status, o.frames, o.findings], status.sessions.map(session =>
-    [session.id, moment(session.started), session.kind, {text: session.status, kind: session.status},
+  // Each picture is asked for once, and while nobody is served; of who is forgotten none stays here.
+  for (const id of pictures.keys()) if (!status.sessions.some(session => session.id === id)) pictures.delete(id);
+  putTable('sessions', [o.picture, o.session, o.started, o.kind, o.status, o.frames, o.findings], status.sessions.map(session =>
+    [{picture: pictureOf(session)}, session.id, moment(session.started), session.kind, {text: session.status, kind: session.status},
       {text: String(session.frames), kind: 'number'}, session.findings.join(', ') || '–']), o.no_sessions);
 }
 
@@ -99,6 +120,8 @@ async function enter(event) {
 }
 
 async function leave() {
+  pictures.clear();
+  byId('sessions').replaceChildren();
   await fetch('/operator/session', {method: 'DELETE'}).catch(() => null);
   await ask();
   byId('token').focus();

@@ -268,6 +268,19 @@ TEST_F(KioskPageTest, OnlyItsOperatorOrders) {
   EXPECT_THAT(unknown.body, HasSubstr("no ticket 'none'"));
 }
 
+TEST_F(KioskPageTest, PicturesOfSessionsAreTheOperatorsBetweenVisits) {
+  const char* place = "/operator/sessions/s000001-00000000/picture.jpg";
+  EXPECT_EQ(http::Get(port_, place).status, 401);
+  EXPECT_EQ(http::Get(port_, place, keeper_).status, 404) << "no store";
+  KioskPageOptions options;
+  options.store = "/nonexistent";
+  Restart(options);
+  SitDown();
+  EXPECT_EQ(http::Get(port_, place, keeper_).status, 409);
+  kiosk_->Happen("leave");
+  EXPECT_EQ(http::Get(port_, place, keeper_).status, 404);
+}
+
 TEST_F(KioskPageTest, AnOperatorSignsInAndOut) {
   const Answer entered = Post("/operator/session", {}, keeper_);
   ASSERT_EQ(entered.status, 204);

@@ -8,6 +8,8 @@
 #include <jpeglib.h>
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/consent.h"
+#include "db/privacy/access_log.h"
 #include "firmware-host/kiosk/host_facts.h"
 #include "firmware-host/kiosk/page_words.h"
 #include "firmware-host/kiosk/store_facts.h"
@@ -200,6 +202,38 @@ TEST_F(HostFacts, FreeBytesAreOfTheFoldersDisk) {
 }
 
 class RecentSessionsOfAStore : public db::StoreTest {};
+
+TEST_F(RecentSessionsOfAStore, APictureIsSmallGreyAndEnteredOnceInTheAccessLog) {
+  const std::string id = StoreSession(3);
+  db::DisclosureLog log(folder_, "kiosk");
+  for (int look = 0; look < 3; ++look) {
+    const auto jpeg = SessionPicture(folder_, id, "127.0.0.1", log);
+    ASSERT_TRUE(jpeg.ok()) << jpeg.status().message();
+    EXPECT_EQ(Decoded(*jpeg).channels(), 1);
+    EXPECT_LE(Decoded(*jpeg).width(), 160);
+  }
+  const auto entries = db::ListAccess(folder_, id);
+  ASSERT_TRUE(entries.ok());
+  ASSERT_EQ(entries->size(), 1U);
+  EXPECT_EQ(entries->front().action, "kiosk");
+  EXPECT_EQ(entries->front().detail, "a small picture, to 127.0.0.1");
+}
+
+TEST_F(RecentSessionsOfAStore, NoPictureOfWhoTookTheConsentBackOrWhoseKeyIsElsewhere) {
+  const std::string taken_back = StoreSession(2);
+  db::DisclosureLog log(folder_, "kiosk");
+  ASSERT_TRUE(db::WithdrawConsent(folder_, db::kSimulatedVisitor).ok());
+  EXPECT_EQ(SessionPicture(folder_, taken_back, "127.0.0.1", log).status().code(), StatusCode::kUsage);
+  db::WriterOptions sealed;
+  sealed.encryption = db::Encryption::kPerSession;
+  const std::string id = StoreSession(2, sealed);
+  EXPECT_TRUE(SessionPicture(folder_, id, "127.0.0.1", log).ok()) << "the key is here";
+  fs::remove(folder_ / "keys.sqlite");
+  const auto without = SessionPicture(folder_, id, "127.0.0.1", log);
+  EXPECT_FALSE(without.ok());
+  EXPECT_EQ(SessionPicture(folder_, "s000099-00000000", "127.0.0.1", log).status().code(), StatusCode::kNotFound);
+  EXPECT_TRUE(db::ListAccess(folder_, taken_back)->empty());
+}
 
 TEST_F(RecentSessionsOfAStore, NewestFirstWithoutPictures) {
   const std::string first = StoreSession(2), second = StoreSession(3);

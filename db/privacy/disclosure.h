@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pictures of a session for somebody's screen: what every page asks before it shows one, and enters in the access log.
+#pragma once
+
+#include <filesystem>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "db/catalogue/read_only_index.h"
+#include "shared/base/result.h"
+#include "shared/capture/session.h"
+#include "shared/units/time.h"
+
+namespace stratalux::db {
+
+// Why pictures and reports of a session are not shown: a withdrawn consent, or none that covers `fit`. Empty: they are.
+// Sessions that show nobody are.
+[[nodiscard]] std::string WhyWithheld(SessionKind kind, const Consent& consent, std::optional<WallNs> withdrawn);
+
+// Whether pictures of the session with this id may be shown. kNotFound, also for one whose forgetting has begun; kUsage
+// where they are withheld.
+[[nodiscard]] Status MayBeShown(const std::filesystem::path& store, ReadOnlyIndex& index, const std::string& id);
+
+// The frame by which a session is known at a glance: the brightest of the reference phase, where there is one.
+// kNotFound: it has no frame.
+[[nodiscard]] Result<int64_t> FrameAtAGlance(ReadOnlyIndex& index, const std::string& id);
+
+// Entries in the access log, once a run of the program for each session and `what`. Thread-safe.
+class DisclosureLog {
+ public:
+  // `program`: the entries' action ("serve", "kiosk").
+  DisclosureLog(std::filesystem::path store, std::string program)
+      : store_(std::move(store)), program_(std::move(program)) {}
+  // Before the bytes leave; where it cannot be entered they stay. `peer`: who looks.
+  Status Enter(const std::string& id, const std::string& what, const std::string& peer);
+
+ private:
+  const std::filesystem::path store_;
+  const std::string program_;
+  std::mutex mutex_;
+  std::set<std::string> entered_;
+};
+
+}  // namespace stratalux::db
