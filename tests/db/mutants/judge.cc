@@ -31,10 +31,11 @@ bool IsLeftOut(const std::string& table, const std::string& column) {
 }
 
 Status AddRows(Connection& connection, Picture& picture) {
-  SLX_ASSIGN_OR_RETURN(auto tables,
-                       connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
-                                          "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
-                                          " AND m.name NOT IN ('jobs', 'job_fence', 'job_counts', 'access_log') ORDER BY 1, c.cid"));
+  SLX_ASSIGN_OR_RETURN(
+      auto tables,
+      connection.Prepare("SELECT m.name, c.name FROM sqlite_master m, pragma_table_info("
+                         "m.name) c WHERE m.type = 'table' AND m.name NOT LIKE 'sqlite_%'"
+                         " AND m.name NOT IN ('jobs', 'job_fence', 'job_counts', 'access_log') ORDER BY 1, c.cid"));
   std::map<std::string, std::string> columns;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, tables.Step());
