@@ -81,8 +81,16 @@ class Preview(unittest.TestCase):
         field.clear()
         field.send_keys("5000")
         self.click("#expose button")
-        self.until("document.getElementById('why').textContent.includes('an exposure lies in')", "refused")
+        self.until("document.getElementById('refused').textContent.includes('an exposure lies in')", "refused")
+        # The next pictures do not take it away; the next choice does.
+        self.browser.execute_script("window.seen = document.getElementById('picture').src")
+        self.until("document.getElementById('picture').src !== window.seen", "another picture")
+        self.assertIn("an exposure lies in", self.browser.find_element("id", "refused").text)
         browser.complaints(self.browser)
+        field.clear()
+        field.send_keys("8")
+        self.click("#expose button")
+        self.until("document.getElementById('refused').textContent === ''", "a choice that holds")
 
     def test_emergency_stop_is_said_and_reset(self):
         self.click("#light input[value='1']")

@@ -5,9 +5,10 @@ const byId = id => document.getElementById(id);
 const kMuchSaturated = 0.005;
 let best = 0, light, shown = 0, loading = false, limits = '';
 
+// A refusal stays until the next choice: the pictures' own news comes many times a second, and is another line.
 async function order(place) {
   const answer = await fetch(place, {method: 'POST'}).catch(() => null);
-  if (answer && !answer.ok) byId('why').textContent = await answer.text();
+  byId('refused').textContent = answer && !answer.ok ? await answer.text() : '';
 }
 
 function putLights(look) {
