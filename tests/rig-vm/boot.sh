@@ -5,7 +5,8 @@
 # JOB: tests/rig-vm/jobs/JOB.sh. BUILD: the build folder whose binaries the guest runs (/build there). OUT: this boot's
 # folder, emptied first (/share there, the only place the guest can write to): console.log, cases, and what the job
 # leaves. Exit 0: every case passed; 1: one did not, or the guest hung or died; 77: no guest on this machine.
-# STRATALUX_RIG_FAULTS: how many faults the job `capture` draws by STRATALUX_SEED, how many deaths `deaths`.
+# STRATALUX_RIG_FAULTS: how many faults the job `capture` draws by STRATALUX_SEED, how many deaths `deaths`, how many
+# cases `systemd`.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 source_folder=$(cd "$here/../.." && pwd)
@@ -15,6 +16,16 @@ guest=$("$here/build-guest.sh")
 rm -rf "$out"
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
+# What the packages hold, for a boot that installs it. Timeouts of units hold it to time: a busy emulator measures the TSC
+# wrongly, by several times.
+clock=
+if [ -e "$here/jobs/$job.boot.sh" ]; then
+  for package in stratalux-data stratalux-db stratalux-rig; do
+    DESTDIR=$out/installed cmake --install "$build" --prefix /usr --component $package >"$out/install.log" || { cat "$out/install.log" >&2; exit 1; }
+  done
+  rm -rf "$out/installed/usr/share/doc"
+  clock=clocksource=hpet
+fi
 
 share() {  # TAG FOLDER [OPTION]: one 9p share
   echo -fsdev "local,id=$1,path=$2,security_model=none,multidevs=remap${3:+,$3}" -device "virtio-9p-pci,fsdev=$1,mount_tag=$1"
@@ -25,7 +36,7 @@ timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi,tb-size=256 -machi
   -nodefaults -display none -no-reboot -serial "file:$out/console.log" \
   -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
   -append "console=ttyS0 quiet panic=-1 mitigations=off nokaslr random.trust_cpu=on tsc=reliable no_timer_check rig.job=$job \
-rig.faults=${STRATALUX_RIG_FAULTS:-3} rig.seed=${STRATALUX_SEED:-1}" \
+rig.faults=${STRATALUX_RIG_FAULTS:-3} rig.seed=${STRATALUX_SEED:-1} $clock" \
   $(share root "$guest/rootfs" readonly=on) $(share source "$source_folder" readonly=on) \
   $(share build "$build" readonly=on) $(share share "$out") </dev/null || emulator=$?
 

@@ -20,7 +20,8 @@ guest_packages() {  # what the guest's programs need at run time, a purpose each
   cat <<'LIST'
 busybox-static    shell and tools of the guest
 kmod              loads and unloads modules with what they need
-udev              libcamera finds its devices through it
+systemd           first program of the boot `systemd`, whose units are tried
+udev              libcamera finds its devices through it; names and rights of the rig's
 v4l-utils         v4l2-ctl sets the controls of vivid that inject faults
 libstdc++6        every program
 libpng16-16       stratalux-rig

@@ -12,7 +12,7 @@
 //   stuck-sync emergency-stop door unplug   from then on
 //   swap                                    places N and N + 1 of projector 0's memory hold each other's pattern
 //   control:NAME=VALUE                      a control of vivid's capture node, as the kernel names it
-// Prints "ready" once it answers; goes on until SIGTERM.
+// Prints "ready" once it answers; goes on until SIGTERM. SIGHUP: SCREEN was unplugged and is back.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -121,6 +121,7 @@ class PulseTrace {
   // nullopt: a signal came.
   std::optional<Change> Next() {
     std::array<char, 512> text{};
+    std::clearerr(pipe_);
     while (std::fgets(text.data(), text.size(), pipe_) != nullptr) {
       const char* event = std::strstr(text.data(), "gpio_value: ");
       Change change;
@@ -143,6 +144,7 @@ class Screen {
  public:
   explicit Screen(const char* path) {
     fd_ = open(path, O_RDWR | O_CLOEXEC);
+    if (fd_ < 0) Die(path);
     v4l2_format format{};
     format.type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
     format.fmt.pix.width = kLoopWidth;
@@ -162,15 +164,22 @@ class Screen {
     buffer.type = format.type;
     buffer.memory = V4L2_MEMORY_MMAP;
     Call(VIDIOC_QUERYBUF, &buffer);
-    void* memory = mmap(nullptr, buffer.length, PROT_READ | PROT_WRITE, MAP_SHARED, fd_, buffer.m.offset);
-    if (memory == MAP_FAILED) Die("mapping vivid's output");
-    pixels_ = {static_cast<uint16_t*>(memory), kLoopWidth, kLoopHeight};
+    memory_ = mmap(nullptr, buffer.length, PROT_READ | PROT_WRITE, MAP_SHARED, fd_, buffer.m.offset);
+    if (memory_ == MAP_FAILED) Die("mapping vivid's output");
+    bytes_ = buffer.length;
+    pixels_ = {static_cast<uint16_t*>(memory_), kLoopWidth, kLoopHeight};
     buffer.bytesused = buffer.length;
     buffer.field = V4L2_FIELD_NONE;
     Call(VIDIOC_QBUF, &buffer);
     int type = static_cast<int>(format.type);
     Call(VIDIOC_STREAMON, &type);
   }
+  ~Screen() {
+    munmap(memory_, bytes_);
+    close(fd_);
+  }
+  Screen(const Screen&) = delete;
+  Screen& operator=(const Screen&) = delete;
   [[nodiscard]] ImageView<uint16_t> pixels() const { return pixels_; }
 
  private:
@@ -178,6 +187,8 @@ class Screen {
     if (ioctl(fd_, request, argument) != 0) Die("vivid's output");
   }
   int fd_ = -1;
+  void* memory_ = nullptr;
+  size_t bytes_ = 0;
   ImageView<uint16_t> pixels_;
 };
 
@@ -193,8 +204,12 @@ struct Module {
 // What the camera sees: the light of every lit projector, and noise that never repeats.
 class Scene {
  public:
-  Scene(Screen& screen, int projector_width, int projector_height)
-      : screen_(screen), width_(projector_width), height_(projector_height), light_dn_(kPixels) {
+  Scene(const char* screen, int projector_width, int projector_height)
+      : path_(screen),
+        width_(projector_width),
+        height_(projector_height),
+        screen_(std::in_place, screen),
+        light_dn_(kPixels) {
     std::mt19937 random(1);
     std::normal_distribution<double> normal(0.0, kLoopNoise_dn);
     for (int16_t& n : noise_dn_) n = static_cast<int16_t>(std::clamp(std::lround(normal(random)), -40L, 40L));
@@ -213,12 +228,19 @@ class Scene {
     }
     Repaint();
   }
+  void ReopenScreen() {
+    {
+      const std::lock_guard lock(mutex_);
+      screen_.emplace(path_);
+    }
+    Repaint();
+  }
   void Repaint() {
     const std::lock_guard lock(mutex_);
     for (int y = 0; y < kLoopHeight; ++y) {
       const int16_t* noise = &noise_dn_[random_() % (noise_dn_.size() - kLoopWidth)];
       const int16_t* light = &light_dn_[static_cast<size_t>(y) * kLoopWidth];
-      uint16_t* row = screen_.pixels().row(y);
+      uint16_t* row = screen_->pixels().row(y);
       for (int x = 0; x < kLoopWidth; ++x) row[x] = static_cast<uint16_t>(light[x] + noise[x]);
     }
   }
@@ -232,10 +254,11 @@ class Scene {
     return light;
   }
 
-  Screen& screen_;
+  const char* path_;
   int width_, height_;
   std::map<std::pair<int, std::string>, std::vector<float>> lights_;
-  std::mutex mutex_;               // guards what follows
+  std::mutex mutex_;  // guards what follows
+  std::optional<Screen> screen_;
   std::vector<int16_t> light_dn_;  // without noise
   std::array<int16_t, 16384> noise_dn_{};
   std::mt19937 random_{2};
@@ -254,6 +277,8 @@ Fault ParseFault(const std::string& text) {
   return fault;
 }
 
+volatile std::sig_atomic_t replugged = 0;  // SIGHUP came
+
 class Responder {
  public:
   Responder(const RigConfig& config, const MemoryLayout& layout, Scene& scene, std::vector<Fault> faults)
@@ -266,7 +291,13 @@ class Responder {
   // Goes on until a signal comes.
   void Run() {
     std::cout << "ready" << std::endl;
-    while (const auto change = trace_.Next()) Answer(*change);
+    while (true) {
+      const auto change = trace_.Next();
+      if (change) Answer(*change);
+      if (replugged == 0 && !change) return;
+      if (replugged != 0) scene_.ReopenScreen();
+      replugged = 0;
+    }
   }
 
  private:
@@ -335,11 +366,11 @@ class Responder {
   bool unplugged_ = false;
 };
 
-// A signal only interrupts what waits; Run then ends, and with it the chip.
-void EndAtSignal() {
+// A signal only interrupts what waits; Run then ends, and with it the chip, or looks at its screen anew.
+void HearSignals() {
   struct sigaction action {};
-  action.sa_handler = [](int) {};
-  sigaction(SIGTERM, &action, nullptr);
+  action.sa_handler = [](int signal) { replugged = signal == SIGHUP ? 1 : 0; };
+  for (const int signal : {SIGTERM, SIGHUP}) sigaction(signal, &action, nullptr);
 }
 
 int Main(int argc, char** argv) {
@@ -350,9 +381,8 @@ int Main(int argc, char** argv) {
   if (!layout.ok()) Die(layout.status().message());
   std::vector<Fault> faults;
   for (int i = 3; i < argc; ++i) faults.push_back(ParseFault(argv[i]));
-  EndAtSignal();
-  Screen screen(argv[2]);
-  Scene scene(screen, (*config).plan.projector_width, (*config).plan.projector_height);
+  HearSignals();
+  Scene scene(argv[2], (*config).plan.projector_width, (*config).plan.projector_height);
   scene.Show({});
   const std::jthread noise([&scene](const std::stop_token& stop) {
     sigset_t signals;

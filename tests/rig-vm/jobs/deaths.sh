@@ -5,50 +5,18 @@
 # off, by the program, and read back since; nothing lights up later, and the store opens with the session failed.
 #   death | ms after the first light | exit | session | lights: times on, last write, last reading
 . /source/tests/rig-vm/guest-lib.sh
+. /source/tests/rig-vm/lights-lib.sh
 
 plan=/tmp/short.toml  # references, codes and guards
 sed 's/^kind = "visitor"/kind = "calibration"/' /source/tests/rig-vm/plans/loop.toml >$plan
 export STATE_DIRECTORY=/tmp/state
 mkdir -p "$STATE_DIRECTORY"
-tracing=/sys/kernel/tracing/instances/deaths  # the responder takes what it reads from the first one
-disk=/tmp/disk                                # a file system of its own: the share and the root never stand still
-disk_mib=96
-limit_s=180                                   # of each wait: a busy machine's emulator takes minutes
+disk=/tmp/disk  # a file system of its own
+limit_s=180
 
-pull() {  # LINE up|down: what the world outside puts on it
-  echo "pull-$2" >"$chip/sim_gpio$(line_of "$1")/pull"
-}
-line_of() { basename "$(dirname "$(grep -lx "$1" /sys/kernel/config/gpio-sim/rig-lines/bank0/line*/name)")" | tr -cd 0-9; }
-enables() { cat "$chip/sim_gpio$(line_of ENABLE0)/value" "$chip/sim_gpio$(line_of ENABLE1)/value"; }
 alive() { kill -0 "$pid" 2>/dev/null; }
-# soon COMMAND...: until it succeeds; fails after the limit
-soon() {
-  local end=$(($(now_ms) + limit_s * 1000))
-  until "$@"; do
-    [ "$(now_ms)" -lt "$end" ] || return 1
-    usleep 50000
-  done
-}
-now_ms() { awk '{printf "%d", $1 * 1000}' /proc/uptime; }
 lit() { ! alive || enables | grep -q 1; }
 gone() { ! alive; }
-# Between two projectors it is dark for a moment; here nothing may come for three seconds.
-dark() {
-  local i
-  for i in 1 2 3 4 5 6; do
-    ! enables | grep -q 1 || return 1
-    usleep 500000
-  done
-}
-# lights: of each ENABLE line, by the trace: times written on, the last value written, the last one read after it.
-lights() {
-  local base
-  base=$(sed -nE 's/.*GPIOs ([0-9]+)-.*rig-lines.*/\1/p' /sys/kernel/debug/gpio)
-  awk -v a=$((base + $(line_of ENABLE0))) -v b=$((base + $(line_of ENABLE1))) '
-    {for (i = 1; i < NF; i++) if ($i == "gpio_value:") {n = $(i + 1); how = $(i + 2); v = $(i + 3)
-       if (how == "set") {if (v == 1 && last[n] != 1) on[n]++; last[n] = v; read_back[n] = "-"} else read_back[n] = v}}
-    END {printf "%d %s %s, %d %s %s", on[a], last[a], read_back[a], on[b], last[b], read_back[b]}' "$tracing/trace"
-}
 thaw() { [ ! -e /tmp/frozen ] || { rm /tmp/frozen; fsfreeze --unfreeze $disk; }; }
 freeze() {
   touch /tmp/frozen
@@ -57,9 +25,6 @@ freeze() {
   timer=$!
   fsfreeze --freeze $disk
 }
-
-# set_aside BLOCKS: the disk gives no more away; at once, where writing it full takes longer than a capture.
-set_aside() { echo "$1" >"/sys/fs/ext4/$(basename "$(df $disk | awk 'END {print $1}')")/reserved_clusters"; }
 
 # The ways to die and to stall; the light must be gone when they return, but for the time it takes to go.
 die_of() { kill "-$1" "$pid"; }
@@ -112,7 +77,7 @@ death_once() {
   /build/bin/rig-vm-responder $plan "$screen" >"$out/responder.log" 2>&1 &
   responder=$!
   soon grep -qs ready "$out/responder.log" || why="no responder"
-  chip=/sys/devices/platform/$(cat /sys/kernel/config/gpio-sim/rig-lines/dev_name)/$(cat /sys/kernel/config/gpio-sim/rig-lines/bank0/chip_name)
+  find_chip
   # Each frame is a mapping of its own, so that no memory means no frame.
   GLIBC_TUNABLES=glibc.malloc.mmap_threshold=65536 /build/bin/rig-vm-process run /build/bin/stratalux-rig capture \
     --config $plan --store $store --pose 0 --calibration none --json >"$out/outcome.json" 2>"$out/rig.log" &
@@ -136,7 +101,7 @@ death_once() {
   usleep 1000000
   [ "$(lights | sed 's/ [01-] [01-]//g')" = "$(echo "$lit_count" | sed 's/ [01-] [01-]//g')" ] || why="${why:+$why; }lit up later"
   lit_count=$(lights)
-  echo "$lit_count" | grep -qE '^[1-9][0-9]* 0 0, [1-9][0-9]* 0 0$' || why="${why:+$why; }not written off and read back"
+  went_dark || why="${why:+$why; }not written off and read back"
   kill -CONT $responder
   # Busy with what it missed it takes no notice of the first one.
   while kill $responder 2>/dev/null; do usleep 100000; done
@@ -191,12 +156,9 @@ ROWS
 modprobe gpio-sim
 modprobe loop
 modprobe ext4
-mkdir -p $disk $tracing
-echo mono >$tracing/trace_clock
-echo 16384 >$tracing/buffer_size_kb  # minutes of light, whose guard reads both lines every 5 ms
-echo 1 >$tracing/events/gpio/gpio_value/enable
-dd if=/dev/zero of=/tmp/disk.img bs=1M count=$disk_mib 2>/dev/null
-mke2fs -b 1024 -F /tmp/disk.img >/dev/null
+mkdir -p $disk
+trace_lights
+make_disk /tmp/disk.img
 echo "        death | ms after the first light | exit | session | ENABLE lines: times on, last written, last read" >$cases
 lit_ms=0
 death "none" none 0
