@@ -15,8 +15,6 @@ constexpr float kFreeReachMm = 8.0F;  // of a mean in free mode
 // A divergence this much (relative) above the best is single precision's noise, not a step too far.
 constexpr double kNoise = 1e-5;
 
-size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
-
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
@@ -33,10 +31,10 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
   bounds_.least_depth_mm = free ? -kFreeReachMm : static_cast<float>(options.min_depth_mm);
   bounds_.most_depth_mm = free ? kFreeReachMm : static_cast<float>(options.max_depth_mm);
   bounds_.fixed_depth = options.direction_blind;
-  for (auto* v : {&at_, &image_, &last_}) v->assign(Row(rows_.size()), 0.0F);
-  for (auto* v : {&cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(Row(options.layers), 0.0F);
-  if (!options.scattering.directional.Off()) factor_.assign(Row(options.layers), 1.0F);
-  moments_.assign(Row(3 * options.layers), 0.0F);
+  for (auto* v : {&at_, &image_, &last_}) v->assign(RowOf(rows_.size()), 0.0F);
+  for (auto* v : {&cell_weight_, &cell_mean_, &cell_sigma_}) v->assign(RowOf(options.layers), 0.0F);
+  if (!options.scattering.directional.Off()) factor_.assign(RowOf(options.layers), 1.0F);
+  moments_.assign(RowOf(3 * options.layers), 0.0F);
   for (size_t p = 0; p < lights.size(); ++p) {
     EmLight& light = lights_[p];
     light.samples = lights[p]->samples;
@@ -45,11 +43,11 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
     light.grid = {light.cells_per_sample * light.samples + 2 * light.pad_cells, lights[p]->wrapped};
     light.reach_limit = std::max(light.grid.cells / 2 - 1, 0);
     light.halo_samples = (light.pad_cells + light.reach_limit) / light.cells_per_sample + 2;
-    for (auto* v : {&light.data, &light.surface_response, &light.model}) v->assign(Row(light.samples), 0.0F);
-    light.response.assign(Row(light.taps()), 0.0F);
-    for (auto* v : {&light.unseen, &light.q}) v->assign(Row(light.grid.cells), 0.0F);
-    light.mass.assign(Row(light.grid.cells + 2 * light.reach_limit), 0.0F);
-    light.ratio.assign(Row(light.samples + 2 * light.halo_samples), 0.0F);
+    for (auto* v : {&light.data, &light.surface_response, &light.model}) v->assign(RowOf(light.samples), 0.0F);
+    light.response.assign(RowOf(light.taps()), 0.0F);
+    for (auto* v : {&light.unseen, &light.q}) v->assign(RowOf(light.grid.cells), 0.0F);
+    light.mass.assign(RowOf(light.grid.cells + 2 * light.reach_limit), 0.0F);
+    light.ratio.assign(RowOf(light.samples + 2 * light.halo_samples), 0.0F);
   }
   for (int lane = 0; lane < kEmLanes; ++lane) Clear(lane);
 }
@@ -64,7 +62,7 @@ void EmBlock::Clear(int lane) {
 
 void EmBlock::ClearLayers(int lane) {
   for (int row = 0; row < rows_.size(); ++row)
-    at_[Row(row) + lane] = image_[Row(row) + lane] = last_[Row(row) + lane] = 0.0F;
+    at_[RowOf(row) + lane] = image_[RowOf(row) + lane] = last_[RowOf(row) + lane] = 0.0F;
   for (int l = 0; l < rows_.layers; ++l) At(rows_.sigma(l), lane) = 1.0F;
   prior_.Clear(lane);
 }
@@ -100,7 +98,7 @@ void EmBlock::Start(int lane, double photons) {
     exposure += double(light.counts[lane]) * light.gain[lane] * light.coverage[lane];
     longest = std::max(longest, double(light.cell_mm[lane]) * light.grid.cells);
     for (int k = 0; k < light.samples; ++k)
-      lanes_[lane].total += double(light.counts[lane]) * light.data[Row(k) + lane];
+      lanes_[lane].total += double(light.counts[lane]) * light.data[RowOf(k) + lane];
   }
   if (!(exposure > 0.0)) return;
   // What each light shows of the surface and of the layers; light of the layers per exposure.
@@ -167,7 +165,7 @@ void EmBlock::StartFrom(const LayerSet& layers, int lane, double total) {
 // The E step of every light and, where layers are still to be updated, the M step.
 void EmBlock::Sweep(bool update) {
   for (auto* v : {&sums_.photons, &sums_.moved, &sums_.leverage, &sums_.spread, &sums_.exposure})
-    v->assign(Row(rows_.layers), 0.0F);
+    v->assign(RowOf(rows_.layers), 0.0F);
   divergence_ = {};
   if (prior_.On()) prior_.BeginSweep();
   const float* factor = factor_.empty() ? nullptr : factor_.data();
@@ -178,7 +176,7 @@ void EmBlock::Sweep(bool update) {
       DirectionalFactors(rows_, options_.scattering.directional, at_.data(), light, factor_.data());
     PlaceLayers(rows_, at_.data(), light, factor, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data());
     AddLayers(light.grid, layers, light.tiles, light.Mass());
-    Project(light, at_.data() + Row(rows_.surface(p)), at_.data() + Row(rows_.background(p)));
+    Project(light, at_.data() + RowOf(rows_.surface(p)), at_.data() + RowOf(rows_.background(p)));
     Compare(light, divergence_.data());
     if (!update) continue;
     if (prior_.On()) prior_.AddShown(p, light, at_.data(), cell_weight_.data());
@@ -195,7 +193,7 @@ void EmBlock::UpdateFloor(int p) {
   const EmLight& light = lights_[p];
   const float* at = at_.data();
   float* image = image_.data();
-  const size_t surface = Row(rows_.surface(p)), background = Row(rows_.background(p));
+  const size_t surface = RowOf(rows_.surface(p)), background = RowOf(rows_.background(p));
   const bool held = options_.scattering.reflection.Known();
   for (int i = 0; i < kEmLanes; ++i) {
     image[surface + i] =
@@ -226,11 +224,11 @@ void EmBlock::ShareBackground(float* parameters) const {
     float photons = 0.0F, exposure = 0.0F;
     for (int p = 0; p < rows_.lights; ++p) {
       const float seen = lights_[p].counts[i] * static_cast<float>(lights_[p].samples);
-      photons += seen * parameters[Row(rows_.background(p)) + i];
+      photons += seen * parameters[RowOf(rows_.background(p)) + i];
       exposure += seen;
     }
     for (int p = 0; p < rows_.lights; ++p)
-      if (lights_[p].counts[i] > 0.0F) parameters[Row(rows_.background(p)) + i] = photons / exposure;
+      if (lights_[p].counts[i] > 0.0F) parameters[RowOf(rows_.background(p)) + i] = photons / exposure;
   }
 }
 
@@ -269,7 +267,7 @@ void EmBlock::Judge() {
 // Of sample k's model, what no scale may change.
 double EmBlock::HeldSurface(const EmLight& light, int p, int k, int lane) const {
   if (!options_.scattering.reflection.Known()) return 0.0;
-  return double(at_[Row(rows_.surface(p)) + lane]) * light.surface_response[Row(k) + lane];
+  return double(at_[RowOf(rows_.surface(p)) + lane]) * light.surface_response[RowOf(k) + lane];
 }
 
 // The shape is EM's; its scale and that of the white frames are averaged by their Fisher information. White frames
@@ -283,7 +281,7 @@ double EmBlock::ScaleToWhite(int lane) const {
     if (!(light.counts[lane] > 0.0F)) continue;
     double sum = 0.0, of_samples = 0.0, held = 0.0;
     for (int k = 0; k < light.samples; ++k) {
-      const double model = light.model[Row(k) + lane], surface = HeldSurface(light, p, k, lane), m = model - surface;
+      const double model = light.model[RowOf(k) + lane], surface = HeldSurface(light, p, k, lane), m = model - surface;
       sum += m;
       held += surface;
       of_samples += m * m * light.counts[lane] / std::max(model + light.shift[lane], double(kTiny));
@@ -316,9 +314,9 @@ double EmBlock::Divergence(int lane) const {
     const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
     for (int k = 0; k < light.samples; ++k) {
-      const double data = light.data[Row(k) + lane], held = HeldSurface(light, p, k, lane);
+      const double data = light.data[RowOf(k) + lane], held = HeldSurface(light, p, k, lane);
       const double model =
-          std::max((light.model[Row(k) + lane] - held) * scale + held + light.shift[lane], double(kTiny));
+          std::max((light.model[RowOf(k) + lane] - held) * scale + held + light.shift[lane], double(kTiny));
       divergence += light.counts[lane] * (model - data + (data > 0.0 ? data * std::log(data / model) : 0.0));
     }
   }

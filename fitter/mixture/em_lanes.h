@@ -11,6 +11,9 @@ namespace stratalux::fit {
 
 inline constexpr int kEmLanes = 16;
 
+// Where a row begins.
+inline size_t RowOf(int row) { return static_cast<size_t>(row) * kEmLanes; }
+
 template <typename T>
 struct CacheAligned {
   using value_type = T;

@@ -10,8 +10,6 @@
 namespace stratalux::fit {
 namespace {
 
-size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
-
 // std::remainder(u, period) of |u| <= 1.5 periods, to the last bit: there the difference is exact.
 double NearestTurn(double u, double period) {
   if (std::abs(u) <= 0.5 * period) return u;
@@ -35,7 +33,7 @@ void LoadSamples(const ScatteringModel& model, const SrdBatch& batch, int64_t pr
   light.shift[lane] = static_cast<float>(noise.read_shift);
   light.counts[lane] = static_cast<float>(noise.counts);
   for (int k = 0; k < light.samples; ++k)
-    light.data[Row(k) + lane] = std::max(y[(k + turn) % light.samples] + light.shift[lane], 0.0F);
+    light.data[RowOf(k) + lane] = std::max(y[(k + turn) % light.samples] + light.shift[lane], 0.0F);
   light.cell_mm[lane] = step / static_cast<float>(light.cells_per_sample);
   // Cell j has its centre at first_u + (j - pad - (cells_per_sample - 1) / 2) cells.
   light.origin[lane] = static_cast<float>(light.pad_cells) + 0.5F * static_cast<float>(light.cells_per_sample - 1) -
@@ -71,7 +69,7 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
   const std::vector<double> taps = line.OnCells((-reach - centre) * cell, light.cells_per_sample + 2 * reach);
   double total = 0.0;
   for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
-    light.response[Row(light.reach_limit + t) + lane] = static_cast<float>(taps[t + reach]);
+    light.response[RowOf(light.reach_limit + t) + lane] = static_cast<float>(taps[t + reach]);
     total += taps[t + reach];
   }
   light.coverage[lane] = static_cast<float>(total / light.cells_per_sample);
@@ -80,17 +78,17 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
     double u = (light.pad_cells + k * light.cells_per_sample + centre - light.origin[lane]) * cell;
     if (light.grid.wrapped) u = NearestTurn(u, period);
     if (std::abs(u) > support) continue;
-    light.surface_response[Row(k) + lane] = static_cast<float>(line.At(u));
-    light.surface_total[lane] += light.surface_response[Row(k) + lane];
+    light.surface_response[RowOf(k) + lane] = static_cast<float>(line.At(u));
+    light.surface_total[lane] += light.surface_response[RowOf(k) + lane];
   }
   if (light.grid.wrapped) return;
   // Open windows: what of each cell no sample sees (B^T 1 short of the full coverage).
-  for (int c = 0; c < light.grid.cells; ++c) light.unseen[Row(c) + lane] = light.coverage[lane];
+  for (int c = 0; c < light.grid.cells; ++c) light.unseen[RowOf(c) + lane] = light.coverage[lane];
   for (int k = 0; k < light.samples; ++k)
     for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
       const int cell_at = light.pad_cells + k * light.cells_per_sample + t;
       if (cell_at < 0 || cell_at >= light.grid.cells) continue;
-      light.unseen[Row(cell_at) + lane] -= light.response[Row(light.reach_limit + t) + lane];
+      light.unseen[RowOf(cell_at) + lane] -= light.response[RowOf(light.reach_limit + t) + lane];
     }
 }
 
@@ -105,7 +103,7 @@ void ClearLane(int lane, EmLight& light) {
   for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen})
     for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;
   for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t)
-    light.response[Row(light.reach_limit + t) + lane] = 0.0F;
+    light.response[RowOf(light.reach_limit + t) + lane] = 0.0F;
 }
 
 void LoadLane(const ScatteringModel& model, const SrdBatch& batch, int64_t profile, int lane, EmLight& light) {

@@ -91,13 +91,9 @@ namespace stratalux::fit {
 HWY_EXPORT(AddPriorMoments);
 HWY_EXPORT(AddPriorCost);
 
-namespace {
-size_t Row(int row) { return static_cast<size_t>(row) * kEmLanes; }
-}  // namespace
-
 EmPrior::EmPrior(const ParameterRows& rows, double square_shift, bool surface_held)
     : rows_(rows), square_shift_(static_cast<float>(square_shift)), surface_held_(surface_held) {
-  for (auto* v : {&centre_, &photons_, &shown_}) v->assign(Row(rows.size()), 0.0F);
+  for (auto* v : {&centre_, &photons_, &shown_}) v->assign(RowOf(rows.size()), 0.0F);
 }
 
 void EmPrior::Clear(int lane) {
@@ -116,8 +112,8 @@ void EmPrior::BeginSweep() { std::fill(shown_.begin(), shown_.end(), 0.0F); }
 void EmPrior::AddShown(int p, const EmLight& light, const float* at, const float* weight) {
   for (int l = 0; l < rows_.layers; ++l)
     for (int i = 0; i < kEmLanes; ++i)
-      shown_[Row(rows_.weight(l)) + i] += light.counts[i] * light.coverage[i] * weight[Row(l) + i];
-  const size_t surface = Row(rows_.surface(p)), background = Row(rows_.background(p));
+      shown_[RowOf(rows_.weight(l)) + i] += light.counts[i] * light.coverage[i] * weight[RowOf(l) + i];
+  const size_t surface = RowOf(rows_.surface(p)), background = RowOf(rows_.background(p));
   for (int i = 0; i < kEmLanes; ++i) {
     if (!surface_held_) shown_[surface + i] = light.counts[i] * light.surface_total[i] * at[surface + i];
     shown_[background + i] = light.counts[i] * static_cast<float>(light.samples) * at[background + i];
@@ -128,11 +124,11 @@ void EmPrior::AddShown(int p, const EmLight& light, const float* at, const float
 void EmPrior::ShareOut(int lane) {
   const double n0 = std::exchange(fresh_[lane], 0.0);
   double all = 0.0;
-  for (int row = 0; row < rows_.size(); ++row) all += shown_[Row(row) + lane];
+  for (int row = 0; row < rows_.size(); ++row) all += shown_[RowOf(row) + lane];
   if (!(all > 0.0)) return;
   total_[lane] = static_cast<float>(n0);
   for (int row = 0; row < rows_.size(); ++row)
-    photons_[Row(row) + lane] = static_cast<float>(n0 / all * shown_[Row(row) + lane]);
+    photons_[RowOf(row) + lane] = static_cast<float>(n0 / all * shown_[RowOf(row) + lane]);
 }
 
 void EmPrior::AddCost(const float* at, float* cost) {
@@ -148,7 +144,7 @@ void EmPrior::AddPhotons(std::span<const EmLight> lights, const float* at, Momen
     for (int i = 0; i < kEmLanes; ++i) {
       const EmLight& light = lights[p];
       if (!(light.counts[i] > 0.0F)) continue;
-      const size_t surface = Row(rows_.surface(p)) + i, background = Row(rows_.background(p)) + i;
+      const size_t surface = RowOf(rows_.surface(p)) + i, background = RowOf(rows_.background(p)) + i;
       if (light.surface_total[i] > 0.0F)
         image[surface] += photons_[surface] / (light.counts[i] * light.surface_total[i]);
       image[background] += photons_[background] / (light.counts[i] * static_cast<float>(light.samples));
@@ -159,18 +155,18 @@ void EmPrior::KeepTotal(std::span<const EmLight> lights, const MomentSums& sums,
   for (int i = 0; i < kEmLanes; ++i) {
     if (!(total_[i] > 0.0F)) continue;
     double all = 0.0;
-    for (int l = 0; l < rows_.layers; ++l) all += sums.photons[Row(l) + i];
+    for (int l = 0; l < rows_.layers; ++l) all += sums.photons[RowOf(l) + i];
     for (int p = 0; p < rows_.lights; ++p) {
       const EmLight& light = lights[p];
       if (!surface_held_)
-        all += double(light.counts[i]) * double(light.surface_total[i]) * image[Row(rows_.surface(p)) + i];
-      all += double(light.counts[i]) * double(light.samples) * image[Row(rows_.background(p)) + i];
+        all += double(light.counts[i]) * double(light.surface_total[i]) * image[RowOf(rows_.surface(p)) + i];
+      all += double(light.counts[i]) * double(light.samples) * image[RowOf(rows_.background(p)) + i];
     }
     const float own = static_cast<float>(std::max(1.0 - total_[i] / all, 0.0));
-    for (int l = 0; l < rows_.layers; ++l) image[Row(rows_.weight(l)) + i] *= own;
+    for (int l = 0; l < rows_.layers; ++l) image[RowOf(rows_.weight(l)) + i] *= own;
     for (int p = 0; p < rows_.lights; ++p) {
-      if (!surface_held_) image[Row(rows_.surface(p)) + i] *= own;
-      image[Row(rows_.background(p)) + i] *= own;
+      if (!surface_held_) image[RowOf(rows_.surface(p)) + i] *= own;
+      image[RowOf(rows_.background(p)) + i] *= own;
     }
   }
 }
