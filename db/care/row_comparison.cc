@@ -187,11 +187,12 @@ std::vector<TableRule> RulesFor(const SessionRow& session, const fs::path& folde
     const std::string table = rule.table;
     // Being written, or to be ended by the next opening: its ending is not there yet.
     if (session.info.status == SessionStatus::kRecording) {
-      if (table == "sessions")
-        rule = With(rule,
-                    "status, reasons_json, finished_wall_ns, findings_json, faults_json, frame_count, stored_bytes,"
-                    " key_id",
-                    Extent::kSame);
+      constexpr const char* kEnding =
+          "status, reasons_json, finished_wall_ns, findings_json, faults_json, frame_count, stored_bytes";
+      constexpr const char* kEndingAndKey =
+          "status, reasons_json, finished_wall_ns, findings_json, faults_json, frame_count, stored_bytes, key_id";
+      // Its key is known by its frames.
+      if (table == "sessions") rule = With(rule, session.frames == 0 ? kEndingAndKey : kEnding, Extent::kSame);
       if (table == "frames" || table == "proofs") rule.extent = Extent::kRebuildHasMore;
     } else if (table == "sessions" && !manifest.ok()) {
       // Lost, or never written by a disk that was full: what only a manifest tells is the index's alone.

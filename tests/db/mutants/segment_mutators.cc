@@ -182,7 +182,7 @@ Mutant ChangePayload(const fs::path& folder, Random& random) {
   const bool anew = changed && MakeAnew(folder, file, level);
   return {"payload of record " + std::to_string(which) + " in " + Short(folder, file) + ", hashes made anew to level " +
               std::to_string(static_cast<int>(level)) + (told ? ", and that of the pixels" : ""),
-          Short(folder, file), changed && (segment.LeavesHash(level) || !fits), anew && told};
+          Short(folder, file), changed && (segment.LeavesHash(level) || !fits), anew && fits};
 }
 
 }  // namespace stratalux::db
