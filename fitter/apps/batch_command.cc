@@ -15,6 +15,7 @@
 #include "db/catalogue/job_store.h"
 #include "fitter/apps/fit_flags.h"
 #include "fitter/apps/run_command.h"
+#include "fitter/apps/scale_command.h"
 #include "fitter/batch/morning_report.h"
 #include "fitter/batch/night.h"
 #include "fitter/batch/night_status.h"
@@ -414,6 +415,8 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   retry->add_option("job", retried->jobs, "Numbers of jobs");
   retry->add_flag("--all", retried->all, "All of them");
   OnCall(*retry, exit_code, [retried](Logger& logger) { return Retry(*retried, logger); });
+
+  AddScaleCommand(*batch, exit_code);
 }
 
 }  // namespace stratalux::fit
