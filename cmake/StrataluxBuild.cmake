@@ -16,6 +16,7 @@ option(STRATALUX_BUILD_TESTS "Build the tests" ON)
 option(STRATALUX_BUILD_BENCH "Build the benchmarks" OFF)
 # Our presets set it; a compiler that none of us has seen must not stop who builds without them.
 option(STRATALUX_WERROR "Treat warnings as errors" OFF)
+option(STRATALUX_COLD_LIGHTLY "Optimise command lines, pages and tables of rows lightly (-O1), for a quicker build" OFF)
 set(STRATALUX_SANITIZE "" CACHE STRING "Sanitizers to switch on: address, undefined, thread (comma separated)")
 option(STRATALUX_FUZZ "Build the fuzz targets with libFuzzer (needs clang; preset fuzz)" OFF)
 

@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 # Target macros. One library per folder, named after its path: shared/image -> stratalux_shared_image.
 
-# stratalux_library(NAME SOURCES a.cc ... DEPS target ...): a static library, or an interface one without sources.
+# stratalux_cold(TARGET): words, rows and pages; optimising them costs a build more than it gains any run.
+function(stratalux_cold name)
+  if(STRATALUX_COLD_LIGHTLY)
+    target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
+  endif()
+endfunction()
+
+# stratalux_library(NAME [COLD] SOURCES a.cc ... DEPS target ...): a static library, or an interface one without sources.
 function(stratalux_library name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;DEPS;PRIVATE_DEPS" ${ARGN})
+  cmake_parse_arguments(ARG "COLD" "" "SOURCES;DEPS;PRIVATE_DEPS" ${ARGN})
   if(ARG_SOURCES)
     add_library(${name} STATIC ${ARG_SOURCES})
+    if(ARG_COLD)
+      stratalux_cold(${name})
+    endif()
     target_link_libraries(${name} PUBLIC ${ARG_DEPS} PRIVATE ${ARG_PRIVATE_DEPS})
   else()
     add_library(${name} INTERFACE)
@@ -37,11 +47,14 @@ endfunction()
 
 # stratalux_program(NAME SOURCES ... DEPS ... [PACKAGE p]): a program in build/<preset>/bin, and in the package of its name or in p.
 function(stratalux_program name)
-  cmake_parse_arguments(ARG "" "PACKAGE" "SOURCES;DEPS" ${ARGN})
+  cmake_parse_arguments(ARG "COLD" "PACKAGE" "SOURCES;DEPS" ${ARGN})
   if(NOT ARG_PACKAGE)
     set(ARG_PACKAGE ${name})
   endif()
   add_executable(${name} ${ARG_SOURCES})
+  if(ARG_COLD)
+    stratalux_cold(${name})
+  endif()
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
   install(TARGETS ${name} RUNTIME COMPONENT ${ARG_PACKAGE})
   add_dependencies(programs ${name})
