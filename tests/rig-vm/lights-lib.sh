@@ -3,7 +3,7 @@
 # that gives nothing more away. Sourced by jobs behind guest-lib.sh. They set `limit_s`, of each wait: a busy machine's
 # emulator takes minutes.
 tracing=/sys/kernel/tracing/instances/lights  # the responder takes what it reads from the first one
-disk_mib=96
+: "${disk_mib:=96}"  # of it
 
 # find_chip: sets `chip`, once the responder has made it.
 find_chip() {

@@ -29,6 +29,7 @@ modprobe loop
 modprobe ext4
 modprobe gpio-sim
 . $root/guest-lib.sh
+disk_mib=288  # several visits, and room for the attempts of another
 . $root/lights-lib.sh
 make_disk /run/rig/disk.img
 mount -o noatime -t ext2 /run/rig/disk.img /var/lib/stratalux

@@ -5,6 +5,7 @@
 #   case | what was seen
 export PATH=/bin:/sbin:/usr/bin:/usr/sbin
 . /source/tests/rig-vm/guest-lib.sh
+disk_mib=288  # as systemd.boot.sh made it
 . /source/tests/rig-vm/lights-lib.sh
 limit_s=180
 kiosk=stratalux-kiosk.service
