@@ -48,6 +48,9 @@ class Watcher {
     // The ticket is given back.
     if (Is<event::Refuse>(event) && before.phase == Phase::kThanks) kept_ = false;
     const bool over = Is<event::Captured>(event) || Is<event::Failed>(event);
+    const auto* captured = std::get_if<event::Captured>(&event);
+    // Of a capture that nobody began nothing is kept.
+    if (captured != nullptr && captured->facts.worth != CaptureFacts::Worth::kFailed) usable_ |= begun_ && capturing_;
     if (over && capturing_) {
       capturing_ = false;
       capture_light_ = false;
@@ -59,8 +62,6 @@ class Watcher {
       begun_ = kept_ = false;
     }
     if (Is<event::DiscardFailed>(event)) discarding_ = false;
-    const auto* captured = std::get_if<event::Captured>(&event);
-    if (captured != nullptr && captured->facts.worth != CaptureFacts::Worth::kFailed) usable_ |= begun_;
     if (const auto* agree = std::get_if<event::Agree>(&event)) agreed_ |= agree->choice.fit;
     if (rules_.paper_consent && Is<event::Start>(event)) agreed_ = true;
     lit_ = previewing_ || capture_light_ || checking_;
