@@ -296,4 +296,15 @@ void CaptureRun::RetakeDoubtful(const std::vector<int>& doubtful) {
   LoseMemory();
 }
 
+void CaptureRun::RefuteUnborneCodes(const std::vector<int>& steps) {
+  std::set<int> unproven;
+  for (const int step : steps)
+    if (!proven_.contains(step) || wrong_level_.contains(step)) unproven.insert(step);
+  for (const int step : witness_.UnborneCodes(unproven)) {
+    if (given_up_.contains(step)) continue;
+    wrong_level_.insert(step);
+    proven_.erase(step);
+  }
+}
+
 }  // namespace stratalux::rig

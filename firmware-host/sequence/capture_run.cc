@@ -214,6 +214,7 @@ Status CaptureRun::RunProjector(int projector) {
   });
   SLX_RETURN_IF_ERROR(ShootBlock({steps.begin(), sweep}));
   SLX_RETURN_IF_ERROR(ShootBlock({sweep, steps.end()}));
+  RefuteUnborneCodes(steps);
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   for (Finding& finding : witness_.CheckProjector()) SLX_RETURN_IF_ERROR(Add(std::move(finding)));
   return Status::Ok();

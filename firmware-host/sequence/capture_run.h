@@ -65,6 +65,8 @@ class CaptureRun {
   void Retake(int step, ShotFault cause);
   // Of the doubtful steps, those that may be shot again; the others fail.
   void RetakeDoubtful(const std::vector<int>& doubtful);
+  // Of a projector's steps, codes that nothing bears out count no more: they may show other bits.
+  void RefuteUnborneCodes(const std::vector<int>& steps);
   // Why to end here, if the light was taken away.
   Status CheckSafe();
   // The same, and another lease for what is done next.

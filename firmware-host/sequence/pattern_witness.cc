@@ -167,6 +167,44 @@ std::vector<int> PatternWitness::TakeDoubtful() {
   return steps;
 }
 
+bool PatternWitness::AnyAgreesWith(PatternAxis axis) {
+  std::vector<float> level;
+  return std::any_of(frames_.begin(), frames_.end(), [&](const auto& entry) {
+    const PlanStep& step = plan_.steps[entry.first];
+    const Pattern& pattern = step.pattern;
+    if (pattern.axis != axis) return false;
+    if (step.phase == CapturePhase::kSeparation && pattern.kind == PatternKind::kSinusoid)
+      return ShiftEvidence(pattern, LevelsOf(step, level)) >= options_.min_evidence;
+    return step.phase == CapturePhase::kSweep &&
+           CombEvidence(pattern, plan_.options.comb_step, LevelsOf(step, level)) >= options_.min_evidence;
+  });
+}
+
+std::vector<int> PatternWitness::UnborneCodes(const std::set<int>& unproven) {
+  if (lit_.empty()) return {};
+  std::map<int, int64_t> last_word;  // load -> its last shot that confirms what is no code
+  for (const auto& [step, frame] : frames_)
+    if (plan_.steps[step].phase != CapturePhase::kCorrespondence && frame.testimony == Testimony::kConfirms) {
+      int64_t& last = last_word[frame.load];
+      last = std::max(last, frame.shot);
+    }
+  std::vector<int> unborne;
+  for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+    std::vector<int> code;
+    for (const int step : StepsOf(CapturePhase::kCorrespondence))
+      if (plan_.steps[step].pattern.axis == axis) code.push_back(step);
+    const bool whole = std::none_of(code.begin(), code.end(), [&](int step) { return unproven.contains(step); });
+    if (whole && AnyAgreesWith(axis)) continue;
+    for (const int step : code) {
+      const Frame* frame = Find(step);
+      if (frame == nullptr) continue;
+      const auto word = last_word.find(frame->load);
+      if (word == last_word.end() || word->second < frame->shot) unborne.push_back(step);
+    }
+  }
+  return unborne;
+}
+
 bool PatternWitness::CanSpeak(const PlanStep& step) const {
   // Brackets of other phases than the sweep have no white of their exposure to be held against.
   if (step.bracket > 0 && step.phase != CapturePhase::kSweep) return false;

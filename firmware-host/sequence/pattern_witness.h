@@ -23,6 +23,7 @@
 
 #include <map>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -84,6 +85,10 @@ class PatternWitness {
   [[nodiscard]] bool ReferenceStandsAlone() const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for.
   [[nodiscard]] std::vector<int> TakeDoubtful();
+  // Steps of this projector's codes that nothing bears out: a memory that stands some pairs on shows other bits with
+  // their inverses, which add up as well. A whole code is borne out by a sinusoid or comb that agrees with it; else a
+  // bit is by whatever else is confirmed behind it in the same load. `unproven`: code steps that do not count anyway.
+  [[nodiscard]] std::vector<int> UnborneCodes(const std::set<int>& unproven);
   // A motion white that was added: the lamp has changed, or the visitor moved. At once, before the projector is
   // through.
   [[nodiscard]] std::optional<Finding> CheckWhite(const PlanStep& step) const;
@@ -136,6 +141,8 @@ class PatternWitness {
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
   // The lines stand elsewhere in some rows, as in a torn frame.
   [[nodiscard]] bool OtherCombInABand(const PlanStep& step, const LevelsAt& frame) const;
+  // One of the sinusoids or combs that are judged by this axis' code.
+  [[nodiscard]] bool AnyAgreesWith(PatternAxis axis);
   // Beside a comb's lines, or spots.
   [[nodiscard]] bool LightElsewhere(const PlanStep& step, const LevelsAt& frame) const;
   [[nodiscard]] bool BrightAsTheExposure(const PlanStep& step) const;
