@@ -7,6 +7,7 @@
 //   reference    enough lit probes; black not brighter, white not beyond that of the pre-roll, where all shine;
 //   Gray code    a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ; decoded,
 //                neighbours in the picture are neighbours of the projector (else a bit was exchanged with its inverse);
+//                and something else must bear it out (UnborneCodes);
 //   sinusoid     N shifts add up, sum n = N / 2; each frame agrees best with its own shift;
 //   checkerboard each frame agrees best with its own shift;
 //   comb         the frame agrees best with its own shift among all of the cycle, and no band of rows with another; its

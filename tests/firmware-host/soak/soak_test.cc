@@ -104,6 +104,21 @@ TEST_P(Soak, ABitAndItsInverseAreNotTakenForEachOther) {
   }
 }
 
+// Found by a night: two bits of a code are given up, its memory stands two pictures on, and its load ends before a
+// frame speaks that is no code. Other bits beside their own inverses add up as well.
+TEST(SoakFound, ACodeThatNothingBearsOutDoesNotCount) {
+  constexpr uint64_t kNight = 20261130, kCapture = 428;
+  SoakOptions options = With(Pace::kOverlapped);
+  options.seed = kNight + kCapture % 7;
+  options.faults.seed = kNight * 1000003 + kCapture;
+  options.faults.rate = 0.01;
+  options.faults.burst = 4;
+  options.faults.pair = 0.3;
+  const SoakCapture capture = CaptureOnce(options);
+  EXPECT_TRUE(capture.mis_associated.empty()) << capture.mis_associated.size();
+  EXPECT_EQ(capture.report.status, SessionStatus::kDegraded);
+}
+
 TEST_P(Soak, TheInterlockIsTheReason) {
   const SoakCapture stopped = CaptureOnce(With(GetParam(), {{{FaultKind::kEmergencyStop, 50}}, 1, 0.0, {}}));
   EXPECT_THAT(Reasons(stopped), HasSubstr("emergency stop"));
