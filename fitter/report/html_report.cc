@@ -8,6 +8,7 @@
 
 #include "fitter/export/pictures.h"
 #include "fitter/report/svg_drawing.h"
+#include "shared/base/parallel.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
@@ -155,7 +156,32 @@ std::string TableHtml(const ReportTable& table) {
 
 }  // namespace
 
+Result<ReportPictures> EncodePictures(const Report& report) {
+  std::vector<const ReportImage*> images;
+  for (const ReportSection& section : report.sections)
+    for (const ReportImage& image : section.images) images.push_back(&image);
+  ReportPictures pictures(images.size());
+  std::vector<Status> failed(images.size());
+  ParallelFor(static_cast<int64_t>(images.size()), 1, [&](int64_t begin, int64_t end) {
+    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i) {
+      auto png = EncodePng8(images[i]->pixels);
+      if (png.ok())
+        pictures[i] = std::move(*png);
+      else
+        failed[i] = png.status();
+    }
+  });
+  for (const Status& status : failed) SLX_RETURN_IF_ERROR(status);
+  return pictures;
+}
+
 Result<std::string> RenderHtml(const Report& report) {
+  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report));
+  return RenderHtml(report, pictures);
+}
+
+std::string RenderHtml(const Report& report, const ReportPictures& pictures) {
+  auto png = pictures.begin();
   std::string html =
       "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><meta name='viewport' content='width=device-width'>"
       "<title>" +
@@ -167,9 +193,8 @@ Result<std::string> RenderHtml(const Report& report) {
     if (!section.text.empty()) html += "<p>" + EscapeHtml(section.text) + "</p>\n";
     html += "<div class='row'>";
     for (const ReportImage& image : section.images) {
-      SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(image.pixels));
       const std::string picture =
-          "<img alt=\"" + EscapeHtml(image.caption) + "\" src='data:image/png;base64," + Base64(png) + "'>";
+          "<img alt=\"" + EscapeHtml(image.caption) + "\" src='data:image/png;base64," + Base64(*png++) + "'>";
       html += "<figure>" + Linked(picture, image.link) + ColourBar(image) + "<figcaption>" + EscapeHtml(image.caption) +
               "</figcaption></figure>\n";
     }

@@ -68,6 +68,12 @@ struct Report {
   std::optional<ReportBanner> banner{};
 };
 
+// The images of all sections, in their order, as PNG files.
+using ReportPictures = std::vector<std::vector<uint8_t>>;
+[[nodiscard]] Result<ReportPictures> EncodePictures(const Report& report);
+
 [[nodiscard]] Result<std::string> RenderHtml(const Report& report);
+// With its pictures, encoded before.
+[[nodiscard]] std::string RenderHtml(const Report& report, const ReportPictures& pictures);
 
 }  // namespace stratalux::fit

@@ -359,12 +359,10 @@ ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& d
   return section;
 }
 
-Status SavePictures(const std::filesystem::path& folder, const Report& report) {
+Status SavePictures(const std::filesystem::path& folder, const ReportPictures& pictures) {
   int number = 0;
-  for (const ReportSection& section : report.sections)
-    for (const ReportImage& image : section.images) {
-      SLX_RETURN_IF_ERROR(WritePng8(folder / Formatted("%02d.png", number++), image.pixels));
-    }
+  for (const auto& picture : pictures)
+    SLX_RETURN_IF_ERROR(WriteText(folder / Formatted("%02d.png", number++), {picture.begin(), picture.end()}));
   return Status::Ok();
 }
 
@@ -407,9 +405,9 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   }
   report.sections.push_back(LayerPictures(in.layers.map, SummariseLayers(in.layers.map), in.layers.signal_to_noise));
   report.sections.push_back(Figures(metrics));
-  SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report));
-  SLX_RETURN_IF_ERROR(WriteText(folder / "report" / "index.html", html));
-  return SavePictures(folder / "report", report);
+  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report));
+  SLX_RETURN_IF_ERROR(WriteText(folder / "report" / "index.html", RenderHtml(report, pictures)));
+  return SavePictures(folder / "report", pictures);
 }
 
 }  // namespace stratalux::fit
