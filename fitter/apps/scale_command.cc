@@ -57,9 +57,11 @@ std::string Clock(double hours) {
 
 std::string TextOf(const VisitFigures& figures, const FleetOptions& fleet, const std::vector<FleetDay>& days) {
   std::string text = Formatted(
-      "A visitor: %.1f s of capture, %.2f GB of frames, %.0f s of a core (median of %zu fits), %.2f GB that stay\n",
+      "A visitor: %.1f s of capture, %.2f GB of frames, %.0f s of a core (median of %zu fits), %.2f GB of fits, %.2f "
+      "GB "
+      "of artifacts\n",
       figures.capture_s, figures.frames_bytes / kGb, Median(figures.fit_cpu_s), figures.fit_cpu_s.size(),
-      figures.fit_bytes / kGb);
+      figures.fit_bytes / kGb, figures.artifact_bytes / kGb);
   text +=
       Formatted("%d kiosks of %g visitors a day, %d machines of %d cores, %s to %s: asked for is\n", fleet.kiosks,
                 fleet.visitors, fleet.machines, fleet.cores, Clock(fleet.from_h).c_str(), Clock(fleet.until_h).c_str());
@@ -149,6 +151,7 @@ void AddScaleCommand(CLI::App& batch, int& exit_code) {
   number("--machine-days", fleet.machine_days, "Days between failures of a machine, on average; 0: none fails");
   number("--repair", fleet.repair_h, "Hours until it is back");
   number("--frames-days", fleet.frames_days, "Days that frames are kept in the store");
+  number("--artifacts-days", fleet.artifacts_days, "Days that artifacts are kept, until `stratalux-fit clean`");
   number("--fits-days", fleet.fits_days, "Days that fits are kept");
   number("--kiosk-days", fleet.kiosk_days, "Days that a kiosk keeps what was pulled");
   number("--days", fleet.days, "Days to simulate");

@@ -325,6 +325,7 @@ class Fleet {
     } else {
       ++day_.fitted;
       fits_.Add(now_, figures_.fit_bytes);
+      artifacts_.Add(now_, figures_.artifact_bytes);
     }
     Dispatch();
     if (queue_.empty() && waiting_ == 0 && Working() == 0) last_end_ = now_;
@@ -391,8 +392,9 @@ class Fleet {
     if (day_.queue_left == 0 && Working() == 0 && day_.fitted + day_.set_aside > 0)
       day_.done_h = (last_end_ - day * kDay) / kHour;
     day_.cores_busy = busy_s_ / (night_s_ * static_cast<double>(cores_.size()));
-    day_.store_bytes =
-        frames_.Since(now_ - options_.frames_days * kDay) + fits_.Since(now_ - options_.fits_days * kDay);
+    day_.store_bytes = frames_.Since(now_ - options_.frames_days * kDay) +
+                       artifacts_.Since(now_ - options_.artifacts_days * kDay) +
+                       fits_.Since(now_ - options_.fits_days * kDay);
     for (Kiosk& kiosk : kiosks_) {
       day_.on_kiosks += static_cast<int64_t>(kiosk.held.size());
       const double held = static_cast<double>(kiosk.held.size()) * figures_.frames_bytes;
@@ -428,7 +430,7 @@ class Fleet {
   std::map<int, bool> dies_;  // of the attempts under way
   int64_t waiting_ = 0;       // for their next attempt
 
-  Kept frames_, fits_;  // in the store
+  Kept frames_, artifacts_, fits_;  // in the store
   FleetDay day_;
   double waited_s_ = 0.0, busy_s_ = 0.0, last_end_ = 0.0;
   int64_t began_ = 0;
@@ -463,6 +465,7 @@ Status FleetOptions::Validate() const {
   SLX_RETURN_IF_ERROR(Within("machine-days", machine_days, 0.0, 1e6));
   SLX_RETURN_IF_ERROR(Within("repair", repair_h, 0.0, 1e4));
   SLX_RETURN_IF_ERROR(Within("frames-days", frames_days, 0.0, 1e5));
+  SLX_RETURN_IF_ERROR(Within("artifacts-days", artifacts_days, 0.0, 1e5));
   SLX_RETURN_IF_ERROR(Within("fits-days", fits_days, 0.0, 1e5));
   SLX_RETURN_IF_ERROR(Within("kiosk-days", kiosk_days, 0.0, 1e5));
   SLX_RETURN_IF_ERROR(Within("days", days, 1, 3650));

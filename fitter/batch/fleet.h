@@ -29,7 +29,8 @@ struct FleetOptions {
   double hopeless_share = 0.0;  // of visitors: each attempt dies
   double machine_days = 0.0;    // between failures of a machine, on average (exponential); 0: never
   double repair_h = 12.0;
-  double frames_days = 30.0, fits_days = 365.0, kiosk_days = 7.0;  // kept in the store; on the kiosk, once pulled
+  double frames_days = 30.0, artifacts_days = 2.0, fits_days = 365.0;  // kept in the store
+  double kiosk_days = 7.0;                                             // kept on the kiosk, once pulled
   int days = 7;
   uint64_t seed = 1;
   [[nodiscard]] Status Validate() const;

@@ -61,12 +61,13 @@ Status VisitFigures::Validate() const {
   if (longest_stage_share > 1.0) return Status::Usage("visitors' figures: longest_stage_share: at most 1");
   SLX_RETURN_IF_ERROR(Positive("capture_s", capture_s));
   SLX_RETURN_IF_ERROR(Positive("frames_bytes", frames_bytes));
+  SLX_RETURN_IF_ERROR(Positive("artifact_bytes", artifact_bytes));
   return Positive("fit_bytes", fit_bytes);
 }
 
 Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most) {
   VisitFigures figures;
-  std::vector<double> shares, captures, frames_bytes, fit_bytes;
+  std::vector<double> shares, captures, frames_bytes, fit_bytes, artifact_bytes;
   int64_t sites = 0;
   SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
   for (const db::SessionSummary& session : sessions) {
@@ -90,7 +91,8 @@ Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most) {
     shares.push_back(longest / seconds);
     captures.push_back(SecondsOf(frames));
     frames_bytes.push_back(static_cast<double>(session.bytes));
-    fit_bytes.push_back(BytesBelow(folder / db::kArtifactsFolder, seen) + BytesBelow(folder / "fits", seen));
+    fit_bytes.push_back(BytesBelow(folder / "fits", seen));
+    artifact_bytes.push_back(BytesBelow(folder / db::kArtifactsFolder, seen));
   }
   if (figures.fit_cpu_s.empty())
     return Status::NotFound("store " + store.folder().string() +
@@ -99,16 +101,16 @@ Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most) {
   figures.capture_s = Median(captures);
   figures.frames_bytes = Median(frames_bytes);
   figures.fit_bytes = Median(fit_bytes);
+  figures.artifact_bytes = Median(artifact_bytes);
   SLX_RETURN_IF_ERROR(figures.Validate());
   return figures;
 }
 
 std::string ToJson(const VisitFigures& figures) {
-  const nlohmann::ordered_json json = {{"fit_cpu_s", figures.fit_cpu_s},
-                                       {"longest_stage_share", figures.longest_stage_share},
-                                       {"capture_s", figures.capture_s},
-                                       {"frames_bytes", figures.frames_bytes},
-                                       {"fit_bytes", figures.fit_bytes}};
+  const nlohmann::ordered_json json = {
+      {"fit_cpu_s", figures.fit_cpu_s}, {"longest_stage_share", figures.longest_stage_share},
+      {"capture_s", figures.capture_s}, {"frames_bytes", figures.frames_bytes},
+      {"fit_bytes", figures.fit_bytes}, {"artifact_bytes", figures.artifact_bytes}};
   return json.dump(1);
 }
 
@@ -135,6 +137,8 @@ Result<VisitFigures> ParseVisitFigures(const std::string& text) {
       good = number(figures.frames_bytes);
     } else if (key == "fit_bytes") {
       good = number(figures.fit_bytes);
+    } else if (key == "artifact_bytes") {
+      good = number(figures.artifact_bytes);
     }
     if (!good) return Status::Usage("visitors' figures: " + key + ": not a figure of them");
   }

@@ -15,7 +15,8 @@ struct VisitFigures {
   double longest_stage_share = 1.0;  // of a fit's time: the most that an attempt which dies loses
   double capture_s = 0.0;            // of the rig, from the first trigger to the last frame
   double frames_bytes = 0.0;         // on the rig, and pulled
-  double fit_bytes = 0.0;            // what fitting leaves: artifacts, and the fit's own files
+  double fit_bytes = 0.0;            // files of a fit, those that are artifacts, too, among them
+  double artifact_bytes = 0.0;       // what `stratalux-fit clean` removes: made again where a later run wants it
   [[nodiscard]] Status Validate() const;
 };
 
@@ -23,7 +24,8 @@ struct VisitFigures {
 // times one by one. kNotFound: nobody was fitted.
 [[nodiscard]] Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most = 50);
 
-// {"fit_cpu_s": [...], "longest_stage_share": ..., "capture_s": ..., "frames_bytes": ..., "fit_bytes": ...}
+// {"fit_cpu_s": [...], "longest_stage_share": ..., "capture_s": ..., "frames_bytes": ..., "fit_bytes": ...,
+// "artifact_bytes": ...}
 [[nodiscard]] std::string ToJson(const VisitFigures& figures);
 [[nodiscard]] Result<VisitFigures> ParseVisitFigures(const std::string& json);
 

@@ -87,6 +87,21 @@ TEST_F(BatchNight, WhateverIsKilledEverybodyIsFittedAsByAnUndisturbedRun) {
   EXPECT_THAT(RunBatch(store).out, HasSubstr("0 visitors to fit"));
   const Outcome status = Execute("stratalux-fit batch status --json --store " + store.string(), Show::kStdout);
   EXPECT_EQ(Json::parse(status.out).at("queue").at("done"), 4);
+  // What a visitor costs is measured there, and can be taken elsewhere.
+  const Outcome scale = Execute("stratalux-fit batch scale --days 2 --json --store " + store.string(), Show::kStdout);
+  ASSERT_EQ(scale.code, 0);
+  const Json figures = Json::parse(scale.out)["figures"];
+  EXPECT_EQ(figures["fit_cpu_s"].size(), Sessions(store).size());
+  for (const Json& session :
+       Json::parse(Execute("stratalux-db ls --json --store " + store.string(), Show::kStdout).out)) {
+    EXPECT_GT(figures["frames_bytes"].get<double>(), 0.5 * session["bytes"].get<double>());
+    EXPECT_LT(figures["frames_bytes"].get<double>(), 2.0 * session["bytes"].get<double>());
+  }
+  WriteText(folder_ / "figures.json", figures.dump());
+  EXPECT_EQ(Execute("stratalux-fit batch scale --days 2 --json --figures " + (folder_ / "figures.json").string(),
+                    Show::kStdout)
+                .out,
+            scale.out);
 }
 
 TEST_F(BatchNight, AStopGivesBackAndTheNextNightGoesOn) {

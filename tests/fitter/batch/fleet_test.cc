@@ -15,7 +15,12 @@ namespace {
 using ::testing::HasSubstr;
 
 VisitFigures Figures() {
-  return {.fit_cpu_s = {100.0}, .longest_stage_share = 0.3, .capture_s = 10.0, .frames_bytes = 5e8, .fit_bytes = 2e8};
+  return {.fit_cpu_s = {100.0},
+          .longest_stage_share = 0.3,
+          .capture_s = 10.0,
+          .frames_bytes = 5e8,
+          .fit_bytes = 2e8,
+          .artifact_bytes = 1e9};
 }
 
 std::vector<FleetDay> Simulate(const VisitFigures& figures, const FleetOptions& options) {
@@ -168,6 +173,7 @@ TEST(Fleet, FramesAreDroppedWhenTheirDaysAreOver) {
   options.kiosks = 5;
   options.frames_days = 3.0;
   options.fits_days = 1000.0;
+  options.artifacts_days = 0.0;
   options.days = 12;
   options.machines = 4;
   options.cores = 16;
@@ -249,8 +255,10 @@ TEST(VisitFigures, AreReadAsTheyWereWritten) {
            {"{}", "fit_cpu_s"},
            {R"({"fit_cpu_s": ["x"]})", "fit_cpu_s"},
            {R"({"fit_cpu_s": [1], "frame_bytes": 3})", "frame_bytes"},
-           {R"({"fit_cpu_s": [-1], "capture_s": 1, "frames_bytes": 1, "fit_bytes": 1})", "fit_cpu_s"},
-           {R"({"fit_cpu_s": [1], "capture_s": 0, "frames_bytes": 1, "fit_bytes": 1})", "capture_s"}}) {
+           {R"({"fit_cpu_s": [-1], "capture_s": 1, "frames_bytes": 1, "fit_bytes": 1, "artifact_bytes": 1})",
+            "fit_cpu_s"},
+           {R"({"fit_cpu_s": [1], "capture_s": 0, "frames_bytes": 1, "fit_bytes": 1, "artifact_bytes": 1})",
+            "capture_s"}}) {
     const auto bad = ParseVisitFigures(text);
     ASSERT_FALSE(bad.ok()) << text;
     EXPECT_THAT(bad.status().message(), HasSubstr(why)) << text;
