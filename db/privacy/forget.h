@@ -105,6 +105,9 @@ class ForgetProof {
   ForgetProof& operator=(ForgetProof&&) noexcept;
   ~ForgetProof();
 
+  // Before its search: one that was begun before it and waits is done by this one, too. (What the later one took up of
+  // it by itself counts once.)
+  void Include(ForgetProof earlier);
   // Reads every file of the store, which takes its time, and holds no lock of it meanwhile. What another proof has
   // certified by now is left out. `goes_on`, asked for each MiB, may end it: kTryAgain.
   Status Search(Logger& logger, const std::function<bool()>& goes_on = {});

@@ -2,6 +2,7 @@
 #include "db/privacy/forget_proof.h"
 
 #include <algorithm>
+#include <iterator>
 #include <set>
 
 #include <nlohmann/json.hpp>
@@ -97,6 +98,26 @@ ForgetProof::ForgetProof(std::unique_ptr<Removed> removed) : removed_(std::move(
 ForgetProof::ForgetProof(ForgetProof&&) noexcept = default;
 ForgetProof& ForgetProof::operator=(ForgetProof&&) noexcept = default;
 ForgetProof::~ForgetProof() = default;
+
+void ForgetProof::Include(ForgetProof earlier) {
+  Removed &mine = *removed_, &other = *earlier.removed_;
+  std::set<std::string> known;
+  for (const ForgetIntent& intent : mine.intents) known.insert(intent.session);
+  for (size_t i = 0; i < other.intents.size(); ++i) {
+    if (known.contains(other.intents[i].session)) continue;
+    mine.intents.push_back(std::move(other.intents[i]));
+    mine.report.sessions.push_back(std::move(other.report.sessions[i]));
+  }
+  std::copy_if(other.kept_exports.begin(), other.kept_exports.end(), std::back_inserter(mine.kept_exports),
+               [&](const auto& kept) { return !known.contains(kept.session); });
+  const auto unite = [](std::vector<std::string>& to, std::vector<std::string>& from) {
+    for (std::string& text : from)
+      if (std::find(to.begin(), to.end(), text) == to.end()) to.push_back(std::move(text));
+  };
+  unite(mine.visitors, other.visitors);
+  unite(mine.gone_visitors, other.gone_visitors);
+  unite(mine.report.incoming, other.report.incoming);
+}
 
 Status ForgetProof::Search(Logger& logger, const std::function<bool()>& goes_on) {
   Removed& r = *removed_;

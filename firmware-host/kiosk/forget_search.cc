@@ -40,7 +40,9 @@ ForgetSearch::~ForgetSearch() {
 void ForgetSearch::Add(db::ForgetProof proof) {
   {
     const std::scoped_lock lock(mutex_);
-    proofs_.push_back(std::move(proof));
+    // Each begun one takes up what is not proven yet: a row of them would hold, and search for, everybody many times.
+    if (waiting_) proof.Include(std::move(*waiting_));
+    waiting_ = std::move(proof);
   }
   changed_.notify_all();
 }
@@ -62,10 +64,9 @@ void ForgetSearch::Work() {
   GiveWay();
   while (true) {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [this] { return ending_ || !proofs_.empty(); });
+    changed_.wait(lock, [this] { return ending_ || waiting_; });
     if (ending_) return;
-    db::ForgetProof proof = std::move(proofs_.front());
-    proofs_.pop_front();
+    db::ForgetProof proof = *std::exchange(waiting_, std::nullopt);
     lock.unlock();
     Prove(std::move(proof));
   }

@@ -4,9 +4,9 @@
 #pragma once
 
 #include <condition_variable>
-#include <deque>
 #include <functional>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "db/privacy/forget.h"
@@ -41,7 +41,7 @@ class ForgetSearch {
   std::mutex turn_;  // taken before mutex_
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::deque<db::ForgetProof> proofs_;
+  std::optional<db::ForgetProof> waiting_;
   bool rest_ = true, ending_ = false;
   std::thread thread_;
 };

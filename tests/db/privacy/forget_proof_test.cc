@@ -77,6 +77,30 @@ TEST_F(ForgetHalves, ASearchThatIsEndedCertifiesNothingAndIsMadeAgain) {
   ExpectGone(traces, kVisitor);
 }
 
+// While one search runs, others wait: one takes up all of them.
+TEST_F(ForgetHalves, AProofIncludesWhatWaited) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kPerSession);
+  const Traces traces = TracesOf(id), others = TracesOf(other);
+  ForgetRequest request;
+  request.sessions = {id};
+  auto first = BeginForget(folder_, request);
+  request.sessions = {other};
+  auto second = BeginForget(folder_, request);
+  ASSERT_TRUE(first.ok() && second.ok());
+  // Of the session that both know one certificate is written; what is known to the earlier one alone is not lost.
+  first->Include(std::move(*second));
+  Logger quiet(LogLevel::kError);
+  ASSERT_TRUE(first->Search(quiet).ok());
+  const auto report = first->Certify();
+  ASSERT_TRUE(report.ok());
+  EXPECT_EQ(report->sessions.size(), 2U);
+  EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+  EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
+  EXPECT_EQ(CertificateOf(other)["verification"]["clean"], true);
+  ExpectGone(traces, kVisitor);
+  ExpectGone(others, kOther);
+}
+
 // Of this process on `file`, as another process sees it: a kernel's answer, no attempt.
 bool IsLockedByUs(const fs::path& file) {
   const pid_t parent = getpid(), child = fork();
