@@ -12,7 +12,7 @@ ctest --test-dir "$build" -R '^web.modules$' --output-on-failure >&2
 axe=$build/web/node_modules/axe-core/axe.min.js
 /usr/bin/python3 tests/web/kiosk_page_test.py --program "$build/bin/kiosk_page_script" --rig "$build/bin/stratalux-rig" --axe "$axe" --pictures "$out" \
   Page.test_every_screen_in_english Page.test_every_screen_in_german Page.test_every_screen_in_japanese \
-  Page.test_the_gate_keeps_only_what_is_worth_it Page.test_the_operators_screen >&2
+  Page.test_the_gate_keeps_only_what_is_worth_it Page.test_the_operators_screen Page.test_the_trend_of_the_self_checks >&2
 /usr/bin/python3 tests/web/preview_page_test.py --program "$build/bin/stratalux-rig" --axe "$axe" --pictures "$out" \
   --scene head --size 696x520 Preview.test_light_exposure_and_figures >&2
 while read -r from to; do
@@ -31,5 +31,6 @@ en-thanks kiosk_thanks
 en-closed kiosk_closed
 en-safe kiosk_safe
 operator-en kiosk_operator
+operator-trend-en kiosk_selfchecks
 preview-lit preview
 PICTURES

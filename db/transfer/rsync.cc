@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "db/transfer/program.h"
+#include "shared/base/program.h"
 
 namespace stratalux::db {
 namespace {

@@ -48,8 +48,10 @@ Exit codes: 0 ended, 1 the rig or the store failed, 2 usage, 3 a visit could not
 inline constexpr const char* kSelftestExamples = R"(Examples:
   stratalux-rig selftest --config rig.toml --store store
   stratalux-rig selftest --simulate --store store --json
+  stratalux-rig selftest --trend --json | jq '.drifts'
 
-Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 5 a device is in use.)";
+Exit codes: 0 passed, 1 something failed (each item says what to do), 2 usage, 4 --trend: no self-check is kept,
+5 a device is in use.)";
 inline constexpr const char* kDevicesExamples = R"(Examples:
   stratalux-rig devices
   stratalux-rig devices --config rig.toml

@@ -6,6 +6,7 @@
 
 #include "firmware-host/kiosk/page_front.h"
 #include "firmware-host/kiosk/plain_front.h"
+#include "firmware-host/session/state_file.h"
 #include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
 #include "shared/http/access.h"
@@ -34,6 +35,7 @@ Result<KioskPageOptions> PageOptionsOf(const StationOptions& station) {
   options.store = station.config.store.folder;
   options.rig = station.config.store.rig;
   options.simulated = station.simulated.has_value();
+  options.state = StateFolder();
   return options;
 }
 
@@ -53,6 +55,7 @@ Result<KioskReport> KioskUntilStopped(const CaptureJob& job, StopToken& stop, Lo
   KioskOptions options;
   options.station = job.station;
   options.timing = job.timing;
+  options.state = StateFolder();
   bool& encrypt = options.station.config.store.encrypt.emplace(job.station.config.store.encrypt.value_or(true));
   if (!encrypt) logger.Warning("[store] encrypt = false: what is forgotten may stay on the disk's free blocks");
   SLX_RETURN_IF_ERROR(options.Validate());

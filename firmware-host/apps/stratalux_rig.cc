@@ -24,6 +24,7 @@
 #include "firmware-host/apps/timing_flags.h"
 #include "firmware-host/calibration/instructions.h"
 #include "firmware-host/config/rig_config.h"
+#include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/safety/last_resort.h"
 #include "firmware-host/session/last_lights.h"
 #include "firmware-host/session/learnt_deadlines.h"
@@ -57,6 +58,7 @@ struct Flags {
   bool sign = false;
   bool json = false;
   bool verbose = false;
+  bool trend = false;
   bool page = false;
   int port = 0;
 };
@@ -234,7 +236,18 @@ int RunPreviewCommand(const Flags& flags) {
   return ended.ok() ? 0 : Report(ended);
 }
 
+// What the kiosk's self-checks kept: no device is looked at.
+int RunSelftestTrend(const Flags& flags) {
+  const Result<SelfcheckBook> book = ReadSelfchecks(SelfchecksFile(StateFolder(), !flags.simulation.scene.empty()));
+  if (book.status().code() == StatusCode::kNotFound)
+    return Report(
+        Status::NotFound(book.status().message() + "; the kiosk keeps its self-checks there (docs/kiosk.md)"));
+  if (!book.ok()) return Report(book.status());
+  return Print((flags.json ? TrendAsJson : TrendAsText)(TrendOf(*book)));
+}
+
 int RunSelftestCommand(const Flags& flags) {
+  if (flags.trend) return RunSelftestTrend(flags);
   const Result<RigConfig> config = ConfigFrom(flags);
   if (!config.ok()) return Report(config.status());
   const Result<std::optional<SimulatedRigOptions>> simulated =
@@ -393,6 +406,8 @@ int Main(int argc, char** argv) {
   AddTimingFlags(*selftest, flags.timing);
   AddSimulationFlags(*selftest, flags.simulation);
   selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
+  selftest->add_flag("--trend", flags.trend,
+                     "look at no device: print what the kiosk's self-checks on the white card measured over the days");
   selftest->add_flag("--json", flags.json, "print one JSON object");
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* kiosk = AddKiosk(app, flags);

@@ -15,6 +15,7 @@
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
 #include "firmware-host/kiosk/rig_worker.h"
+#include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/kiosk/service_notice.h"
 #include "firmware-host/kiosk/visit_machine.h"
 #include "firmware-host/session/store_disk.h"
@@ -87,9 +88,13 @@ class KioskLoop {
         front_(front),
         stop_(stop),
         logger_(logger),
+        selfchecks_(options.state.empty() ? options.state
+                                          : SelfchecksFile(options.state, options.station.simulated.has_value()),
+                    logger),
         worker_(station,
                 {options.station, options.timing, options.second / 5,
-                 [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); }, options.after_forget_step},
+                 [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); },
+                 [this](Selfcheck check) { return KeepSelfcheck(std::move(check)); }, options.after_forget_step},
                 stop, logger),
         timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
 
@@ -136,6 +141,7 @@ class KioskLoop {
     return std::chrono::nanoseconds(options_.wall().ns - MonotonicNow().ns);
   }
   void SayWhetherShort(const event::Space& space);
+  bool KeepSelfcheck(Selfcheck check);
   [[nodiscard]] event::Space SpaceLeft() const;
   [[nodiscard]] event::Calibration CalibrationAtHand() const;
   [[nodiscard]] event::Hours HoursNow() const { return {!kiosk_.hours || kiosk_.hours->IsOpenAt(MinuteOfDay())}; }
@@ -150,6 +156,7 @@ class KioskLoop {
   VisitState state_;
   KioskReport report_;
   ServiceNotice notice_;
+  SelfcheckKeeper selfchecks_;  // the worker's
   RigWorker worker_;
   UniqueFd timer_;
   Clock::time_point next_housekeeping_;
@@ -166,6 +173,7 @@ Result<KioskReport> KioskLoop::Run() {
       Feed(event::InterlockChanged{signal == RigSignal::kDoor ? Interlock::kDoor : Interlock::kEmergencyStop, true});
     else
       Feed(event::DeviceChanged{signal == RigSignal::kCamera ? Device::kCamera : Device::kLines, false});
+  front_.ShowSelfchecks(selfchecks_.trend());
   front_.ServeWithdrawals([this](const std::string& visitor) { return worker_.Withdraw(visitor); });
   KeepHouse();
   notice_.Ready();
@@ -280,6 +288,17 @@ void KioskLoop::SayWhetherShort(const event::Space& space) {
                   Formatted("%.1f GB free, the attempts of a visit may take %.1f GB",
                             1e-9 * static_cast<double>(space.bytes), 1e-9 * static_cast<double>(rules_.space_bytes)) +
                   "; free some (stratalux-db purge), or move the store");
+}
+
+// On the worker's thread.
+bool KioskLoop::KeepSelfcheck(Selfcheck check) {
+  check.at = options_.wall();
+  selfchecks_.Add(std::move(check));
+  const SelfcheckTrend trend = selfchecks_.trend();
+  for (const FigureDrift& drift : trend.drifts)
+    logger_.Write(LogLevel::kWarning, "self-check: " + ToText(drift, trend.days), {{"STRATALUX_KIOSK", "drift"}});
+  front_.ShowSelfchecks(trend);
+  return !trend.drifts.empty();
 }
 
 event::Space KioskLoop::SpaceLeft() const {

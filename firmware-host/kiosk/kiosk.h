@@ -6,6 +6,7 @@
 #include <array>
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
 #include <functional>
 
 #include "db/privacy/forget.h"
@@ -23,8 +24,10 @@ struct KioskOptions {
   VisitTiming timing;
   // Of the deadlines; tests have shorter ones.
   std::chrono::nanoseconds second = std::chrono::seconds(1);
-  // What people call the time; tests set it.
+  // What people call the time; tests set it. From any thread.
   std::function<WallNs()> wall = WallNow;
+  // Where the figures of self-checks are kept (StateFolder()); empty: they end with the kiosk.
+  std::filesystem::path state = {};
   // After each step of the machine; may be empty.
   std::function<void(const VisitState& state, const VisitEvent& event)> after_step = {};
   std::function<void(db::ForgetStep)> after_forget_step = {};  // WorkerOptions

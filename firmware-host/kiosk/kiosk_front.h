@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/kiosk/selfcheck_trend.h"
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
 #include "shared/base/result.h"
@@ -32,6 +33,9 @@ class KioskFront {
   // A frame of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
   // meanwhile. It must neither be stored nor leave the machine.
   virtual void Preview(const FrameRecord& /*record*/, const Image<uint16_t>& /*pixels*/) {}
+  // What self-checks measured, as it stands now; before anything is shown, and by the thread that works the rig after
+  // each check.
+  virtual void ShowSelfchecks(const SelfcheckTrend& /*trend*/) {}
   // How to forget a visitor (by pseudonym) whose ticket an operator has, from any thread: RigWorker::Withdraw. Given
   // before anything is shown; null when the kiosk ends: nobody is in it when this returns.
   virtual void ServeWithdrawals(Withdrawal /*withdraw*/) {}

@@ -9,9 +9,6 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr size_t kMostFaults = 50;
-constexpr int64_t kDayNs = 24LL * 3600 * 1'000'000'000;
-
 bool InVisit(Phase phase) {
   return phase == Phase::kQuestion || phase == Phase::kConsent || phase == Phase::kPosition ||
          phase == Phase::kCountdown || phase == Phase::kCapture || phase == Phase::kGate || phase == Phase::kThanks;
@@ -37,61 +34,97 @@ class Exposition {
   void Value(const std::string& label, const std::string& of, const std::string& value) {
     text_ += name_ + "{" + label + "=\"" + Escaped(of) + "\"} " + value + "\n";
   }
+  void Value(CheckFigure figure, size_t projector, double value) {
+    const std::string of = figure == CheckFigure::kFrameRate ? "" : ",projector=\"" + std::to_string(projector) + "\"";
+    text_ += name_ + "{figure=\"" + ToString(figure) + "\"" + of + "} " + Formatted("%.6g", value) + "\n";
+  }
   [[nodiscard]] std::string Text() && { return std::move(text_); }
 
  private:
   std::string name_, text_;
 };
 
+// Of each figure of the newest one: `of` says what; nullopt is left out.
+void WriteFigures(Exposition& out, const Selfcheck& newest,
+                  const std::function<std::optional<double>(size_t figure, size_t projector)>& of) {
+  for (size_t f = 0; f < newest.figures.size(); ++f)
+    for (size_t p = 0; p < newest.figures[f].size(); ++p)
+      if (const auto value = of(f, p)) out.Value(static_cast<CheckFigure>(f), p, *value);
+}
+
+void WriteSelfchecks(Exposition& out, const SelfcheckTrend& trend) {
+  if (trend.checks.empty()) return;
+  const Selfcheck& newest = trend.checks.back();
+  out.Metric("selfcheck_timestamp_seconds", "gauge", "When the last self-check was, seconds since 1970.");
+  out.Value(std::to_string(newest.at.ns / 1'000'000'000));
+  out.Metric("selfcheck_passed", "gauge", "1 where the last self-check passed.");
+  out.Value(newest.passed ? "1" : "0");
+  out.Metric("selfcheck", "gauge", "What the last self-check measured.");
+  WriteFigures(out, newest, [&](size_t f, size_t p) { return newest.figures[f][p]; });
+  const auto usual = [&](size_t f, size_t p) { return p < trend.usual[f].size() ? trend.usual[f][p] : std::nullopt; };
+  if (trend.days >= SelfcheckTrend::kFewestDays) {
+    out.Metric("selfcheck_usual", "gauge", "Median of the days before.");
+    WriteFigures(out, newest, [&](size_t f, size_t p) {
+      const auto one = usual(f, p);
+      return one ? std::optional(one->median) : std::nullopt;
+    });
+    out.Metric("selfcheck_limit", "gauge", "Distance from the median beyond which a figure drifted.");
+    WriteFigures(out, newest, [&](size_t f, size_t p) {
+      const auto one = usual(f, p);
+      return one ? std::optional(one->limit) : std::nullopt;
+    });
+  }
+  out.Metric("selfcheck_drifts", "gauge", "Figures of the last self-check that drifted.");
+  out.Value(std::to_string(trend.drifts.size()));
+}
+
 }  // namespace
 
-KioskMetrics::KioskMetrics(Clock now) : now_(std::move(now)) {
+KioskMetrics::KioskMetrics(DayBook days, Clock now) : now_(std::move(now)), days_(std::move(days)) {
   // A counter that appears with its first event has no rate of it.
   for (const char* end : {"kept", "withdrawn"}) figures_.visits[end] = 0;
   for (const Word end : {Word::kRefused, Word::kLeft, Word::kTimeOut, Word::kSensitive, Word::kFault, Word::kDevice})
     figures_.visits[ToString(end)] = 0;
 }
 
-void KioskMetrics::Shown(const action::Show& show) {
+void KioskMetrics::Shown(const action::Show& show, WallNs at) {
   const Phase before = std::exchange(figures_.screen, show.screen);
   if (InVisit(show.screen) && !std::exchange(in_visit_, true)) {
     ++figures_.visits_begun;
+    days_.Begun(at);
     captures_ = 0;
     kept_ = false;
   }
-  if (!InVisit(show.screen) && std::exchange(in_visit_, false)) EndVisit(show.word);
+  if (!InVisit(show.screen) && std::exchange(in_visit_, false)) EndVisit(show.word, at);
   if (show.screen != Phase::kCapture) return;
-  if (before != Phase::kCapture) BeginCapture();
+  if (before != Phase::kCapture) BeginCapture(at);
   figures_.frames += std::max(0, show.number - done_);
   done_ = std::max(done_, show.number);
   const double seconds = std::chrono::duration<double>(now_() - capture_began_).count();
   if (done_ > 1 && seconds > 0.0) figures_.frames_per_second = done_ / seconds;
 }
 
-void KioskMetrics::BeginCapture() {
-  if (captures_++ > 0) ++figures_.retakes;
+void KioskMetrics::BeginCapture(WallNs at) {
+  if (captures_++ > 0) {
+    ++figures_.retakes;
+    days_.Retaken(at);
+  }
   done_ = 0;
   capture_began_ = now_();
 }
 
-void KioskMetrics::EndVisit(Word word) {
+void KioskMetrics::EndVisit(Word word, WallNs at) {
   const char* end = !kept_ ? ToString(word) : word == Word::kRefused ? "withdrawn" : "kept";
   ++figures_.visits[end];
+  days_.Ended(end, at);
 }
 
 void KioskMetrics::Told(Word word, WallNs at) {
   ++figures_.faults[ToString(word)];
-  figures_.last_faults.push_front({at, word});
-  if (figures_.last_faults.size() > kMostFaults) figures_.last_faults.pop_back();
+  days_.Told(word, at);
 }
 
-KioskFigures KioskMetrics::figures(WallNs now) const {
-  KioskFigures figures = figures_;
-  std::erase_if(figures.last_faults, [now](const KioskFault& fault) { return now.ns - fault.at.ns > kDayNs; });
-  return figures;
-}
-
-std::string PrometheusText(const KioskFigures& figures, const KioskGauges& gauges) {
+std::string PrometheusText(const KioskFigures& figures, const KioskGauges& gauges, const SelfcheckTrend& selfchecks) {
   Exposition out;
   out.Metric("visits_begun_total", "counter", "Visits that somebody began.");
   out.Value(std::to_string(figures.visits_begun));
@@ -123,6 +156,7 @@ std::string PrometheusText(const KioskFigures& figures, const KioskGauges& gauge
     }
     for (const auto& [name, celsius] : hottest) out.Value("sensor", name, Formatted("%.1f", celsius));
   }
+  WriteSelfchecks(out, selfchecks);
   return std::move(out).Text();
 }
 

@@ -8,11 +8,14 @@
 
 #include "firmware-host/kiosk/host_facts.h"
 #include "firmware-host/kiosk/kiosk_metrics.h"
+#include "firmware-host/kiosk/operator_status.h"
 #include "firmware-host/kiosk/page_state.h"
 #include "firmware-host/kiosk/page_words.h"
 #include "firmware-host/kiosk/store_facts.h"
 #include "firmware-host/kiosk/ticket_picture.h"
 #include "firmware-host/preview/preview_picture.h"
+#include "firmware-host/session/state_file.h"
+#include "firmware-host/session/state_writer.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/program_data.h"
 #include "shared/http/event_stream.h"
@@ -33,13 +36,9 @@ constexpr auto kBetweenPreviews = 200ms;
 constexpr auto kStandsStill = 10s;
 // A viewer who is gone is found out by it, and holds one of few connections until then.
 constexpr auto kKeepAlive = 2s;
-constexpr auto kStoreFor = 5s;  // what the store said is good
+constexpr auto kStoreFor = 5s;   // what the store said is good
+constexpr auto kBatchFor = 60s;  // what systemd said of it
 constexpr int kSessions = 20;
-
-WallNs Now() {
-  return {std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
-              .count()};
-}
 
 Response Empty(int status) {
   Response response;
@@ -64,11 +63,6 @@ bool TrueIn(const Json& json, const char* name) {
   return found != json.end() && found->is_boolean() && found->get<bool>();
 }
 
-template <typename T>
-Json OrNull(const std::optional<T>& value) {
-  return value ? Json(*value) : Json(nullptr);
-}
-
 std::string WithCode(std::string text, const std::string& code) {
   const std::string place = "{code}";
   if (const size_t at = text.find(place); at != std::string::npos) text.replace(at, place.size(), code);
@@ -89,14 +83,22 @@ struct KioskPage::Impl {
   std::mutex mutex;
   PageState state;
   KioskMetrics metrics;
+  std::string state_note;  // what of an earlier program could not be read
+  std::optional<StateWriter> days_kept;
+  int64_t changes_kept = 0;
+  SelfcheckTrend selfchecks;
   std::string preview;  // JPEG
   std::optional<Clock::time_point> previewed;
   Clock::time_point beat = Clock::now();
 
   std::mutex store_mutex;
-  Json of_store = {{"sessions", Json::array()}, {"calibration_age_days", nullptr}, {"disk_free_bytes", nullptr}};
+  StoreStatus of_store;
   std::optional<Clock::time_point> store_read;
   db::DisclosureLog disclosures;
+
+  std::mutex batch_mutex;
+  TimerFacts batch_timer;
+  std::optional<Clock::time_point> batch_asked;
 
   std::optional<http::Server> server;
 
@@ -123,8 +125,13 @@ struct KioskPage::Impl {
   Response PictureOf(const Request& request);
   // What takes the store from a visitor's capture waits until there is none.
   [[nodiscard]] bool NobodyIsServed();
-  Response OperatorStatus();
-  Json OfStore();
+  Response OperatorFigures();
+  StoreStatus OfStore();
+  TimerFacts OfBatch();
+  // The days as an earlier program left them.
+  void OpenDays();
+  // Under the mutex, after what may have counted.
+  void KeepDays();
   Response Health();
   Response Ready();
   Response Metrics();
@@ -167,7 +174,7 @@ void KioskPage::Impl::AddVisitor(http::Router& router) {
 void KioskPage::Impl::AddOperator(http::Router& router) {
   const auto keepers = http::Audience::kKeepers;
   router.Add(
-      Method::kGet, "/operator/status", [this](const Request&) { return OperatorStatus(); }, keepers);
+      Method::kGet, "/operator/status", [this](const Request&) { return OperatorFigures(); }, keepers);
   router.Add(
       Method::kGet, "/operator/sessions/{session}/picture.jpg",
       [this](const Request& request) { return PictureOf(request); }, keepers);
@@ -260,47 +267,72 @@ Response KioskPage::Impl::PictureOf(const Request& request) {
                         picture.status().message());
 }
 
-Json KioskPage::Impl::OfStore() {
+StoreStatus KioskPage::Impl::OfStore() {
   const std::lock_guard lock(store_mutex);
   const auto now = Clock::now();
   if (options.store.empty() || (store_read && now - *store_read < kStoreFor)) return of_store;
   store_read = now;
-  of_store["disk_free_bytes"] = OrNull(FreeBytes(options.store));
-  of_store["calibration_age_days"] = OrNull(CalibrationAgeDays(options.store, options.rig, options.simulated, Now()));
-  const auto recent = RecentSessions(options.store, kSessions);
-  if (!recent.ok()) {
-    if (recent.status().code() != StatusCode::kNotFound)
-      logger.Warning("kiosk: the operator sees no sessions: " + recent.status().message());
-    return of_store;
-  }
-  Json& sessions = of_store["sessions"] = Json::array();
-  for (const RecentSession& one : *recent)
-    sessions.push_back({{"id", one.id},
-                        {"kind", one.kind},
-                        {"status", one.status},
-                        {"started", one.started.ns / 1'000'000'000},
-                        {"frames", one.frames},
-                        {"findings", one.reasons}});
+  of_store.disk_free_bytes = FreeBytes(options.store);
+  of_store.calibration_age_days = CalibrationAgeDays(options.store, options.rig, options.simulated, options.wall());
+  auto recent = RecentSessions(options.store, kSessions);
+  const auto fits = FitsOf(options.store, options.wall());
+  of_store.fits = fits.ok() ? std::optional(*fits) : std::nullopt;
+  if (recent.ok())
+    of_store.sessions = std::move(*recent);
+  else if (recent.status().code() != StatusCode::kNotFound)
+    logger.Warning("kiosk: the operator sees no sessions: " + recent.status().message());
   return of_store;
 }
 
-Response KioskPage::Impl::OperatorStatus() {
-  Json json = OfStore();
-  json["viewers"] = stream->viewers();
-  json["temperatures"] = Json::array();
-  for (const Temperature& one : Temperatures())
-    json["temperatures"].push_back({{"name", one.name}, {"celsius", one.celsius}});
+// The first who asks within a minute waits for systemctl, outside of all other locks.
+TimerFacts KioskPage::Impl::OfBatch() {
+  const std::lock_guard lock(batch_mutex);
+  const auto now = Clock::now();
+  if (options.systemctl.empty() || (batch_asked && now - *batch_asked < kBatchFor)) return batch_timer;
+  batch_asked = now;
+  batch_timer = AskTimer(options.systemctl, kBatchTimer);
+  return batch_timer;
+}
+
+Response KioskPage::Impl::OperatorFigures() {
+  OperatorStatus status;
+  status.store = OfStore();
+  status.batch_timer = OfBatch();
+  status.viewers = static_cast<int>(stream->viewers());
+  status.temperatures = Temperatures();
+  const WallNs now = options.wall();
   const std::lock_guard lock(mutex);
-  const KioskFigures figures = metrics.figures(Now());
-  json["screen"] = ToString(figures.screen);
-  json["frames_per_second"] = OrNull(figures.frames_per_second);
-  json["visits_begun"] = figures.visits_begun;
-  json["visits"] = figures.visits;
-  json["retakes"] = figures.retakes;
-  json["faults"] = Json::array();
-  for (const KioskFault& fault : figures.last_faults)
-    json["faults"].push_back({{"at", fault.at.ns / 1'000'000'000}, {"word", ToString(fault.word)}});
-  return JsonOf(json);
+  status.screen = metrics.figures().screen;
+  status.frames_per_second = metrics.figures().frames_per_second;
+  status.today = metrics.days().Today(now);
+  status.other_days = metrics.days().Others(now);
+  status.faults = metrics.days().LastFaults(now);
+  status.selfchecks = selfchecks;
+  for (const std::string& note : {state_note, days_kept ? days_kept->trouble() : "", selfchecks.note})
+    if (!note.empty()) status.notes.push_back(note);
+  return Response::Of("application/json", ToJson(status));
+}
+
+void KioskPage::Impl::OpenDays() {
+  if (options.state.empty()) return;
+  const auto file = options.state / (options.simulated ? "kiosk-days-simulated.json" : "kiosk-days.json");
+  DayBook days;
+  const auto taken =
+      TakeState(file, DayBook::kSchema, [&days](const std::string& text) { days = DayBook::From(text); });
+  if (!taken.ok() && taken.code() != StatusCode::kNotFound) {
+    state_note = taken.message();
+    logger.Warning("the day's counts begin anew: " + state_note);
+    days = DayBook();
+  }
+  days.CutOff();
+  metrics = KioskMetrics(std::move(days));
+  days_kept.emplace(file, logger);
+  KeepDays();
+}
+
+void KioskPage::Impl::KeepDays() {
+  const int64_t changes = metrics.days().changes();
+  if (days_kept && std::exchange(changes_kept, changes) != changes) days_kept->Keep(metrics.days().ToJson());
 }
 
 Response KioskPage::Impl::Health() {
@@ -326,7 +358,8 @@ Response KioskPage::Impl::Metrics() {
   KioskGauges gauges{static_cast<int>(stream->viewers()), std::nullopt, Temperatures()};
   if (!options.store.empty()) gauges.disk_free_bytes = FreeBytes(options.store);
   const std::lock_guard lock(mutex);
-  return Response::Of("text/plain; version=0.0.4; charset=utf-8", PrometheusText(metrics.figures(Now()), gauges));
+  return Response::Of("text/plain; version=0.0.4; charset=utf-8",
+                      PrometheusText(metrics.figures(), gauges, selfchecks));
 }
 
 Status KioskPageOptions::Validate() const {
@@ -352,6 +385,7 @@ Result<std::unique_ptr<KioskPage>> KioskPage::Start(const KioskPageOptions& give
   SLX_ASSIGN_OR_RETURN(auto languages, ReadLanguages(options.language_folder, options.languages));
   SLX_ASSIGN_OR_RETURN(const std::string nonce, http::RandomToken());
   auto impl = std::make_unique<Impl>(options, std::move(input), logger, std::move(languages));
+  impl->OpenDays();
   impl->state.Show(impl->state.shown(), nonce, Clock::now());
   impl->Publish();
   http::ServerOptions server;
@@ -375,7 +409,8 @@ void KioskPage::Show(const action::Show& show) {
   if (!nonce.ok()) impl_->logger.Error("kiosk: no nonce for the page: " + nonce.status().message());
   const std::lock_guard lock(impl_->mutex);
   if (show.screen != Phase::kPosition) impl_->preview.clear();
-  impl_->metrics.Shown(show);
+  impl_->metrics.Shown(show, impl_->options.wall());
+  impl_->KeepDays();
   // Without a new one the old one stays, which a page of the visit before may still know: better than none.
   if (impl_->state.Show(show, nonce.ok() ? *nonce : "", Clock::now())) impl_->Publish();
 }
@@ -406,7 +441,13 @@ void KioskPage::ShowPreview(const FrameRecord& record, ImageView<const uint16_t>
 
 void KioskPage::Tell(Word word) {
   const std::lock_guard lock(impl_->mutex);
-  impl_->metrics.Told(word, Now());
+  impl_->metrics.Told(word, impl_->options.wall());
+  impl_->KeepDays();
+}
+
+void KioskPage::ShowSelfchecks(const SelfcheckTrend& trend) {
+  const std::lock_guard lock(impl_->mutex);
+  impl_->selfchecks = trend;
 }
 
 void KioskPage::Beat() {

@@ -11,12 +11,14 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/kiosk/selfcheck_trend.h"
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
 #include "shared/capture/frame_record.h"
 #include "shared/image/image.h"
+#include "shared/units/time.h"
 
 namespace stratalux::rig {
 
@@ -35,6 +37,11 @@ struct KioskPageOptions {
   std::filesystem::path store;
   std::string rig;
   bool simulated = false;
+  // Asked when the next batch is; empty: nobody is. Tests have another one.
+  std::string systemctl = "systemctl";
+  // Where the day's counts are kept (StateFolder()); empty: they end with the page.
+  std::filesystem::path state;
+  std::function<WallNs()> wall = WallNow;  // tests set it
   std::string ticket_text = "{code}";  // what a ticket's QR code says: an address with {code} in it, where there is one
 
   // kUsage names the key and its remedy.
@@ -63,6 +70,7 @@ class KioskPage {
   // A look at whoever sits there, while the screen is kPosition; at most five a second are taken, others ignored.
   void ShowPreview(const FrameRecord& record, ImageView<const uint16_t> frame);
   void Tell(Word word);
+  void ShowSelfchecks(const SelfcheckTrend& trend);
   // The machine's loop still turns; /healthz fails ten seconds after the last time.
   void Beat();
 

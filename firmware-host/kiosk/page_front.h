@@ -29,6 +29,7 @@ class PageFront final : public KioskFront {
   void Preview(const FrameRecord& record, const Image<uint16_t>& pixels) override {
     page_->ShowPreview(record, pixels);
   }
+  void ShowSelfchecks(const SelfcheckTrend& trend) override { page_->ShowSelfchecks(trend); }
   void ServeWithdrawals(Withdrawal withdraw) override;
 
   [[nodiscard]] KioskPage& page() const { return *page_; }

@@ -6,6 +6,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "firmware-host/kiosk/selfcheck_book.h"
 #include "firmware-host/kiosk/words.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/read_file.h"
@@ -41,6 +42,7 @@ std::set<std::string> KeysOfTheMachine() {
   Require<Word>("words", kWords, keys);
   Require<Closure>("closures", kClosures, keys);
   Require<Phase>("operator/phases", kPhases, keys);
+  Require<CheckFigure>("operator/selfchecks/figures", kCheckFigures, keys);
   for (int i = 0; i < kPhases; ++i) keys.insert(std::string("/screens/") + ToString(static_cast<Phase>(i)) + "/title");
   return keys;
 }

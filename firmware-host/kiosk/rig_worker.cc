@@ -12,6 +12,7 @@
 
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/capture_watch.h"
+#include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/sequence/rig_check.h"
 #include "shared/base/check.h"
 
@@ -218,7 +219,9 @@ void RigWorker::Do(const action::CheckRig& /*job*/) {
         logger_.Warning("self-check: " + item.name + ": " + item.found + "; " + item.remedy);
     }
   station_.Rest();
-  Tell(event::Checked{passed});
+  std::optional<Selfcheck> figures;
+  if (report.ok() && options_.checked) figures = SelfcheckOf(*report, check.exposure_ms);
+  Tell(event::Checked{passed, figures && options_.checked(std::move(*figures))});
 }
 
 void RigWorker::Do(const action::Recover& /*job*/) {

@@ -14,6 +14,7 @@
 
 #include "firmware-host/kiosk/face_look.h"
 #include "firmware-host/kiosk/forget_search.h"
+#include "firmware-host/kiosk/selfcheck_book.h"
 #include "firmware-host/kiosk/visit_actions.h"
 #include "firmware-host/kiosk/visit_events.h"
 #include "firmware-host/kiosk/visit_forgetting.h"
@@ -28,6 +29,9 @@ struct WorkerOptions {
   std::chrono::nanoseconds look_pause = std::chrono::milliseconds(200);  // between two pre-scans
   // Frames of the preview, on the worker's thread.
   std::function<void(const Shot&)> preview;
+  // What a self-check measured, `at` yet to be given; true: a figure is not where it usually is. On the worker's
+  // thread. May be empty.
+  std::function<bool(Selfcheck)> checked = {};
   // Of forgettings: the first half on the worker's thread, the second on that of the search. May be empty.
   std::function<void(db::ForgetStep)> after_forget_step = {};
 };

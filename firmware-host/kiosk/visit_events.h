@@ -97,6 +97,7 @@ struct Failed {
 };
 struct Checked {
   bool passed = false;
+  bool drifted = false;  // a figure is not where it usually is (selfcheck_trend.h)
   friend bool operator==(const Checked&, const Checked&) = default;
 };
 // The stop is over and lost devices are open again, or not.

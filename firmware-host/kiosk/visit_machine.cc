@@ -466,6 +466,7 @@ void Stepper::On(const event::Checked& checked) {
   if (checked.passed) s_.faults = 0;
   s_.closed_for.Set(Closure::kFault, !checked.passed);
   if (!checked.passed) Do(action::TellOperator{Word::kSelfcheckFailed});
+  if (checked.drifted) Do(action::TellOperator{Word::kDrift});
   s_.word = checked.passed ? Word::kNone : Word::kSelfcheckFailed;
   Rest();
 }

@@ -56,7 +56,9 @@ struct EventText {
   std::string operator()(const event::Failed& e) const { return e.light_taken ? "failed light_taken" : "failed"; }
   std::string operator()(const event::Discarded& /*e*/) const { return "discarded"; }
   std::string operator()(const event::DiscardFailed& /*e*/) const { return "discard_failed"; }
-  std::string operator()(const event::Checked& e) const { return e.passed ? "checked passed" : "checked failed"; }
+  std::string operator()(const event::Checked& e) const {
+    return std::string(e.passed ? "checked passed" : "checked failed") + (e.drifted ? ", drifted" : "");
+  }
   std::string operator()(const event::Recovered& e) const { return e.good ? "recovered" : "recovered not"; }
   std::string operator()(const event::InterlockChanged& e) const {
     return std::string(ToString(e.which)) + (e.active ? " active" : " over");

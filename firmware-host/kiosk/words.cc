@@ -46,7 +46,8 @@ const char* ToString(Word word) {
                                                              "given_up",       "fault",
                                                              "unforgotten",    "selfcheck_failed",
                                                              "clock_jumped",   "closed",
-                                                             "shutdown",       "leftover"};
+                                                             "shutdown",       "leftover",
+                                                             "drift"};
   return NameIn(kNames, word);
 }
 

@@ -72,9 +72,10 @@ enum class Word : uint8_t {
   kClockJumped,
   kClosed,  // closed: Show's closures say why
   kShutdown,
-  kLeftover  // of what was forgotten; for the operator alone
+  kLeftover,  // of what was forgotten; for the operator alone
+  kDrift      // of a self-check's figures; for the operator alone
 };
-inline constexpr int kWords = 30;
+inline constexpr int kWords = 31;
 
 // The one deadline that runs: of the phase that armed it.
 enum class Deadline : uint8_t {

@@ -27,6 +27,8 @@ class RigCheck {
   }
 
   Status Run() {
+    report_.card.resize(devices_.projectors.size());
+    report_.sync_ms.resize(devices_.projectors.size());
     SLX_RETURN_IF_ERROR(CheckInterlock());
     if (Failed()) return Status::Ok();
     SLX_RETURN_IF_ERROR(Step("camera", [this] { return CheckCamera(); }));
@@ -182,6 +184,7 @@ class RigCheck {
     }
     report_.sync_latency_ms.insert(report_.sync_latency_ms.end(), latency.begin(), latency.end());
     delays_.sync.push_back(FiguresOf(latency));
+    if (!latency.empty()) report_.sync_ms[static_cast<size_t>(projector)] = Median(latency);
     const std::string count = std::to_string(pulses);
     if (foreign >= 0)
       Fail(name, "the edge comes on SYNC of projector " + std::to_string(foreign),
@@ -199,16 +202,15 @@ class RigCheck {
     return Status::Ok();
   }
 
-  // Mean level of a frame after projector `stepped` went on by one, all memories standing before black, white.
-  Result<double> LevelAfterStep(int stepped) {
+  // A frame after projector `stepped` went on by one, all memories standing before black, white.
+  Result<Image<uint16_t>> FrameAfterStep(int stepped) {
     SLX_RETURN_IF_ERROR(devices_.lines.TriggerProjector(stepped).status());
     SLX_RETURN_IF_ERROR(WaitEdge().status());
     SLX_RETURN_IF_ERROR(DrainEdges());
     SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, Snap());
     if (!frame) return Status::Failed("no frame within " + Text("%.0f ms", ToMilliseconds(options_.deadline)));
-    const double mean = MeanDn(frame->pixels);
-    if (report_.samples.size() < 4) report_.samples.push_back(std::move(frame->pixels));
-    return mean;
+    if (report_.samples.size() < 4) report_.samples.push_back(frame->pixels);
+    return std::move(frame->pixels);
   }
 
   Status CheckLight(int projector) {
@@ -216,8 +218,10 @@ class RigCheck {
     const Pattern black, white = {.kind = PatternKind::kWhite};
     for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(LoadAnew(*p, {black, white}));
     SLX_RETURN_IF_ERROR(Light(projector));
-    SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(projector));
-    SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(projector));
+    SLX_ASSIGN_OR_RETURN(const Image<uint16_t> black_frame, FrameAfterStep(projector));
+    SLX_ASSIGN_OR_RETURN(const Image<uint16_t> white_frame, FrameAfterStep(projector));
+    report_.card[static_cast<size_t>(projector)] = CardFiguresOf(black_frame, white_frame, report_.cfa);
+    const double dark = MeanDn(black_frame), lit = MeanDn(white_frame);
     SLX_RETURN_IF_ERROR(devices_.light.Off(projector));
     SLX_ASSIGN_OR_RETURN(std::optional<CapturedFrame> frame, Snap());
     const double off = frame ? MeanDn(frame->pixels) : dark;
@@ -242,9 +246,9 @@ class RigCheck {
       SLX_RETURN_IF_ERROR(devices_.light.Off(projector));
       for (Projector* p : devices_.projectors) SLX_RETURN_IF_ERROR(LoadAnew(*p, {black, white}));
       SLX_RETURN_IF_ERROR(Light(projector));
-      SLX_ASSIGN_OR_RETURN(const double dark, LevelAfterStep(other));
-      SLX_ASSIGN_OR_RETURN(const double lit, LevelAfterStep(other));
-      if (lit - dark < options_.min_contrast_dn) continue;
+      SLX_ASSIGN_OR_RETURN(const Image<uint16_t> black_frame, FrameAfterStep(other));
+      SLX_ASSIGN_OR_RETURN(const Image<uint16_t> white_frame, FrameAfterStep(other));
+      if (MeanDn(white_frame) - MeanDn(black_frame) < options_.min_contrast_dn) continue;
       const std::string both = std::to_string(projector) + " and " + std::to_string(other);
       Fail(name, found + "; its ENABLE lights what TRIGGER of projector " + std::to_string(other) + " steps",
            "swap the ENABLE or the TRIGGER cables of projectors " + both);

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/sequence/card_figures.h"
 #include "firmware-host/sequence/deadlines.h"
 #include "firmware-host/sequence/shooter.h"
 #include "shared/base/result.h"
@@ -47,7 +48,10 @@ struct RigCheckReport {
   // What captures may take their deadlines from (DeadlinesFrom); nullopt where anything failed.
   std::optional<RigDelays> delays;
   int64_t frames_asked = 0, frames_lost = 0, frames_doubled = 0;
-  double frames_per_s = 0.0;             // by the frames' own times
+  double frames_per_s = 0.0;  // by the frames' own times
+  // Of each projector; nullopt where its check came to none. sync_ms: median, TRIGGER to SYNC.
+  std::vector<std::optional<CardFigures>> card;
+  std::vector<std::optional<double>> sync_ms;
   std::vector<Image<uint16_t>> samples;  // some frames with light in them, for measuring codecs
   PixelFormat format = PixelFormat::kMono12;
   Cfa cfa = Cfa::kMono;

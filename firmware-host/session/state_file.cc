@@ -67,6 +67,12 @@ Result<UniqueFd> LockFolder(const fs::path& folder) {
   return fd;
 }
 
+// What ReplaceFile writes into: for its owner alone, whatever the process's umask, which is that of all its threads.
+Status MakePrivate(const fs::path& file) {
+  const UniqueFd fd(open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0600));
+  return fd.ok() ? Status::Ok() : Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
+}
+
 }  // namespace
 
 fs::path StateFolder() {
@@ -80,10 +86,8 @@ Status KeepState(const fs::path& file, const std::string& json) {
   // What a killed run left beside it may be another account's.
   std::error_code ignored;
   fs::remove(file.string() + ".new", ignored);
-  const mode_t before = umask(0077);
-  const Status kept = db::ReplaceFile(file, json);
-  umask(before);
-  return kept;
+  SLX_RETURN_IF_ERROR(MakePrivate(file.string() + ".new"));
+  return db::ReplaceFile(file, json);
 }
 
 Status ReadState(const fs::path& file, int schema, const std::function<void(const std::string& json)>& take) {
@@ -98,6 +102,17 @@ Status ReadState(const fs::path& file, int schema, const std::function<void(cons
   } catch (const Json::exception& error) {
     return Status::Failed(file.string() + " is not what `stratalux-rig` writes: " + error.what());
   }
+}
+
+Status TakeState(const fs::path& file, int schema, const std::function<void(const std::string& json)>& take) {
+  const Status taken = ReadState(file, schema, take);
+  if (taken.ok() || taken.code() == StatusCode::kNotFound) return taken;
+  const fs::path aside = file.string() + (taken.code() == StatusCode::kNewerSchema ? ".newer" : ".damaged");
+  std::error_code error;
+  fs::rename(file, aside, error);
+  const std::string where =
+      error ? "; it could not be set aside: " + error.message() : "; set aside as " + aside.string();
+  return {taken.code(), taken.message() + where};
 }
 
 }  // namespace stratalux::rig

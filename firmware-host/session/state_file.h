@@ -15,8 +15,8 @@ namespace stratalux::rig {
 [[nodiscard]] std::filesystem::path StateFolder();
 
 // Replaces `file`, whole or not at all, by a JSON object with a number `schema`; readable and writable for its owner
-// alone. Two programs at once: one after the other; kBusy where another one holds the folder's lock for a second. Used
-// by one thread of a process: its umask is another one meanwhile.
+// alone. Two programs or threads at once: one after the other; kBusy where another one holds the folder's lock for a
+// second.
 [[nodiscard]] Status KeepState(const std::filesystem::path& file, const std::string& json);
 
 // Hands `take` what KeepState was given; where it throws what the JSON library throws (`at`, `get`), the file is not
@@ -24,6 +24,12 @@ namespace stratalux::rig {
 // one or root owns it, others may write to it, it is no plain file, or it is not what we write. Each message names the
 // file.
 [[nodiscard]] Status ReadState(const std::filesystem::path& file, int schema,
+                               const std::function<void(const std::string& json)>& take);
+
+// The same for a file that the program goes on without: one that is there and cannot be used is renamed, to FILE.newer
+// (kNewerSchema) or FILE.damaged, in the place of an earlier one, so that the next KeepState destroys nothing. The
+// message says so.
+[[nodiscard]] Status TakeState(const std::filesystem::path& file, int schema,
                                const std::function<void(const std::string& json)>& take);
 
 }  // namespace stratalux::rig

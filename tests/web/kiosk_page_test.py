@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 import browser
@@ -23,9 +24,11 @@ FACE = os.path.join(HERE, "..", "..", "docs", "pictures", "scene_open_eyes.png")
 class Kiosk:
     """The machine and what happens to it."""
 
-    def __init__(self, store, port=0):
-        self.process = subprocess.Popen([OPTIONS.program, TOKEN, store, str(port)], stdin=subprocess.PIPE,
-                                        stdout=subprocess.PIPE, text=True)
+    def __init__(self, store, port=0, state=""):
+        # Whatever timers the machine that tests has: the kiosk's is the one beside the store.
+        path = os.path.join(store, "..", "bin") + os.pathsep + os.environ["PATH"]
+        self.process = subprocess.Popen([OPTIONS.program, TOKEN, store, str(port), state], stdin=subprocess.PIPE,
+                                        stdout=subprocess.PIPE, text=True, env={**os.environ, "PATH": path})
         line = self.process.stdout.readline()
         assert line, "the kiosk ended before it said where it is"
         self.url = json.loads(line)["url"]
@@ -54,6 +57,8 @@ class Page(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         cls.store = os.path.join(cls.folder, "store")
         os.makedirs(cls.store)
+        os.makedirs(os.path.join(cls.folder, "bin"))
+        cls.batch_is("LoadState=not-found", "ActiveState=inactive")
         os.makedirs(OPTIONS.pictures, exist_ok=True)
         with open(OPTIONS.axe, encoding="utf-8") as file:
             cls.axe = file.read()
@@ -61,6 +66,14 @@ class Page(unittest.TestCase):
         cls.addClassCleanup(cls.browser.quit)
         cls.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride",
                                     {"width": 1920, "height": 1080, "deviceScaleFactor": 1, "mobile": False})
+
+    @classmethod
+    def batch_is(cls, *properties):
+        """What systemctl says of the batch's timer from now on."""
+        program = os.path.join(cls.folder, "bin", "systemctl")
+        with open(program, "w", encoding="utf-8") as file:
+            file.write("#!/bin/sh\nprintf '%s\\n' " + " ".join(f"'{p}'" for p in ("Id=stratalux-batch.timer", *properties)))
+        os.chmod(program, 0o755)
 
     def setUp(self):
         self.kiosk = Kiosk(self.store)
@@ -447,6 +460,122 @@ class Page(unittest.TestCase):
         for wrong in ("undefined", "NaN", "{", "[object"):
             self.assertNotIn(wrong, self.text(), name)
         self.picture(name)
+
+    def enter_as_operator(self):
+        self.browser.get(self.kiosk.url + "/operator")
+        self.until("document.getElementById('door').checkVisibility() || document.getElementById('inside').checkVisibility()", "a way in")
+        if self.browser.find_element("id", "door").is_displayed():
+            self.enter(TOKEN)
+        self.until("document.querySelectorAll('#today dd').length > 4", "inside")
+        browser.complaints(self.browser)
+
+    def today(self):
+        return self.browser.execute_script("""
+            const names = [...document.querySelectorAll('#today dt')], values = [...document.querySelectorAll('#today dd')];
+            return Object.fromEntries(names.map((name, i) => [name.textContent, values[i].textContent]));""")
+
+    def test_the_day_outlives_a_kiosk_that_is_killed_within_a_visit(self):
+        state = os.path.join(self.folder, "state")
+        os.makedirs(state)
+        self.kiosk.end()
+        self.kiosk = Kiosk(self.store, 0, state)
+        self.kiosk.happen("open", "start", "not_sensitive", "refuse", "start", "sensitive", "estop", "estop_over",
+                          "reset", "recovered", "start", "not_sensitive", "agree")
+        file = os.path.join(state, "kiosk-days.json")
+        self.until_file(file, '"visits_begun":3')
+        self.kiosk.process.kill()
+        self.kiosk.process.wait()
+        self.kiosk.process.stdin.close()
+        self.kiosk.process.stdout.close()
+        self.kiosk = Kiosk(self.store, 0, state)
+        self.kiosk.happen("open")
+        self.enter_as_operator()
+        today = self.today()
+        self.assertEqual({"Visits": "3", "no consent": "1", "sensitive to light": "1", "cut off by a restart": "1"},
+                         {name: value for name, value in today.items() if value != "0"})
+        self.assertIn("emergency stop", self.text())
+        self.assertFalse(self.browser.find_element("id", "notes").is_displayed())
+        # A file that is none: said, set aside, and the kiosk goes on.
+        self.kiosk.end()
+        with open(file, "w", encoding="utf-8") as damaged:
+            damaged.write("<b>no JSON</b>")
+        self.kiosk = Kiosk(self.store, 0, state)
+        self.kiosk.happen("open")
+        self.enter_as_operator()
+        self.until("document.getElementById('notes').checkVisibility()", "the note")
+        self.assertIn("kiosk-days.json.damaged", self.text())
+        self.look_operator("operator-notes")
+
+    def until_file(self, file, part):
+        for _ in range(200):
+            if os.path.exists(file):
+                with open(file, encoding="utf-8") as text:
+                    if part in text.read():
+                        return
+            time.sleep(0.05)
+        self.fail(f"{file} never had {part}")
+
+    def test_the_trend_of_the_self_checks(self):
+        self.enter_as_operator()
+        self.until("document.getElementById('selfcheck-last').innerText.includes('No self-check')", "none yet")
+        self.assertFalse(self.browser.find_element("id", "trend").is_displayed())
+        self.kiosk.happen("selfchecks 5")
+        self.until("document.getElementById('selfcheck-last').innerText.includes('3 of 8')", "too few days")
+        self.kiosk.happen("selfchecks 20")
+        self.until("document.getElementById('selfcheck-last').innerText.includes('as on the')", "as usual")
+        self.kiosk.happen("selfchecks 20 1500")
+        self.until("document.querySelectorAll('#drifts li').length === 1", "a drift")
+        self.assertIn("projector 2: 1,500, usually 2,0", self.browser.find_element("id", "drifts").text)
+        chart = self.browser.find_element("id", "chart")
+        self.assertEqual("img", chart.get_attribute("role"))
+        self.assertIn("Light (DN) over 20 checks", chart.get_attribute("aria-label"))
+        count = lambda css: len(self.browser.find_elements("css selector", css))
+        self.assertEqual([4, 80, 4], [count("#chart path"), count("#chart circle"), count("#chart .name")])
+        self.assertEqual(4, count("#chart .point-failed"), "the check that failed, of each projector")
+        # Where the drift is, the line goes down: the drawing is of the figures.
+        ys = self.browser.execute_script(
+            "return [...document.querySelectorAll('#chart circle')].slice(40, 60).map(c => Number(c.getAttribute('cy')))")
+        self.assertEqual(max(ys), ys[-1])
+        self.click("#selfchecks summary")
+        self.until("document.getElementById('checks').checkVisibility()", "the table")
+        self.assertEqual(20, count("#checks tbody tr"))
+        self.assertEqual("1,500", self.browser.find_element("css selector", "#checks tbody tr td:nth-child(5)").text)
+        for language in LANGUAGES:
+            self.speak(language)
+            self.browser.execute_script("document.getElementById('selfchecks').scrollIntoView()")
+            self.look_operator(f"operator-trend-{language}")
+        self.speak("en")
+        from selenium.webdriver.support.ui import Select
+        Select(self.browser.find_element("id", "figure")).select_by_visible_text("Frames a second")
+        self.until("document.querySelectorAll('#chart path').length === 1", "one line: of the camera")
+        self.until("document.querySelectorAll('#keys .key').length === 1", "its key")
+        self.kiosk.happen("selfchecks 20")  # the choice stays while figures come
+        self.until("document.getElementById('drifts').hidden", "no drift any more")
+        self.assertEqual("frame_rate", self.browser.find_element("id", "figure").get_attribute("value"))
+        browser.media(self.browser, prefers_color_scheme="dark")
+        self.look_operator("operator-trend-dark")
+        browser.media(self.browser)
+
+    def test_what_is_known_of_the_next_batch(self):
+        text = lambda: self.browser.find_element("id", "batch").text
+        self.enter_as_operator()
+        self.assertIn("not on this machine", text())
+        self.assertTrue(self.browser.find_element("id", "batch-note").is_displayed())
+        for properties, said in (
+                (("LoadState=loaded", "ActiveState=inactive"), "its timer is off"),
+                (("LoadState=loaded", "ActiveState=active", "NextElapseUSecRealtime=Tue 2026-11-24 20:00:00 UTC"), "2026"),
+                (("LoadState=loaded", "ActiveState=active"), "not known")):
+            self.batch_is(*properties)
+            self.kiosk.end()
+            self.kiosk = Kiosk(self.store)
+            self.kiosk.happen("open")
+            self.enter_as_operator()
+            if said == "2026":  # as this browser writes it
+                said = self.browser.execute_script(
+                    "return new Date('2026-11-24T20:00:00Z').toLocaleString('en', {dateStyle: 'short', timeStyle: 'medium'})")
+            self.assertIn(said, text().replace("\u202f", " ") if "\u202f" not in said else text())
+            self.assertFalse(self.browser.find_element("id", "batch-note").is_displayed())
+        self.batch_is("LoadState=not-found", "ActiveState=inactive")
 
     def test_a_ticket_is_withdrawn_after_a_question_and_the_operator_leaves(self):
         self.browser.get(self.kiosk.url + "/operator")

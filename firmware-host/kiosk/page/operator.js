@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The operator's screen: the machine's state as visitors' screens get it, and figures that are asked for every few seconds.
 import {Machine, fetchJson, fill, post, putTexts, textsOf} from './machine.js';
+import {draw, figureText, linesOf} from './trend.js';
 
 const kStatusMs = 3000;
 const byId = id => document.getElementById(id);
@@ -65,6 +66,77 @@ function showState() {
   ]);
 }
 
+function showDays() {
+  const o = words.operator, {today} = status;
+  putPairs('today', [
+    [o.visits, String(today.visits_begun)],
+    ...Object.keys(o.ends).map(end => [o.ends[end], String(today.visits[end] ?? 0)]),
+    // What ends a visit seldom has the visitor's words.
+    ...Object.entries(today.visits).filter(([end]) => !(end in o.ends)).map(([end, count]) => [words.words[end] ?? end, String(count)]),
+    [o.retakes, String(today.retakes)]
+  ]);
+  // Noon: the same date in every zone that the browser may be in.
+  const date = day => new Date(`${day}T12:00:00`).toLocaleDateString(language, {dateStyle: 'short'});
+  const count = number => ({text: String(number), kind: 'number'});
+  putTable('other-days', [o.day, o.visits, o.ends.kept, o.retakes, o.faults], status.other_days.map(day =>
+    [date(day.day), count(day.visits_begun), count(day.visits.kept ?? 0), count(day.retakes), count(day.faults)]), o.no_other_days);
+}
+
+// The figures to choose from are those that some check has.
+function putFigures(checks) {
+  const o = words.operator.selfchecks, select = byId('figure');
+  const there = Object.keys(o.figures).filter(name => checks[0].figures[name] && linesOf(checks, name).length);
+  const chosen = there.includes(select.value) ? select.value : there[0];
+  const shown = [...select.options].map(option => option.value + option.text).join();
+  if (shown !== there.map(name => name + o.figures[name]).join())
+    select.replaceChildren(...there.map(name => make('option', o.figures[name], {value: name})));
+  select.value = chosen;
+  return chosen;
+}
+
+function driftText(drift) {
+  const o = words.operator.selfchecks, of = drift.figure === 'frame_rate' ? o.drift : o.drift_of;
+  return fill(of, {figure: o.figures[drift.figure], projector: drift.projector, value: figureText(drift.value, language),
+    median: figureText(drift.median, language), limit: drift.limit.toLocaleString(language, {maximumSignificantDigits: 2})});
+}
+
+function showSelfchecks() {
+  const o = words.operator.selfchecks, {checks, days, fewest_days: fewest, drifts} = status.selfchecks;
+  byId('trend').hidden = byId('drifts').hidden = true;
+  if (!checks.length) return byId('selfcheck-last').replaceChildren(o.none);
+  const last = checks.at(-1);
+  byId('selfcheck-last').textContent = `${o.last}: ${moment(last.at)}, ${last.passed ? o.passed : o.failed}. ` +
+    (days < fewest ? fill(o.few, {days, fewest}) : drifts.length ? '' : fill(o.usual, {days}));
+  byId('drifts').hidden = !drifts.length;
+  byId('drifts').replaceChildren(...drifts.map(drift => make('li', driftText(drift))));
+  const figure = putFigures(checks);
+  if (!figure) return;
+  byId('trend').hidden = false;
+  const lines = linesOf(checks, figure), name = p => figure === 'frame_rate' ? o.camera : fill(o.projector, {projector: p});
+  byId('keys').replaceChildren(...lines.map((_, p) => make('span', name(p), {className: `key key-${p % 4}`})));
+  draw(byId('chart'), checks, figure, words, language);
+  putTable('checks', [words.operator.when, o.result, ...lines.map((_, p) => name(p))], checks.map((check, i) =>
+    [moment(check.at), {text: check.passed ? o.passed : o.failed, kind: check.passed ? '' : 'failed'},
+      ...lines.map(line => ({text: figureText(line[i], language), kind: 'number'}))]).reverse(), o.none);
+}
+
+// Where this machine runs no batch it knows nothing of one.
+function showBatch() {
+  const o = words.operator.batch, {timer, next, last, fits} = status.batch;
+  putPairs('batch', [
+    [o.next, timer === 'on' ? known(next, moment(next)) : o[timer]],
+    ...(timer === 'on' ? [[o.last, last === null ? '–' : moment(last)]] : []),
+    ...(fits ? [[o.without_fit, String(fits.without_fit)]] : []),
+    ...(fits?.has_jobs ? ['waiting', 'fitted', 'failed'].map(name => [o[name], String(fits[name])]) : [])
+  ]);
+  byId('batch-note').hidden = timer !== 'absent';
+}
+
+function showNotes() {
+  byId('notes').hidden = !status.notes.length;
+  byId('notes').querySelector('ul').replaceChildren(...status.notes.map(note => make('li', note, {lang: 'en'})));
+}
+
 function showStatus() {
   const o = words.operator, gib = bytes => `${number(bytes / 2 ** 30, 1)} GiB`;
   putPairs('machine', [
@@ -75,13 +147,10 @@ function showStatus() {
     [o.calibration, known(status.calibration_age_days, fill(o.days, {days: number(status.calibration_age_days, 0)}))],
     [o.viewers, String(status.viewers)]
   ]);
-  putPairs('today', [
-    [o.visits, String(status.visits_begun)],
-    ...Object.keys(o.ends).map(end => [o.ends[end], String(status.visits[end] ?? 0)]),
-    // What ends a visit seldom has the visitor's words.
-    ...Object.entries(status.visits).filter(([end]) => !(end in o.ends)).map(([end, count]) => [words.words[end] ?? end, String(count)]),
-    [o.retakes, String(status.retakes)]
-  ]);
+  showDays();
+  showSelfchecks();
+  showBatch();
+  showNotes();
   putTable('faults', [o.when, o.what], status.faults.map(fault =>
     [moment(fault.at), words.words[fault.word] ?? fault.word]), o.no_faults);
   // Each picture is asked for once, and while nobody is served; of who is forgotten none stays here.
@@ -176,6 +245,7 @@ async function begin() {
 
 byId('door').addEventListener('submit', enter);
 byId('leave').addEventListener('click', leave);
+byId('figure').addEventListener('change', showSelfchecks);
 for (const button of document.querySelectorAll('[data-command]'))
   button.addEventListener('click', () => order(`/operator/${button.dataset.command}`, {}));
 byId('withdraw').addEventListener('submit', event => {

@@ -15,15 +15,16 @@ using namespace std::chrono_literals;
 class KioskMetricsTest : public ::testing::Test {
  protected:
   void Show(Phase screen, Word word = Word::kNone, int number = 0, int of = 0) {
-    metrics_.Shown({screen, word, {}, number, of, {}});
+    metrics_.Shown({screen, word, {}, number, of, {}}, at_);
   }
   void Visit() {
     for (const Phase phase : {Phase::kQuestion, Phase::kConsent, Phase::kPosition, Phase::kCountdown}) Show(phase);
   }
-  [[nodiscard]] KioskFigures figures() const { return metrics_.figures({0}); }
+  [[nodiscard]] KioskFigures figures() const { return metrics_.figures(); }
 
   std::chrono::steady_clock::time_point now_;
-  KioskMetrics metrics_{[this] { return now_; }};
+  WallNs at_{0};
+  KioskMetrics metrics_{{}, [this] { return now_; }};
 };
 
 TEST_F(KioskMetricsTest, EveryVisitEndsOnceAndByItsName) {
@@ -71,21 +72,35 @@ TEST_F(KioskMetricsTest, RetakesFramesAndTheirRateAreOfTheCapture) {
   EXPECT_DOUBLE_EQ(figures().frames_per_second.value(), 20.0);
 }
 
-TEST_F(KioskMetricsTest, FaultsOfTheDayAreThoseOfTheDay) {
-  constexpr int64_t kHour = 3'600'000'000'000;
-  metrics_.Told(Word::kLamp, {0});
-  for (int i = 0; i < 60; ++i) metrics_.Told(Word::kProof, {20 * kHour});
-  EXPECT_EQ(metrics_.figures({21 * kHour}).last_faults.size(), 50U);
-  EXPECT_TRUE(metrics_.figures({45 * kHour}).last_faults.empty());
-  EXPECT_EQ(figures().faults.at("lamp"), 1);
-  EXPECT_EQ(figures().faults.at("proof"), 60);
+// A program that begins counts for Prometheus from nothing and goes on with the day.
+TEST_F(KioskMetricsTest, TheDayOutlivesTheProgram) {
+  Show(Phase::kQuestion);
+  Show(Phase::kIdle, Word::kRefused);
+  Visit();
+  Show(Phase::kCapture);
+  Show(Phase::kGate);
+  Show(Phase::kCapture);
+  metrics_.Told(Word::kLamp, at_);
+  DayBook days = DayBook::From(metrics_.days().ToJson());
+  days.CutOff();
+  metrics_ = KioskMetrics(std::move(days));
+  Show(Phase::kQuestion);
+  Show(Phase::kIdle, Word::kRefused);
+  EXPECT_EQ(figures().visits.at("refused"), 1);
+  EXPECT_EQ(figures().retakes, 0);
+  const DayCounts today = metrics_.days().Today(at_);
+  EXPECT_EQ(today.visits_begun, 3);
+  EXPECT_EQ(today.visits.at("refused"), 2);
+  EXPECT_EQ(today.visits.at("cut_off"), 1);
+  EXPECT_EQ(today.retakes, 1);
+  EXPECT_EQ(today.faults.at("lamp"), 1);
 }
 
 // As a scraper reads it: HELP and TYPE before the samples of a name, every sample a name, labels and a number, no
 // series twice (prometheus.io, "Exposition formats").
 void ExpectExposition(const std::string& text) {
   static const std::regex kSample(
-      R"re(([a-zA-Z_:][a-zA-Z0-9_:]*)(\{[a-zA-Z_]\w*="(\\[\\"n]|[^"\\\n])*"\})? (-?[0-9.]+))re");
+      R"re(([a-zA-Z_:][a-zA-Z0-9_:]*)(\{[a-zA-Z_]\w*="(\\[\\"n]|[^"\\\n])*"(,[a-zA-Z_]\w*="(\\[\\"n]|[^"\\\n])*")*\})? (-?[0-9.]+))re");
   std::map<std::string, int> series;
   std::string typed;
   std::istringstream lines(text);
@@ -120,6 +135,29 @@ TEST_F(KioskMetricsTest, AreReadByPrometheus) {
   EXPECT_THAT(text, HasSubstr("stratalux_kiosk_disk_free_bytes 5368709120\n"));
   EXPECT_THAT(text, HasSubstr("stratalux_kiosk_temperature_celsius{sensor=\"soc\"} 52.5\n"));
   EXPECT_THAT(text, HasSubstr("stratalux_kiosk_viewers 2\n"));
+}
+
+TEST_F(KioskMetricsTest, TheLastSelfcheckAndWhatIsUsualAreRead) {
+  SelfcheckBook book;
+  for (int day = 0; day < 10; ++day) {
+    Selfcheck check;
+    check.at = {(1'795'507'200 + day * 86'400LL) * 1'000'000'000};
+    check.passed = true;
+    check.Of(CheckFigure::kLevel) = {1000.0, day < 9 ? 500.0 : 400.0};
+    check.Of(CheckFigure::kRedGreen) = {std::nullopt, std::nullopt};
+    check.Of(CheckFigure::kFrameRate) = {28.5};
+    book.Add(check);
+  }
+  const std::string text = PrometheusText(figures(), {}, TrendOf(book));
+  ExpectExposition(text);
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck{figure=\"level\",projector=\"1\"} 400\n"));
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck{figure=\"frame_rate\"} 28.5\n"));
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck_usual{figure=\"level\",projector=\"1\"} 500\n"));
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck_limit{figure=\"level\",projector=\"1\"} 5\n"));
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck_drifts 1\n"));
+  EXPECT_THAT(text, HasSubstr("stratalux_kiosk_selfcheck_timestamp_seconds 1796284800\n"));
+  EXPECT_EQ(text.find("red_green"), std::string::npos) << "a grey camera has none";
+  EXPECT_EQ(PrometheusText(figures(), {}).find("stratalux_kiosk_selfcheck"), std::string::npos) << "none yet";
 }
 
 }  // namespace

@@ -35,6 +35,7 @@ class KioskPageTest : public ::testing::Test {
   void SetUp() override { Restart({}); }
   void Restart(KioskPageOptions options) {
     options.operator_token = kOperator;
+    options.systemctl.clear();  // not this machine's
     kiosk_.reset();
     auto kiosk = ScriptedKiosk::Start(options, logger_);
     ASSERT_TRUE(kiosk.ok()) << kiosk.status().message();

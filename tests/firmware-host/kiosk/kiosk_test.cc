@@ -18,6 +18,8 @@
 #include "db/ledger/ledger.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/rig_worker.h"
+#include "firmware-host/kiosk/selfcheck_keeper.h"
+#include "firmware-host/session/state_file.h"
 #include "tests/firmware-host/kiosk/kiosk_fixture.h"
 
 namespace stratalux::rig {
@@ -110,6 +112,48 @@ TEST_F(KioskTest, ASelfcheckPassesOnAGoodRigAndVisitorsFollow) {
   EXPECT_THAT(front_->visits[0].screens, Contains(Phase::kSelfcheck));
   EXPECT_EQ(front_->told[Word::kSelfcheckFailed], 0);
   EXPECT_EQ(report.tickets, 1);
+}
+
+// First as it is; then behind ten days on which its light was a half more.
+TEST_F(KioskTest, WhatASelfcheckMeasuredIsKeptAndADriftIsTold) {
+  options_.state = folder_ / "state";
+  std::filesystem::create_directory(options_.state);
+  const auto file = SelfchecksFile(options_.state, true);
+  const auto check = [this] {
+    bool asked = false;
+    on_show_ = [&](const action::Show& screen) {
+      if (screen.screen == Phase::kIdle && !std::exchange(asked, true))
+        front_->Push(event::Operator{OperatorCommand::kSelfcheck});
+    };
+    Run({Manner::kVisit, Manner::kSensitive});
+  };
+  check();
+  EXPECT_EQ(front_->told[Word::kDrift], 0);
+  auto kept = ReadSelfchecks(file);
+  ASSERT_TRUE(kept.ok()) << kept.status().message();
+  ASSERT_EQ(kept->checks().size(), 1U);
+  const Selfcheck measured = kept->checks()[0];
+  EXPECT_TRUE(measured.passed);
+  ASSERT_EQ(measured.Of(CheckFigure::kLevel).size(), 4U);
+  EXPECT_GT(measured.Of(CheckFigure::kLevel)[3].value(), 5.0);
+  EXPECT_GT(measured.Of(CheckFigure::kDark)[0].value(), 0.0);
+  EXPECT_GT(measured.Of(CheckFigure::kSync)[0].value(), 0.0);
+  EXPECT_GT(measured.Of(CheckFigure::kFrameRate).at(0).value(), 0.0);
+  SelfcheckBook before;
+  for (int day = 10; day > 0; --day) {
+    Selfcheck earlier = measured;
+    earlier.at.ns -= day * 24LL * 3600 * 1'000'000'000;
+    *earlier.Of(CheckFigure::kLevel)[3] *= 1.5;
+    before.Add(earlier);
+  }
+  ASSERT_TRUE(KeepState(file, before.ToJson()).ok());
+  check();
+  EXPECT_EQ(front_->told[Word::kDrift], 1);
+  kept = ReadSelfchecks(file);
+  ASSERT_EQ(kept->checks().size(), 11U);
+  const SelfcheckTrend trend = TrendOf(*kept);
+  ASSERT_FALSE(trend.drifts.empty());
+  EXPECT_EQ(trend.drifts[0].projector, 3);
 }
 
 // The guard's 5 ms, and what a loaded machine adds.

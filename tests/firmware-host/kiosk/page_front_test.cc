@@ -101,7 +101,7 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", ticket}}, keeper), 409) << "somebody still reads the ticket";
   Press("done", "thanks");
   (void)Until("idle");
-  EXPECT_EQ(Json::parse(http::Get(port(), "/operator/status", keeper).body)["visits"]["kept"], 1);
+  EXPECT_EQ(Json::parse(http::Get(port(), "/operator/status", keeper).body)["today"]["visits"]["kept"], 1);
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", ticket}}, keeper), 204);
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", ticket}}, keeper), 404) << "nothing is left of it";
   stop.Request(StopReason::kOperator);

@@ -146,6 +146,7 @@ std::map<std::string, VisitEvent> TableEvents(const VisitState& state) {
       {"discard_failed", event::DiscardFailed{}},
       {"checked", event::Checked{true}},
       {"checked_bad", event::Checked{false}},
+      {"checked_drift", event::Checked{true, true}},
       {"recovered", event::Recovered{true}},
       {"recovered_not", event::Recovered{false}},
       {"estop", event::InterlockChanged{Interlock::kEmergencyStop, true}},

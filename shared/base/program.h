@@ -7,7 +7,7 @@
 
 #include "shared/base/result.h"
 
-namespace stratalux::db {
+namespace stratalux {
 
 struct ProgramOutcome {
   int code = 0;  // exit status; 128 + signal
@@ -18,4 +18,4 @@ struct ProgramOutcome {
 // kNotFound where there is no such program.
 [[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments);
 
-}  // namespace stratalux::db
+}  // namespace stratalux

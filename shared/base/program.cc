@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "db/transfer/program.h"
+#include "shared/base/program.h"
 
 #include <array>
 #include <cerrno>
@@ -12,7 +12,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-namespace stratalux::db {
+namespace stratalux {
 namespace {
 
 struct Pipe {
@@ -91,4 +91,4 @@ Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments) {
   return outcome;
 }
 
-}  // namespace stratalux::db
+}  // namespace stratalux
