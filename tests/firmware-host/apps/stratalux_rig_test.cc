@@ -372,12 +372,12 @@ TEST_F(LearntDeadlinesProgram, TheTrendOfSelfchecksIsPrintedWithoutADevice) {
   EXPECT_EQ(none.code, 4);
   EXPECT_THAT(none.out, HasSubstr("the kiosk keeps its self-checks there"));
   std::string checks;
-  for (int day = 0; day < 11; ++day)
-    checks += (day == 0 ? "" : ",") + std::string("{\"at\":") + std::to_string(1'795'507'200 + day * 86'400) +
+  for (int64_t day = 0; day < 11; ++day)
+    checks += (day == 0 ? "" : ",") + std::string("{\"at\":") + std::to_string(int64_t{1'795'507'200} + day * 86'400) +
               R"(,"passed":true,"exposure_ms":16,"width":88,"height":66,"figures":{"level":[)" +
               (day < 10 ? "1900" : "1500") +
               R"(],"dark":[62],"red_green":[],"blue_green":[],"even":[0.8],"lit":[1],"sync":[0.4],"frame_rate":[28]}})";
-  ASSERT_TRUE(KeepState(folder_ / "selfchecks.json", R"({"schema":1,"checks":[)" + checks + "]}").ok());
+  ASSERT_TRUE(rig::KeepState(folder_ / "selfchecks.json", R"({"schema":1,"checks":[)" + checks + "]}").ok());
   const Outcome text = Rig("selftest --trend");
   EXPECT_EQ(text.code, 0) << text.out;
   EXPECT_THAT(text.out, HasSubstr("drift: level of projector 0: 1500, usually 1900 +- 19 (10 days)"));
