@@ -75,7 +75,7 @@ bool IsOurs(const std::string& name) {
       "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
       "deletions",    "ledger",           "keys.sqlite",      "keys.sqlite-wal", "keys.sqlite-shm",
       "incoming",     "incoming.lock",    "reindex.new",      "lost+found",      "backup.json",
-      "rig.key",      "transcode.json",   "forgetting",       "visits"};
+      "rig.key",      "transcode.json",   "forgetting",       "visits",          "nights"};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 

@@ -2,10 +2,7 @@
 // `stratalux-fit batch`: the visitors of a store, fitted in a night.
 #include <algorithm>
 #include <chrono>
-#include <cmath>
-#include <ctime>
 #include <memory>
-#include <thread>
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
@@ -13,12 +10,12 @@
 #include <unistd.h>
 
 #include "db/catalogue/job_store.h"
-#include "fitter/apps/fit_flags.h"
+#include "fitter/apps/batch_flags.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/apps/scale_command.h"
 #include "fitter/batch/morning_report.h"
-#include "fitter/batch/night.h"
 #include "fitter/batch/night_status.h"
+#include "fitter/batch/shard_plan.h"
 #include "fitter/batch/visit_cost.h"
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/formatted.h"
@@ -32,85 +29,19 @@ namespace {
 using Json = nlohmann::ordered_json;
 namespace fs = std::filesystem;
 
-constexpr double kGib = 1024.0 * 1024.0 * 1024.0;
-
-struct BatchFlags {
-  FitFlags fit;
-  std::vector<CLI::Option*> fit_options;
-  std::string order = "newest", until;
-  int most = 0, workers = 0, threads = 0, attempts = 3;
-  double memory_gib = 0.0, visit_limit_min = 60.0;
-  std::vector<int64_t> jobs;
-  std::string night = "latest";
-  bool all = false, json = false, text = false;
-};
-
 std::string Text(const Json& json) { return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n"; }
-
-// The next time that a clock of this machine says so.
-Result<std::chrono::seconds> TimeUntil(const std::string& text) {
-  int hour = -1, minute = -1, length = 0;
-  const int read = std::sscanf(text.c_str(), "%2d:%2d%n", &hour, &minute, &length);
-  if (read != 2 || static_cast<size_t>(length) != text.size() || hour < 0 || hour > 23 || minute < 0 || minute > 59)
-    return Status::Usage("--until " + text + ": a time of day, such as 07:00");
-  const std::time_t now = std::time(nullptr);
-  std::tm then{};
-  localtime_r(&now, &then);
-  then.tm_hour = hour;
-  then.tm_min = minute;
-  then.tm_sec = 0;
-  then.tm_isdst = -1;
-  std::time_t at = std::mktime(&then);
-  if (at <= now) {
-    ++then.tm_mday;
-    then.tm_isdst = -1;
-    at = std::mktime(&then);
-  }
-  return std::chrono::seconds(at - now);
-}
-
-int64_t AvailableBytes() {
-  const auto text = ReadFile("/proc/meminfo");
-  constexpr std::string_view kKey = "MemAvailable:";
-  const size_t at = text.ok() ? text->find(kKey) : std::string::npos;
-  return at == std::string::npos ? 0 : std::atoll(text->c_str() + at + kKey.size()) * 1024;
-}
-
-Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags) {
-  ChoiceOptions choice;
-  SLX_ASSIGN_OR_RETURN(choice.run, RunOptionsOf(flags.fit));
-  choice.order = flags.order == "oldest" ? NightOrder::kOldest : NightOrder::kNewest;
-  choice.most = flags.most;
-  return choice;
-}
-
-Result<NightOptions> NightOf(const BatchFlags& flags) {
-  NightOptions night;
-  SLX_ASSIGN_OR_RETURN(night.choice, ChoiceOf(flags));
-  night.arguments = GivenArguments(flags.fit_options);
-  std::error_code error;
-  night.program = fs::read_symlink("/proc/self/exe", error);
-  if (error) return Status::Failed("/proc/self/exe: " + error.message());
-  const int cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
-  night.workers = flags.workers > 0 ? flags.workers : cores;
-  night.threads = flags.threads > 0 ? flags.threads : std::max(1, cores / night.workers);
-  // A fifth is left to everybody else.
-  night.memory_bytes =
-      flags.memory_gib > 0.0 ? static_cast<int64_t>(flags.memory_gib * kGib) : AvailableBytes() / 5 * 4;
-  night.attempts = flags.attempts;
-  night.visit_limit = std::chrono::seconds(static_cast<int64_t>(60.0 * flags.visit_limit_min));
-  if (!flags.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until));
-    night.deadline = std::chrono::steady_clock::now() + left;
-  }
-  return night;
-}
 
 Status PrintPlan(const BatchFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(night.choice.run.store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const CostHistory history, CostHistory::Read(store));
+  if (!flags.out.empty()) {
+    const ShardPlan shards = PlanOf(choice, history, night.arguments);
+    SLX_ASSIGN_OR_RETURN(const fs::path file, WritePlan(flags.out, shards));
+    logger.Info(Formatted("%zu visitors to fit, %zu left out", shards.visits.size(), shards.left_out.size()));
+    return WriteStdout(file.string() + "\n");
+  }
   double cpu_seconds = 0.0;
   bool known = true;
   Json visits = Json::array(), left_out = Json::array();
@@ -150,56 +81,14 @@ Status PrintPlan(const BatchFlags& flags, Logger& logger) {
   return WriteStdout(PrintableLines(text));
 }
 
-std::string Sentence(const NightEvent& event, int over, int64_t chosen) {
-  const std::string who = event.session;
-  const std::string place = Formatted("[%d/%lld] ", over, static_cast<long long>(chosen));
-  switch (event.kind) {
-    case NightEventKind::kBegan:
-      return Formatted("%lld visitors to fit", static_cast<long long>(event.count));
-    case NightEventKind::kLeftOut:
-      return event.why == ToString(LeftOut::kComplete) ? "" : who + " is left out (" + event.why + "): " + event.reason;
-    case NightEventKind::kStarted:
-      return event.attempt > 1 ? Formatted("%s: attempt %d", who.c_str(), event.attempt) : "";
-    case NightEventKind::kDone:
-      return place + who +
-             Formatted(" fitted in %.0f s (%.0f s of processor, %.2f GiB)", event.seconds, event.cpu_seconds,
-                       static_cast<double>(event.peak_bytes) / kGib);
-    case NightEventKind::kRetry:
-      return who + " failed and is tried again: " + event.reason;
-    case NightEventKind::kFailed:
-      return place + who + " failed: " + event.reason;
-    case NightEventKind::kSetAside:
-      return place + who + Formatted(" is set aside after %d attempts: ", event.attempt) + event.reason;
-    case NightEventKind::kDropped:
-      return place + who + " is not fitted any more: " + event.reason;
-    case NightEventKind::kReleased:
-      return who + " is given back: " + event.reason;
-    case NightEventKind::kEnded:
-      return "the night is over" + (event.reason.empty() ? "" : ": " + event.reason);
-  }
-  return "";
-}
-
 Status RunBatch(const BatchFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
   const InterruptionAsks asks;
-  NightStatus status;
-  std::vector<NightEvent> events;
-  Status written;
-  const auto heard = [&](const NightEvent& event) {
-    events.push_back(event);
-    if (flags.json && written.ok()) written = WriteStdout(ToJson(event) + "\n");
-    status = StatusOf(events);
-    const std::string sentence = Sentence(event, status.Over(), status.chosen);
-    if (sentence.empty()) return;
-    const bool bad = event.kind == NightEventKind::kFailed || event.kind == NightEventKind::kSetAside;
-    bad                                    ? logger.Error(sentence)
-    : event.kind == NightEventKind::kRetry ? logger.Warning(sentence)
-                                           : logger.Info(sentence);
-  };
+  NightTeller teller(logger, flags);
+  const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const NightOutcome outcome, RunNight(night, choice, asks.fd(), heard, logger));
-  SLX_RETURN_IF_ERROR(written);
+  SLX_RETURN_IF_ERROR(teller.written());
   SLX_ASSIGN_OR_RETURN(const fs::path report,
                        WriteMorningReport(night.choice.run.store, outcome.folder.filename().string()));
   if (!flags.json) SLX_RETURN_IF_ERROR(WriteStdout(report.string() + "\n"));
@@ -314,41 +203,6 @@ Status Retry(const BatchFlags& flags, Logger& logger) {
   return Status::Ok();
 }
 
-void AddStore(CLI::App& verb, BatchFlags& flags) {
-  verb.add_option("--store", flags.fit.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
-}
-
-void AddChoice(CLI::App& verb, BatchFlags& flags) {
-  AddStore(verb, flags);
-  verb.add_option("--order", flags.order, "Who is fitted first: newest or oldest visitors")
-      ->check(CLI::IsMember({"newest", "oldest"}))
-      ->capture_default_str();
-  verb.add_option("--most", flags.most, "So many visitors at most; 0: all")
-      ->check(CLI::Range(0, 1000000))
-      ->capture_default_str();
-  verb.add_option("--workers", flags.workers, "Visitors at a time, each in a process of its own; 0: one a core")
-      ->check(CLI::Range(0, 1024))
-      ->capture_default_str();
-  verb.add_option("--threads", flags.threads, "Threads of each worker; 0: the cores, shared out")
-      ->check(CLI::Range(0, 1024))
-      ->capture_default_str();
-  verb.add_option("--memory", flags.memory_gib, "Memory of all workers together, GiB; 0: four fifths of what is free")
-      ->check(CLI::Range(0.0, 1e6))
-      ->capture_default_str();
-  flags.fit_options = AddFitOptions(verb, flags.fit);
-  verb.add_flag("--json", flags.json, "Machine-readable; of `run` a line an event, as it happens");
-}
-
-template <typename Body>
-void OnCall(CLI::App& verb, int& exit_code, Body body) {
-  verb.callback([body, &exit_code] {
-    Logger logger;
-    const Status status = body(logger);
-    if (!status.ok()) logger.Error(status.message());
-    exit_code = status.exit_code();
-  });
-}
-
 }  // namespace
 
 void AddBatchCommands(CLI::App& app, int& exit_code) {
@@ -362,8 +216,13 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   auto planned = std::make_shared<BatchFlags>();
   auto* plan =
       batch->add_subcommand("plan", "Who would be fitted, who not and why, and how long it takes; changes nothing");
-  plan->footer("Example:\n  stratalux-fit batch plan --store store --json");
+  plan->footer(
+      "Examples:\n  stratalux-fit batch plan --store store --json\n"
+      "  stratalux-fit batch plan --store store --out results   # for `batch shard`, `batch submit` and `batch merge`");
   AddChoice(*plan, *planned);
+  AddWorkers(*plan, *planned);
+  plan->add_option("--out", planned->out,
+                   "Write it to FOLDER/plan.json, for shards on other machines; their results come there, too");
   OnCall(*plan, exit_code, [planned](Logger& logger) { return PrintPlan(*planned, logger); });
 
   auto ran = std::make_shared<BatchFlags>();
@@ -375,14 +234,12 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
       "  stratalux-fit batch run --store store --workers 4 --memory 12 --order oldest --most 300\n"
       "  stratalux-fit batch run --store store --full-evaluation --json > night.jsonl");
   AddChoice(*run, *ran);
+  AddWorkers(*run, *ran);
   run->add_option("--until", ran->until, "Time of day: nobody is begun who would not be finished by then");
-  run->add_option("--attempts", ran->attempts, "Attempts a visitor, then it is set aside")
-      ->check(CLI::Range(1, 100))
-      ->capture_default_str();
-  run->add_option("--visit-limit", ran->visit_limit_min, "Minutes after which an attempt is given up")
-      ->check(CLI::Range(0.01, 1e5))
-      ->capture_default_str();
+  AddAttempts(*run, *ran);
   OnCall(*run, exit_code, [ran](Logger& logger) { return RunBatch(*ran, logger); });
+
+  AddClusterCommands(*batch, exit_code);
 
   auto asked = std::make_shared<BatchFlags>();
   auto* status = batch->add_subcommand("status", "How far the newest night is");

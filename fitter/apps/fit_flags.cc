@@ -111,4 +111,17 @@ std::vector<std::string> GivenArguments(const std::vector<CLI::Option*>& options
   return given;
 }
 
+Result<RunOptions> RunOptionsOf(const std::vector<std::string>& given) {
+  CLI::App app;
+  FitFlags flags;
+  AddFitOptions(app, flags);
+  std::vector<std::string> words(given.rbegin(), given.rend());  // as CLI11 takes them
+  try {
+    app.parse(words);
+  } catch (const CLI::ParseError& error) {
+    return Status::Usage(std::string("options of a fit: ") + error.what());
+  }
+  return RunOptionsOf(flags);
+}
+
 }  // namespace stratalux::fit

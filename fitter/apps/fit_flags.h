@@ -28,4 +28,7 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& flags);
 // Those that were given, as another program is given the same.
 [[nodiscard]] std::vector<std::string> GivenArguments(const std::vector<CLI::Option*>& options);
 
+// What such arguments say; kUsage for what is none of them.
+[[nodiscard]] Result<RunOptions> RunOptionsOf(const std::vector<std::string>& given);
+
 }  // namespace stratalux::fit

@@ -14,7 +14,6 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
 #include "db/catalogue/session_store.h"
-#include "fitter/batch/visit_cost.h"
 #include "fitter/batch/worker.h"
 #include "shared/base/formatted.h"
 #include "shared/base/read_file.h"
@@ -58,6 +57,7 @@ struct Attempt {
   Clock::time_point next_heartbeat;
   std::string killed = {};     // why we ended it; its attempt counts
   std::string no_longer = {};  // why it may not be fitted any more
+  std::string lost = {};       // why the job is not ours any more
 };
 
 class Night {
@@ -84,6 +84,7 @@ class Night {
   Result<bool> StartOne();
   [[nodiscard]] bool Fits() const;
   [[nodiscard]] bool InTime() const;
+  [[nodiscard]] Status MayGoOn(const std::string& session, const std::string& visitor) const;
   Status Launch(const db::Job& job);
   Status Watch();
   Status LookAt(Attempt& attempt);
@@ -143,11 +144,7 @@ Status Night::Enqueue(const NightChoice& choice) {
   }
   NightEvent began{.kind = NightEventKind::kBegan, .count = static_cast<int64_t>(chosen.size())};
   SLX_RETURN_IF_ERROR(Tell(began));
-  for (const LeftOutVisit& visit : left_out)
-    SLX_RETURN_IF_ERROR(Tell({.kind = NightEventKind::kLeftOut,
-                              .session = visit.session,
-                              .why = ToString(visit.why),
-                              .reason = visit.reason}));
+  for (const LeftOutVisit& visit : left_out) SLX_RETURN_IF_ERROR(Tell(EventOf(visit)));
   return Status::Ok();
 }
 
@@ -184,6 +181,11 @@ Result<bool> Night::StartOne() {
   return true;
 }
 
+Status Night::MayGoOn(const std::string& session, const std::string& visitor) const {
+  if (options_.also_asked) SLX_RETURN_IF_ERROR(options_.also_asked(session));
+  return MayStillBeFitted(options_.choice.run.store, session, visitor);
+}
+
 Status Night::Launch(const db::Job& job) {
   const std::string& session = job.request.session;
   const auto what = nlohmann::json::parse(job.request.options_json, nullptr, false);
@@ -202,7 +204,7 @@ Status Night::Launch(const db::Job& job) {
   }
   const auto row = store_.FindSession(session);
   if (row.ok()) attempt->visitor = row->info.visitor;
-  Status may = row.ok() ? MayStillBeFitted(options_.choice.run.store, session, attempt->visitor) : row.status();
+  const Status may = row.ok() ? MayGoOn(session, attempt->visitor) : row.status();
   if (!may.ok()) {
     return Drop(job, event, may.message());
   }
@@ -234,11 +236,13 @@ Status Night::LookAt(Attempt& attempt) {
   }
   if (Clock::now() < attempt.next_heartbeat) return Status::Ok();
   attempt.next_heartbeat = Clock::now() + options_.lease / 4;
-  Status goes_on = jobs_.Heartbeat(attempt.job.token, options_.lease);
-  if (goes_on.ok()) goes_on = MayStillBeFitted(options_.choice.run.store, attempt.job.request.session, attempt.visitor);
-  if (goes_on.ok() || goes_on.code() == StatusCode::kBusy || !attempt.no_longer.empty()) return Status::Ok();
-  attempt.no_longer = goes_on.message();
-  attempt.worker.Signal(SIGTERM);
+  if (!attempt.no_longer.empty() || !attempt.lost.empty()) return Status::Ok();
+  const Status ours = jobs_.Heartbeat(attempt.job.token, options_.lease);
+  const Status may = MayGoOn(attempt.job.request.session, attempt.visitor);
+  if (!may.ok() && may.code() != StatusCode::kBusy) attempt.no_longer = may.message();
+  // A night that was held up for longer than a lease: somebody else has the visitor, and goes on.
+  if (may.ok() && !ours.ok() && ours.code() != StatusCode::kBusy) attempt.lost = ours.message();
+  if (!attempt.no_longer.empty() || !attempt.lost.empty()) attempt.worker.Signal(SIGTERM);
   return Status::Ok();
 }
 
@@ -281,6 +285,11 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
     if (!completed.ok()) logger_.Warning(completed.message());
     history_.AddMeasured({end.cpu_seconds, end.peak_bytes}, attempt.sites);
     ++outcome_.fitted;
+    return Tell(event);
+  }
+  if (!attempt.lost.empty()) {
+    event.kind = NightEventKind::kReleased;
+    event.reason = attempt.lost;
     return Tell(event);
   }
   if (!attempt.no_longer.empty() || end.exit_code == static_cast<int>(StatusCode::kNotFound)) {
@@ -384,6 +393,7 @@ Result<NightOutcome> RunNight(const NightOptions& options, const NightChoice& ch
   const fs::path folder = options.choice.run.store;
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(folder, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(auto history, CostHistory::Read(store));
+  for (const auto& [cost, sites] : options.foreseen) history.AddMeasured(cost, sites);
   SLX_ASSIGN_OR_RETURN(auto jobs, db::JobStore::Open(folder));
   SLX_ASSIGN_OR_RETURN(auto log, NightLog::Begin(folder));
   Night night(options, stop, heard, std::move(jobs), std::move(store), std::move(log), std::move(history), logger);

@@ -12,10 +12,12 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "fitter/batch/night_choice.h"
 #include "fitter/batch/night_log.h"
+#include "fitter/batch/visit_cost.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
 
@@ -35,6 +37,10 @@ struct NightOptions {
   int attempts = 3;
   std::chrono::seconds back_off{30};        // before the second attempt; doubled before each that follows
   std::chrono::milliseconds lease{20'000};  // how long others wait for a night that was killed
+  // Asked beside the store's own word, before a visitor begins and while it is fitted; not kOk: not any more.
+  std::function<Status(const std::string& session)> also_asked = {};
+  // What visitors took of whom the store itself does not know: cost, and sites of the camera.
+  std::vector<std::pair<VisitCost, int64_t>> foreseen = {};
 
   [[nodiscard]] Status Validate() const;
 };

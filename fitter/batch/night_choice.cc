@@ -37,7 +37,7 @@ Verdict Judge(const RunOptions& run, const db::SessionSummary& session, ChosenVi
   const Result<RunOutcome> outcome = RunSession(dry, quiet);
   if (!outcome.ok()) return {LeftOut::kUnusable, outcome.status()};
   if (!outcome->readable.ok()) return {LeftOut::kKey, outcome->readable};
-  visit = {outcome->session, outcome->fit, outcome->sites};
+  visit = {outcome->session, outcome->fit, outcome->sites, outcome->sealed};
   if (outcome->was_complete) return {LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
   return {};
 }
@@ -48,6 +48,11 @@ const char* ToString(LeftOut why) {
   for (const auto& [value, name] : kNames)
     if (value == why) return name;
   return "?";
+}
+
+NightEvent EventOf(const LeftOutVisit& visit) {
+  return {
+      .kind = NightEventKind::kLeftOut, .session = visit.session, .why = ToString(visit.why), .reason = visit.reason};
 }
 
 std::string JobKey(const ChosenVisit& visit) { return "fit " + visit.session + " " + visit.fit; }

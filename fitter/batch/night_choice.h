@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "fitter/batch/night_log.h"
 #include "fitter/pipeline/run_options.h"
 #include "shared/base/log.h"
 #include "shared/base/result.h"
@@ -24,6 +25,7 @@ struct ChoiceOptions {
 struct ChosenVisit {
   std::string session, fit;  // fit: its id, which names all that decides it
   int64_t sites = 0;         // of the camera's mosaic
+  bool sealed = false;       // encrypted
 };
 
 enum class LeftOut {
@@ -47,6 +49,8 @@ struct NightChoice {
   std::vector<ChosenVisit> visits;  // in the order of their fitting
   std::vector<LeftOutVisit> left_out;
 };
+
+[[nodiscard]] NightEvent EventOf(const LeftOutVisit& visit);
 
 // Looks at every visitor's session of the store; nothing is changed.
 [[nodiscard]] Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger);

@@ -35,15 +35,6 @@ constexpr std::pair<NightEventKind, const char*> kKinds[] = {
     {NightEventKind::kSetAside, "set-aside"}, {NightEventKind::kDropped, "dropped"},
     {NightEventKind::kReleased, "released"},  {NightEventKind::kEnded, "ended"}};
 
-std::string NameOfNow() {
-  const std::time_t now = std::time(nullptr);
-  std::tm utc{};
-  gmtime_r(&now, &utc);
-  char text[32];
-  std::strftime(text, sizeof text, "%Y%m%dT%H%M%SZ", &utc);
-  return Formatted("%s-%d", text, static_cast<int>(getpid()));
-}
-
 template <typename T>
 void Read(const Json& json, const char* key, T& value) {
   if (json.contains(key)) value = json.at(key).get<T>();
@@ -55,6 +46,15 @@ const char* ToString(NightEventKind kind) {
   for (const auto& [value, name] : kKinds)
     if (value == kind) return name;
   return "?";
+}
+
+std::string NightMoment(WallNs time) {
+  const std::time_t seconds = time.ns / 1'000'000'000;
+  std::tm utc{};
+  gmtime_r(&seconds, &utc);
+  char text[32];
+  std::strftime(text, sizeof text, "%Y%m%dT%H%M%SZ", &utc);
+  return text;
 }
 
 std::string ToJson(const NightEvent& event) {
@@ -99,7 +99,11 @@ Result<NightEvent> ParseNightEvent(const std::string& line) {
 }
 
 Result<NightLog> NightLog::Begin(const fs::path& store) {
-  NightLog log(store, store / kFolder / NameOfNow());
+  return Open(store, NightMoment(WallNow()) + Formatted("-%d", static_cast<int>(getpid())));
+}
+
+Result<NightLog> NightLog::Open(const fs::path& store, const std::string& name) {
+  NightLog log(store, store / kFolder / name);
   SLX_RETURN_IF_ERROR(db::MakeFolder(log.folder_));
   return log;
 }

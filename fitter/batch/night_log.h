@@ -46,10 +46,15 @@ struct NightEvent {
 // A line of the file. kIntegrity for what is none.
 [[nodiscard]] Result<NightEvent> ParseNightEvent(const std::string& line);
 
+// "20260514T200000Z": how the names of nights begin, so that they sort.
+[[nodiscard]] std::string NightMoment(WallNs time);
+
 class NightLog {
  public:
   // Makes STORE/nights/<night>, named after the moment and this process.
   [[nodiscard]] static Result<NightLog> Begin(const std::filesystem::path& store);
+  // The night of that name, made where it is not there yet.
+  [[nodiscard]] static Result<NightLog> Open(const std::filesystem::path& store, const std::string& name);
   // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was.
   Status Add(const NightEvent& event);
   // All that was said of a session: it was forgotten.

@@ -49,6 +49,18 @@ Status MakeReadOnly(const fs::path& folder) {
   return error ? Status::Failed("cannot read " + folder.string() + ": " + error.message()) : Status::Ok();
 }
 
+// Its name, size and kind are asked before it is read, its bytes where they then lie.
+Status CopyInto(const fs::path& making, const fs::path& made, const db::ArtifactRecord& record,
+                const db::RecordedFile& file) {
+  db::ArtifactRecord one = record;
+  one.files = {file};
+  SLX_RETURN_IF_ERROR(db::CheckArtifactFiles(made, one, db::FileDepth::kSizes));
+  std::error_code error;
+  fs::create_directories((making / file.name).parent_path(), error);
+  if (!error) fs::copy_file(made / file.name, making / file.name, error);
+  return error ? Status::Failed("cannot copy " + (made / file.name).string() + ": " + error.message()) : Status::Ok();
+}
+
 int64_t BytesOf(const fs::path& folder) {
   int64_t bytes = 0;
   std::error_code error, unknown;
@@ -129,24 +141,30 @@ Status ArtifactStore::ReadFiles(const Artifact& artifact, const UseOfFolder& rea
   return files_.Read(artifact.folder, places, {db::kArtifactRecordFile}, read);
 }
 
-Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFolder& make) {
-  const std::string name = identity.FolderName();
+Status ArtifactStore::Beside(const std::string& name, const UseOfFolder& use) const {
   const fs::path making = NewMakingFolder(folder_, name);
   const RemovedOnSignal guard(making);
-  const auto publish = [&]() -> Status {
-    const Stopwatch watch;
+  const auto made = [&]() -> Status {
     {
       const NotInterrupted whole;
       if (mkdir(making.c_str(), 0750) != 0)
         return Status::Failed("cannot create " + making.string() + ": " + std::strerror(errno));
     }
-    SLX_RETURN_IF_ERROR(files_.Write(making, std::string(db::kArtifactsFolder) + "/" + name, make));
-    db::ArtifactRecord record{identity, {}, watch.Seconds(), watch.CpuSeconds(), PeakRssBytes(), kVersion, WallNow()};
-    SLX_ASSIGN_OR_RETURN(record.files, db::ListFiles(making, db::kArtifactRecordFile));
-    SLX_RETURN_IF_ERROR(db::ReplaceFile(making / db::kArtifactRecordFile, ToJson(record)));
+    return use(making);
+  };
+  const Status used = made();
+  std::error_code error;
+  fs::remove_all(making, error);
+  return used;
+}
+
+Status ArtifactStore::PutInPlace(const db::ArtifactIdentity& identity,
+                                 const std::function<Result<db::ArtifactRecord>(const fs::path& making)>& fill) const {
+  return Beside(identity.FolderName(), [&](const fs::path& making) -> Status {
+    SLX_ASSIGN_OR_RETURN(const db::ArtifactRecord record, fill(making));
     SLX_RETURN_IF_ERROR(MakeReadOnly(making));
     SLX_RETURN_IF_ERROR(db::SyncTree(making));
-    const fs::path place = folder_ / name;
+    const fs::path place = FolderOf(identity);
     const NotInterrupted whole;  // what is being removed gets no name
     if (rename(making.c_str(), place.c_str()) != 0) {
       if (errno != EEXIST && errno != ENOTEMPTY)
@@ -154,12 +172,38 @@ Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFold
       HoldAgainstFirst(place, record);
     }
     return db::SyncFolder(folder_);
+  });
+}
+
+Status ArtifactStore::Make(const db::ArtifactIdentity& identity, const UseOfFolder& make) {
+  const Stopwatch watch;
+  const auto fill = [&](const fs::path& making) -> Result<db::ArtifactRecord> {
+    SLX_RETURN_IF_ERROR(files_.Write(making, std::string(db::kArtifactsFolder) + "/" + identity.FolderName(), make));
+    db::ArtifactRecord record{identity, {}, watch.Seconds(), watch.CpuSeconds(), PeakRssBytes(), kVersion, WallNow()};
+    SLX_ASSIGN_OR_RETURN(record.files, db::ListFiles(making, db::kArtifactRecordFile));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(making / db::kArtifactRecordFile, ToJson(record)));
+    return record;
   };
-  const Status made = publish();
-  std::error_code error;
-  fs::remove_all(making, error);  // of a failure, or of one that came second
+  const Status made = PutInPlace(identity, fill);
   made_ += made.ok() ? 1 : 0;
   return made;
+}
+
+Status ArtifactStore::Adopt(const fs::path& made) {
+  SLX_ASSIGN_OR_RETURN(const db::ArtifactRecord record, db::ReadArtifactRecord(made));
+  const std::string name = record.identity.FolderName();
+  if (record.identity.seal != files_.seal().key_id())
+    return Status::Integrity(made.string() + " is not sealed as its session is");
+  if (Has(record.identity)) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, Lock(name, "adopts '" + record.identity.stage + "'"));
+  if (Has(record.identity)) return Status::Ok();
+  return PutInPlace(record.identity, [&](const fs::path& making) -> Result<db::ArtifactRecord> {
+    for (const db::RecordedFile& file : record.files) SLX_RETURN_IF_ERROR(CopyInto(making, made, record, file));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(making / db::kArtifactRecordFile, ToJson(record)));
+    SLX_RETURN_IF_ERROR(
+        db::CheckArtifactFiles(making, record, db::FileDepth::kHashes).WithContext("from " + made.string()));
+    return record;
+  });
 }
 
 // Made at the same time where this lock does not reach, on another machine. The first one stays.

@@ -60,6 +60,13 @@ class ArtifactStore {
   // The artifact, made by `make` into the folder that it is given where it is not there yet. `making`, if there is one,
   // is told before that, under the lock.
   [[nodiscard]] Result<Artifact> Obtain(const db::ArtifactIdentity& identity, const UseOfFolder& make);
+  // One that was made elsewhere, in a folder of its name: copied, held against its record, and put in its place, unless
+  // that is there already. kIntegrity for what is damaged, sealed under another key, or plain of an encrypted session;
+  // `made` stays.
+  Status Adopt(const std::filesystem::path& made);
+  // `use` gets an empty folder beside the artifacts, on their disk, gone when it returns, and with the next run where
+  // this one is killed. The caller holds the lock of `name`.
+  Status Beside(const std::string& name, const UseOfFolder& use) const;
   // `read` finds its files in the folder it is given, for as long as it runs.
   Status ReadFiles(const Artifact& artifact, const UseOfFolder& read);
   // Records of all artifacts of a stage, the newest first; damaged ones are left out.
@@ -83,6 +90,9 @@ class ArtifactStore {
   ArtifactStore(std::filesystem::path folder, PlainFiles files, Logger& logger)
       : folder_(std::move(folder)), files_(std::move(files)), logger_(logger) {}
   Status Make(const db::ArtifactIdentity& identity, const UseOfFolder& make);
+  // What `fill` puts into a folder, its record included, synced, read-only and by its name.
+  Status PutInPlace(const db::ArtifactIdentity& identity,
+                    const std::function<Result<db::ArtifactRecord>(const std::filesystem::path& making)>& fill) const;
   void HoldAgainstFirst(const std::filesystem::path& place, const db::ArtifactRecord& own) const;
   void RemoveLeftovers();
   [[nodiscard]] Result<UniqueFd> Flock(int operation) const;

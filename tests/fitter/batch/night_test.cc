@@ -244,6 +244,48 @@ TEST_F(NightTest, ForgottenOnTheWayIsNotFittedAndTheNightGoesOn) {
   }
 }
 
+// As a shard asks the ledger of the sealed sessions: its own store does not hear of a withdrawal there.
+TEST_F(NightTest, WhoMayNotByAnotherWordIsNotFittedNorGoneOnWith) {
+  Visitors(3);
+  Workers("[ $S != " + sessions_[1] + " ] || exec sleep 1000");
+  bool withdrawn = false;
+  options_.also_asked = [&](const std::string& session) {
+    const bool no = session == sessions_[0] || (withdrawn && session == sessions_[1]);
+    return no ? Status::Usage("withdrawn elsewhere") : Status::Ok();
+  };
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    withdrawn = withdrawn || (event.kind == NightEventKind::kStarted && event.session == sessions_[1]);
+  });
+  EXPECT_EQ(outcome.dropped, 2);
+  EXPECT_EQ(outcome.fitted, 1);
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 0);
+  EXPECT_EQ(Lines(sessions_[1], ".ended"), 0);
+  EXPECT_EQ(VisitOf(sessions_[1]).reason, "withdrawn elsewhere");
+}
+
+// Held up for longer than a lease, as by a machine that was asleep.
+TEST_F(NightTest, AVisitorThatAnotherNightHasTakenOverIsLeftToIt) {
+  Visitors(1);
+  Workers("exec sleep 1000");
+  options_.lease = milliseconds(400);
+  auto other = db::JobStore::Open(folder_);
+  ASSERT_TRUE(other.ok());
+  std::optional<db::Job> theirs;
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    if (event.kind == NightEventKind::kStarted) {
+      std::this_thread::sleep_for(2 * options_.lease);
+      theirs = *other->Lease({"another night", {"fit"}, seconds(600)});
+    }
+    if (event.kind == NightEventKind::kReleased) {
+      EXPECT_TRUE(other->Complete(theirs->token).ok());
+    }
+  });
+  ASSERT_TRUE(theirs.has_value());
+  EXPECT_EQ(outcome.dropped, 0);
+  EXPECT_EQ(VisitOf(sessions_[0]).kind, NightEventKind::kReleased);
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kDone);
+}
+
 TEST_F(NightTest, AStopGivesBackWhoRunsAndCountsNoAttempt) {
   Visitors(2);
   Workers("[ -e $W/go ] || exec sleep 1000");

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/apps/batch_flags.h"
+
+#include <algorithm>
+#include <cstdlib>
+#include <ctime>
+#include <thread>
+
+#include <CLI/CLI.hpp>
+
+#include "shared/base/formatted.h"
+#include "shared/base/read_file.h"
+#include "shared/base/standard_output.h"
+
+namespace stratalux::fit {
+namespace {
+
+namespace fs = std::filesystem;
+
+int64_t AvailableBytes() {
+  const auto text = ReadFile("/proc/meminfo");
+  constexpr std::string_view kKey = "MemAvailable:";
+  const size_t at = text.ok() ? text->find(kKey) : std::string::npos;
+  return at == std::string::npos ? 0 : std::atoll(text->c_str() + at + kKey.size()) * 1024;
+}
+
+std::string Sentence(const NightEvent& event, int over, int64_t chosen) {
+  const std::string who = event.session;
+  const std::string place = Formatted("[%d/%lld] ", over, static_cast<long long>(chosen));
+  switch (event.kind) {
+    case NightEventKind::kBegan:
+      return Formatted("%lld visitors to fit", static_cast<long long>(event.count));
+    case NightEventKind::kLeftOut:
+      return event.why == ToString(LeftOut::kComplete) ? "" : who + " is left out (" + event.why + "): " + event.reason;
+    case NightEventKind::kStarted:
+      return event.attempt > 1 ? Formatted("%s: attempt %d", who.c_str(), event.attempt) : "";
+    case NightEventKind::kDone:
+      return place + who +
+             Formatted(" fitted in %.0f s (%.0f s of processor, %.2f GiB)", event.seconds, event.cpu_seconds,
+                       static_cast<double>(event.peak_bytes) / kGib);
+    case NightEventKind::kRetry:
+      return who + " failed and is tried again: " + event.reason;
+    case NightEventKind::kFailed:
+      return place + who + " failed: " + event.reason;
+    case NightEventKind::kSetAside:
+      return place + who + Formatted(" is set aside after %d attempts: ", event.attempt) + event.reason;
+    case NightEventKind::kDropped:
+      return place + who + " is not fitted any more: " + event.reason;
+    case NightEventKind::kReleased:
+      return who + " is given back: " + event.reason;
+    case NightEventKind::kEnded:
+      return "the night is over" + (event.reason.empty() ? "" : ": " + event.reason);
+  }
+  return "";
+}
+
+}  // namespace
+
+void AddStore(CLI::App& verb, BatchFlags& flags) {
+  verb.add_option("--store", flags.fit.run.store, "Store folder")->envname("STRATALUX_STORE")->required();
+}
+
+void AddWorkers(CLI::App& verb, BatchFlags& flags) {
+  verb.add_option("--workers", flags.workers, "Visitors at a time, each in a process of its own; 0: one a core")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
+  verb.add_option("--threads", flags.threads, "Threads of each worker; 0: the cores, shared out")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
+  verb.add_option("--memory", flags.memory_gib, "Memory of all workers together, GiB; 0: four fifths of what is free")
+      ->check(CLI::Range(0.0, 1e6))
+      ->capture_default_str();
+}
+
+void AddChoice(CLI::App& verb, BatchFlags& flags) {
+  AddStore(verb, flags);
+  verb.add_option("--order", flags.order, "Who is fitted first: newest or oldest visitors")
+      ->check(CLI::IsMember({"newest", "oldest"}))
+      ->capture_default_str();
+  verb.add_option("--most", flags.most, "So many visitors at most; 0: all")
+      ->check(CLI::Range(0, 1000000))
+      ->capture_default_str();
+  flags.fit_options = AddFitOptions(verb, flags.fit);
+  verb.add_flag("--json", flags.json, "Machine-readable; of `run` a line an event, as it happens");
+}
+
+void AddAttempts(CLI::App& verb, BatchFlags& flags) {
+  verb.add_option("--attempts", flags.attempts, "Attempts a visitor, then it is set aside")
+      ->check(CLI::Range(1, 100))
+      ->capture_default_str();
+  verb.add_option("--visit-limit", flags.visit_limit_min, "Minutes after which an attempt is given up")
+      ->check(CLI::Range(0.01, 1e5))
+      ->capture_default_str();
+}
+
+Status SetWorkers(const BatchFlags& flags, NightOptions& night) {
+  std::error_code error;
+  night.program = fs::read_symlink("/proc/self/exe", error);
+  if (error) return Status::Failed("/proc/self/exe: " + error.message());
+  const int cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  night.workers = flags.workers > 0 ? flags.workers : cores;
+  night.threads = flags.threads > 0 ? flags.threads : std::max(1, cores / night.workers);
+  // A fifth is left to everybody else.
+  night.memory_bytes =
+      flags.memory_gib > 0.0 ? static_cast<int64_t>(flags.memory_gib * kGib) : AvailableBytes() / 5 * 4;
+  night.attempts = flags.attempts;
+  night.visit_limit = std::chrono::seconds(static_cast<int64_t>(60.0 * flags.visit_limit_min));
+  return Status::Ok();
+}
+
+// The next time that a clock of this machine says so.
+Result<std::chrono::seconds> TimeUntil(const std::string& text) {
+  int hour = -1, minute = -1, length = 0;
+  const int read = std::sscanf(text.c_str(), "%2d:%2d%n", &hour, &minute, &length);
+  if (read != 2 || static_cast<size_t>(length) != text.size() || hour < 0 || hour > 23 || minute < 0 || minute > 59)
+    return Status::Usage("--until " + text + ": a time of day, such as 07:00");
+  const std::time_t now = std::time(nullptr);
+  std::tm then{};
+  localtime_r(&now, &then);
+  then.tm_hour = hour;
+  then.tm_min = minute;
+  then.tm_sec = 0;
+  then.tm_isdst = -1;
+  std::time_t at = std::mktime(&then);
+  if (at <= now) {
+    ++then.tm_mday;
+    then.tm_isdst = -1;
+    at = std::mktime(&then);
+  }
+  return std::chrono::seconds(at - now);
+}
+
+Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags) {
+  ChoiceOptions choice;
+  SLX_ASSIGN_OR_RETURN(choice.run, RunOptionsOf(flags.fit));
+  choice.order = flags.order == "oldest" ? NightOrder::kOldest : NightOrder::kNewest;
+  choice.most = flags.most;
+  return choice;
+}
+
+Result<NightOptions> NightOf(const BatchFlags& flags) {
+  NightOptions night;
+  SLX_ASSIGN_OR_RETURN(night.choice, ChoiceOf(flags));
+  night.arguments = GivenArguments(flags.fit_options);
+  SLX_RETURN_IF_ERROR(SetWorkers(flags, night));
+  if (!flags.until.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until));
+    night.deadline = std::chrono::steady_clock::now() + left;
+  }
+  return night;
+}
+
+void NightTeller::Hear(const NightEvent& event) {
+  events_.push_back(event);
+  if (json_ && written_.ok()) written_ = WriteStdout(ToJson(event) + "\n");
+  const NightStatus status = StatusOf(events_);
+  const std::string sentence = Sentence(event, status.Over(), status.chosen);
+  if (sentence.empty()) return;
+  const bool bad = event.kind == NightEventKind::kFailed || event.kind == NightEventKind::kSetAside;
+  bad                                    ? logger_.Error(sentence)
+  : event.kind == NightEventKind::kRetry ? logger_.Warning(sentence)
+                                         : logger_.Info(sentence);
+}
+
+}  // namespace stratalux::fit

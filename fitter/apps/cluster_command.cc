@@ -1,0 +1,264 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-fit batch shard|submit|merge`: a planned night on other machines, and its way back into the store.
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <map>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <poll.h>
+
+#include "db/catalogue/session_store.h"
+#include "fitter/apps/batch_flags.h"
+#include "fitter/batch/merge.h"
+#include "fitter/batch/morning_report.h"
+#include "fitter/batch/shard.h"
+#include "fitter/batch/slurm.h"
+#include "fitter/pipeline/interruption.h"
+#include "shared/base/formatted.h"
+#include "shared/base/standard_output.h"
+
+namespace stratalux::fit {
+namespace {
+
+using Json = nlohmann::ordered_json;
+namespace fs = std::filesystem;
+
+struct ClusterFlags {
+  BatchFlags batch;
+  std::string shard, results, scratch, plan, engine, task, task_store;
+  std::vector<std::string> directives;
+  double chunk_minutes = 60.0, every_s = 60.0;
+  int cpus = 2;
+  bool close = false, again = false, dry_run = false;
+};
+
+std::string ScratchOf(const ClusterFlags& flags) {
+  if (!flags.scratch.empty()) return flags.scratch;
+  const char* temporary = std::getenv("TMPDIR");
+  return temporary != nullptr && *temporary != '\0' ? temporary : "/tmp";
+}
+
+Status FitShard(const ClusterFlags& flags, Logger& logger) {
+  ShardOptions options;
+  SLX_ASSIGN_OR_RETURN(options.shard, ParseShard(flags.shard));
+  SLX_ASSIGN_OR_RETURN(const ShardPlan plan, ReadPlan(flags.results));
+  if (!flags.plan.empty() && flags.plan != plan.id)
+    return Status::Usage(flags.results + " has another plan than " + flags.plan + " by now");
+  SLX_ASSIGN_OR_RETURN(options.night.choice.run, RunOptionsOf(plan.arguments));
+  options.night.choice.run.store = flags.batch.fit.run.store;
+  SLX_RETURN_IF_ERROR(SetWorkers(flags.batch, options.night));
+  options.results = flags.results;
+  options.scratch = ScratchOf(flags);
+  const InterruptionAsks asks;
+  NightTeller teller(logger, flags.batch);
+  const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };
+  SLX_ASSIGN_OR_RETURN(const ShardOutcome outcome, RunShard(options, plan, asks.fd(), heard, logger));
+  SLX_RETURN_IF_ERROR(teller.written());
+  if (!flags.batch.json) SLX_RETURN_IF_ERROR(WriteStdout(outcome.manifest.string() + "\n"));
+  if (outcome.waiting > 0)
+    return Status(StatusCode::kTryAgain,
+                  Formatted("%d visitors of the shard wait: run it again, and it goes on", outcome.waiting));
+  if (outcome.failed > 0)
+    return Status(StatusCode::kDegraded, Formatted("%d visitors could not be fitted", outcome.failed));
+  return Status::Ok();
+}
+
+Json JsonOf(const MergeOutcome& outcome, const fs::path& report) {
+  Json failed = Json::array();
+  for (const NightEvent& event : outcome.failed)
+    failed.push_back({{"session", event.session}, {"state", ToString(event.kind)}, {"reason", event.reason}});
+  return {{"night", outcome.night},     {"report", report.string()},   {"entered", outcome.entered},
+          {"present", outcome.present}, {"dropped", outcome.dropped},  {"failed", failed},
+          {"missing", outcome.missing}, {"problems", outcome.problems}};
+}
+
+Status TellMerge(const ClusterFlags& flags, const MergeOutcome& outcome, Logger& logger) {
+  for (const std::string& problem : outcome.problems) logger.Error(problem);
+  for (const NightEvent& event : outcome.failed) logger.Error(event.session + " failed: " + event.reason);
+  constexpr size_t kNamed = 10;
+  for (size_t i = 0; i < std::min(kNamed, outcome.missing.size()); ++i)
+    logger.Warning(outcome.missing[i] + " is missing: its shard was lost, or is still at work");
+  if (outcome.missing.size() > kNamed)
+    logger.Warning(Formatted("and %zu more (--json names them)", outcome.missing.size() - kNamed));
+  logger.Info(Formatted("%d fits entered, %d were there, %d visitors not any more, %zu failed, %zu missing",
+                        outcome.entered, outcome.present, outcome.dropped, outcome.failed.size(),
+                        outcome.missing.size()));
+  SLX_ASSIGN_OR_RETURN(const fs::path report, WriteMorningReport(flags.batch.fit.run.store, outcome.night));
+  const std::string text = JsonOf(outcome, report).dump(1, ' ', false, Json::error_handler_t::replace);
+  SLX_RETURN_IF_ERROR(WriteStdout((flags.batch.json ? text : report.string()) + "\n"));
+  if (outcome.failed.empty() && outcome.missing.empty() && outcome.problems.empty()) return Status::Ok();
+  return Status(StatusCode::kDegraded,
+                Formatted("%zu visitors failed, %zu are missing, %zu problems", outcome.failed.size(),
+                          outcome.missing.size(), outcome.problems.size()));
+}
+
+Status Merge(const ClusterFlags& flags, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const MergeOutcome outcome,
+                       MergeShards(flags.batch.fit.run.store, flags.results,
+                                   flags.close ? MergeMode::kClose : MergeMode::kKeep, logger));
+  return TellMerge(flags, outcome, logger);
+}
+
+// The one that is there, or a new one; of a dry run it is not written.
+Result<ShardPlan> PlanToSubmit(const ClusterFlags& flags, Logger& logger) {
+  auto plan = ReadPlan(flags.results);
+  const bool chosen = flags.batch.most > 0 || !GivenArguments(flags.batch.fit_options).empty();
+  if (plan.ok() && chosen)
+    return Status::Usage(flags.results + " has a plan: who is fitted, and how, was said when it was made");
+  if (plan.ok() || plan.status().code() != StatusCode::kNotFound) return plan;
+  SLX_ASSIGN_OR_RETURN(const ChoiceOptions options, ChoiceOf(flags.batch));
+  SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(options, logger));
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(options.run.store, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const CostHistory history, CostHistory::Read(store));
+  plan = PlanOf(choice, history, GivenArguments(flags.batch.fit_options));
+  logger.Info(Formatted("%zu visitors to fit, %zu left out", plan->visits.size(), plan->left_out.size()));
+  if (!flags.dry_run) SLX_RETURN_IF_ERROR(WritePlan(flags.results, *plan).status());
+  return plan;
+}
+
+Result<SlurmOptions> SlurmOf(const ClusterFlags& flags) {
+  SlurmOptions options;
+  options.store = fs::absolute(flags.task_store.empty() ? flags.batch.fit.run.store : flags.task_store);
+  options.results = fs::absolute(flags.results);
+  options.program = flags.task;
+  if (options.program.empty()) {
+    std::error_code error;
+    options.program = "'" + fs::read_symlink("/proc/self/exe", error).string() + "'";
+    if (error) return Status::Failed("/proc/self/exe: " + error.message());
+  }
+  options.chunk_minutes = flags.chunk_minutes;
+  options.cpus = flags.cpus;
+  options.directives = flags.directives;
+  SLX_RETURN_IF_ERROR(options.Validate());
+  return options;
+}
+
+// What came since, again and again; shards write manifests, of which a look at the folder tells, so that no one asks
+// the engine.
+Status MergeAsItComes(const ClusterFlags& flags, std::chrono::seconds time, Logger& logger) {
+  const InterruptionAsks asks;
+  const auto end = std::chrono::steady_clock::now() + time;
+  std::map<fs::path, fs::file_time_type> before;
+  for (bool first = true;; first = false) {
+    std::map<fs::path, fs::file_time_type> now;
+    std::error_code error;
+    for (const fs::path& file : ManifestFiles(flags.results)) now[file] = fs::last_write_time(file, error);
+    pollfd asked{asks.fd(), POLLIN, 0};
+    const bool over = std::chrono::steady_clock::now() >= end || poll(&asked, 1, 0) > 0;
+    if (first || over || now != before) {
+      SLX_ASSIGN_OR_RETURN(const MergeOutcome outcome,
+                           MergeShards(flags.batch.fit.run.store, flags.results, MergeMode::kKeep, logger));
+      if (over || outcome.missing.empty()) return TellMerge(flags, outcome, logger);
+      if (outcome.entered > 0)
+        logger.Info(Formatted("%d fits entered, %zu missing", outcome.entered, outcome.missing.size()));
+    }
+    before = std::move(now);
+    poll(&asked, 1, static_cast<int>(1000.0 * flags.every_s));
+  }
+}
+
+Status Submit(const ClusterFlags& flags, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const SlurmOptions options, SlurmOf(flags));
+  std::chrono::seconds time{0};
+  if (!flags.batch.until.empty()) {
+    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until));
+  }
+  SLX_ASSIGN_OR_RETURN(const ShardPlan plan, PlanToSubmit(flags, logger));
+  auto jobs = ReadSlurmJobs(options.results);
+  if (jobs.ok() && !flags.again)
+    return Status::Usage(flags.results + " was submitted, as job " + (jobs->ids.empty() ? "?" : jobs->ids.back()) +
+                         "; once that is over, --again submits the shards that are not done");
+  if (!jobs.ok() && jobs.status().code() != StatusCode::kNotFound) return jobs.status();
+  if (!jobs.ok()) {
+    jobs = SlurmJobs{};
+    SLX_ASSIGN_OR_RETURN(jobs->shards, ShardCount(plan, options));
+  }
+  const std::vector<int> shards = ShardsToDo(plan, options.results, jobs->shards);
+  logger.Info(Formatted("%zu of %d shards to do", shards.size(), jobs->shards));
+  const auto arrays = ArraysOf(shards, options.most_tasks);
+  if (flags.dry_run) {
+    std::string scripts;
+    for (const auto& array : arrays) scripts += SbatchScript(plan, options, array, jobs->shards);
+    return WriteStdout(scripts);
+  }
+  const size_t earlier = jobs->ids.size();
+  SLX_ASSIGN_OR_RETURN(jobs, SubmitSlurm(plan, options, arrays, *jobs));
+  for (size_t i = earlier; i < jobs->ids.size(); ++i) logger.Info("Slurm has it as job " + jobs->ids[i]);
+  return flags.batch.until.empty() ? Status::Ok() : MergeAsItComes(flags, time, logger);
+}
+
+}  // namespace
+
+void AddClusterCommands(CLI::App& batch, int& exit_code) {
+  auto worked = std::make_shared<ClusterFlags>();
+  auto* shard = batch.add_subcommand("shard", "One of N shares of a planned night, on any machine that sees the store");
+  shard->footer(
+      "Reads sealed sessions and the ledger of STORE, writes to RESULTS alone. Run again it goes on; exit code 75: it\n"
+      "was stopped and has visitors left.\n"
+      "Examples:\n"
+      "  stratalux-fit batch plan --store store --out results\n"
+      "  stratalux-fit batch shard 1/2 --store store --results results\n"
+      "  parallel -j 2 stratalux-fit batch shard {}/2 --store store --results results ::: 1 2\n"
+      "  stratalux-fit batch merge results --store store");
+  shard->add_option("shard", worked->shard, "I/N, I from 1 to N")->required();
+  AddStore(*shard, worked->batch);
+  shard->add_option("--results", worked->results, "Folder of `batch plan --out`")->required();
+  shard->add_option("--scratch", worked->scratch,
+                    "Folder of a disk of this machine for its index of the sessions; without it $TMPDIR, or /tmp");
+  shard->add_option("--plan", worked->plan, "Refuse any other plan than the one of this id");
+  AddWorkers(*shard, worked->batch);
+  AddAttempts(*shard, worked->batch);
+  shard->add_flag("--json", worked->batch.json, "A line an event, as it happens");
+  OnCall(*shard, exit_code, [worked](Logger& logger) { return FitShard(*worked, logger); });
+
+  auto submitted = std::make_shared<ClusterFlags>();
+  auto* submit =
+      batch.add_subcommand("submit", "A planned night, given to a cluster's engine; without a plan it is made");
+  submit->footer(
+      "Fits come back by `batch merge`, or as they are made with --until. How long a visitor takes must be known: "
+      "where\n"
+      "nobody of the store was fitted yet, fit one here first.\n"
+      "Examples:\n"
+      "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --dry-run\n"
+      "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --until 07:00 \\\n"
+      "      --chunk-minutes 60 --cpus 4 --sbatch=--partition=night");
+  AddChoice(*submit, submitted->batch);
+  submit->add_option("--engine", submitted->engine, "slurm")->required()->check(CLI::IsMember({"slurm"}));
+  submit->add_option("--results", submitted->results, "Folder that this machine and all nodes see")->required();
+  submit->add_option("--task-store", submitted->task_store, "Where nodes see the store; without it --store");
+  submit->add_option(
+      "--task", submitted->task,
+      "What nodes run as stratalux-fit, such as 'apptainer exec stratalux.sif stratalux-fit'; without it "
+      "this program");
+  submit->add_option("--chunk-minutes", submitted->chunk_minutes, "Minutes of a task, by what earlier fits took")
+      ->check(CLI::Range(0.001, 1e5))
+      ->capture_default_str();
+  submit->add_option("--cpus", submitted->cpus, "Cores of a task")->check(CLI::Range(1, 1024))->capture_default_str();
+  submit->add_option("--sbatch", submitted->directives, "An option of sbatch, too; as often as needed");
+  submit->add_option("--until", submitted->batch.until, "Time of day: stay, and merge what comes");
+  submit->add_option("--every", submitted->every_s, "With --until: look so often, seconds")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->capture_default_str();
+  submit->add_flag("--again", submitted->again, "Of a plan that was submitted: the shards that are not done");
+  submit->add_flag("--dry-run", submitted->dry_run, "Print the script of each array; submit nothing");
+  OnCall(*submit, exit_code, [submitted](Logger& logger) { return Submit(*submitted, logger); });
+
+  auto merged = std::make_shared<ClusterFlags>();
+  auto* merge =
+      batch.add_subcommand("merge", "What shards made, verified and entered into the store; changes nothing twice");
+  merge->footer(
+      "Where the store lies on this machine's own disk. May be run while shards are at work; exit code 3: somebody\n"
+      "failed or is missing.\n"
+      "Example:\n  stratalux-fit batch merge results --store store");
+  merge->add_option("results", merged->results, "Folder of `batch plan --out`")->required();
+  AddStore(*merge, merged->batch);
+  merge->add_flag("--json", merged->batch.json, "Machine-readable");
+  merge->add_flag("--close", merged->close,
+                  "Then remove RESULTS: its shards are over, and who is missing is planned anew another night");
+  OnCall(*merge, exit_code, [merged](Logger& logger) { return Merge(*merged, logger); });
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/batch/merge.h"
+
+#include <algorithm>
+#include <map>
+#include <utility>
+
+#include "db/base/durable_file.h"
+#include "db/base/file_lock.h"
+#include "db/catalogue/deletions.h"
+#include "db/catalogue/fit_reader.h"
+#include "db/catalogue/fit_record.h"
+#include "db/catalogue/fit_store.h"
+#include "db/privacy/access_log.h"
+#include "fitter/batch/night_choice.h"
+#include "fitter/batch/night_status.h"
+#include "fitter/pipeline/artifact_store.h"
+#include "fitter/pipeline/publish.h"
+
+namespace stratalux::fit {
+namespace {
+
+namespace fs = std::filesystem;
+
+// In `to`, with the files that are artifacts of the store as further names of those.
+Status CopyFit(const fs::path& from, const fs::path& to, const fs::path& session_folder) {
+  SLX_ASSIGN_OR_RETURN(const db::FitRow row, db::ReadFitRecord(from, session_folder.filename().string()));
+  SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(from, db::kFitRecordFile));
+  std::error_code error;
+  const auto artifact_file = [&](const std::string& name) -> fs::path {
+    for (const auto& [stage, folder] : row.artifacts)
+      if (fs::path file = session_folder / db::kArtifactsFolder / folder / name; fs::exists(file, error)) return file;
+    return {};
+  };
+  for (const std::string& name : names) {
+    fs::create_directories((to / name).parent_path(), error);
+    const fs::path file = artifact_file(name);
+    if (!file.empty()) fs::create_hard_link(file, to / name, error);
+    if (file.empty() || error) fs::copy_file(from / name, to / name, error);
+    if (error) return Status::Failed("cannot copy " + (from / name).string() + ": " + error.message());
+  }
+  fs::copy_file(from / db::kFitRecordFile, to / db::kFitRecordFile, error);
+  return error ? Status::Failed("cannot copy " + (from / db::kFitRecordFile).string() + ": " + error.message())
+               : Status::Ok();
+}
+
+// What a shard's file is not as it should be is a problem of one visitor; the store's own troubles end the merge.
+bool IsTroubleOfOne(const Status& status) {
+  return status.code() == StatusCode::kIntegrity || status.code() == StatusCode::kNotFound ||
+         status.code() == StatusCode::kNewerSchema || status.code() == StatusCode::kUsage;
+}
+
+class Merger {
+ public:
+  Merger(fs::path store, fs::path results, ShardPlan plan, NightLog log, db::SessionStore index, Logger& logger)
+      : store_(std::move(store)),
+        results_(std::move(results)),
+        plan_(std::move(plan)),
+        log_(std::move(log)),
+        index_(std::move(index)),
+        logger_(logger) {}
+  Result<MergeOutcome> Run(MergeMode mode);
+
+ private:
+  Status ReadEarlier();
+  void ReadManifests();
+  Status Begin();
+  Status Merge(const PlannedVisit& visit);
+  Status Drop(const PlannedVisit& visit, const std::string& reason);
+  Status Take(const PlannedVisit& visit, const ShardVisit& said);
+  Status Keep(const PlannedVisit& visit);
+  Status Enter(const PlannedVisit& visit, const ShardVisit& said);
+  Status Tell(const NightEvent& event);
+
+  const fs::path store_, results_;
+  const ShardPlan plan_;
+  NightLog log_;
+  db::SessionStore index_;
+  Logger& logger_;
+  NightStatus told_;                               // what the night's log says
+  std::map<std::string, const NightVisit*> ends_;  // of those
+  int nameless_ = 0;                               // dropped, of sessions that were forgotten since
+  std::vector<ShardManifest> manifests_;
+  MergeOutcome outcome_;
+};
+
+Status Merger::ReadEarlier() {
+  SLX_ASSIGN_OR_RETURN(const NightRecord record, ReadNight(log_.folder()));
+  told_ = StatusOf(record.events);
+  for (const NightVisit& visit : told_.visits) ends_[visit.session] = &visit;
+  nameless_ = static_cast<int>(std::count_if(record.events.begin(), record.events.end(), [](const NightEvent& event) {
+    return event.kind == NightEventKind::kDropped && event.session.empty();
+  }));
+  return Status::Ok();
+}
+
+void Merger::ReadManifests() {
+  for (const fs::path& file : ManifestFiles(results_)) {
+    auto manifest = ReadManifest(file, plan_);
+    if (manifest.ok())
+      manifests_.push_back(std::move(*manifest));
+    else
+      outcome_.problems.push_back(manifest.status().message());
+  }
+}
+
+Status Merger::Begin() {
+  if (told_.began.ns != 0) return Status::Ok();
+  SLX_RETURN_IF_ERROR(
+      log_.Add({.kind = NightEventKind::kBegan, .at = plan_.made, .count = static_cast<int64_t>(plan_.visits.size())}));
+  for (const NightEvent& event : plan_.left_out) SLX_RETURN_IF_ERROR(log_.Add(event));
+  return Status::Ok();
+}
+
+// Once: merging again says nothing anew.
+Status Merger::Tell(const NightEvent& event) {
+  const auto end = ends_.find(event.session);
+  if (end != ends_.end() && end->second->kind == event.kind && end->second->reason == event.reason) return Status::Ok();
+  NightEvent started{.kind = NightEventKind::kStarted, .at = event.at, .session = event.session, .fit = event.fit};
+  started.at.ns -= static_cast<int64_t>(1e9 * event.seconds);
+  started.attempt = event.attempt;
+  SLX_RETURN_IF_ERROR(log_.Add(started));
+  return log_.Add(event);
+}
+
+// Of a forgotten session the log keeps that there was one.
+Status Merger::Drop(const PlannedVisit& visit, const std::string& reason) {
+  ++outcome_.dropped;
+  SLX_RETURN_IF_ERROR(RemoveResults(results_, visit.session));
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, db::IsForgotten(store_, visit.session));
+  NightEvent event{.kind = NightEventKind::kDropped, .at = WallNow(), .session = visit.session, .reason = reason};
+  if (!forgotten) return Tell(event);
+  return nameless_-- > 0 ? Status::Ok() : log_.Add(event);
+}
+
+Status Merger::Enter(const PlannedVisit& visit, const ShardVisit& said) {
+  const fs::path made = ResultsOf(results_, visit.session), session = index_.SessionFolder(visit.session);
+  const MadeFolder fit{"fits/" + visit.fit, ""};
+  if (said.made.empty() || said.made.back().place != fit.place)
+    return Status::Integrity("session " + visit.session + ": its shard made no fit " + visit.fit);
+  SLX_RETURN_IF_ERROR(CheckRecords(made, said.made));
+  SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(index_, visit.session));
+  SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(session, PlainFiles(seal), logger_));
+  SLX_ASSIGN_OR_RETURN(const UniqueFd in_use, artifacts.Use());
+  for (const MadeFolder& one : said.made)
+    if (one.place != fit.place) SLX_RETURN_IF_ERROR(artifacts.Adopt(made / one.place));
+  const std::string lock_name = LockOfFit(visit.fit);
+  SLX_ASSIGN_OR_RETURN(const KeyLock lock, artifacts.Lock(lock_name, "enters this fit"));
+  return artifacts.Beside(lock_name, [&](const fs::path& folder) -> Status {
+    SLX_RETURN_IF_ERROR(CopyFit(made / fit.place, folder / visit.fit, session));
+    return db::AdoptFit(store_, visit.session, folder / visit.fit).status();
+  });
+}
+
+Status Merger::Take(const PlannedVisit& visit, const ShardVisit& said) {
+  SLX_RETURN_IF_ERROR(Enter(visit, said));
+  SLX_RETURN_IF_ERROR(db::LogAccess(store_, "fit", visit.session, "fit " + visit.fit));
+  ++outcome_.entered;
+  SLX_RETURN_IF_ERROR(Tell(said.end));
+  return MarkMerged(results_, visit.session);
+}
+
+// By an earlier merge, one that was cut off before it could say so, or by a night of this store meanwhile.
+Status Merger::Keep(const PlannedVisit& visit) {
+  ++outcome_.present;
+  NightEvent end{.kind = NightEventKind::kDone, .at = WallNow(), .session = visit.session, .fit = visit.fit};
+  for (const ShardManifest& manifest : manifests_)
+    if (const ShardVisit* said = manifest.Find(visit.session); said != nullptr && said->end.kind == end.kind)
+      end = said->end;
+  SLX_RETURN_IF_ERROR(Tell(end));
+  return IsMerged(results_, visit.session) ? Status::Ok() : MarkMerged(results_, visit.session);
+}
+
+Status Merger::Merge(const PlannedVisit& visit) {
+  const auto row = index_.FindSession(visit.session);
+  if (row.ok()) {
+    SLX_ASSIGN_OR_RETURN(const auto fits, index_.ListFits(visit.session));
+    if (std::any_of(fits.begin(), fits.end(), [&](const db::FitRow& fit) { return fit.id == visit.fit; }))
+      return Keep(visit);
+  }
+  const Status may = row.ok() ? MayStillBeFitted(store_, visit.session, row->info.visitor)
+                              : db::RefuseForgotten(store_, visit.session);
+  if (!may.ok()) return Drop(visit, may.message());
+  if (!row.ok()) return row.status();
+  const ShardVisit* ended = nullptr;
+  for (const ShardManifest& manifest : manifests_) {
+    const ShardVisit* said = manifest.Find(visit.session);
+    if (said == nullptr) continue;
+    if (said->end.kind != NightEventKind::kDone) {
+      ended = said;
+      continue;
+    }
+    const Status taken = Take(visit, *said);
+    if (taken.ok() || !IsTroubleOfOne(taken)) return taken;
+    outcome_.problems.push_back(taken.message());
+  }
+  if (ended == nullptr) {
+    outcome_.missing.push_back(visit.session);
+    return Status::Ok();
+  }
+  if (ended->end.kind == NightEventKind::kDropped)
+    ++outcome_.dropped;
+  else
+    outcome_.failed.push_back(ended->end);
+  return Tell(ended->end);
+}
+
+Result<MergeOutcome> Merger::Run(MergeMode mode) {
+  outcome_.night = log_.folder().filename().string();
+  SLX_RETURN_IF_ERROR(ReadEarlier());
+  SLX_RETURN_IF_ERROR(Begin());
+  ReadManifests();
+  Progress progress(logger_, "merge", static_cast<int64_t>(plan_.visits.size()));
+  for (const PlannedVisit& visit : plan_.visits) {
+    SLX_RETURN_IF_ERROR(Merge(visit));
+    progress.Advance();
+  }
+  if ((mode == MergeMode::kKeep && !outcome_.missing.empty()) || told_.ended) return outcome_;
+  const WallNs now = WallNow();
+  NightEvent ended{.kind = NightEventKind::kEnded,
+                   .at = now,
+                   .seconds = 1e-9 * static_cast<double>(now.ns - plan_.made.ns),
+                   .count = outcome_.entered + outcome_.present};
+  if (!outcome_.missing.empty())
+    ended.reason = std::to_string(outcome_.missing.size()) + " visitors are missing; they wait for the next night";
+  SLX_RETURN_IF_ERROR(log_.Add(ended));
+  return outcome_;
+}
+
+}  // namespace
+
+Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& results, MergeMode mode, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(ShardPlan plan, ReadPlan(results));
+  SLX_ASSIGN_OR_RETURN(auto index, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto lock, db::FileLock::TryTake(results / ".merge.lock",
+                                                              "another merge of " + results.string() + " is running"));
+  constexpr size_t kDigits = 8;
+  SLX_ASSIGN_OR_RETURN(auto log, NightLog::Open(store, NightMoment(plan.made) + "-" + plan.id.substr(0, kDigits)));
+  SLX_ASSIGN_OR_RETURN(MergeOutcome outcome,
+                       Merger(store, results, std::move(plan), std::move(log), std::move(index), logger).Run(mode));
+  if (mode == MergeMode::kKeep) return outcome;
+  std::error_code error;
+  fs::remove_all(results, error);
+  if (error) return Status::Failed("cannot remove " + results.string() + ": " + error.message());
+  return outcome;
+}
+
+}  // namespace stratalux::fit

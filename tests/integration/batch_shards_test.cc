@@ -1,0 +1,219 @@
+// SPDX-License-Identifier: Apache-2.0
+// `stratalux-fit batch shard` and `merge` as their user runs them: a night on machines that see the sealed sessions and
+// nothing else of the store, whatever is lost, killed or run twice.
+#include <csignal>
+#include <fstream>
+#include <sstream>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+
+#include "tests/integration/small_fit.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+using std::chrono::milliseconds;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+class BatchShards : public SmallFit {
+ protected:
+  // A store of one visitor and those of `captures`, its plan, and what another machine sees of it: no index, no keys.
+  fs::path Planned(const std::vector<std::string>& captures) {
+    fs::path store = Captured("store");
+    for (const std::string& options : captures) EXPECT_EQ(Capture(store, options).code, 0);
+    results_ = folder_ / "results";
+    scratch_ = folder_ / "scratch";
+    seen_ = folder_ / "seen";
+    fs::create_directories(scratch_);
+    fs::create_directories(seen_);
+    for (const char* part : {"sessions", "ledger"}) fs::create_directory_symlink(store / part, seen_ / part);
+    const Outcome plan = Fit(store, "batch plan " + std::string(kSmallFitOptions) + " --out " + results_.string());
+    EXPECT_EQ(plan.code, 0) << plan.out;
+    sessions_.clear();
+    const Json json = Json::parse(ReadText(results_ / "plan.json"));
+    for (const Json& visit : json.at("visits")) sessions_.push_back(visit.at("session"));
+    return store;
+  }
+  [[nodiscard]] std::vector<std::string> ShardWords(const std::string& shard) const {
+    return {"stratalux-fit",   "batch",     "shard",           shard,       "--store", seen_.string(), "--results",
+            results_.string(), "--scratch", scratch_.string(), "--workers", "1"};
+  }
+  [[nodiscard]] Outcome RunShard(const std::string& shard) const {
+    return Running(ShardWords(shard), folder_ / "shard.log").Wait();
+  }
+  [[nodiscard]] Json Merge(const fs::path& store, int code) const {
+    const Outcome outcome =
+        Execute("stratalux-fit batch merge " + results_.string() + " --json --store " + store.string(), Show::kStdout);
+    EXPECT_EQ(outcome.code, code) << outcome.out;
+    return Json::parse(outcome.out, nullptr, false);
+  }
+  // The layers of its only fit; empty: it has none.
+  static std::string Layers(const fs::path& session) {
+    std::string bytes;
+    std::error_code error;
+    for (const auto& fit : fs::directory_iterator(session / "fits", error))
+      for (const char* file : {"layers_weight.exr", "layers_depth_mm.exr", "quality.exr"})
+        bytes += ReadText(fit.path() / file);
+    return bytes;
+  }
+  [[nodiscard]] fs::path ManifestOf(const std::string& name) const { return results_ / (name + ".json"); }
+  static int Attempts(const std::string& log) {
+    int attempts = 0;
+    for (size_t at = log.find(" fitted in "); at != std::string::npos; at = log.find(" fitted in ", at + 1)) ++attempts;
+    return attempts;
+  }
+
+  fs::path results_, scratch_, seen_;
+  std::vector<std::string> sessions_;  // of the plan
+};
+
+TEST_F(BatchShards, NeedSealedSessionsAloneAndTheMergeEntersEachFitOnce) {
+  const fs::path store = Planned({"", ""});
+  ASSERT_EQ(sessions_.size(), 3U);
+  for (const char* shard : {"1/2", "2/2"}) {
+    const Outcome outcome = RunShard(shard);
+    EXPECT_EQ(outcome.code, 0) << outcome.out;
+  }
+  for (const std::string& session : sessions_)
+    EXPECT_EQ(Layers(store / "sessions" / session), "") << "a shard wrote there";
+  EXPECT_THAT(std::vector<fs::path>(fs::directory_iterator(scratch_), {}), IsEmpty());
+  EXPECT_EQ(std::distance(fs::directory_iterator(seen_), {}), 2) << "a shard wrote beside the sessions";
+
+  const Json merged = Merge(store, 0);
+  EXPECT_EQ(merged.at("entered"), 3);
+  const std::string expected = Layers(Session(Fitted("alone")));
+  for (const std::string& session : sessions_) EXPECT_EQ(Layers(store / "sessions" / session), expected) << session;
+  const Outcome verify = Db(store, "verify --deep");
+  EXPECT_EQ(verify.code, 0) << verify.out;
+  EXPECT_EQ(verify.out.find("note"), std::string::npos) << verify.out;
+  EXPECT_THAT(Leftovers(store, true), IsEmpty());
+  // Files of a fit are further names of its artifacts, as after a run here.
+  for (const auto& fit : fs::directory_iterator(Session(store) / "fits"))
+    EXPECT_GT(fs::hard_link_count(fit.path() / "layers_weight.exr"), 1U);
+  // The next run has nothing to do, the artifacts are its own.
+  EXPECT_THAT(Fit(store, "batch run " + std::string(kSmallFitOptions)).out, HasSubstr("0 visitors to fit"));
+  EXPECT_EQ(Fit(store, "run latest --layers 1 --pool 2 --prior 1000 --iterations 1 --json").out.find("error"),
+            std::string::npos);
+
+  // Shards and merge once more: nothing.
+  const Outcome again = RunShard("1/2");
+  EXPECT_EQ(again.code, 0) << again.out;
+  EXPECT_EQ(Attempts(again.out), 0) << again.out;
+  const fs::path night = store / "nights" / merged.at("night").get<std::string>() / (sessions_[0] + ".jsonl");
+  const std::string said = ReadText(night);
+  EXPECT_THAT(said, HasSubstr("\"event\":\"done\""));
+  const Json twice = Merge(store, 0);
+  EXPECT_EQ(twice.at("entered"), 0);
+  EXPECT_EQ(twice.at("present"), 3);
+  EXPECT_EQ(twice.at("night"), merged.at("night"));
+  EXPECT_EQ(ReadText(night), said);
+  const Outcome report = Execute(
+      "stratalux-fit batch report " + merged.at("night").get<std::string>() + " --text --store " + store.string(),
+      Show::kStdout);
+  EXPECT_THAT(report.out, HasSubstr("3 of 3 visitors fitted"));
+}
+
+TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
+  const fs::path store = Planned({"", ""});
+  Running shard(ShardWords("1/1"), folder_ / "killed.log");
+  // Dies when the first visitor is in its manifest.
+  const auto said = [&] { return ReadText(ManifestOf("shard-0001-of-0001")).find("\"done\"") != std::string::npos; };
+  while (!said() && !shard.WaitFor(milliseconds(5))) continue;
+  std::this_thread::sleep_for(duration_ / 2);
+  shard.Send(SIGKILL);
+  EXPECT_EQ(shard.Wait().signal, SIGKILL);
+  Json merged = Merge(store, 3);
+  EXPECT_EQ(merged.at("entered"), 1);
+  EXPECT_EQ(merged.at("missing"), (Json{sessions_[1], sessions_[2]}));
+  // Half a manifest: what it said is not known, what was merged stays, and the next run writes it anew.
+  const std::string manifest = ReadText(ManifestOf("shard-0001-of-0001"));
+  WriteText(ManifestOf("shard-0001-of-0001"), manifest.substr(0, manifest.size() / 2));
+  merged = Merge(store, 3);
+  EXPECT_EQ(merged.at("present"), 1);
+  EXPECT_THAT(merged.at("problems").dump(), HasSubstr("does not match its own hash"));
+  WriteText(ManifestOf("shard-0001-of-0001"), manifest);
+  // Stopped, it says that there is more to do; run again, it goes on.
+  Running stopped(ShardWords("1/1"), folder_ / "stopped.log");
+  while (ReadText(folder_ / "stopped.log").find("visitors to fit") == std::string::npos &&
+         !stopped.WaitFor(milliseconds(5)))
+    continue;
+  stopped.Send(SIGTERM);
+  const Outcome told = stopped.Wait();
+  EXPECT_EQ(told.code, 75) << told.out;
+  const Outcome rest = RunShard("1/1");
+  EXPECT_EQ(rest.code, 0) << rest.out;
+  EXPECT_EQ(Attempts(rest.out), 2) << "only who was left\n" << rest.out;
+  // The killed one's scratch went with the next.
+  EXPECT_THAT(std::vector<fs::path>(fs::directory_iterator(scratch_), {}), IsEmpty());
+  // Swapped bytes in what was made: that visitor is not entered, and fitted again by the shard.
+  for (const auto& entry : fs::recursive_directory_iterator(results_ / "sessions" / sessions_[1] / "artifacts"))
+    if (entry.path().filename() == "layers_weight.exr") {
+      fs::permissions(entry.path(), fs::perms::owner_write, fs::perm_options::add);
+      std::fstream file(entry.path(), std::ios::in | std::ios::out | std::ios::binary);
+      file.seekp(200);
+      file.write("damaged", 7);
+    }
+  merged = Merge(store, 3);
+  EXPECT_EQ(merged.at("entered"), 1);
+  EXPECT_EQ(merged.at("missing"), Json{sessions_[1]});
+  EXPECT_THAT(merged.at("problems").dump(), HasSubstr("layers_weight.exr"));
+  EXPECT_EQ(Layers(store / "sessions" / sessions_[1]), "");
+  fs::remove_all(results_ / "sessions" / sessions_[1]);
+  EXPECT_EQ(RunShard("1/1").code, 0);
+  EXPECT_EQ(Merge(store, 0).at("entered"), 1);
+  const std::string expected = Layers(Session(Fitted("alone")));
+  for (const std::string& session : sessions_) EXPECT_EQ(Layers(store / "sessions" / session), expected) << session;
+  EXPECT_EQ(Db(store, "verify --deep").code, 0);
+}
+
+TEST_F(BatchShards, WhoIsForgottenOrWithdrewMeanwhileIsNotEntered) {
+  const fs::path store =
+      Planned({"--visitor v-5f3a91c2 --consent-scope fit --consent-text 1 --consent-language en", ""});
+  ASSERT_EQ(sessions_.size(), 3U);  // newest first: in the middle the one with a pseudonym of its own
+  ASSERT_EQ(RunShard("1/1").code, 0);
+  ASSERT_EQ(Db(store, "consent withdraw --visitor v-5f3a91c2").code, 0);
+  ASSERT_EQ(Db(store, "forget " + sessions_[0] + " --yes").code, 0);
+  const Json merged = Merge(store, 0);
+  EXPECT_EQ(merged.at("entered"), 1);
+  EXPECT_EQ(merged.at("dropped"), 2);
+  for (const int gone : {0, 1}) {
+    EXPECT_EQ(Layers(store / "sessions" / sessions_[gone]), "");
+    EXPECT_FALSE(fs::exists(results_ / "sessions" / sessions_[gone])) << "what was made of them";
+  }
+  EXPECT_EQ(Db(store, "verify --deep").code, 0);
+  // Nor does a shard that runs later fit them, though they were planned.
+  const Outcome again = RunShard("1/2");
+  EXPECT_EQ(again.code, 0) << again.out;
+  EXPECT_EQ(RunShard("2/2").code, 0);
+  for (const int gone : {0, 1}) EXPECT_FALSE(fs::exists(results_ / "sessions" / sessions_[gone]));
+  // Said once.
+  EXPECT_EQ(Merge(store, 0).at("dropped"), 2);
+  std::string told;
+  for (const auto& entry : fs::directory_iterator(store / "nights" / merged.at("night").get<std::string>()))
+    if (entry.path().extension() == ".jsonl") told += ReadText(entry.path());
+  size_t drops = 0;
+  for (size_t at = told.find("\"dropped\""); at != std::string::npos; at = told.find("\"dropped\"", at + 1)) ++drops;
+  EXPECT_EQ(drops, 2U) << told;
+  EXPECT_EQ(told.find(sessions_[0]), std::string::npos) << "a forgotten session's id";
+}
+
+TEST_F(BatchShards, BadWordsAreNamed) {
+  const fs::path store = Captured("words");
+  const std::string batch = "stratalux-fit batch ", in = " --store " + store.string();
+  EXPECT_THAT(Execute(batch + "shard 3/2 --results " + folder_.string() + in).out, HasSubstr("I/N with 1 <= I <= N"));
+  EXPECT_THAT(Execute(batch + "shard 1/2 --results " + folder_.string() + in).out, HasSubstr("batch plan --out"));
+  EXPECT_EQ(Execute(batch + "merge " + folder_.string() + in).code, 4);
+  ASSERT_EQ(Execute(batch + "plan --out " + (folder_ / "r").string() + in).code, 0);
+  EXPECT_EQ(Execute(batch + "plan --out " + (folder_ / "r").string() + in).code, 2);
+  EXPECT_THAT(Execute(batch + "shard 1/1 --scratch /nowhere --results " + (folder_ / "r").string() + in).out,
+              HasSubstr("--scratch /nowhere"));
+}
+
+}  // namespace
+}  // namespace stratalux
