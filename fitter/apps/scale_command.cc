@@ -30,14 +30,14 @@ struct ScaleFlags {
 };
 
 Result<VisitFigures> FiguresOf(const ScaleFlags& flags) {
-  if (flags.figures.empty() == flags.store.empty())
-    return Status::Usage("what a visitor costs: --store, to measure it there, or --figures, to read it; one of them");
   if (!flags.figures.empty()) {
     SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(flags.figures));
     auto figures = ParseVisitFigures(text);
     if (!figures.ok()) return Status(figures.status().code(), flags.figures + ": " + figures.status().message());
     return figures;
   }
+  if (flags.store.empty())
+    return Status::Usage("what a visitor costs: --store, to measure it there, or --figures, to read it");
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(flags.store, db::AccessMode::kReadOnly));
   return MeasureVisits(store);
 }
@@ -128,7 +128,8 @@ void AddScaleCommand(CLI::App& batch, int& exit_code) {
       "  stratalux-fit batch scale --figures figures.json --machine-days 30 --crashes 0.01 --days 30 --json");
   scale->add_option("--store", flags->store, "Store folder, whose newest fitted visitors are measured")
       ->envname("STRATALUX_STORE");
-  scale->add_option("--figures", flags->figures, "File with these figures: `figures` of an earlier --json");
+  scale->add_option("--figures", flags->figures,
+                    "File with these figures: `figures` of an earlier --json; no store is read");
   const auto number = [scale](const char* name, auto& value, const char* help) {
     scale->add_option(name, value, help)->capture_default_str();
   };
