@@ -8,10 +8,10 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
-#include "db/transfer/program.h"
 #include "fitter/batch/shard_manifest.h"
 #include "shared/base/formatted.h"
 #include "shared/base/json_number.h"
+#include "shared/base/program.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::fit {
@@ -60,7 +60,7 @@ Result<std::string> SubmitArray(const fs::path& folder, const std::string& name,
   SLX_RETURN_IF_ERROR(db::MakeFolder(folder));
   const fs::path file = folder / (name + ".sh");
   SLX_RETURN_IF_ERROR(db::ReplaceFile(file, script));
-  SLX_ASSIGN_OR_RETURN(const auto said, db::RunProgram({"sbatch", "--parsable", file.string()}));
+  SLX_ASSIGN_OR_RETURN(const auto said, RunProgram({"sbatch", "--parsable", file.string()}));
   if (said.code != 0)
     return Status::Failed("sbatch " + file.string() + " ended with exit code " + std::to_string(said.code) + ": " +
                           said.errors);
