@@ -58,6 +58,10 @@ busybox-static       vm   shell of the guest
 cpio                 vm   the guest's first file system
 kmod                 vm   depmod and modprobe for the guest's modules
 xz-utils             vm   the kernel's source is an xz archive
+parallel             cluster a night by GNU parallel (docs/batch.md), in a test; none of ours runs it
+snakemake            cluster the same by Snakemake
+slurm-wlm            cluster a real Slurm on loopback: `stratalux-fit batch submit` in a test; a cluster has its own
+munge                cluster by which its daemons know each other
 mmdebstrap           night scripts/test-debian.sh: a root of another release (docs/night.md)
 crossbuild-essential-arm64 cross compiler of the preset arm64
 qemu-user            cross runs its programs on this machine

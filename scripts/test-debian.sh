@@ -38,6 +38,7 @@ while [ $# -gt 0 ]; do
 done
 case "$labels" in *vm*) groups+=,vm ;; esac
 case "$labels" in *web*) groups+=,web ;; esac
+case "$labels" in *batch*) groups+=,cluster ;; esac
 
 [ "$(id -u)" -eq 0 ] || skip "a root of Debian is mounted and entered, which needs root: sudo scripts/test-debian.sh $release"
 if [ -z "$labels" ]; then

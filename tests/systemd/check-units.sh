@@ -20,7 +20,7 @@ limit_of() {
   case "$1" in
     stratalux-kiosk|stratalux-safe) echo 15 ;;   # devices
     stratalux-purge|stratalux-verify|stratalux-batch) echo 5 ;;  # neither devices nor network
-    stratalux-pull) echo 15 ;;                   # network
+    stratalux-pull|stratalux-submit) echo 15 ;;  # network
     stratalux-display) echo 75 ;;                # a browser, which has a sandbox of its own
     *) fail "$1.service has no limit of exposure in ${BASH_SOURCE[0]}" ;;
   esac
@@ -160,7 +160,9 @@ rules() {
 
 # stratalux-pull.service sees no key, and needs none: encrypted sessions arrive whole, hashed and not decoded.
 pull() {
-  grep -q '^InaccessiblePaths=-/var/lib/stratalux/store/keys.sqlite$' "$source/systemd/stratalux-pull.service" || fail "the pull sees keys"
+  for name in pull submit; do
+    grep -q '^InaccessiblePaths=-/var/lib/stratalux/store/keys.sqlite$' "$source/systemd/stratalux-$name.service" || fail "$name sees keys"
+  done
   as_other=""
   if [ "$(id -u)" -eq 0 ]; then
     need setpriv
