@@ -131,6 +131,8 @@ std::string SbatchScript(const ShardPlan& plan, const SlurmOptions& options, con
   script += "#SBATCH --time=" + std::to_string(minutes) + "\n#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n";
   script += "#SBATCH --open-mode=append\n#SBATCH --output=" + (options.results / "slurm" / "%A_%a.log").string() + "\n";
   for (const std::string& directive : options.directives) script += "#SBATCH " + directive + "\n";
+  // Before the shard begins: Slurm may ask at once.
+  script += "work= asked=\ntrap 'asked=1; [ -z \"$work\" ] || kill -TERM \"$work\" 2>/dev/null' TERM\n";
   script += "shard=$((" + std::to_string(before + 1) + " + SLURM_ARRAY_TASK_ID))\n" + options.program +
             " batch shard \"$shard/" + std::to_string(count) + "\" --plan " + plan.id + " --store " +
             Quoted(options.store.string()) + " --results " + Quoted(options.results.string()) +
@@ -138,7 +140,7 @@ std::string SbatchScript(const ShardPlan& plan, const SlurmOptions& options, con
   if (memory > 0) script += Formatted(" --memory %.3f", static_cast<double>(memory) / 1024.0);
   script +=
       " &\nwork=$!\n"
-      "trap 'kill -TERM \"$work\" 2>/dev/null' TERM\n"
+      "[ -z \"$asked\" ] || kill -TERM \"$work\" 2>/dev/null\n"
       "while true; do\n"
       "  wait \"$work\"\n"
       "  code=$?\n"

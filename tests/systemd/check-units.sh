@@ -59,6 +59,7 @@ programs() {
   count=0
   while IFS= read -r line; do
     words=${line#*=}
+    words=${words#-}  # whose failure ends nothing
     # shellcheck disable=SC2086
     set -- $words
     case "$1" in
