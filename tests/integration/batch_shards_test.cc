@@ -203,6 +203,44 @@ TEST_F(BatchShards, WhoIsForgottenOrWithdrewMeanwhileIsNotEntered) {
   EXPECT_EQ(told.find(sessions_[0]), std::string::npos) << "a forgotten session's id";
 }
 
+TEST_F(BatchShards, AMergeThatIsKilledAnywhereIsFinishedByTheNext) {
+  Planned({});
+  ASSERT_EQ(RunShard("1/1").code, 0);
+  const fs::path made = folder_ / "made";
+  ASSERT_EQ(Shell("cp -a " + results_.string() + " " + made.string()).code, 0);
+  // What it writes in the store, and how often it calls for a file there.
+  const fs::path count = folder_ / "count";
+  const auto merge = [&](const fs::path& store, int64_t call, const std::vector<std::string>& more) {
+    EXPECT_EQ(Shell("rm -rf " + results_.string() + " && cp -a " + made.string() + " " + results_.string()).code, 0);
+    std::vector<std::string> environment = DiesAt(store, call);
+    environment.insert(environment.end(), more.begin(), more.end());
+    return Running({"stratalux-fit", "batch", "merge", results_.string(), "--store", store.string()},
+                   folder_ / "merge.log", environment)
+        .Wait();
+  };
+  const fs::path whole = Captured("whole");
+  // The captured session of all cases has one id.
+  ASSERT_EQ(Session(whole).filename().string(), sessions_.at(0));
+  ASSERT_EQ(merge(whole, kNever, {"STORE_FAULT_COUNT=" + count.string()}).code, 0);
+  const int64_t calls = std::atoll(ReadText(count).c_str());
+  ASSERT_GT(calls, 100);
+  const State expected = StateOf(whole);
+  const int kills = Kills() / 2;
+  for (int k = 0; k < kills; ++k) {
+    const int64_t call = calls * (2 * k + 1) / (2 * kills);
+    const std::string where = "killed at call " + std::to_string(call) + " of " + std::to_string(calls);
+    const fs::path store = Captured("killed" + std::to_string(k));
+    EXPECT_EQ(merge(store, call, {}).signal, SIGKILL) << where;
+    ExpectNothingHalf(store, where);
+    const Json merged = Merge(store, 0);
+    EXPECT_EQ(merged.at("entered").get<int>() + merged.at("present").get<int>(), 1) << where;
+    EXPECT_TRUE(StateOf(store) == expected) << where;
+    EXPECT_THAT(Leftovers(store, true), IsEmpty()) << where;
+    EXPECT_EQ(Db(store, "verify --deep").code, 0) << where;
+    fs::remove_all(store.parent_path());
+  }
+}
+
 TEST_F(BatchShards, BadWordsAreNamed) {
   const fs::path store = Captured("words");
   const std::string batch = "stratalux-fit batch ", in = " --store " + store.string();
