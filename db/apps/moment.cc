@@ -10,7 +10,6 @@
 namespace stratalux::db {
 namespace {
 
-constexpr int64_t kSecondNs = 1'000'000'000;
 constexpr int64_t kMostAge_s = int64_t{200} * 366 * 86400;  // the ns of int64 reach back to 1677
 
 std::optional<int64_t> AgeSeconds(const std::string& text) {

@@ -14,7 +14,7 @@
 namespace stratalux::rig {
 namespace {
 
-constexpr int64_t kSecondNs = 1'000'000'000, kDayNs = 24 * 3600 * kSecondNs;
+constexpr int64_t kDayNs = 24 * 3600 * kSecondNs;
 
 constexpr const char* kAll = R"(
 SELECT (SELECT count(*) FROM sessions s

@@ -9,6 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "firmware-host/kiosk/book_values.h"
 #include "shared/base/json_number.h"
 
 namespace stratalux::rig {
@@ -16,10 +17,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr int64_t kSecondNs = 1'000'000'000, kDayNs = 24 * 3600 * kSecondNs;
+constexpr int64_t kDayNs = 24 * 3600 * kSecondNs;
 constexpr size_t kMostNames = 64, kLongestName = 32;  // of ends and faults: twice what the vocabulary has
-
-[[noreturn]] void Refuse(const std::string& what) { throw nlohmann::json::type_error::create(302, what, nullptr); }
 
 // They become words of a screen and labels of metrics.
 std::string NameOf(const std::string& name) {
@@ -82,12 +81,8 @@ DayBook DayBook::From(const std::string& text) {
   const Json json = Json::parse(text);
   DayBook book;
   for (const Json& day : ListOf(json, "days", kMostDays)) book.days_.push_back(DayCountsOf(day));
-  for (const Json& fault : ListOf(json, "last_faults", kMostFaults)) {
-    // A date after the year 2286, which 10^10 s are, is no clock's.
-    const auto at = WholeAt<int64_t>(fault, "at");
-    if (std::abs(at) >= 9'000'000'000) Refuse("at is no time");
-    book.faults_.push_back({{at * kSecondNs}, NameOf(fault.at("word").get<std::string>())});
-  }
+  for (const Json& fault : ListOf(json, "last_faults", kMostFaults))
+    book.faults_.push_back({TimeOf(WholeAt<int64_t>(fault, "at")), NameOf(fault.at("word").get<std::string>())});
   book.open_ = json.at("open").get<std::string>();
   if (!book.open_.empty()) DayOf(book.open_);
   return book;

@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "firmware-host/kiosk/book_values.h"
 #include "shared/base/formatted.h"
 #include "shared/base/json_number.h"
 
@@ -17,10 +18,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::array<const char*, kCheckFigures> kNames = {"level", "dark", "red_green", "blue_green",
                                                            "even",  "lit",  "sync",      "frame_rate"};
-constexpr int64_t kSecondNs = 1'000'000'000;
 constexpr size_t kMostProjectors = 64, kMostBytes = 60'000;
-
-[[noreturn]] void Refuse(const std::string& what) { throw nlohmann::json::type_error::create(302, what, nullptr); }
 
 std::optional<double> Rounded(std::optional<double> value) {
   if (!value || !std::isfinite(*value)) return std::nullopt;
@@ -39,10 +37,7 @@ Json JsonOf(const Selfcheck& check) {
 
 Selfcheck CheckFrom(const Json& json) {
   Selfcheck check;
-  // A date after the year 2255 is no clock's, and has no nanoseconds.
-  const auto at = WholeAt<int64_t>(json, "at");
-  if (std::abs(at) >= 9'000'000'000) Refuse("at is no time");
-  check.at = {at * kSecondNs};
+  check.at = TimeOf(WholeAt<int64_t>(json, "at"));
   check.passed = json.at("passed").get<bool>();
   check.exposure_ms = json.at("exposure_ms").get<double>();
   check.width = WholeAt<int>(json, "width");

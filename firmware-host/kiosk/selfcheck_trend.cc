@@ -17,7 +17,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr double kFar = 3.5, kOfFewDays = 13.0, kMadToDeviation = 1.4826;
+constexpr double kFar = 3.5, kOfFewDays = 13.0;
 
 double LeastDistance(CheckFigure figure, double median) {
   if (figure == CheckFigure::kDark || figure == CheckFigure::kSync) return 1.0;
@@ -40,13 +40,13 @@ std::vector<const Selfcheck*> DaysBefore(const std::deque<Selfcheck>& checks, co
 
 Json OrNull(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 
-Json JsonOf(const Selfcheck& check) {
+Json PointOf(const Selfcheck& check) {
   Json figures = Json::object();
   for (int f = 0; f < kCheckFigures; ++f) {
     Json& values = figures[ToString(static_cast<CheckFigure>(f))] = Json::array();
     for (const auto& value : check.figures[static_cast<size_t>(f)]) values.push_back(OrNull(value));
   }
-  return {{"at", check.at.ns / 1'000'000'000}, {"passed", check.passed}, {"figures", std::move(figures)}};
+  return {{"at", check.at.ns / kSecondNs}, {"passed", check.passed}, {"figures", std::move(figures)}};
 }
 
 Json JsonOf(const UsualFigure& usual) { return {{"median", usual.median}, {"limit", usual.limit}}; }
@@ -125,7 +125,7 @@ std::string TrendAsText(const SelfcheckTrend& trend) {
 
 std::string TrendAsJson(const SelfcheckTrend& trend) {
   Json checks = Json::array(), drifts = Json::array(), usual = Json::object();
-  for (const Selfcheck& check : trend.checks) checks.push_back(JsonOf(check));
+  for (const Selfcheck& check : trend.checks) checks.push_back(PointOf(check));
   for (const FigureDrift& drift : trend.drifts) drifts.push_back(JsonOf(drift));
   for (int f = 0; f < kCheckFigures; ++f) {
     Json& values = usual[ToString(static_cast<CheckFigure>(f))] = Json::array();

@@ -93,10 +93,15 @@ void AddAttempts(CLI::App& verb, BatchFlags& flags) {
       ->capture_default_str();
 }
 
-Status SetWorkers(const BatchFlags& flags, NightOptions& night) {
+Result<fs::path> OwnProgram() {
   std::error_code error;
-  night.program = fs::read_symlink("/proc/self/exe", error);
+  fs::path program = fs::read_symlink("/proc/self/exe", error);
   if (error) return Status::Failed("/proc/self/exe: " + error.message());
+  return program;
+}
+
+Status SetWorkers(const BatchFlags& flags, NightOptions& night) {
+  SLX_ASSIGN_OR_RETURN(night.program, OwnProgram());
   const int cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
   night.workers = flags.workers > 0 ? flags.workers : cores;
   night.threads = flags.threads > 0 ? flags.threads : std::max(1, cores / night.workers);

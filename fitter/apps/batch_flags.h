@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,8 @@ void AddChoice(CLI::App& verb, BatchFlags& flags);
 void AddAttempts(CLI::App& verb, BatchFlags& flags);
 // Program, number, threads, memory and patience of the workers.
 Status SetWorkers(const BatchFlags& flags, NightOptions& night);
+// The file of this program, which workers and tasks run.
+[[nodiscard]] Result<std::filesystem::path> OwnProgram();
 // The next time that a clock of this machine says "07:00".
 [[nodiscard]] Result<std::chrono::seconds> TimeUntil(const std::string& text);
 

@@ -125,9 +125,8 @@ Result<SlurmOptions> SlurmOf(const ClusterFlags& flags) {
   options.results = fs::absolute(flags.results);
   options.program = flags.task;
   if (options.program.empty()) {
-    std::error_code error;
-    options.program = "'" + fs::read_symlink("/proc/self/exe", error).string() + "'";
-    if (error) return Status::Failed("/proc/self/exe: " + error.message());
+    SLX_ASSIGN_OR_RETURN(const fs::path own, OwnProgram());
+    options.program = "'" + own.string() + "'";
   }
   options.chunk_minutes = flags.chunk_minutes;
   options.cpus = flags.cpus;

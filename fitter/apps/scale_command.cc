@@ -9,9 +9,9 @@
 
 #include <nlohmann/json.hpp>
 
+#include "fitter/apps/batch_flags.h"
 #include "fitter/batch/fleet.h"
 #include "shared/base/formatted.h"
-#include "shared/base/log.h"
 #include "shared/base/median.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
@@ -158,12 +158,7 @@ void AddScaleCommand(CLI::App& batch, int& exit_code) {
   number("--days", fleet.days, "Days to simulate");
   number("--seed", fleet.seed, "Of the random numbers");
   scale->add_flag("--json", flags->json, "Machine-readable");
-  scale->callback([flags, &exit_code] {
-    Logger logger;
-    const Status status = PrintScale(*flags);
-    if (!status.ok()) logger.Error(status.message());
-    exit_code = status.exit_code();
-  });
+  OnCall(*scale, exit_code, [flags](Logger&) { return PrintScale(*flags); });
 }
 
 }  // namespace stratalux::fit

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <deque>
 #include <limits>
-#include <map>
 #include <queue>
 #include <utility>
 
@@ -40,7 +39,7 @@ struct Visitor {
 };
 
 // Bytes that are dropped when their time is over.
-class Kept {
+class Retained {
  public:
   void Add(double at, double bytes) {
     at_.emplace_back(at, bytes);
@@ -63,7 +62,7 @@ struct Kiosk {
   bool away = false;
   double pull_due = 0.0;
   bool pulling = false;
-  Kept pulled;
+  Retained pulled;
 };
 
 struct Pull {
@@ -75,6 +74,7 @@ struct Pull {
 struct Core {
   int machine = 0;
   int visitor = -1;
+  bool dies = false;  // the attempt under way
   double began = 0.0;
   int64_t turn = 0;  // which of its attempts: an end that was foreseen for an earlier one counts no more
 };
@@ -110,8 +110,7 @@ class Fleet {
         random_(options.seed),
         usual_s_(Median(figures.fit_cpu_s)),
         night_s_(SecondsOfNight(options)),
-        kiosks_(static_cast<size_t>(options.kiosks)),
-        machine_up_(static_cast<size_t>(options.machines), true) {
+        kiosks_(static_cast<size_t>(options.kiosks)) {
     for (int machine = 0; machine < options.machines; ++machine)
       for (int core = 0; core < options.cores; ++core) cores_.push_back({.machine = machine});
     for (size_t core = 0; core < cores_.size(); ++core) idle_.push_back(static_cast<int>(core));
@@ -182,12 +181,12 @@ class Fleet {
     }
   }
 
+  double Closes(double day_of) const { return std::floor(day_of / kDay) * kDay + options_.closes_h * kHour; }
   double OpenSeconds() const { return (options_.closes_h - options_.opens_h) * kHour; }
   // Of a kiosk; kNever behind the hour at which it closes.
   double NextVisitor(double after) {
     const double at = after + Gap(OpenSeconds() / options_.visitors);
-    const double closes = std::floor(after / kDay) * kDay + options_.closes_h * kHour;
-    return at < closes ? at : kNever;
+    return at < Closes(after) ? at : kNever;
   }
 
   void Comes(int who) {
@@ -200,8 +199,7 @@ class Fleet {
 
   void BeginVisit(int who) {
     Kiosk& kiosk = kiosks_[static_cast<size_t>(who)];
-    const double closes = std::floor(now_ / kDay) * kDay + options_.closes_h * kHour;
-    if (now_ >= closes) kiosk.line = {};
+    if (now_ >= Closes(now_)) kiosk.line = {};
     kiosk.busy = !kiosk.line.empty();
     if (!kiosk.busy) return;
     const double waited = now_ - kiosk.line.front();
@@ -308,9 +306,8 @@ class Fleet {
     ++core.turn;
     ++job.attempts;
     ++day_.attempts;
-    const bool dies = job.hopeless || random_.Uniform() < options_.crash_share;
-    dies_[core.visitor] = dies;
-    At(now_ + (dies ? random_.Uniform() : 1.0) * job.left_s, What::kAttemptEnds, who, core.turn);
+    core.dies = job.hopeless || random_.Uniform() < options_.crash_share;
+    At(now_ + (core.dies ? random_.Uniform() : 1.0) * job.left_s, What::kAttemptEnds, who, core.turn);
   }
 
   void EndAttempt(int who, int64_t turn) {
@@ -319,8 +316,7 @@ class Fleet {
     const int visitor = core.visitor;
     LeaveCore(who);
     idle_.push_back(who);
-    const auto dies = dies_.extract(visitor);
-    if (dies.mapped()) {
+    if (core.dies) {
       Die(visitor, now_ - core.began);
     } else {
       ++day_.fitted;
@@ -360,21 +356,18 @@ class Fleet {
   }
 
   void MachineFails(int machine) {
-    machine_up_[static_cast<size_t>(machine)] = false;
     std::erase_if(idle_, [&](int core) { return cores_[static_cast<size_t>(core)].machine == machine; });
     for (size_t who = 0; who < cores_.size(); ++who) {
       Core& core = cores_[who];
       if (core.machine != machine || core.visitor < 0) continue;
       const int visitor = core.visitor;
       LeaveCore(static_cast<int>(who));
-      dies_.erase(visitor);
       Die(visitor, now_ - core.began);
     }
     At(now_ + options_.repair_h * kHour, What::kMachineBack, machine);
   }
 
   void MachineBack(int machine) {
-    machine_up_[static_cast<size_t>(machine)] = true;
     for (size_t core = 0; core < cores_.size(); ++core)
       if (cores_[core].machine == machine) idle_.push_back(static_cast<int>(core));
     FailLater(machine);
@@ -426,11 +419,9 @@ class Fleet {
   std::priority_queue<std::pair<double, int>> queue_;  // by when they were captured
   std::vector<Core> cores_;
   std::vector<int> idle_;
-  std::vector<bool> machine_up_;
-  std::map<int, bool> dies_;  // of the attempts under way
-  int64_t waiting_ = 0;       // for their next attempt
+  int64_t waiting_ = 0;  // for their next attempt
 
-  Kept frames_, artifacts_, fits_;  // in the store
+  Retained frames_, artifacts_, fits_;  // in the store
   FleetDay day_;
   double waited_s_ = 0.0, busy_s_ = 0.0, last_end_ = 0.0;
   int64_t began_ = 0;

@@ -8,6 +8,8 @@
 #include <nlohmann/json.hpp>
 
 #include "db/catalogue/session_store.h"
+#include "fitter/batch/bytes_below.h"
+#include "fitter/batch/newest_fits.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/median.h"
 
@@ -18,7 +20,7 @@ namespace fs = std::filesystem;
 using SortedJson = nlohmann::json;
 
 constexpr size_t kEarlier = 200, kFewest = 8;
-constexpr double kFar = 3.5, kMadToDeviation = 1.4826;
+constexpr double kFar = 3.5;
 
 SortedJson Parsed(const std::string& text) {
   if (!CheckNesting(text).ok()) return {};
@@ -44,24 +46,6 @@ std::vector<SortedJson> Objects(const SortedJson& json, const char* key) {
 
 bool Says(const SortedJson& json, const char* key, const char* value) {
   return json.contains(key) && json[key].is_string() && json[key].get<std::string>() == value;
-}
-
-int64_t BytesBelow(const fs::path& folder) {
-  int64_t bytes = 0;
-  // Fits are further names of their artifacts' files, which count once.
-  std::error_code error;
-  for (fs::recursive_directory_iterator at(folder, error), end; !error && at != end; at.increment(error)) {
-    const bool again = at->is_regular_file(error) && at->hard_link_count(error) > 1 &&
-                       at->path().string().find("/artifacts/") == std::string::npos;
-    if (at->is_regular_file(error) && !again) bytes += static_cast<int64_t>(at->file_size(error));
-  }
-  return bytes;
-}
-
-const db::FitRow* NewestOf(const std::vector<db::FitRow>& fits) {
-  const auto newest = std::max_element(fits.begin(), fits.end(),
-                                       [](const auto& a, const auto& b) { return a.created_wall < b.created_wall; });
-  return newest == fits.end() ? nullptr : &*newest;
 }
 
 std::vector<SlowStage> SlowStages(const std::vector<Figures>& tonight, const std::vector<Figures>& earlier) {
@@ -158,7 +142,8 @@ Result<MorningFacts> GatherMorning(const fs::path& store_folder, const std::stri
     }
     SLX_ASSIGN_OR_RETURN(const db::SessionRow row, store.FindSession(session.info.id));
     for (const Finding& finding : row.info.found.findings) visit.findings.emplace_back(ToString(finding.kind));
-    visit.bytes = BytesBelow(store.SessionFolder(session.info.id));
+    SeenFiles seen;
+    visit.bytes = BytesBelow(store.SessionFolder(session.info.id), seen);
     bytes += visit.bytes;
     facts.fitted.push_back(std::move(visit));
   }

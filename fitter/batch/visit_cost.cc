@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "fitter/batch/newest_fits.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/median.h"
 
@@ -46,20 +47,10 @@ std::optional<VisitCost> CostHistory::Foresee(int64_t sites) const {
 
 Result<CostHistory> CostHistory::Read(const db::SessionStore& store, size_t most) {
   CostHistory history;
-  SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
-  for (const db::SessionSummary& session : sessions) {
-    if (history.seconds_per_site_.size() >= most) break;
-    if (session.info.kind != SessionKind::kVisitor) continue;
-    SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(session.info.id));
-    if (fits.empty()) continue;
-    SLX_ASSIGN_OR_RETURN(const auto frames, store.ListFrames(session.info.id));
-    if (frames.empty()) continue;
-    const auto newest = std::max_element(fits.begin(), fits.end(), [](const db::FitRow& a, const db::FitRow& b) {
-      return a.created_wall < b.created_wall;
-    });
-    const FrameRecord& frame = frames.front().record;
-    history.Add(newest->metrics_json, int64_t{frame.width} * frame.height);
-  }
+  SLX_RETURN_IF_ERROR(LookAtNewestFits(store, [&](const NewestFit& newest) {
+    history.Add(newest.fit.metrics_json, newest.sites);
+    return history.seconds_per_site_.size() < most;
+  }));
   return history;
 }
 

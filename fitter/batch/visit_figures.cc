@@ -4,14 +4,13 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <set>
-#include <utility>
 
 #include <nlohmann/json.hpp>
-#include <sys/stat.h>
 
 #include "db/catalogue/artifact_record.h"
+#include "fitter/batch/bytes_below.h"
 #include "fitter/batch/morning_facts.h"
+#include "fitter/batch/newest_fits.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/median.h"
 
@@ -20,19 +19,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Of the files below; those of several names once, as they lie on the disk.
-double BytesBelow(const fs::path& folder, std::set<std::pair<dev_t, ino_t>>& seen) {
-  double bytes = 0.0;
-  std::error_code error;
-  for (auto at = fs::recursive_directory_iterator(folder, error); !error && at != fs::recursive_directory_iterator();
-       at.increment(error)) {
-    struct stat file {};
-    if (lstat(at->path().c_str(), &file) != 0 || !S_ISREG(file.st_mode)) continue;
-    if (seen.emplace(file.st_dev, file.st_ino).second) bytes += static_cast<double>(file.st_size);
-  }
-  return bytes;
-}
-
 double SecondsOf(const std::vector<db::FrameRow>& frames) {
   auto first = frames.front().record.trigger_time, last = frames.front().record.frame_time;
   for (const db::FrameRow& frame : frames) {
@@ -40,11 +26,6 @@ double SecondsOf(const std::vector<db::FrameRow>& frames) {
     last = std::max(last, frame.record.frame_time);
   }
   return static_cast<double>(last.ns - first.ns) * 1e-9;
-}
-
-const db::FitRow& NewestOf(const std::vector<db::FitRow>& fits) {
-  return *std::max_element(fits.begin(), fits.end(),
-                           [](const db::FitRow& a, const db::FitRow& b) { return a.created_wall < b.created_wall; });
 }
 
 Status Positive(const char* name, double value) {
@@ -69,31 +50,25 @@ Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most) {
   VisitFigures figures;
   std::vector<double> shares, captures, frames_bytes, fit_bytes, artifact_bytes;
   int64_t sites = 0;
-  SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
-  for (const db::SessionSummary& session : sessions) {
-    if (figures.fit_cpu_s.size() >= most) break;
-    if (session.info.kind != SessionKind::kVisitor) continue;
-    SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(session.info.id));
-    if (fits.empty()) continue;
+  SLX_RETURN_IF_ERROR(LookAtNewestFits(store, [&](const NewestFit& newest) {
     double seconds = 0.0, longest = 0.0;
-    for (const auto& [stage, cpu] : StageSecondsOf(NewestOf(fits).metrics_json)) {
+    for (const auto& [stage, cpu] : StageSecondsOf(newest.fit.metrics_json)) {
       seconds += cpu;
       longest = std::max(longest, cpu);
     }
-    SLX_ASSIGN_OR_RETURN(const auto frames, store.ListFrames(session.info.id));
-    if (seconds <= 0.0 || frames.empty()) continue;
-    const int64_t of_camera = int64_t{frames.front().record.width} * frames.front().record.height;
-    if (sites == 0) sites = of_camera;
-    if (of_camera != sites) continue;
-    std::set<std::pair<dev_t, ino_t>> seen;
-    const fs::path folder = store.SessionFolder(session.info.id);
+    if (seconds <= 0.0) return true;
+    if (sites == 0) sites = newest.sites;
+    if (newest.sites != sites) return true;
+    SeenFiles seen;
+    const fs::path folder = store.SessionFolder(newest.session.info.id);
     figures.fit_cpu_s.push_back(seconds);
     shares.push_back(longest / seconds);
-    captures.push_back(SecondsOf(frames));
-    frames_bytes.push_back(static_cast<double>(session.bytes));
-    fit_bytes.push_back(BytesBelow(folder / "fits", seen));
-    artifact_bytes.push_back(BytesBelow(folder / db::kArtifactsFolder, seen));
-  }
+    captures.push_back(SecondsOf(newest.frames));
+    frames_bytes.push_back(static_cast<double>(newest.session.bytes));
+    fit_bytes.push_back(static_cast<double>(BytesBelow(folder / "fits", seen)));
+    artifact_bytes.push_back(static_cast<double>(BytesBelow(folder / db::kArtifactsFolder, seen)));
+    return figures.fit_cpu_s.size() < most;
+  }));
   if (figures.fit_cpu_s.empty())
     return Status::NotFound("store " + store.folder().string() +
                             ": no visitor was fitted, so that nothing is known of what one costs; `stratalux-fit run`");

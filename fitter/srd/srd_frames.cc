@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "fitter/srd/srd_extractor.h"
+#include "shared/base/median.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -175,7 +176,7 @@ void SrdExtractor::CheckEnergy() {
       all_ratios.push_back(sums[i] / batch_.white[i]);
       all_errors.push_back(std::abs(all_ratios.back() - 1.0F));
     }
-    usual_dn[c] = 1.4826 * Quantile(differences_dn, 0.5);
+    usual_dn[c] = kMadToDeviation * Quantile(differences_dn, 0.5);
   }
   energy_ = {static_cast<int64_t>(all_ratios.size()), Quantile(all_ratios, 0.5), Quantile(all_errors, 0.95)};
   for (int64_t i = 0; i < profiles; ++i) {

@@ -15,4 +15,7 @@ namespace stratalux {
   return *middle;
 }
 
+// The median absolute deviation of a normal distribution, times this, is its standard deviation.
+inline constexpr double kMadToDeviation = 1.4826;
+
 }  // namespace stratalux

@@ -25,6 +25,8 @@ struct MonotonicNs {
   return 1e-6 * static_cast<double>(time.count());
 }
 
+inline constexpr int64_t kSecondNs = 1'000'000'000;
+
 // CLOCK_REALTIME, ns since 1970 UTC. Only shown to people; no order and no identity depends on it.
 struct WallNs {
   int64_t ns = 0;

@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 # shellcheck shell=bash disable=SC2034,SC2154
-# Stores of visitors who are fitted in a moment, for the tests of this folder. Set before: source, build, scratch.
+# Stores of visitors who are fitted in a moment, for the tests of this folder. Set before: source, build, scratch; or
+# `begin` sets them.
 
 fail() { printf 'FAILED: %s\n' "$@" >&2; exit 1; }
 # Of `stratalux-fit`: the quickest fit that goes the whole road.
 small_options="--pool 2 --prior 1000 --iterations 1 --layers 1"
+
+# begin SOURCE BUILD TOOL: in a folder that goes with the test, the built programs on the path; skipped without TOOL.
+begin() {
+  source=$1 build=$2
+  command -v "$3" >/dev/null || { echo "skipped: $3 is not installed (scripts/install-deps.sh --groups cluster)" >&2; exit 77; }
+  scratch=$(mktemp -d)
+  trap 'rm -rf "$scratch"' EXIT
+  export PATH=$build/bin:$PATH HOME=$scratch TMPDIR=$scratch
+  cd "$scratch" || fail "cd $scratch"
+}
 
 # small_store STORE VISITORS
 small_store() {

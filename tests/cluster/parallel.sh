@@ -2,14 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # docs/examples/night.parallel.sh as it is handed out, on a store of three visitors.   parallel.sh SOURCE BUILD
 set -euo pipefail
-source=$1 build=$2
-command -v parallel >/dev/null || { echo "skipped: parallel is not installed (scripts/install-deps.sh --groups cluster)" >&2; exit 77; }
-scratch=$(mktemp -d)
-trap 'rm -rf "$scratch"' EXIT
-export PATH=$build/bin:$PATH HOME=$scratch TMPDIR=$scratch
 # shellcheck source-path=SCRIPTDIR
 . "$(dirname "$0")/night-lib.sh"
-cd "$scratch"
+begin "$1" "$2" parallel
 small_store store 3
 mkdir "$HOME/.parallel" && touch "$HOME/.parallel/will-cite"
 STRATALUX_FIT_OPTIONS=$small_options "$source/docs/examples/night.parallel.sh" store results 2 --jobs 2 >said 2>&1 || { cat said; fail "night.parallel.sh"; }

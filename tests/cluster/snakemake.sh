@@ -2,14 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # docs/examples/night.smk as it is handed out, on a store of three visitors.   snakemake.sh SOURCE BUILD
 set -euo pipefail
-source=$1 build=$2
-command -v snakemake >/dev/null || { echo "skipped: snakemake is not installed (scripts/install-deps.sh --groups cluster)" >&2; exit 77; }
-scratch=$(mktemp -d)
-trap 'rm -rf "$scratch"' EXIT
-export PATH=$build/bin:$PATH HOME=$scratch TMPDIR=$scratch
 # shellcheck source-path=SCRIPTDIR
 . "$(dirname "$0")/night-lib.sh"
-cd "$scratch"
+begin "$1" "$2" snakemake
 small_store store 3
 # shellcheck disable=SC2086
 stratalux-fit batch plan --store store --out results $small_options

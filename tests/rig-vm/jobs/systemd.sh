@@ -109,10 +109,8 @@ starts() {
   remove_lines other-chip
 }
 
-dies() {
-  fresh_kiosk
-  begin_capture
-  kill -KILL "$(main_pid)"
+# After the kiosk's death in a capture: dark, nothing of the visit kept, waiting for the next.
+starts_anew() {
   need "light stays on" soon dark
   need "not written off and read back: $(lights)" went_dark
   need "not started again" soon restarted 1
@@ -121,17 +119,19 @@ dies() {
   need "the store is not whole" store_is_whole
 }
 
+dies() {
+  fresh_kiosk
+  begin_capture
+  kill -KILL "$(main_pid)"
+  starts_anew
+}
+
 hangs() {
   fresh_kiosk
   begin_capture
   kill -STOP "$(main_pid)"
   need "no watchdog" soon said "Watchdog timeout"
-  need "light stays on" soon dark
-  need "not written off and read back: $(lights)" went_dark
-  need "not started again" soon restarted 1
-  need "does not come to idle again" soon shows idle
-  need "the unfinished visit is kept" forgotten
-  need "the store is not whole" store_is_whole
+  starts_anew
 }
 
 # Nobody but their timers begins them.
