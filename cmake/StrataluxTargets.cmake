@@ -72,6 +72,8 @@ function(stratalux_test_build name)
   target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> -Wno-array-bounds -Wno-error=maybe-uninitialized
                                          -Wno-error=stringop-overflow -Wno-error=stringop-overread)
   target_link_libraries(${name} PRIVATE GTest::gtest GTest::gmock GTest::gtest_main)
+  # Tests of a folder give the same names to what they make.
+  set_target_properties(${name} PROPERTIES UNITY_BUILD OFF)
   if(NOT name STREQUAL "stratalux_test_headers")
     target_precompile_headers(${name} REUSE_FROM stratalux_test_headers)
   endif()

@@ -44,7 +44,7 @@ Json JsonOf(const ShardVisit& visit) {
   return json;
 }
 
-Result<ShardVisit> VisitFrom(const Json& json) {
+Result<ShardVisit> ShardVisitFrom(const Json& json) {
   ShardVisit visit;
   SLX_ASSIGN_OR_RETURN(visit.end, ParseNightEvent(json.at("end").dump()));
   SLX_RETURN_IF_ERROR(CheckId(visit.end.session));
@@ -110,7 +110,7 @@ Result<ShardManifest> ReadManifest(const fs::path& file, const ShardPlan& plan) 
     ShardManifest manifest{json.at("plan"), {WholeAt<int>(json, "shard"), WholeAt<int>(json, "shards")}, {}};
     if (manifest.plan != plan.id) return Status::Integrity(file.string() + " was made by another plan than plan.json");
     for (const Json& one : json.at("visits")) {
-      auto visit = VisitFrom(one);
+      auto visit = ShardVisitFrom(one);
       SLX_RETURN_IF_ERROR(visit.status().WithContext(file.string()));
       manifest.visits.push_back(std::move(*visit));
     }

@@ -44,7 +44,7 @@ std::string TextOf(const ShardPlan& plan) {
   return db::WithOwnHash(json.dump(1, ' ', false, Json::error_handler_t::replace));
 }
 
-Result<PlannedVisit> VisitFrom(const Json& json) {
+Result<PlannedVisit> PlannedVisitFrom(const Json& json) {
   PlannedVisit visit{json.at("session"), json.at("fit"), WholeAt<int64_t>(json, "sites"), {}};
   for (const std::string& id : {visit.session, visit.fit}) SLX_RETURN_IF_ERROR(CheckId(id));
   if (json.contains("cpu_seconds"))
@@ -112,7 +112,7 @@ Result<ShardPlan> ReadPlan(const fs::path& results) {
     json.at("program").get_to(plan.program);
     json.at("arguments").get_to(plan.arguments);
     for (const Json& one : json.at("visits")) {
-      auto visit = VisitFrom(one);
+      auto visit = PlannedVisitFrom(one);
       SLX_RETURN_IF_ERROR(visit.status().WithContext(file.string()));
       plan.visits.push_back(std::move(*visit));
     }
