@@ -239,7 +239,8 @@ float SkinKernel::operator()(float x_mm, float y_mm) const {
   const float f = position - static_cast<float>(i);
   float turn = FastTurns(y_mm, x_mm) * G::kPolar - 0.5F;
   if (turn < 0.0F) turn += G::kPolar;
-  const int j = static_cast<int>(turn);
+  // A turn just below 0 is rounded up to the whole circle.
+  const int j = std::min(static_cast<int>(turn), G::kPolar - 1);
   const float h = turn - static_cast<float>(j);
   const float* a = flat_.data() + i * (G::kPolar + 1) + j;
   const float* b = a + G::kPolar + 1;

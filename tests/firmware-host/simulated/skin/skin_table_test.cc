@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <limits>
 #include <mutex>
 #include <numbers>
 
@@ -197,6 +198,25 @@ TEST(SkinKernel, InterpolationKeepsTheEnergyOfTheCells) {
       EXPECT_NEAR(PlaneIntegral(kernel) / cells, 1.0, 0.003) << c << ' ' << in << ' ' << out;
       EXPECT_NEAR(kernel.Integral() / cells, 1.0, 0.002) << c << ' ' << in << ' ' << out;
     }
+}
+
+// Beside the seam of the directions, where rounding puts a point on the far side of the circle.
+TEST(SkinKernel, ReadsNothingBehindItsLastRing) {
+  struct Guarded {
+    SkinKernel kernel;
+    std::array<float, 4> behind;
+  };
+  Guarded guarded{};
+  guarded.behind.fill(std::numeric_limits<float>::quiet_NaN());
+  Shipped().Interpolate(0, {}, {}, guarded.kernel);
+  constexpr auto kNearRim = static_cast<float>(0.999 * G::kMaxRadiusMm);
+  const auto seam = static_cast<float>(M_PI / G::kPolar);
+  const float x = kNearRim * std::cos(seam);
+  const float y = kNearRim * std::sin(seam);
+  for (int step = -2000; step < 2000; ++step) {
+    const float beside = x + static_cast<float>(step) * 2e-6F;
+    ASSERT_TRUE(std::isfinite(guarded.kernel(beside, y))) << step;
+  }
 }
 
 TEST(SkinKernel, IsReciprocal) {
