@@ -83,6 +83,13 @@ Status Outdated(Connection& connection, int64_t token) {
   return Status::Failed("lease " + std::to_string(token) + " is outdated: " + why + "; its work does not count");
 }
 
+Status BeginAnew(Connection& connection, int64_t id) {
+  SLX_ASSIGN_OR_RETURN(auto update,
+                       connection.Prepare("UPDATE jobs SET state = 'queued', attempts = 0, finished_wall_ns = NULL,"
+                                          " boot = '', until_boot_ns = 0, not_before_wall_ns = 0 WHERE id = ?1"));
+  return update.Bind(1, id).Run();
+}
+
 }  // namespace
 
 const char* ToString(JobState state) {
@@ -173,10 +180,11 @@ Result<int64_t> JobStore::Enqueue(const JobRequest& request) {
     insert.Bind(6, impl_->clock.wall().ns).Bind(7, request.not_before.ns).Bind(8, int64_t{request.max_attempts});
     if (session) insert.Bind(2, *session);
     SLX_RETURN_IF_ERROR(insert.Run());
-    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id FROM jobs WHERE key = ?1"));
+    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id, state FROM jobs WHERE key = ?1"));
     SLX_RETURN_IF_ERROR(select.Bind(1, request.key).Step().status());
     id = select.Integer(0);
-    return Status::Ok();
+    const bool done = select.Text(1) == ToString(JobState::kDone);
+    return done && request.again_if_done ? BeginAnew(connection, id) : Status::Ok();
   };
   SLX_RETURN_IF_ERROR(impl_->Change(enqueue));
   return id;
@@ -288,10 +296,7 @@ Status JobStore::Requeue(int64_t id) {
     if (job.state == JobState::kQueued || job.state == JobState::kRunning)
       return Status::Usage("job " + std::to_string(id) + " is " + ToString(job.state) +
                            "; only one that has ended begins anew");
-    SLX_ASSIGN_OR_RETURN(auto update,
-                         connection.Prepare("UPDATE jobs SET state = 'queued', attempts = 0, finished_wall_ns = NULL,"
-                                            " boot = '', until_boot_ns = 0, not_before_wall_ns = 0 WHERE id = ?1"));
-    return update.Bind(1, id).Run();
+    return BeginAnew(connection, id);
   });
 }
 

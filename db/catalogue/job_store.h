@@ -43,6 +43,7 @@ struct JobRequest {
   int priority = 0;  // higher first; among equals the oldest first
   WallNs not_before = {};
   int max_attempts = 3;
+  bool again_if_done = false;  // a job of this key that is done begins anew: what it had made is gone
 };
 
 struct Job {

@@ -126,12 +126,12 @@ Status Night::Enqueue(const NightChoice& choice) {
     db::JobRequest request{JobKey(visit), kKind, visit.session, what.dump()};
     request.priority = static_cast<int>(choice.visits.size() - i);
     request.max_attempts = options_.attempts;
+    // Done, and yet not there: its fit was removed, or its artifacts are of an older version.
+    request.again_if_done = true;
     const Result<int64_t> id = jobs_.Enqueue(request);
     if (id.status().code() == StatusCode::kNotFound) continue;  // forgotten since
     SLX_RETURN_IF_ERROR(id.status());
     SLX_ASSIGN_OR_RETURN(const db::Job job, jobs_.Find(*id));
-    // Done, and yet not there: its fit was removed, or its artifacts are of an older version.
-    if (job.state == db::JobState::kDone) SLX_RETURN_IF_ERROR(jobs_.Requeue(*id));
     if (job.state == db::JobState::kFailed || job.state == db::JobState::kSetAside ||
         job.state == db::JobState::kCancelled) {
       left_out.push_back({visit.session, LeftOut::kSetAside,

@@ -3,6 +3,7 @@
 #include "db/catalogue/job_store.h"
 
 #include <csignal>
+#include <cstdlib>
 #include <fstream>
 #include <random>
 #include <set>
@@ -16,6 +17,8 @@
 #include "db/base/sqlite.h"
 #include "db/care/reindex.h"
 #include "db/privacy/forget.h"
+#include "shared/base/formatted.h"
+#include "shared/base/unique_fd.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -204,6 +207,26 @@ TEST_F(JobStoreTest, RefusesWhatNoJobCanBe) {
   EXPECT_EQ(jobs.List().status().code(), StatusCode::kNewerSchema);
 }
 
+// Two nights that see at once that what a job had made is gone: in one step, or the second is refused.
+TEST_F(JobStoreTest, WhatIsDoneBeginsAgainOnlyWhereItIsAskedFor) {
+  JobStore jobs = Open(), other = Open();
+  JobRequest again{"k", "fit"};
+  again.again_if_done = true;
+  const int64_t id = *jobs.Enqueue(again);
+  EXPECT_EQ(*other.Enqueue(again), id);
+  ASSERT_TRUE(jobs.Complete(Lease(jobs)->token).ok());
+  EXPECT_EQ(*jobs.Enqueue({"k", "fit"}), id);
+  EXPECT_EQ(jobs.Find(id)->state, JobState::kDone);
+  EXPECT_EQ(*jobs.Enqueue(again), id);
+  EXPECT_EQ(*other.Enqueue(again), id) << "queued by then";
+  EXPECT_EQ(jobs.Find(id)->attempts, 0);
+  const auto lease = Lease(other);
+  EXPECT_EQ(*jobs.Enqueue(again), id) << "running by then";
+  EXPECT_TRUE(other.Fail(lease->token, "no", std::nullopt).ok());
+  EXPECT_EQ(*jobs.Enqueue(again), id);
+  EXPECT_EQ(jobs.Find(id)->state, JobState::kFailed) << "only what is done";
+}
+
 // By triggers, which nothing that happens to a job may miss.
 TEST_F(JobStoreTest, TheCountsAreThoseOfTheRows) {
   const std::string session = StoreSession(1);
@@ -333,15 +356,25 @@ TEST_F(JobStoreTest, RandomWorkersNeverShareAJob) {
   }
 }
 
-// Each line one write: "begin|end token job".
-void Note(const std::filesystem::path& log, const std::string& line) {
-  const int fd = open(log.c_str(), O_WRONLY | O_APPEND | O_CREAT, 0600);
-  (void)!write(fd, line.data(), line.size());
-  close(fd);
-}
+// What workers did with each lease: "begun", then "ended", or "late" where somebody else had the job by then. Each word
+// is one write, and what was begun is noted before the work.
+class WorkersLog {
+ public:
+  explicit WorkersLog(const std::filesystem::path& file)
+      : fd_(open(file.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600)) {}
+  void Note(const char* what, const Job& job) const {
+    const std::string line =
+        Formatted("%s %lld %lld\n", what, static_cast<long long>(job.token), static_cast<long long>(job.id));
+    if (write(fd_.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) _exit(1);
+  }
+
+ private:
+  UniqueFd fd_;
+};
 
 [[noreturn]] void Work(const std::filesystem::path& store, unsigned seed) {
   std::mt19937 random(seed);
+  const WorkersLog log(store / "log");
   auto jobs = JobStore::Open(store);
   if (!jobs.ok()) _exit(1);
   while (true) {
@@ -351,66 +384,75 @@ void Note(const std::filesystem::path& log, const std::string& line) {
       usleep(2000);
       continue;
     }
+    log.Note("begun", **job);
     usleep(static_cast<useconds_t>(random() % 4000));
-    if (random() % 8 == 0) usleep(200'000);  // longer than the lease: somebody takes over
-    if (jobs->Complete((*job)->token).ok())
-      Note(store / "log", "end " + std::to_string((*job)->token) + " " + std::to_string((*job)->id) + "\n");
+    if (random() % 64 == 0) usleep(200'000);  // longer than the lease: somebody takes over
+    log.Note(jobs->Complete((*job)->token).ok() ? "ended" : "late", **job);
   }
 }
 
+// STRATALUX_JOBS: how many (docs/night.md, queue).
+int JobsToDo() {
+  const char* text = std::getenv("STRATALUX_JOBS");
+  return text != nullptr ? std::max(1, std::atoi(text)) : 1500;
+}
+
 TEST_F(JobStoreTest, KilledWorkersLoseNothingAndDoNothingTwice) {
-  constexpr int kFewestKills = 20;
-  int queued = 0;
-  const auto enqueue = [&](int count) {
+  constexpr int kWorkers = 8;
+  const int jobs_to_do = JobsToDo();
+  const int most_kills = std::max(40, jobs_to_do / 100);
+  {
     auto jobs = JobStore::Open(folder_);
-    for (int i = 0; i < count; ++i, ++queued)
-      ASSERT_TRUE(jobs->Enqueue({"job " + std::to_string(queued), "fit", "", "{}", 0, {}, 1'000'000}).ok());
-  };
-  enqueue(150);
+    for (int i = 0; i < jobs_to_do; ++i)
+      ASSERT_TRUE(jobs->Enqueue({"job " + std::to_string(i), "fit", "", "{}", 0, {}, 1'000'000}).ok());
+  }
   std::mt19937 random(5);
-  std::vector<pid_t> workers(4, 0);
+  std::vector<pid_t> workers(kWorkers, 0);
   unsigned seed = 1;
   const auto start = [&](pid_t& pid) {
     pid = fork();
     if (pid == 0) Work(folder_, seed);
     ++seed;
   };
-  for (pid_t& pid : workers) start(pid);
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(120);
-  int kills = 0;
-  while (std::chrono::steady_clock::now() < deadline) {
-    usleep(15'000);
-    if (kills < 60) {
-      pid_t& victim = workers[random() % workers.size()];
-      kill(victim, SIGKILL);
-      waitpid(victim, nullptr, 0);
-      start(victim);
-      ++kills;
-    }
-    auto jobs = JobStore::Open(folder_);
-    ASSERT_TRUE(jobs.ok());
-    if ((*jobs->Count())[JobState::kDone] < queued) continue;
-    if (kills >= kFewestKills) break;
-    enqueue(50);  // workers that are faster than their killer
-  }
-  for (const pid_t pid : workers) {
+  const auto end = [](pid_t pid) {
     kill(pid, SIGKILL);
     waitpid(pid, nullptr, 0);
+  };
+  for (pid_t& pid : workers) start(pid);
+  // A kill each time another share of the work is done, so that they fall on all of it on any machine.
+  auto jobs = JobStore::Open(folder_);
+  ASSERT_TRUE(jobs.ok());
+  const auto hung = std::chrono::steady_clock::now() + std::chrono::seconds(60) + milliseconds(20) * jobs_to_do;
+  int kills = 0;
+  for (int64_t done = 0; done < jobs_to_do; done = (*jobs->Count())[JobState::kDone]) {
+    ASSERT_LT(std::chrono::steady_clock::now(), hung) << done << " of " << jobs_to_do << " done";
+    usleep(5'000);
+    if (done * most_kills < int64_t{kills} * jobs_to_do || kills >= most_kills) continue;
+    pid_t& victim = workers[random() % workers.size()];
+    end(victim);
+    start(victim);
+    ++kills;
   }
-  EXPECT_GE(kills, kFewestKills);
+  for (const pid_t pid : workers) end(pid);
+
+  std::map<std::string, std::set<int64_t>> tokens;  // under which each was noted
   std::map<int64_t, int> ends;
-  std::set<int64_t> tokens;
   std::ifstream log(folder_ / "log");
   std::string word;
   for (int64_t token = 0, job = 0; log >> word >> token >> job;) {
-    ++ends[job];
-    EXPECT_TRUE(tokens.insert(token).second) << "token " << token << " was given twice";
+    EXPECT_TRUE(tokens[word].insert(token).second) << "token " << token << " was given twice";
+    if (word == "ended") ++ends[job];
   }
-  auto jobs = JobStore::Open(folder_);
-  EXPECT_EQ((*jobs->Count())[JobState::kDone], queued);
   for (const auto& [job, count] : ends) EXPECT_EQ(count, 1) << "job " << job;
-  // A worker may be killed between its end and the line that says so.
-  EXPECT_LE(queued - static_cast<int>(ends.size()), kills);
+  const auto begun = static_cast<int64_t>(tokens["begun"].size()), late = static_cast<int64_t>(tokens["late"].size());
+  printf("%d jobs, %d workers: %d killed, %lld begun, %lld late\n", jobs_to_do, kWorkers, kills,
+         static_cast<long long>(begun), static_cast<long long>(late));
+  EXPECT_EQ(kills, most_kills);
+  EXPECT_GT(late, 0) << "nobody lost a lease";
+  // A worker may be killed between its end and the word that says so. Nothing is begun again but after a kill or where
+  // somebody was late.
+  EXPECT_LE(jobs_to_do - static_cast<int64_t>(ends.size()), kills + kWorkers);
+  EXPECT_LE(begun, jobs_to_do + kills + late);
 }
 
 }  // namespace

@@ -88,6 +88,21 @@ class NightTest : public db::StoreTest {
     night_ = StatusOf(ReadNight(outcome->folder)->events);
     return *outcome;
   }
+  void TwoNights() {
+    std::vector<pid_t> nights;
+    for (int i = 0; i < 2; ++i) {
+      nights.push_back(fork());
+      if (nights.back() == 0) {
+        Run();
+        _exit(::testing::Test::HasFailure() ? 1 : 0);
+      }
+    }
+    for (const pid_t night : nights) {
+      int status = -1;
+      waitpid(night, &status, 0);
+      EXPECT_EQ(status, 0);
+    }
+  }
   [[nodiscard]] db::JobState StateOf(const std::string& session) const {
     auto jobs = db::JobStore::Open(folder_);
     const auto all = jobs->List();
@@ -340,22 +355,22 @@ TEST_F(NightTest, WhoeverIsKilledEverybodyIsFittedInTheEnd) {
     kill(night, SIGKILL);
     waitpid(night, nullptr, 0);
   }
-  std::vector<pid_t> nights;
-  for (int i = 0; i < 2; ++i) {
-    nights.push_back(fork());
-    if (nights.back() == 0) {
-      Run();
-      _exit(::testing::Test::HasFailure() ? 1 : 0);
-    }
-  }
-  for (const pid_t night : nights) {
-    int status = -1;
-    waitpid(night, &status, 0);
-    EXPECT_EQ(status, 0);
-  }
+  TwoNights();
   for (const std::string& session : sessions_) {
     EXPECT_EQ(StateOf(session), db::JobState::kDone);
     EXPECT_GE(Lines(session, ".ended"), 1);
+  }
+}
+
+// Whatever was fitted and is gone is made again by whoever comes first.
+TEST_F(NightTest, TwoNightsThatBeginAtOnceMakeAgainWhatIsGone) {
+  Visitors(8);
+  Workers("");
+  EXPECT_EQ(Run().fitted, 8);
+  for (int round = 0; round < 5; ++round) TwoNights();
+  for (const std::string& session : sessions_) {
+    EXPECT_EQ(StateOf(session), db::JobState::kDone);
+    EXPECT_GE(Lines(session, ".ended"), 2);
   }
 }
 
