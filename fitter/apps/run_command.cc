@@ -20,7 +20,7 @@ namespace {
 
 struct RunFlags {
   FitFlags fit;
-  bool json = false, path_only = false;
+  bool json = false, path_only = false, all = false;
   std::string out;
   CleanOptions clean;
 };
@@ -68,24 +68,56 @@ int Execute(const RunFlags& f) {
   return finish(WriteStdout((run->until == Stage::kReport ? report : outcome->folder).string() + "\n"));
 }
 
-Status Clean(const RunFlags& f, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.fit.run.store, f.fit.run.session, f.clean, logger));
-  if (f.json) {
-    const nlohmann::ordered_json json = {{"removed", report.removed},
-                                         {"bytes", report.bytes},
-                                         {"kept", report.kept},
-                                         {"sealed", report.sealed},
-                                         {"dry_run", f.clean.dry_run}};
-    return WriteStdout(json.dump(1) + "\n");
-  }
+std::string CleanText(const CleanReport& report, bool dry_run) {
   std::string text;
   for (const std::string& name : report.removed) text += name + "\n";
-  for (const std::string& fit : report.sealed)
-    text += "fit " + fit + (f.clean.dry_run ? " would be sealed\n" : " sealed\n");
+  for (const std::string& fit : report.sealed) text += "fit " + fit + (dry_run ? " would be sealed\n" : " sealed\n");
   const std::string size = Formatted("%.1f MiB", static_cast<double>(report.bytes) / (1 << 20));
-  return WriteStdout(text + std::to_string(report.removed.size()) + " artifacts " +
-                     (f.clean.dry_run ? "would be removed, " : "removed, ") + size + "; " +
-                     std::to_string(report.kept) + " kept\n");
+  return text + std::to_string(report.removed.size()) + " artifacts " + (dry_run ? "would be removed, " : "removed, ") +
+         size + "; " + std::to_string(report.kept) + " kept\n";
+}
+
+nlohmann::ordered_json CleanJson(const CleanReport& report, bool dry_run) {
+  return {{"removed", report.removed},
+          {"bytes", report.bytes},
+          {"kept", report.kept},
+          {"sealed", report.sealed},
+          {"dry_run", dry_run}};
+}
+
+Status Clean(const RunFlags& f, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const CleanReport report, CleanArtifacts(f.fit.run.store, f.fit.run.session, f.clean, logger));
+  return WriteStdout(f.json ? CleanJson(report, f.clean.dry_run).dump(1) + "\n" : CleanText(report, f.clean.dry_run));
+}
+
+// One whose key is elsewhere or that is being fitted is left to the next time, and does not keep the others from it.
+Status CleanAll(const RunFlags& f, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsWithArtifacts(f.fit.run.store));
+  CleanReport total;
+  auto cleaned = nlohmann::ordered_json::array(), failed = nlohmann::ordered_json::array();
+  Status first;
+  for (const std::string& session : sessions) {
+    const auto report = CleanArtifacts(f.fit.run.store, session, f.clean, logger);
+    if (!report.ok()) {
+      logger.Warning("session " + session + ": " + report.status().message());
+      failed.push_back({{"session", session}, {"error", report.status().message()}});
+      if (first.ok()) first = report.status();
+      continue;
+    }
+    for (const std::string& name : report->removed) total.removed.push_back(session + "/" + name);
+    for (const std::string& fit : report->sealed) total.sealed.push_back(session + "/" + fit);
+    total.bytes += report->bytes;
+    total.kept += report->kept;
+    cleaned.push_back(session);
+  }
+  auto json = CleanJson(total, f.clean.dry_run);
+  json["sessions"] = cleaned;
+  json["failed"] = failed;
+  SLX_RETURN_IF_ERROR(WriteStdout(f.json ? json.dump(1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n"
+                                         : CleanText(total, f.clean.dry_run)));
+  if (first.ok()) return first;
+  return {first.code(), std::to_string(failed.size()) + " of " + std::to_string(sessions.size()) +
+                            " sessions were left as they are; the first: " + first.message()};
 }
 
 Status PrintReport(const RunFlags& f, Logger& logger) {
@@ -151,6 +183,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       "Fits keep all their files; what is removed is made again where a later run wants it.\n"
       "Examples:\n  stratalux-fit clean latest --store store --dry-run\n"
       "  stratalux-fit clean s000017 --store store --keep-days 7\n"
+      "  stratalux-fit clean --all --store store --keep-days 2\n"
       "  stratalux-fit clean s000017 --store store --damaged   # only what is not what its record says");
   AddStore(*clean, *cleaned);
   clean->add_option("--keep-days", cleaned->clean.keep_days, "Keep what is younger")
@@ -158,9 +191,11 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   clean->add_flag("--damaged", cleaned->clean.damaged_only, "Only artifacts whose files were changed or are missing");
   clean->add_flag("--dry-run", cleaned->clean.dry_run, "Say what would go; remove nothing");
+  clean->add_flag("--all", cleaned->all, "Every session of the store; one that is being fitted is left, and said")
+      ->excludes(clean->get_option("session"));
   clean->callback([cleaned, &exit_code] {
     Logger logger;
-    const Status status = Clean(*cleaned, logger);
+    const Status status = cleaned->all ? CleanAll(*cleaned, logger) : Clean(*cleaned, logger);
     if (!status.ok()) logger.Error(status.message());
     exit_code = status.exit_code();
   });

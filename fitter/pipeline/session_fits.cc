@@ -83,6 +83,18 @@ Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& 
   return report;
 }
 
+Result<std::vector<std::string>> SessionsWithArtifacts(const std::string& folder) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(folder, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto sessions, store.ListSessions());
+  std::vector<std::string> with;
+  for (auto session = sessions.rbegin(); session != sessions.rend(); ++session) {
+    std::error_code error;
+    const fs::path artifacts = store.SessionFolder(session->info.id) / db::kArtifactsFolder;
+    if (fs::is_directory(artifacts, error) && !fs::is_empty(artifacts, error)) with.push_back(session->info.id);
+  }
+  return with;
+}
+
 Result<StoredFit> NewestFit(const std::string& store_folder, const std::string& session, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store_folder, session, SessionUse::kFit, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "fitter/pipeline/artifact_store.h"
 #include "fitter/session/session_frames.h"
@@ -15,6 +16,9 @@ namespace stratalux::fit {
 // sealed.
 [[nodiscard]] Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& session,
                                                  const CleanOptions& options, Logger& logger);
+
+// The sessions of which stages have left anything, oldest first.
+[[nodiscard]] Result<std::vector<std::string>> SessionsWithArtifacts(const std::string& store);
 
 struct StoredFit {
   std::string session, id;

@@ -219,6 +219,40 @@ TEST_F(DamagedArtifacts, OtherVerbsLeaveAFinishedFitAlone) {
   EXPECT_EQ(Db(store, "verify --deep").code, 0) << "a fit needs no artifact";
 }
 
+// As the night's unit does: whoever is being fitted is left, the others are cleaned.
+TEST_F(DamagedArtifacts, CleanAllLeavesWhoIsBeingFittedAndTakesTheOthers) {
+  const fs::path store = Fitted("store"), done = Session(store);
+  const auto artifacts = [](const fs::path& session) {
+    std::error_code error;
+    return std::distance(fs::directory_iterator(session / "artifacts", error), fs::directory_iterator());
+  };
+  const auto before = artifacts(done);
+  EXPECT_THAT(Fit(store, "clean --all --keep-days 1").out, HasSubstr("0 artifacts removed"));
+  EXPECT_EQ(artifacts(done), before) << "younger than a day";
+  ASSERT_EQ(Capture(store).code, 0);
+  fs::path busy;
+  for (const auto& entry : fs::directory_iterator(store / "sessions"))
+    if (entry.path() != done) busy = entry.path();
+  Running run(RunArguments(store), folder_ / "log");
+  while (artifacts(busy) == 0 && !run.WaitFor(std::chrono::milliseconds(5))) {
+  }
+  run.Send(SIGSTOP);
+  const Outcome clean = Execute("stratalux-fit clean --all --json --store " + store.string(), Show::kStdout);
+  EXPECT_EQ(clean.code, 5);
+  const auto json = nlohmann::json::parse(clean.out, nullptr, false);
+  ASSERT_TRUE(json.is_object()) << clean.out;
+  EXPECT_EQ(json["sessions"], nlohmann::json::array({done.filename().string()}));
+  ASSERT_EQ(json["failed"].size(), 1U);
+  EXPECT_EQ(json["failed"][0]["session"], busy.filename().string());
+  EXPECT_EQ(static_cast<int64_t>(json["removed"].size()), before - artifacts(done));
+  EXPECT_GT(json["removed"].size(), 0U);
+  run.Send(SIGCONT);
+  EXPECT_EQ(run.Wait().code, 0) << "nothing was taken from it";
+  EXPECT_EQ(Fit(store, "clean --all").code, 0);
+  EXPECT_EQ(Fit(store, "clean latest --all").code, 2) << "one or all";
+  EXPECT_EQ(Db(store, "verify --deep").code, 0);
+}
+
 TEST_F(DamagedArtifacts, ADryRunNamesWhatAnOptionTouches) {
   const fs::path store = Fitted("store");
   const auto runs = [&](const std::string& options) {
