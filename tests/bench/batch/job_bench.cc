@@ -54,7 +54,7 @@ int64_t Option(int argc, char** argv, const std::string& name, int64_t otherwise
 
 // As after months: most are done, some were set aside, the rest waits. By SQL, so that a million takes seconds.
 void WriteJobs(const fs::path& store, int64_t jobs) {
-  Check(db::SessionStore::Open(store, db::AccessMode::kReadWrite).status());
+  Check(db::SessionStore::Create(store));
   auto connection = Value(Connection::Open(store / "index.sqlite", Connection::Mode::kReadWrite));
   const std::string count = std::to_string(jobs);
   Check(connection.Execute(
