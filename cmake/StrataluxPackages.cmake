@@ -66,7 +66,7 @@ projectors, grabs the camera's frames, proves which frame shows which
 pattern and writes them to the store. A simulated rig stands in where there
 is none."
   RECOMMENDS "stratalux-db"
-  SUGGESTS "cage, chromium")
+  SUGGESTS "cage, xwayland, chromium")
 if(STRATALUX_BUILD_FITTER)
   stratalux_package(stratalux-fit
     SUMMARY "fits scattering layers of skin to sessions of Stratalux"

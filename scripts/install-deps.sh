@@ -52,6 +52,10 @@ chromium             web  the store's and the kiosk's page in a real browser (la
 chromium-driver      web  drives it
 python3-selenium     web  drives it
 fonts-ipafont-gothic web  Japanese letters of the kiosk's page
+cage                 web  shows the kiosk's page on the visitor's screen, as stratalux-display.service does
+xwayland             web  cage of Debian 12 does not start without it
+xvfb                 web  the display on which the tests look at that screen
+grim                 web  a picture of what cage shows
 npm                  web  fetches axe-core, the accessibility checks of the page (npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest
