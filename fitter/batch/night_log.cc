@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <concepts>
 #include <cstring>
 #include <ctime>
 #include <sstream>
@@ -16,6 +17,7 @@
 #include "db/catalogue/deletions.h"
 #include "shared/base/formatted.h"
 #include "shared/base/json_nesting.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 #include "shared/base/unique_fd.h"
 
@@ -37,7 +39,10 @@ constexpr std::pair<NightEventKind, const char*> kKinds[] = {
 
 template <typename T>
 void Read(const Json& json, const char* key, T& value) {
-  if (json.contains(key)) value = json.at(key).get<T>();
+  if constexpr (std::integral<T>)
+    value = WholeOr(json, key, value);
+  else if (json.contains(key))
+    value = json.at(key).get<T>();
 }
 
 }  // namespace

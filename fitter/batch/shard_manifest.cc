@@ -108,6 +108,8 @@ Result<ShardManifest> ReadManifest(const fs::path& file, const ShardPlan& plan) 
                                                   ", this program reads " + std::to_string(kManifestSchema) +
                                                   "; use a newer stratalux");
     ShardManifest manifest{json.at("plan"), {WholeAt<int>(json, "shard"), WholeAt<int>(json, "shards")}, {}};
+    if (const auto& [index, count] = manifest.shard; index < 1 || index > count)
+      return Status::Integrity(Formatted("%s: no shard is %d of %d", file.c_str(), index, count));
     if (manifest.plan != plan.id) return Status::Integrity(file.string() + " was made by another plan than plan.json");
     for (const Json& one : json.at("visits")) {
       auto visit = ShardVisitFrom(one);
