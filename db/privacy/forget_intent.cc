@@ -2,6 +2,7 @@
 #include "db/privacy/forget_intent.h"
 
 #include <algorithm>
+#include <cstring>
 
 #include <nlohmann/json.hpp>
 #include <sodium.h>
@@ -9,6 +10,7 @@
 #include "db/base/durable_file.h"
 #include "db/care/incoming.h"
 #include "db/catalogue/deletions.h"
+#include "db/keys/rig_key.h"
 #include "db/privacy/forget.h"
 #include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
@@ -18,27 +20,19 @@ namespace {
 
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
-constexpr size_t kHashBytes = 8;
+constexpr size_t kHashBytes = sizeof(uint64_t);
 constexpr const char* kIntent = ".forgetting";
 constexpr const char* kWiping = ".wiping";
 constexpr const char* kIsPlace = "instr(detail, ':/') > 0";  // what the access log says of an export
 
-std::string Hex(std::span<const uint8_t> bytes) {
-  std::string text(2 * bytes.size() + 1, '\0');
-  sodium_bin2hex(text.data(), text.size(), bytes.data(), bytes.size());
-  text.pop_back();
-  return text;
-}
-
 // As far as the segment can be read. Returns how many records it has.
-int64_t AddHashesOf(const fs::path& segment, std::vector<std::string>& hashes) {
+int64_t AddHashesOf(const fs::path& segment, std::vector<uint64_t>& hashes) {
   const auto reader = SegmentReader::Open(segment);
   if (!reader.ok()) return 0;
   bool sealed = false;
   const auto records = reader->Walk(false, &sealed);
   if (!records.ok()) return 0;
-  for (const SegmentFrame& record : *records)
-    hashes.push_back(Hex(std::span(record.header.payload_hash).first(kHashBytes)));
+  for (const SegmentFrame& record : *records) hashes.push_back(WordOf(record.header.payload_hash));
   return static_cast<int64_t>(records->size());
 }
 
@@ -51,14 +45,14 @@ void MeasureFolder(const fs::path& folder, ForgetIntent& intent) {
   }
 }
 
-Status CollectHashes(Connection& connection, int64_t number, std::vector<std::string>& hashes) {
+Status CollectHashes(Connection& connection, int64_t number, std::vector<uint64_t>& hashes) {
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames WHERE session = ?1"));
   select.Bind(1, number);
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return Status::Ok();
     const auto hash = select.Blob(0);
-    if (hash.size() >= kHashBytes) hashes.push_back(Hex(std::span(hash).first(kHashBytes)));
+    if (hash.size() >= kHashBytes) hashes.push_back(WordOf(hash));
   }
 }
 
@@ -116,7 +110,7 @@ ForgetIntent CollectReturned(const fs::path& store, const std::string& id) {
   return intent;
 }
 
-ForgetIntent IntentFrom(const Json& json) {
+Result<ForgetIntent> IntentFrom(const Json& json) {
   ForgetIntent intent;
   json.at("session").get_to(intent.session);
   json.at("visitor").get_to(intent.visitor);
@@ -127,7 +121,11 @@ ForgetIntent IntentFrom(const Json& json) {
   json.at("fits").get_to(intent.fits);
   json.at("files").get_to(intent.files);
   json.at("bytes").get_to(intent.bytes);
-  json.at("hashes").get_to(intent.hashes);
+  for (const Json& text : json.at("hashes")) {
+    SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(text.get<std::string>()));
+    if (bytes.size() < kHashBytes) return Status::Integrity("hash " + text.dump() + " is too short");
+    intent.hashes.push_back(WordOf(bytes));
+  }
   json.at("exports").get_to(intent.exports);
   return intent;
 }
@@ -143,6 +141,18 @@ ForgottenSession SessionOf(const ForgetIntent& intent) {
   session.bytes = intent.bytes;
   session.encrypted = !intent.key_id.empty();
   return session;
+}
+
+uint64_t WordOf(std::span<const uint8_t> bytes) {
+  uint64_t word = 0;
+  std::memcpy(&word, bytes.data(), sizeof word);
+  return word;
+}
+
+std::array<uint8_t, sizeof(uint64_t)> BytesOf(uint64_t hash) {
+  std::array<uint8_t, sizeof hash> bytes{};
+  std::memcpy(bytes.data(), &hash, sizeof hash);
+  return bytes;
 }
 
 Result<std::vector<uint8_t>> FromHex(const std::string& text) {
@@ -197,11 +207,13 @@ fs::path IntentFile(const fs::path& store, const std::string& session_id) {
 }
 
 Status WriteIntent(const fs::path& store, const ForgetIntent& intent) {
+  Json hashes = Json::array();
+  for (const uint64_t hash : intent.hashes) hashes.push_back(ToHex(BytesOf(hash)));
   SLX_RETURN_IF_ERROR(MakeFolder(IntentFile(store, intent.session).parent_path()));
   const Json json = {{"session", intent.session}, {"visitor", intent.visitor}, {"reason", intent.reason},
                      {"key_id", intent.key_id},   {"frames", intent.frames},   {"began_wall_ns", intent.began.ns},
                      {"fits", intent.fits},       {"files", intent.files},     {"bytes", intent.bytes},
-                     {"hashes", intent.hashes},   {"exports", intent.exports}};
+                     {"hashes", hashes},          {"exports", intent.exports}};
   return ReplaceFile(IntentFile(store, intent.session),
                      json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
@@ -238,7 +250,9 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
     if (!read.ok()) return read.status();
     const std::string& text = *read;
     try {
-      intents.push_back(IntentFrom(Json::parse(text)));
+      auto intent = IntentFrom(Json::parse(text));
+      SLX_RETURN_IF_ERROR(intent.status().WithContext(file.string()));
+      intents.push_back(std::move(*intent));
     } catch (const nlohmann::json::exception& error) {
       return Status::Integrity(file.string() + ": " + error.what());
     }

@@ -3,9 +3,11 @@
 // Internal to db/privacy.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -20,13 +22,16 @@ struct ForgetIntent {
   std::string key_id;  // hexadecimal; empty: not encrypted
   WallNs began;
   int64_t frames = 0, fits = 0, files = 0, bytes = 0;
-  std::vector<std::string> hashes;   // first 8 bytes of each payload hash, 16 hex digits
+  std::vector<uint64_t> hashes;      // first 8 bytes of each payload hash, as they lie in memory
   std::vector<std::string> exports;  // places, export_marker.h
 };
 
 // What a report says of it before anything is gone.
 [[nodiscard]] ForgottenSession SessionOf(const ForgetIntent& intent);
 
+// Of ForgetIntent::hashes. Precondition: at least 8 bytes.
+[[nodiscard]] uint64_t WordOf(std::span<const uint8_t> bytes);
+[[nodiscard]] std::array<uint8_t, sizeof(uint64_t)> BytesOf(uint64_t hash);
 // The 16 bytes of a key id, or of the first part of a hash, from hexadecimal text; kIntegrity for other text.
 [[nodiscard]] Result<std::vector<uint8_t>> FromHex(const std::string& text);
 

@@ -45,9 +45,10 @@ MarkerScan::MarkerScan() : filter_((size_t{1} << kFilterBits) / 64) {}
 
 int MarkerScan::Add(std::span<const uint8_t> bytes) {
   SLX_CHECK(bytes.size() >= kShortest);
-  const int number = static_cast<int>(markers_.size());
+  const int number = static_cast<int>(ends_.size());
   const uint64_t start = Load(bytes.data());
-  markers_.emplace_back(bytes.begin(), bytes.end());
+  bytes_.insert(bytes_.end(), bytes.begin(), bytes.end());
+  ends_.push_back(bytes_.size());
   by_start_.emplace(start, number);
   filter_[FilterBit(start) / 64] |= uint64_t{1} << (FilterBit(start) % 64);
   longest_ = std::max(longest_, bytes.size());
@@ -56,6 +57,12 @@ int MarkerScan::Add(std::span<const uint8_t> bytes) {
 
 int MarkerScan::Add(const std::string& text) {
   return Add(std::span(reinterpret_cast<const uint8_t*>(text.data()), text.size()));
+}
+
+std::span<const uint8_t> MarkerScan::Marker(int number) const {
+  const auto index = static_cast<size_t>(number);
+  const size_t begin = index == 0 ? 0 : ends_[index - 1];
+  return std::span(bytes_).subspan(begin, ends_[index] - begin);
 }
 
 // Markers that start at the first `starts` bytes of the block.
@@ -67,7 +74,7 @@ void MarkerScan::ScanBlock(std::span<const uint8_t> block, size_t starts, int64_
     if ((filter_[bit / 64] >> (bit % 64) & 1U) == 0) continue;
     const auto [first, last] = by_start_.equal_range(word);
     for (auto candidate = first; candidate != last; ++candidate) {
-      const auto& marker = markers_[static_cast<size_t>(candidate->second)];
+      const auto marker = Marker(candidate->second);
       if (marker.size() <= block.size() - i && std::memcmp(marker.data(), block.data() + i, marker.size()) == 0)
         hits.push_back({candidate->second, offset + static_cast<int64_t>(i)});
     }

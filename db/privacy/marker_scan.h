@@ -22,7 +22,7 @@ class MarkerScan {
   // At least kShortest bytes; returns its number, 0, 1, ... The same bytes twice are two markers.
   int Add(std::span<const uint8_t> bytes);
   int Add(const std::string& text);
-  [[nodiscard]] size_t size() const { return markers_.size(); }
+  [[nodiscard]] size_t size() const { return ends_.size(); }
 
   struct Hit {
     int marker = 0;
@@ -36,7 +36,10 @@ class MarkerScan {
  private:
   void ScanBlock(std::span<const uint8_t> block, size_t starts, int64_t offset, std::vector<Hit>& hits) const;
 
-  std::vector<std::vector<uint8_t>> markers_;
+  [[nodiscard]] std::span<const uint8_t> Marker(int number) const;
+
+  std::vector<uint8_t> bytes_;  // of all markers, one behind the other: a forgotten visit has a thousand of them
+  std::vector<size_t> ends_;    // of each in `bytes_`
   std::unordered_multimap<uint64_t, int> by_start_;  // first 8 bytes -> marker
   std::vector<uint64_t> filter_;                     // a bit for each hash of 8 bytes that may start a marker
   size_t longest_ = kShortest;

@@ -3,12 +3,12 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstring>
 #include <map>
-#include <unordered_map>
+#include <unordered_set>
 
 #include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
+#include "db/keys/rig_key.h"
 #include "db/privacy/marker_scan.h"
 
 namespace stratalux::db {
@@ -18,9 +18,13 @@ namespace fs = std::filesystem;
 
 enum class Kind { kId, kKeyId, kHash, kVisitor };
 
+// Whose it is. Of a pseudonym, no session.
+struct Owner {
+  std::string session, visitor;
+};
 struct Marker {
   Kind kind = Kind::kId;
-  std::string session, visitor;
+  int owner = 0;
 };
 
 const char* ToString(Kind kind) {
@@ -39,35 +43,49 @@ const char* ToString(Kind kind) {
 
 class Markers {
  public:
-  Status Add(const ForgetIntent& intent, const std::set<std::string>& shared_hashes) {
-    AddText(intent.session, {Kind::kId, intent.session, intent.visitor});
-    if (!intent.key_id.empty())
-      SLX_RETURN_IF_ERROR(AddHex(intent.key_id, {Kind::kKeyId, intent.session, intent.visitor}));
-    for (const std::string& hash : intent.hashes)
-      if (!shared_hashes.contains(hash))
-        SLX_RETURN_IF_ERROR(AddHex(hash, {Kind::kHash, intent.session, intent.visitor}));
+  Status Add(const ForgetIntent& intent, const std::set<uint64_t>& shared_hashes) {
+    const int owner = AddOwner({intent.session, intent.visitor});
+    AddBytes(TextBytes(intent.session), {Kind::kId, owner});
+    if (!intent.key_id.empty()) {
+      SLX_ASSIGN_OR_RETURN(const auto key_id, FromHex(intent.key_id));
+      AddBoth(key_id, intent.key_id, {Kind::kKeyId, owner});
+    }
+    for (const uint64_t hash : intent.hashes) {
+      if (shared_hashes.contains(hash)) continue;
+      const auto bytes = BytesOf(hash);
+      AddBoth(bytes, ToHex(bytes), {Kind::kHash, owner});
+    }
     return Status::Ok();
   }
-  void AddText(const std::string& text, Marker marker) {
-    if (text.size() < MarkerScan::kShortest) return;
-    scan_.Add(text);
-    all_.push_back(std::move(marker));
+  void AddPseudonym(const std::string& visitor) {
+    AddBytes(TextBytes(visitor), {Kind::kVisitor, AddOwner({"", visitor})});
   }
   [[nodiscard]] const MarkerScan& scan() const { return scan_; }
   [[nodiscard]] const Marker& operator[](int number) const { return all_[static_cast<size_t>(number)]; }
+  [[nodiscard]] const Owner& OwnerOf(const Marker& marker) const { return owners_[static_cast<size_t>(marker.owner)]; }
 
  private:
+  static std::span<const uint8_t> TextBytes(const std::string& text) {
+    return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
+  }
+  int AddOwner(Owner owner) {
+    owners_.push_back(std::move(owner));
+    return static_cast<int>(owners_.size()) - 1;
+  }
   // As bytes and as text: files of either kind may hold it.
-  Status AddHex(const std::string& hex, const Marker& marker) {
-    SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hex));
-    if (bytes.size() < MarkerScan::kShortest) return Status::Ok();
+  void AddBoth(std::span<const uint8_t> bytes, const std::string& text, Marker marker) {
+    if (bytes.size() < MarkerScan::kShortest) return;
+    AddBytes(bytes, marker);
+    AddBytes(TextBytes(text), marker);
+  }
+  void AddBytes(std::span<const uint8_t> bytes, Marker marker) {
+    if (bytes.size() < MarkerScan::kShortest) return;
     scan_.Add(bytes);
     all_.push_back(marker);
-    AddText(hex, marker);
-    return Status::Ok();
   }
   MarkerScan scan_;
   std::vector<Marker> all_;
+  std::vector<Owner> owners_;
 };
 
 // How often the index may hold the id: its deletions row (table and key) and its access_log rows (table and index).
@@ -99,16 +117,18 @@ const MarkerScan::Hit* Forbidden(const fs::path& store, const fs::path& file, co
     const Marker& marker = markers[hit.marker];
     if (marker.kind == Kind::kId && (IsChain(store, file) || file == store / "index.sqlite-wal")) continue;
     if (marker.kind == Kind::kId && is_index) {
-      const auto allowed = plan.ids_in_index.find(marker.session);
-      if (allowed != plan.ids_in_index.end() && ++ids[marker.session] <= allowed->second) continue;
+      const std::string& session = markers.OwnerOf(marker).session;
+      const auto allowed = plan.ids_in_index.find(session);
+      if (allowed != plan.ids_in_index.end() && ++ids[session] <= allowed->second) continue;
     }
     return &hit;
   }
   return nullptr;
 }
 
-void AddLeftover(StoreScanResult& result, const Marker& marker, const std::string& file, const std::string& where) {
-  result.leftovers.push_back({marker.session, marker.visitor, file + where + ": " + ToString(marker.kind), file});
+void AddLeftover(StoreScanResult& result, Kind kind, const Owner& owner, const std::string& file,
+                 const std::string& where) {
+  result.leftovers.push_back({owner.session, owner.visitor, file + where + ": " + ToString(kind), file});
 }
 
 Status ScanOne(const fs::path& store, const fs::path& file, const Markers& markers, const ScanPlan& plan,
@@ -120,28 +140,17 @@ Status ScanOne(const fs::path& store, const fs::path& file, const Markers& marke
   ++result.files;
   result.bytes += static_cast<int64_t>(fs::file_size(file, error));
   if (const MarkerScan::Hit* hit = Forbidden(store, file, markers, plan, *hits))
-    AddLeftover(result, markers[hit->marker], file.lexically_relative(store).string(),
-                ", offset " + std::to_string(hit->offset));
+    AddLeftover(result, markers[hit->marker].kind, markers.OwnerOf(markers[hit->marker]),
+                file.lexically_relative(store).string(), ", offset " + std::to_string(hit->offset));
   return Status::Ok();
-}
-
-uint64_t WordOf(std::span<const uint8_t> bytes) {
-  uint64_t word = 0;
-  std::memcpy(&word, bytes.data(), sizeof word);
-  return word;
 }
 
 // Without encryption two sessions may hold the same bytes. No index of `frames` leads from a hash to its rows: such a
 // one would be one more place that keeps what is to go.
-Status FindShared(Connection& connection, const std::vector<ForgetIntent>& intents, std::set<std::string>& shared) {
-  std::unordered_map<uint64_t, std::string> ours;
-  for (const ForgetIntent& intent : intents) {
-    if (!intent.key_id.empty()) continue;
-    for (const std::string& hash : intent.hashes) {
-      SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hash));
-      if (bytes.size() == sizeof(uint64_t)) ours.emplace(WordOf(bytes), hash);
-    }
-  }
+Status FindShared(Connection& connection, const std::vector<ForgetIntent>& intents, std::set<uint64_t>& shared) {
+  std::unordered_set<uint64_t> ours;
+  for (const ForgetIntent& intent : intents)
+    if (intent.key_id.empty()) ours.insert(intent.hashes.begin(), intent.hashes.end());
   if (ours.empty()) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT hash FROM frames"));
   while (true) {
@@ -149,7 +158,7 @@ Status FindShared(Connection& connection, const std::vector<ForgetIntent>& inten
     if (!more) return Status::Ok();
     const auto hash = select.Blob(0);
     if (hash.size() < sizeof(uint64_t)) continue;
-    if (const auto found = ours.find(WordOf(hash)); found != ours.end()) shared.insert(found->second);
+    if (const uint64_t word = WordOf(hash); ours.contains(word)) shared.insert(word);
   }
 }
 
@@ -169,7 +178,7 @@ Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& 
   Markers markers;
   // A plain session's hashes may be another's, too; its id stands wherever its rows do.
   for (const ForgetIntent& intent : intents) {
-    std::set<std::string> doubtful;
+    std::set<uint64_t> doubtful;
     if (intent.key_id.empty()) doubtful.insert(intent.hashes.begin(), intent.hashes.end());
     SLX_RETURN_IF_ERROR(markers.Add(intent, doubtful));
   }
@@ -195,20 +204,21 @@ bool IsOfIndex(const fs::path& file) { return file == "index.sqlite" || file == 
 
 namespace {
 
-struct SoughtNames {
+struct SoughtName {
   std::string text;
-  Marker marker;
+  Kind kind;
+  Owner owner;
 };
 
 Status AddMarkers(const std::vector<ForgetIntent>& intents, const ScanPlan& plan, Markers& markers,
-                  std::vector<SoughtNames>& names) {
+                  std::vector<SoughtName>& names) {
   for (const ForgetIntent& intent : intents) {
     SLX_RETURN_IF_ERROR(markers.Add(intent, plan.shared_hashes));
-    names.push_back({intent.session, {Kind::kId, intent.session, intent.visitor}});
+    names.push_back({intent.session, Kind::kId, {intent.session, intent.visitor}});
   }
   for (const std::string& visitor : plan.pseudonyms) {
-    markers.AddText(visitor, {Kind::kVisitor, "", visitor});
-    names.push_back({visitor, {Kind::kVisitor, "", visitor}});
+    markers.AddPseudonym(visitor);
+    names.push_back({visitor, Kind::kVisitor, {"", visitor}});
   }
   return Status::Ok();
 }
@@ -237,7 +247,7 @@ Status ListAll(const fs::path& store, const fs::path& folder, std::vector<fs::pa
 Result<StoreScanResult> ScanIndex(const fs::path& store, const std::vector<ForgetIntent>& intents,
                                   const ScanPlan& plan) {
   Markers markers;
-  std::vector<SoughtNames> names;
+  std::vector<SoughtName> names;
   SLX_RETURN_IF_ERROR(AddMarkers(intents, plan, markers, names));
   StoreScanResult result;
   result.markers = static_cast<int64_t>(markers.scan().size());
@@ -249,16 +259,16 @@ Result<StoreScanResult> ScanIndex(const fs::path& store, const std::vector<Forge
 Result<StoreScanResult> ScanStore(const fs::path& store, const std::vector<ForgetIntent>& intents, const ScanPlan& plan,
                                   Logger& logger, const std::function<bool()>& goes_on) {
   Markers markers;
-  std::vector<SoughtNames> names;  // what a file's name may tell, too
+  std::vector<SoughtName> names;  // what a file's name may tell, too
   SLX_RETURN_IF_ERROR(AddMarkers(intents, plan, markers, names));
   StoreScanResult result;
   result.markers = static_cast<int64_t>(markers.scan().size());
   std::vector<fs::path> files, all;
   SLX_RETURN_IF_ERROR(ListAll(store, store, files, all));
   for (const fs::path& path : all)
-    for (const auto& [text, marker] : names)
+    for (const auto& [text, kind, owner] : names)
       if (path.filename().string().find(text) != std::string::npos)
-        AddLeftover(result, marker, path.lexically_relative(store).string(), " (its name)");
+        AddLeftover(result, kind, owner, path.lexically_relative(store).string(), " (its name)");
   Progress progress(logger, "scan", static_cast<int64_t>(files.size()));
   for (const fs::path& file : files) {
     SLX_RETURN_IF_ERROR(ScanOne(store, file, markers, plan, result, goes_on));

@@ -30,7 +30,7 @@ struct ScanPlan {
   std::map<std::string, int64_t>
       ids_in_index;                     // session -> how often its id stands in rows of deletions and access_log
   std::vector<std::string> pseudonyms;  // of visitors without a session, as far as a scan can tell them
-  std::set<std::string> shared_hashes;  // of frames that remaining sessions hold, too: found rightly; as in an intent
+  std::set<uint64_t> shared_hashes;     // of frames that remaining sessions hold, too: found rightly; as in an intent
 };
 // After the removal, without the store's lock: every frame of the index is looked at.
 // Left to the rows: pseudonyms that are short, have no digit or are part of one that remains cannot be told from

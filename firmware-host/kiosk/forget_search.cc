@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include <malloc.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -69,6 +70,8 @@ void ForgetSearch::Work() {
     db::ForgetProof proof = *std::exchange(waiting_, std::nullopt);
     lock.unlock();
     Prove(std::move(proof));
+    // What was sought, a thousand words a visit, goes back to the machine: the program is to stay as large as it was.
+    malloc_trim(0);
   }
 }
 
