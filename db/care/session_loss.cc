@@ -2,29 +2,13 @@
 #include "db/care/session_loss.h"
 
 #include <algorithm>
-#include <set>
 
 namespace stratalux::db {
 namespace {
 
-struct Range {
-  int64_t first = 0, last = 0;
-  [[nodiscard]] int64_t size() const { return last - first + 1; }
-};
-
-std::string TextOf(const std::vector<Range>& ranges) {
-  constexpr size_t kMost = 12;  // a damaged disk may leave every second frame
-  std::string text;
-  for (size_t i = 0; i < std::min(ranges.size(), kMost); ++i) {
-    text += (i == 0 ? "" : ", ") + std::to_string(ranges[i].first);
-    if (ranges[i].last > ranges[i].first) text += " to " + std::to_string(ranges[i].last);
-  }
-  return ranges.size() > kMost ? text + ", ..." : text;
-}
-
 // Ranges, not numbers: a forged header may speak of frame 2^62.
-std::vector<Range> Gaps(const std::vector<std::pair<int64_t, SegmentFrame>>& frames, int64_t expected) {
-  std::vector<Range> gaps;
+std::vector<NumberRange> Gaps(const std::vector<std::pair<int64_t, SegmentFrame>>& frames, int64_t expected) {
+  std::vector<NumberRange> gaps;
   int64_t next = 0;
   for (const auto& [segment, frame] : frames) {
     if (frame.header.frame > next) gaps.push_back({next, frame.header.frame - 1});
@@ -34,37 +18,32 @@ std::vector<Range> Gaps(const std::vector<std::pair<int64_t, SegmentFrame>>& fra
   return gaps;
 }
 
-std::string StepsText(const std::vector<Range>& gaps, const LossWitnesses& witnesses) {
+std::string StepsText(const std::vector<NumberRange>& gaps, const LossWitnesses& witnesses) {
   std::map<int64_t, int> steps = witnesses.steps;
   for (const KnownFrame& k : witnesses.known) steps.emplace(k.place.frame, k.step);
   std::set<int64_t> lost;
   for (const auto& [frame, step] : steps)
-    if (std::any_of(gaps.begin(), gaps.end(), [f = frame](const Range& r) { return r.first <= f && f <= r.last; }))
+    if (std::any_of(gaps.begin(), gaps.end(),
+                    [f = frame](const NumberRange& r) { return r.first <= f && f <= r.last; }))
       lost.insert(step);
-  std::vector<Range> ranges;
-  for (const int64_t step : lost) {
-    if (!ranges.empty() && ranges.back().last + 1 == step)
-      ranges.back().last = step;
-    else
-      ranges.push_back({step, step});
-  }
-  return ranges.empty() ? "" : " (steps " + TextOf(ranges) + ")";
+  std::vector<NumberRange> ranges;
+  for (const int64_t step : lost) AppendNumber(ranges, step);
+  return ranges.empty() ? "" : " (steps " + ToText(ranges) + ")";
 }
 
 void CheckFrames(const RebuiltSession& session, const LossWitnesses& witnesses, std::vector<std::string>& loss) {
   const auto there = static_cast<int64_t>(session.frames.size());
   const auto& manifest = witnesses.manifest;
   int64_t expected = manifest ? manifest->frames : 0;
-  const std::vector<Range> inner = Gaps(session.frames, expected);
+  const std::vector<NumberRange> inner = Gaps(session.frames, expected);
   // What the old index says beyond that counts unless the manifest is satisfied.
   if (!manifest || !inner.empty())
     for (const KnownFrame& k : witnesses.known) expected = std::max(expected, k.place.frame + 1);
-  const std::vector<Range> gaps = Gaps(session.frames, expected);
-  int64_t missing = 0;
-  for (const Range& r : gaps) missing += r.size();
+  const std::vector<NumberRange> gaps = Gaps(session.frames, expected);
+  const int64_t missing = CountOf(gaps);
   if (missing > 0)
     loss.push_back(std::to_string(missing) + " of " + std::to_string(missing + there) +
-                   " frames are missing: " + TextOf(gaps) + StepsText(gaps, witnesses));
+                   " frames are missing: " + ToText(gaps) + StepsText(gaps, witnesses));
   // A session that failed may hold more than was acknowledged when it ended.
   if (manifest && there > manifest->frames && session.info.status != SessionStatus::kFailed)
     loss.push_back("the manifest speaks of " + std::to_string(manifest->frames) + " frames, the segments hold " +
@@ -80,18 +59,19 @@ void CheckPlan(const RebuiltSession& session, std::vector<std::string>& loss) {
   std::set<int> good;
   for (const auto& [segment, frame] : session.frames)
     if (frame.header.level_check != static_cast<uint16_t>(LevelCheck::kFailed)) good.insert(frame.header.step);
-  std::vector<Range> missing;
-  for (const PlanStep& step : plan->steps) {
-    if (good.contains(step.index)) continue;
-    if (!missing.empty() && missing.back().last + 1 == step.index)
-      missing.back().last = step.index;
-    else
-      missing.push_back({step.index, step.index});
-  }
-  if (!missing.empty()) loss.push_back("planned steps without a good frame: " + TextOf(missing));
+  const std::vector<NumberRange> lacking = LackingSteps(*plan, good);
+  // No count: this line stays among the session's reasons, which a later rebuild is held against.
+  if (!lacking.empty()) loss.push_back("planned steps without a good frame: " + ToText(lacking));
 }
 
 }  // namespace
+
+std::vector<NumberRange> LackingSteps(const CapturePlan& plan, const std::set<int>& good) {
+  std::vector<NumberRange> lacking;
+  for (const PlanStep& step : plan.steps)
+    if (!good.contains(step.index)) AppendNumber(lacking, step.index);
+  return lacking;
+}
 
 std::vector<std::string> FindLoss(const RebuiltSession& session, const std::vector<std::string>& segments_there,
                                   const LossWitnesses& witnesses) {

@@ -5,11 +5,14 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/manifest.h"
+#include "shared/base/number_ranges.h"
+#include "shared/capture/plan.h"
 
 namespace stratalux::db {
 
@@ -20,10 +23,13 @@ struct LossWitnesses {
 };
 
 // Lines for people, without paths: "78 of 492 frames are missing: 414 to 491 (steps 300 to 371)", "segment
-// frames-0001.seg is missing", "step 5 (gray columns bit=3/10) has no good frame". Empty: the session is whole.
+// frames-0001.seg is missing", "planned steps without a good frame: 5 to 6". Empty: the session is whole.
 // `session.frames` are in order of their numbers, each once.
 [[nodiscard]] std::vector<std::string> FindLoss(const RebuiltSession& session,
                                                 const std::vector<std::string>& segments_there,
                                                 const LossWitnesses& witnesses);
+
+// The steps of the plan that are not among `good`, those with a frame that its level check did not refute.
+[[nodiscard]] std::vector<NumberRange> LackingSteps(const CapturePlan& plan, const std::set<int>& good);
 
 }  // namespace stratalux::db

@@ -7,6 +7,7 @@
 
 #include "db/care/complementary_pairs.h"
 #include "db/care/row_comparison.h"
+#include "db/care/session_loss.h"
 #include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
 #include "db/care/verify_seals.h"
@@ -73,12 +74,11 @@ void CheckPlan(const SessionRow& session, const std::vector<FrameRow>& frames, V
   std::set<int> good;
   for (const FrameRow& f : frames)
     if (f.record.level_check != LevelCheck::kFailed) good.insert(f.record.step);
-  for (const PlanStep& step : plan->steps) {
-    if (good.contains(step.index)) continue;
-    const std::string text =
-        "step " + std::to_string(step.index) + " (" + step.pattern.ToString() + ") has no good frame";
-    (session.info.status == SessionStatus::kComplete ? report.problems : report.notes).push_back(text);
-  }
+  const std::vector<NumberRange> lacking = LackingSteps(*plan, good);
+  if (lacking.empty()) return;
+  (session.info.status == SessionStatus::kComplete ? report.problems : report.notes)
+      .push_back(std::to_string(CountOf(lacking)) + " of " + std::to_string(plan->steps.size()) +
+                 " planned steps without a good frame: " + ToText(lacking));
 }
 
 // Frames lie in the order of their triggers and of the driver's numbers. (Neither need be without gaps: the bank's

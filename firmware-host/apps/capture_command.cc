@@ -5,6 +5,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "shared/base/number_ranges.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -67,6 +69,10 @@ std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   Json injected = Json::array();
   for (const InjectedFault& fault : outcome.injected)
     injected.push_back({{"kind", ToString(fault.kind)}, {"number", fault.number}, {"seconds", fault.seconds}});
+  std::vector<NumberRange> missing;
+  for (const int step : r.missing_steps) AppendNumber(missing, step);
+  Json missing_steps = Json::array();
+  for (const NumberRange& range : missing) missing_steps.push_back({range.first, range.last});
   Json slow = Json::array();
   for (const SlowAnswers& one : r.slow)
     slow.push_back({{"projector", one.projector},
@@ -78,7 +84,7 @@ std::string OutcomeAsJson(const CaptureOutcome& outcome) {
   const Json json = {{"session", outcome.session}, {"status", ToString(r.status)},
                      {"planned", r.planned},       {"captured", r.captured},
                      {"frames", r.frames},         {"retried", r.retried},
-                     {"faults", found.faults},     {"missing_steps", r.missing_steps},
+                     {"faults", found.faults},     {"missing_steps", missing_steps},
                      {"reasons", r.Reasons()},     {"findings", Json::parse(FindingsToJson(found.findings))},
                      {"slower_than_learnt", slow}, {"injected", injected},
                      {"seconds", outcome.seconds}};

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/kiosk/batch_facts.h"
 
+#include <chrono>
 #include <cstdlib>
 #include <ctime>
 #include <map>
@@ -82,9 +83,11 @@ TimerFacts TimerOf(const std::string& shown, const std::string& unit) {
 }
 
 TimerFacts AskTimer(const std::string& systemctl, const std::string& unit) {
-  const auto shown =
-      RunProgram({"env", "TZ=UTC", "LC_ALL=C", "timeout", "--kill-after=1", "3", systemctl, "show", "--no-pager",
-                  "--property=Id,LoadState,ActiveState,NextElapseUSecRealtime,LastTriggerUSec", unit});
+  // Whatever holds systemd's answer up, the operator's screen does not wait for it.
+  constexpr std::chrono::seconds kLimit(3);
+  const auto shown = RunProgram({"env", "TZ=UTC", "LC_ALL=C", systemctl, "show", "--no-pager",
+                                 "--property=Id,LoadState,ActiveState,NextElapseUSecRealtime,LastTriggerUSec", unit},
+                                kLimit);
   return shown.ok() && shown->code == 0 ? TimerOf(shown->output, unit) : TimerFacts();
 }
 

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/base/program.h"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <string_view>
+#include <thread>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -32,12 +35,24 @@ struct Pipe {
   }
 };
 
+using Clock = std::chrono::steady_clock;
+using Deadline = std::optional<Clock::time_point>;
+
+// For poll: -1 without a deadline.
+int MillisecondsUntil(const Deadline& deadline) {
+  if (!deadline) return -1;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(*deadline - Clock::now()).count();
+  return static_cast<int>(std::clamp<int64_t>(left, 0, 60'000));
+}
+
+bool IsOver(const Deadline& deadline) { return deadline && Clock::now() >= *deadline; }
+
 // Both at once: a program that fills one pipe waits while we wait for the other.
-void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
+void Drain(Pipe& out, Pipe& err, const Deadline& deadline, ProgramOutcome& outcome) {
   std::array<char, 65536> block{};
-  while (out.ends[0] >= 0 || err.ends[0] >= 0) {
+  while ((out.ends[0] >= 0 || err.ends[0] >= 0) && !IsOver(deadline)) {
     std::array<pollfd, 2> files = {pollfd{out.ends[0], POLLIN, 0}, pollfd{err.ends[0], POLLIN, 0}};
-    if (poll(files.data(), files.size(), -1) < 0 && errno != EINTR) return;
+    if (poll(files.data(), files.size(), MillisecondsUntil(deadline)) < 0 && errno != EINTR) return;
     for (size_t i = 0; i < 2; ++i) {
       if (files[i].revents == 0) continue;
       const ssize_t got = read(files[i].fd, block.data(), block.size());
@@ -50,13 +65,52 @@ void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
   }
 }
 
+// Waits until the child has ended, and leaves it to be waited for: its group keeps its number.
+bool HasEnded(pid_t child, const Deadline& deadline) {
+  siginfo_t ended{};
+  const int now_or_later = deadline ? WNOHANG : 0;
+  for (;;) {
+    const int waited = waitid(P_PID, static_cast<id_t>(child), &ended, WEXITED | WNOWAIT | now_or_later);
+    if (waited != 0 && errno != EINTR) return true;
+    if (waited == 0 && ended.si_pid == child) return true;
+    if (IsOver(deadline)) return false;
+    if (deadline) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+}
+
+std::vector<char*> EnvironmentOfOthers() {
+  constexpr std::array<std::string_view, 6> kOurs = {"NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC",
+                                                     "LISTEN_PID",    "LISTEN_FDS",   "LISTEN_FDNAMES"};
+  std::vector<char*> variables;
+  for (char** variable = environ; *variable != nullptr; ++variable) {
+    const std::string_view text = *variable;
+    if (std::find(kOurs.begin(), kOurs.end(), text.substr(0, text.find('='))) == kOurs.end())
+      variables.push_back(*variable);
+  }
+  variables.push_back(nullptr);
+  return variables;
+}
+
+struct Child {
+  char** argv = nullptr;
+  char** variables = nullptr;
+  pid_t parent = 0;
+  bool in_own_group = false;
+};
+
 // In the child, between fork and exec: only what is allowed in a signal handler. The program ends with us: should we be
 // killed, it must not go on writing behind the back of whoever comes next.
-[[noreturn]] void Become(char** argv, pid_t parent, const Pipe& out, const Pipe& err, const Pipe& trouble) {
+[[noreturn]] void Become(const Child& child, const Pipe& out, const Pipe& err, const Pipe& trouble) {
+  // What our threads block or ignore is no affair of the program's.
+  sigset_t none;
+  sigemptyset(&none);
+  signal(SIGPIPE, SIG_DFL);
   const int nothing = open("/dev/null", O_RDONLY);
   const bool ready = nothing >= 0 && dup2(nothing, 0) >= 0 && dup2(out.ends[1], 1) >= 0 && dup2(err.ends[1], 2) >= 0 &&
-                     prctl(PR_SET_PDEATHSIG, SIGTERM) == 0 && getppid() == parent;
-  if (ready) execvp(argv[0], argv);
+                     (!child.in_own_group || setpgid(0, 0) == 0) &&
+                     prctl(PR_SET_PDEATHSIG, child.in_own_group ? SIGKILL : SIGTERM) == 0 &&
+                     getppid() == child.parent && sigprocmask(SIG_SETMASK, &none, nullptr) == 0;
+  if (ready) execvpe(child.argv[0], child.argv, child.variables);
   const int reason = errno;
   if (write(trouble.ends[1], &reason, sizeof reason) < 0) _exit(126);
   _exit(127);
@@ -64,25 +118,34 @@ void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
 
 }  // namespace
 
-Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments) {
+Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
+                                  std::optional<std::chrono::milliseconds> limit) {
   Pipe out, err, trouble;
   if (out.ends[0] < 0 || err.ends[0] < 0 || trouble.ends[0] < 0)
     return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
   std::vector<char*> argv;
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);
-  const pid_t parent = getpid();
+  std::vector<char*> variables = EnvironmentOfOthers();
+  const Child its{argv.data(), variables.data(), getpid(), limit.has_value()};
+  const Deadline deadline = limit ? Deadline(Clock::now() + *limit) : std::nullopt;
   const pid_t child = fork();
   if (child < 0) return Status::Failed("cannot run " + arguments[0] + ": " + std::strerror(errno));
-  if (child == 0) Become(argv.data(), parent, out, err, trouble);
+  if (child == 0) Become(its, out, err, trouble);
   out.CloseEnd(1);
   err.CloseEnd(1);
   trouble.CloseEnd(1);
   ProgramOutcome outcome;
-  Drain(out, err, outcome);
+  Drain(out, err, deadline, outcome);
+  const bool ended = HasEnded(child, deadline);
+  if (limit) {
+    kill(-child, SIGKILL);             // what it left behind
+    if (!ended) kill(child, SIGKILL);  // it may not have come to its group yet
+  }
   int status = 0;
   while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
+  if (!ended) return Status::Failed(arguments[0] + " did not end within " + std::to_string(limit->count()) + " ms");
   int reason = 0;
   if (read(trouble.ends[0], &reason, sizeof reason) == static_cast<ssize_t>(sizeof reason))
     return reason == ENOENT ? Status::NotFound("there is no program '" + arguments[0] + "'")

@@ -2,6 +2,8 @@
 // Runs another program without a shell.
 #pragma once
 
+#include <chrono>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -14,8 +16,11 @@ struct ProgramOutcome {
   std::string output, errors;
 };
 
-// arguments[0] is looked up in PATH; stdin is empty. It is ended when the calling thread ends, also by SIGKILL.
-// kNotFound where there is no such program.
-[[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments);
+// arguments[0] is looked up in PATH; stdin is empty. It is ended when the calling thread ends, also by SIGKILL. Of our
+// environment it gets all but what systemd gave to us alone: a program that inherits NOTIFY_SOCKET speaks in our name.
+// kNotFound where there is no such program. With `limit` the program and what it starts are ended then, whatever they
+// do with signals: kFailed, but where the program itself has ended, and left others behind that hold its output.
+[[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
+                                                std::optional<std::chrono::milliseconds> limit = std::nullopt);
 
 }  // namespace stratalux

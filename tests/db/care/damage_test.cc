@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Damage of every kind is found, named and never fatal.
 #include <cstdio>
+#include <functional>
+#include <optional>
 
 #include <gmock/gmock.h>
 
@@ -13,6 +15,7 @@ namespace stratalux::db {
 namespace {
 
 using ::testing::Contains;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
@@ -126,27 +129,61 @@ TEST_F(DamageTest, AFrameThatOnlyTheSegmentKnowsIsFound) {
   EXPECT_THAT(report->problems, Contains(HasSubstr("segments hold 6 frames, the index 4")));
 }
 
-TEST_F(DamageTest, ACompleteSessionMustHoldEveryPlannedStep) {
-  PlanOptions options;
-  options.projectors = 1;
-  const auto plan = BuildPlan(options);
-  SessionStore store = OpenStore();
-  SessionInfo info = SimulatedVisit();
-  info.plan_json = PlanOptionsToJson(options);
-  auto writer = store.BeginSession(info);
-  ASSERT_TRUE(writer.ok());
-  const int gap = 5, doubtful = 8;
-  const Image<uint16_t> pixels(4, 2);
-  for (const PlanStep& step : plan->steps) {
-    if (step.index == gap) continue;
-    FrameRecord record = RecordFor(step.index, PixelFormat::kMono12, 4, 2);
-    if (step.index == doubtful) record.level_check = LevelCheck::kFailed;
-    ASSERT_TRUE(writer->Append(record, pixels.view()).ok());
+// VerifyOf(STATUS, MADE): a session of the plan, each step with the level check that `made` gives it, if any.
+class PlannedStepsTest : public StoreTest {
+ protected:
+  using Made = std::function<std::optional<LevelCheck>(int step)>;
+  VerifyReport VerifyOf(SessionStatus status, const Made& made) {
+    PlanOptions options;
+    options.projectors = 1;
+    plan_ = *BuildPlan(options);
+    SessionStore store = OpenStore();
+    SessionInfo info = SimulatedVisit();
+    info.plan_json = PlanOptionsToJson(options);
+    auto writer = store.BeginSession(info);
+    EXPECT_TRUE(writer.ok());
+    const Image<uint16_t> pixels(4, 2);
+    for (const PlanStep& step : plan_.steps) {
+      const auto level_check = made(step.index);
+      if (!level_check) continue;
+      FrameRecord record = RecordFor(step.index, PixelFormat::kMono12, 4, 2);
+      record.level_check = *level_check;
+      EXPECT_TRUE(writer->Append(record, pixels.view()).ok());
+    }
+    EXPECT_TRUE(writer->Finish(status).ok());
+    return *VerifySession(store, *store.FindSession(writer->info().id));
   }
-  ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
-  const auto report = VerifySession(store, *store.FindSession(writer->info().id));
-  EXPECT_THAT(report->problems, Contains(HasSubstr("step 5 ")));
-  EXPECT_THAT(report->problems, Contains(HasSubstr("step 8 ")));
+  CapturePlan plan_;
+};
+
+TEST_F(PlannedStepsTest, ACompleteSessionMustHoldEachOfThem) {
+  const auto report = VerifyOf(SessionStatus::kComplete, [](int step) {
+    if (step == 5) return std::optional<LevelCheck>();
+    return std::optional(step == 8 ? LevelCheck::kFailed : LevelCheck::kPassed);
+  });
+  EXPECT_THAT(report.problems,
+              Contains("2 of " + std::to_string(plan_.steps.size()) + " planned steps without a good frame: 5, 8"));
+}
+
+TEST_F(PlannedStepsTest, HundredsThatAnAbortedSessionLacksAreOneLine) {
+  const auto report = VerifyOf(SessionStatus::kDegraded, [](int step) {
+    return step < 2 || step == 4 ? std::optional(LevelCheck::kPassed) : std::nullopt;
+  });
+  const size_t steps = plan_.steps.size();
+  ASSERT_GT(steps, 100U);
+  EXPECT_THAT(report.problems, IsEmpty());
+  EXPECT_THAT(report.notes,
+              ElementsAre(std::to_string(steps - 3) + " of " + std::to_string(steps) +
+                              " planned steps without a good frame: 2 to 3, 5 to " + std::to_string(steps - 1),
+                          HasSubstr("the driver counted")));
+}
+
+TEST_F(PlannedStepsTest, EverySecondLackingIsOneLineStill) {
+  const auto report = VerifyOf(SessionStatus::kDegraded, [](int step) {
+    return step % 2 == 0 ? std::optional(LevelCheck::kPassed) : std::nullopt;
+  });
+  EXPECT_THAT(report.notes, ElementsAre(::testing::EndsWith("1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, ..."),
+                                        HasSubstr("the driver counted")));
 }
 
 TEST_F(DamageTest, DamagedTruthIsRefused) {

@@ -401,6 +401,21 @@ TEST_F(LearntDeadlinesProgram, ASelftestThatCanKeepNothingPasses) {
   EXPECT_FALSE(std::filesystem::exists(folder_ / "deadlines-simulated.json"));
 }
 
+TEST_F(LearntDeadlinesProgram, AStoppedCaptureListsTheStepsThatItLacksAsRanges) {
+  const Outcome stopped =
+      Rig("capture " + Scene("") + Config("") + "--fault emergency_stop@40 --json " + Store() + " 2>/dev/null");
+  EXPECT_EQ(stopped.code, 1) << stopped.out;
+  const auto json = nlohmann::json::parse(stopped.out, nullptr, false);
+  ASSERT_TRUE(json.is_object()) << stopped.out;
+  const auto ranges = json["missing_steps"].get<std::vector<std::pair<int, int>>>();
+  ASSERT_THAT(ranges, ::testing::SizeIs(::testing::AllOf(::testing::Ge(1U), ::testing::Le(3U)))) << stopped.out;
+  int missing = 0;
+  for (const auto& [first, last] : ranges) missing += last - first + 1;
+  EXPECT_EQ(missing, json["planned"].get<int>() - json["captured"].get<int>());
+  EXPECT_GT(missing, 20);
+  EXPECT_EQ(ranges.back().second, json["planned"].get<int>() - 1);
+}
+
 TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {
   const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-visit";
   std::filesystem::remove_all(store);
