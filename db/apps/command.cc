@@ -13,20 +13,24 @@
 
 namespace stratalux::db {
 
-CLI::App* Commands::Add(const std::string& name, const std::string& description, std::function<int()> run) {
+CLI::App* Commands::Add(const std::string& name, const std::string& description, std::function<int()> run,
+                        std::function<bool()> needs_store) {
   CLI::App* command = app_.add_subcommand(name, description);
   command->add_option("--store", flags_.store, "folder of the store (default: $STRATALUX_STORE)");
   command->add_flag("--json", flags_.json, "print JSON");
-  entries_.push_back({command, std::move(run)});
+  entries_.push_back({command, std::move(run), std::move(needs_store)});
   return command;
 }
 
 int Commands::Run() {
   if (const char* store = std::getenv("STRATALUX_STORE"); store != nullptr && flags_.store.empty())
     flags_.store = store;
-  if (flags_.store.empty()) return Report(Status::Usage("no store given; use --store DIR or set STRATALUX_STORE"));
-  for (const Entry& entry : entries_)
-    if (entry.app->parsed()) return entry.run();
+  for (const Entry& entry : entries_) {
+    if (!entry.app->parsed()) continue;
+    if (flags_.store.empty() && (!entry.needs_store || entry.needs_store()))
+      return Report(Status::Usage("no store given; use --store DIR or set STRATALUX_STORE"));
+    return entry.run();
+  }
   return Report(Status::Usage("no command given; --help lists them"));
 }
 

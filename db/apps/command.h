@@ -24,7 +24,9 @@ class Commands {
   explicit Commands(CLI::App& app) : app_(app) {}
 
   // A command with --store and --json; `run` gives the exit code. Give it examples of its own: Examples().
-  CLI::App* Add(const std::string& name, const std::string& description, std::function<int()> run);
+  // `needs_store`: asked when it runs, for a command some of whose verbs touch no store; empty: it does.
+  CLI::App* Add(const std::string& name, const std::string& description, std::function<int()> run,
+                std::function<bool()> needs_store = {});
   [[nodiscard]] const CommonFlags& flags() const { return flags_; }
   // Of the command that was parsed.
   int Run();
@@ -33,6 +35,7 @@ class Commands {
   struct Entry {
     CLI::App* app;
     std::function<int()> run;
+    std::function<bool()> needs_store;
   };
   CLI::App& app_;
   CommonFlags flags_;
@@ -43,7 +46,8 @@ class Commands {
 void AddViewCommands(Commands& commands);      // init, show, frames, verify
 void AddQueryCommands(Commands& commands);     // ls, query, sql
 void AddStatsCommand(Commands& commands);      // stats
-void AddPrivacyCommands(Commands& commands);   // consent, access, key
+void AddPrivacyCommands(Commands& commands);   // consent, access
+void AddKeyCommand(Commands& commands);        // key
 void AddForgetCommands(Commands& commands);    // forget, purge, deletions
 void AddTransferCommands(Commands& commands);  // import
 void AddTranscodeCommand(Commands& commands);

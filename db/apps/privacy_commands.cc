@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-db consent give|withdraw|show`, `access`, `key export|import`.
+// `stratalux-db consent give|withdraw|show`, `access`.
 #include <algorithm>
 #include <cstdio>
 #include <memory>
@@ -8,9 +8,7 @@
 
 #include "db/apps/command.h"
 #include "db/catalogue/consent.h"
-#include "db/keys/rig_key.h"
 #include "db/privacy/access_log.h"
-#include "db/privacy/key_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -134,70 +132,11 @@ void AddAccess(Commands& commands) {
   access->add_option("SESSION", *session, "id or prefix, also of a forgotten session, or latest (default: all)");
 }
 
-struct KeyFlags {
-  std::string session, file;
-  CLI::App *take_out = nullptr, *put_in = nullptr, *make_signer = nullptr;
-};
-
-int ExportKey(const CommonFlags& common, const KeyFlags& flags) {
-  const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly);
-  if (!store.ok()) return Report(store.status());
-  const auto row = store->FindSession(flags.session);
-  if (!row.ok()) return Report(row.status());
-  const Status status = ExportKeyFile(common.store, *row, flags.file);
-  if (!status.ok()) return Report(status);
-  const Json json = {{"session", row->info.id}, {"key_id", row->key_id}, {"file", flags.file}};
-  return Print(common.json ? TextOf(json) : "key of session " + row->info.id + " written to " + flags.file + "\n");
-}
-
-int ImportKey(const CommonFlags& common, const KeyFlags& flags) {
-  const auto session = ImportKeyFile(common.store, flags.file);
-  if (!session.ok()) return Report(session.status());
-  const Json json = {{"session", *session}};
-  return Print(common.json ? TextOf(json) : "session " + *session + " can be read here; delete " + flags.file + "\n");
-}
-
-// The rig's key: made, or its public half printed.
-int PrintRigKey(const CommonFlags& common, const Result<RigKey>& key) {
-  if (!key.ok()) return Report(key.status());
-  const Json json = {{"public_key", ToHex(key->public_key())}, {"fingerprint", Fingerprint(key->public_key())}};
-  return Print(common.json ? TextOf(json) : ToHex(key->public_key()) + "\n");
-}
-
-int RunRigKey(const CommonFlags& common, const KeyFlags& flags) {
-  // Where there is no store, there is nothing to sign.
-  if (const auto store = SessionStore::Open(common.store, AccessMode::kReadOnly); !store.ok())
-    return Report(store.status());
-  return PrintRigKey(common, flags.make_signer->parsed() ? RigKey::Create(common.store) : RigKey::Read(common.store));
-}
-
-void AddKey(Commands& commands) {
-  const auto flags = std::make_shared<KeyFlags>();
-  const CommonFlags& common = commands.flags();
-  CLI::App* key = commands.Add("key", "Keys of encrypted sessions; the key that signs this rig's", [&common, flags] {
-    if (flags->take_out->parsed()) return ExportKey(common, *flags);
-    return flags->put_in->parsed() ? ImportKey(common, *flags) : RunRigKey(common, *flags);
-  });
-  key->footer(
-      Examples({"key export s000017 --out s000017.key", "key import s000017.key", "key sign-init > rig-1.pub"}));
-  key->require_subcommand(1);
-  key->fallthrough();
-  flags->take_out = key->add_subcommand("export", "Write the key to a file that only you can read; logged");
-  flags->put_in = key->add_subcommand("import", "Take in the key that FILE holds");
-  flags->take_out->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
-  flags->take_out->add_option("--out", flags->file, "file to write")->required();
-  flags->put_in->add_option("FILE", flags->file, "as `key export` wrote it")->required();
-  flags->make_signer = key->add_subcommand("sign-init", "Make the key that signs sessions; print its public half");
-  CLI::App* shown = key->add_subcommand("public", "Print the public half of that key, for auditors");
-  for (CLI::App* verb : {flags->take_out, flags->put_in, flags->make_signer, shown}) verb->fallthrough();
-}
-
 }  // namespace
 
 void AddPrivacyCommands(Commands& commands) {
   AddConsent(commands);
   AddAccess(commands);
-  AddKey(commands);
 }
 
 }  // namespace stratalux::db

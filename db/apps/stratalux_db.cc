@@ -44,6 +44,7 @@ int Main(int argc, char** argv) {
   AddTransferCommands(commands);
   AddTranscodeCommand(commands);
   AddPrivacyCommands(commands);
+  AddKeyCommand(commands);
   AddForgetCommands(commands);
   AddServeCommand(commands);
   if (const auto manual = AskedManual(app, "stratalux-db", argc, argv)) return PrintBytes(*manual);

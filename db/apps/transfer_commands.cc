@@ -156,6 +156,7 @@ std::string PullText(const PullReport& report, bool dry_run) {
   for (const std::string& id : report.sessions) text += "  " + id + "\n";
   if (report.withdrawals != 0)
     text += "  " + std::to_string(report.withdrawals) + " consents withdrawn, as the source's ledger says\n";
+  if (report.keys != 0) text += "  " + std::to_string(report.keys) + " sealed keys of sessions that were here\n";
   return text + Lines("fit", report.fits) + Lines("forgotten as at the source", report.obeyed) +
          Lines("wiped", report.wiped) + Lines("note", report.notes) + Lines("problem", report.problems);
 }
@@ -171,6 +172,7 @@ int RunPull(const CommonFlags& common, const TransferFlags& flags) {
                      {"dry_run", flags.dry_run},
                      {"sessions", report->sessions},
                      {"fits", report->fits},
+                     {"keys", report->keys},
                      {"frames", report->frames},
                      {"present", report->present},
                      {"unfinished", report->unfinished},

@@ -15,6 +15,7 @@
 #include "db/catalogue/consent_rows.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/manifest.h"
+#include "db/keys/sealed_key.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -314,7 +315,8 @@ bool NeverBegan(const fs::path& folder, const Ledger& ledger) {
     const fs::path& file = entry->path();
     const bool header_at_most = file.extension() == ".seg" && entry->is_regular_file(error) &&
                                 entry->file_size(error) <= static_cast<uintmax_t>(kSegmentStart);
-    if (!header_at_most && file.filename() != "manifest.json.new" && file.filename() != "place.json") return false;
+    const std::string name = file.filename().string();
+    if (!header_at_most && name != "manifest.json.new" && name != "place.json" && !IsSealedKeyName(name)) return false;
   }
   const std::string id = folder.filename().string();
   return !error && std::none_of(ledger.entries().begin(), ledger.entries().end(), [&id](const LedgerEntry& entry) {

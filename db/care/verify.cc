@@ -16,6 +16,7 @@
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
+#include "db/keys/sealed_key.h"
 #include "db/segment/segment.h"
 #include "db/segment/segment_scan.h"
 
@@ -122,7 +123,7 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
         report.problems.push_back(entry.path().string() + " is not named by the manifest");
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
                name != "place.json" && name != "signature.json" && name != kDamagedManifest && name != "fits" &&
-               name != "previews" && name != kArtifactsFolder) {
+               name != "previews" && name != kArtifactsFolder && !IsSealedKeyName(name)) {
       report.notes.push_back(entry.path().string() + " is no file of a session");
     }
   }
@@ -279,6 +280,7 @@ Result<VerifyReport> VerifySession(const SessionStore& store, const SessionRow& 
   for (std::string& line : CompareSession(store.folder(), session, report.notes))
     report.problems.push_back(std::move(line));
   CheckSeals(store, session, options.depth, report);
+  CheckSealedKeys(store, session, report);
   if (options.depth == VerifyDepth::kDeep) {
     CheckFits(store, session, report);
     CheckArtifacts(folder, report);

@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/care/verify_seals.h"
 
+#include <algorithm>
 #include <filesystem>
 
 #include "db/catalogue/artifact_record.h"
 #include "db/catalogue/fit_reader.h"
 #include "db/catalogue/fit_record.h"
+#include "db/keys/readers.h"
+#include "db/keys/rig_key.h"
+#include "db/keys/sealed_key.h"
 
 namespace stratalux::db {
 namespace {
@@ -90,6 +94,36 @@ void CheckSeals(const SessionStore& store, const SessionRow& session, VerifyDept
   for (const FitRow& fit : *fits)
     if (fs::exists(store.FitFolder(id, fit.id), error)) checker.CheckFit(store.FitFolder(id, fit.id));
   checker.NoteUnopened();
+}
+
+void CheckSealedKeys(const SessionStore& store, const SessionRow& session, VerifyReport& report) {
+  const std::string& id = session.info.id;
+  const fs::path folder = store.SessionFolder(id);
+  const auto files = ListSealedKeys(folder);
+  KeyId key{};
+  if (!FromHex(session.key_id, key).ok()) {
+    for (const fs::path& file : files)
+      report.problems.push_back(file.string() + " is a sealed key, but its session is not encrypted: remove it");
+    return;
+  }
+  for (const fs::path& file : files)
+    if (const Status right = CheckSealedKey(file, id, key); !right.ok()) report.problems.push_back(right.message());
+  // A copy of the session elsewhere has the keys that came with it, for readers that its store need not know.
+  if (!FindKey(store.folder(), key).ok()) return;
+  const auto readers = ListReaders(store.folder());
+  if (!readers.ok()) return;  // said once, of the store
+  std::vector<fs::path> wanted;
+  for (const ReaderPublicKey& reader : *readers) {
+    wanted.push_back(SealedKeyFile(folder, IdOf(reader)));
+    if (std::find(files.begin(), files.end(), wanted.back()) == files.end())
+      report.notes.push_back("session " + id + ": its key is not sealed to reader " + ToHex(IdOf(reader)) +
+                             " (`stratalux-db key share`)");
+  }
+  for (const fs::path& file : files)
+    if (std::find(wanted.begin(), wanted.end(), file) == wanted.end())
+      report.problems.push_back(file.string() +
+                                " is sealed to somebody who is no reader of this store: `stratalux-db key unshare` with"
+                                " the id in its name removes it");
 }
 
 }  // namespace stratalux::db

@@ -9,6 +9,7 @@
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/catalogue/session_index.h"
+#include "db/keys/readers.h"
 #include "db/ledger/ledger.h"
 
 namespace stratalux::db {
@@ -72,10 +73,10 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
 
 bool IsOurs(const std::string& name) {
   static const std::set<std::string> kNames = {
-      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",
-      "deletions",    "ledger",           "keys.sqlite",      "keys.sqlite-wal", "keys.sqlite-shm",
-      "incoming",     "incoming.lock",    "reindex.new",      "lost+found",      "backup.json",
-      "rig.key",      "transcode.json",   "forgetting",       "visits",          "nights"};
+      "index.sqlite", "index.sqlite-wal", "index.sqlite-shm", "write.lock",      "sessions",       "deletions",
+      "ledger",       "keys.sqlite",      "keys.sqlite-wal",  "keys.sqlite-shm", "incoming",       "incoming.lock",
+      "reindex.new",  "lost+found",       "backup.json",      "rig.key",         "transcode.json", "forgetting",
+      "visits",       "nights",           kReadersFolder};
   return kNames.contains(name) || name.starts_with("index-before-") || name.ends_with(".toml");
 }
 
@@ -135,6 +136,8 @@ Result<VerifyReport> VerifyStore(const SessionStore& store, const VerifyOptions&
   }
   CheckFolders(store, known, ledger, report);
   CheckIncoming(store, ledger, report);
+  if (const auto readers = ListReaders(store.folder()); !readers.ok())
+    report.problems.push_back(readers.status().message());
   SLX_ASSIGN_OR_RETURN(const auto rows, CompareStore(store.folder()));
   report.problems.insert(report.problems.end(), rows.begin(), rows.end());
   SLX_ASSIGN_OR_RETURN(const auto calibrations, CheckCalibrations(store.folder()));

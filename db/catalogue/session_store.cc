@@ -18,6 +18,7 @@
 #include "db/catalogue/signature.h"
 #include "db/catalogue/transcode_journal.h"
 #include "db/keys/key_store.h"
+#include "db/keys/readers.h"
 #include "db/ledger/ledger.h"
 #include "db/segment/frame_cipher.h"
 #include "db/segment/frame_codec.h"
@@ -306,6 +307,7 @@ Result<SessionWriter> SessionStore::BeginSession(SessionInfo info, const WriterO
     auto key = CreateKey(impl_->folder);
     if (!key.ok()) return fail(key.status());
     if (Status status = index.SetKeyId(number, key->id); !status.ok()) return fail(status);
+    if (Status status = SealToReaders(impl_->folder, info.id, *key); !status.ok()) return fail(status);
     sealer = std::make_unique<FrameSealer>(info.id, std::move(key).value());
   }
   // What the index knows of an unfinished session, for `reindex`.

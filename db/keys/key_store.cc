@@ -113,8 +113,6 @@ Status TakeSecret(std::vector<uint8_t> bytes, const std::filesystem::path& store
 
 }  // namespace
 
-SecretKey::~SecretKey() { sodium_memzero(bytes.data(), bytes.size()); }
-
 std::string ToHex(const KeyId& id) { return ToHex(std::span<const uint8_t>(id)); }
 
 std::filesystem::path KeyFile(const std::filesystem::path& store) { return store / "keys.sqlite"; }

@@ -15,20 +15,12 @@
 #include <string>
 #include <vector>
 
+#include "db/keys/locked_bytes.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
 
 using KeyId = std::array<uint8_t, 16>;
-
-// 32 bytes that are overwritten when the last owner goes.
-struct SecretKey {
-  std::array<uint8_t, 32> bytes{};
-  SecretKey() = default;
-  SecretKey(const SecretKey&) = delete;
-  SecretKey& operator=(const SecretKey&) = delete;
-  ~SecretKey();
-};
 
 struct SessionKey {
   KeyId id{};

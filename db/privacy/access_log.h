@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Who took what out of the store: rows of access_log, which outlive the session they speak of. Logged is what gives
-// pixels or what was made of them to somebody (extract, export, fit, decode, render, report, key export); lists and
-// proofs are not.
+// pixels or what was made of them to somebody (extract, export, fit, decode, render, report), and keys that leave (key
+// export, batch keys); lists and proofs are not.
 #pragma once
 
 #include <filesystem>

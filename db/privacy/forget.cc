@@ -12,6 +12,7 @@
 #include "db/care/incoming.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
+#include "db/keys/sealed_key.h"
 #include "db/ledger/ledger.h"
 #include "db/privacy/forget_intent.h"
 #include "db/privacy/forget_proof.h"
@@ -130,6 +131,7 @@ Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
 
 Status Forgetting::DestroyKeys() {
   for (const ForgetIntent& intent : intents_) {
+    SLX_RETURN_IF_ERROR(WipeSealedKeys(store_ / "sessions" / intent.session));
     if (intent.key_id.empty()) continue;
     SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(intent.key_id));
     KeyId id{};

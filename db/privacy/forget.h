@@ -2,12 +2,12 @@
 // Removes sessions from a store so that nothing of them is left in it, and proves it.
 //
 // In this order: an intent that outlives a power cut and an entry in the ledger (from here on the session cannot come
-// back), the key, logged exports on this machine, the session's folder, what a broken-off transfer left of it in
-// incoming/ and the fitter's nights say of it, the rows, the visitor's key with the last session. So far under the
-// store's write lock, within a second: captures start again. Then the folder's files are deleted: nothing of the
-// session can be read any more, and how long that took does not depend on the other sessions of the store
-// (BeginForget). Beside captures again, a scan of every file of the store for what would give the session away, and the
-// certificate into the ledger (ForgetProof). Broken off anywhere, the next call finishes it.
+// back), the key with its sealed copies, logged exports on this machine, the session's folder, what a broken-off
+// transfer left of it in incoming/ and the fitter's nights say of it, the rows, the visitor's key with the last
+// session. So far under the store's write lock, within a second: captures start again. Then the folder's files are
+// deleted: nothing of the session can be read any more, and how long that took does not depend on the other sessions of
+// the store (BeginForget). Beside captures again, a scan of every file of the store for what would give the session
+// away, and the certificate into the ledger (ForgetProof). Broken off anywhere, the next call finishes it.
 //
 // The rows go without VACUUM, which would rewrite the whole index: SQLite zeroes deleted cells and freed pages
 // (secure_delete), and the log is cut to nothing. What a page may keep of a row that it once moved elsewhere, the scan

@@ -6,7 +6,10 @@
 #include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
 #include "db/catalogue/manifest.h"
+#include "db/keys/rig_key.h"
+#include "db/keys/sealed_key.h"
 #include "db/ledger/ledger.h"
+#include "shared/base/read_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -150,6 +153,25 @@ Status ListAdopted(const fs::path& store, const std::string& id, const std::stri
   SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
   SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(store / "sessions" / id));
   return InsertAdopted(store, session, from);
+}
+
+Result<bool> AdoptSealedKey(const fs::path& store, const std::string& id, const fs::path& file) {
+  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(file));
+  const fs::path target = store / "sessions" / id / file.filename();
+  if (const auto there = ReadFile(target); there.ok() && *there == bytes) return false;
+  SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
+  SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
+  KeyId key{};
+  {
+    SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+    SLX_ASSIGN_OR_RETURN(const int64_t number, index.NumberOf(id));
+    SLX_ASSIGN_OR_RETURN(const SessionRow row, index.Session(number));
+    if (!FromHex(row.key_id, key).ok())
+      return Status::Integrity(file.string() + " is a sealed key, but session " + id + " is not encrypted");
+  }
+  SLX_RETURN_IF_ERROR(CheckSealedKey(file, id, key));
+  SLX_RETURN_IF_ERROR(ReplaceFile(target, bytes));
+  return true;
 }
 
 Result<std::set<std::string>> ListedSessions(const fs::path& store) {

@@ -36,6 +36,11 @@ Status AdoptFolder(const std::filesystem::path& store, const std::filesystem::pa
 // The rows of a folder that an earlier adoption moved, but could not list. The same check comes first.
 Status ListAdopted(const std::filesystem::path& store, const std::string& session_id, const std::string& from);
 
+// A sealed key of a session that is here, made after it had come. kIntegrity for one that is damaged or another's;
+// kUsage for a forgotten session. True where it was not here yet, or was another.
+[[nodiscard]] Result<bool> AdoptSealedKey(const std::filesystem::path& store, const std::string& session_id,
+                                          const std::filesystem::path& file);
+
 // Ids of all sessions that the index lists.
 [[nodiscard]] Result<std::set<std::string>> ListedSessions(const std::filesystem::path& store);
 

@@ -9,6 +9,7 @@
 #include "db/base/descriptor.h"
 #include "db/base/durable_file.h"
 #include "db/catalogue/artifact_record.h"
+#include "db/keys/sealed_key.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/file_copy.h"
 #include "shared/base/read_file.h"
@@ -147,6 +148,8 @@ Result<std::vector<std::string>> BackupFolder::FilesOf(const std::string& id) co
        !error && entry != fs::recursive_directory_iterator(); entry.increment(error)) {
     if (entry->path().extension() == ".partial" || entry->path() == folder / kArtifactsFolder) {
       entry.disable_recursion_pending();  // a fit that is being made; what is made again where it is wanted
+    } else if (entry.depth() == 0 && IsSealedKeyName(entry->path().filename().string())) {
+      continue;  // no key goes into a backup, not for a reader either: it outlives what is forgotten
     } else if (entry->is_symlink(error)) {
       return Status::Integrity(entry->path().string() + " is a symbolic link; a session holds files of its own");
     } else if (entry->is_regular_file(error)) {

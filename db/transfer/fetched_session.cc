@@ -3,10 +3,12 @@
 
 #include <algorithm>
 
+#include "db/base/durable_file.h"
 #include "db/care/verify.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/manifest.h"
+#include "db/keys/sealed_key.h"
 
 namespace stratalux::db {
 namespace {
@@ -63,12 +65,28 @@ Status LeaveOutFits(const fs::path& folder, LeftOut& out) {
   return Status::Ok();
 }
 
+// `key share` at the source seals them anew.
+Status LeaveOutKeys(const fs::path& folder, LeftOut& out) {
+  const std::string session = folder.filename().string();
+  for (const fs::path& file : ListSealedKeys(folder)) {
+    const auto header = ReadSealedKeyHeader(file);
+    if (header.status().code() == StatusCode::kNewerSchema) continue;  // a later program will know
+    if (header.ok() && header->session == session && SealedKeyFile(folder, header->reader) == file) continue;
+    SLX_RETURN_IF_ERROR(WipeFile(file));
+    out.problems.push_back(
+        "session " + session + ": a sealed key was not taken: " +
+        (header.ok() ? file.string() + " is of another session or reader" : header.status().message()));
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<LeftOut> LeaveOutUnproven(const fs::path& folder) {
   LeftOut out;
   SLX_RETURN_IF_ERROR(LeaveOutSegments(folder, out));
   SLX_RETURN_IF_ERROR(LeaveOutFits(folder, out));
+  SLX_RETURN_IF_ERROR(LeaveOutKeys(folder, out));
   return out;
 }
 

@@ -7,6 +7,7 @@
 #include "db/care/incoming.h"
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/session_index.h"
+#include "db/keys/sealed_key.h"
 #include "db/privacy/forget.h"
 #include "db/transfer/adopt.h"
 #include "db/transfer/fetched_session.h"
@@ -44,6 +45,7 @@ class Puller {
   Status TakeSession(const Offer& offer);
   Status FetchSession(const std::string& id);
   Status SayDoubts(const std::string& id);
+  Status TakeKeys(const Offer& offer);
   Status TakeFits(const Offer& offer);
   Status TakeFit(const std::string& session, const std::string& fit);
 
@@ -81,9 +83,12 @@ Status Puller::Obey() {
     if (here_.contains(id)) still_here.push_back(id);
   const bool obeys = options_.forgotten != ForgottenElsewhere::kName && !dry();
   if (!obeys) {
-    for (const std::string& id : still_here)
+    for (const std::string& id : still_here) {
+      // The source's to take back, unlike the session.
+      if (!dry()) SLX_RETURN_IF_ERROR(WipeSealedKeys(store_ / "sessions" / id));
       report_.problems.push_back("session " + id + " was forgotten at the source, but is here: `stratalux-db forget " +
                                  id + "`, or `pull --obey` for all of them");
+    }
     return Status::Ok();
   }
   // A forgetting that was broken off, by an obeying pull perhaps, is no longer among what is here.
@@ -148,6 +153,7 @@ Status Puller::SayDoubts(const std::string& id) {
 Status Puller::TakeSession(const Offer& offer) {
   if (here_.contains(offer.id)) {
     ++report_.present;
+    if (!dry()) SLX_RETURN_IF_ERROR(TakeKeys(offer));
     return TakeFits(offer);
   }
   if (dry()) {
@@ -163,6 +169,22 @@ Status Puller::TakeSession(const Offer& offer) {
   // A damaged copy would look finished to rsync for good. One of a later version waits for a later program.
   if (taken.code() != StatusCode::kNewerSchema) SLX_RETURN_IF_ERROR(WipeFolder(IncomingFolder(store_, offer.id)));
   report_.problems.push_back("session " + offer.id + " was not taken: " + taken.message());
+  return Status::Ok();
+}
+
+// What `key share` sealed at the source after the session had come here.
+Status Puller::TakeKeys(const Offer& offer) {
+  for (const fs::path& file : ListSealedKeys(catalogue_.folder() / "sessions" / offer.id)) {
+    const auto taken = AdoptSealedKey(store_, offer.id, file);
+    if (IsTroubleOfAll(taken.status())) return taken.status();
+    if (!taken.ok()) {
+      report_.problems.push_back("session " + offer.id + ": a sealed key was not taken: " + taken.status().message());
+      std::error_code error;
+      fs::remove(file, error);  // fetched again, should the damage be ours
+    } else if (*taken) {
+      ++report_.keys;
+    }
+  }
   return Status::Ok();
 }
 

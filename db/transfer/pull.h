@@ -27,6 +27,7 @@ struct PullOptions {
 struct PullReport {
   std::vector<std::string> sessions;  // pulled, or to be pulled (kDryRun), in the order of the source
   std::vector<std::string> fits;      // session/fit: new fits and calibrations of sessions that were here
+  int64_t keys = 0;                   // sealed keys that came for sessions that were here
   int64_t frames = 0;                 // of those that were pulled
   int64_t present = 0;                // here already
   int64_t unfinished = 0;             // recording or failed there: left there
@@ -44,7 +45,8 @@ struct PullReport {
 // forgotten is not fetched, and what lies of it in STORE/incoming is wiped, as is what the source no longer offers.
 // Each session is copied to STORE/incoming/<id> (an interrupted copy goes on from there), every frame decoded and held
 // against its pixel hash (hashed only, where its key is not here), each fit against its fit.json, the other files
-// against rsync's checksums, and only then moved into place and listed; later fits of sessions that are here follow. A
+// against rsync's checksums, and only then moved into place and listed; later fits and sealed keys of sessions that are
+// here follow. Of a session that the source has forgotten the sealed keys go, also where it stays. A
 // session that fails is a problem of its own, so is a fit, which is left out; the others come. kNotFound: no store
 // there, no rsync here; kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
 [[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from,

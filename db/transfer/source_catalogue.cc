@@ -17,6 +17,9 @@ namespace {
 
 // Fits have all their files; what else the fitter made is made again where it is wanted.
 constexpr const char* kNoArtifacts = "--exclude=/artifacts/";
+// Keys may be sealed to another reader while a session is fetched, and after it.
+constexpr const char *kSealedKeys = "--include=/sessions/*/key-*.sealed",
+                     *kNoKeyInTheMaking = "--exclude=/key-*.sealed.new";
 
 namespace fs = std::filesystem;
 
@@ -58,14 +61,14 @@ Status SourceCatalogue::Fetch(const std::set<std::string>& forgotten, std::vecto
   std::string rules;
   for (const std::string& id : forgotten) rules += "/sessions/" + Literal(id) + "/*\n";
   SLX_RETURN_IF_ERROR(ReplaceFile(refused, rules));
-  const auto fetched =
-      Rsync({{"--delete", "--exclude=*.partial", "--exclude-from=" + refused.string(), "--include=/sessions/",
-              "--include=/sessions/*/", "--include=/sessions/*/manifest.json", "--include=/sessions/*/place.json",
-              "--include=/sessions/*/fits/", "--include=/sessions/*/fits/*/", "--include=/sessions/*/fits/*/fit.json",
-              "--include=/ledger/", "--include=/ledger/*.jsonl", "--include=/deletions/", "--include=/deletions/*.json",
-              "--include=/deletions/*.forgetting", "--exclude=*"},
-             timeout_},
-            source_ + "/", folder_);
+  const auto fetched = Rsync(
+      {{"--delete", "--exclude=*.partial", "--exclude-from=" + refused.string(), "--include=/sessions/",
+        "--include=/sessions/*/", "--include=/sessions/*/manifest.json", "--include=/sessions/*/place.json",
+        kSealedKeys, "--include=/sessions/*/fits/", "--include=/sessions/*/fits/*/",
+        "--include=/sessions/*/fits/*/fit.json", "--include=/ledger/", "--include=/ledger/*.jsonl",
+        "--include=/deletions/", "--include=/deletions/*.json", "--include=/deletions/*.forgetting", "--exclude=*"},
+       timeout_},
+      source_ + "/", folder_);
   SLX_RETURN_IF_ERROR(WipeFile(refused));  // tombstones belong into the ledger
   if (!fetched.ok()) {
     if (fetched.status().code() != StatusCode::kIntegrity) return fetched.status();
@@ -115,13 +118,15 @@ Status SourceCatalogue::Copy(const std::string& path, const fs::path& target) co
   SLX_RETURN_IF_ERROR(MakeFolder(target));
   const std::string from = source_ + "/" + path + "/";
   SLX_RETURN_IF_ERROR(
-      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json", kNoArtifacts}, timeout_}, from, target)
+      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json", kNoKeyInTheMaking, kNoArtifacts}, timeout_},
+            from, target)
           .status());
-  SLX_ASSIGN_OR_RETURN(const std::string different,
-                       Rsync({{"--dry-run", "--checksum", "--delete", "--out-format=%n", "--exclude=*.partial",
-                               "--exclude=/place.json", kNoArtifacts, "--exclude=*.seg", "--omit-dir-times"},
-                              timeout_},
-                             from, target));
+  SLX_ASSIGN_OR_RETURN(
+      const std::string different,
+      Rsync({{"--dry-run", "--checksum", "--delete", "--out-format=%n", "--exclude=*.partial", "--exclude=/place.json",
+              kNoKeyInTheMaking, kNoArtifacts, "--exclude=*.seg", "--omit-dir-times"},
+             timeout_},
+            from, target));
   if (different.find_first_not_of("./\n") == std::string::npos) return Status::Ok();
   return Status::Integrity(path + " changed at the source while it was copied: " +
                            different.substr(0, different.find('\n')) + "; run pull again");

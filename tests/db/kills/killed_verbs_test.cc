@@ -110,6 +110,22 @@ const Verb kVerbs[] = {
      "stratalux-db init --store $D/other && stratalux-db pull --from $STRATALUX_STORE --store $D/other && "
      "stratalux-db key export $B --out $D/b.key"},
     {"key sign-init", "key sign-init", "stratalux-db key public | wc -c", {2}},
+    {"key reader-init",
+     "key reader-init --out $D/reader.key",
+     "stratalux-db key reader-public $D/reader.key | wc -c",
+     {2}},
+    {"key share",
+     "key share $D/reader.pub",
+     "stratalux-db key readers --json | grep -c 'sealed.*1' && stratalux-db init --store $D/other > /dev/null && "
+     "stratalux-db pull --from $STRATALUX_STORE --store $D/other > /dev/null && STRATALUX_READER_KEY=$D/reader.key "
+     "stratalux-db export $B --out $D/pictures --store $D/other > /dev/null && ls $D/pictures | wc -l",
+     {},
+     "stratalux-db key reader-init --out $D/reader.key > $D/reader.pub"},
+    {"key unshare",
+     "key unshare $D/reader.pub",
+     "find $STRATALUX_STORE -name 'key-*' | wc -l",
+     {4},
+     "stratalux-db key reader-init --out $D/reader.key > $D/reader.pub && stratalux-db key share $D/reader.pub"},
 };
 
 int64_t KillsInAll() {
