@@ -172,8 +172,7 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
 std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
   std::vector<std::string> keys = {graph.Normals()};
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
-  for (const Evaluation step : {Evaluation::kFirst, Evaluation::kHeldOut})
-    if (step <= evaluation) keys.push_back(graph.Compare(ModelsOf(graph, step), options.geometry, options.heldout));
+  keys.push_back(graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout));
   if (evaluation != Evaluation::kFull) return keys;
   keys.push_back(Ablations(graph, options));
   for (const auto& [source, projector] : FullViews(graph, options, projectors))
@@ -221,7 +220,8 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   StageGraph& stages = graph.stages();
   const std::map<std::string, std::string> keys = StagesOf(graph, options);
   // Also what an earlier run has made of it: the figures list the stages of all.
-  (void)KeysOf(graph, options, std::min(evaluation, Evaluation::kHeldOut), 0);
+  for (const Evaluation step : {Evaluation::kFirst, Evaluation::kHeldOut})
+    if (step <= evaluation) (void)KeysOf(graph, options, step, 0);
   Metrics metrics;
   SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);

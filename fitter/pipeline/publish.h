@@ -22,7 +22,8 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 // Models that a comparison of that evaluation holds, the judged one first.
 [[nodiscard]] std::vector<std::string> ModelsOf(const SessionGraph& graph, Evaluation evaluation);
 
-// Keys of the stages that a fit with that evaluation asks for, of a rig with so many projectors.
+// Keys of the stages that a fit with that evaluation asks for, of a rig with so many projectors; not those that only an
+// earlier evaluation asks for.
 [[nodiscard]] std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation,
                                               int projectors);
 

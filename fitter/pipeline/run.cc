@@ -11,6 +11,8 @@
 namespace stratalux::fit {
 namespace {
 
+int Projectors(const SessionFrames& frames) { return static_cast<int>(frames.calibration()->projectors.size()); }
+
 Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
   const std::string where = "session " + frames.info().id;
   if (!frames.plan() || frames.info().kind != SessionKind::kVisitor)
@@ -18,7 +20,7 @@ Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
   if (!frames.calibration()) return Status::Usage(where + " names no calibration");
   if (frames.info().status == SessionStatus::kFailed || frames.info().status == SessionStatus::kRecording)
     return Status::Failed(where + " is " + ToString(frames.info().status) + ": capture the visitor again");
-  const int projectors = static_cast<int>(frames.calibration()->projectors.size());
+  const int projectors = Projectors(frames);
   if (projectors != frames.plan()->projectors)
     return Status::Usage(where + ": its calibration has " + std::to_string(projectors) + " projectors, its plan " +
                          std::to_string(frames.plan()->projectors));
@@ -36,6 +38,13 @@ Evaluation EvaluationOf(const RunOptions& options) {
   return options.full_evaluation ? Evaluation::kFull : Evaluation::kHeldOut;
 }
 
+// Evaluations that a fit is published with, one after the other. The report first: who waits for it need not wait for
+// its evaluation. Nobody waits for a job of a queue.
+std::vector<Evaluation> StepsOf(const RunOptions& options) {
+  if (options.job_token) return {EvaluationOf(options)};
+  return {Evaluation::kFirst, EvaluationOf(options)};
+}
+
 std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
   switch (options.until) {
     case Stage::kReconstruct:
@@ -49,6 +58,15 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
     default:
       return graph.Fit(options.geometry, options.heldout, FitKind::kJudged);
   }
+}
+
+// Keys of all that a run asks for, in their order.
+std::vector<std::string> WantedKeys(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames) {
+  if (options.until != Stage::kReport) return {KeyOf(graph, options)};
+  std::vector<std::string> keys;
+  for (const Evaluation evaluation : StepsOf(options))
+    for (std::string& key : KeysOf(graph, options, evaluation, Projectors(frames))) keys.push_back(std::move(key));
+  return keys;
 }
 
 // Each time, not only when the shape is made.
@@ -79,17 +97,14 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   outcome.was_complete = held && *held >= wanted;
   if (outcome.was_complete) return Status::Ok();
   SLX_RETURN_IF_ERROR(SayDrift(graph, options, logger));
-  // The report first: who waits for it need not wait for its evaluation. Stages run before what a report shows is read:
-  // both at once would be most of the memory.
-  const auto publish = [&](Evaluation evaluation) -> Status {
-    const auto projectors = static_cast<int>(frames.calibration()->projectors.size());
-    for (const std::string& key : KeysOf(graph, options, evaluation, projectors))
+  // Stages run before what a report shows is read: both at once would be most of the memory.
+  for (const Evaluation evaluation : StepsOf(options)) {
+    if (held && *held >= evaluation) continue;
+    for (const std::string& key : KeysOf(graph, options, evaluation, Projectors(frames)))
       SLX_RETURN_IF_ERROR(graph.stages().Need(key).status());
     SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, evaluation));
-    return Status::Ok();
-  };
-  if (!held) SLX_RETURN_IF_ERROR(publish(Evaluation::kFirst));
-  return publish(wanted);
+  }
+  return Status::Ok();
 }
 
 // Nothing stays of work on a session that was forgotten meanwhile. That it was is then what is said.
@@ -124,10 +139,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
                    " is simulated but has no truth.seg: nothing is compared with the truth");
   outcome.fit = FitIdOf(*graph, options);
   if (options.dry_run) {
-    const auto projectors = static_cast<int>(frames.calibration()->projectors.size());
-    outcome.plan = graph->stages().Plan(options.until == Stage::kReport
-                                            ? KeysOf(*graph, options, EvaluationOf(options), projectors)
-                                            : std::vector<std::string>{KeyOf(*graph, options)});
+    outcome.plan = graph->stages().Plan(WantedKeys(*graph, options, frames));
     SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
     outcome.was_complete = options.until == Stage::kReport && held && *held >= EvaluationOf(options);
     const FrameRecord& first = frames.rows().front().record;  // of a session that is fittable there is one

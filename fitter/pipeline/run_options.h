@@ -28,7 +28,8 @@ struct RunOptions {
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
   bool dry_run = false;
-  // Of the lease under which a queue's worker runs (db/catalogue/job_store.h): the fit is entered only while it stands.
+  // Of the lease under which a queue's worker runs (db/catalogue/job_store.h): the fit is entered only while it stands,
+  // and once, with its evaluation.
   std::optional<int64_t> job_token = {};
   [[nodiscard]] Status Validate() const;
   [[nodiscard]] std::string ToJson() const;

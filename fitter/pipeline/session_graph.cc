@@ -64,13 +64,6 @@ SrdSet Spoilt(SrdSet srds, FitKind kind, int heldout) {
 
 bool IsBaseline(const std::string& model) { return model == "homogeneous" || model == "dipole"; }
 
-// The session's frames as `record` reads them.
-Result<SessionFrames> OpenFrames(const RunOptions& options, const std::string& session, const RigCalibration& record) {
-  SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options.store, session));
-  frames.UseRecord(record);
-  return frames;
-}
-
 Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, StageGraph& stages, const std::string& srd, int heldout) {
   std::vector<Dipole> dipoles;
   {
@@ -137,8 +130,8 @@ std::string SessionGraph::Decode() {
               "decode",
               {},
               [this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, record_));
-                SLX_ASSIGN_OR_RETURN(const auto face, DecodeFace(frames, logger_));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
+                SLX_ASSIGN_OR_RETURN(const auto face, DecodeFace(*frames, logger_));
                 std::string decoded = "decoded sites:";
                 for (int r = 0; r < kDecodeReasons; ++r)
                   decoded += std::string(r == 0 ? " " : ", ") + fit::ToString(static_cast<DecodeReason>(r)) + " " +
@@ -182,8 +175,8 @@ std::string SessionGraph::Separate() {
               "separate",
               {},
               [this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, record_));
-                SLX_ASSIGN_OR_RETURN(const auto maps, SeparateFace(frames));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
+                SLX_ASSIGN_OR_RETURN(const auto maps, SeparateFace(*frames));
                 return SaveSeparation(folder, maps);
               }});
 }
@@ -213,10 +206,10 @@ std::string SessionGraph::Srd(GeometrySource source) {
               {shape},
               [this, shape](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
-                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, face.record));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face.record));
                 ExtractedSrds srds;
                 SLX_ASSIGN_OR_RETURN(srds.set,
-                                     ExtractSrds(frames, face.surface, face.lit, options_.srd, logger_, srds.figures));
+                                     ExtractSrds(*frames, face.surface, face.lit, options_.srd, logger_, srds.figures));
                 return SaveSrds(folder, srds);
               }});
 }
@@ -276,6 +269,14 @@ std::string SessionGraph::FitOf(const std::string& model, GeometrySource source,
   for (const FitKind kind : {FitKind::kDirectionBlind, FitKind::kProjectorsPermuted, FitKind::kCombFramesShuffled})
     if (model == ToString(kind)) return Fit(source, heldout, kind);
   return Fit(source, heldout, FitKind::kJudged);
+}
+
+Result<const SessionFrames*> SessionGraph::Frames(const RigCalibration& record) {
+  return frames_.Of(record.ToJson(), [&]() -> Result<SessionFrames> {
+    SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options_.store, session_));
+    frames.UseRecord(record);
+    return frames;
+  });
 }
 
 Result<const HeldOutView*> SessionGraph::View(const std::string& shape, int heldout) {
@@ -361,14 +362,15 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 layers_.Drop();
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
                 SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
-                SLX_ASSIGN_OR_RETURN(const auto frames, OpenFrames(options_, session_, view->shape.record));
-                SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(view->shape.record));
+                SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
                   SLX_ASSIGN_OR_RETURN(auto loaded, stages_.Load(predictions[m], LoadPredictions));
                   compared.push_back({models[m], std::move(loaded)});
                 }
-                const CompareInput input{frames, *view, maps[heldout], truth, options_.srd.pool, fit::ToString(source)};
+                const CompareInput input{
+                    *frames, *view, maps[heldout], truth, options_.srd.pool, fit::ToString(source)};
                 SLX_ASSIGN_OR_RETURN(const auto comparison, CompareHeldOut(input, compared));
                 view_.Drop();
                 return SaveComparison(folder, comparison);

@@ -53,6 +53,8 @@ class SessionGraph {
   std::string PredictLocalAlbedo(GeometrySource source, int heldout);
   // The fit that a model is, or is derived from.
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
+  // The session's frames as `record` reads them, and the dark frames that stages have asked of them.
+  Result<const SessionFrames*> Frames(const RigCalibration& record);
   // Of the keys of a shape and of a fit; there until the next of theirs is asked for, or a fit is made.
   Result<const HeldOutView*> View(const std::string& shape, int heldout);
   Result<const FittedLayers*> Layers(const std::string& fit);
@@ -68,7 +70,8 @@ class SessionGraph {
   std::string frames_hash_, record_hash_, truth_hash_, isa_;
   StageGraph stages_;
   std::vector<std::string> order_;
-  // What one prediction leaves for the next.
+  // What one stage leaves for the next.
+  Kept<SessionFrames> frames_;
   Kept<HeldOutView> view_;
   Kept<FittedLayers> layers_;
 };

@@ -1,14 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/session/session_frames.h"
 
+#include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <set>
 
 #include "db/base/own_hash.h"
 #include "db/catalogue/pixel_digest.h"
 #include "fitter/sensor/dark_frame.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
+namespace {
+
+constexpr size_t kReadAtATime = 8;  // frames of a mean, held at once
+
+}  // namespace
 
 SessionFrames::SessionFrames(db::SessionStore store, db::SessionRow session)
     : store_(std::move(store)), session_(std::move(session)) {}
@@ -44,6 +52,7 @@ void SessionFrames::UseRecord(const RigCalibration& record) {
   record_ = calibration_ = record;
   lineariser_.emplace(record.camera);
   calibration_ = LinearRig(record);
+  black_.clear();
 }
 
 Result<Image<uint16_t>> SessionFrames::ReadRaw(const db::FrameRow& row) const {
@@ -70,8 +79,8 @@ const db::FrameRow* SessionFrames::Find(int projector, CapturePhase phase, const
   return found == by_key_.end() ? nullptr : &rows_[found->second];
 }
 
-Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose,
-                                            int bracket) const {
+Result<const db::FrameRow*> SessionFrames::Require(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                                   int bracket) const {
   const db::FrameRow* row = Find(projector, phase, pattern, pose, bracket);
   if (row == nullptr)
     return Status::NotFound("session " + info().id + " has no good frame of projector " + std::to_string(projector) +
@@ -79,29 +88,68 @@ Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, c
                             (pose >= 0 ? ", pose " + std::to_string(pose) : "") +
                             (bracket > 0 ? ", bracket " + std::to_string(bracket) : "") +
                             " (its reasons: `stratalux-db show`); capture it again with nothing moving");
+  return row;
+}
+
+Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose,
+                                            int bracket) const {
+  SLX_ASSIGN_OR_RETURN(const db::FrameRow* row, Require(projector, phase, pattern, pose, bracket));
   return ReadLinear(*row);
+}
+
+Result<std::vector<Image<uint16_t>>> SessionFrames::ReadAll(std::span<const db::FrameRow* const> rows) const {
+  const auto threads = std::min(rows.size(), static_cast<size_t>(DefaultThreadCount()));
+  // A store is bound to its thread.
+  while (readers_.size() + 1 < threads) {
+    SLX_ASSIGN_OR_RETURN(auto reader, db::SessionStore::Open(store_.folder(), db::AccessMode::kReadOnly));
+    readers_.push_back(std::move(reader));
+  }
+  std::vector<Image<uint16_t>> frames(rows.size());
+  std::vector<Status> failed(rows.size());
+  std::atomic<size_t> next{0};
+  const auto read_with = [&](const db::SessionStore& store) {
+    for (size_t i = next++; i < rows.size(); i = next++) {
+      auto frame = store.ReadFrame(info().id, *rows[i]);
+      if (frame.ok())
+        frames[i] = std::move(*frame);
+      else
+        failed[i] = frame.status();
+    }
+  };
+  ParallelFor(static_cast<int64_t>(threads), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t reader = begin; reader < end; ++reader) read_with(reader == 0 ? store_ : readers_[reader - 1]);
+  });
+  for (const Status& status : failed) SLX_RETURN_IF_ERROR(status);
+  for (size_t i = 0; lineariser_ && i < rows.size(); ++i)
+    lineariser_->Apply(frames[i], rows[i]->record.crop_x, rows[i]->record.crop_y);
+  return frames;
 }
 
 Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int bracket, int& count) const {
   const float saturation = calibration_ ? static_cast<float>(calibration_->camera.saturation_dn) : 1e9F;
   const std::string name = kind == PatternKind::kWhite ? "white" : "black";
-  Image<float> mean;
-  count = 0;
+  std::vector<const db::FrameRow*> rows;
   for (const db::FrameRow& row : rows_) {
     const FrameRecord& r = row.record;
-    if (r.projector != projector || r.pattern.kind != kind || r.bracket != bracket ||
-        r.level_check == LevelCheck::kFailed)
-      continue;
-    SLX_ASSIGN_OR_RETURN(const auto image, ReadLinear(row));
-    if (mean.empty()) mean = Image<float>(image.width(), image.height());
-    if (mean.width() != image.width() || mean.height() != image.height())
-      return Status::Integrity("session " + info().id + ": " + name + " frames of projector " +
-                               std::to_string(projector) + " differ in size");
-    for (size_t i = 0; i < mean.size(); ++i) {
-      const float level = image.pixels()[i];
-      mean.pixels()[i] += kind == PatternKind::kWhite && level >= saturation ? std::nanf("") : level;
+    if (r.projector == projector && r.pattern.kind == kind && r.bracket == bracket &&
+        r.level_check != LevelCheck::kFailed)
+      rows.push_back(&row);
+  }
+  Image<float> mean;
+  count = static_cast<int>(rows.size());
+  for (size_t first = 0; first < rows.size(); first += kReadAtATime) {
+    const auto block = std::span(rows).subspan(first, std::min(kReadAtATime, rows.size() - first));
+    SLX_ASSIGN_OR_RETURN(const auto images, ReadAll(block));
+    for (const Image<uint16_t>& image : images) {
+      if (mean.empty()) mean = Image<float>(image.width(), image.height());
+      if (mean.width() != image.width() || mean.height() != image.height())
+        return Status::Integrity("session " + info().id + ": " + name + " frames of projector " +
+                                 std::to_string(projector) + " differ in size");
+      for (size_t i = 0; i < mean.size(); ++i) {
+        const float level = image.pixels()[i];
+        mean.pixels()[i] += kind == PatternKind::kWhite && level >= saturation ? std::nanf("") : level;
+      }
     }
-    ++count;
   }
   if (count == 0)
     return Status::NotFound("session " + info().id + " has no " + name + " frame of projector " +
@@ -111,9 +159,12 @@ Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int 
 }
 
 Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
+  const auto kept = black_.find(projector);
+  if (kept != black_.end()) return kept->second;
   int count = 0;
   SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, 0, count));
-  return calibration_ ? QuietDarkFrame(mean, count, calibration_->camera) : std::move(mean);
+  if (calibration_) mean = QuietDarkFrame(mean, count, calibration_->camera);
+  return black_.emplace(projector, std::move(mean)).first->second;
 }
 
 Result<Image<float>> SessionFrames::MeanBlack(int projector, double factor) const {

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -13,6 +14,7 @@
 
 namespace stratalux::fit {
 
+// Thread-bound.
 class SessionFrames {
  public:
   // kNotFound / kUsage for the selector; kIntegrity where manifest texts are damaged.
@@ -35,17 +37,22 @@ class SessionFrames {
   // nullptr when there is none.
   [[nodiscard]] const db::FrameRow* Find(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
                                          int bracket = 0) const;
-  // As Find, then decoded pixels, linear; kNotFound names projector, phase and pattern.
+  // As Find; kNotFound names projector, phase and pattern.
+  [[nodiscard]] Result<const db::FrameRow*> Require(int projector, CapturePhase phase, const Pattern& pattern,
+                                                    int pose = -1, int bracket = 0) const;
+  // As Require, then decoded pixels, linear.
   [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
                                              int bracket = 0) const;
   // Any frame, linear as Read gives it.
   [[nodiscard]] Result<Image<uint16_t>> ReadLinear(const db::FrameRow& row) const;
+  // Any frames, linear, in their order; all threads read and decode.
+  [[nodiscard]] Result<std::vector<Image<uint16_t>>> ReadAll(std::span<const db::FrameRow* const> rows) const;
   // Any frame, as the camera gave it.
   [[nodiscard]] Result<Image<uint16_t>> ReadRaw(const db::FrameRow& row) const;
   // Reads on as if the session had been captured with this record.
   void UseRecord(const RigCalibration& record);
   // Mean of the projector's black frames (reference and guards): ambient light, black level and the projector's own
-  // black.
+  // black. Kept, since most stages ask for it.
   [[nodiscard]] Result<Image<float>> MeanBlack(int projector) const;
   // The same for frames of another exposure, `factor` times the nominal one: of black frames that were captured so
   // (reference brackets), else the nominal ones with their light scaled.
@@ -69,6 +76,8 @@ class SessionFrames {
   std::optional<FrameLineariser> lineariser_;
   std::vector<db::FrameRow> rows_;
   std::map<std::string, size_t> by_key_;
+  mutable std::vector<db::SessionStore> readers_;  // of ReadAll's other threads
+  mutable std::map<int, Image<float>> black_;      // by projector
 };
 
 }  // namespace stratalux::fit

@@ -20,27 +20,32 @@ struct AxisFrames {
 };
 
 Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count) {
-  AxisFrames read;
+  std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
   for (int bit = 0; bit < bits; ++bit)
     for (bool inverse : {false, true}) {
       SLX_ASSIGN_OR_RETURN(
-          auto image,
-          frames.Read(projector, CapturePhase::kCorrespondence,
-                      {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse}, pose));
-      (inverse ? read.inverse : read.positive).push_back(std::move(image));
+          rows.emplace_back(),
+          frames.Require(projector, CapturePhase::kCorrespondence,
+                         {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse},
+                         pose));
     }
-  if (!frames.plan()) return read;
-  const PlanOptions& o = *frames.plan();
-  for (int shift = 0; shift < o.separation_shifts; ++shift) {
-    const Pattern pattern{.kind = PatternKind::kSinusoid,
-                          .axis = axis,
-                          .period = o.separation_period,
-                          .shift = shift,
-                          .shifts = o.separation_shifts};
-    if (frames.Find(projector, CapturePhase::kSeparation, pattern, pose) == nullptr) continue;
-    SLX_ASSIGN_OR_RETURN(auto image, frames.Read(projector, CapturePhase::kSeparation, pattern, pose));
-    read.shifts.push_back(std::move(image));
+  for (int shift = 0; frames.plan() && shift < frames.plan()->separation_shifts; ++shift) {
+    const PlanOptions& o = *frames.plan();
+    const db::FrameRow* row = frames.Find(projector, CapturePhase::kSeparation,
+                                          {.kind = PatternKind::kSinusoid,
+                                           .axis = axis,
+                                           .period = o.separation_period,
+                                           .shift = shift,
+                                           .shifts = o.separation_shifts},
+                                          pose);
+    if (row != nullptr) rows.push_back(row);
+  }
+  SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
+  AxisFrames read;
+  for (size_t i = 0; i < images.size(); ++i) {
+    const bool code = i < 2 * static_cast<size_t>(bits);
+    (!code ? read.shifts : i % 2 == 1 ? read.inverse : read.positive).push_back(std::move(images[i]));
   }
   return read;
 }

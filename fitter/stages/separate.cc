@@ -15,18 +15,18 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
   SLX_ASSIGN_OR_RETURN(const auto black, frames.MeanBlack(projector));
-  std::vector<Image<uint16_t>> images;
-  SeparationFrames input;
+  std::vector<const db::FrameRow*> rows;
   for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
     for (int shift = 0; shift < o.separation_shifts; ++shift) {
-      SLX_ASSIGN_OR_RETURN(auto image, frames.Read(projector, CapturePhase::kSeparation,
-                                                   {.kind = PatternKind::kSinusoid,
-                                                    .axis = axis,
-                                                    .period = o.separation_period,
-                                                    .shift = shift,
-                                                    .shifts = o.separation_shifts}));
-      images.push_back(std::move(image));
+      SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kSeparation,
+                                                               {.kind = PatternKind::kSinusoid,
+                                                                .axis = axis,
+                                                                .period = o.separation_period,
+                                                                .shift = shift,
+                                                                .shifts = o.separation_shifts}));
     }
+  SLX_ASSIGN_OR_RETURN(const auto images, frames.ReadAll(rows));
+  SeparationFrames input;
   input.white = white;
   input.black = black;
   for (size_t i = 0; i < images.size(); ++i)

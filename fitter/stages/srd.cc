@@ -49,23 +49,28 @@ struct Sweep {
 // plan.
 Status AddBlock(const Sweep& sweep, int first, int last, const std::vector<Image<float>>& darks,
                 SrdExtractor& extractor) {
-  std::vector<Image<uint16_t>> images;
+  struct Shot {
+    int k = 0, bracket = 0;
+  };
+  std::vector<Shot> shots;
+  std::vector<const db::FrameRow*> rows;
+  for (int k = first; k < last; ++k)
+    for (int b = 0; b < static_cast<int>(darks.size()); ++b)
+      if (const db::FrameRow* row = sweep.Find(k, b); row != nullptr) {
+        shots.push_back({k, b});
+        rows.push_back(row);
+      }
+  SLX_ASSIGN_OR_RETURN(const auto images, sweep.frames.ReadAll(rows));
   std::vector<CombFrame> combs;
-  images.reserve(static_cast<size_t>(last - first) * darks.size());  // views of them are kept
-  for (int k = first; k < last; ++k) {
-    CombFrame comb{k, {}};
-    for (int b = 0; b < static_cast<int>(darks.size()); ++b) {
-      if (sweep.Find(k, b) == nullptr) continue;
-      SLX_ASSIGN_OR_RETURN(auto image,
-                           sweep.frames.Read(sweep.projector, CapturePhase::kSweep, sweep.PatternOf(k), -1, b));
-      if (image.width() != darks[b].width() || image.height() != darks[b].height())
-        return Status::Integrity("session " + sweep.frames.info().id + ": frame '" + sweep.PatternOf(k).ToString() +
-                                 "' of projector " + std::to_string(sweep.projector) +
-                                 " differs in size from the black frames");
-      images.push_back(std::move(image));
-      comb.shots.push_back({images.back(), darks[b], sweep.cycle.exposure_ms * sweep.Factor(k, b)});
-    }
-    if (!comb.shots.empty()) combs.push_back(std::move(comb));
+  for (size_t i = 0; i < images.size(); ++i) {
+    const auto [k, b] = shots[i];
+    const Image<uint16_t>& image = images[i];
+    if (image.width() != darks[b].width() || image.height() != darks[b].height())
+      return Status::Integrity("session " + sweep.frames.info().id + ": frame '" + sweep.PatternOf(k).ToString() +
+                               "' of projector " + std::to_string(sweep.projector) +
+                               " differs in size from the black frames");
+    if (combs.empty() || combs.back().k != k) combs.push_back({k, {}});
+    combs.back().shots.push_back({image, darks[b], sweep.cycle.exposure_ms * sweep.Factor(k, b)});
   }
   extractor.AddFrames(combs);
   return Status::Ok();

@@ -50,6 +50,12 @@ class BatchNight : public SmallFit {
     EXPECT_EQ(fits, 1) << session;
     return bytes;
   }
+  static int Compared(const fs::path& session) {
+    int compared = 0;
+    for (const auto& artifact : fs::directory_iterator(session / "artifacts"))
+      compared += artifact.path().filename().string().starts_with("compare-") ? 1 : 0;
+    return compared;
+  }
   static pid_t AWorkerOf(pid_t batch) {
     std::ifstream file("/proc/" + std::to_string(batch) + "/task/" + std::to_string(batch) + "/children");
     pid_t worker = 0;
@@ -76,8 +82,16 @@ TEST_F(BatchNight, WhateverIsKilledEverybodyIsFittedAsByAnUndisturbedRun) {
   }
   const Outcome outcome = RunBatch(store);
   EXPECT_EQ(outcome.code, 0) << outcome.out;
-  const std::string expected = Layers(Sessions(Fitted("alone")).front());
+  const fs::path alone = Sessions(Fitted("alone")).front();
+  const std::string expected = Layers(alone);
   for (const fs::path& session : Sessions(store)) EXPECT_EQ(Layers(session), expected) << session;
+  // Nobody waits at night: no report is made before the evaluation, as somebody's own run makes one.
+  EXPECT_EQ(Compared(alone), 2);
+  for (const fs::path& session : Sessions(store)) {
+    EXPECT_EQ(Compared(session), 1) << session;
+    for (const auto& fit : fs::directory_iterator(session / "fits"))
+      EXPECT_EQ(Json::parse(ReadText(fit.path() / "metrics.json"))["evaluation"], "held_out") << fit.path();
+  }
   EXPECT_EQ(Db(store, "verify --deep").code, 0);
   EXPECT_THAT(Leftovers(store, false), ::testing::IsEmpty());
   const Outcome report = Execute("stratalux-fit batch report --store " + store.string(), Show::kStdout);

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// Frames that several threads read are those that one reads, and dark frames are read once.
+#include "fitter/session/session_frames.h"
+
+#include <algorithm>
+#include <cstdlib>
+#include <filesystem>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/db/store_fixture.h"
+
+namespace stratalux::fit {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr int kFrames = 12, kProjectors = 4;
+
+class SessionFramesTest : public db::StoreTest {
+ protected:
+  void SetUp() override {
+    StoreTest::SetUp();
+    setenv("STRATALUX_THREADS", "3", 1);
+  }
+  void TearDown() override {
+    unsetenv("STRATALUX_THREADS");
+    StoreTest::TearDown();
+  }
+  // Frames of black, a projector in turn.
+  [[nodiscard]] std::string BlackFrames() const {
+    db::SessionStore store = OpenStore();
+    auto writer = store.BeginSession(db::SimulatedVisit());
+    EXPECT_TRUE(writer.ok()) << writer.status().message();
+    for (int i = 0; i < kFrames; ++i) {
+      FrameRecord record = db::RecordFor(i, PixelFormat::kMono12, 6, 4);
+      record.pattern = {.kind = PatternKind::kBlack};
+      record.bracket = 0;
+      EXPECT_TRUE(writer->Append(record, db::PixelsFor(record).view()).ok());
+    }
+    EXPECT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    return writer->info().id;
+  }
+  [[nodiscard]] SessionFrames Open(const std::string& session) const {
+    auto frames = SessionFrames::Open(folder_.string(), session);
+    EXPECT_TRUE(frames.ok()) << frames.status().message();
+    return std::move(frames).value();
+  }
+  static std::vector<const db::FrameRow*> Rows(const SessionFrames& frames) {
+    std::vector<const db::FrameRow*> rows;
+    for (const db::FrameRow& row : frames.rows()) rows.push_back(&row);
+    return rows;
+  }
+};
+
+TEST_F(SessionFramesTest, ThreadsReadThemInTheirOrder) {
+  const SessionFrames frames = Open(StoreSession(kFrames));
+  auto rows = Rows(frames);
+  std::reverse(rows.begin(), rows.end());
+  for (int again = 0; again < 2; ++again) {
+    const auto read = frames.ReadAll(rows);
+    ASSERT_TRUE(read.ok()) << read.status().message();
+    ASSERT_EQ(read->size(), rows.size());
+    for (size_t i = 0; i < rows.size(); ++i) {
+      const auto alone = frames.ReadLinear(*rows[i]);
+      ASSERT_TRUE(alone.ok());
+      EXPECT_TRUE(std::ranges::equal((*read)[i].pixels(), alone->pixels())) << i;
+    }
+  }
+  EXPECT_TRUE(frames.ReadAll({}).ok());
+}
+
+// Whichever thread comes upon it.
+TEST_F(SessionFramesTest, ADamagedFrameIsNamed) {
+  const std::string session = StoreSession(kFrames);
+  const SessionFrames frames = Open(session);
+  const db::FrameRow& damaged = frames.rows()[7];
+  db::FlipBits(Segment(session), static_cast<size_t>(frames.rows()[8].offset) - 1, 0x10);
+  const auto read = frames.ReadAll(Rows(frames));
+  EXPECT_EQ(read.status().code(), StatusCode::kIntegrity);
+  const auto alone = frames.ReadRaw(damaged);
+  EXPECT_EQ(read.status().message(), alone.status().message());
+  EXPECT_THAT(read.status().message(), HasSubstr(session));
+}
+
+TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
+  const std::string session = BlackFrames();
+  SessionFrames frames = Open(session);
+  const auto first = frames.MeanBlack(1);
+  ASSERT_TRUE(first.ok()) << first.status().message();
+  double mean = 0.0;
+  for (int i = 1; i < kFrames; i += kProjectors)
+    mean += db::PixelsFor(db::RecordFor(i, PixelFormat::kMono12, 6, 4))(3, 2) / 3.0;
+  EXPECT_NEAR((*first)(3, 2), mean, 1e-3);
+  std::filesystem::rename(Segment(session), Segment(session).string() + ".away");
+  const auto again = frames.MeanBlack(1);
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_TRUE(std::ranges::equal(first->pixels(), again->pixels()));
+  EXPECT_FALSE(frames.MeanBlack(2).ok()) << "another projector has another";
+  // As another record reads the frames they are others.
+  frames.UseRecord({});
+  EXPECT_FALSE(frames.MeanBlack(1).ok());
+}
+
+}  // namespace
+}  // namespace stratalux::fit
