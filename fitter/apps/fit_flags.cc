@@ -75,6 +75,12 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
   verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
       ->check(CLI::IsMember({"reconstructed", "truth"}))
       ->capture_default_str();
+  verb.add_option(
+          "--maps", f.maps,
+          "on: maps/, too: the layers refined by the projector that is left out, for pictures and exports; off. "
+          "A free fit has none")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
   verb.add_flag("--full-evaluation", f.run.full_evaluation,
                 "Hold out every projector in turn; baselines and ablations");
   verb.add_flag(
@@ -97,6 +103,7 @@ Result<RunOptions> RunOptionsOf(const FitFlags& flags) {
   run.fit.choose.reflection = flags.surface == "model";
   run.fit.em.background_term = flags.background == "on";
   run.fit.choose.directions = flags.directional == "on";
+  run.maps = flags.maps == "on";
   run.geometry = flags.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   return run;
 }

@@ -18,7 +18,8 @@ namespace stratalux::fit {
 struct FitFlags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
-              distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto";
+              distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto",
+              maps = "on";
 };
 
 // The options that were added; `flags` outlives the parsing.

@@ -19,7 +19,7 @@ namespace stratalux::fit {
 namespace {
 
 struct RenderFlags {
-  std::string store, session = "latest", fit, out, pattern = "white";
+  std::string store, session = "latest", fit, out, pattern = "white", maps = "auto";
   std::vector<double> point, direction, colour;
   int projector = -1;
   double white = 0.0;
@@ -43,6 +43,10 @@ Result<VirtualLight> LightOf(const RenderFlags& f) {
   return light;
 }
 
+LayerChoice ChoiceOf(const std::string& maps) {
+  return maps == "on" ? LayerChoice::kMaps : maps == "off" ? LayerChoice::kFit : LayerChoice::kBest;
+}
+
 Status Render(const RenderFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto light, LightOf(f));
   SLX_RETURN_IF_ERROR(light.Validate());
@@ -57,17 +61,18 @@ Status Render(const RenderFlags& f, Logger& logger) {
   }
   SavedFit fit;
   SLX_RETURN_IF_ERROR(ReadFit(stored, [&](const std::filesystem::path& folder) -> Status {
-    SLX_ASSIGN_OR_RETURN(fit, LoadFit(folder));
+    SLX_ASSIGN_OR_RETURN(fit, LoadFit(folder, ChoiceOf(f.maps)));
     return Status::Ok();
   }));
-  logger.Info("relighting fit " + stored.id + " of session " + session);
+  logger.Info("relighting fit " + stored.id + " of session " + session + ", layers " + fit.provenance);
   SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, light));
   for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
-  SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white));
+  SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white, session, stored.id));
   if (stored.seal.active()) logger.Info(PlainCopyNote(session, f.out));
   if (f.json) {
-    const nlohmann::ordered_json json = {{"session", session}, {"fit", stored.id}, {"folder", f.out}};
+    const nlohmann::ordered_json json = {
+        {"session", session}, {"fit", stored.id}, {"folder", f.out}, {"layers", fit.provenance}};
     return WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
   }
   return WriteStdout((std::filesystem::path(f.out) / "total.png").string() + "\n");
@@ -97,6 +102,11 @@ void AddRenderCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--projector", flags->projector, "A projector of the rig")->check(CLI::Range(0, 15));
   verb->add_option("--pattern", flags->pattern, "What that projector shows")->capture_default_str();
   verb->add_option("--colour", flags->colour, "R,G,B of the light")->delimiter(',')->expected(3);
+  verb->add_option("--maps", flags->maps,
+                   "on: the layers from all projectors; off: those of the fit, which leave one out; auto: from all "
+                   "where the fit has them")
+      ->check(CLI::IsMember({"auto", "on", "off"}))
+      ->capture_default_str();
   verb->add_option("--white", flags->white, "Linear value that becomes white in the PNGs (default: chosen)")
       ->check(CLI::PositiveNumber);
   verb->add_option("--out", flags->out, "Folder of the pictures")->required();

@@ -161,7 +161,8 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"separate", "Direct and global light as EXR", Stage::kSeparate},
       {"normals", "Four-source normals as EXR", Stage::kNormals},
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
-      {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit}};
+      {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit},
+      {"maps", "Refine the layers by the projector that the fit leaves out: maps/", Stage::kMaps}};
   for (const auto& v : verbs) {
     auto flags = std::make_shared<RunFlags>();
     flags->fit.run.until = v.until;

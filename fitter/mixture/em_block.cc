@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "fitter/mixture/em_projection.h"
 
@@ -18,12 +19,14 @@ constexpr double kNoise = 1e-5;
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-                 std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start)
+                 std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start,
+                 const MixtureMap* warm)
     : options_(options),
-      most_sweeps_(start.empty() ? options.max_iterations : options.refinement_iterations),
+      most_sweeps_(start.empty() && warm == nullptr ? options.max_iterations : options.refinement_iterations),
       batches_(lights),
       usable_(usable),
       start_(start),
+      warm_(warm),
       accelerated_(options.accelerated),
       lights_(lights.size()),
       rows_{options.layers, static_cast<int>(lights.size())} {
@@ -86,6 +89,7 @@ void EmBlock::Begin(int lane, size_t trial, double photons) {
   ClearLayers(lane);
   Start(lane, photons);
   lanes_[lane].last_pass = most_sweeps_ == 0;
+  lanes_[lane].to_warm = warm_ != nullptr;
 }
 
 void EmBlock::Start(int lane, double photons) {
@@ -162,6 +166,34 @@ void EmBlock::StartFrom(const LayerSet& layers, int lane, double total) {
   }
 }
 
+// The prior's photons are shared out as the mean layers show them; the sweeps start from the fit's layers. A surface
+// that EM holds, or that it leaves where it starts, is that of every start.
+void EmBlock::GoToWarmStart() {
+  if (std::ranges::none_of(lanes_, &Lane::to_warm)) return;
+  if (prior_.On()) {
+    prior_.BeginSweep();
+    float* factor = factor_.empty() ? nullptr : factor_.data();
+    for (int p = 0; p < rows_.lights; ++p) {
+      const EmLight& light = lights_[p];
+      if (factor != nullptr) DirectionalFactors(rows_, options_.scattering.directional, at_.data(), light, factor);
+      PlaceLayers(rows_, at_.data(), light, factor, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data());
+      prior_.AddShown(p, light, at_.data(), cell_weight_.data());
+    }
+    prior_.ShareOut();
+  }
+  for (int lane = 0; lane < kEmLanes; ++lane) {
+    if (!std::exchange(lanes_[lane].to_warm, false)) continue;
+    TakeLayersOf(*warm_, lane);
+    for (int l = 0; l < rows_.layers; ++l)
+      At(rows_.sigma(l), lane) =
+          std::clamp(At(rows_.sigma(l), lane), bounds_.least_sigma_mm[lane], bounds_.most_sigma_mm[lane]);
+    if (!options_.background_term) continue;
+    const float background = MeanOfLights(*warm_, lanes_[lane].profile).background;
+    for (int p = 0; p < rows_.lights; ++p)
+      if (lights_[p].counts[lane] > 0.0F) At(rows_.background(p), lane) = background;
+  }
+}
+
 // The E step of every light and, where layers are still to be updated, the M step.
 void EmBlock::Sweep(bool update) {
   for (auto* v : {&sums_.photons, &sums_.moved, &sums_.leverage, &sums_.spread, &sums_.exposure})
@@ -178,13 +210,14 @@ void EmBlock::Sweep(bool update) {
     AddLayers(light.grid, layers, light.tiles, light.Mass());
     Project(light, at_.data() + RowOf(rows_.surface(p)), at_.data() + RowOf(rows_.background(p)));
     Compare(light, divergence_.data());
-    if (!update) continue;
     if (prior_.On()) prior_.AddShown(p, light, at_.data(), cell_weight_.data());
+    if (!update) continue;
     ProjectBack(light);
     LayerMoments(layers, light.tiles, light.q.data(), moments_.data());
     AddMoments(rows_.layers, light, moments_.data(), sums_);
     UpdateFloor(p);
   }
+  if (prior_.On()) prior_.AddCost(at_.data(), divergence_.data());
   if (update) UpdateParameters();
 }
 
@@ -203,10 +236,7 @@ void EmBlock::UpdateFloor(int p) {
 }
 
 void EmBlock::UpdateParameters() {
-  if (prior_.On()) {
-    prior_.AddCost(at_.data(), divergence_.data());
-    prior_.AddPhotons(lights_, at_.data(), sums_, image_.data());
-  }
+  if (prior_.On()) prior_.AddPhotons(lights_, at_.data(), sums_, image_.data());
   if (options_.shared_background) ShareBackground(image_.data());
   UpdateShapes(rows_, bounds_, sums_, at_.data(), image_.data());
   for (const EmLight& light : lights_) {
@@ -341,6 +371,7 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
   };
   for (int lane = 0; lane < kEmLanes && next < profiles.size(); ++lane, ++busy) take_next(lane);
   while (busy > 0) {
+    GoToWarmStart();
     int sweeping = 0;
     std::array<bool, kEmLanes> finished{};
     for (int i = 0; i < kEmLanes; ++i) {
@@ -370,15 +401,18 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
   }
 }
 
-void EmBlock::Take(const MixtureMap& fit, int lane) {
-  const int64_t profile = lanes_[lane].profile;
+void EmBlock::TakeLayersOf(const MixtureMap& fit, int lane) {
   for (int l = 0; l < rows_.layers; ++l) {
-    const size_t at = static_cast<size_t>(profile) * fit.layers + l;
+    const size_t at = static_cast<size_t>(lanes_[lane].profile) * fit.layers + l;
     At(rows_.weight(l), lane) = fit.weight[at];
     At(rows_.depth(l), lane) = fit.depth_mm[at];
     At(rows_.sigma(l), lane) = fit.sigma_mm[at];
   }
-  const UnlayeredLight mean = MeanOfLights(fit, profile);
+}
+
+void EmBlock::Take(const MixtureMap& fit, int lane) {
+  TakeLayersOf(fit, lane);
+  const UnlayeredLight mean = MeanOfLights(fit, lanes_[lane].profile);
   for (int p = 0; p < rows_.lights; ++p) {
     const float reflected = lights_[p].reflected[lane];
     At(rows_.surface(p), lane) = reflected < 0.0F ? mean.surface : reflected;

@@ -23,9 +23,11 @@ namespace stratalux::fit {
 class EmBlock {
  public:
   // usable[light][profile] says which lights count for a profile; cells_per_sample[light]: of each profile of the block
-  // (CellsPerSample).
+  // (CellsPerSample). `warm`: a map in which all profiles of the block are fitted, with as many layers; EM starts from
+  // its layers, and `start` is the prior's centre alone.
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-          std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start);
+          std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start,
+          const MixtureMap* warm = nullptr);
 
   // Sweeps each of `profiles` until its divergence settles, with a prior of each of `photons` (at least one, 0: none;
   // in the place of options.prior's): loaded once, it is fitted as often. done(lane, profile, trial) finds the results
@@ -46,6 +48,9 @@ class EmBlock {
   [[nodiscard]] float Background(int light, int lane) const { return At(rows_.background(light), lane); }
   // Kullback-Leibler divergence of data and model over the data's sum; worked out when asked.
   [[nodiscard]] double Divergence(int lane) const;
+  // What the sweeps lower, in photons: that divergence, before the scale of the white frames, and the prior's cost; a
+  // negative log posterior but for a constant.
+  [[nodiscard]] double Cost(int lane) const { return divergence_[lane]; }
   // Share of the prior's photons in those that the layers were fitted to.
   [[nodiscard]] double PriorShare(int lane) const;
   [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].sweeps; }
@@ -65,6 +70,7 @@ class EmBlock {
     double own = 0.0;    // of them, the profile's light
     int sweeps = 0;
     bool last_pass = false;  // the layers are final: only their divergence is missing
+    bool to_warm = false;    // holds the prior's centre, and goes to the warm start before it is swept
     double best = std::numeric_limits<double>::infinity(), checked = best;
     double momentum = 1.0;  // Nesterov's t
     double scale = 1.0;     // of the model to the white frames
@@ -76,9 +82,11 @@ class EmBlock {
   void Begin(int lane, size_t trial, double photons);
   void Start(int lane, double photons);
   [[nodiscard]] EmPrior PriorFor(std::span<const double> photons) const;
+  void TakeLayersOf(const MixtureMap& fit, int lane);
   void Take(const MixtureMap& fit, int lane);
   void SpreadLayers(int lane, double total, double widest_mm);
   void StartFrom(const LayerSet& layers, int lane, double total);
+  void GoToWarmStart();
   void Sweep(bool update);
   void UpdateFloor(int light);
   void ShareBackground(float* parameters) const;
@@ -95,6 +103,7 @@ class EmBlock {
   std::span<const SrdBatch* const> batches_;
   std::span<const std::vector<uint8_t>> usable_;
   std::span<const LayerSet> start_;
+  const MixtureMap* warm_ = nullptr;
   bool accelerated_ = false;
   std::vector<EmLight> lights_;
   ParameterRows rows_;

@@ -131,9 +131,13 @@ void EmPrior::ShareOut(int lane) {
     photons_[RowOf(row) + lane] = static_cast<float>(n0 / all * shown_[RowOf(row) + lane]);
 }
 
-void EmPrior::AddCost(const float* at, float* cost) {
+void EmPrior::ShareOut() {
   for (int lane = 0; lane < kEmLanes; ++lane)
     if (fresh_[lane] > 0.0) ShareOut(lane);
+}
+
+void EmPrior::AddCost(const float* at, float* cost) {
+  ShareOut();
   HWY_DYNAMIC_DISPATCH(AddPriorCost)
   (rows_, square_shift_, centre_.data(), photons_.data(), total_.data(), shown_.data(), at, cost);
 }

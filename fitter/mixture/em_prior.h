@@ -30,6 +30,9 @@ class EmPrior {
   // directions included (PlaceLayers).
   void BeginSweep();
   void AddShown(int p, const EmLight& light, const float* at, const float* weight);
+  // Of lanes that were set since; AddCost does so, too. A lane whose sweeps start elsewhere than in its known pixel
+  // needs it before the first of them, when `at` still is that pixel.
+  void ShareOut();
   // cost[lane] += N0 times the Kullback-Leibler divergence of the known pixel's complete data from `at`.
   void AddCost(const float* at, float* cost);
   // The known pixel's photons, beside those of the M step; surface and floor go to `image` at once.
@@ -38,7 +41,7 @@ class EmPrior {
   void KeepTotal(std::span<const EmLight> lights, const MomentSums& sums, float* image) const;
 
  private:
-  void ShareOut(int lane);
+  void ShareOut(int lane);  // of one that was set
 
   ParameterRows rows_;
   float square_shift_ = 0.0F;

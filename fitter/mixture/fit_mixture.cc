@@ -142,24 +142,24 @@ std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgeme
 // work(block, profiles), from several threads, for all usable profiles: a block for those that may share it.
 template <typename Work>
 void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                 const EmOptions& options, std::span<const LayerSet> start, const Work& work) {
+                 const EmOptions& options, std::span<const LayerSet> start, const MixtureMap* warm, const Work& work) {
   std::vector<int64_t> order;
   const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
   ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
     for (int64_t t = begin; t < end; ++t) {
-      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
+      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start, warm);
       work(em, tasks[t].profiles);
     }
   });
 }
 
 // Runs EM on all usable profiles with each of `photons`; `done(block, lane, profile, trial)` and `progress(profiles)`,
-// once a task, are called from several threads.
+// once a task, are called from several threads. `warm`: as of EmBlock.
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
                     const EmOptions& options, std::span<const LayerSet> start, std::span<const double> photons,
-                    const std::function<void(int64_t)>& progress, const Done& done) {
-  ForEachTask(lights, judged, channels, options, start, [&](EmBlock& em, std::span<const int64_t> profiles) {
+                    const std::function<void(int64_t)>& progress, const Done& done, const MixtureMap* warm = nullptr) {
+  ForEachTask(lights, judged, channels, options, start, warm, [&](EmBlock& em, std::span<const int64_t> profiles) {
     em.Fit(profiles, photons, [&](int lane, int64_t profile, size_t trial) { done(em, lane, profile, trial); });
     if (progress) progress(static_cast<int64_t>(profiles.size()));
   });
@@ -179,6 +179,14 @@ void TakeLayers(const EmBlock& em, int lane, int64_t i, const EmOptions& options
   }
   if (options.scattering.mode == FitMode::kTied && em.LargestShift(lane) < 0.02F)
     map.reason[i] = static_cast<uint8_t>(FitReason::kDepthNotEstimable);
+}
+
+// All that the lane has found.
+void TakeFit(const EmBlock& em, int lane, int64_t i, const EmOptions& options, MixtureMap& map) {
+  TakeLayers(em, lane, i, options, map);
+  map.divergence[i] = static_cast<float>(em.Divergence(lane));
+  if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
+  map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
 }
 
 Status CheckFit(std::span<const SrdBatch* const> lights, int64_t profiles, int channels, const EmOptions& options,
@@ -220,13 +228,104 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
     map.prior_share.assign(static_cast<size_t>(profiles), 0.0F);
   }
   ForEachProfile(lights, judged, channels, options, start, {&options.prior.photons, 1}, progress,
-                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
-                   TakeLayers(em, lane, i, options, map);
-                   map.divergence[i] = static_cast<float>(em.Divergence(lane));
-                   if (!map.prior_share.empty()) map.prior_share[i] = static_cast<float>(em.PriorShare(lane));
-                   map.iterations[i] = static_cast<uint16_t>(std::min(em.Sweeps(lane), 65535));
-                 });
+                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) { TakeFit(em, lane, i, options, map); });
   return map;
+}
+
+namespace {
+
+// Of each light of `projectors` its place among those of `fit`; -1: a further one. Empty: they are not in that order.
+std::vector<int> PlacesInFit(const std::vector<int>& projectors, const std::vector<int>& of_fit) {
+  std::vector<int> places;
+  int next = 0;
+  for (const int projector : projectors) {
+    const bool known = std::ranges::find(of_fit, projector) != of_fit.end();
+    if (known && (next == static_cast<int>(of_fit.size()) || of_fit[next] != projector)) return {};
+    places.push_back(known ? next++ : -1);
+  }
+  return next == static_cast<int>(of_fit.size()) ? places : std::vector<int>{};
+}
+
+// Rows of `values` with a place for each of the lights: further ones have 0.
+std::vector<float> WithFurtherLights(const std::vector<float>& values, size_t profiles, size_t lights,
+                                     const std::vector<int>& places) {
+  std::vector<float> all(profiles * places.size(), 0.0F);
+  for (size_t i = 0; i < profiles; ++i)
+    for (size_t p = 0; p < places.size(); ++p)
+      if (places[p] >= 0) all[i * places.size() + p] = values[i * lights + static_cast<size_t>(places[p])];
+  return all;
+}
+
+// Usable profiles by what a refinement does with them; the others it leaves as they are.
+struct Division {
+  std::vector<int64_t> refined, added;
+  int64_t kept = 0, unusable = 0;
+};
+
+Division Divide(std::span<const SrdBatch* const> lights, const Judgement& judged, const MixtureMap& fit,
+                const std::vector<int>& places) {
+  Division parts;
+  for (const int64_t i : judged.work) {
+    bool reached = false, unusable = false;
+    for (size_t p = 0; p < places.size(); ++p) {
+      if (places[p] >= 0) continue;
+      reached = reached || judged.usable[p][i] != 0;
+      unusable = unusable || (judged.usable[p][i] == 0 && lights[p]->valid[i] != 0);
+    }
+    if (!fit.Fitted(i))
+      parts.added.push_back(i);
+    else if (reached)
+      parts.refined.push_back(i);
+    else
+      ++parts.kept;
+    parts.unusable += unusable ? 1 : 0;
+  }
+  return parts;
+}
+
+}  // namespace
+
+Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                 MixtureMap fit, int sweeps, const EmOptions& given, std::span<const LayerSet> start,
+                                 const std::function<void(int64_t)>& progress) {
+  EmOptions options = given;
+  options.scattering = fit.scattering;
+  options.prior.photons = fit.prior_photons;
+  SLX_RETURN_IF_ERROR(CheckFit(lights, fit.profiles(), fit.channels, options, start));
+  SLX_CHECK(options.scattering.mode == FitMode::kTied && options.layers == fit.layers && sweeps >= 0);
+  const std::vector<int> places = PlacesInFit(projectors, fit.training_projectors);
+  if (places.empty()) return Status::Usage("a map is refined by its own lights, in their order, and further ones");
+  Judgement judged = JudgeAll(lights);
+  const Division parts = Divide(lights, judged, fit, places);
+
+  RefinedMap refined{std::move(fit), static_cast<int64_t>(parts.refined.size()),
+                     parts.kept,     static_cast<int64_t>(parts.added.size()),
+                     parts.unusable, {}};
+  MixtureMap& map = refined.map;
+  const auto profiles = static_cast<size_t>(map.profiles());
+  refined.cost.assign(profiles, std::nanf(""));
+  for (auto* values : {&map.surface, &map.background})
+    *values = WithFurtherLights(*values, profiles, map.training_projectors.size(), places);
+  map.training_projectors = projectors;
+  if (!start.empty() && map.prior_photons > 0.0) map.prior_share.resize(profiles, 0.0F);
+  for (size_t i = 0; i < profiles; ++i)
+    if (judged.reason[i] != static_cast<uint8_t>(FitReason::kFitted)) map.reason[i] = judged.reason[i];
+  const auto sweep = [&](const std::vector<int64_t>& work, const EmOptions& how, const MixtureMap* warm) {
+    judged.work = work;
+    for (const int64_t i : work) map.reason[i] = static_cast<uint8_t>(FitReason::kFitted);
+    ForEachProfile(
+        lights, judged, map.channels, how, start, {&options.prior.photons, 1}, progress,
+        [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
+          TakeFit(em, lane, i, options, map);
+          refined.cost[i] = static_cast<float>(em.Cost(lane));
+        },
+        warm);
+  };
+  EmOptions few = options;
+  few.refinement_iterations = sweeps;
+  sweep(parts.refined, few, &map);  // a profile's layers are read before they are written, by one thread
+  sweep(parts.added, options, nullptr);
+  return refined;
 }
 
 Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
@@ -307,7 +406,7 @@ std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fit
   const Judgement judged = JudgeAll(lights);
   std::vector<std::vector<double>> divergence(fits.size(),
                                               std::vector<double>(static_cast<size_t>(light.profiles()), std::nan("")));
-  ForEachTask(lights, judged, channels, options, {}, [&](EmBlock& em, std::span<const int64_t> profiles) {
+  ForEachTask(lights, judged, channels, options, {}, nullptr, [&](EmBlock& em, std::span<const int64_t> profiles) {
     em.CompareWith(profiles, fits, [&](int64_t i, size_t fit, double photons) {
       if (fits[fit].Fitted(i)) divergence[fit][i] = photons;
     });

@@ -14,6 +14,7 @@
 #include "db/catalogue/fit_reader.h"
 #include "db/catalogue/fit_record.h"
 #include "db/catalogue/fit_store.h"
+#include "db/catalogue/recorded_files.h"
 #include "fitter/evaluation/compare.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/report/session_report.h"
@@ -39,8 +40,16 @@ std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOption
                                              {"separate", graph.Separate()},
                                              {"normals", graph.Normals()},
                                              {"fit", graph.Fit(options.geometry, options.heldout, FitKind::kJudged)}};
+  if (options.MakesMaps()) keys["maps"] = graph.Maps();
   if (options.standard_errors) keys["standard_errors"] = graph.StandardErrors();
   return keys;
+}
+
+Status MakeFolder(const fs::path& folder) {
+  std::error_code error;
+  const NotInterrupted whole;
+  fs::create_directories(folder, error);
+  return error ? Status::Failed("cannot create " + folder.string() + ": " + error.message()) : Status::Ok();
 }
 
 // The file by another name; where the file system has no links, a copy.
@@ -53,11 +62,12 @@ Status Link(const fs::path& from, const fs::path& to) {
 }
 
 Status LinkFiles(const fs::path& from, const fs::path& to) {
-  std::error_code error;
-  for (auto entry = fs::directory_iterator(from, error); !error && entry != fs::end(entry); entry.increment(error))
-    if (entry->path().filename() != db::kArtifactRecordFile && entry->is_regular_file())
-      SLX_RETURN_IF_ERROR(Link(entry->path(), to / entry->path().filename()));
-  return error ? Status::Failed("cannot read " + from.string() + ": " + error.message()) : Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(from, db::kArtifactRecordFile));
+  for (const std::string& name : names) {
+    SLX_RETURN_IF_ERROR(MakeFolder((to / name).parent_path()));
+    SLX_RETURN_IF_ERROR(Link(from / name, to / name));
+  }
+  return Status::Ok();
 }
 
 Status AddComparison(SessionGraph& graph, const std::string& key, Metrics& metrics,
@@ -114,11 +124,15 @@ Result<std::optional<SurfaceError>> AgainstTruth(const SessionFrames& frames, co
   return std::optional(CompareSurface(surface, depth, normal));
 }
 
-Status MakeReportFolder(const fs::path& fit) {
-  std::error_code error;
-  const NotInterrupted whole;
-  fs::create_directories(fit / "report", error);
-  return error ? Status::Failed("cannot create " + fit.string() + ": " + error.message()) : Status::Ok();
+// Layers of all projectors are in memory no longer than what is shown of them takes.
+Result<ShownLayers> LayersToShow(StageGraph& stages, const std::map<std::string, std::string>& keys,
+                                 const FittedLayers& fit, int projectors) {
+  const auto maps = keys.find("maps");
+  if (maps == keys.end()) return ShownOf(fit, projectors);
+  SLX_ASSIGN_OR_RETURN(const auto layers, stages.Load(maps->second, LoadMaps));
+  ShownLayers shown = ShownOf(layers, projectors);
+  SLX_ASSIGN_OR_RETURN(shown.refined, stages.Load(maps->second, LoadMapsFigures));
+  return shown;
 }
 
 Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
@@ -171,6 +185,7 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
 
 std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
   std::vector<std::string> keys = {graph.Normals()};
+  if (options.MakesMaps()) keys.push_back(graph.Maps());
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
   keys.push_back(graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout));
   if (evaluation != Evaluation::kFull) return keys;
@@ -231,7 +246,10 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_ASSIGN_OR_RETURN(const auto layers, stages.Load(keys.at("fit"), LoadLayers));
   const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers.map.channels); };
   SLX_ASSIGN_OR_RETURN(const auto normals, stages.Load(keys.at("normals"), load_normals));
-  ReportInput input{frames, shape, separation, normals, layers, ProfileToShow(layers.map), {}, {}, options.heldout};
+  SLX_ASSIGN_OR_RETURN(auto shown,
+                       LayersToShow(stages, keys, layers, static_cast<int>(shape.record.projectors.size())));
+  ReportInput input{frames, shape, separation,     normals, layers, std::move(shown), ProfileToShow(layers.map),
+                    {},     {},    options.heldout};
   {
     SLX_ASSIGN_OR_RETURN(const auto srds, stages.Load(graph.Srd(options.geometry), LoadSrds));
     metrics.sweeps = srds.figures;
@@ -264,13 +282,13 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   const RemovedOnSignal guard(partial);
   std::error_code error;
   fs::remove_all(partial, error);
-  SLX_RETURN_IF_ERROR(MakeReportFolder(partial));
+  SLX_RETURN_IF_ERROR(MakeFolder(partial / "report"));
   for (const auto& [stage, key] : keys) {
     SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.StoredFolder(key));
     SLX_RETURN_IF_ERROR(LinkFiles(folder, partial));
   }
   const auto write_report = [&](const fs::path& folder) -> Status {
-    SLX_RETURN_IF_ERROR(MakeReportFolder(folder));
+    SLX_RETURN_IF_ERROR(MakeFolder(folder / "report"));
     return WriteReport(folder, input, metrics);
   };
   SLX_RETURN_IF_ERROR(stages.store().files().Write(partial, db::PlaceOfFit(metrics.fit), write_report));

@@ -55,6 +55,8 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
       return graph.Normals();
     case Stage::kSrd:
       return graph.Srd(options.geometry);
+    case Stage::kMaps:
+      return graph.Maps();
     default:
       return graph.Fit(options.geometry, options.heldout, FitKind::kJudged);
   }

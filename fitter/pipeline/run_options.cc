@@ -20,12 +20,17 @@ std::string PriorText(const FitOptions& fit) {
 
 const char* ToString(GeometrySource source) { return source == GeometrySource::kTruth ? "truth" : "reconstructed"; }
 
+// Free layers are averages over the lights, no maximum that sweeps could go on from.
+bool RunOptions::MakesMaps() const { return maps && fit.em.scattering.mode == FitMode::kTied; }
+
 Status RunOptions::Validate() const {
   SLX_RETURN_IF_ERROR(fit.em.Validate());
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
   if (standard_errors && fit.em.scattering.mode == FitMode::kFree)
     return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
+  if (until == Stage::kMaps && !MakesMaps())
+    return Status::Usage("maps from all projectors are those of a tied fit: leave out --mode free and --maps off");
   if (fit.choose.directions && fit.em.scattering.mode == FitMode::kFree)
     return Status::Usage("directional weights are those of a tied fit: leave out --mode free or --directional on");
   return srd.Validate();
@@ -50,6 +55,7 @@ std::string RunOptions::ToJson() const {
                                        {"reading", fit::ToString(srd.reading)},
                                        {"distance", fit::ToString(srd.distance)},
                                        {"full_evaluation", full_evaluation},
+                                       {"maps", MakesMaps()},
                                        {"standard_errors", standard_errors},
                                        {"geometry", fit::ToString(geometry)}};
   return json.dump();

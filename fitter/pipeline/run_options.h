@@ -12,7 +12,7 @@
 namespace stratalux::fit {
 
 // Stages that a user can ask for by name; kReport: a whole fit.
-enum class Stage { kReconstruct, kSeparate, kNormals, kSrd, kFit, kReport };
+enum class Stage { kReconstruct, kSeparate, kNormals, kSrd, kFit, kMaps, kReport };
 
 enum class GeometrySource { kReconstructed, kTruth };
 [[nodiscard]] const char* ToString(GeometrySource source);
@@ -24,6 +24,7 @@ struct RunOptions {
   int heldout = 3;               // the projector left out of the full-size fit
   SrdOptions srd;                // pool: quads per side of that fit's profiles
   bool full_evaluation = false;  // every projector held out in turn; ablations, true geometry
+  bool maps = true;              // from all projectors, too; not of a free fit: MakesMaps()
   bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
   GeometrySource geometry = GeometrySource::kReconstructed;
   Stage until = Stage::kReport;
@@ -31,6 +32,7 @@ struct RunOptions {
   // Of the lease under which a queue's worker runs (db/catalogue/job_store.h): the fit is entered only while it stands,
   // and once, with its evaluation.
   std::optional<int64_t> job_token = {};
+  [[nodiscard]] bool MakesMaps() const;
   [[nodiscard]] Status Validate() const;
   [[nodiscard]] std::string ToJson() const;
 };

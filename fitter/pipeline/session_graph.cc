@@ -18,6 +18,7 @@
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/maps.h"
 #include "fitter/stages/normals.h"
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
@@ -246,6 +247,25 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
                 SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
                 SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
                 return SaveSummary(folder, Summarise(layers.map, srds, heldout));
+              }});
+}
+
+std::string SessionGraph::Maps() {
+  const std::string srd = Srd(options_.geometry), fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
+  SortedJson options = SortedJson::parse(FitOptionsJson(options_.fit));
+  options["heldout"] = options_.heldout;
+  return Add({{"maps", kMapsVersion, options.dump(), {{"srd", srd}, {"fit", fit}}, isa_},
+              "maps, all projectors",
+              {srd, fit},
+              [=, this](const fs::path& folder) -> Status {
+                view_.Drop();
+                layers_.Drop();
+                SLX_ASSIGN_OR_RETURN(const auto extracted, stages_.Load(srd, LoadSrds));
+                SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
+                SLX_ASSIGN_OR_RETURN(const auto refined,
+                                     RefineLayers(extracted.set, options_.heldout, std::move(layers), options_.fit,
+                                                  logger_, "maps, all projectors"));
+                return SaveMaps(folder, refined);
               }});
 }
 

@@ -2,7 +2,8 @@
 // The stages of one session: which reads what. Each method adds a node, and what it reads, and gives its key.
 //
 //   frames -> decode -> shape --------+-> srd -> fit -> predict -> compare
-//         \-> separate -> normals      \-> (truth_shape, of the truth of a simulation, in its place)
+//         \-> separate -> normals      |          \-> maps, which nothing reads that judges a fit
+//                                      \-> (truth_shape, of the truth of a simulation, in its place)
 #pragma once
 
 #include <memory>
@@ -34,6 +35,8 @@ class SessionGraph {
   std::string Normals();
   std::string Srd(GeometrySource source);
   std::string Fit(GeometrySource source, int heldout, FitKind kind);
+  // Of the judged fit: its layers, refined by all projectors.
+  std::string Maps();
   std::string StandardErrors();
   // Of a model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
   std::string Predict(const std::string& model, GeometrySource source, int heldout);

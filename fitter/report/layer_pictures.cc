@@ -67,34 +67,57 @@ void AddColourPictures(const LayerMaps& maps, ReportSection& section) {
       2, ""));
 }
 
-std::string WeakCaption(const MixtureMap& map) {
-  if (!(map.prior_photons > 0.0)) return "";
-  return " Profiles of fewer than " + Fixed(map.prior_photons, 0) + " photons (a ratio of " +
-         Fixed(std::sqrt(map.prior_photons), 0) +
+std::string WeakCaption(double prior_photons) {
+  if (!(prior_photons > 0.0)) return "";
+  return " Profiles of fewer than " + Fixed(prior_photons, 0) + " photons (a ratio of " +
+         Fixed(std::sqrt(prior_photons), 0) +
          " where read noise does not count) are weak: their layers lean on the mean of the session.";
+}
+
+ReportTable RefinedTable(const MapsFigures& f) {
+  const bool tried = !f.warm.trials.empty();
+  return {
+      "Layers of the fit, refined by the projector that it leaves out: profiles; sweeps, and how far they end above "
+      "EM that has settled, on a sample of profiles",
+      {"refined", "not reached, as fitted", "reached by that projector alone", "its samples unusable", "sweeps",
+       "nats above", "sampled"},
+      {{std::to_string(f.refined), std::to_string(f.kept), std::to_string(f.added), std::to_string(f.unusable),
+        std::to_string(f.warm.sweeps), tried ? Fixed(f.warm.trials.back().excess_nats) : "-",
+        std::to_string(f.warm.profiles)}}};
 }
 
 }  // namespace
 
-ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps, const Image<float>& signal_to_noise) {
+ShownLayers ShownOf(const FittedLayers& layers, int projectors) {
+  return {SummariseLayers(layers.map),
+          layers.signal_to_noise,
+          layers.map.prior_photons,
+          ProvenanceOf(layers.map, projectors),
+          {}};
+}
+
+ReportSection LayerPictures(const ShownLayers& shown) {
+  const LayerMaps& maps = shown.maps;
+  const int width = maps.total_weight.width(), height = maps.total_weight.height();
   const std::string shallow = Fixed(maps.bands.shallow_mm, 2), deep = Fixed(maps.bands.deep_mm, 2);
   ReportSection section{
       "Layer maps: what lies at which depth",
-      "Sums over the fitted layers of each pixel, red light unless said otherwise. Light from deeper has spread wider, "
-      "so "
-      "layers are parted by their width: shallow below sigma " +
+      "Sums over the layers of each pixel, " + shown.provenance +
+          ", red light unless said otherwise. Light from deeper has spread wider, so layers are parted by their width: "
+          "shallow below sigma " +
           shallow + " mm, deep from " + deep +
           " mm on, a third of all light in each. Dark grey: not fitted, or not to be told. The maps are in this fit's "
-          "folder as EXR files.",
+          "folder" +
+          (shown.refined ? std::string(", below ") + kMapsFolder + "/," : std::string()) + " as EXR files.",
       {},
       {},
       {}};
   auto red = [&](const Image<float>& image) {
-    return MapOf(map.width, map.height, [&](int x, int y) { return image(x, y, 0); });
+    return MapOf(width, height, [&](int x, int y) { return image(x, y, 0); });
   };
   section.images.push_back(
       Scaled("Total weight, sum w: how much of the light that enters comes back.", red(maps.total_weight), 2, ""));
-  if (map.channels == 3) AddColourPictures(maps, section);
+  if (maps.total_weight.channels() == 3) AddColourPictures(maps, section);
   for (const auto& [band, caption] :
        {std::pair(&maps.shallow,
                   "Share of shallow light: epidermis, fine relief; dark where pigment or blood near the "
@@ -102,8 +125,7 @@ ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps, const 
         {&maps.middle, "Share of light from the middle: upper dermis and its small vessels."},
         {&maps.deep, "Share of deep light: high where skin is clear; dark over moles, hair roots and large vessels."}})
     section.images.push_back(
-        Scaled(caption, MapOf(map.width, map.height, [&, b = band](int x, int y) { return Share(*b, maps, x, y, 0); }),
-               2, ""));
+        Scaled(caption, MapOf(width, height, [&, b = band](int x, int y) { return Share(*b, maps, x, y, 0); }), 2, ""));
   section.images.push_back(Composite(maps));
   section.images.push_back(
       Scaled("Effective width: how far light spreads sideways, large where it is scattered much and absorbed little.",
@@ -112,10 +134,12 @@ ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps, const 
       Scaled("Mean depth by the shift of the layers. A slow drift over the face is the geometry's error, shared by all "
              "layers of a place: compare neighbours.",
              red(maps.mean_depth_mm), 2, " mm"));
-  const Image<float> ratio = MapOf(map.width, map.height, [&](int x, int y) {
-    return map.Fitted(map.ProfileIndex(x, y, 0)) ? signal_to_noise(x, y, 0) : std::nanf("");
+  const Image<float> ratio = MapOf(width, height, [&](int x, int y) {
+    return std::isfinite(maps.total_weight(x, y, 0)) ? shown.signal_to_noise(x, y, 0) : std::nanf("");
   });
-  section.images.push_back(Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(map), ratio, 0, ""));
+  section.images.push_back(
+      Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(shown.prior_photons), ratio, 0, ""));
+  if (shown.refined) section.tables.push_back(RefinedTable(*shown.refined));
   return section;
 }
 

@@ -2,14 +2,25 @@
 // The report's section on the layers: what lies at which depth.
 #pragma once
 
-#include "fitter/mixture/mixture_map.h"
+#include <optional>
+
 #include "fitter/report/html_report.h"
 #include "fitter/stages/layer_maps.h"
+#include "fitter/stages/maps.h"
 
 namespace stratalux::fit {
 
-// `signal_to_noise`: W x H x C, of SignalToNoise().
-[[nodiscard]] ReportSection LayerPictures(const MixtureMap& map, const LayerMaps& maps,
-                                          const Image<float>& signal_to_noise);
+// What of a map of layers is shown.
+struct ShownLayers {
+  LayerMaps maps;
+  Image<float> signal_to_noise;             // W x H x C, of SignalToNoise()
+  double prior_photons = 0.0;               // N0
+  std::string provenance;                   // ProvenanceOf
+  std::optional<MapsFigures> refined = {};  // of maps from all projectors
+};
+// `projectors`: of the rig.
+[[nodiscard]] ShownLayers ShownOf(const FittedLayers& layers, int projectors);
+
+[[nodiscard]] ReportSection LayerPictures(const ShownLayers& shown);
 
 }  // namespace stratalux::fit

@@ -11,7 +11,6 @@
 #include "fitter/report/layer_pictures.h"
 #include "fitter/report/page_text.h"
 #include "fitter/session/quad_signal.h"
-#include "fitter/stages/layer_maps.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
 #include "shared/image/png.h"
@@ -384,7 +383,8 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
       "Stratalux: session " + info.id,
       std::string(info.simulated ? "Simulated visitor, seed " + std::to_string(info.seed) : "Visitor " + info.visitor) +
           ", captured " + ToIso8601(info.started_wall) + ", " + std::to_string(in.frames.rows().size()) + " frames, " +
-          ToString(info.status) + ". Layers fitted on all projectors but " + std::to_string(in.heldout) + ".",
+          ToString(info.status) + ". Layers fitted on all projectors but " + std::to_string(in.heldout) +
+          ", by which they are judged; layer maps " + in.shown.provenance + ".",
       {}};
   SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));
   report.sections.push_back(std::move(samples));
@@ -403,7 +403,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
             {"(e) homogeneous: the mean layers everywhere, sum", ToSrgb(c.total_homogeneous, white)});
     }
   }
-  report.sections.push_back(LayerPictures(in.layers.map, SummariseLayers(in.layers.map), in.layers.signal_to_noise));
+  report.sections.push_back(LayerPictures(in.shown));
   report.sections.push_back(Figures(metrics));
   SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report));
   SLX_RETURN_IF_ERROR(WriteText(folder / "report" / "index.html", RenderHtml(report, pictures)));

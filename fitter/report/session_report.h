@@ -7,6 +7,7 @@
 
 #include "fitter/evaluation/compare.h"
 #include "fitter/evaluation/metrics.h"
+#include "fitter/report/layer_pictures.h"
 #include "fitter/separation/separation_map.h"
 #include "fitter/session/session_frames.h"
 #include "fitter/stages/layers_file.h"
@@ -20,7 +21,8 @@ struct ReportInput {
   const FaceShape& shape;
   const std::vector<SeparationMap>& separation;
   const FaceNormals& normals;
-  const FittedLayers& layers;
+  const FittedLayers& layers;         // of the fit: what SRDs are held against
+  ShownLayers shown;                  // what the maps show: of all projectors, where they were made
   int64_t chosen_profile = -1;        // whose SRDs are shown; -1: none
   std::vector<SrdBatch> chosen_srds;  // of that profile alone, by projector
   std::vector<LightComparison> comparisons;

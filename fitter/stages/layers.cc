@@ -46,11 +46,7 @@ std::string Describe(const PriorChoice& choice) {
 // What EM is told but for the prior, with all that the profiles of the session share.
 Result<EmOptions> WithShared(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
                              const std::string& label) {
-  EmOptions em = options.em;
-  // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much.
-  constexpr int kMostSweeps = 100000;
-  em.max_iterations =
-      static_cast<int>(std::min<int64_t>(int64_t{em.max_iterations} * srds.pool * srds.pool, kMostSweeps));
+  EmOptions em = OnPools(options.em, srds.pool);
   ScatteringModel& model = em.scattering;
   model.reflection = {};
   if (em.surface_term && options.choose.reflection) {
@@ -110,6 +106,14 @@ std::string FitOptionsJson(const FitOptions& options) {
   return json.dump();
 }
 
+bool HasMeanLayers(const FitOptions& options) { return options.choose.prior || options.em.prior.photons > 0.0; }
+
+EmOptions OnPools(EmOptions em, int pool) {
+  constexpr int kMostSweeps = 100000;
+  em.max_iterations = static_cast<int>(std::min<int64_t>(int64_t{em.max_iterations} * pool * pool, kMostSweeps));
+  return em;
+}
+
 Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
   TrainingLights lights;
   for (const auto* batches : {&srds.batches, &srds.row_batches})
@@ -130,7 +134,7 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
   const auto& [lights, projectors] = training;
   SLX_ASSIGN_OR_RETURN(EmOptions em, WithShared(options, lights, srds, logger, label));
   std::vector<LayerSet> start;
-  if (options.choose.prior || em.prior.photons > 0.0) {
+  if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.scattering.mode = FitMode::kTied;
     SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));

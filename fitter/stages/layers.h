@@ -29,6 +29,13 @@ struct FitOptions {
 // All of them, as JSON: what the fit's key holds.
 [[nodiscard]] std::string FitOptionsJson(const FitOptions& options);
 
+// Whether pixels start from the session's mean layers, where a prior holds them as well.
+[[nodiscard]] bool HasMeanLayers(const FitOptions& options);
+// Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much: as many
+// times more sweeps from widths spread over all scales.
+[[nodiscard]] EmOptions OnPools(EmOptions em, int pool);
+
+inline constexpr int kNoneHeldOut = -1;
 // The batches of all projectors but one, their row sweeps after their column sweeps. `srds` must outlive it.
 struct TrainingLights {
   std::vector<const SrdBatch*> batches;

@@ -194,13 +194,40 @@ Result<FittedLayers> LoadLayers(const std::filesystem::path& folder) {
   return layers;
 }
 
-Result<SavedFit> LoadFit(const std::filesystem::path& folder) {
-  SLX_ASSIGN_OR_RETURN(auto layers, LoadLayers(folder));
-  SavedFit fit{{}, std::move(layers.map), layers.pool};
-  if (std::error_code error; !std::filesystem::exists(folder / "shape.json", error))
+std::vector<int> DistinctProjectors(const MixtureMap& map) {
+  std::vector<int> projectors = map.training_projectors;
+  std::sort(projectors.begin(), projectors.end());
+  projectors.erase(std::unique(projectors.begin(), projectors.end()), projectors.end());
+  return projectors;
+}
+
+std::string ProvenanceOf(const MixtureMap& map, int projectors) {
+  constexpr const char* kNumbers[] = {"no", "one", "two", "three", "four", "five", "six"};
+  const std::vector<int> used = DistinctProjectors(map);
+  std::string text = "from " +
+                     (used.size() < std::size(kNumbers) ? kNumbers[used.size()] : std::to_string(used.size())) +
+                     (used.size() == 1 ? " projector" : " projectors");
+  for (int p = 0; p < projectors; ++p)
+    if (std::find(used.begin(), used.end(), p) == used.end()) text += ", projector " + std::to_string(p) + " held out";
+  return text;
+}
+
+Result<SavedFit> LoadFit(const std::filesystem::path& folder, LayerChoice choice) {
+  std::error_code error;
+  const bool has_maps = std::filesystem::exists(folder / kMapsFolder, error);
+  if (choice == LayerChoice::kMaps && !has_maps)
+    return Status::NotFound(
+        folder.string() +
+        " has no maps from all projectors: `stratalux-fit run` with `--maps on` makes them; `--maps "
+        "off` takes the layers of the fit itself");
+  const bool maps = choice != LayerChoice::kFit && has_maps;
+  SLX_ASSIGN_OR_RETURN(auto layers, LoadLayers(maps ? folder / kMapsFolder : folder));
+  SavedFit fit{{}, std::move(layers.map), layers.pool, {}};
+  if (!std::filesystem::exists(folder / "shape.json", error))
     return Status::NotFound(folder.string() +
                             " is of an older program and lacks shape.json; `stratalux-fit run` fits again");
   SLX_ASSIGN_OR_RETURN(fit.shape, LoadShape(folder));
+  fit.provenance = ProvenanceOf(fit.map, static_cast<int>(fit.shape.record.projectors.size()));
   const SurfaceMap& surface = fit.shape.surface;
   if (surface.width() / fit.pool != fit.map.width || surface.height() / fit.pool != fit.map.height)
     return Status::Integrity(folder.string() + ": its maps differ in size; fit again");

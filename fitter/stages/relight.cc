@@ -10,6 +10,7 @@
 #include "fitter/render/mlsss.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/sensor/linear_frame.h"
+#include "fitter/stages/stage_json.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
@@ -85,6 +86,7 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   const LitSurface lit = BuildLitSurface(fit.shape.surface, projector, exposure_ms);
   const std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
   Relit relit;
+  relit.provenance = fit.provenance;
   relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool}).front();
   relit.surface = ReflectedLight(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool),
                                  SurfaceIrradiance(fit.shape.surface, rig, lit, {&pyramids.front().pattern}).front());
@@ -113,10 +115,11 @@ std::vector<std::string> Relit::Notes() const {
 }
 
 std::vector<std::string> RelitFiles() {
-  return {"subsurface.exr", "surface.exr", "total.exr", "subsurface.png", "surface.png", "total.png"};
+  return {"subsurface.exr", "surface.exr", "total.exr", "subsurface.png", "surface.png", "total.png", "relit.json"};
 }
 
-Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white) {
+Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white, const std::string& session,
+                  const std::string& fit) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
@@ -133,7 +136,8 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
     SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, colours));
     SLX_RETURN_IF_ERROR(WritePng8(folder / (std::string(name) + ".png"), ToSrgb(*image, white)));
   }
-  return Status::Ok();
+  return WriteJson(folder / "relit.json",
+                   {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}});
 }
 
 }  // namespace stratalux::fit

@@ -81,7 +81,7 @@ TEST(LayerMaps, AreWrittenAsExrAndShownWithColourBars) {
   ASSERT_TRUE(bands.ok());
   EXPECT_EQ((*bands)(5, 1, 2), maps.deep(5, 1, 2));
   std::filesystem::remove_all(folder);
-  const ReportSection section = LayerPictures(map, maps, Image<float>(6, 4, 3, 80.0F));
+  const ReportSection section = LayerPictures(ShownOf({map, 1, Image<float>(6, 4, 3, 80.0F)}, 4));
   EXPECT_GE(section.images.size(), 9U);
   const auto html = RenderHtml({"t", "s", {section}});
   ASSERT_TRUE(html.ok());
