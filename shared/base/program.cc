@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/base/program.h"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <csignal>
+#include <cstdint>
 #include <cstring>
+#include <limits>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -32,12 +35,23 @@ struct Pipe {
   }
 };
 
-// Both at once: a program that fills one pipe waits while we wait for the other.
-void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
+// Milliseconds of poll(2): rounded up, so that it does not end too early; -1: without end.
+int PatienceUntil(const ProgramDeadline& deadline) {
+  if (!deadline) return -1;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(*deadline - std::chrono::steady_clock::now()).count();
+  return static_cast<int>(std::clamp<int64_t>(left, 0, std::numeric_limits<int>::max()));
+}
+
+// Both at once: a program that fills one pipe waits while we wait for the other. False where its time is over before it
+// has closed both.
+bool Drain(Pipe& out, Pipe& err, const ProgramDeadline& deadline, ProgramOutcome& outcome) {
   std::array<char, 65536> block{};
   while (out.ends[0] >= 0 || err.ends[0] >= 0) {
     std::array<pollfd, 2> files = {pollfd{out.ends[0], POLLIN, 0}, pollfd{err.ends[0], POLLIN, 0}};
-    if (poll(files.data(), files.size(), -1) < 0 && errno != EINTR) return;
+    const int ready = poll(files.data(), files.size(), PatienceUntil(deadline));
+    if (ready < 0 && errno != EINTR) return true;
+    if (deadline && std::chrono::steady_clock::now() >= *deadline) return false;
+    if (ready <= 0) continue;
     for (size_t i = 0; i < 2; ++i) {
       if (files[i].revents == 0) continue;
       const ssize_t got = read(files[i].fd, block.data(), block.size());
@@ -48,6 +62,22 @@ void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
       }
     }
   }
+  return true;
+}
+
+// Reaps it.
+int End(pid_t child) {
+  constexpr int kLooks = 200;  // each 10 ms
+  int status = 0;
+  kill(child, SIGTERM);
+  for (int look = 0; look < kLooks; ++look) {
+    if (waitpid(child, &status, WNOHANG) == child) return status;
+    poll(nullptr, 0, 10);
+  }
+  kill(child, SIGKILL);
+  while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
+  }
+  return status;
 }
 
 // In the child, between fork and exec: only what is allowed in a signal handler. The program ends with us: should we be
@@ -64,7 +94,7 @@ void Drain(Pipe& out, Pipe& err, ProgramOutcome& outcome) {
 
 }  // namespace
 
-Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments) {
+Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments, const ProgramDeadline& deadline) {
   Pipe out, err, trouble;
   if (out.ends[0] < 0 || err.ends[0] < 0 || trouble.ends[0] < 0)
     return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
@@ -79,7 +109,10 @@ Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments) {
   err.CloseEnd(1);
   trouble.CloseEnd(1);
   ProgramOutcome outcome;
-  Drain(out, err, outcome);
+  if (!Drain(out, err, deadline, outcome)) {
+    End(child);
+    return Status(StatusCode::kTryAgain, arguments[0] + " was ended: its time was over");
+  }
   int status = 0;
   while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }

@@ -2,6 +2,8 @@
 // Runs another program without a shell.
 #pragma once
 
+#include <chrono>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -14,8 +16,12 @@ struct ProgramOutcome {
   std::string output, errors;
 };
 
-// arguments[0] is looked up in PATH; stdin is empty. It is ended when the calling thread ends, also by SIGKILL.
-// kNotFound where there is no such program.
-[[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments);
+using ProgramDeadline = std::optional<std::chrono::steady_clock::time_point>;
+
+// arguments[0] is looked up in PATH; stdin is empty. It is ended when the calling thread ends, also by SIGKILL, and at
+// the deadline: SIGTERM, and SIGKILL two seconds later; what it started itself is not waited for. kNotFound where there
+// is no such program; kTryAgain where its time was over.
+[[nodiscard]] Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
+                                                const ProgramDeadline& deadline = {});
 
 }  // namespace stratalux
