@@ -26,8 +26,9 @@ struct TransferFlags {
   CrateFlags crate_export;
   std::optional<int> projector;
   std::string out, to, keys, from;
+  std::vector<std::string> sources;    // pull
   std::string scrub = "turn", ledger;  // backup; restore
-  int timeout_s = 60;                  // pull
+  int timeout_s = 60, limit_min = 0;   // pull
   bool merge = false, dry_run = false, obey = false;
 };
 
@@ -161,29 +162,56 @@ std::string PullText(const PullReport& report, bool dry_run) {
          Lines("wiped", report.wiped) + Lines("note", report.notes) + Lines("problem", report.problems);
 }
 
+Json JsonOf(const PullReport& report) {
+  return {{"sessions", report.sessions},
+          {"fits", report.fits},
+          {"keys", report.keys},
+          {"frames", report.frames},
+          {"present", report.present},
+          {"unfinished", report.unfinished},
+          {"forgotten", report.forgotten},
+          {"ledger_entries", report.ledger_entries},
+          {"withdrawals", report.withdrawals},
+          {"obeyed", report.obeyed},
+          {"wiped", report.wiped},
+          {"notes", report.notes},
+          {"problems", report.problems}};
+}
+
+// Where some came and others did not, that is a part; where none did, why the first did not.
+int CodeOf(const std::vector<SourcePull>& pulls) {
+  bool whole = true, none = true;
+  for (const SourcePull& pull : pulls) {
+    whole = whole && pull.status.ok() && pull.report.problems.empty();
+    none = none && !pull.status.ok();
+  }
+  return whole ? 0 : none ? pulls[0].status.exit_code() : static_cast<int>(StatusCode::kDegraded);
+}
+
 int RunPull(const CommonFlags& common, const TransferFlags& flags) {
   Logger logger;
   const PullOptions options{flags.dry_run ? PullMode::kDryRun : PullMode::kCopy,
                             flags.obey ? ForgottenElsewhere::kForget : ForgottenElsewhere::kName,
-                            std::chrono::seconds(flags.timeout_s)};
-  const auto report = Pull(common.store, flags.from, options, logger);
-  if (!report.ok()) return Report(report.status());
-  const Json json = {{"from", flags.from},
-                     {"dry_run", flags.dry_run},
-                     {"sessions", report->sessions},
-                     {"fits", report->fits},
-                     {"keys", report->keys},
-                     {"frames", report->frames},
-                     {"present", report->present},
-                     {"unfinished", report->unfinished},
-                     {"forgotten", report->forgotten},
-                     {"ledger_entries", report->ledger_entries},
-                     {"withdrawals", report->withdrawals},
-                     {"obeyed", report->obeyed},
-                     {"wiped", report->wiped},
-                     {"notes", report->notes},
-                     {"problems", report->problems}};
-  return Ending(Print(common.json ? TextOf(json) : PullText(*report, flags.dry_run)), report->problems);
+                            std::chrono::seconds(flags.timeout_s), std::chrono::minutes(flags.limit_min)};
+  const auto pulls = PullAll(common.store, flags.sources, options, logger);
+  if (!pulls.ok()) return Report(pulls.status());
+  const SourcePull& first = pulls->front();
+  const bool single = pulls->size() == 1;
+  if (single && !first.status.ok() && first.status.code() != StatusCode::kTryAgain) return Report(first.status);
+  Json sources = Json::array();
+  std::string text;
+  for (const SourcePull& pull : *pulls) {
+    Json json = {{"from", pull.from}, {"dry_run", flags.dry_run}};
+    if (!single || !pull.status.ok())
+      json.update({{"code", pull.status.exit_code()}, {"error", pull.status.message()}});
+    json.update(JsonOf(pull.report));
+    sources.push_back(std::move(json));
+    if (!single) text += pull.from + ": ";
+    if (!pull.status.ok()) text += "stopped: " + pull.status.message() + "\n" + (single ? "" : "  ");
+    text += PullText(pull.report, flags.dry_run);
+  }
+  const int printed = Print(common.json ? TextOf(single ? sources[0] : Json{{"sources", sources}}) : text);
+  return printed != 0 ? printed : CodeOf(*pulls);
 }
 
 }  // namespace
@@ -238,16 +266,24 @@ void AddTransferCommands(Commands& commands) {
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
   restore->add_option("--ledger", flags->ledger,
                       "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
-  CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of a rig over rsync and ssh",
+  CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of rigs over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
-  pull->footer(Examples({"pull --from kiosk@rig-1:/var/lib/stratalux/store",
-                         "pull --store archive --from kiosk@rig-1:/var/lib/stratalux/store --dry-run",
-                         "pull --from kiosk@rig-1:/var/lib/stratalux/store --obey"}));
-  pull->add_option("--from", flags->from, "user@host:/path/of/store, or a local path")->required();
+  pull->footer(
+      Examples({"pull --from kiosk@rig-1:/var/lib/stratalux/store",
+                "pull --store archive --from kiosk@rig-1:/var/lib/stratalux/store --dry-run",
+                "pull --from kiosk@rig-1:/var/lib/stratalux/store --obey",
+                "pull --from kiosk@rig-1:store kiosk@rig-2:store --limit 40"},
+               "Exit code 3: something did not come, or one of several sources failed; 75: --limit was over."));
+  pull->add_option("--from", flags->sources,
+                   "user@host:/path/of/store, or a local path; several are pulled side by side")
+      ->required()
+      ->expected(1, -1);
   pull->add_flag("--dry-run", flags->dry_run, "say what would come");
   pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");
   pull->add_option("--timeout", flags->timeout_s, "seconds without a byte after which the source counts as gone")
       ->check(CLI::Range(1, 86400));
+  pull->add_option("--limit", flags->limit_min, "minutes for each source; the next pull goes on (default: none)")
+      ->check(CLI::Range(1, 10080));
 }
 
 }  // namespace stratalux::db

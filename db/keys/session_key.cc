@@ -25,7 +25,7 @@ Result<SessionKey> FindKeyOf(const std::filesystem::path& store, const std::stri
   return Status::NotFound(
       "session " + session_id + " is encrypted and cannot be read: " + not_here + ", and " + no_copy +
       "; it was destroyed by `forget`, or this copy was made without keys (on the machine that captured it:"
-      " `stratalux-db key share`, before a pull, or `key export`, and `key import` here)");
+      " `stratalux-db key share`, before a pull, or `stratalux-db key export`, and `key import` here)");
 }
 
 }  // namespace stratalux::db

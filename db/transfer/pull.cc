@@ -1,7 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/pull.h"
 
+#include <algorithm>
+#include <exception>
+#include <functional>
+#include <iterator>
+#include <mutex>
 #include <set>
+#include <thread>
 
 #include "db/base/durable_file.h"
 #include "db/care/incoming.h"
@@ -25,19 +31,39 @@ std::set<std::string> ForgottenIn(const Ledger& ledger) {
   return ids;
 }
 
+// What those who pull at the same time share. Whoever has the turn works on the store and on these; it is given away
+// while a source is waited for.
+struct SharedTurn {
+  std::mutex turn;
+  std::set<std::string> here;     // listed
+  std::set<std::string> claimed;  // being fetched by one of them
+};
+
+std::optional<std::chrono::steady_clock::time_point> DeadlineOf(const PullOptions& options) {
+  if (options.limit.count() == 0) return {};
+  return std::chrono::steady_clock::now() + options.limit;
+}
+
 class Puller {
  public:
-  Puller(fs::path store, std::string from, const PullOptions& options, Logger& logger, PullReport& report)
+  Puller(fs::path store, std::string from, const PullOptions& options, Logger& logger, SharedTurn& shared,
+         PullReport& report)
       : store_(std::move(store)),
         from_(std::move(from)),
         options_(options),
+        deadline_(DeadlineOf(options)),
         logger_(logger),
+        shared_(shared),
+        turn_(shared.turn, std::defer_lock),
         report_(report),
-        catalogue_(store_, from_, options.timeout) {}
+        catalogue_(store_, from_, {options.timeout, deadline_}) {}
   Status Run();
 
  private:
   [[nodiscard]] bool dry() const { return options_.mode == PullMode::kDryRun; }
+  template <typename Wait>
+  auto ForTheSource(const Wait& wait);
+  [[nodiscard]] bool Claim(const std::string& id);
   Status TakeLedger();
   Status Obey();
   Status Reconcile(const SourceOffers& offers);
@@ -48,21 +74,42 @@ class Puller {
   Status TakeKeys(const Offer& offer);
   Status TakeFits(const Offer& offer);
   Status TakeFit(const std::string& session, const std::string& fit);
+  [[nodiscard]] bool InTime() const;
+  [[nodiscard]] Status OutOfTime(const std::string& how_far) const;
 
   const fs::path store_;
   const std::string from_;
   const PullOptions& options_;
+  const std::optional<std::chrono::steady_clock::time_point> deadline_;
   Logger& logger_;
+  SharedTurn& shared_;
+  std::unique_lock<std::mutex> turn_;
   PullReport& report_;
   SourceCatalogue catalogue_;
   std::set<std::string> forgotten_;  // by either side
-  std::set<std::string> here_;       // listed when the pull began
 };
+
+// The turn is the others' meanwhile.
+template <typename Wait>
+auto Puller::ForTheSource(const Wait& wait) {
+  turn_.unlock();
+  auto result = wait();
+  turn_.lock();
+  return result;
+}
+
+bool Puller::Claim(const std::string& id) {
+  if (shared_.claimed.insert(id).second) return true;
+  report_.notes.push_back("session " + id +
+                          " comes from another source now; what this one has more of it, the next"
+                          " pull takes");
+  return false;
+}
 
 Status Puller::TakeLedger() {
   SLX_ASSIGN_OR_RETURN(const Ledger ours, Ledger::Read(store_));
   forgotten_ = ForgottenIn(ours);
-  SLX_RETURN_IF_ERROR(catalogue_.Fetch(forgotten_, report_.problems));
+  SLX_RETURN_IF_ERROR(ForTheSource([this] { return catalogue_.Fetch(forgotten_, report_.problems); }));
   SLX_ASSIGN_OR_RETURN(const Ledger theirs, Ledger::Read(catalogue_.folder()));
   forgotten_.merge(ForgottenIn(theirs));
   // An older store's tombstones bear the names of sessions: they are taken over, never kept.
@@ -80,7 +127,7 @@ Status Puller::TakeLedger() {
 Status Puller::Obey() {
   std::vector<std::string> still_here;
   for (const std::string& id : forgotten_)
-    if (here_.contains(id)) still_here.push_back(id);
+    if (shared_.here.contains(id)) still_here.push_back(id);
   const bool obeys = options_.forgotten != ForgottenElsewhere::kName && !dry();
   if (!obeys) {
     for (const std::string& id : still_here) {
@@ -98,7 +145,7 @@ Status Puller::Obey() {
   SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));
   for (const ForgottenSession& session : gone.sessions) report_.obeyed.push_back(session.id);
   for (const std::string& leftover : gone.leftovers) report_.problems.push_back("forgotten, but left: " + leftover);
-  for (const std::string& id : still_here) here_.erase(id);
+  for (const std::string& id : still_here) shared_.here.erase(id);
   return Status::Ok();
 }
 
@@ -111,6 +158,7 @@ Status Puller::Wipe(const fs::path& place, const std::string& why) {
 // What broken-off pulls left, held against what both sides say now.
 Status Puller::Reconcile(const SourceOffers& offers) {
   for (const IncomingSession& session : ListIncoming(store_)) {
+    if (shared_.claimed.contains(session.id)) continue;
     const bool offered = offers.folders.contains(session.id) || catalogue_.OthersHave(session.id);
     for (const fs::path& place : session.places) {
       const bool of_fits = place == IncomingFits(store_, session.id);
@@ -118,13 +166,16 @@ Status Puller::Reconcile(const SourceOffers& offers) {
         SLX_RETURN_IF_ERROR(Wipe(place, "the session was forgotten"));
       } else if (!offered) {
         SLX_RETURN_IF_ERROR(Wipe(place, "the source no longer offers the session"));
-      } else if (here_.contains(session.id) != of_fits) {
+      } else if (shared_.here.contains(session.id) != of_fits) {
         SLX_RETURN_IF_ERROR(Wipe(place, of_fits ? "its session is not here" : "the session is here already"));
       }
     }
   }
   // Manifests of forgotten sessions in the kept catalogues.
-  return WipeIncoming(store_, {forgotten_.begin(), forgotten_.end()}).status();
+  std::vector<std::string> forgotten;
+  std::set_difference(forgotten_.begin(), forgotten_.end(), shared_.claimed.begin(), shared_.claimed.end(),
+                      std::back_inserter(forgotten));
+  return WipeIncoming(store_, forgotten).status();
 }
 
 Status Puller::FetchSession(const std::string& id) {
@@ -132,7 +183,7 @@ Status Puller::FetchSession(const std::string& id) {
   if (fs::exists(store_ / "sessions" / id, error))  // moved by a pull that was cut before it could list
     return ListAdopted(store_, id, from_);
   const fs::path incoming = IncomingFolder(store_, id);
-  SLX_RETURN_IF_ERROR(catalogue_.Copy("sessions/" + id, incoming));
+  SLX_RETURN_IF_ERROR(ForTheSource([&] { return catalogue_.Copy("sessions/" + id, incoming); }));
   SLX_ASSIGN_OR_RETURN(const LeftOut out, LeaveOutUnproven(incoming));
   SLX_ASSIGN_OR_RETURN(const int64_t frames, ProveFolder(store_, incoming));
   SLX_RETURN_IF_ERROR(AdoptFolder(store_, incoming, from_));
@@ -151,7 +202,7 @@ Status Puller::SayDoubts(const std::string& id) {
 }
 
 Status Puller::TakeSession(const Offer& offer) {
-  if (here_.contains(offer.id)) {
+  if (shared_.here.contains(offer.id)) {
     ++report_.present;
     if (!dry()) SLX_RETURN_IF_ERROR(TakeKeys(offer));
     return TakeFits(offer);
@@ -164,6 +215,7 @@ Status Puller::TakeSession(const Offer& offer) {
   if (IsTroubleOfAll(taken)) return taken;
   if (taken.ok()) {
     report_.sessions.push_back(offer.id);
+    shared_.here.insert(offer.id);
     return Status::Ok();
   }
   // A damaged copy would look finished to rsync for good. One of a later version waits for a later program.
@@ -190,7 +242,7 @@ Status Puller::TakeKeys(const Offer& offer) {
 
 Status Puller::TakeFit(const std::string& session, const std::string& fit) {
   const fs::path incoming = IncomingFits(store_, session) / fit;
-  SLX_RETURN_IF_ERROR(catalogue_.Copy("sessions/" + session + "/fits/" + fit, incoming));
+  SLX_RETURN_IF_ERROR(ForTheSource([&] { return catalogue_.Copy("sessions/" + session + "/fits/" + fit, incoming); }));
   return AdoptFit(store_, session, incoming).status();
 }
 
@@ -219,9 +271,17 @@ Status Puller::TakeFits(const Offer& offer) {
   return dry() ? Status::Ok() : WipeFolder(IncomingFits(store_, offer.id));
 }
 
+bool Puller::InTime() const { return !deadline_ || std::chrono::steady_clock::now() < *deadline_; }
+
+Status Puller::OutOfTime(const std::string& how_far) const {
+  return Status(StatusCode::kTryAgain, "the limit of " + std::to_string(options_.limit.count()) +
+                                           " s is over: " + how_far + ", the next pull goes on");
+}
+
 Status Puller::Run() {
-  SLX_ASSIGN_OR_RETURN(here_, ListedSessions(store_));
-  SLX_RETURN_IF_ERROR(TakeLedger());
+  turn_.lock();
+  if (const Status told = TakeLedger(); !told.ok())
+    return told.code() == StatusCode::kTryAgain && !InTime() ? OutOfTime("the source did not say what it has") : told;
   SLX_RETURN_IF_ERROR(Obey());
   SourceOffers offers = catalogue_.Read();
   report_.problems.insert(report_.problems.end(), offers.problems.begin(), offers.problems.end());
@@ -234,7 +294,15 @@ Status Puller::Run() {
   }
   Progress progress(logger_, "pull", static_cast<int64_t>(offers.sessions.size()));
   for (const Offer& offer : offers.sessions) {
-    if (!forgotten_.contains(offer.id)) SLX_RETURN_IF_ERROR(TakeSession(offer));
+    if (!forgotten_.contains(offer.id) && Claim(offer.id)) {
+      const Status taken = InTime() ? TakeSession(offer) : Status(StatusCode::kTryAgain, "");
+      shared_.claimed.erase(offer.id);
+      if (taken.code() == StatusCode::kTryAgain && !InTime()) {
+        const auto done = static_cast<int64_t>(report_.sessions.size()) + report_.present;
+        return OutOfTime(std::to_string(done) + " of " + std::to_string(offers.sessions.size()) + " sessions are here");
+      }
+      SLX_RETURN_IF_ERROR(taken);
+    }
     progress.Advance();
   }
   if (dry()) return Status::Ok();
@@ -242,6 +310,8 @@ Status Puller::Run() {
   report_.withdrawals += late;
   return Status::Ok();
 }
+
+constexpr size_t kMostSources = 256;  // a thread and an rsync each
 
 Status CheckSource(const std::string& from) {
   if (from.empty()) return Status::Usage("--from is empty; give user@host:/path/of/the/store or a local folder");
@@ -251,16 +321,43 @@ Status CheckSource(const std::string& from) {
 
 }  // namespace
 
-Result<PullReport> Pull(const fs::path& store, const std::string& source, const PullOptions& options, Logger& logger) {
-  std::string from = source;
-  while (from.size() > 1 && from.ends_with('/')) from.pop_back();
-  SLX_RETURN_IF_ERROR(CheckSource(from));
+Result<std::vector<SourcePull>> PullAll(const fs::path& store, const std::vector<std::string>& from,
+                                        const PullOptions& options, Logger& logger) {
+  std::vector<SourcePull> pulls;
+  if (from.empty() || from.size() > kMostSources)
+    return Status::Usage(std::to_string(from.size()) + " sources: 1 to " + std::to_string(kMostSources));
+  for (std::string source : from) {
+    while (source.size() > 1 && source.ends_with('/')) source.pop_back();
+    SLX_RETURN_IF_ERROR(CheckSource(source));
+    if (std::any_of(pulls.begin(), pulls.end(), [&](const SourcePull& pull) { return pull.from == source; }))
+      return Status::Usage("--from " + source + " is given twice");
+    pulls.push_back({source, {}, {}});
+  }
   SLX_RETURN_IF_ERROR(SessionIndex::Open(store, AccessMode::kReadWrite).status());
   SLX_ASSIGN_OR_RETURN(const auto lock, IncomingLock::Take(store));
   SLX_RETURN_IF_ERROR(WipeFolder(store / "incoming" / ".catalogue"));  // of an older program
-  PullReport report;
-  SLX_RETURN_IF_ERROR(Puller(store, from, options, logger, report).Run());
-  return report;
+  SharedTurn shared;
+  SLX_ASSIGN_OR_RETURN(shared.here, ListedSessions(store));
+  Logger quiet(LogLevel::kError);  // several bars on one line tell nobody anything
+  const auto pull = [&](SourcePull& one) {
+    try {
+      one.status = Puller(store, one.from, options, pulls.size() > 1 ? quiet : logger, shared, one.report).Run();
+    } catch (const std::exception& error) {
+      one.status = Status::Failed(error.what());
+    }
+    if (pulls.size() > 1) logger.Info(one.from + (one.status.ok() ? ": done" : ": " + one.status.message()));
+  };
+  std::vector<std::jthread> others;
+  for (size_t i = 1; i < pulls.size(); ++i) others.emplace_back(pull, std::ref(pulls[i]));
+  pull(pulls[0]);
+  others.clear();  // waits for them
+  return pulls;
+}
+
+Result<PullReport> Pull(const fs::path& store, const std::string& source, const PullOptions& options, Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(auto pulls, PullAll(store, {source}, options, logger));
+  SLX_RETURN_IF_ERROR(pulls[0].status);
+  return std::move(pulls[0].report);
 }
 
 }  // namespace stratalux::db

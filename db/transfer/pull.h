@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finished sessions of another store, over rsync and ssh. The other side's SQLite is never opened: its manifests say
+// Finished sessions of other stores, over rsync and ssh. The other side's SQLite is never opened: its manifests say
 // what there is, its ledger what must not be.
 #pragma once
 
@@ -22,6 +22,7 @@ struct PullOptions {
   PullMode mode = PullMode::kCopy;
   ForgottenElsewhere forgotten = ForgottenElsewhere::kName;
   std::chrono::seconds timeout{60};  // of the network, without a byte
+  std::chrono::seconds limit{0};     // for each source; what it has not given by then waits for the next pull. 0: none
 };
 
 struct PullReport {
@@ -51,5 +52,19 @@ struct PullReport {
 // there, no rsync here; kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
 [[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from,
                                       const PullOptions& options, Logger& logger);
+
+// What became of one of several sources: the report goes as far as it came.
+struct SourcePull {
+  std::string from;
+  Status status;  // as Pull() has it; kTryAgain: its limit
+  PullReport report;
+};
+
+// From several sources side by side, in the order given: whoever is away, slow or damaged delays nobody else. One of
+// them works on the store at a time, while the others copy. A session that two of them have comes from whichever begins
+// with it first. Not ok where nothing was begun: kUsage for no source, too many, or the same twice; kBusy as Pull().
+[[nodiscard]] Result<std::vector<SourcePull>> PullAll(const std::filesystem::path& store,
+                                                      const std::vector<std::string>& from, const PullOptions& options,
+                                                      Logger& logger);
 
 }  // namespace stratalux::db

@@ -41,10 +41,18 @@ std::string OneLine(const std::string& errors) {
   return reason;
 }
 
+// Told to end, rsync keeps what it has of a file for the next time.
+std::optional<ProgramLimit> LimitOf(const RsyncLimits& limits) {
+  constexpr std::chrono::seconds kGrace(2);
+  if (!limits.deadline) return std::nullopt;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(*limits.deadline - std::chrono::steady_clock::now());
+  return ProgramLimit{std::max(left, std::chrono::milliseconds(0)), kGrace};
+}
+
 }  // namespace
 
 Result<std::string> Rsync(const RsyncOptions& options, const std::string& source, const std::filesystem::path& target) {
-  const std::string seconds = std::to_string(options.timeout.count());
+  const std::string seconds = std::to_string(options.limits.timeout.count());
   // -s: names reach the other side as they are. Deltas also between local folders, so that a cut copy is continued.
   // Times to the nanosecond: a file that changed within the second is another one.
   std::vector<std::string> arguments = {
@@ -54,7 +62,7 @@ Result<std::string> Rsync(const RsyncOptions& options, const std::string& source
                         " -o ServerAliveInterval=15 -o ServerAliveCountMax=4");
   arguments.insert(arguments.end(), options.arguments.begin(), options.arguments.end());
   arguments.insert(arguments.end(), {"--", source, target.string() + "/"});
-  auto outcome = RunProgram(arguments);
+  auto outcome = RunProgram(arguments, LimitOf(options.limits));
   if (outcome.status().code() == StatusCode::kNotFound)
     return Status::NotFound("pull needs rsync, which is not installed here; apt-get install rsync");
   if (!outcome.ok()) return outcome.status();

@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,15 +12,21 @@
 
 namespace stratalux::db {
 
+struct RsyncLimits {
+  std::chrono::seconds timeout{60};                                    // without a byte from the other side
+  std::optional<std::chrono::steady_clock::time_point> deadline = {};  // for all of it
+};
+
 struct RsyncOptions {
   std::vector<std::string> arguments;
-  std::chrono::seconds timeout{60};  // without a byte from the other side
+  RsyncLimits limits = {};
 };
 
 // Copies `source` (host:path or a local path, a folder with its slash) into the folder `target`; returns what rsync
 // printed. kIntegrity where single files could not be read or vanished; the others are there then. kFailed: no contact,
-// no space and the like. kNotFound where rsync is missing, with the package's name. ssh is run with BatchMode (no
-// questions), ConnectTimeout and ServerAliveInterval, unless $RSYNC_RSH says how to run it.
+// no space and the like. kTryAgain: the deadline; what was copied of a file stays for the next time. kNotFound where
+// rsync is missing, with the package's name. ssh is run with BatchMode (no questions), ConnectTimeout and
+// ServerAliveInterval, unless $RSYNC_RSH says how to run it.
 [[nodiscard]] Result<std::string> Rsync(const RsyncOptions& options, const std::string& source,
                                         const std::filesystem::path& target);
 

@@ -49,11 +49,11 @@ std::string Literal(const std::string& name) {
 
 }  // namespace
 
-SourceCatalogue::SourceCatalogue(fs::path store, std::string source, std::chrono::seconds timeout)
+SourceCatalogue::SourceCatalogue(fs::path store, std::string source, RsyncLimits limits)
     : store_(std::move(store)),
       source_(std::move(source)),
       folder_(CatalogueFolder(store_, source_)),
-      timeout_(timeout) {}
+      limits_(limits) {}
 
 Status SourceCatalogue::Fetch(const std::set<std::string>& forgotten, std::vector<std::string>& problems) {
   SLX_RETURN_IF_ERROR(MakeFolder(folder_));
@@ -67,12 +67,12 @@ Status SourceCatalogue::Fetch(const std::set<std::string>& forgotten, std::vecto
         kSealedKeys, "--include=/sessions/*/fits/", "--include=/sessions/*/fits/*/",
         "--include=/sessions/*/fits/*/fit.json", "--include=/ledger/", "--include=/ledger/*.jsonl",
         "--include=/deletions/", "--include=/deletions/*.json", "--include=/deletions/*.forgetting", "--exclude=*"},
-       timeout_},
+       limits_},
       source_ + "/", folder_);
   SLX_RETURN_IF_ERROR(WipeFile(refused));  // tombstones belong into the ledger
   if (!fetched.ok()) {
     if (fetched.status().code() != StatusCode::kIntegrity) return fetched.status();
-    if (!Rsync({{"--list-only", "--dirs"}, timeout_}, source_ + "/sessions", folder_).ok())
+    if (!Rsync({{"--list-only", "--dirs"}, limits_}, source_ + "/sessions", folder_).ok())
       return Status::NotFound("no store in " + source_ + " (it has no folder 'sessions')");
     problems.push_back("not all of the source could be read: " + fetched.status().message());
   }
@@ -118,14 +118,14 @@ Status SourceCatalogue::Copy(const std::string& path, const fs::path& target) co
   SLX_RETURN_IF_ERROR(MakeFolder(target));
   const std::string from = source_ + "/" + path + "/";
   SLX_RETURN_IF_ERROR(
-      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json", kNoKeyInTheMaking, kNoArtifacts}, timeout_},
+      Rsync({{"--delete", "--exclude=*.partial", "--exclude=/place.json", kNoKeyInTheMaking, kNoArtifacts}, limits_},
             from, target)
           .status());
   SLX_ASSIGN_OR_RETURN(
       const std::string different,
       Rsync({{"--dry-run", "--checksum", "--delete", "--out-format=%n", "--exclude=*.partial", "--exclude=/place.json",
               kNoKeyInTheMaking, kNoArtifacts, "--exclude=*.seg", "--omit-dir-times"},
-             timeout_},
+             limits_},
             from, target));
   if (different.find_first_not_of("./\n") == std::string::npos) return Status::Ok();
   return Status::Integrity(path + " changed at the source while it was copied: " +

@@ -29,7 +29,7 @@ struct SourceOffers {
 class SourceCatalogue {
  public:
   // `source`: as Rsync takes it, without a slash at its end.
-  SourceCatalogue(std::filesystem::path store, std::string source, std::chrono::seconds timeout);
+  SourceCatalogue(std::filesystem::path store, std::string source, RsyncLimits limits);
   [[nodiscard]] const std::filesystem::path& folder() const { return folder_; }
 
   // Brings it up to date. Of the sessions in `forgotten` nothing is fetched. kNotFound where there is no store; a part
@@ -47,7 +47,7 @@ class SourceCatalogue {
   const std::filesystem::path store_;
   const std::string source_;
   const std::filesystem::path folder_;
-  const std::chrono::seconds timeout_;
+  const RsyncLimits limits_;
 };
 
 }  // namespace stratalux::db

@@ -84,7 +84,7 @@ TimerFacts TimerOf(const std::string& shown, const std::string& unit) {
 
 TimerFacts AskTimer(const std::string& systemctl, const std::string& unit) {
   // Whatever holds systemd's answer up, the operator's screen does not wait for it.
-  constexpr std::chrono::seconds kLimit(3);
+  constexpr ProgramLimit kLimit{std::chrono::seconds(3)};
   const auto shown = RunProgram({"env", "TZ=UTC", "LC_ALL=C", systemctl, "show", "--no-pager",
                                  "--property=Id,LoadState,ActiveState,NextElapseUSecRealtime,LastTriggerUSec", unit},
                                 kLimit);

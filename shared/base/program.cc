@@ -118,8 +118,7 @@ struct Child {
 
 }  // namespace
 
-Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
-                                  std::optional<std::chrono::milliseconds> limit) {
+Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments, const std::optional<ProgramLimit>& limit) {
   Pipe out, err, trouble;
   if (out.ends[0] < 0 || err.ends[0] < 0 || trouble.ends[0] < 0)
     return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
@@ -128,7 +127,7 @@ Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
   argv.push_back(nullptr);
   std::vector<char*> variables = EnvironmentOfOthers();
   const Child its{argv.data(), variables.data(), getpid(), limit.has_value()};
-  const Deadline deadline = limit ? Deadline(Clock::now() + *limit) : std::nullopt;
+  const Deadline deadline = limit ? Deadline(Clock::now() + limit->time) : std::nullopt;
   const pid_t child = fork();
   if (child < 0) return Status::Failed("cannot run " + arguments[0] + ": " + std::strerror(errno));
   if (child == 0) Become(its, out, err, trouble);
@@ -138,6 +137,12 @@ Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
   ProgramOutcome outcome;
   Drain(out, err, deadline, outcome);
   const bool ended = HasEnded(child, deadline);
+  if (limit && !ended && limit->grace.count() > 0) {
+    kill(-child, SIGTERM);
+    const Deadline grace = Clock::now() + limit->grace;
+    Drain(out, err, grace, outcome);
+    (void)HasEnded(child, grace);
+  }
   if (limit) {
     kill(-child, SIGKILL);             // what it left behind
     if (!ended) kill(child, SIGKILL);  // it may not have come to its group yet
@@ -145,7 +150,9 @@ Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments,
   int status = 0;
   while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
-  if (!ended) return Status::Failed(arguments[0] + " did not end within " + std::to_string(limit->count()) + " ms");
+  if (!ended)
+    return Status(StatusCode::kTryAgain,
+                  arguments[0] + " did not end within " + std::to_string(limit->time.count()) + " ms");
   int reason = 0;
   if (read(trouble.ends[0], &reason, sizeof reason) == static_cast<ssize_t>(sizeof reason))
     return reason == ENOENT ? Status::NotFound("there is no program '" + arguments[0] + "'")

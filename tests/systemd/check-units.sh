@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # What the units, accounts, folders and rules of systemd/ promise, held by systemd's own tools. Exit 77: a tool is missing.
-#   check-units.sh security|verify|programs|page|accounts|rules|pull SOURCE BUILD
+#   check-units.sh security|verify|programs|page|accounts|rules|pull|keys SOURCE BUILD
 set -euo pipefail
 check=$1 source=$2 build=$3
 scratch=$(mktemp -d)
@@ -159,8 +159,14 @@ rules() {
   grep -q "LINK 'stratalux/lines'" "$scratch/said" || fail "a marked device has no stable name"
 }
 
+# systemd makes a word of each rig that is named (systemd.service, "Command lines": $WORD, not ${WORD}).
+rigs() {
+  grep -q -- '--from \$STRATALUX_PULL_FROM$' "$source/systemd/stratalux-pull.service" || fail "several rigs would be one word"
+}
+
 # stratalux-pull.service sees no key, and needs none: encrypted sessions arrive whole, hashed and not decoded.
 pull() {
+  rigs
   for name in pull submit; do
     grep -q '^InaccessiblePaths=-/var/lib/stratalux/store/keys.sqlite$' "$source/systemd/stratalux-$name.service" || fail "$name sees keys"
   done
@@ -187,7 +193,25 @@ pull() {
   decoded || { cat "$scratch/said"; fail "what was pulled cannot be read by who has the key"; }
 }
 
+# The reader's private key is the batch's alone, which has no network; a machine without one begins its night all the same.
+keys() {
+  units=$source/systemd
+  with=$(cd "$units" && grep -lE '^(LoadCredential|LoadCredentialEncrypted|SetCredential|ImportCredential)' ./*.service || true)
+  [ "$with" = ./stratalux-batch.service ] || fail "credentials are given to: $with"
+  # With a path, a file that is missing would fail the unit (systemd.exec).
+  grep -q '^LoadCredential=reader.key$' "$units/stratalux-batch.service" || fail "the batch gets no reader.key"
+  grep -q '^PrivateNetwork=yes$' "$units/stratalux-batch.service" || fail "who reads keys has a network"
+  ! grep -h '^Environment.*STRATALUX_READER_KEY' "$units"/*.service || fail "a unit names a reader's key"
+  # A night begins behind the pull, whatever became of that.
+  for name in batch submit; do
+    for word in Wants After; do
+      grep -qE "^$word=.*stratalux-pull.service" "$units/stratalux-$name.service" || fail "$name does not come behind the pull ($word)"
+    done
+    ! grep -qE '^(Requires|BindsTo|Requisite)=.*stratalux-pull' "$units/stratalux-$name.service" || fail "a pull that failed ends the night"
+  done
+}
+
 case "$check" in
-  security|verify|programs|page|accounts|rules|pull) $check ;;
-  *) echo "usage: check-units.sh security|verify|programs|page|accounts|rules|pull SOURCE BUILD" >&2; exit 2 ;;
+  security|verify|programs|page|accounts|rules|pull|keys) $check ;;
+  *) echo "usage: check-units.sh security|verify|programs|page|accounts|rules|pull|keys SOURCE BUILD" >&2; exit 2 ;;
 esac

@@ -19,7 +19,7 @@ using std::chrono::seconds;
 using ::testing::HasSubstr;
 
 Result<ProgramOutcome> RunShell(const std::string& script, std::optional<milliseconds> limit = std::nullopt) {
-  return RunProgram({"sh", "-c", script}, limit);
+  return RunProgram({"sh", "-c", script}, limit ? std::optional(ProgramLimit{*limit}) : std::nullopt);
 }
 
 // Far beyond the limit that a test gives, far below what its program would take: a busy machine passes.
@@ -54,7 +54,7 @@ TEST(Program, GivesCodeAndBothOutputs) {
   EXPECT_EQ(RunShell("kill -9 $$")->code, 128 + SIGKILL);
   EXPECT_EQ(RunProgram({"/nonexistent/program"}).status().code(), StatusCode::kNotFound);
   EXPECT_EQ(RunProgram({"/etc/passwd"}).status().code(), StatusCode::kFailed) << "not to be run";
-  EXPECT_EQ(RunProgram({"/nonexistent/program"}, seconds(20)).status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(RunProgram({"/nonexistent/program"}, ProgramLimit{seconds(20)}).status().code(), StatusCode::kNotFound);
 }
 
 TEST(Program, OfALimitIsTheSameWithinIt) {
@@ -102,15 +102,24 @@ TEST_F(LimitedProgram, IsEndedWhateverItDoes) {
     const auto begun = std::chrono::steady_clock::now();
     const auto ran = RunShell(script, milliseconds(300));
     EXPECT_LT(std::chrono::steady_clock::now() - begun, kSoon) << script;
-    EXPECT_EQ(ran.status().code(), StatusCode::kFailed) << script;
+    EXPECT_EQ(ran.status().code(), StatusCode::kTryAgain) << script;
     EXPECT_THAT(ran.status().message(), HasSubstr("sh did not end within 300 ms"));
     EXPECT_TRUE(IsGone("pid")) << script;
   }
 }
 
+TEST_F(LimitedProgram, MayEndByItselfWithinItsGrace) {
+  const std::string script = "trap 'echo ended >" + Noted("word") + "; exit 0' TERM; sleep 600 & wait";
+  const auto ran = RunProgram({"sh", "-c", script}, ProgramLimit{milliseconds(300), seconds(20)});
+  EXPECT_EQ(ran.status().code(), StatusCode::kTryAgain) << "its time was over all the same";
+  std::string word;
+  std::ifstream(folder_ / "word") >> word;
+  EXPECT_EQ(word, "ended");
+}
+
 TEST_F(LimitedProgram, TakesWhatItStartedAlong) {
   const auto ran = RunShell("sleep 600 & echo $! >" + Noted("child") + "; wait", milliseconds(300));
-  EXPECT_EQ(ran.status().code(), StatusCode::kFailed);
+  EXPECT_EQ(ran.status().code(), StatusCode::kTryAgain);
   EXPECT_TRUE(IsGone("child"));
 }
 
