@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/evaluation/heldout_takes.h"
@@ -12,6 +13,7 @@
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -120,6 +122,12 @@ double NoiseOfTakes(const Target& target, const Image<uint8_t>& mask) {
   return NoiseFloor(target.light, Combine(target.noise, target.noise, std::multiplies<>()), mask);
 }
 
+// The images of a figure.
+struct Judged {
+  size_t figure = 0;
+  Image<float> real, estimate;
+};
+
 }  // namespace
 
 Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<ComparedModel>& models) {
@@ -144,12 +152,22 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
     const double noise = NoiseOfTakes(target, masks.judged),
                  camera_noise = NoiseFloor(target.light, target.variance, masks.judged);
     LightComparison picture{light, target.light, {}, {}, {}, {}};
+    std::vector<Judged> judged;
     for (const ComparedModel& model : models) {
       const Prediction& p = model.predictions.at(light);
-      auto add = [&](const char* part, const char* with, const Image<float>& real, const Image<float>& estimate,
+      auto add = [&](const char* part, const char* with, const Image<float>& real, Image<float> estimate,
                      bool captured) {
-        comparison.figures.push_back({in.view.projector, light, model.name, part, with, in.geometry, in.pool,
-                                      target.takes, CompareImages(real, estimate, masks.judged), captured ? noise : 0.0,
+        judged.push_back({comparison.figures.size(), real, std::move(estimate)});
+        comparison.figures.push_back({in.view.projector,
+                                      light,
+                                      model.name,
+                                      part,
+                                      with,
+                                      in.geometry,
+                                      in.pool,
+                                      target.takes,
+                                      {},
+                                      captured ? noise : 0.0,
                                       captured ? camera_noise : 0.0});
       };
       const Image<float> remaining = Difference(direct, p.direct_part), total = Sum(p.subsurface, remaining);
@@ -166,6 +184,10 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
       picture.total = total;
       comparison.coverage.left_out_nrmse[light] = CompareImages(target.light, total, masks.left_out).nrmse;
     }
+    ParallelFor(static_cast<int64_t>(judged.size()), 1, [&](int64_t begin, int64_t end) {
+      for (const Judged& one : std::span(judged).subspan(begin, end - begin))
+        comparison.figures[one.figure].error = CompareImages(one.real, one.estimate, masks.judged);
+    });
     comparison.pictures.push_back(std::move(picture));
   }
   return comparison;

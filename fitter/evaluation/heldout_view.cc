@@ -4,6 +4,7 @@
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/sensor/linear_frame.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 
@@ -18,8 +19,11 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   const ProjectorCalibration& held_out = view.rig.projectors[projector];
   const double open = 1.0 - held_out.black_level;  // a frame minus its black frame
   view.lit = BuildLitSurface(view.shape.surface, held_out, plan.exposure_ms);
-  for (const std::string& light : lights)
-    view.pyramids.push_back(LightWith(view.lit, HeldOutPattern(light, plan), open));
+  view.pyramids.resize(lights.size());
+  ParallelFor(static_cast<int64_t>(lights.size()), 1, [&](int64_t begin, int64_t end) {
+    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k)
+      view.pyramids[k] = LightWith(view.lit, HeldOutPattern(lights[k], plan), open);
+  });
   std::vector<const Image<float>*> patterns;
   for (const LitPyramid& pyramid : view.pyramids) patterns.push_back(&pyramid.pattern);
   view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, patterns);

@@ -36,9 +36,16 @@ Status Write(const std::filesystem::path& file, const char* type, std::span<cons
   return out ? Status::Ok() : Status::Failed("cannot write " + file.string());
 }
 
+// A file behind its header.
+struct Values {
+  std::ifstream in;
+  int64_t count = 0;
+};
+
 template <typename T>
-Result<std::vector<T>> Read(const std::filesystem::path& file, const std::string& type) {
-  std::ifstream in(file, std::ios::binary | std::ios::ate);
+Result<Values> Open(const std::filesystem::path& file, const std::string& type) {
+  Values values{std::ifstream(file, std::ios::binary | std::ios::ate)};
+  std::ifstream& in = values.in;
   if (!in) return Status::NotFound("cannot read " + file.string());
   const auto size = static_cast<int64_t>(in.tellg());
   in.seekg(0);
@@ -52,10 +59,22 @@ Result<std::vector<T>> Read(const std::filesystem::path& file, const std::string
   if (!in || std::memcmp(magic, kMagic, kMagicBytes) != 0 || bytes < 0 ||
       bytes % static_cast<int64_t>(sizeof(T)) != 0 || header.find("'descr': '" + type + "'") == std::string::npos)
     return Status::Integrity(file.string() + " is no array of " + type);
-  std::vector<T> values(static_cast<size_t>(bytes) / sizeof(T));
-  in.read(reinterpret_cast<char*>(values.data()), bytes);
-  if (!in) return Status::Failed("cannot read " + file.string());
+  values.count = bytes / static_cast<int64_t>(sizeof(T));
   return values;
+}
+
+template <typename T>
+Result<std::vector<T>> ReadHere(Values& from, int64_t count, const std::filesystem::path& file) {
+  std::vector<T> values(static_cast<size_t>(count));
+  from.in.read(reinterpret_cast<char*>(values.data()), count * static_cast<int64_t>(sizeof(T)));
+  if (!from.in) return Status::Failed("cannot read " + file.string());
+  return values;
+}
+
+template <typename T>
+Result<std::vector<T>> Read(const std::filesystem::path& file, const std::string& type) {
+  SLX_ASSIGN_OR_RETURN(Values from, Open<T>(file, type));
+  return ReadHere<T>(from, from.count, file);
 }
 
 }  // namespace
@@ -68,5 +87,13 @@ Status WriteNpy(const std::filesystem::path& file, std::span<const int32_t> valu
 }
 Result<std::vector<float>> ReadNpyFloats(const std::filesystem::path& file) { return Read<float>(file, "<f4"); }
 Result<std::vector<int32_t>> ReadNpyIntegers(const std::filesystem::path& file) { return Read<int32_t>(file, "<i4"); }
+
+Result<std::vector<float>> ReadNpyFloats(const std::filesystem::path& file, int64_t first, int64_t count) {
+  SLX_ASSIGN_OR_RETURN(Values from, Open<float>(file, "<f4"));
+  if (first < 0 || count < 0 || first > from.count - count)
+    return Status::Integrity(file.string() + " has " + std::to_string(from.count) + " values, fewer than are needed");
+  from.in.seekg(first * static_cast<int64_t>(sizeof(float)), std::ios::cur);
+  return ReadHere<float>(from, count, file);
+}
 
 }  // namespace stratalux::fit

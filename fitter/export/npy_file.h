@@ -19,4 +19,7 @@ Status WriteNpy(const std::filesystem::path& file, std::span<const int32_t> valu
 Result<std::vector<float>> ReadNpyFloats(const std::filesystem::path& file);
 Result<std::vector<int32_t>> ReadNpyIntegers(const std::filesystem::path& file);
 
+// `count` values from the `first` on; kIntegrity where the file has fewer. Nothing else of it is read.
+Result<std::vector<float>> ReadNpyFloats(const std::filesystem::path& file, int64_t first, int64_t count);
+
 }  // namespace stratalux::fit

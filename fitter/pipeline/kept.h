@@ -25,7 +25,14 @@ class Kept {
     key_ = key;
     return &*value_;
   }
+  // Keeps what was made of `key` elsewhere.
+  void Put(const std::string& key, T value) {
+    Drop();
+    value_.emplace(std::move(value));
+    key_ = key;
+  }
   void Drop() { value_.reset(); }
+  [[nodiscard]] bool Empty() const { return !value_; }
 
  private:
   std::string key_;

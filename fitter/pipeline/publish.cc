@@ -241,35 +241,33 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);
 
-  SLX_ASSIGN_OR_RETURN(const auto shape, stages.Load(keys.at("shape"), LoadShape));
-  SLX_ASSIGN_OR_RETURN(const auto separation, stages.Load(keys.at("separate"), LoadSeparation));
-  SLX_ASSIGN_OR_RETURN(const auto layers, stages.Load(keys.at("fit"), LoadLayers));
-  const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers.map.channels); };
+  SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
+  SLX_ASSIGN_OR_RETURN(const auto* separation, graph.Separation(keys.at("separate")));
+  SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, graph.Layers(keys.at("fit")));
+  const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers->map.channels); };
   SLX_ASSIGN_OR_RETURN(const auto normals, stages.Load(keys.at("normals"), load_normals));
   SLX_ASSIGN_OR_RETURN(auto shown,
-                       LayersToShow(stages, keys, layers, static_cast<int>(shape.record.projectors.size())));
-  ReportInput input{frames, shape, separation,     normals, layers, std::move(shown), ProfileToShow(layers.map),
-                    {},     {},    options.heldout};
-  {
-    SLX_ASSIGN_OR_RETURN(const auto srds, stages.Load(graph.Srd(options.geometry), LoadSrds));
-    metrics.sweeps = srds.figures;
-    if (input.chosen_profile >= 0)
-      for (const SrdBatch& batch : srds.set.batches)
-        input.chosen_srds.push_back(ProfilesOf(batch, {&input.chosen_profile, 1}));
-  }
+                       LayersToShow(stages, keys, *layers, static_cast<int>(shape->record.projectors.size())));
+  const int64_t chosen = ProfileToShow(layers->map);
+  const auto load_profile = [&](const fs::path& folder) { return LoadProfileSrds(folder, chosen); };
+  SLX_ASSIGN_OR_RETURN(auto srds, stages.Load(graph.Srd(options.geometry), load_profile));
+  metrics.sweeps = std::move(srds.figures);
+  ReportInput input{frames,  *shape,           *separation, normals,
+                    *layers, std::move(shown), chosen,      std::move(srds.batches),
+                    {},      options.heldout};
   const std::string compare = graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout);
   SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons));
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
   if (evaluation == Evaluation::kFull)
-    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, static_cast<int>(shape.record.projectors.size()), metrics));
+    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, static_cast<int>(shape->record.projectors.size()), metrics));
 
   metrics.session = frames.info().id;
   metrics.fit = FitIdOf(graph, options);
   metrics.program_version = kVersion;
   metrics.options_json = options.ToJson();
   metrics.evaluation = ToString(evaluation);
-  metrics.drift = shape.drift;
-  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(frames, shape.surface));
+  metrics.drift = shape->drift;
+  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(frames, shape->surface));
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});

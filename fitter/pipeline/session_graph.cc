@@ -2,6 +2,7 @@
 #include "fitter/pipeline/session_graph.h"
 
 #include <algorithm>
+#include <numeric>
 
 #include <nlohmann/json.hpp>
 
@@ -57,24 +58,15 @@ std::string SrdOptionsJson(const SrdOptions& o) {
       .dump();
 }
 
-SrdSet Spoilt(SrdSet srds, FitKind kind, int heldout) {
+bool IsSpoilt(FitKind kind) { return kind == FitKind::kProjectorsPermuted || kind == FitKind::kCombFramesShuffled; }
+
+SrdSet Spoil(SrdSet srds, FitKind kind, int heldout) {
   if (kind == FitKind::kProjectorsPermuted) return WithPermutedProjectors(std::move(srds), heldout);
   if (kind == FitKind::kCombFramesShuffled) return WithShuffledCombFrames(std::move(srds), kShuffleSeed);
   return srds;
 }
 
 bool IsBaseline(const std::string& model) { return model == "homogeneous" || model == "dipole"; }
-
-Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, StageGraph& stages, const std::string& srd, int heldout) {
-  std::vector<Dipole> dipoles;
-  {
-    SLX_ASSIGN_OR_RETURN(const auto extracted, stages.Load(srd, LoadSrds));
-    SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, heldout));
-    for (int c = 0; c < fit.channels; ++c)
-      dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta, MeanSurfaceReflectance(fit, c)));
-  }
-  return DipoleMap(fit, dipoles);
-}
 
 }  // namespace
 
@@ -127,18 +119,19 @@ std::string SessionGraph::LabelOf(const std::string& what, GeometrySource source
 }
 
 std::string SessionGraph::Decode() {
-  return Add({{"decode", kDecodeVersion, "{}", {{"frames", frames_hash_}, {"record", record_hash_}}, ""},
-              "decode",
-              {},
-              [this](const fs::path& folder) -> Status {
+  const db::ArtifactIdentity identity = {
+      "decode", kDecodeVersion, "{}", {{"frames", frames_hash_}, {"record", record_hash_}}, ""};
+  return Add({identity, "decode", {}, [this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
-                SLX_ASSIGN_OR_RETURN(const auto face, DecodeFace(*frames, logger_));
+                SLX_ASSIGN_OR_RETURN(auto face, DecodeFace(*frames, logger_));
                 std::string decoded = "decoded sites:";
                 for (int r = 0; r < kDecodeReasons; ++r)
                   decoded += std::string(r == 0 ? " " : ", ") + fit::ToString(static_cast<DecodeReason>(r)) + " " +
                              std::to_string(face.counts[r]);
                 logger_.Info(decoded);
-                return SaveDecoded(folder, face);
+                SLX_RETURN_IF_ERROR(SaveDecoded(folder, face));
+                decoded_.Put(key, std::move(face));
+                return Status::Ok();
               }});
 }
 
@@ -153,10 +146,10 @@ std::string SessionGraph::Shape(GeometrySource source) {
                 "shape, of the truth",
                 {shape},
                 [this, shape](const fs::path& folder) -> Status {
-                  SLX_ASSIGN_OR_RETURN(const auto reconstructed, stages_.Load(shape, LoadShape));
+                  SLX_ASSIGN_OR_RETURN(const FaceShape* reconstructed, Face(shape));
                   SLX_ASSIGN_OR_RETURN(const auto truth,
                                        SceneTruth::Open(fs::path(options_.store) / "sessions" / session_));
-                  SLX_ASSIGN_OR_RETURN(const auto made, TruthShape(*truth, reconstructed, record_));
+                  SLX_ASSIGN_OR_RETURN(const auto made, TruthShape(*truth, *reconstructed, record_));
                   return SaveShape(folder, made);
                 }});
   }
@@ -165,20 +158,23 @@ std::string SessionGraph::Shape(GeometrySource source) {
               "shape",
               {decoded},
               [this, decoded](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(decoded, LoadDecoded));
-                SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face.maps, LinearRig(record_), record_));
+                const auto load = [&] { return stages_.Load(decoded, LoadDecoded); };
+                SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
+                SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face->maps, LinearRig(record_), record_));
+                decoded_.Drop();  // nobody else reads it
                 return SaveShape(folder, shape);
               }});
 }
 
 std::string SessionGraph::Separate() {
-  return Add({{"separate", kSeparateVersion, "{}", {{"frames", frames_hash_}, {"record", record_hash_}}, ""},
-              "separate",
-              {},
-              [this](const fs::path& folder) -> Status {
+  const db::ArtifactIdentity identity = {
+      "separate", kSeparateVersion, "{}", {{"frames", frames_hash_}, {"record", record_hash_}}, ""};
+  return Add({identity, "separate", {}, [this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
-                SLX_ASSIGN_OR_RETURN(const auto maps, SeparateFace(*frames));
-                return SaveSeparation(folder, maps);
+                SLX_ASSIGN_OR_RETURN(auto maps, SeparateFace(*frames));
+                SLX_RETURN_IF_ERROR(SaveSeparation(folder, maps));
+                separation_.Put(key, std::move(maps));
+                return Status::Ok();
               }});
 }
 
@@ -192,10 +188,11 @@ std::string SessionGraph::Normals() {
               "normals",
               {separate, shape},
               [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
-                SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
-                SLX_ASSIGN_OR_RETURN(const auto normals, EstimateFaceNormals(maps, face.surface, LinearRig(face.record),
-                                                                             plan_.exposure_ms));
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
+                SLX_ASSIGN_OR_RETURN(
+                    const auto normals,
+                    EstimateFaceNormals(*maps, face->surface, LinearRig(face->record), plan_.exposure_ms));
                 return SaveNormals(folder, normals);
               }});
 }
@@ -206,11 +203,11 @@ std::string SessionGraph::Srd(GeometrySource source) {
               source == GeometrySource::kTruth ? "srd, true geometry" : "srd",
               {shape},
               [this, shape](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const auto face, stages_.Load(shape, LoadShape));
-                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face.record));
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face->record));
                 ExtractedSrds srds;
-                SLX_ASSIGN_OR_RETURN(srds.set,
-                                     ExtractSrds(*frames, face.surface, face.lit, options_.srd, logger_, srds.figures));
+                SLX_ASSIGN_OR_RETURN(
+                    srds.set, ExtractSrds(*frames, face->surface, face->lit, options_.srd, logger_, srds.figures));
                 return SaveSrds(folder, srds);
               }});
 }
@@ -222,7 +219,9 @@ std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) 
     fit.em.direction_blind = true;
   }
   const std::string what = kind == FitKind::kJudged ? "fit" : std::string("fit, ") + ToString(kind);
-  return AddFit(Srd(source), heldout, fit, kind, LabelOf(what, source, heldout));
+  std::string key = AddFit(Srd(source), heldout, fit, kind, LabelOf(what, source, heldout));
+  if (kind == FitKind::kJudged && source == options_.geometry && heldout == options_.heldout) judged_fit_ = key;
+  return key;
 }
 
 std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
@@ -231,14 +230,11 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
   options["heldout"] = heldout;
   options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
-  return Add({{"fit", kFitVersion, options.dump(), {{"srd", srd}}, isa_},
-              label,
-              {srd},
-              [=, this](const fs::path& folder) -> Status {
-                view_.Drop();
-                layers_.Drop();
-                SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(srd, LoadSrds));
-                const SrdSet srds = Spoilt(std::move(extracted.set), kind, heldout);
+  const db::ArtifactIdentity identity = {"fit", kFitVersion, options.dump(), {{"srd", srd}}, isa_};
+  return Add({identity, label, {srd}, [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
+                MakeRoomForAFit();
+                SLX_ASSIGN_OR_RETURN(const SrdSet* read, Srds(srd, kind, heldout));
+                const SrdSet& srds = *read;
                 FittedLayers layers;
                 layers.pool = srds.pool;
                 SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
@@ -246,7 +242,9 @@ std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitO
                 layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
                 SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
                 SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
-                return SaveSummary(folder, Summarise(layers.map, srds, heldout));
+                SLX_RETURN_IF_ERROR(SaveSummary(folder, Summarise(layers.map, srds, heldout)));
+                KeptLayers(key).Put(key, std::move(layers));
+                return Status::Ok();
               }});
 }
 
@@ -276,11 +274,11 @@ std::string SessionGraph::StandardErrors() {
        "standard errors",
        {srd, fit},
        [=, this](const fs::path& folder) -> Status {
-         SLX_ASSIGN_OR_RETURN(const auto extracted, stages_.Load(srd, LoadSrds));
-         SLX_ASSIGN_OR_RETURN(const auto layers, stages_.Load(fit, LoadLayers));
-         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(extracted.set, options_.heldout));
-         Progress progress(logger_, "standard errors", layers.map.profiles());
-         return WriteStandardErrors(folder, FindStandardErrors(layers.map, lights.batches, options_.fit.em,
+         SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, options_.heldout));
+         SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
+         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));
+         Progress progress(logger_, "standard errors", layers->map.profiles());
+         return WriteStandardErrors(folder, FindStandardErrors(layers->map, lights.batches, options_.fit.em,
                                                                [&](int64_t done) { progress.Advance(done); }));
        }});
 }
@@ -299,15 +297,68 @@ Result<const SessionFrames*> SessionGraph::Frames(const RigCalibration& record) 
   });
 }
 
+Result<const FaceShape*> SessionGraph::Face(const std::string& shape) {
+  return face_.Of(shape, [&] { return stages_.Load(shape, LoadShape); });
+}
+
+Result<const std::vector<SeparationMap>*> SessionGraph::Separation(const std::string& separate) {
+  return separation_.Of(separate, [&] { return stages_.Load(separate, LoadSeparation); });
+}
+
+Result<const SrdSet*> SessionGraph::Srds(const std::string& srd, FitKind kind, int heldout) {
+  const std::string of = IsSpoilt(kind) ? srd + ToString(kind) + std::to_string(heldout) : srd;
+  return srds_.Of(of, [&]() -> Result<SrdSet> {
+    SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(srd, LoadSrds));
+    return Spoil(std::move(extracted.set), kind, heldout);
+  });
+}
+
 Result<const HeldOutView*> SessionGraph::View(const std::string& shape, int heldout) {
+  srds_.Drop();
   return view_.Of(shape + " " + std::to_string(heldout), [&]() -> Result<HeldOutView> {
-    SLX_ASSIGN_OR_RETURN(auto face, stages_.Load(shape, LoadShape));
-    return ViewOf(std::move(face), plan_, heldout, HeldOutLights(plan_));
+    SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+    return ViewOf(*face, plan_, heldout, HeldOutLights(plan_));
   });
 }
 
 Result<const FittedLayers*> SessionGraph::Layers(const std::string& fit) {
-  return layers_.Of(fit, [&] { return stages_.Load(fit, LoadLayers); });
+  Kept<FittedLayers>& kept = KeptLayers(fit);
+  return kept.Of(fit, [&] {
+    // SRDs and two fits' layers at once would be most of the memory.
+    if (!srds_.Empty()) (&kept == &layers_ ? judged_layers_ : layers_).Drop();
+    return stages_.Load(fit, LoadLayers);
+  });
+}
+
+Status SessionGraph::KeepPredictions(const std::string& predict, const fs::path& folder, Predictions predictions) {
+  SLX_RETURN_IF_ERROR(SavePredictions(folder, predictions));
+  predictions_[predict] = std::move(predictions);
+  return Status::Ok();
+}
+
+Result<Predictions> SessionGraph::TakePredictions(const std::string& predict) {
+  auto kept = predictions_.extract(predict);
+  if (kept) return std::move(kept.mapped());
+  return stages_.Load(predict, LoadPredictions);
+}
+
+// The samples of a visitor and the layers that come of them are most of a run's memory.
+void SessionGraph::MakeRoomForAFit() {
+  separation_.Drop();
+  view_.Drop();
+  judged_layers_.Drop();
+  layers_.Drop();
+  predictions_.clear();
+}
+
+Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const std::string& srd, int heldout) {
+  SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, heldout));
+  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
+  std::vector<Dipole> dipoles;
+  for (int c = 0; c < fit.channels; ++c)
+    dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta, MeanSurfaceReflectance(fit, c)));
+  srds_.Drop();
+  return DipoleMap(fit, dipoles);
 }
 
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
@@ -322,52 +373,65 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
     inputs["srd"] = srd;
     upstream.push_back(srd);
   }
-  return Add({{"predict", kPredictVersion, options.dump(), inputs, isa_},
-              LabelOf("predict, " + model, source, heldout),
-              upstream,
-              [=, this](const fs::path& folder) -> Status {
+  const db::ArtifactIdentity identity = {"predict", kPredictVersion, options.dump(), inputs, isa_};
+  return Add({identity, LabelOf("predict, " + model, source, heldout), upstream,
+              [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
                 std::optional<MixtureMap> baseline;
                 if (model == "homogeneous") baseline = Homogeneous(fitted->map);
                 if (model == "dipole") {
-                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, stages_, srd, heldout));
+                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, srd, heldout));
                 }
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                return SavePredictions(folder, fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
+                return KeepPredictions(key, folder,
+                                       fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
               }});
 }
 
 // Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
 std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
   const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout);
-  return Add({{"predict",
-               kPredictVersion,
-               SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
-               {{"fit", fit}, {"predict", predicted}},
-               isa_},
+  const db::ArtifactIdentity identity = {"predict",
+                                         kPredictVersion,
+                                         SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
+                                         {{"fit", fit}, {"predict", predicted}},
+                                         isa_};
+  return Add({identity,
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
               {fit, predicted},
-              [=, this](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(auto predictions, stages_.Load(predicted, LoadPredictions));
+              [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(auto predictions, TakePredictions(predicted));
+                predictions_[predicted] = predictions;
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
-                return SavePredictions(folder, ScaledPredictions(std::move(predictions), Homogeneous(fitted->map),
-                                                                 HomogeneousLocalAlbedo(fitted->map), fitted->pool));
+                return KeepPredictions(key, folder,
+                                       ScaledPredictions(std::move(predictions), Homogeneous(fitted->map),
+                                                         HomogeneousLocalAlbedo(fitted->map), fitted->pool));
               }});
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
   const std::string shape = Shape(source), separate = Separate();
-  std::vector<std::string> upstream = {shape, separate}, predictions;
-  // Fits before predictions, which share what they are lit by.
+  std::vector<std::string> predictions, fits;
   for (const std::string& model : models)
-    if (!stages_.Has(Predict(model, source, heldout))) upstream.push_back(FitOf(model, source, heldout));
+    if (!stages_.Has(Predict(model, source, heldout))) fits.push_back(FitOf(model, source, heldout));
   std::map<std::string, std::string> inputs = {{"frames", frames_hash_}, {"shape", shape}, {"separate", separate}};
   if (has_truth()) inputs["truth"] = truth_hash_;
   for (const std::string& model : models) {
     predictions.push_back(Predict(model, source, heldout));
     inputs["predict:" + model] = predictions.back();
-    upstream.push_back(predictions.back());
   }
+  // What stays in memory is used up before it makes room: SRDs by the fits, the judged one last, then by the prediction
+  // that reads them, too; the judged layers by their predictions; what all are lit by by all predictions.
+  const std::string judged = FitOf(models.front(), source, heldout);
+  std::stable_partition(fits.begin(), fits.end(), [&](const std::string& fit) { return fit != judged; });
+  std::vector<size_t> order(models.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::ranges::stable_sort(order, {}, [&](size_t m) {
+    return models[m] == "dipole" ? 0 : FitOf(models[m], source, heldout) == judged ? 1 : 2;
+  });
+  std::vector<std::string> upstream = {shape, separate};
+  upstream.insert(upstream.end(), fits.begin(), fits.end());
+  for (const size_t m : order) upstream.push_back(predictions[m]);
   return Add({{"compare", kCompareVersion,
                SortedJson({{"models", models},
                            {"projector", heldout},
@@ -381,17 +445,18 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
               [=, this](const fs::path& folder) -> Status {
                 layers_.Drop();
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                SLX_ASSIGN_OR_RETURN(const auto maps, stages_.Load(separate, LoadSeparation));
+                SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(view->shape.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
-                  SLX_ASSIGN_OR_RETURN(auto loaded, stages_.Load(predictions[m], LoadPredictions));
-                  compared.push_back({models[m], std::move(loaded)});
+                  SLX_ASSIGN_OR_RETURN(auto taken, TakePredictions(predictions[m]));
+                  compared.push_back({models[m], std::move(taken)});
                 }
                 const CompareInput input{
-                    *frames, *view, maps[heldout], truth, options_.srd.pool, fit::ToString(source)};
+                    *frames, *view, (*maps)[heldout], truth, options_.srd.pool, fit::ToString(source)};
                 SLX_ASSIGN_OR_RETURN(const auto comparison, CompareHeldOut(input, compared));
+                predictions_.clear();
                 view_.Drop();
                 return SaveComparison(folder, comparison);
               }});

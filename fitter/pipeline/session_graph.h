@@ -6,17 +6,22 @@
 //                                      \-> (truth_shape, of the truth of a simulation, in its place)
 #pragma once
 
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "fitter/evaluation/heldout_view.h"
+#include "fitter/evaluation/predict.h"
 #include "fitter/evaluation/truth.h"
 #include "fitter/pipeline/kept.h"
 #include "fitter/pipeline/run_options.h"
 #include "fitter/pipeline/stage_graph.h"
+#include "fitter/separation/separation_map.h"
 #include "fitter/session/session_frames.h"
+#include "fitter/stages/decode.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/srd_file.h"
 
 namespace stratalux::fit {
 
@@ -47,6 +52,12 @@ class SessionGraph {
     return options_.fit.em.scattering.mode == FitMode::kTied ? "tied" : "free";
   }
   [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
+  // What stages and the report read of artifacts, by key. The last of each kind stays in memory for whoever asks next,
+  // until a fit needs the room: pointers are valid until another key of that kind is asked for, or a stage is made.
+  Result<const FaceShape*> Face(const std::string& shape);
+  Result<const std::vector<SeparationMap>*> Separation(const std::string& separate);
+  Result<const FittedLayers*> Layers(const std::string& fit);
+
   // Every artifact that is there of the nodes added so far, in their order.
   [[nodiscard]] std::vector<std::pair<std::string, db::ArtifactRecord>> Records() const;
 
@@ -58,9 +69,16 @@ class SessionGraph {
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
   // The session's frames as `record` reads them, and the dark frames that stages have asked of them.
   Result<const SessionFrames*> Frames(const RigCalibration& record);
-  // Of the keys of a shape and of a fit; there until the next of theirs is asked for, or a fit is made.
+  // What a fit of that kind is made of.
+  Result<const SrdSet*> Srds(const std::string& srd, FitKind kind, int heldout);
+  // Of a shape; SRDs make room for it.
   Result<const HeldOutView*> View(const std::string& shape, int heldout);
-  Result<const FittedLayers*> Layers(const std::string& fit);
+  Status KeepPredictions(const std::string& predict, const std::filesystem::path& folder, Predictions predictions);
+  // Those kept, or read; they are kept no longer.
+  Result<Predictions> TakePredictions(const std::string& predict);
+  Kept<FittedLayers>& KeptLayers(const std::string& fit) { return fit == judged_fit_ ? judged_layers_ : layers_; }
+  Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, const std::string& srd, int heldout);
+  void MakeRoomForAFit();
   std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
                      const std::string& label);
   [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;
@@ -75,8 +93,14 @@ class SessionGraph {
   std::vector<std::string> order_;
   // What one stage leaves for the next.
   Kept<SessionFrames> frames_;
+  Kept<DecodedFace> decoded_;
+  Kept<FaceShape> face_;
+  Kept<std::vector<SeparationMap>> separation_;
+  Kept<SrdSet> srds_;
   Kept<HeldOutView> view_;
-  Kept<FittedLayers> layers_;
+  std::string judged_fit_;  // the fit that the session's report shows
+  Kept<FittedLayers> judged_layers_, layers_;
+  std::map<std::string, Predictions> predictions_;  // until they are compared
 };
 
 }  // namespace stratalux::fit

@@ -21,6 +21,11 @@ std::string Short(const nlohmann::json& value) {
 
 }  // namespace
 
+std::string StageGraph::KeyOf(db::ArtifactIdentity identity) {
+  identity.seal = store_.files().seal().key_id();
+  return identity.Key();
+}
+
 std::string StageGraph::Add(StageNode node) {
   node.identity.seal = store_.files().seal().key_id();
   std::string key = node.identity.Key();

@@ -37,8 +37,10 @@ class StageGraph {
  public:
   StageGraph(ArtifactStore store, Logger& logger) : store_(std::move(store)), logger_(logger) {}
 
-  // Its key, of an encrypted session with the seal; a node of the same key is there once.
+  // Its key; a node of the same key is there once.
   std::string Add(StageNode node);
+  // Of an encrypted session with the seal.
+  [[nodiscard]] std::string KeyOf(db::ArtifactIdentity identity);
   [[nodiscard]] Result<Artifact> Need(const std::string& key);
   // What `load` makes of the files of a node's artifact: a function of the folder that holds them, which is there for
   // as long as it runs, to a Result.

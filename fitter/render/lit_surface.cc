@@ -5,8 +5,12 @@
 #include <cmath>
 #include <limits>
 
+#include "shared/base/parallel.h"
+
 namespace stratalux::fit {
 namespace {
+
+constexpr int64_t kRowsAtATime = 16;
 
 struct Vertex {
   Eigen::Vector2d at;  // projector pixel
@@ -132,16 +136,18 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
   const int width = surface.width(), height = surface.height();
   std::vector<Vertex> vertices(static_cast<size_t>(width) * height);
   std::vector<uint8_t> known(vertices.size(), 0);
-  for (int j = 0; j < height; ++j)
-    for (int i = 0; i < width; ++i) {
-      if (surface.mask(i, j) == 0) continue;
-      const size_t at = static_cast<size_t>(j) * width + i;
-      const Eigen::Vector3d point = surface.Point(i, j);
-      const auto pixel = light.ProjectFromCamera(point);
-      if (!pixel) continue;
-      vertices[at] = {*pixel, point, surface.Normal(i, j), (point - light.CentreInCamera()).norm()};
-      known[at] = 1;
-    }
+  ParallelFor(height, kRowsAtATime, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < width; ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        const size_t at = static_cast<size_t>(j) * width + i;
+        const Eigen::Vector3d point = surface.Point(i, j);
+        const auto pixel = light.ProjectFromCamera(point);
+        if (!pixel) continue;
+        vertices[at] = {*pixel, point, surface.Normal(i, j), (point - light.CentreInCamera()).norm()};
+        known[at] = 1;
+      }
+  });
   Image<float> nearest(light.model.width, light.model.height, 1, std::numeric_limits<float>::infinity());
   auto fill = [&](size_t a, size_t b, size_t c) {
     if (known[a] == 0 || known[b] == 0 || known[c] == 0) return;
@@ -154,19 +160,21 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
       fill(at, at + 1, at + width);
       fill(at + 1, at + width + 1, at + width);
     }
-  for (int y = 0; y < lit.samples.height(); ++y)
-    for (int x = 0; x < lit.samples.width(); ++x) {
-      LitSample& s = lit.samples(x, y);
-      if (!std::isfinite(nearest(x, y))) continue;
-      const Eigen::Vector3d to_light = light.CentreInCamera() - s.point_mm.cast<double>();
-      if (s.normal.cast<double>().dot(to_light) <= 0.0) continue;
-      // Flux = intensity times the pixel's solid angle, whatever the tilt of the patch: cos^3 over fx fy.
-      const double cosine = light.model.Unproject({double(x), double(y)}).z();
-      const double solid_angle = cosine * cosine * cosine / (light.model.fx * light.model.fy);
-      for (int c = 0; c < 3; ++c)
-        s.flux[c] = static_cast<float>(light.white_dn_mm2_per_ms[c] * exposure_ms *
-                                       light.Falloff({double(x), double(y)}) * solid_angle);
-    }
+  ParallelFor(lit.samples.height(), kRowsAtATime, [&](int64_t begin, int64_t end) {
+    for (int y = static_cast<int>(begin); y < end; ++y)
+      for (int x = 0; x < lit.samples.width(); ++x) {
+        LitSample& s = lit.samples(x, y);
+        if (!std::isfinite(nearest(x, y))) continue;
+        const Eigen::Vector3d to_light = light.CentreInCamera() - s.point_mm.cast<double>();
+        if (s.normal.cast<double>().dot(to_light) <= 0.0) continue;
+        // Flux = intensity times the pixel's solid angle, whatever the tilt of the patch: cos^3 over fx fy.
+        const double cosine = light.model.Unproject({double(x), double(y)}).z();
+        const double solid_angle = cosine * cosine * cosine / (light.model.fx * light.model.fy);
+        for (int c = 0; c < 3; ++c)
+          s.flux[c] = static_cast<float>(light.white_dn_mm2_per_ms[c] * exposure_ms *
+                                         light.Falloff({double(x), double(y)}) * solid_angle);
+      }
+  });
   return lit;
 }
 

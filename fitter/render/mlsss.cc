@@ -10,6 +10,7 @@
 
 #include "fitter/mixture/scattering_model.h"
 #include "fitter/render/receiver.h"
+#include "fitter/render/wide_blocks.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -55,11 +56,9 @@ struct OpenedBlocks {
   const WideLayer& layer;
   Eigen::Vector3f normal;
 
-  [[nodiscard]] float Sum(const SeenBlocks& seen) const {
+  [[nodiscard]] float Sum(std::span<const BlockPlace> wide) const {
     float sum = 0.0F;
-    for (int y = layer.window.y0; y <= layer.window.y1; ++y)
-      for (int x = layer.window.x0; x <= layer.window.x1; ++x)
-        if (seen.spread_mm2[seen.At(x, y)] > layer.target.max_spread_mm2) sum += PartsOf(layer.level, x, y);
+    for (const auto& [x, y] : wide) sum += PartsOf(layer.level, x, y);
     return sum;
   }
 
@@ -83,6 +82,12 @@ struct OpenedBlocks {
     const float exponent = layer.target.half_inverse2 * (offset.squaredNorm() - along * along);
     return exponent < 13.0F ? flux * std::exp(-exponent) : 0.0F;
   }
+};
+
+// Blocks of one level and pattern as a quad sees them, and those of them that a layer opens.
+struct Seen {
+  SeenBlocks blocks;
+  std::vector<BlockPlace> wide;
 };
 
 // All layers of a quad, whichever pattern lights it: where they gather, and by how much. Its light under a pattern is a
@@ -112,17 +117,19 @@ class QuadLayers {
   }
 
   // Light of the quad's layers under a pattern, by colour.
-  [[nodiscard]] std::array<double, 3> Under(const LitPyramid& light, SeenBlocks& seen) const {
+  [[nodiscard]] std::array<double, 3> Under(const LitPyramid& light, Seen& seen) const {
     std::array<double, 3> sums{};
     for (size_t level = 0; level < windows_.size(); ++level) {
       if (windows_[level].Empty()) continue;
-      SeeBlocks(light.levels[level], windows_[level], Plane(), seen);
-      if (seen.dark) continue;
+      SeeBlocks(light.levels[level], windows_[level], Plane(), seen.blocks);
+      if (seen.blocks.dark) continue;
       for (const WideLayer& layer : wide_) {
         if (layer.level != static_cast<int>(level) || layer.window.Empty()) continue;
-        float sum = GatherBlocks(seen, layer.window, layer.target);
-        if (seen.widest_mm2 > layer.target.max_spread_mm2)
-          sum += OpenedBlocks{light, layer, normal_.cast<float>()}.Sum(seen);
+        float sum = GatherBlocks(seen.blocks, layer.window, layer.target);
+        if (seen.blocks.widest_mm2 > layer.target.max_spread_mm2) {
+          FindWideBlocks(seen.blocks, layer.window, layer.target.max_spread_mm2, seen.wide);
+          sum += OpenedBlocks{light, layer, normal_.cast<float>()}.Sum(seen.wide);
+        }
         sums[layer.channel] += layer.factor * sum;
       }
     }
@@ -221,7 +228,7 @@ std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceM
   for (int c = 0; c < map.channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
   ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
     QuadLayers layers(map, lit, lights.front());
-    SeenBlocks seen;
+    Seen seen;
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
         if (surface.mask(i, j) == 0) continue;

@@ -78,6 +78,7 @@ NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
   const int reach = static_cast<int>(std::ceil(4.0 * sigma + 0.5));
   first = static_cast<int>(std::lround(mean)) - reach;
   auto below = [&](double x) { return 0.5 * std::erfc((mean - x) / (sigma * std::numbers::sqrt2)); };
+  share.reserve(static_cast<size_t>(2 * reach + 1));
   double last = below(first - 0.5);
   for (int k = 0; k <= 2 * reach; ++k) {
     const double next = below(first + k + 0.5);
@@ -102,12 +103,19 @@ NarrowLayer::NarrowLayer(const Receiver& receiver, const LitSurface& lit, const 
 
 double NarrowLayer::Under(const Image<float>& shown) const {
   if (white_dn_ == 0.0) return 0.0;
+  const auto columns = static_cast<int>(columns_.share.size());
+  const bool inside = columns_.first >= 0 && columns_.first + columns <= shown.width();
   double sum = 0.0;
   for (size_t j = 0; j < rows_.share.size(); ++j) {
-    const int y = std::clamp(rows_.first + static_cast<int>(j), 0, shown.height() - 1);
+    const float* pixels = shown.row(std::clamp(rows_.first + static_cast<int>(j), 0, shown.height() - 1));
     double row = 0.0;
-    for (size_t i = 0; i < columns_.share.size(); ++i)
-      row += columns_.share[i] * shown(std::clamp(columns_.first + static_cast<int>(i), 0, shown.width() - 1), y);
+    if (inside) {
+      pixels += columns_.first;
+      for (int i = 0; i < columns; ++i) row += columns_.share[i] * pixels[i];
+    } else {
+      for (int i = 0; i < columns; ++i)
+        row += columns_.share[i] * pixels[std::clamp(columns_.first + i, 0, shown.width() - 1)];
+    }
     sum += rows_.share[j] * row;
   }
   return sum * white_dn_;

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/srd_file.h"
 
+#include <algorithm>
 #include <array>
+#include <functional>
 #include <utility>
 
 #include "fitter/export/npy_file.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -55,6 +58,8 @@ SweepFigure FigureOf(const nlohmann::json& json) {
   return f;
 }
 
+fs::path ArrayOf(const fs::path& folder, const char* name) { return folder / (std::string(name) + ".npy"); }
+
 // Rows of the valid profiles, `columns` values each.
 std::vector<float> Pick(const std::vector<float>& values, std::span<const int32_t> which, int64_t columns) {
   std::vector<float> rows;
@@ -76,11 +81,9 @@ Status SaveBatch(const fs::path& folder, const SrdBatch& batch) {
   for (int32_t& row : rows)
     if (!batch.row.empty()) row = batch.row[static_cast<size_t>(row)];
   for (const auto& [name, member] : kSamples)
-    SLX_RETURN_IF_ERROR(
-        WriteNpy(folder / (std::string(name) + ".npy"), Pick(batch.*member, rows, batch.samples), batch.samples));
+    SLX_RETURN_IF_ERROR(WriteNpy(ArrayOf(folder, name), Pick(batch.*member, rows, batch.samples), batch.samples));
   for (const auto& [name, member] : kValues)
-    if (!(batch.*member).empty())
-      SLX_RETURN_IF_ERROR(WriteNpy(folder / (std::string(name) + ".npy"), Pick(batch.*member, which, 1)));
+    if (!(batch.*member).empty()) SLX_RETURN_IF_ERROR(WriteNpy(ArrayOf(folder, name), Pick(batch.*member, which, 1)));
   return WriteJson(folder / "sweep.json", {{"profiles", batch.profiles()},
                                            {"samples", batch.samples},
                                            {"wrapped", batch.wrapped},
@@ -96,48 +99,123 @@ Status Spread(const fs::path& file, std::span<const int32_t> which, int64_t prof
   return Status::Ok();
 }
 
-Result<SrdBatch> LoadBatch(const fs::path& folder) {
+// What a sweep's folder says of itself: a batch without samples and values.
+struct SavedSweep {
   SrdBatch batch;
   int64_t profiles = 0;
+  std::vector<int32_t> which;  // the valid ones
+};
+
+Result<SavedSweep> OpenSweep(const fs::path& folder) {
+  SavedSweep sweep;
+  SrdBatch& batch = sweep.batch;
   SLX_RETURN_IF_ERROR(ReadJson(folder / "sweep.json", [&](const nlohmann::json& json) {
-    json.at("profiles").get_to(profiles);
+    json.at("profiles").get_to(sweep.profiles);
     json.at("samples").get_to(batch.samples);
     json.at("wrapped").get_to(batch.wrapped);
     json.at("sample_box").get_to(batch.sample_box);
     json.at("pool").get_to(batch.pool);
   }));
-  SLX_ASSIGN_OR_RETURN(const auto which, ReadNpyIntegers(folder / "profile.npy"));
-  batch.valid.assign(static_cast<size_t>(profiles), 0);
-  batch.row.assign(static_cast<size_t>(profiles), -1);
-  int32_t before = -1, rows = 0;
-  for (const int32_t i : which) {
-    if (i <= before || i >= profiles) return Status::Integrity((folder / "profile.npy").string() + ": no such profile");
-    batch.valid[static_cast<size_t>(i)] = 1;
-    batch.row[static_cast<size_t>(i)] = rows++;
+  SLX_ASSIGN_OR_RETURN(sweep.which, ReadNpyIntegers(folder / "profile.npy"));
+  int32_t before = -1;
+  for (const int32_t i : sweep.which) {
+    if (i <= before || i >= sweep.profiles)
+      return Status::Integrity((folder / "profile.npy").string() + ": no such profile");
     before = i;
   }
+  return sweep;
+}
+
+Result<SrdBatch> LoadBatch(const fs::path& folder) {
+  SLX_ASSIGN_OR_RETURN(SavedSweep sweep, OpenSweep(folder));
+  SrdBatch& batch = sweep.batch;
+  batch.valid.assign(static_cast<size_t>(sweep.profiles), 0);
+  batch.row.assign(static_cast<size_t>(sweep.profiles), -1);
+  for (int32_t rows = 0; const int32_t i : sweep.which) {
+    batch.valid[static_cast<size_t>(i)] = 1;
+    batch.row[static_cast<size_t>(i)] = rows++;
+  }
   for (const auto& [name, member] : kSamples) {
-    const fs::path file = folder / (std::string(name) + ".npy");
+    const fs::path file = ArrayOf(folder, name);
     SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(file));
-    if ((batch.*member).size() != which.size() * static_cast<size_t>(batch.samples))
+    if ((batch.*member).size() != sweep.which.size() * static_cast<size_t>(batch.samples))
       return Status::Integrity(file.string() + " does not belong to its profiles");
   }
+  for (const auto& [name, member] : kValues)
+    if (std::error_code error; fs::exists(ArrayOf(folder, name), error))
+      SLX_RETURN_IF_ERROR(Spread(ArrayOf(folder, name), sweep.which, sweep.profiles, batch.*member));
+  return std::move(batch);
+}
+
+Result<SrdBatch> LoadProfile(const fs::path& folder, int64_t profile) {
+  SLX_ASSIGN_OR_RETURN(SavedSweep sweep, OpenSweep(folder));
+  SrdBatch& batch = sweep.batch;
+  const auto found = std::ranges::lower_bound(sweep.which, profile);
+  const bool valid = found != sweep.which.end() && *found == profile;
+  const int64_t at = found - sweep.which.begin();
+  batch.valid = {static_cast<uint8_t>(valid ? 1 : 0)};
+  batch.AllotRows(batch.valid, 0.0F, 1.0F);
+  for (const auto& [name, member] : kSamples)
+    if (valid) {
+      SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(ArrayOf(folder, name), at * batch.samples, batch.samples));
+    }
   for (const auto& [name, member] : kValues) {
-    const fs::path file = folder / (std::string(name) + ".npy");
-    if (std::error_code error; fs::exists(file, error))
-      SLX_RETURN_IF_ERROR(Spread(file, which, profiles, batch.*member));
+    if (std::error_code error; !fs::exists(ArrayOf(folder, name), error)) continue;
+    batch.*member = {0.0F};
+    if (valid) {
+      SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(ArrayOf(folder, name), at, 1));
+    }
   }
-  return batch;
+  return std::move(batch);
+}
+
+struct SavedSet {
+  ExtractedSrds srds;  // without its batches
+  size_t columns = 0, rows = 0;
+};
+
+Result<SavedSet> OpenSet(const fs::path& folder) {
+  SavedSet saved;
+  SrdSet& set = saved.srds.set;
+  SLX_RETURN_IF_ERROR(ReadJson(folder / "srds.json", [&](const nlohmann::json& json) {
+    json.at("pool").get_to(set.pool);
+    json.at("width").get_to(set.width);
+    json.at("height").get_to(set.height);
+    json.at("channels").get_to(set.channels);
+    json.at("column_sweeps").get_to(saved.columns);
+    json.at("row_sweeps").get_to(saved.rows);
+    for (const auto& sweep : json.at("sweeps")) saved.srds.figures.push_back(FigureOf(sweep));
+  }));
+  return saved;
+}
+
+// Of the sweeps along columns, by projector, then of those along rows.
+std::vector<fs::path> FoldersOf(const fs::path& folder, size_t columns, size_t rows) {
+  std::vector<fs::path> folders;
+  for (size_t p = 0; p < columns; ++p) folders.push_back(folder / ("columns_" + std::to_string(p)));
+  for (size_t p = 0; p < rows; ++p) folders.push_back(folder / ("rows_" + std::to_string(p)));
+  return folders;
+}
+
+// On all threads; the first failure by the order of the sweeps.
+Status ForEachSweep(const std::vector<fs::path>& folders, const std::function<Status(size_t)>& work) {
+  std::vector<Status> done(folders.size());
+  ParallelFor(static_cast<int64_t>(folders.size()), 1, [&](int64_t begin, int64_t end) {
+    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k) done[k] = work(k);
+  });
+  for (const Status& status : done) SLX_RETURN_IF_ERROR(status);
+  return Status::Ok();
 }
 
 }  // namespace
 
 Status SaveSrds(const fs::path& folder, const ExtractedSrds& srds) {
   const SrdSet& set = srds.set;
-  for (size_t p = 0; p < set.batches.size(); ++p)
-    SLX_RETURN_IF_ERROR(SaveBatch(folder / ("columns_" + std::to_string(p)), set.batches[p]));
-  for (size_t p = 0; p < set.row_batches.size(); ++p)
-    SLX_RETURN_IF_ERROR(SaveBatch(folder / ("rows_" + std::to_string(p)), set.row_batches[p]));
+  const std::vector<fs::path> folders = FoldersOf(folder, set.batches.size(), set.row_batches.size());
+  SLX_RETURN_IF_ERROR(ForEachSweep(folders, [&](size_t k) {
+    const size_t columns = set.batches.size();
+    return SaveBatch(folders[k], k < columns ? set.batches[k] : set.row_batches[k - columns]);
+  }));
   nlohmann::ordered_json sweeps = nlohmann::ordered_json::array();
   for (const SweepFigure& f : srds.figures) sweeps.push_back(JsonOf(f));
   return WriteJson(folder / "srds.json", {{"pool", set.pool},
@@ -150,25 +228,24 @@ Status SaveSrds(const fs::path& folder, const ExtractedSrds& srds) {
 }
 
 Result<ExtractedSrds> LoadSrds(const fs::path& folder) {
-  ExtractedSrds srds;
-  SrdSet& set = srds.set;
-  size_t columns = 0, rows = 0;
-  SLX_RETURN_IF_ERROR(ReadJson(folder / "srds.json", [&](const nlohmann::json& json) {
-    json.at("pool").get_to(set.pool);
-    json.at("width").get_to(set.width);
-    json.at("height").get_to(set.height);
-    json.at("channels").get_to(set.channels);
-    json.at("column_sweeps").get_to(columns);
-    json.at("row_sweeps").get_to(rows);
-    for (const auto& sweep : json.at("sweeps")) srds.figures.push_back(FigureOf(sweep));
+  SLX_ASSIGN_OR_RETURN(SavedSet saved, OpenSet(folder));
+  const std::vector<fs::path> folders = FoldersOf(folder, saved.columns, saved.rows);
+  std::vector<SrdBatch> batches(folders.size());
+  SLX_RETURN_IF_ERROR(ForEachSweep(folders, [&](size_t k) -> Status {
+    SLX_ASSIGN_OR_RETURN(batches[k], LoadBatch(folders[k]));
+    return Status::Ok();
   }));
-  for (size_t p = 0; p < columns; ++p) {
-    SLX_ASSIGN_OR_RETURN(auto batch, LoadBatch(folder / ("columns_" + std::to_string(p))));
-    set.batches.push_back(std::move(batch));
-  }
-  for (size_t p = 0; p < rows; ++p) {
-    SLX_ASSIGN_OR_RETURN(auto batch, LoadBatch(folder / ("rows_" + std::to_string(p))));
-    set.row_batches.push_back(std::move(batch));
+  for (size_t k = 0; k < batches.size(); ++k)
+    (k < saved.columns ? saved.srds.set.batches : saved.srds.set.row_batches).push_back(std::move(batches[k]));
+  return std::move(saved.srds);
+}
+
+Result<ProfileSrds> LoadProfileSrds(const fs::path& folder, int64_t profile) {
+  SLX_ASSIGN_OR_RETURN(SavedSet saved, OpenSet(folder));
+  ProfileSrds srds{std::move(saved.srds.figures), {}};
+  if (profile < 0) return srds;
+  for (const fs::path& sweep : FoldersOf(folder, saved.columns, 0)) {
+    SLX_ASSIGN_OR_RETURN(srds.batches.emplace_back(), LoadProfile(sweep, profile));
   }
   return srds;
 }

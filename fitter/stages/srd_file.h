@@ -19,4 +19,11 @@ struct ExtractedSrds {
 Status SaveSrds(const std::filesystem::path& folder, const ExtractedSrds& srds);
 [[nodiscard]] Result<ExtractedSrds> LoadSrds(const std::filesystem::path& folder);
 
+// The figures, and of the column sweeps that profile alone, as ProfilesOf() picks it: reads no other's samples.
+struct ProfileSrds {
+  std::vector<SweepFigure> figures;
+  std::vector<SrdBatch> batches;  // by projector; none where `profile` is negative
+};
+[[nodiscard]] Result<ProfileSrds> LoadProfileSrds(const std::filesystem::path& folder, int64_t profile);
+
 }  // namespace stratalux::fit

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+
 #include <gtest/gtest.h>
 #include <unistd.h>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/layers_file.h"
+#include "shared/base/random.h"
 
 namespace stratalux::fit {
 namespace {
@@ -48,6 +51,67 @@ TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
       EXPECT_EQ((*older)(x, y, 1), 40.0F);
     }
   std::filesystem::remove_all(folder);
+}
+
+// A run goes on with the layers that it has made, another one with those that it reads: both must come to the same.
+TEST(SavedFit, WhatIsReadIsWhatWasMade) {
+  const std::filesystem::path folder =
+      std::filesystem::temp_directory_path() / ("saved_fit_test_" + std::to_string(getpid()));
+  std::filesystem::create_directories(folder);
+  Random random(5);
+  MixtureMap map;
+  map.width = 5;
+  map.height = 3;
+  map.channels = 3;
+  map.layers = 4;
+  map.training_projectors = {0, 2, 0};  // the last one's rows
+  map.scattering = {.shift_law = ShiftLaw::kRefractedSine,
+                    .eta = 1.4 / 3.0 + 1.0,
+                    .gain_model = false,
+                    .tau = random.Uniform(),
+                    .directional = {random.Uniform(), random.Uniform(), random.Uniform()},
+                    .reflection = {random.Uniform(0.5, 2.0), random.Uniform(0.1, 0.5)}};
+  map.prior_photons = 1000.0 / 7.0;
+  const auto profiles = static_cast<size_t>(map.profiles());
+  const auto fill = [&](std::vector<float>& values, size_t count) {
+    for (size_t i = 0; i < count; ++i) values.push_back(static_cast<float>(random.Uniform(-1.0, 1.0) / 3.0));
+  };
+  for (auto* values : {&map.weight, &map.depth_mm, &map.sigma_mm}) fill(*values, 4 * profiles);
+  for (auto* values : {&map.surface, &map.background}) fill(*values, 3 * profiles);
+  for (auto* values : {&map.divergence, &map.prior_share}) fill(*values, profiles);
+  for (size_t i = 0; i < profiles; ++i) {
+    map.iterations.push_back(static_cast<uint16_t>(65535 - 7 * i));
+    map.reason.push_back(static_cast<uint8_t>(i % kFitReasons));
+  }
+  Image<float> noise(5, 3, 3);
+  for (float& v : noise.pixels()) v = static_cast<float>(100.0 * random.Uniform());
+  ASSERT_TRUE(SaveLayers(folder, {map, 2, noise}).ok());
+  const auto read = LoadLayers(folder);
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  std::filesystem::remove_all(folder);
+  const MixtureMap& back = read->map;
+  EXPECT_EQ(read->pool, 2);
+  EXPECT_TRUE(std::ranges::equal(read->signal_to_noise.pixels(), noise.pixels()));
+  for (const auto size : {&MixtureMap::width, &MixtureMap::height, &MixtureMap::channels, &MixtureMap::layers})
+    EXPECT_EQ(back.*size, map.*size);
+  for (const auto values : {&MixtureMap::weight, &MixtureMap::depth_mm, &MixtureMap::sigma_mm, &MixtureMap::surface,
+                            &MixtureMap::background, &MixtureMap::divergence, &MixtureMap::prior_share})
+    EXPECT_EQ(back.*values, map.*values);
+  EXPECT_EQ(back.iterations, map.iterations);
+  EXPECT_EQ(back.reason, map.reason);
+  EXPECT_EQ(back.training_projectors, map.training_projectors);
+  EXPECT_EQ(back.prior_photons, map.prior_photons);
+  const ScatteringModel &is = back.scattering, &was = map.scattering;
+  EXPECT_EQ(is.mode, was.mode);
+  EXPECT_EQ(is.shift_law, was.shift_law);
+  EXPECT_EQ(is.eta, was.eta);
+  EXPECT_EQ(is.gain_model, was.gain_model);
+  EXPECT_EQ(is.tau, was.tau);
+  EXPECT_EQ(is.directional.kappa_per_mm, was.directional.kappa_per_mm);
+  EXPECT_EQ(is.directional.phase_slope, was.directional.phase_slope);
+  EXPECT_EQ(is.directional.sigma_0_mm, was.directional.sigma_0_mm);
+  EXPECT_EQ(is.reflection.strength, was.reflection.strength);
+  EXPECT_EQ(is.reflection.roughness, was.reflection.roughness);
 }
 
 }  // namespace

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/srd_file.h"
 
+#include <array>
+#include <filesystem>
+
 #include <gtest/gtest.h>
 
 #include "tests/support/scratch_folder.h"
@@ -11,7 +14,7 @@ namespace {
 class SrdFile : public ScratchFolderTest {};
 
 // Three profiles of two samples, the middle one not valid; no white frames.
-TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
+ExtractedSrds SmallSrds() {
   SrdBatch batch;
   batch.samples = 2;
   batch.pool = 2;
@@ -25,6 +28,12 @@ TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
   ExtractedSrds srds;
   srds.set = {2, 3, 1, 1, {batch}, {}};
   srds.figures.push_back({0, "columns", {{"valid", 2}, {"unlit", 1}}, 1, 2, 0.99, 0.02});
+  return srds;
+}
+
+TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
+  const ExtractedSrds srds = SmallSrds();
+  const SrdBatch& batch = srds.set.batches[0];
   ASSERT_TRUE(SaveSrds(folder_, srds).ok());
   const auto read = LoadSrds(folder_);
   ASSERT_TRUE(read.ok()) << read.status().message();
@@ -44,6 +53,41 @@ TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
   ASSERT_EQ(read->figures.size(), 1U);
   EXPECT_EQ(read->figures[0].profiles_by_reason.at("unlit"), 1);
   EXPECT_EQ(read->figures[0].energy_median, 0.99);
+}
+
+TEST_F(SrdFile, AProfileByItselfIsThatOfAll) {
+  ASSERT_TRUE(SaveSrds(folder_, SmallSrds()).ok());
+  const auto all = LoadSrds(folder_);
+  ASSERT_TRUE(all.ok()) << all.status().message();
+  for (const int64_t profile : {0, 1, 2}) {
+    const auto read = LoadProfileSrds(folder_, profile);
+    ASSERT_TRUE(read.ok()) << read.status().message();
+    ASSERT_EQ(read->batches.size(), 1U);
+    ASSERT_EQ(read->figures.size(), 1U);
+    EXPECT_EQ(read->figures[0].missing_frames, all->figures[0].missing_frames);
+    const SrdBatch expected = ProfilesOf(all->set.batches[0], std::array{profile}), &one = read->batches[0];
+    EXPECT_EQ(one.samples, expected.samples);
+    EXPECT_EQ(one.pool, expected.pool);
+    EXPECT_EQ(one.wrapped, expected.wrapped);
+    EXPECT_EQ(one.valid, expected.valid);
+    EXPECT_EQ(one.row, expected.row);
+    for (const auto field : {&SrdBatch::y, &SrdBatch::variance, &SrdBatch::white, &SrdBatch::first_u_mm,
+                             &SrdBatch::step_mm, &SrdBatch::cos_out, &SrdBatch::slope_out_across})
+      EXPECT_EQ(one.*field, expected.*field) << profile;
+  }
+  const auto none = LoadProfileSrds(folder_, -1);
+  ASSERT_TRUE(none.ok());
+  EXPECT_TRUE(none->batches.empty());
+}
+
+TEST_F(SrdFile, AnArrayThatIsCutShortIsNamed) {
+  ASSERT_TRUE(SaveSrds(folder_, SmallSrds()).ok());
+  const auto samples = folder_ / "columns_0" / "y.npy";
+  std::filesystem::resize_file(samples, std::filesystem::file_size(samples) - 4);
+  for (const Status& status : {LoadSrds(folder_).status(), LoadProfileSrds(folder_, 2).status()}) {
+    EXPECT_EQ(status.code(), StatusCode::kIntegrity);
+    EXPECT_NE(status.message().find(samples.string()), std::string::npos) << status.message();
+  }
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "fitter/render/wide_blocks.h"
 #include "shared/base/random.h"
 #include "tests/fitter/mixture/simd_targets.h"
 
@@ -136,6 +137,28 @@ TEST(SeeBlocks, KnowsTheWidestBlockAndWhetherAnythingIsLit) {
   SeeBlocks(planes, window, kPlane, seen);
   EXPECT_TRUE(seen.dark);
   EXPECT_EQ(seen.widest_mm2, 0.0F);
+}
+
+TEST(FindWideBlocks, FindsThemInTheirOrderOnEveryInstructionSet) {
+  const LitPlanes planes = Blocks(2);
+  for (const float limit : {0.0F, 0.6F, 0.99F, 1.0F})
+    for (const BlockWindow& window : {kAll, BlockWindow{30, 30, 2, 2}, {13, 47, 1, 6}, {60, kWidth - 1, 0, 8}}) {
+      std::vector<BlockPlace> expected;
+      for (int y = window.y0; y <= window.y1; ++y)
+        for (int x = window.x0; x <= window.x1; ++x) {
+          const size_t at = static_cast<size_t>(y) * planes.stride + x;
+          if (planes.flux[at] > 0.0F && planes.spread_mm2[at] > limit) expected.push_back({x, y});
+        }
+      ForEachSimdTarget([&](const char* name) {
+        for (const BlockWindow& seen_window : {window, kAll}) {
+          SeenBlocks seen;
+          SeeBlocks(planes, seen_window, kPlane, seen);
+          std::vector<BlockPlace> wide(3);
+          FindWideBlocks(seen, window, limit, wide);
+          EXPECT_EQ(wide, expected) << name << ", limit " << limit << ", from column " << window.x0;
+        }
+      });
+    }
 }
 
 }  // namespace
