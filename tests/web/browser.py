@@ -24,13 +24,18 @@ def open_chromium(folder, size="1280,900"):
     return browser
 
 
-def picture(browser, folder, name, width=960):
-    """The screen as folder/name.png, and at most `width` wide as name.webp, for documents."""
+def picture(browser, folder, name, width=960, of=None):
+    """The screen as folder/name.png, and at most `width` wide as name.webp, for documents; `of`: this element, however far
+    down it lies, in place of what is on the screen."""
     browser.save_screenshot(os.path.join(folder, name + ".png"))
-    size = browser.execute_script("return [innerWidth, innerHeight]")
+    # In the document's coordinates: what is on the screen of one that was scrolled begins further down.
+    x, y, wide, high = browser.execute_script("""
+        if (!arguments[0]) return [scrollX, scrollY, innerWidth, innerHeight];
+        const at = document.querySelector(arguments[0]).getBoundingClientRect();
+        return [at.x + scrollX, at.y + scrollY, at.width, at.height];""", of)
     small = browser.execute_cdp_cmd("Page.captureScreenshot", {
-        "format": "webp", "quality": 80,
-        "clip": {"x": 0, "y": 0, "width": size[0], "height": size[1], "scale": min(1, width / size[0])}})
+        "format": "webp", "quality": 80, "captureBeyondViewport": of is not None,
+        "clip": {"x": x, "y": y, "width": wide, "height": high, "scale": min(1, width / wide)}})
     with open(os.path.join(folder, name + ".webp"), "wb") as file:
         file.write(base64.b64decode(small["data"]))
 
