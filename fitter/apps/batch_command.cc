@@ -32,7 +32,8 @@ namespace fs = std::filesystem;
 std::string Text(const Json& json) { return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n"; }
 
 Status PrintPlan(const BatchFlags& flags, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
+  SLX_ASSIGN_OR_RETURN(NightOptions night, NightOf(flags));
+  if (!flags.out.empty()) night.choice.key = KeyHere::kNot;
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(night.choice.run.store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const CostHistory history, CostHistory::Read(store));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-fit batch shard|submit|merge`: a planned night on other machines, and its way back into the store.
+// `stratalux-fit batch shard|keys|submit|merge`: a planned night on other machines, and its way back into the store.
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
@@ -9,12 +9,16 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <poll.h>
+#include <unistd.h>
 
 #include "db/catalogue/session_store.h"
+#include "db/keys/held_keys.h"
+#include "db/privacy/access_log.h"
 #include "fitter/apps/batch_flags.h"
 #include "fitter/batch/merge.h"
 #include "fitter/batch/morning_report.h"
 #include "fitter/batch/shard.h"
+#include "fitter/batch/shard_keys.h"
 #include "fitter/batch/slurm.h"
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/formatted.h"
@@ -32,7 +36,7 @@ struct ClusterFlags {
   std::vector<std::string> directives;
   double chunk_minutes = 60.0, every_s = 60.0;
   int cpus = 2;
-  bool close = false, again = false, dry_run = false;
+  bool close = false, again = false, dry_run = false, keys = false;
 };
 
 std::string ScratchOf(const ClusterFlags& flags) {
@@ -52,6 +56,10 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
   SLX_RETURN_IF_ERROR(SetWorkers(flags.batch, options.night));
   options.results = flags.results;
   options.scratch = ScratchOf(flags);
+  if (flags.keys) {
+    SLX_ASSIGN_OR_RETURN(const auto keys, db::ReadKeys(STDIN_FILENO));
+    db::HoldKeys(keys);
+  }
   const InterruptionAsks asks;
   NightTeller teller(logger, flags.batch);
   const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };
@@ -64,6 +72,23 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
   if (outcome.failed > 0)
     return Status(StatusCode::kDegraded, Formatted("%d visitors could not be fitted", outcome.failed));
   return Status::Ok();
+}
+
+// Logged before they leave, one by one: who fits elsewhere has them until it ends.
+Status SendKeys(const ClusterFlags& flags, Logger& logger) {
+  const std::string& store = flags.batch.fit.run.store;
+  SLX_RETURN_IF_ERROR(db::CheckKeyPipe(STDOUT_FILENO));
+  SLX_ASSIGN_OR_RETURN(const Shard shard, ParseShard(flags.shard));
+  SLX_ASSIGN_OR_RETURN(const ShardPlan plan, ReadPlan(flags.results));
+  SLX_ASSIGN_OR_RETURN(const ShardKeys found, KeysOf(store, plan, shard));
+  for (const std::string& session : found.sessions)
+    SLX_RETURN_IF_ERROR(
+        db::LogAccess(store, "batch keys", session, "to shard " + flags.shard + " of " + flags.results));
+  SLX_RETURN_IF_ERROR(db::WriteKeys(STDOUT_FILENO, found.keys));
+  for (const std::string& missing : found.missing) logger.Warning(missing);
+  logger.Info(Formatted("%zu keys sent", found.keys.size()));
+  if (found.missing.empty()) return Status::Ok();
+  return Status(StatusCode::kDegraded, Formatted("%zu keys are not here", found.missing.size()));
 }
 
 Json JsonOf(const MergeOutcome& outcome, const fs::path& report) {
@@ -109,7 +134,8 @@ Result<ShardPlan> PlanToSubmit(const ClusterFlags& flags, Logger& logger) {
   if (plan.ok() && chosen)
     return Status::Usage(flags.results + " has a plan: who is fitted, and how, was said when it was made");
   if (plan.ok() || plan.status().code() != StatusCode::kNotFound) return plan;
-  SLX_ASSIGN_OR_RETURN(const ChoiceOptions options, ChoiceOf(flags.batch));
+  SLX_ASSIGN_OR_RETURN(ChoiceOptions options, ChoiceOf(flags.batch));
+  options.key = KeyHere::kNot;
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(options, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(options.run.store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const CostHistory history, CostHistory::Read(store));
@@ -208,10 +234,23 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
   shard->add_option("--scratch", worked->scratch,
                     "Folder of a disk of this machine for its index of the sessions; without it $TMPDIR, or /tmp");
   shard->add_option("--plan", worked->plan, "Refuse any other plan than the one of this id");
+  shard->add_flag("--keys", worked->keys, "Take keys from standard input, as `batch keys` gives them");
   AddWorkers(*shard, worked->batch);
   AddAttempts(*shard, worked->batch);
   shard->add_flag("--json", worked->batch.json, "A line an event, as it happens");
   OnCall(*shard, exit_code, [worked](Logger& logger) { return FitShard(*worked, logger); });
+
+  auto given = std::make_shared<ClusterFlags>();
+  auto* keys = batch.add_subcommand("keys", "The keys of a share's encrypted visitors, into a pipe; logged");
+  keys->footer(
+      "For a machine without the reader's key; it keeps them in memory. Exit code 3: some are not here.\n"
+      "Example:\n"
+      "  stratalux-fit batch keys 1/2 --store store --results results |\n"
+      "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys");
+  keys->add_option("shard", given->shard, "I/N, I from 1 to N")->required();
+  AddStore(*keys, given->batch);
+  keys->add_option("--results", given->results, "Folder of `batch plan --out`")->required();
+  OnCall(*keys, exit_code, [given](Logger& logger) { return SendKeys(*given, logger); });
 
   auto submitted = std::make_shared<ClusterFlags>();
   auto* submit =

@@ -14,6 +14,8 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
 #include "db/catalogue/session_store.h"
+#include "db/keys/rig_key.h"
+#include "db/keys/session_key.h"
 #include "fitter/batch/worker.h"
 #include "shared/base/formatted.h"
 #include "shared/base/read_file.h"
@@ -89,6 +91,7 @@ class Night {
   Status Watch();
   Status LookAt(Attempt& attempt);
   Status Reap();
+  Status Unreadable(const db::Job& job, NightEvent event, const Status& why);
   Status Drop(const db::Job& job, NightEvent event, const std::string& reason);
   Status Finish(Attempt& attempt, const WorkerEnd& end);
   void Wait() const;
@@ -209,13 +212,31 @@ Status Night::Launch(const db::Job& job) {
     return Drop(job, event, may.message());
   }
   attempt->log = log_.WorkerLog(session, job.attempts);
+  WorkerOptions start{command, attempt->log, options_.threads, options_.nice};
+  if (db::KeyId key_id{}; db::FromHex(row->key_id, key_id).ok()) {
+    auto key = db::FindKeyOf(options_.choice.run.store, session, key_id);
+    if (!key.ok()) return Unreadable(job, event, key.status());
+    start.keys.push_back(*key);
+  }
   attempt->next_heartbeat = Clock::now() + options_.lease / 4;
   SLX_RETURN_IF_ERROR(Tell(event));
-  Result<Worker> worker = Worker::Start({command, attempt->log, options_.threads, options_.nice});
+  Result<Worker> worker = Worker::Start(start);
   if (!worker.ok()) return jobs_.Fail(job.token, worker.status().message(), options_.back_off);
   attempt->worker = std::move(*worker);
   running_.push_back(std::move(attempt));
   return Status::Ok();
+}
+
+// It was chosen by who had the key, or another night asked for it.
+Status Night::Unreadable(const db::Job& job, NightEvent event, const Status& why) {
+  if (why.code() == StatusCode::kNotFound) return Drop(job, event, why.message());
+  const bool again = why.code() == StatusCode::kBusy;
+  SLX_RETURN_IF_ERROR(
+      jobs_.Fail(job.token, why.message(), again ? std::optional<milliseconds>(options_.back_off) : std::nullopt));
+  event.kind = again ? NightEventKind::kRetry : NightEventKind::kFailed;
+  event.reason = why.message();
+  if (!again) ++outcome_.failed;
+  return Tell(event);
 }
 
 // A worker that was begun in the moment of a forgetting may have written since.

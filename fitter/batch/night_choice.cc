@@ -8,6 +8,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
 #include "db/catalogue/session_store.h"
+#include "db/keys/sealed_key.h"
 #include "fitter/pipeline/run.h"
 
 namespace stratalux::fit {
@@ -24,7 +25,8 @@ struct Verdict {
   Status reason;
 };
 
-Verdict Judge(const RunOptions& run, const db::SessionSummary& session, ChosenVisit& visit) {
+Verdict Judge(const ChoiceOptions& options, const db::SessionSummary& session, ChosenVisit& visit) {
+  const RunOptions& run = options.run;
   const SessionStatus status = session.info.status;
   if (status == SessionStatus::kFailed || status == SessionStatus::kRecording)
     return {LeftOut::kCapture, Status::Failed(std::string("the capture is ") + ToString(status))};
@@ -36,7 +38,11 @@ Verdict Judge(const RunOptions& run, const db::SessionSummary& session, ChosenVi
   Logger quiet(LogLevel::kError);
   const Result<RunOutcome> outcome = RunSession(dry, quiet);
   if (!outcome.ok()) return {LeftOut::kUnusable, outcome.status()};
-  if (!outcome->readable.ok()) return {LeftOut::kKey, outcome->readable};
+  if (options.key == KeyHere::kNeeded && !outcome->readable.ok()) return {LeftOut::kKey, outcome->readable};
+  const auto folder = std::filesystem::path(run.store) / "sessions" / session.info.id;
+  if (options.key == KeyHere::kNot && outcome->sealed && db::ListSealedKeys(folder).empty())
+    return {LeftOut::kKey, Status::Failed("encrypted, and its key is sealed to nobody who could fit it elsewhere "
+                                          "(`stratalux-db key share`); `stratalux-fit batch run` fits it here")};
   visit = {outcome->session, outcome->fit, outcome->sites, outcome->sealed};
   if (outcome->was_complete) return {LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
   return {};
@@ -76,7 +82,7 @@ Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger) {
   for (const db::SessionSummary& session : sessions) {
     progress.Advance();
     ChosenVisit visit;
-    const Verdict verdict = Judge(options.run, session, visit);
+    const Verdict verdict = Judge(options, session, visit);
     if (!verdict.reason.ok())
       choice.left_out.push_back({session.info.id, verdict.why, verdict.reason.message()});
     else if (options.most > 0 && choice.visits.size() >= static_cast<size_t>(options.most))

@@ -16,10 +16,15 @@ namespace stratalux::fit {
 // Who is fitted first. kNewest: whoever came last may still ask for it.
 enum class NightOrder { kNewest, kOldest };
 
+// Whether an encrypted visitor needs a key here. kNot: for others to fit; it is enough that the key is sealed to
+// somebody (db/keys/sealed_key.h).
+enum class KeyHere { kNeeded, kNot };
+
 struct ChoiceOptions {
   RunOptions run;  // of every visitor; its session is not read
   NightOrder order = NightOrder::kNewest;
   int most = 0;  // visitors; 0: all
+  KeyHere key = KeyHere::kNeeded;
 };
 
 struct ChosenVisit {

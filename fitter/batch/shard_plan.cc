@@ -60,19 +60,13 @@ ShardPlan PlanOf(const NightChoice& choice, const CostHistory& history, const st
   plan.isa = KernelIsa();
   plan.program = kVersion;
   plan.arguments = arguments;
-  const auto leave_out = [&plan](const LeftOutVisit& visit) {
+  for (const LeftOutVisit& visit : choice.left_out) {
     NightEvent event = EventOf(visit);
     event.at = plan.made;
     plan.left_out.push_back(std::move(event));
-  };
-  for (const LeftOutVisit& visit : choice.left_out) leave_out(visit);
-  for (const ChosenVisit& visit : choice.visits) {
-    if (visit.sealed)
-      leave_out({visit.session, LeftOut::kKey,
-                 "encrypted, and no key leaves this machine; `stratalux-fit batch run` fits it here"});
-    else
-      plan.visits.push_back({visit.session, visit.fit, visit.sites, history.Foresee(visit.sites)});
   }
+  for (const ChosenVisit& visit : choice.visits)
+    plan.visits.push_back({visit.session, visit.fit, visit.sites, history.Foresee(visit.sites)});
   plan.id = db::HashHex(TextOf(plan));
   return plan;
 }

@@ -35,7 +35,7 @@ struct ShardPlan {
   std::vector<NightEvent> left_out;
 };
 
-// Of what was chosen; encrypted visitors are left out, for no key leaves this machine.
+// Of what was chosen (KeyHere::kNot).
 [[nodiscard]] ShardPlan PlanOf(const NightChoice& choice, const CostHistory& history,
                                const std::vector<std::string>& arguments);
 // Makes the folder. kUsage where it has a plan: its shards may be at work.

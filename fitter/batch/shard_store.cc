@@ -16,6 +16,7 @@
 #include "db/care/reindex.h"
 #include "db/catalogue/artifact_record.h"
 #include "db/catalogue/session_store.h"
+#include "db/keys/sealed_key.h"
 #include "db/ledger/ledger.h"
 #include "fitter/batch/shard_manifest.h"
 
@@ -68,6 +69,14 @@ Status Link(const fs::path& to, const fs::path& from) {
   return error ? Status::Failed("cannot link " + from.string() + ": " + error.message()) : Status::Ok();
 }
 
+// A sealed key, which is no key without the reader's, is copied: what is read as one is no link of anybody's.
+Status Bring(const fs::path& file, const fs::path& to) {
+  if (!db::IsSealedKeyName(file.filename().string())) return Link(file, to);
+  std::error_code error;
+  fs::copy_file(file, to, error);
+  return error ? Status::Failed("cannot copy " + file.string() + ": " + error.message()) : Status::Ok();
+}
+
 Status AddSession(const ShardStoreOptions& options, const fs::path& folder, const std::string& session) {
   const fs::path from = fs::absolute(options.store) / "sessions" / session, to = folder / "sessions" / session;
   std::error_code error;
@@ -76,7 +85,7 @@ Status AddSession(const ShardStoreOptions& options, const fs::path& folder, cons
   fs::create_directory(to, error);
   for (const auto& entry : fs::directory_iterator(from, error))
     if (entry.is_regular_file() && entry.path().extension() != ".new")
-      SLX_RETURN_IF_ERROR(Link(entry.path(), to / entry.path().filename()));
+      SLX_RETURN_IF_ERROR(Bring(entry.path(), to / entry.path().filename()));
   if (error) return Status::Failed("cannot read " + from.string() + ": " + error.message());
   for (const char* made : {db::kArtifactsFolder, "fits"}) {
     const fs::path place = fs::absolute(ResultsOf(options.results, session)) / made;

@@ -5,6 +5,8 @@
 #include <csignal>
 #include <cstring>
 #include <fstream>
+#include <map>
+#include <set>
 #include <utility>
 
 #include <fcntl.h>
@@ -14,15 +16,21 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "db/keys/held_keys.h"
+
 namespace stratalux::fit {
 namespace {
 
 // Between fork and exec: only what is allowed in a signal handler.
-[[noreturn]] void Become(char* const* argv, char* const* environment, int log, int trouble, pid_t parent, int nice_by) {
+struct Handed {
+  int log, trouble, keys;  // keys: -1: none
+};
+[[noreturn]] void Become(char* const* argv, char* const* environment, const Handed& handed, pid_t parent, int nice_by) {
   sigset_t none;
   sigemptyset(&none);
   const int nothing = open("/dev/null", O_RDONLY | O_CLOEXEC);
-  const bool ready = nothing >= 0 && dup2(nothing, 0) >= 0 && dup2(log, 1) >= 0 && dup2(log, 2) >= 0 &&
+  const bool ready = nothing >= 0 && dup2(nothing, 0) >= 0 && dup2(handed.log, 1) >= 0 && dup2(handed.log, 2) >= 0 &&
+                     (handed.keys < 0 || fcntl(handed.keys, F_SETFD, 0) == 0) &&
                      prctl(PR_SET_PDEATHSIG, SIGKILL) == 0 && getppid() == parent &&
                      sigprocmask(SIG_SETMASK, &none, nullptr) == 0;
   if (ready) {
@@ -33,16 +41,32 @@ namespace {
     execve(argv[0], argv, environment);
   }
   const int reason = errno;
-  [[maybe_unused]] const ssize_t written = write(trouble, &reason, sizeof reason);
+  [[maybe_unused]] const ssize_t written = write(handed.trouble, &reason, sizeof reason);
   _exit(127);
 }
 
-std::vector<std::string> EnvironmentWith(const std::string& name, const std::string& value) {
+// This process's, without what leads to a reader's key, and with `own`.
+std::vector<std::string> EnvironmentOf(const std::map<std::string, std::string>& own) {
+  static const std::set<std::string> kWithheld = {"STRATALUX_READER_KEY", "CREDENTIALS_DIRECTORY",
+                                                  db::kHeldKeysVariable};
   std::vector<std::string> all;
-  for (char** one = environ; *one != nullptr; ++one)
-    if (std::strncmp(*one, (name + "=").c_str(), name.size() + 1) != 0) all.emplace_back(*one);
-  all.push_back(name + "=" + value);
+  for (char** one = environ; *one != nullptr; ++one) {
+    const std::string name(*one, std::strcspn(*one, "="));
+    if (!own.contains(name) && !kWithheld.contains(name)) all.emplace_back(*one);
+  }
+  for (const auto& [name, value] : own) all.push_back(name + "=" + value);
   return all;
+}
+
+// The end of a pipe that holds them. A visitor's key is smaller than any pipe: nobody need read while this writes.
+Result<UniqueFd> PipeWith(const std::vector<db::SessionKey>& keys) {
+  int ends[2] = {-1, -1};
+  if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0) return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
+  UniqueFd out(ends[0]);
+  const UniqueFd in(ends[1]);
+  SLX_RETURN_IF_ERROR(db::WriteKeys(in.get(), keys));
+  if (fcntl(out.get(), F_SETFL, 0) != 0) return Status::Failed(std::string("a pipe: ") + std::strerror(errno));
+  return out;
 }
 
 std::vector<char*> Pointers(const std::vector<std::string>& texts) {
@@ -64,12 +88,18 @@ Result<Worker> Worker::Start(const WorkerOptions& options) {
   if (pipe2(ends, O_CLOEXEC) != 0) return Errno("no pipe");
   const UniqueFd heard(ends[0]);
   UniqueFd told(ends[1]);
-  const std::vector<std::string> variables = EnvironmentWith("STRATALUX_THREADS", std::to_string(options.threads));
+  UniqueFd keys;
+  std::map<std::string, std::string> own = {{"STRATALUX_THREADS", std::to_string(options.threads)}};
+  if (!options.keys.empty()) {
+    SLX_ASSIGN_OR_RETURN(keys, PipeWith(options.keys));
+    own[db::kHeldKeysVariable] = std::to_string(keys.get());
+  }
+  const std::vector<std::string> variables = EnvironmentOf(own);
   const std::vector<char*> argv = Pointers(options.command), environment = Pointers(variables);
   const pid_t parent = getpid();
   const pid_t child = fork();
   if (child < 0) return Errno("no process for " + options.command[0]);
-  if (child == 0) Become(argv.data(), environment.data(), log.get(), told.get(), parent, options.nice);
+  if (child == 0) Become(argv.data(), environment.data(), {log.get(), told.get(), keys.get()}, parent, options.nice);
   told = UniqueFd();
   Worker worker(child, UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, child, 0))));
   if (!worker.ended_.ok()) return Errno("pidfd_open");

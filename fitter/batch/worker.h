@@ -11,6 +11,7 @@
 
 #include <sys/types.h>
 
+#include "db/keys/key_store.h"
 #include "shared/base/result.h"
 #include "shared/base/unique_fd.h"
 
@@ -21,6 +22,8 @@ struct WorkerOptions {
   std::filesystem::path log;         // receives stdout and stderr, what was in it is kept
   int threads = 1;                   // STRATALUX_THREADS
   int nice = 10;                     // added to this process's; the disk is asked for when nobody else does
+  // Of its visitor, if encrypted: the worker gets it through a pipe (db/keys/held_keys.h), and no key of a reader.
+  std::vector<db::SessionKey> keys = {};
 };
 
 struct WorkerEnd {

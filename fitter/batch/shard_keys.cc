@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/batch/shard_keys.h"
+
+#include "db/catalogue/session_store.h"
+#include "db/keys/rig_key.h"
+#include "db/keys/session_key.h"
+#include "fitter/batch/night_choice.h"
+
+namespace stratalux::fit {
+
+Result<ShardKeys> KeysOf(const std::filesystem::path& store_folder, const ShardPlan& plan, const Shard& shard) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
+  ShardKeys found;
+  for (const size_t place : VisitsOf(plan, shard)) {
+    const std::string& session = plan.visits[place].session;
+    const auto row = store.FindSession(session);
+    if (!row.ok()) {
+      found.missing.push_back(row.status().message());
+      continue;
+    }
+    db::KeyId id{};
+    if (!db::FromHex(row->key_id, id).ok()) continue;  // not encrypted
+    if (const Status may = MayStillBeFitted(store_folder.string(), session, row->info.visitor); !may.ok()) {
+      found.missing.push_back(session + ": " + may.message());
+      continue;
+    }
+    auto key = db::FindKeyOf(store_folder, session, id);
+    if (!key.ok()) {
+      found.missing.push_back(key.status().message());
+      continue;
+    }
+    found.keys.push_back(*key);
+    found.sessions.push_back(session);
+  }
+  return found;
+}
+
+}  // namespace stratalux::fit
