@@ -234,9 +234,6 @@ Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, co
 Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, SessionFrames& frames, Evaluation evaluation) {
   StageGraph& stages = graph.stages();
   const std::map<std::string, std::string> keys = StagesOf(graph, options);
-  // Also what an earlier run has made of it: the figures list the stages of all.
-  for (const Evaluation step : {Evaluation::kFirst, Evaluation::kHeldOut})
-    if (step <= evaluation) (void)KeysOf(graph, options, step, 0);
   Metrics metrics;
   SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);

@@ -93,6 +93,9 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
     return Status::Ok();
   }
   const Evaluation wanted = EvaluationOf(options);
+  // Figures list the stages in this order, whichever of them this run makes.
+  for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, wanted})
+    (void)KeysOf(graph, options, evaluation, Projectors(frames));
   SLX_RETURN_IF_ERROR(SettleFits(graph, frames, outcome.fit));
   SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);

@@ -9,6 +9,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "db/segment/segment.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::fit {
@@ -76,7 +77,7 @@ TEST_F(SessionFramesTest, ADamagedFrameIsNamed) {
   const std::string session = StoreSession(kFrames);
   const SessionFrames frames = Open(session);
   const db::FrameRow& damaged = frames.rows()[7];
-  db::FlipBits(Segment(session), static_cast<size_t>(frames.rows()[8].offset) - 1, 0x10);
+  db::FlipBits(Segment(session), static_cast<size_t>(damaged.offset) + sizeof(db::FrameHeader), 0x10);
   const auto read = frames.ReadAll(Rows(frames));
   EXPECT_EQ(read.status().code(), StatusCode::kIntegrity);
   const auto alone = frames.ReadRaw(damaged);
