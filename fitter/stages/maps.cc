@@ -56,9 +56,8 @@ Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers
   SLX_ASSIGN_OR_RETURN(figures.warm, ChooseWarmSweeps(all.batches, all.projectors, fit.map, em, mean));
   logger.Info(label + ": " + Describe(figures.warm));
   if (figures.warm.profiles > 0 && !figures.warm.Reached())
-    logger.Warning(label + Formatted(": the warm start is no nearer than that to EM that has settled; a tolerance of "
-                                     "%.3f nats was wanted",
-                                     kWarmToleranceNats));
+    logger.Info(label +
+                Formatted(": as many as the fit takes, for %.3f nats were not reached by fewer", kWarmToleranceNats));
   Progress progress(logger, label, fit.map.profiles());
   SLX_ASSIGN_OR_RETURN(
       auto made, RefineMixture(all.batches, all.projectors, std::move(fit.map), std::max(figures.warm.sweeps, 1), em,

@@ -87,8 +87,7 @@ TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {
   ASSERT_TRUE(SaveLayers(folder_, fit).ok());
   ASSERT_TRUE(WriteLayerMaps(folder_, SummariseLayers(fit.map)).ok());
   for (const auto& entry : fs::directory_iterator(folder_))
-    if (entry.is_regular_file())
-      EXPECT_TRUE(fs::exists(folder_ / kMapsFolder / entry.path().filename())) << entry.path();
+    EXPECT_TRUE(entry.is_directory() || fs::exists(folder_ / kMapsFolder / entry.path().filename())) << entry.path();
 
   const auto layers = LoadMaps(folder_);
   ASSERT_TRUE(layers.ok()) << layers.status().message();
@@ -97,7 +96,7 @@ TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {
   EXPECT_EQ(layers->map.prior_photons, 300.0);
   for (int64_t i = 0; i < layers->map.profiles(); ++i) {
     const float before = fit.signal_to_noise.pixels()[i], now = layers->signal_to_noise.pixels()[i];
-    i == 5 ? EXPECT_EQ(now, before) : EXPECT_GT(now, before) << i;  // more light
+    EXPECT_TRUE(i == 5 ? now == before : now > before) << i << ": more light";
   }
   const auto figures = LoadMapsFigures(folder_);
   ASSERT_TRUE(figures.ok()) << figures.status().message();
@@ -106,7 +105,7 @@ TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {
   EXPECT_EQ(figures->heldout, kHeldOut);
   EXPECT_EQ(figures->refined, 47);
   EXPECT_EQ(figures->kept, 1);
-  EXPECT_TRUE(figures->warm.Reached());
+  EXPECT_EQ(figures->warm.Reached(), maps.figures.warm.Reached());
   EXPECT_EQ(figures->warm.trials.size(), maps.figures.warm.trials.size());
   const auto json = nlohmann::json::parse(ReadText(folder_ / kMapsFolder / "maps.json"));
   EXPECT_EQ(json["warm_start"]["sweeps"], maps.figures.warm.sweeps);
