@@ -16,39 +16,38 @@ for tool in qemu-system-x86_64 busybox cpio depmod make gcc; do
   command -v "$tool" >/dev/null || cannot "$tool is missing (scripts/install-deps.sh)"
 done
 
-guest_packages() {  # what the guest's programs need at run time, a purpose each
+guest_packages() {  # what the guest's programs need at run time, a purpose each; A|B: as this Debian names it
   cat <<'LIST'
-busybox-static    shell and tools of the guest
-kmod              loads and unloads modules with what they need
-systemd           first program of the boot `systemd`, whose units are tried
-udev              libcamera finds its devices through it; names and rights of the rig's
-v4l-utils         v4l2-ctl sets the controls of vivid that inject faults
-libstdc++6        every program
-libpng16-16       stratalux-rig
-libjpeg62-turbo   stratalux-rig: the kiosk's live picture
-libqrencode4      stratalux-rig: the kiosk's tickets
-libsqlite3-0      stratalux-rig
-libmicrohttpd12   stratalux-db serve; with what it needs:
-libgnutls30       libmicrohttpd
-libp11-kit0       libgnutls
-libidn2-0         libgnutls
-libunistring2     libgnutls
-libtasn1-6        libgnutls
-libnettle8        libgnutls
-libhogweed6       libgnutls
-libgmp10          libgnutls
-libffi8           libp11-kit
-libtomlplusplus3  stratalux-rig
-libtiff6          stratalux-db
-libsodium23       stratalux-rig
-libxxhash0        stratalux-rig
-libzstd1          stratalux-rig
-libgpiod2         stratalux-rig: lines
-libdrm2           stratalux-rig: KMS display
-libcamera0.0.3    stratalux-rig: libcamera
-libcamera-ipa     libcamera's module for vimc
-gpiod             second opinion on the lines
+busybox-static             shell and tools of the guest
+kmod                       loads and unloads modules with what they need
+systemd                    first program of the boot `systemd`, whose units are tried
+dbus                       the kiosk's account asks systemd by it
+udev                       libcamera finds its devices through it; names and rights of the rig's
+v4l-utils                  v4l2-ctl sets the controls of vivid that inject faults
+libstdc++6                 every program
+libpng16-16t64|libpng16-16 stratalux-rig
+libjpeg62-turbo            stratalux-rig: the kiosk's live picture
+libqrencode4               stratalux-rig: the kiosk's tickets
+libsqlite3-0               stratalux-rig
+libmicrohttpd12t64|libmicrohttpd12   stratalux-rig, stratalux-db serve
+libtomlplusplus3t64|libtomlplusplus3 stratalux-rig
+libtiff6                   stratalux-db
+libsodium23                stratalux-rig
+libxxhash0                 stratalux-rig
+libzstd1                   stratalux-rig
+libgpiod3|libgpiod2        stratalux-rig: lines
+libdrm2                    stratalux-rig: KMS display
+libcamera0.4|libcamera0.0.3 stratalux-rig: libcamera
+libcamera-ipa              libcamera's module for vimc
+gpiod                      second opinion on the lines
 LIST
+}
+# Of all names at once: each question takes apt a second.
+known=" $(guest_packages | awk '{gsub(/\|/, " ", $1); print $1}' | xargs apt-cache show --no-all-versions 2>/dev/null | sed -n 's/^Package: //p' | tr '\n' ' ') "
+as_named_here() {  # A|B: the first that apt knows, else the last
+  local name
+  for name in ${1//|/ }; do [[ $known != *" $name "* ]] || break; done
+  echo "$name"
 }
 
 # apt resolves the guest as if nothing were installed, and keeps its state to itself.
@@ -63,10 +62,10 @@ kernel=$(apt-cache show --no-all-versions linux-image-amd64 2>/dev/null |
 [ -n "$kernel" ] || cannot "apt knows no linux-image-amd64 (apt-get update)"
 version=$(apt-cache show --no-all-versions "linux-image-$kernel" | sed -n 's/^Version: //p')
 series=$(cut -d. -f1,2 <<<"$kernel")
+kbuild=$(apt-cache show --no-all-versions "linux-headers-$kernel" | sed -nE 's/^Depends:.*(linux-kbuild-[^ ,]*).*/\1/p')
 kernel_packages=("linux-image-$kernel=$version" "linux-headers-$kernel=$version"
-                 "linux-headers-${kernel%-amd64}-common=$version" "linux-kbuild-$series=$version"
-                 "linux-source-$series=$version")
-mapfile -t guest < <(guest_packages | awk '{print $1}')
+                 "linux-headers-${kernel%-amd64}-common=$version" "$kbuild=$version" "linux-source-$series=$version")
+mapfile -t guest < <(guest_packages | while read -r names _; do as_named_here "$names"; done)
 fetch() {  # FOLDER [OPTION]: the packages into FOLDER; with --print-uris only names those it does not hold yet
   cd "$1" && apt-get download "${apt_options[@]}" ${2:+"$2"} "${kernel_packages[@]}" &&
     apt-get install "${apt_options[@]}" -o Dir::Cache::archives="$1" "${2:---download-only}" "${guest[@]}"
@@ -86,11 +85,20 @@ mapfile -t files < <(awk '{print $2}' <<<"$wanted")
 for deb in "$cache"/debs/*.deb; do
   printf '%s\n' "${files[@]}" | grep -qxF "$(basename "$deb")" || rm -f "$deb"
 done
-mkdir -p "$work"/{kernel,rootfs}
+# /bin and the like are in /usr, as on installed systems; packages of either way meet there.
+unpack() {  # PACKAGE FOLDER
+  dpkg-deb --fsys-tarfile "$1" | tar -x --keep-directory-symlink -C "$2"
+}
+for folder in kernel rootfs; do
+  for part in bin sbin lib lib64; do
+    mkdir -p "$work/$folder/usr/$part"
+    ln -s "usr/$part" "$work/$folder/$part"
+  done
+done
 for file in "${files[@]}"; do
   case "$file" in
-    linux-*) dpkg-deb -x "$cache/debs/$file" "$work/kernel" ;;
-    *) dpkg-deb -x "$cache/debs/$file" "$work/rootfs" ;;
+    linux-*) unpack "$cache/debs/$file" "$work/kernel" ;;
+    *) unpack "$cache/debs/$file" "$work/rootfs" ;;
   esac
 done
 
@@ -112,7 +120,8 @@ echo 'obj-m += irq_sim.o' >"$modules/irq/Makefile"
 echo 'obj-m += gpio-sim.o' >"$modules/gpio/Makefile"
 sed -i 's/obj-$(CONFIG_[A-Z_]*)/obj-m/' "$modules/vimc/Makefile" "$modules/vkms/Makefile"
 echo 'obj-m += irq/ gpio/ vimc/ vkms/' >"$modules/Kbuild"
-make -s -j"$(nproc)" -C "$headers" M="$modules" modules >"$work/modules.log" 2>&1 ||
+# No type information (BTF) of the modules: nothing of ours reads it, and it takes pahole.
+make -s -j"$(nproc)" -C "$headers" M="$modules" CONFIG_DEBUG_INFO_BTF_MODULES= modules >"$work/modules.log" 2>&1 ||
   { tail -20 "$work/modules.log" >&2; fail "the modules of kernel $kernel do not build"; }
 
 cp -r "$work/kernel/lib/modules" "$work/rootfs/lib/"

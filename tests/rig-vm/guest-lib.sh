@@ -56,6 +56,23 @@ remove_lines() {
   rmdir "$at"/bank0/line* "$at/bank0" "$at"
 }
 
+# gpiod's own programs, whose second version holds a line where the first lets go of it, and has another syntax.
+gpiod_is_2() { gpioset --version | grep -q ' v2'; }
+chip_named() { gpiodetect | awk -v label="[$1]" 'index($0, label) {print $1; exit}'; }
+# leave_lines LABEL OFFSET=VALUE...: written by a program that then ends. hold_lines: by one that goes on, in the background.
+leave_lines() {
+  local chip
+  chip=$(chip_named "$1")
+  shift
+  if gpiod_is_2; then gpioset --toggle 0 --chip "$chip" "$@"; else gpioset "$chip" "$@"; fi
+}
+hold_lines() {
+  local chip
+  chip=$(chip_named "$1")
+  shift
+  if gpiod_is_2; then gpioset --chip "$chip" "$@" & else gpioset --mode=signal "$chip" "$@" & fi
+}
+
 # values_of FILE: each value of a JSON file as `stratalux-*` indents it, a line: "cards..connectors..name Virtual-1".
 # Elements of arrays have no name.
 values_of() {

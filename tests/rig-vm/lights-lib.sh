@@ -25,9 +25,11 @@ dark() {
 }
 
 now_ms() { awk '{printf "%d", $1 * 1000}' /proc/uptime; }
-# soon COMMAND...: until it succeeds; fails after the limit
-soon() {
-  local end=$(($(now_ms) + limit_s * 1000))
+# soon COMMAND...: until it succeeds; fails after the limit. soon_within SECONDS COMMAND...: after those.
+soon() { soon_within "$limit_s" "$@"; }
+soon_within() {
+  local end=$(($(now_ms) + $1 * 1000))
+  shift
   until "$@"; do
     [ "$(now_ms)" -lt "$end" ] || return 1
     usleep 50000
@@ -40,10 +42,19 @@ trace_lights() {
   echo 16384 >$tracing/buffer_size_kb  # minutes of light, whose guard reads both lines every 5 ms
   echo 1 >$tracing/events/gpio/gpio_value/enable
 }
+# first_line: the number by which the trace calls the chip's first line. Debugfs has it, until it knows chips and offsets alone.
+first_line() {
+  local label
+  for label in /sys/class/gpio/gpiochip*/label; do
+    if grep -qsx rig-lines "$label"; then cat "${label%label}base"; return; fi
+  done
+  sed -nE 's/.*GPIOs ([0-9]+)-.*rig-lines.*/\1/p' /sys/kernel/debug/gpio
+}
 # lights: of each ENABLE line, by the trace: times written on, the last value written, the last one read after it.
 lights() {
   local base
-  base=$(sed -nE 's/.*GPIOs ([0-9]+)-.*rig-lines.*/\1/p' /sys/kernel/debug/gpio)
+  base=$(first_line)
+  [ -n "$base" ] || { echo "this kernel does not say which lines are the rig's"; return; }
   awk -v a=$((base + $(line_of ENABLE0))) -v b=$((base + $(line_of ENABLE1))) '
     {for (i = 1; i < NF; i++) if ($i == "gpio_value:") {n = $(i + 1); how = $(i + 2); v = $(i + 3)
        if (how == "set") {if (v == 1 && last[n] != 1) on[n]++; last[n] = v; read_back[n] = "-"} else read_back[n] = v}}

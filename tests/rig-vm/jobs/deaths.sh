@@ -12,7 +12,7 @@ sed 's/^kind = "visitor"/kind = "calibration"/' /source/tests/rig-vm/plans/loop.
 export STATE_DIRECTORY=/tmp/state
 mkdir -p "$STATE_DIRECTORY"
 disk=/tmp/disk  # a file system of its own
-limit_s=180
+limit_s=$((180 * $(option patience)))
 
 alive() { kill -0 "$pid" 2>/dev/null; }
 lit() { ! alive || enables | grep -q 1; }

@@ -12,7 +12,7 @@ modprobe -r vivid
 
 modprobe vkms
 export STRATALUX_TEST_DISPLAY=Virtual-1
-crc=$(dirname "$(grep -l vkms /sys/kernel/debug/dri/*/name)")/crtc-0/crc
+crc=$(dirname "$(grep -l vkms /sys/kernel/debug/dri/*/name | head -n 1)")/crtc-0/crc
 export STRATALUX_TEST_CRC="$crc"
 run_tests firmware_host_projector_tests 'KmsDisplay.*'
 
@@ -38,7 +38,7 @@ make_lines judged-chip LAMP BUTTON
 modprobe -r vimc  # the tests unplugged it
 modprobe vimc
 udevadm settle -t 20
-gpioset --mode=signal "$(gpiodetect | awk '/judged-chip/ {print $1}')" 0=1 &
+hold_lines judged-chip 0=1
 holder=$!
 for _ in 1 2 3 4 5 6 7 8 9 10; do gpioinfo | grep -q gpioset || usleep 200000; done
 judge "devices: the list is made" list here

@@ -5,7 +5,6 @@
 root=/source/tests/rig-vm
 cp -r /share/installed/usr /share/installed/etc /
 mkdir -p /etc/udev/rules.d /run/rig /var/lib/stratalux /var/log /root /home
-ln -s /bin/busybox /usr/bin/test  # Debian's /bin is /usr/bin
 echo rig-vm >/etc/hostname
 echo 0123456789abcdef0123456789abcdef >/etc/machine-id
 systemd-sysusers
@@ -19,6 +18,9 @@ RULES
 sed -e 's|^driver = .*|device = "/dev/stratalux/camera"|' -e 's|^door = .*|&\nstart = { line = "START" }|' \
     -e 's|^\[capture\]|&\ncalibration = "none"\nmax_visit_s = 120.0|' -e 's|^deadline_ms = [0-9.]*|deadline_ms = 8000.0|' $root/plans/loop.toml |
   cat - $root/plans/kiosk.toml >/etc/stratalux/rig.toml
+echo the-operator-of-rig-vm >/etc/stratalux/operator.token
+chown stratalux: /etc/stratalux/operator.token
+chmod 600 /etc/stratalux/operator.token
 
 # What Debian's own units need on a machine that others use, too.
 mkdir -p /etc/systemd/system.conf.d
@@ -45,7 +47,7 @@ for unit in cryptsetup.target dev-hugepages.mount dev-mqueue.mount getty.target 
 done
 
 # A random delay of up to 20 minutes is added anew whenever the clock is set, and counts from the boot.
-for timer in stratalux-purge stratalux-verify; do
+for timer in stratalux-batch stratalux-purge stratalux-verify; do
   mkdir -p /etc/systemd/system/$timer.timer.d
   printf '[Timer]\nRandomizedDelaySec=0\nAccuracySec=1s\n' >/etc/systemd/system/$timer.timer.d/at-once.conf
 done

@@ -7,7 +7,7 @@ export PATH=/bin:/sbin:/usr/bin:/usr/sbin
 . /source/tests/rig-vm/guest-lib.sh
 disk_mib=288  # as systemd.boot.sh made it
 . /source/tests/rig-vm/lights-lib.sh
-limit_s=180
+limit_s=$((180 * $(option patience)))
 kiosk=stratalux-kiosk.service
 disk=/var/lib/stratalux
 store=$disk/store
@@ -21,9 +21,9 @@ shows_one_of() { case " $* " in *" $(screen) "*) ;; *) false ;; esac }
 main_pid() { of_unit $kiosk MainPID; }
 restarted() { [ "$(of_unit $kiosk NRestarts)" -ge "$1" ] && [ "$(of_unit $kiosk ActiveState)" = active ]; }
 lit() { enables 2>/dev/null | grep -q 1; }
-# page PATH: status and body of what the kiosk's page answers.
+# page PATH: status and body of what the kiosk's page answers the operator.
 page() {
-  { printf 'GET %s HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n\r\n' "$1"; sleep 5; } | timeout 20 nc 127.0.0.1 8080 | tr -d '\r' | sed -n '1p;/^$/,$p'
+  { printf 'GET %s HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nAuthorization: Bearer the-operator-of-rig-vm\r\nConnection: close\r\n\r\n' "$1"; sleep 5; } | timeout 20 nc 127.0.0.1 8080 | tr -d '\r' | sed -n '1p;/^$/,$p'
 }
 closed_for() {
   page /readyz >/tmp/readyz
@@ -202,6 +202,84 @@ full_disk() {
   need "was started anew" [ "$(main_pid)" = "$before" ]
 }
 
+# batch_is TEXT: what the operator's screen says of the next batch begins so. The kiosk asks once a minute.
+batch_is() {
+  page /operator/status >/tmp/status
+  sed -n 's/.*"batch":\({[^{}]*\).*/batch: \1/p' /tmp/status
+  grep -qF "\"batch\":{$1" /tmp/status
+}
+# The evening of the timer's, now or tomorrow, in seconds.
+next_evening() { echo $((($(date +%s) - 72000 + 86399) / 86400 * 86400 + 72000)); }
+batch=stratalux-batch
+# By the hardened unit's account, over D-Bus.
+next_batch() {
+  fresh_kiosk
+  before=$(main_pid)
+  need "a timer that is off is not said to be" soon batch_is '"timer":"off","next":null'
+  systemctl start $batch.timer
+  evening=$(next_evening)
+  need "not named" soon batch_is "\"timer\":\"on\",\"next\":$evening,\"last\":null"
+  # A bus that stands still: no answer is said, and nobody waits for it, the watchdog least of all.
+  bus=$(of_unit dbus.service MainPID)
+  kill -STOP "$bus"
+  need "an answer without a bus" soon batch_is '"timer":"unknown"'
+  kill -CONT "$bus"
+  need "not named again" soon batch_is "\"timer\":\"on\",\"next\":$evening"
+  need "somebody was left waiting" soon not pidof systemctl
+  # It goes off; there is nothing to fit.
+  date -s "@$evening" >/dev/null
+  need "was not begun" soon skipped $batch.service
+  need "the next evening is not named" soon batch_is "\"timer\":\"on\",\"next\":$((evening + 86400)),\"last\":$((evening / 1000))"
+  systemctl stop $batch.timer
+  need "was started anew" [ "$(main_pid)" = "$before" ]
+}
+
+# A visitor who was captured here, fitted in the batch's own sandbox: the quickest fit that goes the whole road.
+is_over() { ran "$1" || [ "$(of_unit "$1" ActiveState)" = failed ]; }
+night_of_fits() {
+  cp /share/libraries/* /usr/lib/x86_64-linux-gnu/
+  systemctl stop $kiosk
+  set_aside 0
+  rm -rf ${disk:?}/*
+  systemd-tmpfiles --create /usr/lib/tmpfiles.d/stratalux.conf
+  # A mono camera sees a quad with each of its pixels: a surface as fine as that of a mosaic twice as wide.
+  printf 'name = "face"\n[subject]\nshape = "head"\n[camera]\ncfa = "mono"\n' >/run/rig/face.toml
+  { printf '[camera]\nwidth = 174\nheight = 130\n'; cat /source/tests/support/smallest_plan.toml; } >/run/rig/small.toml
+  chmod 755 /run/rig
+  as_rig /usr/bin/stratalux-rig capture --simulate=/run/rig/face.toml --no-scattering --seed 3 --config /run/rig/small.toml \
+    --store $store >"$out/capture.log" 2>&1
+  need "no visitor" [ "$(db ls | grep -c '"complete"')" = 1 ]
+  # An operator's options; all else is the unit's.
+  mkdir -p /run/systemd/system/$batch.service.d
+  printf '[Service]\nExecStart=\nExecStart=%s --pool 2 --prior 1000 --iterations 1 --layers 1\n' \
+    "$(sed -n 's/^ExecStart=//p' /usr/lib/systemd/system/$batch.service)" >/run/systemd/system/$batch.service.d/options.conf
+  systemctl daemon-reload
+  systemctl start $batch.timer
+  date -s "@$(next_evening)" >/dev/null
+  need "the timer does not begin it" soon begun
+  looked=$(sandbox_of "$(of_unit $batch.service MainPID)")
+  need "its sandbox: $looked" [ "$looked" = "stratalux, alone with lo, no rights, filtered, no disk" ]
+  night_s=$((3 * limit_s))
+  need "not over" soon_within $night_s is_over $batch.service
+  need "ended with $(of_unit $batch.service Result)/$(of_unit $batch.service ExecMainStatus)" \
+    [ "$(of_unit $batch.service Result)/$(of_unit $batch.service ExecMainStatus)" = success/0 ]
+  systemctl stop $batch.timer
+  db show latest >"$out/show.json"
+  cp -r $store/nights "$out/" 2>/dev/null
+  need "no fit in the store" [ "$(ls $store/sessions/*/fits 2>/dev/null | wc -l)" = 1 ]
+  need "the store is not whole" store_is_whole
+}
+begun() { [ "$(of_unit $batch.service ActiveState)" = activating ] && [ "$(of_unit $batch.service MainPID)" != 0 ]; }
+# sandbox_of PID: what the kernel says of the process.
+sandbox_of() {
+  local at=/proc/$1
+  [ "$(readlink "$at/ns/net")" != "$(readlink /proc/1/ns/net)" ] || printf 'in the network of all, '
+  printf '%s, alone with %s, ' "$(stat -c %U "$at")" "$(awk -F: 'NR > 2 {gsub(/ /, "", $1); print $1}' "$at/net/dev" | tr '\n' ' ' | sed 's/ $//')"
+  grep -q '^CapBnd:.*[1-9a-f]' "$at/status" && printf 'rights, ' || printf 'no rights, '
+  grep -q '^Seccomp:[[:space:]]*2' "$at/status" && printf 'filtered, ' || printf 'unfiltered, '
+  if [ -e "$at/root/dev/loop0" ]; then printf 'disks'; else printf 'no disk'; fi
+}
+
 # case NAME FUNCTION
 case_of() {
   why="" out=/share/$(echo "$1" | tr -c 'a-zA-Z0-9\n' -)
@@ -227,11 +305,23 @@ clock jumps;clock_jumps
 full disk and freed;full_disk
 ROWS
 }
+# Minutes of an emulator's time: at night, or asked for by name.
+rows_of_the_night() {
+  cat <<'ROWS'
+next batch;next_batch
+a night of fits;night_of_fits
+ROWS
+}
 
 find_chip
 boot_lights=$(lights)
 echo "        case | ENABLE lines: times on, last written, last read" >$cases
-rows | sample "$(option faults)" "$(option seed)" >/tmp/rows
+if [ -s /share/case ]; then
+  { rows; rows_of_the_night; } | grep "^$(cat /share/case);" >/tmp/rows || judge "there is no case '$(cat /share/case)'" false
+else
+  rows | sample "$(option faults)" "$(option seed)" >/tmp/rows
+  [ "$(option faults)" -lt "$(rows | wc -l)" ] || rows_of_the_night >>/tmp/rows
+fi
 while IFS=';' read -r name how; do case_of "$name" "$how" </dev/null; done </tmp/rows
 systemctl stop $kiosk
 finish

@@ -5,7 +5,7 @@
 export PATH=/bin:/sbin:/usr/bin:/usr/sbin
 . /source/tests/rig-vm/guest-lib.sh
 . /source/tests/rig-vm/lights-lib.sh
-limit_s=120
+limit_s=$((120 * $(option patience)))
 load_camera
 udevadm settle -t 60
 trace_lights
@@ -13,4 +13,4 @@ trace_lights
 echo $! >/run/rig/responder.pid
 soon grep -qs ready /run/rig/responder.log || exit 1
 udevadm settle -t 60
-gpioset "$(gpiodetect | awk '/rig-lines/ {print $1}')" "$(line_of ENABLE0)=1" "$(line_of ENABLE1)=1"
+leave_lines rig-lines "$(line_of ENABLE0)=1" "$(line_of ENABLE1)=1"
