@@ -40,6 +40,30 @@ TEST_F(WorkerTest, TellsHowItEndedAndWhatItSaid) {
   EXPECT_EQ(ReadText(folder_ / "log"), "out\nerr\nthreads=3\n" + std::to_string(nice(0) + 5) + "\n");
 }
 
+TEST_F(WorkerTest, IsHandedTheKeysOfItsVisitorAndTheWayToNoOther) {
+  setenv("STRATALUX_READER_KEY", "/reader.key", 1);
+  setenv("CREDENTIALS_DIRECTORY", "/credentials", 1);
+  db::SessionKey key;
+  key.id.fill('i');
+  auto secret = std::make_shared<db::SecretKey>();
+  secret->bytes.fill('k');
+  key.key = std::move(secret);
+  const std::string environment = "env | grep -c 'READER_KEY\\|CREDENTIALS'; ";
+  auto with = Worker::Start({{"/bin/sh", "-c", environment + "cat /proc/self/fd/$STRATALUX_KEYS_FD | tail -c 48"},
+                             folder_ / "with",
+                             1,
+                             0,
+                             {key}});
+  auto without = Worker::Start({{"/bin/sh", "-c", environment + "echo $STRATALUX_KEYS_FD"}, folder_ / "without"});
+  unsetenv("STRATALUX_READER_KEY");
+  unsetenv("CREDENTIALS_DIRECTORY");
+  ASSERT_TRUE(with.ok() && without.ok());
+  EndOf(*with);
+  EndOf(*without);
+  EXPECT_EQ(ReadText(folder_ / "with"), "0\n" + std::string(16, 'i') + std::string(32, 'k'));
+  EXPECT_EQ(ReadText(folder_ / "without"), "0\n\n");
+}
+
 TEST_F(WorkerTest, TellsOfASignal) {
   auto worker = Start("kill -SEGV $$");
   ASSERT_TRUE(worker.ok());
