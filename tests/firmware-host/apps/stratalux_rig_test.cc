@@ -402,8 +402,8 @@ TEST_F(LearntDeadlinesProgram, ASelftestThatCanKeepNothingPasses) {
 }
 
 TEST_F(LearntDeadlinesProgram, AStoppedCaptureListsTheStepsThatItLacksAsRanges) {
-  const Outcome stopped =
-      Rig("capture " + Scene("") + Config("") + "--fault emergency_stop@40 --json " + Store() + " 2>/dev/null");
+  const Outcome stopped = Execute(
+      "stratalux-rig capture " + Scene("") + Config("") + "--fault emergency_stop@40 --json " + Store(), Show::kStdout);
   EXPECT_EQ(stopped.code, 1) << stopped.out;
   const auto json = nlohmann::json::parse(stopped.out, nullptr, false);
   ASSERT_TRUE(json.is_object()) << stopped.out;
