@@ -256,13 +256,12 @@ std::string SessionGraph::Maps() {
               "maps, all projectors",
               {srd, fit},
               [=, this](const fs::path& folder) -> Status {
-                view_.Drop();
-                layers_.Drop();
-                SLX_ASSIGN_OR_RETURN(const auto extracted, stages_.Load(srd, LoadSrds));
+                MakeRoomForAFit();
+                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
                 SLX_ASSIGN_OR_RETURN(const auto refined,
-                                     RefineLayers(extracted.set, options_.heldout, std::move(layers), options_.fit,
-                                                  logger_, "maps, all projectors"));
+                                     RefineLayers(*srds, options_.heldout, std::move(layers), options_.fit, logger_,
+                                                  "maps, all projectors"));
                 return SaveMaps(folder, refined);
               }});
 }
