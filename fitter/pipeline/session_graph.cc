@@ -259,9 +259,8 @@ std::string SessionGraph::Maps() {
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
-                SLX_ASSIGN_OR_RETURN(const auto refined,
-                                     RefineLayers(*srds, options_.heldout, std::move(layers), options_.fit, logger_,
-                                                  "maps, all projectors"));
+                SLX_ASSIGN_OR_RETURN(const auto refined, RefineLayers(*srds, options_.heldout, std::move(layers),
+                                                                      options_.fit, logger_, "maps, all projectors"));
                 return SaveMaps(folder, refined);
               }});
 }
