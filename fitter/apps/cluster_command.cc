@@ -215,6 +215,13 @@ Status Submit(const ClusterFlags& flags, Logger& logger) {
   return flags.batch.until.empty() ? Status::Ok() : MergeAsItComes(flags, time, logger);
 }
 
+// Which share, of whose plan.
+void AddShare(CLI::App& verb, ClusterFlags& flags) {
+  verb.add_option("shard", flags.shard, "I/N, I from 1 to N")->required();
+  AddStore(verb, flags.batch);
+  verb.add_option("--results", flags.results, "Folder of `batch plan --out`")->required();
+}
+
 }  // namespace
 
 void AddClusterCommands(CLI::App& batch, int& exit_code) {
@@ -228,9 +235,7 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       "  stratalux-fit batch shard 1/2 --store store --results results\n"
       "  parallel -j 2 stratalux-fit batch shard {}/2 --store store --results results ::: 1 2\n"
       "  stratalux-fit batch merge results --store store");
-  shard->add_option("shard", worked->shard, "I/N, I from 1 to N")->required();
-  AddStore(*shard, worked->batch);
-  shard->add_option("--results", worked->results, "Folder of `batch plan --out`")->required();
+  AddShare(*shard, *worked);
   shard->add_option("--scratch", worked->scratch,
                     "Folder of a disk of this machine for its index of the sessions; without it $TMPDIR, or /tmp");
   shard->add_option("--plan", worked->plan, "Refuse any other plan than the one of this id");
@@ -247,9 +252,7 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       "Example:\n"
       "  stratalux-fit batch keys 1/2 --store store --results results |\n"
       "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys");
-  keys->add_option("shard", given->shard, "I/N, I from 1 to N")->required();
-  AddStore(*keys, given->batch);
-  keys->add_option("--results", given->results, "Folder of `batch plan --out`")->required();
+  AddShare(*keys, *given);
   OnCall(*keys, exit_code, [given](Logger& logger) { return SendKeys(*given, logger); });
 
   auto submitted = std::make_shared<ClusterFlags>();

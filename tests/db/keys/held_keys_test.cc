@@ -11,21 +11,13 @@
 #include <unistd.h>
 
 #include "shared/base/unique_fd.h"
+#include "tests/db/keys/random_key.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::db {
 namespace {
 
 using ::testing::HasSubstr;
-
-SessionKey AnyKey() {
-  SessionKey key;
-  auto secret = std::make_shared<SecretKey>();
-  randombytes_buf(key.id.data(), key.id.size());
-  randombytes_buf(secret->bytes.data(), secret->bytes.size());
-  key.key = std::move(secret);
-  return key;
-}
 
 struct Pipe {
   Pipe() {
@@ -56,7 +48,7 @@ std::string Sent(const std::vector<SessionKey>& keys) {
 }
 
 TEST_F(HeldKeysTest, ComeThroughAPipeAsTheyWere) {
-  const std::vector<SessionKey> keys = {AnyKey(), AnyKey(), AnyKey()};
+  const std::vector<SessionKey> keys = {RandomKey(), RandomKey(), RandomKey()};
   const auto read = ReadBack(Sent(keys));
   ASSERT_TRUE(read.ok()) << read.status().message();
   ASSERT_EQ(read->size(), keys.size());
@@ -68,7 +60,7 @@ TEST_F(HeldKeysTest, ComeThroughAPipeAsTheyWere) {
 }
 
 TEST_F(HeldKeysTest, ComeWholeOrNotAtAll) {
-  const std::string sent = Sent({AnyKey(), AnyKey()});
+  const std::string sent = Sent({RandomKey(), RandomKey()});
   for (size_t size = 0; size < sent.size(); ++size)
     EXPECT_EQ(ReadBack(sent.substr(0, size)).status().code(), StatusCode::kIntegrity) << size << " bytes";
   EXPECT_EQ(ReadBack(sent + "x").status().code(), StatusCode::kIntegrity);
@@ -77,7 +69,7 @@ TEST_F(HeldKeysTest, ComeWholeOrNotAtAll) {
 
 TEST_F(HeldKeysTest, LandInNoFile) {
   const UniqueFd file(open((folder_ / "keys").c_str(), O_RDWR | O_CREAT, 0600));
-  const Status written = WriteKeys(file.get(), {AnyKey()});
+  const Status written = WriteKeys(file.get(), {RandomKey()});
   EXPECT_EQ(written.code(), StatusCode::kUsage);
   EXPECT_THAT(written.message(), HasSubstr("through a pipe alone"));
   EXPECT_EQ(std::filesystem::file_size(folder_ / "keys"), 0U);
@@ -100,7 +92,7 @@ int CodeOfChild(const std::string& descriptor, const KeyId& id, const SessionKey
 }
 
 TEST_F(HeldKeysTest, AreFoundWhereTheEnvironmentNamesThePipe) {
-  const SessionKey key = AnyKey(), other = AnyKey();
+  const SessionKey key = RandomKey(), other = RandomKey();
   Pipe pipe;
   ASSERT_TRUE(WriteKeys(pipe.in.get(), {key}).ok());
   pipe.in = UniqueFd();

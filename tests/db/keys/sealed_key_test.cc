@@ -8,6 +8,7 @@
 #include <sodium.h>
 #include <sys/stat.h>
 
+#include "tests/db/keys/random_key.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
 
@@ -22,15 +23,6 @@ using ::testing::IsEmpty;
 constexpr const char* kSession = "s000017-0badcafe";
 constexpr const char* kOther = "s000018-0badcafe";
 constexpr size_t kHeader = 48, kBox = 48 + 64, kDigest = 16;
-
-SessionKey RandomKey() {
-  SessionKey key;
-  auto secret = std::make_shared<SecretKey>();
-  randombytes_buf(key.id.data(), key.id.size());
-  randombytes_buf(secret->bytes.data(), secret->bytes.size());
-  key.key = std::move(secret);
-  return key;
-}
 
 void Digest(const std::string& bytes, unsigned char* digest) {
   crypto_generichash(digest, 32, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), nullptr, 0);
