@@ -111,8 +111,8 @@ death_once() {
   /build/bin/stratalux-db reindex --store $store >>"$out/rig.log" 2>&1
   session=$(/build/bin/stratalux-db show s000001 --json --store $store 2>>"$out/rig.log" | sed -nE 's/^ *"status": "([a-z]+)".*/\1/p')
   umount $disk || why="${why:+$why; }the disk is held"
-  # Exit 1 of itself: it was ending before its moment came.
-  case " $exits " in *" $ended "*) ;; *) why="${why:+$why; }exit" late=$((late | (ended == 1))) ;; esac
+  # Exit 0, 1 or 3 of itself: it was ending before its moment came.
+  case " $exits " in *" $ended "*) ;; *) why="${why:+$why; }exit" late=$((late | (ended == 0 || ended == 1 || ended == 3))) ;; esac
   wanted=failed
   # The emulator may stall until the capture gives up: nothing to be learnt from.
   [ "$how" != none ] || wanted=complete late=1
