@@ -36,8 +36,8 @@ struct EmOptions {
   // Accelerated ones, worth 50 plain ones (docs/math/em-kernel.md): held-out light is predicted best at 50-100 plain
   // sweeps (model section 7).
   int max_iterations = 20;
-  // Of a pixel that starts from given layers (FitMixture's `start`), which are not far; 16 are worth 50 plain ones, and
-  // light that was held out is predicted as well by 8 as by 20.
+  // Of a pixel that starts from given layers (FitMixture's `start`), which are not far; 16 are worth 50 plain ones. The
+  // fit stage takes as many of them as data can tell (ChooseSweeps).
   int refinement_iterations = 12;
   double tolerance = 1e-5;  // relative change of the divergence
   // Nesterov's momentum with restart: never loses likelihood (with a prior: posterior), and reaches that of plain EM in

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "shared/base/random.h"
 
@@ -12,33 +13,49 @@ namespace {
 // Of the referee, at most: it settles long before.
 constexpr int kRefereeSweeps = 300;
 
-// Profiles of some pixels that `fit` has and that a further light is said to reach.
-std::vector<int64_t> SampleOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                              const MixtureMap& fit) {
-  const auto candidate = [&](int64_t i) {
-    if (!fit.Fitted(i)) return false;
-    for (size_t p = 0; p < lights.size(); ++p)
-      if (std::ranges::find(fit.training_projectors, projectors[p]) == fit.training_projectors.end() &&
-          lights[p]->valid[i] != 0)
-        return true;
-    return false;
-  };
+// The profiles of kWarmPixels pixels, drawn by a seed, of those with a candidate among their profiles.
+std::vector<int64_t> SampleOf(int64_t profiles, int channels, const std::function<bool(int64_t)>& candidate) {
   std::vector<int64_t> pixels;
-  for (int64_t i = 0; i < fit.profiles(); i += fit.channels) {
+  for (int64_t i = 0; i < profiles; i += channels) {
     bool any = false;
-    for (int c = 0; c < fit.channels; ++c) any = any || candidate(i + c);
-    if (any) pixels.push_back(i / fit.channels);
+    for (int c = 0; c < channels; ++c) any = any || candidate(i + c);
+    if (any) pixels.push_back(i / channels);
   }
   const auto wanted = std::min<size_t>(pixels.size(), kWarmPixels);
   Random random(kWarmSeed);
   for (size_t k = 0; k < wanted; ++k) std::swap(pixels[k], pixels[k + random.Bits() % (pixels.size() - k)]);
   pixels.resize(wanted);
   std::sort(pixels.begin(), pixels.end());
-  std::vector<int64_t> profiles;
+  std::vector<int64_t> sample;
   for (const int64_t pixel : pixels)
-    for (int c = 0; c < fit.channels; ++c) profiles.push_back(pixel * fit.channels + c);
-  return profiles;
+    for (int c = 0; c < channels; ++c) sample.push_back(pixel * channels + c);
+  return sample;
 }
+
+// Whether `fit` has the profile and a further light is said to reach it.
+bool FurtherLit(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, const MixtureMap& fit,
+                int64_t profile) {
+  if (!fit.Fitted(profile)) return false;
+  for (size_t p = 0; p < lights.size(); ++p)
+    if (std::ranges::find(fit.training_projectors, projectors[p]) == fit.training_projectors.end() &&
+        lights[p]->valid[profile] != 0)
+      return true;
+  return false;
+}
+
+// The sampled profiles of each light.
+class SampledBatches {
+ public:
+  SampledBatches(std::span<const SrdBatch* const> lights, std::span<const int64_t> which) {
+    for (const SrdBatch* light : lights) parts_.push_back(ProfilesOf(*light, which));
+    for (const SrdBatch& part : parts_) batches_.push_back(&part);
+  }
+  [[nodiscard]] std::span<const SrdBatch* const> batches() const { return batches_; }
+
+ private:
+  std::vector<SrdBatch> parts_;
+  std::vector<const SrdBatch*> batches_;
+};
 
 // The sampled pixels as a row, fitted as in `fit`.
 MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
@@ -66,12 +83,22 @@ MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
   return row;
 }
 
-// Nothing is fitted in it, by no light: refining it is fitting anew.
-MixtureMap Unfitted(MixtureMap map) {
-  map.training_projectors.clear();
-  for (auto* values : {&map.surface, &map.background}) values->clear();
-  std::ranges::fill(map.reason, static_cast<uint8_t>(FitReason::kNoProjector));
-  return map;
+// A row in which nothing is fitted, by no light: refining it is fitting anew.
+MixtureMap EmptyRow(int64_t profiles, int channels, const EmOptions& options) {
+  MixtureMap row;
+  row.width = static_cast<int>(profiles) / channels;
+  row.height = 1;
+  row.channels = channels;
+  row.layers = options.layers;
+  row.scattering = options.scattering;
+  row.prior_photons = options.prior.photons;
+  const auto count = static_cast<size_t>(profiles);
+  for (auto* values : {&row.weight, &row.depth_mm, &row.sigma_mm})
+    values->assign(count * static_cast<size_t>(options.layers), 0.0F);
+  for (auto* values : {&row.divergence, &row.prior_share}) values->assign(count, 0.0F);
+  row.iterations.assign(count, 0);
+  row.reason.assign(count, static_cast<uint8_t>(FitReason::kNoProjector));
+  return row;
 }
 
 // Mean difference over the profiles that `wanted` says.
@@ -96,16 +123,48 @@ int MedianOf(std::vector<uint16_t> sweeps, const std::vector<uint8_t>& wanted) {
 
 bool WarmStartChoice::Reached() const { return !trials.empty() && trials.back().excess_nats <= kWarmToleranceNats; }
 
+bool SweepChoice::Reached() const { return !trials.empty() && trials.back().excess_nats <= kWarmToleranceNats; }
+
+Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                 int channels, const EmOptions& options, std::span<const LayerSet> start) {
+  SweepChoice choice;
+  const std::vector<int64_t> which = SampleOf(lights[0]->profiles(), channels, [&](int64_t i) {
+    return std::ranges::any_of(lights, [i](const SrdBatch* light) { return light->valid[i] != 0; });
+  });
+  if (which.empty()) return choice;
+  const SampledBatches sampled(lights, which);
+  const MixtureMap none = EmptyRow(std::ssize(which), channels, options);
+  const auto swept = [&](int sweeps) {
+    EmOptions few = options;
+    few.max_iterations = few.refinement_iterations = sweeps;
+    return RefineMixture(sampled.batches(), projectors, none, 0, few, start);
+  };
+  SLX_ASSIGN_OR_RETURN(const auto referee, swept(kRefereeSweeps));
+  std::vector<uint8_t> wanted;
+  for (const float cost : referee.cost) wanted.push_back(std::isfinite(cost) ? 1 : 0);
+  choice.profiles = referee.added;
+  if (choice.profiles == 0) return choice;
+  choice.referee_sweeps = MedianOf(referee.map.iterations, wanted);
+  for (int sweeps = 1; sweeps <= std::max(options.refinement_iterations, 1) && !choice.Reached(); ++sweeps) {
+    SLX_ASSIGN_OR_RETURN(const auto trial, swept(sweeps));
+    choice.sweeps = sweeps;
+    choice.trials.push_back({sweeps, MeanAbove(trial.cost, referee.cost, wanted, choice.profiles)});
+  }
+  return choice;
+}
+
 Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                          const MixtureMap& fit, const EmOptions& options,
                                          std::span<const LayerSet> start) {
   WarmStartChoice choice;
-  const std::vector<int64_t> which = SampleOf(lights, projectors, fit);
-  std::vector<SrdBatch> parts;
-  for (const SrdBatch* light : lights) parts.push_back(ProfilesOf(*light, which));
-  std::vector<const SrdBatch*> sampled;
-  for (const SrdBatch& part : parts) sampled.push_back(&part);
-  const MixtureMap row = SampledRow(fit, which), none = Unfitted(row);
+  const std::vector<int64_t> which =
+      SampleOf(fit.profiles(), fit.channels, [&](int64_t i) { return FurtherLit(lights, projectors, fit, i); });
+  const SampledBatches sampled_batches(lights, which);
+  const auto sampled = sampled_batches.batches();
+  EmOptions of_fit = options;
+  of_fit.scattering = fit.scattering;
+  of_fit.prior.photons = fit.prior_photons;
+  const MixtureMap row = SampledRow(fit, which), none = EmptyRow(std::ssize(which), fit.channels, of_fit);
   // Without a prior EM starts from widths spread over all scales, with its own number of sweeps.
   EmOptions endless = options;
   endless.max_iterations = endless.refinement_iterations = kRefereeSweeps;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How many sweeps a map of some lights needs until it is as good as one of all lights.
+// How many sweeps EM needs until data could not tell it from one that has settled: from the mean layers, and from a map
+// of some of the lights.
 #pragma once
 
 #include <cstdint>
@@ -25,6 +26,19 @@ struct WarmStartChoice {
   [[nodiscard]] bool Reached() const;
 };
 
+// Of EM from the mean layers. Costs as above.
+struct SweepChoice {
+  struct Trial {
+    int sweeps = 0;
+    double excess_nats = 0.0;
+  };
+  int sweeps = 0;             // of the last trial
+  std::vector<Trial> trials;  // as WarmStartChoice::trials
+  int referee_sweeps = 0;     // median: it ends when it settles
+  int64_t profiles = 0;       // sampled; 0: none can be fitted, nothing was tried
+  [[nodiscard]] bool Reached() const;
+};
+
 // A profile's noise alone costs half a nat for each of the some ten numbers that its samples tell: a twentieth of what
 // one of them costs is nothing that data could show.
 inline constexpr double kWarmToleranceNats = 0.025;
@@ -38,5 +52,11 @@ inline constexpr uint64_t kWarmSeed = 19;
 [[nodiscard]] Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights,
                                                        const std::vector<int>& projectors, const MixtureMap& fit,
                                                        const EmOptions& options, std::span<const LayerSet> start);
+
+// The fewest sweeps of FitMixture (same arguments, of `channels` profiles a pixel) after which that holds of some 512
+// pixels that a light reaches.
+[[nodiscard]] Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights,
+                                               const std::vector<int>& projectors, int channels,
+                                               const EmOptions& options, std::span<const LayerSet> start);
 
 }  // namespace stratalux::fit

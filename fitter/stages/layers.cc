@@ -9,6 +9,8 @@
 #include "fitter/mixture/choose_prior.h"
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/free_fit.h"
+#include "fitter/mixture/warm_start.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::fit {
 namespace {
@@ -41,6 +43,12 @@ std::string Describe(const PriorChoice& choice) {
     text << (&trial == &choice.trials.front() ? "; divergence of the lights left out in turn: " : ", ")
          << trial.divergence << " with " << trial.photons;
   return text.str();
+}
+
+std::string Describe(const SweepChoice& choice) {
+  if (choice.profiles == 0) return "no profile that can be fitted";
+  return Formatted("%d sweeps from the mean layers, %.3f nats a profile above EM that has settled", choice.sweeps,
+                   choice.trials.back().excess_nats);
 }
 
 // What EM is told but for the prior, with all that the profiles of the session share.
@@ -145,6 +153,11 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
     }
   }
   const bool free = em.scattering.mode == FitMode::kFree;
+  if (!start.empty() && !free) {
+    SLX_ASSIGN_OR_RETURN(const auto choice, ChooseSweeps(lights, projectors, srds.channels, em, start));
+    logger.Info(label + ": " + Describe(choice));
+    if (choice.profiles > 0) em.refinement_iterations = choice.sweeps;
+  }
   const int64_t fits = UsableProfiles(lights) * (free ? static_cast<int64_t>(lights.size()) : 1);
   Progress progress(logger, label, fits);
   const auto advance = [&](int64_t done) { progress.Advance(done); };

@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kFitVersion = 3;
+inline constexpr int kFitVersion = 4;
 
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {
@@ -45,7 +45,8 @@ struct TrainingLights {
 [[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
 // EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
-// directional weights, and the prior with the mean layers that it is centred on.
+// directional weights, the prior with the mean layers that it is centred on; from these, of a tied fit, the number of
+// sweeps, at most em.refinement_iterations.
 [[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                                            const std::string& label);
 

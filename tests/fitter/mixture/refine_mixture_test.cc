@@ -247,5 +247,65 @@ TEST(ChooseWarmSweeps, HasNothingToTryWhereNoFurtherLightReaches) {
   EXPECT_EQ(Refine(made, fit, std::max(choice->sweeps, 1), options).kept, kProfiles);
 }
 
+// A fit from the mean layers ends where data could not tell it from EM that has settled, of pixels that were not
+// sampled too: seen here by the sweeps themselves, run to the end that was chosen and far beyond it.
+TEST(ChooseSweeps, IsTheFewestThatDataCannotTellFromEmThatHasSettled) {
+  const EmOptions options = WithPrior();
+  const EmCases made = FourLights(400.0, 79);
+  const auto choice = ChooseSweeps(made.lights(), kAll, 1, options, MeanOf(made.lights(), options));
+  ASSERT_TRUE(choice.ok()) << choice.status().message();
+  ASSERT_TRUE(choice->Reached());
+  EXPECT_EQ(choice->profiles, kProfiles);
+  EXPECT_GT(choice->referee_sweeps, choice->sweeps);
+  ASSERT_EQ(static_cast<int>(choice->trials.size()), choice->sweeps);
+  for (size_t t = 0; t + 1 < choice->trials.size(); ++t) EXPECT_GT(choice->trials[t].excess_nats, kWarmToleranceNats);
+  // A refinement of nothing is a fit, and says what it cost.
+  MixtureMap nothing = FitOfFour(made, options, 0);
+  nothing.training_projectors.clear();
+  nothing.surface.clear();
+  nothing.background.clear();
+  std::ranges::fill(nothing.reason, static_cast<uint8_t>(FitReason::kNoProjector));
+  EmOptions few = options, endless = options;
+  few.refinement_iterations = choice->sweeps;
+  endless.refinement_iterations = 300;
+  endless.tolerance = 0.0;
+  const RefinedMap fit = Refine(made, nothing, 0, few), end = Refine(made, nothing, 0, endless);
+  const MixtureMap same = FitOfFour(made, options, choice->sweeps);
+  double above = 0.0;
+  for (int64_t i = 0; i < kProfiles; ++i) {
+    above += (double(fit.cost[i]) - double(end.cost[i])) / kProfiles;
+    ExpectSameProfile(fit.map, same, i);
+  }
+  EXPECT_NEAR(above, choice->trials.back().excess_nats, 5e-3);
+}
+
+// The less the mean layers count, the further is the way from them; and never more sweeps than are allowed.
+TEST(ChooseSweeps, AsksForMoreWhereThePriorIsWeak) {
+  EmOptions weak = WithPrior(30.0), strong = WithPrior(3000.0);
+  weak.refinement_iterations = strong.refinement_iterations = 60;
+  const EmCases made = FourLights(4000.0, 80);
+  const std::vector<LayerSet> mean = MeanOf(made.lights(), weak);
+  const auto far = ChooseSweeps(made.lights(), kAll, 1, weak, mean),
+             near = ChooseSweeps(made.lights(), kAll, 1, strong, mean);
+  ASSERT_TRUE(far.ok() && near.ok());
+  EXPECT_GT(far->sweeps, near->sweeps);
+  weak.refinement_iterations = 2;
+  const auto cut = ChooseSweeps(made.lights(), kAll, 1, weak, mean);
+  ASSERT_TRUE(cut.ok());
+  EXPECT_EQ(cut->sweeps, 2);
+  EXPECT_FALSE(cut->Reached());
+}
+
+TEST(ChooseSweeps, HasNothingToTryWhereNothingIsLit) {
+  const EmOptions options = WithPrior();
+  EmCases made = FourLights(400.0, 81);
+  const std::vector<LayerSet> mean = MeanOf(made.lights(), options);
+  for (SrdBatch& batch : made.batches) std::ranges::fill(batch.valid, uint8_t{0});
+  const auto choice = ChooseSweeps(made.lights(), kAll, 1, options, mean);
+  ASSERT_TRUE(choice.ok());
+  EXPECT_EQ(choice->profiles, 0);
+  EXPECT_EQ(choice->sweeps, 0);
+}
+
 }  // namespace
 }  // namespace stratalux::fit

@@ -25,5 +25,28 @@ TEST(FitLayers, SweepsPooledProfilesAsManyTimesMoreAsTheyAreFewer) {
   }
 }
 
+TEST(FitLayers, SweepsEachPixelAsOftenAsItsLightsAskForAndNoMoreThanAllowed) {
+  FitOptions options;
+  options.em.tolerance = 0.0;
+  options.em.prior.photons = 3000.0;
+  options.choose.prior = false;
+  Random random(2);
+  SrdSet srds{.pool = 1, .width = 64, .height = 1, .channels = 1, .batches = {}, .row_batches = {}};
+  for (double slope : {-1.0, 0.0, 0.58})
+    srds.batches.push_back(test::CombOf(test::FiveLayers(), slope, srds.width, 4000.0, options.em, random));
+  Logger logger;
+  const auto sweeps_of = [&](int most) {
+    options.em.refinement_iterations = most;
+    const auto map = FitLayers(srds, 1, options, logger, "fit");
+    EXPECT_TRUE(map.ok()) << map.status().message();
+    EXPECT_EQ(std::ranges::min(map->iterations), std::ranges::max(map->iterations));
+    return static_cast<int>(map->iterations[0]);
+  };
+  const int chosen = sweeps_of(60);
+  EXPECT_GT(chosen, 1);
+  EXPECT_LT(chosen, 30);
+  EXPECT_EQ(sweeps_of(1), 1);
+}
+
 }  // namespace
 }  // namespace stratalux::fit
