@@ -28,10 +28,10 @@ std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& paramete
           0.1 * (b * BloodPerCm(channel) + (1.0 - b) * baseline), 0.1 * baseline};
 }
 
-Tissue ClearSkin(int channel, std::span<const double> borders_mm) {
+Tissue ClearSkin(int channel, std::span<const double> borders_mm, double scattering) {
   const double nm = kSkinWavelengthNm[channel];
   const double g = 0.62 + 0.29e-3 * nm;
-  const double skin = 0.1 * 46.0 * std::pow(nm / 500.0, -1.421) / (1.0 - g);
+  const double skin = scattering * 0.1 * 46.0 * std::pow(nm / 500.0, -1.421) / (1.0 - g);
   const double subcutis = 0.1 * 1.05e3 * std::pow(nm, -0.68) / (1.0 - g);
   Tissue tissue;
   double top = 0.0;
@@ -46,7 +46,7 @@ Tissue ClearSkin(int channel, std::span<const double> borders_mm) {
 
 Tissue AbsorbingSkin(int channel, const SkinParameters& parameters) {
   const std::array<double, 1> border = {parameters.epidermis_mm};
-  Tissue tissue = ClearSkin(channel, border);
+  Tissue tissue = ClearSkin(channel, border, parameters.scattering);
   const auto absorption = SkinAbsorption(channel, parameters);
   for (size_t l = 0; l < tissue.layers.size(); ++l) tissue.layers[l].mu_a_per_mm = absorption[l];
   return tissue;

@@ -4,7 +4,8 @@
 // Sources: absorption of the skin baseline and of melanosomes, and of whole blood at 150 g/l: Jacques, "Skin optics"
 // (OMLC News, Jan 1998); haemoglobin extinction: Prahl's compilation; reduced scattering of skin 46 (nm/500)^-1.421 /
 // cm: Jacques, Phys. Med. Biol. 58 (2013) R37, Table 2; asymmetry g = 0.62 + 0.29e-3 nm: van Gemert et al., IEEE TBME
-// 36 (1989); scattering of subcutis 1.05e3 nm^-0.68 / cm: Bashkatov 2005.
+// 36 (1989); living skin's scattering beside the samples': Jonasson et al., J. Biomed. Opt. 2023; scattering of
+// subcutis 1.05e3 nm^-0.68 / cm: Bashkatov 2005.
 #pragma once
 
 #include <array>
@@ -24,6 +25,7 @@ struct SkinParameters {
   float melanin = 0.03F;  // volume fraction of melanosomes in the epidermis
   float blood = 0.004F;   // volume fraction of blood in the dermis
   float epidermis_mm = static_cast<float>(kEpidermisMm);
+  float scattering = 1.0F;  // of epidermis and dermis, over that of tissue samples (living skin: 0.6 to 0.7)
 };
 
 // A slab of translucent wax, the test object without layers: reduced scattering 1.1 / 1.3 / 1.5 per mm, absorption
@@ -35,8 +37,8 @@ inline constexpr double kWaxSlabMm = 20.0;
 [[nodiscard]] std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& parameters);
 // Skin and subcutis without absorption, for path-length re-weighting. Epidermis and dermis scatter and refract alike
 // (one formula serves both), so the border between them is a border of absorption only: `borders_mm` (rising depths
-// within the skin) split the skin into layers whose paths can be given to either.
-[[nodiscard]] Tissue ClearSkin(int channel, std::span<const double> borders_mm);
+// within the skin) split the skin into layers whose paths can be given to either. `scattering`: as of SkinParameters.
+[[nodiscard]] Tissue ClearSkin(int channel, std::span<const double> borders_mm, double scattering = 1.0);
 // Epidermis, dermis and subcutis with absorption. Precondition: 0 < epidermis_mm < kSkinMm.
 [[nodiscard]] Tissue AbsorbingSkin(int channel, const SkinParameters& parameters);
 

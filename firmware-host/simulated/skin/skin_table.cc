@@ -10,13 +10,18 @@
 #include <numeric>
 #include <span>
 
+#include <nlohmann/json.hpp>
+
 #include "firmware-host/simulated/skin/skin_table_code.h"
+#include "shared/base/formatted.h"
 #include "shared/base/program_data.h"
+#include "shared/base/version.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::rig {
 namespace {
 
+using Json = nlohmann::ordered_json;
 using G = SkinGrid;
 constexpr float kFloatPi = std::numbers::pi_v<float>;
 
@@ -189,6 +194,17 @@ class PowerScale {
   std::array<double, N> nodes_{};
 };
 
+// Position between the nodes of scattering, on the scale of its square root: that of light far out, exp(-mu_eff r).
+std::pair<int, float> ScatteringsAround(const std::vector<double>& nodes, float scattering) {
+  const auto upper = std::upper_bound(nodes.begin(), nodes.end(), static_cast<double>(scattering));
+  const int first =
+      std::clamp(static_cast<int>(upper - nodes.begin()) - 1, 0, std::max(0, static_cast<int>(nodes.size()) - 2));
+  if (nodes.size() == 1) return {first, 0.0F};
+  const double low = std::sqrt(nodes[first]), high = std::sqrt(nodes[first + 1]);
+  const double f = (std::sqrt(std::max(0.0F, scattering)) - low) / (high - low);
+  return {first, static_cast<float>(std::clamp(f, 0.0, 1.0))};
+}
+
 }  // namespace
 
 double SkinGrid::RadiusEdgeMm(int edge) {
@@ -308,27 +324,69 @@ double SkinKernel::Integral() const {
   return Integral(kAll);
 }
 
-std::array<SkinNodeWeight, 8> SkinTable::NodesAround(const SkinParameters& parameters) const {
-  if (nodes() == SkinGrid::kNodes) return SkinNodesAround(parameters);
-  std::array<SkinNodeWeight, 8> only{};
-  only[0].weight = 1.0F;
-  return only;
+SkinNodes SkinTable::NodesAround(const SkinParameters& parameters) const {
+  SkinNodes nodes;
+  if (scatterings().empty()) {
+    nodes.Add({0, 1.0F});
+    return nodes;
+  }
+  const auto skins = SkinNodesAround(parameters);
+  const auto [first, f] = ScatteringsAround(scatterings(), parameters.scattering);
+  for (const auto& [scattering, share] : {std::pair{first, 1.0F - f}, std::pair{first + 1, f}}) {
+    if (share == 0.0F) continue;
+    for (const SkinNodeWeight& skin : skins)
+      if (skin.weight != 0.0F) nodes.Add({scattering * G::kNodes + skin.node, share * skin.weight});
+  }
+  return nodes;
 }
 
-SkinTable::SkinTable(int nodes, const std::vector<float>& flat) {
+SkinParameters SkinTable::NodeParameters(int node) const {
+  if (scatterings().empty()) return {};
+  SkinParameters skin = SkinGrid::NodeParameters(node % G::kNodes);
+  skin.scattering = static_cast<float>(scatterings()[static_cast<size_t>(node / G::kNodes)]);
+  return skin;
+}
+
+Status SkinTable::CheckScattering(double scattering) const {
+  if (scatterings().empty()) return Status::Ok();
+  constexpr double kRounding = 1e-6;
+  const double least = scatterings().front(), most = scatterings().back();
+  if (scattering >= least - kRounding && scattering <= most + kRounding) return Status::Ok();
+  const std::string known = least == most ? Formatted("%g alone", least) : Formatted("%g .. %g", least, most);
+  return Status::Usage(Formatted("scattering = %g: the skin table knows ", scattering) + known +
+                       "; `stratalux-skin-table generate --scattering` makes one of others");
+}
+
+SkinTable::SkinTable(const SkinTableRun& run, std::vector<double> scatterings, std::vector<uint16_t> codes) {
   auto contents = std::make_shared<Contents>();
-  contents->nodes = nodes;
-  contents->codes.resize(flat.size());
-  std::transform(flat.begin(), flat.end(), contents->codes.begin(), EncodeEntry);
+  const bool wax = scatterings.empty();
+  contents->nodes = wax ? 1 : static_cast<int>(scatterings.size()) * G::kNodes;
+  contents->manifest = Json{
+      {"table", wax ? "stratalux wax" : "stratalux skin"},
+      {"version", 3},
+      {"program", kVersion},
+      {"photons_per_run", run.photons},
+      {"runs", kSkinChannels * G::kThetas * std::max<size_t>(1, scatterings.size())},
+      {"scatterings", scatterings},
+      {"seed", run.seed}}.dump();
+  contents->scatterings = std::move(scatterings);
+  contents->codes = std::move(codes);
   contents_ = std::move(contents);
+}
+
+bool SkinTable::IsOf(const SkinTableRun& run) const {
+  const Json made = Json::parse(manifest(), nullptr, /*allow_exceptions=*/false);
+  if (!made.is_object()) return false;
+  const auto is = [&](const char* key, auto value) { return made.contains(key) && made[key] == Json(value); };
+  return is("photons_per_run", run.photons) && is("seed", run.seed);
 }
 
 const SkinTable::NodeAlbedos& SkinTable::LogAlbedos() const {
   std::call_once(contents_->albedos_made, [&] {
     for (int c = 0; c < kSkinChannels; ++c)
       for (int node = 0; node < nodes(); ++node)
-        contents_->log_albedos[c][node] =
-            static_cast<float>(std::log(Albedo(c, SkinGrid::NodeParameters(node), RadFromDeg(30))));
+        contents_->log_albedos[c].push_back(
+            static_cast<float>(std::log(Albedo(c, NodeParameters(node), RadFromDeg(30)))));
   });
   return contents_->log_albedos;
 }
@@ -343,7 +401,7 @@ void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const
   const float azimuth = std::clamp(directions.azimuth_rad / kFloatPi * 4.0F, 0.0F, 4.0F);
   const int az = std::min(static_cast<int>(azimuth), 3);
   const float f_az = azimuth - static_cast<float>(az);
-  const std::array<SkinNodeWeight, 8> nodes = NodesAround(parameters);
+  const SkinNodes nodes = NodesAround(parameters);
 
   std::array<float, G::kCells> sum{}, cells;
   for (const ThetaNode& in : ThetasAround(directions.theta_in_rad))
@@ -360,10 +418,9 @@ void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const
   out.SetRingMeans(sum);
 }
 
-void SkinTable::DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight, 8>& nodes, float* cells) const {
+void SkinTable::DecodeCells(size_t first_kernel, const SkinNodes& nodes, float* cells) const {
   std::fill_n(cells, G::kCells, 0.0F);
   for (const SkinNodeWeight& n : nodes) {
-    if (n.weight == 0.0F) continue;
     const uint16_t* codes = contents_->codes.data() + (first_kernel + n.node) * G::kCells;
     for (int k = 0; k < G::kCells; ++k) cells[k] += n.weight * static_cast<float>(static_cast<int32_t>(codes[k]));
   }

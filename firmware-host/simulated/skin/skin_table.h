@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The tabulated light transport of the simulated skin: spatial kernels by Monte Carlo over incidence and exit angle,
-// melanin, blood and epidermal thickness, at R, G, B. Made by `stratalux-skin-table generate`; format in
-// docs/simulated-rig.md.
+// melanin, blood, epidermal thickness and, where a table has the axis, scattering, at R, G, B. Made by
+// `stratalux-skin-table generate`; format in docs/simulated-rig.md.
 #pragma once
 
 #include <array>
@@ -33,22 +33,20 @@ struct SkinGrid {
   static constexpr std::array<double, 6> kMelanin = {0.005, 0.012, 0.03, 0.07, 0.15, 0.30};
   static constexpr std::array<double, 4> kBlood = {0.0005, 0.003, 0.015, 0.06};
   static constexpr std::array<double, 3> kEpidermisMm = {0.05, 0.08, 0.15};
+  // Of one scattering: absorption and thickness.
   static constexpr int kNodes = static_cast<int>(kMelanin.size() * kBlood.size() * kEpidermisMm.size());
+  static constexpr int kMostScatterings = 5;
   static constexpr int kCells = kRadii * kPolar;
   static constexpr size_t kDirections = size_t{kSkinChannels} * kThetas * kThetas * kAzimuths;
   static double RadiusEdgeMm(int edge);  // 0 .. kRadii
   static double Sin2Edge(int edge);      // sin^2(theta), 0 .. kThetas
   static int NodeIndex(int melanin, int blood, int epidermis);
   static size_t DirectionIndex(int channel, int in, int out, int azimuth);
-  // Of a table of skin.
-  static size_t KernelIndex(int channel, int in, int out, int azimuth, int node) {
-    return DirectionIndex(channel, in, out, azimuth) * kNodes + node;
-  }
   // Helmholtz: S(i -> o; r, psi) = S(o -> i; r, azimuth - pi - psi), as a bin.
   static int ReciprocalPsi(int azimuth, int psi) { return ((2 * azimuth - 8 - psi - 1) % kPolar + kPolar) % kPolar; }
   // Where a theta bin counts as a node: its mean sin(theta), weighted with the Fresnel transmittance.
   static double NodeThetaRad(int bin);
-  // The skin of a node.
+  // The skin of a node of one scattering.
   static SkinParameters NodeParameters(int node);
 };
 
@@ -61,6 +59,19 @@ struct SkinNodeWeight {
   float weight = 0.0F;
 };
 [[nodiscard]] std::array<SkinNodeWeight, 8> SkinNodesAround(const SkinParameters& parameters);
+
+// Nodes of a table, and their weights: of each of two scatterings, eight. Between scatterings log S is a straight line
+// of the square root of the scattering.
+class SkinNodes {
+ public:
+  void Add(SkinNodeWeight node) { nodes_[static_cast<size_t>(count_++)] = node; }
+  [[nodiscard]] const SkinNodeWeight* begin() const { return nodes_.data(); }
+  [[nodiscard]] const SkinNodeWeight* end() const { return nodes_.data() + count_; }
+
+ private:
+  std::array<SkinNodeWeight, 16> nodes_{};
+  int count_ = 0;
+};
 
 struct SkinDirections {
   float theta_in_rad = 0.0F;
@@ -91,6 +102,12 @@ class SkinKernel {
   std::array<float, SkinGrid::kRadii*(SkinGrid::kPolar + 1)> flat_{};
 };
 
+struct SkinTableRun {
+  int64_t photons = 1000000;  // for each channel, incidence bin and scattering
+  uint64_t seed = 1;
+  int threads = 0;  // 0: all cores
+};
+
 // Copies share what was read.
 class SkinTable {
  public:
@@ -106,60 +123,83 @@ class SkinTable {
   // The first of them that is there; where none is, the first.
   static std::string DefaultPath() { return DefaultPathOf(kSkinFile); }
   static std::string DefaultWaxPath() { return DefaultPathOf(kWaxFile); }
-  Status Save(const std::string& path, const std::string& manifest_json) const;
+  // `level`: zstd's; a table that is shipped is packed as small as it goes.
+  Status Save(const std::string& path, int level = 19) const;
 
   // S over the Fresnel transmittances of its two directions is linear in sin(theta) (through the normal: a theta below
-  // the first node lies between it and its mirror image) and in azimuth; its logarithm over SkinNodesAround.
+  // the first node lies between it and its mirror image) and in azimuth; its logarithm over NodesAround.
   void Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.
   [[nodiscard]] double Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const;
-  // Kernels a direction: one each node of skin, or one where the tissue has no parameters (wax).
+  // Kernels a direction: one each node of skin, scattering by scattering, or one where the tissue has no parameters
+  // (wax).
   [[nodiscard]] int nodes() const { return contents_->nodes; }
-  // SkinNodesAround, or the only node.
-  [[nodiscard]] std::array<SkinNodeWeight, 8> NodesAround(const SkinParameters& parameters) const;
+  // The nodes of SkinParameters::scattering, rising; none of wax.
+  [[nodiscard]] const std::vector<double>& scatterings() const { return contents_->scatterings; }
+  // kUsage where the scattering lies outside the table's nodes, saying what it knows.
+  [[nodiscard]] Status CheckScattering(double scattering) const;
+  [[nodiscard]] size_t KernelIndex(int channel, int in, int out, int azimuth, int node) const {
+    return SkinGrid::DirectionIndex(channel, in, out, azimuth) * nodes() + node;
+  }
+  // The skin of a node; of a table of wax, any.
+  [[nodiscard]] SkinParameters NodeParameters(int node) const;
+  // Clamped outside the nodes.
+  [[nodiscard]] SkinNodes NodesAround(const SkinParameters& parameters) const;
   // S of one cell (bin averages), 1 / (mm^2 sr).
   [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
   // All that the table says, as it is kept in memory.
   [[nodiscard]] std::span<const uint16_t> codes() const { return contents_->codes; }
+  // How it was made, JSON.
   [[nodiscard]] const std::string& manifest() const { return contents_->manifest; }
+  // Whether it was made with these photons and this seed.
+  [[nodiscard]] bool IsOf(const SkinTableRun& run) const;
   // Logarithm of the diffuse albedo for light at 30 degrees, [channel][node]; computed once.
-  using NodeAlbedos = std::array<std::array<float, SkinGrid::kNodes>, kSkinChannels>;
+  using NodeAlbedos = std::array<std::vector<float>, kSkinChannels>;
   [[nodiscard]] const NodeAlbedos& LogAlbedos() const;
 
  private:
   struct Contents {
-    int nodes = SkinGrid::kNodes;
+    int nodes = 1;
+    std::vector<double> scatterings;
     std::vector<uint16_t> codes;  // [direction][node][radius][psi], of log2(S r^1.5): skin_table_code.h
     std::string manifest;
     mutable std::once_flag albedos_made;
     mutable NodeAlbedos log_albedos{};
   };
   explicit SkinTable(std::shared_ptr<const Contents> contents) : contents_(std::move(contents)) {}
-  // Codes of S r^1.5 from [kernel][radius][psi].
-  SkinTable(int nodes, const std::vector<float>& flat);
+  // `codes` as in Contents; without scatterings, of wax.
+  SkinTable(const SkinTableRun& run, std::vector<double> scatterings, std::vector<uint16_t> codes);
   static Result<std::shared_ptr<const Contents>> Read(const std::string& path);
   static std::string DefaultPathOf(const std::string& file);
-  friend Result<SkinTable> GenerateSkinTable(int64_t, uint64_t, int, Logger&);
-  friend Result<SkinTable> GenerateWaxTable(int64_t, uint64_t, int, Logger&);
+  friend Result<SkinTable> GenerateSkinTable(const SkinTableRun&, std::vector<double>, std::span<const SkinTable>,
+                                             Logger&);
+  friend Result<SkinTable> GenerateWaxTable(const SkinTableRun&, Logger&);
   // S r^1.5 of one direction: `first_kernel` is that of its node 0.
-  void DecodeCells(size_t first_kernel, const std::array<SkinNodeWeight, 8>& nodes, float* cells) const;
+  void DecodeCells(size_t first_kernel, const SkinNodes& nodes, float* cells) const;
 
   std::shared_ptr<const Contents> contents_;
 };
 
-// Monte Carlo of every kernel with `photons` for each channel and incidence bin. Deterministic by seed.
-Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger);
-Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, Logger& logger);
+// Monte Carlo of every kernel. Deterministic by seed, so that what a table of `made` holds of the same run is taken
+// from it. kUsage for scatterings that do not rise, or lie outside 0.1 .. 3.
+Result<SkinTable> GenerateSkinTable(const SkinTableRun& run, std::vector<double> scatterings,
+                                    std::span<const SkinTable> made, Logger& logger);
+Result<SkinTable> GenerateWaxTable(const SkinTableRun& run, Logger& logger);
+// Of a table's axis: between one and kMostScatterings, rising, within 0.1 .. 3.
+[[nodiscard]] Status CheckScatterings(const std::vector<double>& scatterings);
 
 // One (channel, incidence, exit, azimuth) column of the table without reciprocity or smoothing, for checks: radiance
-// under unit irradiance and its standard error for each node of the optics.
+// under unit irradiance and its standard error for each node of the optics at scatterings()[scattering].
 struct SkinCellCheck {
   double table = 0.0;
   double mean = 0.0;
   double standard_error = 0.0;
 };
-std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channel, int in, int out, int azimuth,
-                                              int64_t photons, uint64_t seed);
+struct SkinColumn {
+  int channel = 0, in = 0, out = 0, azimuth = 0, scattering = 0;
+};
+std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, const SkinColumn& column, int64_t photons,
+                                              uint64_t seed);
 
 }  // namespace stratalux::rig

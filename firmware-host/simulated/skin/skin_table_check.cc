@@ -34,13 +34,14 @@ std::vector<double> Values(const std::array<double, N>& nodes, InterpolationAxes
   return between;
 }
 
-std::vector<CheckedSkin> Skins(int channel, InterpolationAxes axes) {
+std::vector<CheckedSkin> Skins(int channel, InterpolationAxes axes, double scattering) {
   const auto borders = Borders();
   std::vector<CheckedSkin> skins;
   for (const double m : Values(G::kMelanin, axes))
     for (const double b : Values(G::kBlood, axes))
       for (const double e : Values(G::kEpidermisMm, axes)) {
         CheckedSkin s{{static_cast<float>(m), static_cast<float>(b), static_cast<float>(e)}, 0, {}};
+        s.parameters.scattering = static_cast<float>(scattering);
         while (s.borders < borders.size() && borders[s.borders] < e * 1.001) ++s.borders;
         s.absorption = SkinAbsorption(channel, s.parameters);
         skins.push_back(s);
@@ -66,7 +67,8 @@ Tally Photons(int channel, double theta_deg, const std::vector<CheckedSkin>& ski
   run.threads = options.threads;
   Tally tally{std::vector<double>(skins.size() * (kRings + 1)), std::vector<double>(skins.size() * (kRings + 1))};
   std::mutex mutex;
-  TraceLayeredTissue(ClearSkin(channel, borders), run, [&](int64_t, std::span<const EscapedPhoton> list) {
+  const Tissue clear = ClearSkin(channel, borders, options.scattering);
+  TraceLayeredTissue(clear, run, [&](int64_t, std::span<const EscapedPhoton> list) {
     const std::lock_guard lock(mutex);
     for (const EscapedPhoton& e : list) {
       const double r = std::hypot(e.x_mm, e.y_mm);
@@ -129,7 +131,7 @@ std::array<double, kRings + 1> TableShares(const SkinTable& table, int channel, 
 std::vector<InterpolationSample> CheckInterpolation(const SkinTable& table, const InterpolationCheckOptions& options) {
   std::vector<InterpolationSample> samples;
   for (const int channel : options.channels) {
-    const std::vector<CheckedSkin> skins = Skins(channel, options.axes);
+    const std::vector<CheckedSkin> skins = Skins(channel, options.axes, options.scattering);
     for (const double theta : options.theta_in_deg) {
       const Tally tally = Photons(channel, theta, skins, options);
       for (size_t s = 0; s < skins.size(); ++s) {

@@ -35,6 +35,7 @@ struct InterpolationCheckOptions {
   int threads = 0;
   std::vector<double> theta_in_deg = {4.0, 20.0, 35.0, 50.0, 62.0, 74.0};
   std::vector<int> channels = {0, 1, 2};
+  double scattering = 1.0;
   // kAngles: optics at nodes; only what the angles' interpolation adds.
   InterpolationAxes axes = InterpolationAxes::kAnglesAndOptics;
 };

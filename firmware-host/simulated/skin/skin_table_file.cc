@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The skin table's file: magic and version, header of four 64-bit numbers (entries, bytes packed, XXH3 of them, bytes
-// of the manifest), manifest (JSON), packed entries. Packed: of every two directions that reciprocity makes equal only
-// the one with incidence <= exit; each entry as its difference from the neighbouring node's (the nodes share their
-// photons, so these are small), low bytes, then high bytes, zstd.
+// The skin table's file: magic and version, header of five 64-bit numbers (entries, bytes packed, XXH3 of all behind
+// the header, bytes of the manifest, scatterings), the scatterings (64-bit floats), manifest (JSON), packed entries.
+// Version 2 had no scatterings: four numbers, the XXH3 of the packed bytes alone. Packed: of every two directions that
+// reciprocity makes equal only the one with incidence <= exit; each entry as its difference from the neighbouring
+// node's (the nodes share their photons, so these are small), low bytes, then high bytes, zstd.
 #include <array>
 #include <cerrno>
 #include <cstdlib>
@@ -23,8 +24,8 @@ namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-constexpr char kMagic[8] = {'S', 'L', 'X', 'S', 'K', 'I', 'N', '2'};
-constexpr size_t kHeaderBytes = sizeof kMagic + 4 * sizeof(uint64_t);
+constexpr char kMagic[8] = {'S', 'L', 'X', 'S', 'K', 'I', 'N', '3'};
+constexpr char kOldest = '2';
 
 // Calls visit(first cell, first cell of the node that predicts it or SIZE_MAX) in the order of the file.
 template <typename Visit>
@@ -36,10 +37,11 @@ void ForEachStoredKernel(int nodes, const Visit& visit) {
         for (int az = 0; az < G::kAzimuths; ++az)
           for (int node = 0; node < nodes; ++node) {
             const size_t first = G::DirectionIndex(c, in, out, az) * nodes;
-            const int e = node % kE, b = node / kE % kB, m = node / kE / kB;
+            const int skin = node % G::kNodes, of_scattering = node - skin;
+            const int e = skin % kE, b = skin / kE % kB, m = skin / kE / kB;
             const int from = e > 0   ? node - 1
-                             : b > 0 ? G::NodeIndex(m, b - 1, e)
-                             : m > 0 ? G::NodeIndex(m - 1, b, e)
+                             : b > 0 ? of_scattering + G::NodeIndex(m, b - 1, e)
+                             : m > 0 ? of_scattering + G::NodeIndex(m - 1, b, e)
                                      : -1;
             visit((first + node) * G::kCells, from < 0 ? SIZE_MAX : (first + from) * G::kCells);
           }
@@ -102,17 +104,21 @@ FileIdentity IdentityOf(const std::string& path) {
 
 }  // namespace
 
-Status SkinTable::Save(const std::string& path, const std::string& manifest_json) const {
+Status SkinTable::Save(const std::string& path, int level) const {
   const std::vector<uint8_t> planes = ToPlanes(contents_->codes, nodes());
   std::vector<char> packed(ZSTD_compressBound(planes.size()));
-  const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), 19);
+  const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), level);
   if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
+  std::string body(scatterings().size() * sizeof(double), '\0');
+  std::memcpy(body.data(), scatterings().data(), body.size());
+  body += manifest();
+  body.append(packed.data(), size);
+  const uint64_t header[5] = {kStored * nodes(), size, XXH3_64bits(body.data(), body.size()), manifest().size(),
+                              scatterings().size()};
   std::ofstream out(path, std::ios::binary | std::ios::trunc);
-  const uint64_t header[4] = {kStored * nodes(), size, XXH3_64bits(packed.data(), size), manifest_json.size()};
   out.write(kMagic, sizeof kMagic);
   out.write(reinterpret_cast<const char*>(header), sizeof header);
-  out.write(manifest_json.data(), static_cast<std::streamsize>(manifest_json.size()));
-  out.write(packed.data(), static_cast<std::streamsize>(size));
+  out.write(body.data(), static_cast<std::streamsize>(body.size()));
   out.flush();
   if (!out) return Status::Failed("cannot write " + path + ": " + std::strerror(errno));
   return Status::Ok();
@@ -137,27 +143,43 @@ Result<std::shared_ptr<const SkinTable::Contents>> SkinTable::Read(const std::st
     return Status::NotFound("skin table " + path + ": " + std::strerror(errno) +
                             " (make one with `stratalux-skin-table generate`)");
   const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-  uint64_t header[4] = {};
-  if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic - 1) != 0)
+  if (bytes.size() < sizeof kMagic || std::memcmp(bytes.data(), kMagic, sizeof kMagic - 1) != 0)
     return Status::Integrity("skin table " + path + ": not a skin table");
-  if (bytes[7] > kMagic[7])
-    return Status(StatusCode::kNewerSchema, "skin table " + path + ": version " + bytes[7] + ", this program reads 2");
-  if (bytes[7] != kMagic[7])
-    return Status::Usage("skin table " + path + ": version " + bytes[7] +
-                         ", this program reads 2 (make it again with `stratalux-skin-table generate`)");
-  std::memcpy(header, bytes.data() + sizeof kMagic, sizeof header);
-  const int nodes = header[0] == kStored ? 1 : G::kNodes;
-  if (header[0] != kStored * nodes || header[1] > bytes.size() || header[3] > bytes.size() ||
-      kHeaderBytes + header[3] + header[1] != bytes.size())
-    return Status::Integrity("skin table " + path + ": truncated, or of another grid");
-  const char* packed = bytes.data() + kHeaderBytes + header[3];
-  if (XXH3_64bits(packed, header[1]) != header[2]) return Status::Integrity("skin table " + path + ": hash mismatch");
+  const char version = bytes[7];
+  if (version > kMagic[7])
+    return Status(StatusCode::kNewerSchema, "skin table " + path + ": version " + version + ", this program reads " +
+                                                kOldest + " and " + kMagic[7]);
+  if (version < kOldest)
+    return Status::Usage("skin table " + path + ": version " + version + ", this program reads " + kOldest + " and " +
+                         kMagic[7] + " (make it again with `stratalux-skin-table generate`)");
+  // Entries, bytes packed, hash, bytes of the manifest, scatterings.
+  uint64_t header[5] = {};
+  const size_t header_bytes = (version == kOldest ? 4 : 5) * sizeof(uint64_t), begin = sizeof kMagic + header_bytes;
+  const Status cut = Status::Integrity("skin table " + path + ": truncated, or of another grid");
+  if (bytes.size() < begin) return cut;
+  std::memcpy(header, bytes.data() + sizeof kMagic, header_bytes);
+  if (header[4] > uint64_t{G::kMostScatterings} || header[1] > bytes.size() || header[3] > bytes.size()) return cut;
+  std::vector<double> scatterings(header[4]);
+  const size_t axis = scatterings.size() * sizeof(double);
+  if (begin + axis + header[3] + header[1] != bytes.size()) return cut;
+  const char* body = bytes.data() + begin;
+  const char* packed = body + axis + header[3];
+  const char* hashed = version == kOldest ? packed : body;
+  if (XXH3_64bits(hashed, static_cast<size_t>(bytes.data() + bytes.size() - hashed)) != header[2])
+    return Status::Integrity("skin table " + path + ": hash mismatch");
+  std::memcpy(scatterings.data(), body, axis);
+  // Wax has one node and no axis; before there was an axis, skin scattered as tissue samples do.
+  if (version == kOldest && header[0] != kStored) scatterings = {1.0};
+  if (!scatterings.empty()) SLX_RETURN_IF_ERROR(CheckScatterings(scatterings).WithContext("skin table " + path));
+  const int nodes = scatterings.empty() ? 1 : static_cast<int>(scatterings.size()) * G::kNodes;
+  if (header[0] != kStored * nodes) return cut;
   std::vector<uint8_t> planes(2 * kStored * nodes);
   if (ZSTD_decompress(planes.data(), planes.size(), packed, header[1]) != planes.size())
     return Status::Integrity("skin table " + path + ": cannot be decompressed");
   auto contents = std::make_shared<Contents>();
   contents->nodes = nodes;
-  contents->manifest.assign(bytes.data() + kHeaderBytes, header[3]);
+  contents->scatterings = std::move(scatterings);
+  contents->manifest.assign(body + axis, header[3]);
   contents->codes = FromPlanes(planes, nodes);
   return std::shared_ptr<const Contents>(std::move(contents));
 }

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Filling the skin table: photons run through clear skin once per channel and incidence bin; every node of melanin,
-// blood and epidermal thickness re-weights them by their path lengths in thin layers.
+// Filling the skin table: photons run through clear skin once per channel, incidence bin and scattering; every node of
+// melanin, blood and epidermal thickness re-weights them by their path lengths in thin layers.
 #include <algorithm>
 #include <cmath>
 #include <mutex>
 #include <numbers>
 
 #include "firmware-host/simulated/skin/skin_table.h"
+#include "firmware-host/simulated/skin/skin_table_code.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::rig {
 namespace {
@@ -88,15 +90,15 @@ class Reweighting {
   double subcutis_ = 0.0;
 };
 
-MonteCarloOptions RunOptions(int channel, int in, int64_t photons, uint64_t seed, int threads) {
+MonteCarloOptions RunOptions(int channel, int in, const SkinTableRun& run) {
   MonteCarloOptions options;
-  options.photons = photons;
-  options.seed = seed * 1000003 + channel * 101 + in;
+  options.photons = run.photons;
+  options.seed = run.seed * 1000003 + channel * 101 + in;
   options.sin2_theta_low = G::Sin2Edge(in);
   options.sin2_theta_high = G::Sin2Edge(in + 1);
   options.max_path_mm = 200.0;  // at the least absorption (630 nm, 0.03 / mm) exp(-6) of a photon
   options.max_radius_mm = 40.0;
-  options.threads = threads;
+  options.threads = run.threads;
   return options;
 }
 
@@ -173,6 +175,46 @@ void SmoothFarRings(std::vector<float>& flat) {
     }
 }
 
+std::vector<uint16_t> Finished(int nodes, std::vector<float>& flat) {
+  Symmetrise(nodes, flat);
+  SmoothFarRings(flat);
+  std::vector<uint16_t> codes(flat.size());
+  std::transform(flat.begin(), flat.end(), codes.begin(), EncodeEntry);
+  return codes;
+}
+
+// The codes of one scattering, [direction][node][cell].
+std::vector<uint16_t> RunSkin(const SkinTableRun& run, double scattering, Progress& progress) {
+  std::vector<float> flat(G::kDirections * kNodes * G::kCells, 0.0F);
+  for (int c = 0; c < kSkinChannels; ++c) {
+    const Reweighting reweighting(c);
+    const auto weigh = [&](const EscapedPhoton& e, std::array<double, kNodes>& weights) {
+      reweighting.Weights(e, weights);
+    };
+    for (int in = 0; in < G::kThetas; ++in) {
+      AccumulateRun(ClearSkin(c, G::kEpidermisMm, scattering), c, in, RunOptions(c, in, run), kNodes, weigh, flat);
+      progress.Advance();
+    }
+  }
+  return Finished(kNodes, flat);
+}
+
+// As RunSkin would make them, from a table that has them; empty where none has.
+std::vector<uint16_t> MadeBefore(std::span<const SkinTable> made, const SkinTableRun& run, double scattering) {
+  for (const SkinTable& table : made) {
+    const auto& nodes = table.scatterings();
+    const auto found = std::find(nodes.begin(), nodes.end(), scattering);
+    if (found == nodes.end() || !table.IsOf(run)) continue;
+    const size_t block = size_t{kNodes} * G::kCells, all = block * nodes.size();
+    std::vector<uint16_t> part(G::kDirections * block);
+    for (size_t direction = 0; direction < G::kDirections; ++direction)
+      std::copy_n(table.codes().data() + direction * all + static_cast<size_t>(found - nodes.begin()) * block, block,
+                  part.data() + direction * block);
+    return part;
+  }
+  return {};
+}
+
 Status CheckPhotons(int64_t photons) {
   if (photons >= 1000) return Status::Ok();
   return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
@@ -180,49 +222,59 @@ Status CheckPhotons(int64_t photons) {
 
 }  // namespace
 
-Result<SkinTable> GenerateSkinTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
-  SLX_RETURN_IF_ERROR(CheckPhotons(photons));
-  std::vector<float> flat(G::kDirections * kNodes * G::kCells, 0.0F);
-  Progress progress(logger, "skin table", kSkinChannels * G::kThetas);
-  for (int c = 0; c < kSkinChannels; ++c) {
-    const Reweighting reweighting(c);
-    for (int in = 0; in < G::kThetas; ++in) {
-      AccumulateRun(
-          ClearSkin(c, G::kEpidermisMm), c, in, RunOptions(c, in, photons, seed, threads), kNodes,
-          [&](const EscapedPhoton& e, std::array<double, kNodes>& weights) { reweighting.Weights(e, weights); }, flat);
-      progress.Advance();
-    }
-  }
-  Symmetrise(kNodes, flat);
-  SmoothFarRings(flat);
-  return SkinTable(kNodes, flat);
+Status CheckScatterings(const std::vector<double>& scatterings) {
+  constexpr double kLeast = 0.1, kMost = 3.0;
+  bool right = !scatterings.empty() && scatterings.size() <= size_t{G::kMostScatterings};
+  for (size_t i = 0; i < scatterings.size(); ++i)
+    right =
+        right && scatterings[i] >= kLeast && scatterings[i] <= kMost && (i == 0 || scatterings[i] > scatterings[i - 1]);
+  if (right) return Status::Ok();
+  return Status::Usage(Formatted("scatterings of a skin table: 1 to %d of them, rising, each %g .. %g",
+                                 G::kMostScatterings, kLeast, kMost));
 }
 
-Result<SkinTable> GenerateWaxTable(int64_t photons, uint64_t seed, int threads, Logger& logger) {
-  SLX_RETURN_IF_ERROR(CheckPhotons(photons));
+Result<SkinTable> GenerateSkinTable(const SkinTableRun& run, std::vector<double> scatterings,
+                                    std::span<const SkinTable> made, Logger& logger) {
+  SLX_RETURN_IF_ERROR(CheckPhotons(run.photons));
+  SLX_RETURN_IF_ERROR(CheckScatterings(scatterings));
+  const size_t block = size_t{kNodes} * G::kCells, all = block * scatterings.size();
+  std::vector<uint16_t> codes(G::kDirections * all);
+  Progress progress(logger, "skin table", std::ssize(scatterings) * kSkinChannels * G::kThetas);
+  for (size_t s = 0; s < scatterings.size(); ++s) {
+    const std::vector<uint16_t> known = MadeBefore(made, run, scatterings[s]);
+    if (!known.empty()) progress.Advance(kSkinChannels * G::kThetas);
+    const std::vector<uint16_t> part = known.empty() ? RunSkin(run, scatterings[s], progress) : known;
+    for (size_t direction = 0; direction < G::kDirections; ++direction)
+      std::copy_n(part.data() + direction * block, block, codes.data() + direction * all + s * block);
+  }
+  return SkinTable(run, std::move(scatterings), std::move(codes));
+}
+
+Result<SkinTable> GenerateWaxTable(const SkinTableRun& run, Logger& logger) {
+  SLX_RETURN_IF_ERROR(CheckPhotons(run.photons));
   std::vector<float> flat(G::kDirections * G::kCells, 0.0F);
   Progress progress(logger, "wax table", kSkinChannels * G::kThetas);
   for (int c = 0; c < kSkinChannels; ++c)
     for (int in = 0; in < G::kThetas; ++in) {
-      MonteCarloOptions options = RunOptions(c, in, photons, seed, threads);
+      MonteCarloOptions options = RunOptions(c, in, run);
       options.max_path_mm = 1000.0;  // at the least absorption, 0.002 / mm, exp(-2); few come back from so far
       AccumulateRun(
           WaxSlab(c), c, in, options, 1,
           [](const EscapedPhoton& e, std::array<double, kNodes>& weights) { weights[0] = e.weight; }, flat);
       progress.Advance();
     }
-  Symmetrise(1, flat);
-  SmoothFarRings(flat);
-  return SkinTable(1, flat);
+  return SkinTable(run, {}, Finished(1, flat));
 }
 
-std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channel, int in, int out, int azimuth,
-                                              int64_t photons, uint64_t seed) {
+std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, const SkinColumn& column, int64_t photons,
+                                              uint64_t seed) {
+  const auto [channel, in, out, azimuth, scattering] = column;
+  const Tissue skin = ClearSkin(channel, G::kEpidermisMm, table.scatterings().at(static_cast<size_t>(scattering)));
   const Reweighting reweighting(channel);
   std::array<double, kNodes> sum{}, squares{};
   std::mutex mutex;
-  TraceLayeredTissue(ClearSkin(channel, G::kEpidermisMm), RunOptions(channel, in, photons, seed, 0),
-                     [&](int64_t, std::span<const EscapedPhoton> list) {
+  TraceLayeredTissue(skin, RunOptions(channel, in, {photons, seed, 0}),
+                     [&, out = out, azimuth = azimuth](int64_t, std::span<const EscapedPhoton> list) {
                        std::array<double, kNodes> weights{};
                        const std::lock_guard lock(mutex);
                        for (const EscapedPhoton& e : list) {
@@ -238,7 +290,7 @@ std::vector<SkinCellCheck> RegenerateSkinCell(const SkinTable& table, int channe
   std::vector<SkinCellCheck> checks(kNodes);
   const double scale = 1.0 / (static_cast<double>(photons) * ProjectedSolidAngle(out, azimuth));
   for (int n = 0; n < kNodes; ++n) {
-    const size_t kernel = G::KernelIndex(channel, in, out, azimuth, n);
+    const size_t kernel = table.KernelIndex(channel, in, out, azimuth, scattering * kNodes + n);
     for (int r = 0; r < G::kRadii; ++r)
       for (int psi = 0; psi < G::kPolar; ++psi) checks[n].table += table.Cell(kernel, r, psi) * CellAreaMm2(r);
     checks[n].mean = sum[n] * scale;

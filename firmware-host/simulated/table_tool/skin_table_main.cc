@@ -5,12 +5,14 @@
 #include <cstdio>
 #include <fstream>
 #include <iostream>
+#include <iterator>
 
 #include <CLI/CLI.hpp>
 
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin/skin_table_check.h"
 #include "firmware-host/simulated/table_tool/line_spread.h"
+#include "shared/base/formatted.h"
 #include "shared/base/version.h"
 #include "shared/manual/manual.h"
 
@@ -22,31 +24,40 @@ int Report(Logger& logger, const Status& status) {
   return status.exit_code();
 }
 
-int Generate(const std::string& out, bool wax, int64_t photons, uint64_t seed, int threads) {
+// `scatterings`: none of wax. `made`: files of tables whose nodes may be taken.
+int Generate(const std::string& out, const SkinTableRun& run, const std::vector<double>& scatterings,
+             const std::vector<std::string>& made) {
   Logger logger;
   const auto start = std::chrono::steady_clock::now();
+  std::vector<SkinTable> tables;
+  for (const std::string& file : made) {
+    const auto table = SkinTable::Load(file);
+    if (!table.ok()) return Report(logger, table.status());
+    if (!table->IsOf(run))
+      return Report(logger, Status::Usage(Formatted("--made %s: not of %lld photons and seed %llu", file.c_str(),
+                                                    static_cast<long long>(run.photons),
+                                                    static_cast<unsigned long long>(run.seed))));
+    tables.push_back(*table);
+  }
   auto table =
-      wax ? GenerateWaxTable(photons, seed, threads, logger) : GenerateSkinTable(photons, seed, threads, logger);
+      scatterings.empty() ? GenerateWaxTable(run, logger) : GenerateSkinTable(run, scatterings, tables, logger);
   if (!table.ok()) return Report(logger, table.status());
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const int64_t total = photons * kSkinChannels * SkinGrid::kThetas;
-  const std::string manifest = std::string("{\"table\": \"stratalux ") + (wax ? "wax" : "skin") +
-                               "\", \"version\": 2, \"program\": \"" + std::string(kVersion) +
-                               "\", \"photons_per_run\": " + std::to_string(photons) +
-                               ", \"runs\": 15, \"seed\": " + std::to_string(seed) + "}";
-  const Status saved = table->Save(out, manifest);
-  if (saved.ok())
-    logger.Info(out + ": " + std::to_string(total) + " photons in " + std::to_string(seconds) + " s, " +
-                std::to_string(static_cast<double>(total) / seconds) + " photons/s");
+  const Status saved = table->Save(out);
+  if (saved.ok()) logger.Info(Formatted("%s: made in %.1f s, %s", out.c_str(), seconds, table->manifest().c_str()));
   return Report(logger, saved);
 }
 
-int Check(const std::string& file, int channel, int in, int out, int azimuth, int64_t photons, uint64_t seed) {
+int Check(const std::string& file, const SkinColumn& column, int64_t photons, uint64_t seed) {
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
   if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
-  const auto checks = RegenerateSkinCell(*table, channel, in, out, azimuth, photons, seed);
+  if (column.scattering >= std::ssize(table->scatterings()))
+    return Report(logger,
+                  Status::Usage(file + ": has " + std::to_string(table->scatterings().size()) +
+                                " scatterings, numbered from 0; there is no " + std::to_string(column.scattering)));
+  const auto checks = RegenerateSkinCell(*table, column, photons, seed);
   int outside = 0;
   std::printf("%8s %8s %8s %12s %12s %12s %8s\n", "melanin", "blood", "epidermis", "table", "monte carlo", "std error",
               "sigmas");
@@ -77,15 +88,17 @@ void PrintInterpolation(const char* what, const std::vector<InterpolationSample>
 }
 
 // Markdown: rms and largest deviation in per cent. Exit 1 where the totals of skins up to 15 % melanin miss 5 %.
-int CheckBetweenNodes(const std::string& file, int64_t photons, uint64_t seed, int threads) {
+int CheckBetweenNodes(const std::string& file, const SkinTableRun& run, double scattering) {
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
   if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
   InterpolationCheckOptions options;
-  options.photons = photons;
-  options.seed = seed;
-  options.threads = threads;
+  if (const Status known = table->CheckScattering(scattering); !known.ok()) return Report(logger, known);
+  options.photons = run.photons;
+  options.seed = run.seed;
+  options.threads = run.threads;
+  options.scattering = scattering;
   std::printf("| between nodes of | melanin | colour | all light |");
   for (size_t k = 0; k + 1 < kCheckRingsMm.size(); ++k)
     std::printf(" %g - %g mm |", kCheckRingsMm[k], kCheckRingsMm[k + 1]);
@@ -120,42 +133,55 @@ int Main(int argc, char** argv) {
   app.footer(
       "Examples:\n"
       "  stratalux-skin-table generate --photons 1000000 --seed 1 --out skin_table.bin\n"
+      "  stratalux-skin-table generate --scattering 0.5 0.74 1 --photons 3000000 --out skin_table.bin\n"
       "  stratalux-skin-table check skin_table.bin --channel 0 --in 1 --exit 2 --azimuth 4\n"
       "  stratalux-skin-table check skin_table.bin --interpolation --photons 200000\n"
       "  stratalux-skin-table profiles --melanin 0.03 --blood 0.004 --channel 0 --incidence -45 0 30 --out train.csv");
   app.set_version_flag("--version", kVersion);
   app.require_subcommand(1);
-  int64_t photons = 1000000;
-  uint64_t seed = 1;
-  int threads = 0;
+  SkinTableRun run;
+  std::vector<double> scatterings = {1.0};
   std::string out = "-", file;
-  int channel = 0, in = 0, exit_bin = 0, azimuth = 0;
+  SkinColumn column;
+  double between = 1.0;
   LineSpreadOptions profiles;
 
   auto* generate = app.add_subcommand("generate", "Make the whole table");
   bool wax = false;
   generate->add_flag("--wax", wax, "The slab of wax instead of skin");
-  generate->add_option("--photons", photons, "Photons for each channel and incidence bin")->check(CLI::PositiveNumber);
-  generate->add_option("--seed", seed, "Seed");
-  generate->add_option("--threads", threads, "Threads (0: all cores)");
+  generate->add_option("--photons", run.photons, "Photons for each channel, incidence bin and scattering")
+      ->check(CLI::PositiveNumber);
+  generate->add_option("--seed", run.seed, "Seed");
+  generate->add_option("--threads", run.threads, "Threads (0: all cores)");
+  generate
+      ->add_option("--scattering", scatterings,
+                   "The table's nodes of scattering, rising, over that of tissue samples (living skin: 0.6 to 0.7)")
+      ->capture_default_str();
+  std::vector<std::string> made;
+  generate->add_option("--made", made, "Tables of these photons and this seed: their scatterings are not run again");
   generate->add_option("--out", out, "File to write")->required();
   auto* check = app.add_subcommand("check", "Regenerate one cell and compare; exit 1 beyond 4 standard errors");
   check->add_option("table", file, "Table file")->required();
-  check->add_option("--channel", channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
-  check->add_option("--in", in, "Incidence bin")->check(CLI::Range(0, 4));
-  check->add_option("--exit", exit_bin, "Exit bin")->check(CLI::Range(0, 4));
-  check->add_option("--azimuth", azimuth, "Azimuth bin")->check(CLI::Range(0, 4));
+  check->add_option("--channel", column.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
+  check->add_option("--in", column.in, "Incidence bin")->check(CLI::Range(0, 4));
+  check->add_option("--exit", column.out, "Exit bin")->check(CLI::Range(0, 4));
+  check->add_option("--azimuth", column.azimuth, "Azimuth bin")->check(CLI::Range(0, 4));
+  check->add_option("--node", column.scattering, "Node of scattering, from 0")
+      ->check(CLI::Range(0, SkinGrid::kMostScatterings - 1));
   bool interpolation = false;
   check->add_flag(
       "--interpolation", interpolation,
       "Instead: the table between its nodes against fresh Monte Carlo, rms / largest deviation in per cent");
-  check->add_option("--threads", threads, "Threads (0: all cores)");
-  check->add_option("--photons", photons, "Photons")->check(CLI::PositiveNumber);
-  check->add_option("--seed", seed, "Seed");
+  check->add_option("--scattering", between, "With --interpolation: of the skins")->capture_default_str();
+  check->add_option("--threads", run.threads, "Threads (0: all cores)");
+  check->add_option("--photons", run.photons, "Photons")->check(CLI::PositiveNumber);
+  check->add_option("--seed", run.seed, "Seed");
   auto* spread = app.add_subcommand("profiles", "Line-spread profiles as CSV for `stratalux-fit profiles`");
   spread->add_option("--melanin", profiles.skin.melanin, "Melanosome fraction of the epidermis")
       ->check(CLI::Range(0.0, 1.0));
   spread->add_option("--blood", profiles.skin.blood, "Blood fraction of the dermis")->check(CLI::Range(0.0, 1.0));
+  spread->add_option("--scattering", profiles.skin.scattering, "Over that of tissue samples")
+      ->check(CLI::Range(0.1, 3.0));
   spread->add_option("--channel", profiles.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
   spread->add_option("--incidence", profiles.incidence_deg, "Degrees, > 0 travels towards +u")
       ->check(CLI::Range(-85.0, 85.0));
@@ -175,9 +201,9 @@ int Main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  if (generate->parsed()) return Generate(out, wax, photons, seed, threads);
-  if (check->parsed() && interpolation) return CheckBetweenNodes(file, photons, seed, threads);
-  if (check->parsed()) return Check(file, channel, in, exit_bin, azimuth, photons, seed);
+  if (generate->parsed()) return Generate(out, run, wax ? std::vector<double>() : scatterings, made);
+  if (check->parsed() && interpolation) return CheckBetweenNodes(file, run, between);
+  if (check->parsed()) return Check(file, column, run.photons, run.seed);
   return Profiles(profiles, out);
 }
 

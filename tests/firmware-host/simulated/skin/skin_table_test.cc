@@ -71,10 +71,10 @@ void Photons(int channel, const SkinParameters& skin, int in, int64_t photons, u
 TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
   // All 25 exit bins of one incidence bin, green, at a node of the optics.
   constexpr int kIn = 2, kChannel = 1;
-  const int node = G::NodeIndex(1, 2, 1);
+  const int node = G::kNodes + G::NodeIndex(1, 2, 1);  // of the second scattering
   constexpr int64_t kPhotons = 200000;
   std::array<std::array<Estimate, G::kAzimuths>, G::kThetas> bins{};
-  Photons(kChannel, G::NodeParameters(node), kIn, kPhotons, 77, [&](const EscapedPhoton& e) {
+  Photons(kChannel, Shipped().NodeParameters(node), kIn, kPhotons, 77, [&](const EscapedPhoton& e) {
     if (std::hypot(e.x_mm, e.y_mm) >= G::kMaxRadiusMm) return;
     const double theta = DegFromRad(std::acos(std::min(1.0, std::abs(double(e.uz)))));
     const double azimuth = DegFromRad(std::abs(std::atan2(e.uy, e.ux)));
@@ -87,7 +87,7 @@ TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
     for (int az = 0; az < G::kAzimuths; ++az) {
       const double scale = 1.0 / (kPhotons * Projected(out, az));
       const double mean = bins[out][az].sum * scale, error = std::sqrt(bins[out][az].squares) * scale;
-      const double table = CellSum(G::KernelIndex(kChannel, kIn, out, az, node));
+      const double table = CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node));
       // The table has 3 million photons of its own, both ways: a quarter of this error at most.
       const double sigmas = (table - mean) / (error * 1.03);
       chi2 += sigmas * sigmas;
@@ -98,10 +98,10 @@ TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
 
 TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
   constexpr int kIn = 1, kChannel = 0, kGroup = 3;
-  const int node = G::NodeIndex(1, 1, 2);
+  const int node = 2 * G::kNodes + G::NodeIndex(1, 1, 2);  // of the samples' own
   constexpr int64_t kPhotons = 200000;
   std::array<Estimate, G::kRadii> rings{};
-  Photons(kChannel, G::NodeParameters(node), kIn, kPhotons, 78, [&](const EscapedPhoton& e) {
+  Photons(kChannel, Shipped().NodeParameters(node), kIn, kPhotons, 78, [&](const EscapedPhoton& e) {
     if (1.0 - double(e.uz) * e.uz >= Sin2(85.0)) return;
     const double r = std::hypot(e.x_mm, e.y_mm);
     for (int k = 0; k < G::kRadii; ++k)
@@ -111,7 +111,8 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
     double table = 0.0, sum = 0.0, squares = 0.0;
     for (int out = 0; out < G::kThetas; ++out)
       for (int az = 0; az < G::kAzimuths; ++az)
-        table += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, node), first, first + kGroup - 1);
+        table += Projected(out, az) *
+                 CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node), first, first + kGroup - 1);
     for (int k = first; k < first + kGroup; ++k) {
       sum += rings[k].sum / kPhotons;
       squares += rings[k].squares / (double(kPhotons) * kPhotons);
@@ -121,7 +122,7 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
 }
 
 TEST(SkinTable, RegeneratesItsCellsWithinTheirStandardErrors) {
-  const auto checks = RegenerateSkinCell(Shipped(), 2, 1, 3, 2, 150000, 5);
+  const auto checks = RegenerateSkinCell(Shipped(), {2, 1, 3, 2, 2}, 150000, 5);
   ASSERT_EQ(checks.size(), size_t{G::kNodes});
   for (size_t n = 0; n < checks.size(); ++n) {
     EXPECT_GT(checks[n].mean, 0.0);
@@ -145,11 +146,11 @@ TEST(SkinTable, AlbedoIsTheSumOfItsKernelsAndOfMonteCarlo) {
   // and at 30 mm, and so do the photons counted for them; Albedo goes on to 90 degrees.
   constexpr int kIn = 3, kChannel = 0;
   const int node = G::NodeIndex(1, 1, 1);
-  const SkinParameters skin = G::NodeParameters(node);
+  const SkinParameters skin = Shipped().NodeParameters(node);
   double cells = 0.0;
   for (int out = 0; out < G::kThetas; ++out)
     for (int az = 0; az < G::kAzimuths; ++az)
-      cells += Projected(out, az) * CellSum(G::KernelIndex(kChannel, kIn, out, az, node));
+      cells += Projected(out, az) * CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node));
   const double albedo = Shipped().Albedo(kChannel, skin, G::NodeThetaRad(kIn)) * BinOverNodeTransmittance(kIn);
   constexpr int64_t kPhotons = 150000;
   Estimate below_85, all;
@@ -188,12 +189,12 @@ TEST(SkinKernel, InterpolationKeepsTheEnergyOfTheCells) {
     for (int in = 0; in < G::kThetas; ++in) {
       const int out = (in + 2) % G::kThetas, az = in;
       SkinKernel kernel;
-      const int node = G::NodeIndex(1, 2, in % 3);
-      Shipped().Interpolate(c, G::NodeParameters(node),
+      const int node = out % 3 * G::kNodes + G::NodeIndex(1, 2, in % 3);
+      Shipped().Interpolate(c, Shipped().NodeParameters(node),
                             {static_cast<float>(G::NodeThetaRad(in)), static_cast<float>(G::NodeThetaRad(out)),
                              static_cast<float>(az * M_PI / 4)},
                             kernel);
-      const double cells = CellSum(G::KernelIndex(c, in, out, az, node)) /
+      const double cells = CellSum(Shipped().KernelIndex(c, in, out, az, node)) /
                            (BinOverNodeTransmittance(in) * BinOverNodeTransmittance(out));
       EXPECT_NEAR(PlaneIntegral(kernel) / cells, 1.0, 0.003) << c << ' ' << in << ' ' << out;
       EXPECT_NEAR(kernel.Integral() / cells, 1.0, 0.002) << c << ' ' << in << ' ' << out;
@@ -282,8 +283,9 @@ TEST(SkinTable, IsExactlyReciprocal) {
   for (int in = 0; in < G::kThetas; ++in)
     for (int out = 0; out < in; ++out)
       for (int az = 0; az < G::kAzimuths; ++az) {
-        const int node = (in * 7 + out * 3 + az) % G::kNodes;
-        const size_t there = G::KernelIndex(2, in, out, az, node), back = G::KernelIndex(2, out, in, az, node);
+        const int node = (in * 7 + out * 3 + az) % Shipped().nodes();
+        const size_t there = Shipped().KernelIndex(2, in, out, az, node),
+                     back = Shipped().KernelIndex(2, out, in, az, node);
         for (int r = 0; r < G::kRadii; ++r)
           for (int psi = 0; psi < G::kPolar; ++psi)
             ASSERT_EQ(Shipped().Cell(there, r, psi), Shipped().Cell(back, r, G::ReciprocalPsi(az, psi)));
@@ -392,10 +394,10 @@ TEST_F(SkinTableFile, WrongMagicIsNoTable) {
 }
 
 TEST_F(SkinTableFile, WrongVersionIsANewerSchema) {
-  bytes_[7] = '3';
+  bytes_[7] = '4';
   const Status status = LoadBytes();
   EXPECT_EQ(status.code(), StatusCode::kNewerSchema);
-  EXPECT_NE(status.message().find("version 3"), std::string::npos) << status.message();
+  EXPECT_NE(status.message().find("version 4"), std::string::npos) << status.message();
 }
 
 TEST_F(SkinTableFile, AnOlderVersionIsRefusedWithItsRemedy) {
@@ -433,12 +435,110 @@ TEST_F(SkinTableFile, IsReadAgainWhenItIsAnother) {
 }
 
 TEST_F(SkinTableFile, SavedAndLoadedIsTheSame) {
-  ASSERT_TRUE(Shipped().Save(path_, "{\"made\": \"by a test\"}").ok());
+  ASSERT_TRUE(Shipped().Save(path_, 1).ok());
   const auto again = SkinTable::Load(path_);
   ASSERT_TRUE(again.ok()) << again.status().message();
-  EXPECT_EQ(again->manifest(), "{\"made\": \"by a test\"}");
-  for (size_t kernel = 0; kernel < G::kDirections * G::kNodes; kernel += 97)
+  EXPECT_EQ(again->manifest(), Shipped().manifest());
+  for (size_t kernel = 0; kernel < G::kDirections * Shipped().nodes(); kernel += 97)
     for (int r = 0; r < G::kRadii; ++r) EXPECT_EQ(again->Cell(kernel, r, 3), Shipped().Cell(kernel, r, 3));
+}
+
+// A small table with the axis, made once: noisy, but of the same photons as what it is held against.
+const SkinTable& WithScatterings() {
+  Logger quiet(LogLevel::kError);
+  static const SkinTable table = *GenerateSkinTable({2000, 1, 0}, {0.5, 0.74, 1.0}, {}, quiet);
+  return table;
+}
+
+TEST(SkinTableScattering, EachNodeIsTheTableOfItsScattering) {
+  Logger quiet(LogLevel::kError);
+  const SkinTable alone = *GenerateSkinTable({2000, 1, 0}, {0.74}, {}, quiet);
+  ASSERT_EQ(WithScatterings().nodes(), 3 * G::kNodes);
+  for (int node = 0; node < G::kNodes; node += 7) {
+    SkinParameters skin = G::NodeParameters(node);
+    skin.scattering = 0.74F;
+    EXPECT_EQ(WithScatterings().NodeParameters(G::kNodes + node).scattering, 0.74F);
+    SkinKernel one, of_three;
+    alone.Interpolate(1, skin, {0.3F, 0.4F, 1.0F}, one);
+    WithScatterings().Interpolate(1, skin, {0.3F, 0.4F, 1.0F}, of_three);
+    EXPECT_NEAR(of_three.Integral() / one.Integral(), 1.0, 1e-5) << node;
+  }
+}
+
+TEST(SkinTableScattering, WhatWasMadeBeforeIsTakenOnlyOfTheSameRun) {
+  Logger quiet(LogLevel::kError);
+  const SkinTableRun run{1000, 3, 0};
+  const SkinTable both = *GenerateSkinTable(run, {0.6, 0.9}, {}, quiet);
+  const std::vector<SkinTable> made = {*GenerateSkinTable({1000, 4, 0}, {0.9}, {}, quiet),
+                                       *GenerateSkinTable(run, {0.9}, {}, quiet)};
+  EXPECT_FALSE(made[0].IsOf(run));
+  EXPECT_TRUE(made[1].IsOf(run));
+  const SkinTable again = *GenerateSkinTable(run, {0.6, 0.9}, made, quiet);
+  EXPECT_TRUE(std::ranges::equal(again.codes(), both.codes()));
+  EXPECT_EQ(again.manifest(), both.manifest());
+}
+
+TEST(SkinTableScattering, WeightsAddUpAndAreClampedOutside) {
+  for (const float scattering : {0.2F, 0.5F, 0.6F, 0.74F, 0.9F, 1.0F, 1.1F, 2.0F}) {
+    SkinParameters skin;
+    skin.scattering = scattering;
+    float sum = 0.0F;
+    for (const SkinNodeWeight& n : WithScatterings().NodesAround(skin)) {
+      ASSERT_LT(n.node, WithScatterings().nodes());
+      sum += n.weight;
+      if (scattering < 0.5F) {
+        EXPECT_LT(n.node, G::kNodes);
+      }
+    }
+    EXPECT_NEAR(sum, 1.0F, 1e-5F) << scattering;
+  }
+  EXPECT_TRUE(WithScatterings().CheckScattering(0.5).ok());
+  EXPECT_EQ(WithScatterings().CheckScattering(0.4).code(), StatusCode::kUsage);
+  EXPECT_NE(WithScatterings().CheckScattering(1.1).message().find("0.5 .. 1;"), std::string::npos);
+  EXPECT_NE(Shipped().CheckScattering(0.4).message().find("generate --scattering"), std::string::npos);
+}
+
+// The light that comes back, between the nodes, against fresh photons of that scattering; and that the axis matters.
+TEST(SkinTableScattering, IsNearMonteCarloBetweenItsNodes) {
+  InterpolationCheckOptions options;
+  options.photons = 20000;
+  options.theta_in_deg = {35.0};
+  for (const double scattering : {0.62, 0.86}) {
+    options.scattering = scattering;
+    const auto samples = CheckInterpolation(Shipped(), options);
+    for (int c = 0; c < kSkinChannels; ++c) {
+      const InterpolationSummary all = Summarise(samples, c, -1, 0.16);
+      ASSERT_GT(all.samples, 20);
+      EXPECT_LT(all.rms, 0.03) << c << " at " << scattering;
+    }
+  }
+  SkinParameters skin{0.01F, 0.004F};
+  const double samples_scattering = Shipped().Albedo(0, skin, 0.6);
+  skin.scattering = 0.6F;
+  EXPECT_LT(Shipped().Albedo(0, skin, 0.6), 0.95 * samples_scattering) << "the axis tells nothing";
+}
+
+TEST_F(SkinTableFile, OneWithScatteringsIsSavedAndLoaded) {
+  ASSERT_TRUE(WithScatterings().Save(path_, 1).ok());
+  const auto again = SkinTable::Load(path_);
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(again->scatterings(), WithScatterings().scatterings());
+  EXPECT_TRUE(std::equal(again->codes().begin(), again->codes().end(), WithScatterings().codes().begin()));
+  std::ifstream in(path_, std::ios::binary);
+  const std::vector<char> whole((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  // The axis is held by the hash, and each field of the header by the file's length.
+  for (const size_t at : {size_t{8}, size_t{16}, size_t{24}, size_t{32}, size_t{40}, size_t{48}, size_t{56}}) {
+    bytes_ = whole;
+    bytes_[at] = static_cast<char>(bytes_[at] ^ 3);
+    EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity) << "byte " << at;
+  }
+}
+
+TEST(GenerateSkinTable, RefusesAnAxisThatIsNone) {
+  Logger quiet(LogLevel::kError);
+  for (const std::vector<double>& axis :
+       {std::vector<double>{}, {0.7, 0.5}, {0.5, 0.5}, {0.01}, {5.0}, {std::nan("")}, {0.5, 0.6, 0.7, 0.8, 0.9, 1.0}})
+    EXPECT_EQ(GenerateSkinTable({1000, 1, 0}, axis, {}, quiet).status().code(), StatusCode::kUsage);
 }
 
 TEST(WaxTable, IsTheMonteCarloOfItsSlab) {
