@@ -42,7 +42,7 @@ void AddSimulate(Command& command, SimulationFlags& flags, const std::string& wh
       .add_option("--simulate", flags.scene,
                   what +
                       "; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-                      "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab")
+                      "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab, bald, face")
       ->expected(0, 1)
       ->default_str("head");
 }

@@ -15,8 +15,6 @@ namespace stratalux::rig {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-// Skin's surface reflection: Fresnel at normal incidence for n = 1.4.
-constexpr double kF0 = 0.028;
 // Projector pixels nearer than this are integrated over their extent and the camera pixel's footprint.
 constexpr float kNearPixels = 4.0F;
 // A projector pixel's light further than this from where the tangent plane puts it lies on another part of the face.
@@ -53,18 +51,6 @@ std::array<int, kLevels> WindowStart(float c) {
 
 // Blocks between block x and the finer level's window.
 int BlocksFrom(int hole, int x) { return x < hole ? hole - x : std::max(0, x - hole - (kHole - 1)); }
-
-// Torrance & Sparrow facets with the GGX distribution (Walter et al. 2007) and Schlick's Fresnel term; 1 / sr.
-double SpecularBrdf(const Eigen::Vector3d& n, const Eigen::Vector3d& in, const Eigen::Vector3d& out, double roughness) {
-  const double ni = n.dot(in), no = n.dot(out);
-  if (ni <= 0.0 || no <= 0.0) return 0.0;
-  const Eigen::Vector3d h = (in + out).normalized();
-  const double nh = n.dot(h), a2 = roughness * roughness;
-  const double d = a2 / (kPi * std::pow(nh * nh * (a2 - 1.0) + 1.0, 2));
-  auto smith = [a2](double c) { return 2.0 * c / (c + std::sqrt(a2 + (1.0 - a2) * c * c)); };
-  const double f = kF0 + (1.0 - kF0) * std::pow(1.0 - std::max(0.0, h.dot(in)), 5);
-  return d * f * smith(ni) * smith(no) / (4.0 * ni * no);
-}
 
 // Convolves with a Gaussian of standard deviation `sigma` px; the ends repeat.
 std::vector<float> Blur(const std::vector<float>& profile, double sigma) {
@@ -248,8 +234,7 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   if (!light.lit) return;
   const Eigen::Vector3d out = -pixel.point.normalized();
   const Material& material = pixel.material;
-  double reflectance =
-      kPi * material.surface_reflectance * SpecularBrdf(pixel.normal, -to_point, out, material.roughness);
+  double reflectance = ReflectanceOf(material.surface, pixel.normal, -to_point, out);
   if (!options_.scattering || !material.Translucent()) reflectance += albedo_.Of(colour, material);
   light.direct = static_cast<float>(white * reflectance);
   // The pixel's footprint on the tangent plane, in projector pixels.
@@ -418,10 +403,11 @@ CacheKey LightTransport::KeyOfLight() const {
     const SubjectPixel& p = pixels_[i];
     const std::array<double, 6> place = {p.point.x(),  p.point.y(),  p.point.z(),
                                          p.normal.x(), p.normal.y(), p.normal.z()};
-    const std::array<float, 9> rest = {
-        static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.material.Translucent()),
-        p.material.skin.melanin, p.material.skin.blood,   p.material.skin.epidermis_mm,
-        at_[i].column_row.x(),   at_[i].column_row.y(),   static_cast<float>(at_[i].lit)};
+    const std::array<float, 10> rest = {
+        static_cast<float>(p.x),       static_cast<float>(p.y), static_cast<float>(p.material.Translucent()),
+        p.material.skin.melanin,       p.material.skin.blood,   p.material.skin.epidermis_mm,
+        p.material.skin.scattering,    at_[i].column_row.x(),   at_[i].column_row.y(),
+        static_cast<float>(at_[i].lit)};
     key.AddBytes(std::as_bytes(std::span(place)));
     key.AddBytes(std::as_bytes(std::span(rest)));
   }

@@ -55,6 +55,7 @@ class SimulatedDevices final : public SimulatedRig,
   SimulatedDevices(const SimulatedRigOptions& options, Scene scene, SkinTable table, Logger& logger)
       : options_(options),
         faults_(options.faults),
+        logger_(logger),
         world_(options, std::move(scene), std::move(table), kClockStart, logger),
         sensor_(world_.calibration().camera.model,
                 {options.devices.camera, options.noise ? Noise::kOn : Noise::kOff, options.seed}),
@@ -254,6 +255,7 @@ class SimulatedDevices final : public SimulatedRig,
 
   SimulatedRigOptions options_;
   FaultScript faults_;
+  Logger& logger_;
   std::mutex world_mutex_;  // taken after mutex_ where both are
   World world_;
   Sensor sensor_;

@@ -3,20 +3,36 @@
 
 #include <utility>
 
+#include "firmware-host/simulated/scene/face_skin.h"
 #include "firmware-host/simulated/simulated_devices.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "shared/base/formatted.h"
 
 namespace stratalux::rig {
 namespace {
 
-bool IsWax(const Scene& scene) { return scene.description().shape == ShapeKind::kSlab; }
+bool IsWax(const SceneDescription& scene) { return scene.shape == ShapeKind::kSlab; }
 
-Result<Scene> SubjectOf(const SubjectOptions& options, SceneDescription description) {
+Result<Scene> SubjectOf(const SubjectOptions& options, SceneDescription description, const SkinTable& table,
+                        Logger& logger) {
   SLX_RETURN_IF_ERROR(description.TakePose(options.board_pose).WithContext(options.scene));
-  return Scene::Create(description, options.seed);
+  SLX_ASSIGN_OR_RETURN(Scene scene, Scene::Create(description, options.seed, &table));
+  for (const std::string& remark : scene.Remarks()) logger.Info(remark);
+  return scene;
 }
 
-Result<SkinTable> TableFor(const SimulatedRigOptions& options, const Scene& scene) {
+// Whether the table knows the skin of the whole subject.
+Status CheckSkin(const SkinTable& table, const SkinDescription& skin) {
+  SLX_RETURN_IF_ERROR(table.CheckScattering(skin.scattering).WithContext("[skin]"));
+  const ScatteringRange range = ScatteringOf(skin);
+  for (const double scattering : {range.least, range.most})
+    SLX_RETURN_IF_ERROR(table.CheckScattering(scattering)
+                            .WithContext(Formatted("[skin] regions = %g makes %g .. %g of scattering = %g",
+                                                   skin.regions, range.least, range.most, skin.scattering)));
+  return Status::Ok();
+}
+
+Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescription& scene) {
   const bool wax = IsWax(scene);
   const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
   Result<SkinTable> loaded = SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table);
@@ -30,6 +46,7 @@ Result<SkinTable> TableFor(const SimulatedRigOptions& options, const Scene& scen
   if ((table.nodes() == 1) != wax)
     return Status::Usage("skin table " + options.skin_table + ": of " +
                          (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
+  SLX_RETURN_IF_ERROR(CheckSkin(table, scene.skin));
   return table;
 }
 
@@ -37,14 +54,21 @@ Result<SkinTable> TableFor(const SimulatedRigOptions& options, const Scene& scen
 
 Status SimulatedDevices::SetSubject(const SubjectOptions& subject) {
   SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(subject.scene));
-  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf(subject, simulation.scene));
+  SLX_RETURN_IF_ERROR(simulation.scene.Validate());
+  SkinTable table = [&] {
+    const std::lock_guard lock(world_mutex_);
+    return world_.table();
+  }();
+  std::optional<SkinTable> other;  // where the tissue is another
+  if (IsWax(simulation.scene) != (table.nodes() == 1)) {
+    SLX_ASSIGN_OR_RETURN(other, TableFor(options_, simulation.scene));
+    table = *other;
+  }
+  SLX_RETURN_IF_ERROR(CheckSkin(table, simulation.scene.skin));
+  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf(subject, simulation.scene, table, logger_));
   const Turn turn(*this);
   const std::lock_guard lock(world_mutex_);
-  std::optional<SkinTable> table;
-  if (IsWax(scene) != (world_.table().nodes() == 1)) {
-    SLX_ASSIGN_OR_RETURN(table, TableFor(options_, scene));
-  }
-  world_.SetSubject(std::move(scene), std::move(table), clock_);
+  world_.SetSubject(std::move(scene), std::move(other), clock_);
   world_.CoverLens(subject.lens_covered);
   pending_.clear();
   last_.reset();
@@ -81,9 +105,10 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
       options.faults.pair = given.faults.pair;
     }
   }
-  SLX_ASSIGN_OR_RETURN(Scene scene,
-                       SubjectOf({given.scene, given.seed, given.board_pose, given.lens_covered}, simulation.scene));
-  SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, scene));
+  SLX_RETURN_IF_ERROR(simulation.scene.Validate());
+  SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, simulation.scene));
+  SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf({given.scene, given.seed, given.board_pose, given.lens_covered},
+                                              simulation.scene, table, logger));
   return std::unique_ptr<SimulatedRig>(new SimulatedDevices(options, std::move(scene), std::move(table), logger));
 }
 

@@ -19,6 +19,9 @@ Result<Simulation> LoadSimulation(const std::string& name_or_file) {
   SLX_ASSIGN_OR_RETURN(simulation.faults, ReadFaults(root));
   SLX_RETURN_IF_ERROR(root.Finish());
   if (!root.Has("name")) simulation.scene.name = std::filesystem::path(name_or_file).stem().string();
+  // Names of other files are meant from where the scene lies.
+  for (std::string* named : {&simulation.scene.mesh.file, &simulation.scene.mesh.albedo})
+    if (!named->empty()) *named = (std::filesystem::path(name_or_file).parent_path() / *named).string();
   SLX_RETURN_IF_ERROR(simulation.scene.Validate().WithContext(name_or_file));
   return simulation;
 }

@@ -34,7 +34,8 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   const int width = camera.width / QuadStep(cfa), height = camera.height / QuadStep(cfa);
   TruthMap depth{"depth", Image<float>(width, height, 1, kNaN)}, normal{"normal", Image<float>(width, height, 3, kNaN)};
   TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
-  TruthMap material{"material", Image<float>(width, height)};
+  TruthMap material{"material", Image<float>(width, height)}, part{"class", Image<float>(width, height)};
+  TruthMap layers{"layers", Image<float>(width, height, 2, kNaN)};
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < width; ++i) {
@@ -44,14 +45,17 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
         const Material here = stage.scene.MaterialAt(*hit);
         mask.map(i, j) = 1.0F;
         material.map(i, j) = static_cast<float>(here.kind);
+        part.map(i, j) = static_cast<float>(here.part);
         depth.map(i, j) = static_cast<float>(hit->z());
         for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
         if (here.kind != MaterialKind::kSkin) continue;
         optics.map(i, j, 0) = here.skin.melanin;
         optics.map(i, j, 1) = here.skin.blood;
+        layers.map(i, j, 0) = here.skin.epidermis_mm;
+        layers.map(i, j, 1) = here.skin.scattering;
       }
   });
-  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material}) maps.push_back(std::move(*map));
+  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers}) maps.push_back(std::move(*map));
 }
 
 Status World::AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,

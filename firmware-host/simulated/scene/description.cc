@@ -4,14 +4,16 @@
 #include <algorithm>
 #include <string_view>
 
+#include "firmware-host/simulated/mesh/surface.h"
 #include "shared/config/toml_reader.h"
 
 namespace stratalux::rig {
 namespace {
 
-constexpr std::array<std::string_view, 10> kShapes = {"head",  "plane",        "sphere",  "white", "ramp",
-                                                      "chart", "checkerboard", "charuco", "bowl",  "slab"};
+constexpr std::array<std::string_view, 11> kShapes = {"head",         "plane",   "sphere", "white", "ramp", "chart",
+                                                      "checkerboard", "charuco", "bowl",   "slab",  "mesh"};
 constexpr std::array<std::string_view, 3> kEyes = {"none", "closed", "open"};
+constexpr std::array<std::string_view, 3> kSurfaces = {"ggx", "beckmann", "two_lobes"};
 
 std::string Names(const auto& names) {
   std::string list;
@@ -44,6 +46,9 @@ Status GetVector(TomlTable& table, const std::string& key, std::array<double, 3>
 }
 
 Status ReadHead(TomlTable t, HeadDescription& head) {
+  bool bald = true;
+  t.Get("bald", bald);
+  head = bald ? HeadDescription::Bald() : HeadDescription::Person();  // what the other keys do not say
   for (const auto& [key, value] : {std::pair{"width", &head.width},
                                    {"height", &head.height},
                                    {"depth", &head.depth},
@@ -59,6 +64,7 @@ Status ReadHead(TomlTable t, HeadDescription& head) {
   std::string eyes(kEyes[static_cast<size_t>(head.eyes)]);
   t.Get("eyes", eyes);
   SLX_ASSIGN_OR_RETURN(head.eyes, ParseName<Eyes>("eyes", kEyes, eyes).WithContext(t.Where("eyes")));
+  t.Get("nostrils", head.nostrils);
   t.Get("brows", head.brows);
   t.Get("hair", head.hair);
   t.Get("stubble_per_cm2", head.stubble_per_cm2, 0.0, 200.0);
@@ -73,11 +79,22 @@ Status ReadSkin(TomlTable t, SkinDescription& skin) {
   GetOptional(t, "melanin", skin.melanin, 0.005, 0.3);
   GetOptional(t, "blood", skin.blood, 0.0005, 0.06);
   t.Get("epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
+  t.Get("scattering", skin.scattering, 0.1, 3.0);
   t.Get("patches", skin.patches, 0.0, 3.0);
   GetOptional(t, "freckles", skin.freckles, 0, 1000);
   t.Get("vessels", skin.vessels, 0, 20);
   t.Get("redness", skin.redness, 0.0, 4.0);
   t.Get("scar", skin.scar);
+  t.Get("regions", skin.regions, 0.0, 2.0);
+  return Status::Ok();
+}
+
+Status ReadSurface(TomlTable t, SurfaceDescription& surface) {
+  std::string form(kSurfaces[static_cast<size_t>(surface.form)]);
+  t.Get("form", form);
+  SLX_ASSIGN_OR_RETURN(surface.form, ParseName<SkinSurface>("form", kSurfaces, form).WithContext(t.Where("form")));
+  t.Get("oiliness", surface.oiliness, 0.0, 1.0);
+  t.Get("fuzz", surface.fuzz, 0.0, 3.0);
   return Status::Ok();
 }
 
@@ -90,6 +107,41 @@ void ReadPlate(TomlTable t, PlateDescription& plate) {
   t.Get("marker_mm", plate.marker_mm, 0.5, 100.0);
   t.Get("dark_albedo", plate.dark_albedo, 0.0, 1.0);
   t.Get("light_albedo", plate.light_albedo, 0.0, 1.0);
+}
+
+Status ReadMesh(TomlTable t, MeshDescription& mesh) {
+  static const std::vector<std::string> kAxes = {"+x", "-x", "+y", "-y", "+z", "-z"};
+  t.Get("file", mesh.file);
+  t.Get("albedo", mesh.albedo);
+  t.Get("albedo_scale", mesh.albedo_scale, 0.05, 20.0);
+  t.Get("flip_v", mesh.flip_v);
+  t.Get("unit_mm", mesh.unit_mm, 1e-6, 1e6);
+  for (const auto& [key, axis] : {std::pair{"up", &mesh.up}, {"front", &mesh.front}}) {
+    auto index = static_cast<size_t>(*axis);
+    t.GetWord(key, index, kAxes);
+    *axis = static_cast<MeshAxis>(index);
+  }
+  if (t.Has("origin_mm")) SLX_RETURN_IF_ERROR(GetVector(t, "origin_mm", mesh.origin_mm.emplace(), 1e6));
+  GetOptional(t, "crease_deg", mesh.crease_deg, 0.0, 180.0);
+  t.Get("subdivisions", mesh.subdivisions, 0, kMostSubdivisions);
+  t.Get("relief_mm", mesh.relief_mm, 0.0, 0.1);
+  return Status::Ok();
+}
+
+Status CheckMesh(const SceneDescription& scene) {
+  if (scene.skin.regions > 0.0)
+    return Status::Usage("scene " + scene.name +
+                         ": [skin] regions follow the procedural head's face; a mesh has its picture, leave them out");
+  const MeshDescription& mesh = scene.mesh;
+  const std::string where = "scene " + scene.name + ": ";
+  if (mesh.file.empty()) return Status::Usage(where + "shape mesh takes a scene file with [mesh] file = \"head.obj\"");
+  if (DirectionOf(mesh.up).dot(DirectionOf(mesh.front)) != 0.0)
+    return Status::Usage(where + "[mesh] up and front lie along one axis; name two");
+  if (mesh.subdivisions > 0 && mesh.crease_deg)
+    return Status::Usage(where + "[mesh] subdivisions makes the whole surface smooth; leave crease_deg out");
+  if (!mesh.albedo.empty() && (scene.skin.melanin || scene.skin.blood))
+    return Status::Usage(where + "[skin] melanin and blood are solved from [mesh] albedo; leave one of them out");
+  return Status::Ok();
 }
 
 Status ReadPose(TomlTable& t, PoseDescription& pose) {
@@ -108,11 +160,24 @@ Status ReadMotion(TomlTable t, MotionDescription& motion) {
 
 }  // namespace
 
+HeadDescription HeadDescription::Person() {
+  HeadDescription head;
+  head.eyes = Eyes::kOpen;
+  head.nostrils = head.brows = head.hair = true;
+  return head;
+}
+
 const char* ToString(ShapeKind kind) { return kShapes[static_cast<size_t>(kind)].data(); }
 
 Result<ShapeKind> ParseShapeKind(const std::string& text) { return ParseName<ShapeKind>("shape", kShapes, text); }
 
+Eigen::Vector3d DirectionOf(MeshAxis axis) {
+  const int index = static_cast<int>(axis);
+  return (index % 2 == 0 ? 1.0 : -1.0) * Eigen::Vector3d::Unit(index / 2);
+}
+
 Status SceneDescription::Validate() const {
+  if (shape == ShapeKind::kMesh) SLX_RETURN_IF_ERROR(CheckMesh(*this));
   if (shape == ShapeKind::kCharuco && plate.marker_mm >= plate.square_mm)
     return Status::Usage("scene " + name + ": marker_mm = " + std::to_string(plate.marker_mm) +
                          " must be smaller than square_mm = " + std::to_string(plate.square_mm));
@@ -148,19 +213,25 @@ Result<SceneDescription> ReadScene(TomlTable& root) {
   subject.Get("interreflection", scene.interreflection);
   SLX_RETURN_IF_ERROR(ReadHead(root.Table("head"), scene.head));
   SLX_RETURN_IF_ERROR(ReadSkin(root.Table("skin"), scene.skin));
+  SLX_RETURN_IF_ERROR(ReadSurface(root.Table("surface"), scene.surface));
   ReadPlate(root.Table("plate"), scene.plate);
+  SLX_RETURN_IF_ERROR(ReadMesh(root.Table("mesh"), scene.mesh));
   SLX_RETURN_IF_ERROR(ReadMotion(root.Table("motion"), scene.motion));
   root.Table("ambient").Get("dn_per_ms", scene.ambient_dn_per_ms, 0.0, 1000.0);
   return scene;
 }
 
 Result<SceneDescription> SceneOfName(const std::string& name) {
+  SceneDescription scene;
+  scene.name = name;
+  if (name == "bald" || name == "face") {
+    scene.head = name == "bald" ? HeadDescription::Bald() : HeadDescription::Person();
+    return scene;
+  }
   const auto shape = ParseShapeKind(name);
   if (!shape.ok())
     return Status::Usage("scene '" + name + "' is unknown; allowed: " + Names(kShapes) +
-                         ", or a scene file ending in .toml");
-  SceneDescription scene;
-  scene.name = name;
+                         ", bald, face, or a scene file ending in .toml");
   scene.shape = *shape;
   return scene;
 }

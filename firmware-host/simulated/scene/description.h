@@ -3,6 +3,7 @@
 // `--simulate`; lengths in mm, angles in degrees.
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstdint>
 #include <optional>
@@ -17,7 +18,7 @@ class TomlTable;
 
 namespace stratalux::rig {
 
-enum class ShapeKind { kHead, kPlane, kSphere, kWhite, kRamp, kChart, kCheckerboard, kCharuco, kBowl, kSlab };
+enum class ShapeKind { kHead, kPlane, kSphere, kWhite, kRamp, kChart, kCheckerboard, kCharuco, kBowl, kSlab, kMesh };
 [[nodiscard]] const char* ToString(ShapeKind kind);
 [[nodiscard]] Result<ShapeKind> ParseShapeKind(const std::string& text);
 
@@ -30,10 +31,16 @@ struct HeadDescription {
   double wrinkles_mm = 0.0;  // depth of forehead lines, crow's feet and the folds beside the nose
   double pores_mm = 0.0;     // depth
   Eyes eyes = Eyes::kNone;
+  bool nostrils = false;  // dark and shallow
   bool brows = false;
   bool hair = false;             // above the forehead
   double stubble_per_cm2 = 0.0;  // opaque hairs of a shaven beard
   double stubble_mm = 0.6;       // their length
+
+  // Without eyes, nostrils and hair, as a mannequin's: what a head is today where nothing is said.
+  [[nodiscard]] static HeadDescription Bald() { return {}; }
+  // With open eyes, nostrils, brows and hair.
+  [[nodiscard]] static HeadDescription Person();
 };
 
 enum class SkinBody { kTranslucent, kMatt };  // kMatt: opaque, of the same albedo
@@ -43,11 +50,22 @@ struct SkinDescription {
   std::optional<double> melanin;  // volume fraction in the epidermis; unset: by seed, 1.2 % to 10 %
   std::optional<double> blood;    // volume fraction in the dermis; unset: by seed
   double epidermis_mm = 0.08;     // thickness
+  double scattering = 1.0;        // over that of tissue samples; within the skin table's nodes
   double patches = 1.0;           // strength of the patches of a few centimetres; 0: even skin
   std::optional<int> freckles;    // unset: by seed, 30 to 90
   int vessels = 1;                // across forehead and temples
   double redness = 1.0;           // strength of the blood of cheeks, nose and lips
   bool scar = false;              // across a cheek: pale, without melanin
+  double regions = 0.0;           // strength of what sets forehead, nose, lips, ... apart (face_regions.h); 1: as there
+};
+
+enum class SkinSurface { kGgx, kBeckmann, kTwoLobes };
+
+// The skin's very surface (face_surface.h).
+struct SurfaceDescription {
+  SkinSurface form = SkinSurface::kGgx;  // kGgx: the form that the fitter fits
+  double oiliness = 0.0;                 // of forehead, nose and chin; 0: the surface is the same everywhere
+  double fuzz = 0.0;                     // fine hairs over that of a grown face; 0: none
 };
 
 // Plates: boards, ramp, chart, white target, wax slab.
@@ -57,6 +75,25 @@ struct PlateDescription {
   double square_mm = 20.0;
   double marker_mm = 15.0;  // side of a ChArUco marker
   double dark_albedo = 0.04, light_albedo = 0.9;
+};
+
+// Directions of a mesh file's axes.
+enum class MeshAxis { kPlusX, kMinusX, kPlusY, kMinusY, kPlusZ, kMinusZ };
+[[nodiscard]] Eigen::Vector3d DirectionOf(MeshAxis axis);
+
+// A mesh file, as a subject.
+struct MeshDescription {
+  std::string file;                                // *.obj or *.ply; of a scene file, relative to it
+  std::string albedo;                              // *.png by the mesh's texture coordinates; empty: skin by seed
+  double albedo_scale = 1.0;                       // of the picture's linear values: a scan's exposure is nobody's
+  bool flip_v = false;                             // the file's v runs down the picture, as glTF has it
+  double unit_mm = 1.0;                            // of the file's coordinates
+  MeshAxis up = MeshAxis::kPlusY;                  // in the file's axes
+  MeshAxis front = MeshAxis::kPlusZ;               // out of the face, towards the camera
+  std::optional<std::array<double, 3>> origin_mm;  // of the file, times unit_mm: goes to (0, 0, 700); unset: see Mesh
+  std::optional<double> crease_deg;                // sharper edges stay; unset: the file's normals, else all smooth
+  int subdivisions = 0;                            // halvings of the edges on curved patches
+  double relief_mm = 0.0;                          // depth of pores
 };
 
 struct PoseDescription {
@@ -78,7 +115,9 @@ struct SceneDescription {
   std::optional<uint64_t> seed;  // unset: the session's
   HeadDescription head;
   SkinDescription skin;
+  SurfaceDescription surface;
   PlateDescription plate;
+  MeshDescription mesh;
   PoseDescription pose;
   std::vector<PoseDescription> poses;  // of a board, one a capture; each takes the subject's place
   MotionDescription motion;
@@ -90,7 +129,7 @@ struct SceneDescription {
   [[nodiscard]] Status TakePose(int index);
 };
 
-// The plain scene of a shape's name; kUsage lists the names.
+// The plain scene of a shape's name, or "bald" or "face": HeadDescription::Bald() and Person(); kUsage lists the names.
 [[nodiscard]] Result<SceneDescription> SceneOfName(const std::string& name);
 // Reads the scene's own tables of `root` and leaves others to the caller.
 [[nodiscard]] Result<SceneDescription> ReadScene(TomlTable& root);

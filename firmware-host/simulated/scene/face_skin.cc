@@ -11,6 +11,24 @@ namespace {
 
 constexpr double kVesselSigmaMm = 0.9, kVesselBlood = 3.0;  // blood of a vessel's axis, relative to the skin's
 constexpr double kScarSigmaMm = 1.1;
+// The axis of scattering that tables are made for.
+constexpr double kLeastScattering = 0.5, kMostScattering = 1.1;
+
+double ClampScattering(double scattering, double of_the_face) {
+  return std::clamp(scattering, std::min(kLeastScattering, of_the_face), std::max(kMostScattering, of_the_face));
+}
+
+SkinFactors LogOf(const SkinFactors& f, double strength) {
+  return {strength * std::log(f.epidermis), strength * std::log(f.blood), strength * std::log(f.melanin),
+          strength * std::log(f.scattering)};
+}
+
+void AddTo(SkinFactors& sum, double weight, const SkinFactors& f) {
+  sum.epidermis += weight * f.epidermis;
+  sum.blood += weight * f.blood;
+  sum.melanin += weight * f.melanin;
+  sum.scattering += weight * f.scattering;
+}
 
 // Down across forehead and temple.
 Polyline WalkVessel(Random& random, double left, double right, double top) {
@@ -25,11 +43,13 @@ Polyline WalkVessel(Random& random, double left, double right, double top) {
 
 }  // namespace
 
-FaceSkin::FaceSkin(const SkinDescription& skin, uint64_t seed) {
+FaceSkin::FaceSkin(const SkinDescription& skin, const FaceRegions& regions, uint64_t seed)
+    : regions_(regions), strength_(skin.regions) {
   Random random(seed, 2);
   melanin_ = 0.012 * std::pow(8.0, random.Uniform());  // 1.2 % (light) to 10 % (dark)
   blood_ = random.Uniform(0.003, 0.008);
   epidermis_mm_ = skin.epidermis_mm;
+  scattering_ = skin.scattering;
   melanin_ = skin.melanin.value_or(melanin_);
   blood_ = skin.blood.value_or(blood_);
   // Patches of a few centimetres.
@@ -48,13 +68,22 @@ FaceSkin::FaceSkin(const SkinDescription& skin, uint64_t seed) {
   }
   for (const double side : {-1.0, 1.0})
     blood_bumps_.push_back({side * 42, 16, 22, 18, skin.redness * random.Uniform(0.6, 1.4)});
-  blood_bumps_.push_back({0, 20, 13, 12, skin.redness * random.Uniform(0.3, 0.9)});
-  blood_bumps_.push_back({0, 44, 21, 5, skin.redness * 2.0});
-  blood_bumps_.push_back({0, 53, 18, 5.5, skin.redness * 2.2});
+  // Nose and lips: where regions bring blood of their own, only what is left of these.
+  const double left = skin.redness * std::max(0.0, 1.0 - skin.regions);
+  blood_bumps_.push_back({0, 20, 13, 12, left * random.Uniform(0.3, 0.9)});
+  blood_bumps_.push_back({0, 44, 21, 5, left * 2.0});
+  blood_bumps_.push_back({0, 53, 18, 5.5, left * 2.2});
   for (int i = 0; i < skin.vessels; ++i)
     vessels_.push_back(i == 0 ? WalkVessel(random, -20, 10, -78)
                               : WalkVessel(random, -55, 30, random.Uniform(-85, 10)));
   if (skin.scar) scar_ = {{24, 12}, {31, 19}, {35, 28}, {44, 33}};
+  for (size_t r = 0; r < kFaceRegions; ++r) log_factors_[r] = LogOf(kRegionFactors[r], strength_);
+  log_scar_ = LogOf(kScarFactors, strength_);
+}
+
+double FaceSkin::ScarAt(double x, double y) const {
+  const double distance = DistanceTo(scar_, {x, y});
+  return distance < 6.0 ? std::exp(-distance * distance / (2 * kScarSigmaMm * kScarSigmaMm)) : 0.0;
 }
 
 SkinParameters FaceSkin::At(double x, double y) const {
@@ -66,13 +95,36 @@ SkinParameters FaceSkin::At(double x, double y) const {
       vessel = std::max(vessel, kVesselBlood * std::exp(-distance * distance / (2 * kVesselSigmaMm * kVesselSigmaMm)));
   }
   double blood = blood_ * (std::max(0.3, 1.0 + Sum(blood_bumps_, x, y)) + vessel);
-  if (const double distance = DistanceTo(scar_, {x, y}); distance < 6.0) {
-    const double pale = std::exp(-distance * distance / (2 * kScarSigmaMm * kScarSigmaMm));
-    melanin *= 1.0 - 0.7 * pale;
-    blood *= 1.0 - 0.6 * pale;
+  const double scar = ScarAt(x, y);
+  melanin *= 1.0 - (1.0 - kScarFactors.melanin) * scar;
+  blood *= 1.0 - (1.0 - kScarFactors.blood) * scar;
+  double epidermis_mm = epidermis_mm_, scattering = scattering_;
+  if (strength_ > 0.0) {
+    SkinFactors log{0.0, 0.0, 0.0, 0.0};
+    const RegionWeights weights = regions_.WeightsAt(x, y);
+    for (size_t r = 0; r < kFaceRegions; ++r) AddTo(log, weights[r], log_factors_[r]);
+    melanin *= std::exp(log.melanin);
+    blood *= std::exp(log.blood);
+    epidermis_mm = std::clamp(epidermis_mm * std::exp(log.epidermis + scar * log_scar_.epidermis), 0.05, 0.15);
+    scattering = ClampScattering(scattering * std::exp(log.scattering + scar * log_scar_.scattering), scattering_);
   }
   return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06)),
-          static_cast<float>(epidermis_mm_)};
+          static_cast<float>(epidermis_mm), static_cast<float>(scattering)};
+}
+
+SurfaceClass FaceSkin::ClassAt(double x, double y) const {
+  return ScarAt(x, y) > 0.5 ? SurfaceClass::kScar : ClassOf(regions_.At(x, y));
+}
+
+ScatteringRange ScatteringOf(const SkinDescription& skin) {
+  ScatteringRange range{skin.scattering, skin.scattering};
+  auto take = [&](const SkinFactors& f) {
+    const double here = ClampScattering(skin.scattering * std::pow(f.scattering, skin.regions), skin.scattering);
+    range = {std::min(range.least, here), std::max(range.most, here)};
+  };
+  for (const SkinFactors& f : kRegionFactors) take(f);
+  if (skin.scar) take(kScarFactors);
+  return range;
 }
 
 }  // namespace stratalux::rig

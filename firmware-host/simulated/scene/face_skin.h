@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Melanin and blood over a face: patches, freckles, cheeks and lips, vessels, a scar. Another seed, another skin.
+// The skin of a face: melanin and blood with patches, freckles, cheeks and lips, vessels and a scar; and, where regions
+// are wanted, thickness and scattering too. Another seed, another skin.
 #pragma once
 
 #include <Eigen/Core>
@@ -8,25 +9,41 @@
 
 #include "firmware-host/simulated/scene/bump.h"
 #include "firmware-host/simulated/scene/description.h"
+#include "firmware-host/simulated/scene/face_regions.h"
 #include "firmware-host/simulated/skin/skin_optics.h"
 
 namespace stratalux::rig {
 
 class FaceSkin {
  public:
-  FaceSkin(const SkinDescription& description, uint64_t seed);
-  // The same skin everywhere.
-  explicit FaceSkin(const SkinParameters& skin)
-      : melanin_(skin.melanin), blood_(skin.blood), epidermis_mm_(skin.epidermis_mm) {}
+  // `regions` lie where the head's features do; what of them is felt, `description.regions` says.
+  FaceSkin(const SkinDescription& description, const FaceRegions& regions, uint64_t seed);
 
   // At a point of the face's frame; within the skin table's range.
   [[nodiscard]] SkinParameters At(double x, double y) const;
+  // Of the skin there, whatever the strength of the regions: the region, or the scar that crosses it.
+  [[nodiscard]] SurfaceClass ClassAt(double x, double y) const;
 
  private:
-  double melanin_ = 0.03, blood_ = 0.004, epidermis_mm_ = kEpidermisMm;
+  // 1 on the scar's axis, falling over a millimetre.
+  [[nodiscard]] double ScarAt(double x, double y) const;
+
+  FaceRegions regions_;
+  // Logarithm of a region's factors, times the strength.
+  std::array<SkinFactors, kFaceRegions> log_factors_{};
+  SkinFactors log_scar_{0.0, 0.0, 0.0, 0.0};
+  double strength_ = 0.0;
+  double melanin_ = 0.03, blood_ = 0.004, epidermis_mm_ = kEpidermisMm, scattering_ = 1.0;
   std::vector<Bump> melanin_bumps_, blood_bumps_;  // relative: value = base (1 + sum)
   std::vector<Polyline> vessels_;
   Polyline scar_;
 };
+
+// Scattering over a face of this description. Regions keep it within 0.5 .. 1.1, or as far beyond as the description's
+// own lies.
+struct ScatteringRange {
+  double least = 1.0, most = 1.0;
+};
+[[nodiscard]] ScatteringRange ScatteringOf(const SkinDescription& description);
 
 }  // namespace stratalux::rig

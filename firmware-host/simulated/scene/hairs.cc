@@ -28,23 +28,23 @@ void HairMap::Grow(const HairField& field, uint64_t seed, uint64_t stream,
       const double root_x = x + pitch * random.Uniform(), root_y = y + pitch * random.Uniform();
       const double angle = field.direction_rad + random.Uniform(-0.5, 0.5);
       const double length = field.length_mm * random.Uniform(0.6, 1.0);
-      if (region(root_x, root_y)) Draw(root_x, root_y, angle, length, field.width_mm);
+      if (region(root_x, root_y)) Draw(root_x, root_y, angle, length, field);
     }
 }
 
-void HairMap::Draw(double x, double y, double angle_rad, double length_mm, double width_mm) {
-  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad), half = 0.5 * width_mm;
+void HairMap::Draw(double x, double y, double angle_rad, double length_mm, const HairField& field) {
+  const double dx = std::cos(angle_rad), dy = std::sin(angle_rad), half = 0.5 * field.width_mm;
   for (double along = 0.0; along <= length_mm; along += 0.5 * kHairCellMm)
     for (double across = -half; across <= half; across += 0.5 * kHairCellMm) {
       const int column = CellOf(x + along * dx - across * dy, kHalfWidthMm);
       const int row = CellOf(y + along * dy + across * dx, kHalfHeightMm);
-      if (covered_.contains(column, row)) covered_(column, row) = 1;
+      if (covered_.contains(column, row)) covered_(column, row) = static_cast<uint8_t>(field.surface);
     }
 }
 
-bool HairMap::CoversAt(double x, double y) const {
+SurfaceClass HairMap::At(double x, double y) const {
   const int column = CellOf(x, kHalfWidthMm), row = CellOf(y, kHalfHeightMm);
-  return covered_.contains(column, row) && covered_(column, row) != 0;
+  return covered_.contains(column, row) ? static_cast<SurfaceClass>(covered_(column, row)) : SurfaceClass::kNone;
 }
 
 }  // namespace stratalux::rig

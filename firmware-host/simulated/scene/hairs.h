@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 
+#include "shared/capture/surface_class.h"
 #include "shared/image/image.h"
 
 namespace stratalux::rig {
@@ -14,6 +15,7 @@ struct HairField {
   double length_mm = 1.0;  // of the longest; the shortest has 0.6 of it
   double width_mm = 0.1;
   double direction_rad = 0.0;  // from +x towards +y; each hair turns by up to +-0.5 from it
+  SurfaceClass surface = SurfaceClass::kHair;
 };
 
 class HairMap {
@@ -21,11 +23,12 @@ class HairMap {
   // One hair from each cell of a jittered lattice whose root lies where `region`(x, y) holds. Another `stream`, other
   // hairs.
   void Grow(const HairField& field, uint64_t seed, uint64_t stream, const std::function<bool(double, double)>& region);
-  [[nodiscard]] bool CoversAt(double x, double y) const;
+  // What hair lies there, the one grown last on top; kNone: none.
+  [[nodiscard]] SurfaceClass At(double x, double y) const;
 
  private:
-  void Draw(double x, double y, double angle_rad, double length_mm, double width_mm);
-  Image<uint8_t> covered_;  // empty: no hair
+  void Draw(double x, double y, double angle_rad, double length_mm, const HairField& field);
+  Image<uint8_t> covered_;  // SurfaceClass; empty: no hair
 };
 
 }  // namespace stratalux::rig

@@ -2,6 +2,7 @@
 #include "firmware-host/simulated/scene/head.h"
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -12,18 +13,24 @@ namespace stratalux::rig {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr double kEyeX = 31.0, kEyeHalfWidth = 13.5, kEyeHalfHeight = 4.8;
 constexpr double kIrisRadius = 5.9, kPupilRadius = 1.9;
 constexpr double kPorePitch = 0.9, kPoreSigma = 0.12, kPoresHalfMm = 120.0;
 constexpr double kHairline = -84.0;  // y of the hair's edge above the nose
+// A nostril seen from the front: shallow, since the head has no inside. Its dark part reaches to 1.2 of the pit's half
+// axes; what little leaves a cavity of skin is reddish.
+constexpr double kNostrilHalfWidthMm = 3.0, kNostrilHalfHeightMm = 1.7, kNostrilDepthMm = 1.5, kNostrilReach = 1.2;
+constexpr std::array<float, 3> kNostrilAlbedo = {0.03F, 0.012F, 0.01F};
 
 // Brow hairs lie outwards, head hair upwards, a beard's stubble down.
-constexpr HairField kBrowHair = {.per_cm2 = 330.0, .length_mm = 6.0, .width_mm = 0.12, .direction_rad = 0.25};
+constexpr HairField kBrowHair = {
+    .per_cm2 = 330.0, .length_mm = 6.0, .width_mm = 0.12, .direction_rad = 0.25, .surface = SurfaceClass::kBrow};
 constexpr HairField kHeadHair = {.per_cm2 = 800.0, .length_mm = 5.0, .width_mm = 0.2, .direction_rad = -1.5};
 constexpr double kStubbleWidthMm = 0.11, kStubbleDirectionRad = 1.4;
 constexpr double kPi = 3.141592653589793;
 
-Material Hair() { return Material::Opaque(MaterialKind::kHair, {0.035F, 0.025F, 0.02F}, 0.5F, 0.35F); }
+Material Hair(SurfaceClass surface) {
+  return Material::Opaque(MaterialKind::kHair, {0.035F, 0.025F, 0.02F}, 0.5F, 0.35F, surface);
+}
 
 bool InBrow(double x, double y) {
   const double u = (std::abs(x) - 32.0) / 20.0;
@@ -38,45 +45,28 @@ bool InBeard(double x, double y) {
   return !lips && (above_lip || jaw || y > 58.0);
 }
 
+// Between the tip of the nose and its wing, where the tip turns under.
+Bump NostrilOf(const FaceFeatures& f) {
+  return {0.5 * f.wing.cx, f.tip.cy + 0.8 * f.tip.sy, kNostrilHalfWidthMm, kNostrilHalfHeightMm, -kNostrilDepthMm};
+}
+
 }  // namespace
 
-Head::Head(const HeadDescription& description, FaceSkin skin, uint64_t seed)
-    : description_(description), skin_(std::move(skin)), seed_(seed) {
-  AddFeatures();
+Head::Head(const HeadDescription& description, const FaceFeatures& features, FaceSkin skin, const FaceSurface& surface,
+           uint64_t seed)
+    : description_(description),
+      features_(features),
+      skin_(std::move(skin)),
+      surface_(surface),
+      seed_(seed),
+      bumps_(features.Bumps()),
+      nostril_(NostrilOf(features)),
+      eye_y_(features.lid.cy) {
+  if (description_.nostrils) bumps_.insert(bumps_.end(), {nostril_, Mirrored(nostril_)});
   if (description_.wrinkles_mm > 0.0) AddWrinkles();
   if (description_.pores_mm > 0.0) AddPores();
   GrowHair();
   Tabulate();
-}
-
-// Proportions of an adult face in mm; every length and height varies by seed.
-void Head::AddFeatures() {
-  const HeadDescription& d = description_;
-  Random random(seed_, 1);
-  auto vary = [&](double v) { return v * random.Uniform(1.0 - d.variation, 1.0 + d.variation); };
-  radius_x_ = d.width * vary(76);
-  radius_y_ = d.height * vary(102);
-  radius_z_ = d.depth * vary(85);
-  auto add = [&](double cx, double cy, double sx, double sy, double amplitude) {
-    bumps_.push_back({cx, cy, sx, sy, amplitude});
-  };
-  auto add_pair = [&](double cx, double cy, double sx, double sy, double amplitude) {
-    add(cx, cy, sx, sy, amplitude);
-    add(-cx, cy, sx, sy, amplitude);
-  };
-  const double nose = d.nose * vary(1.0), tip_y = vary(19);
-  add(0, vary(-2), vary(9), vary(24), 11 * nose);                // bridge
-  add(0, tip_y, vary(11), vary(11), 15 * nose);                  // tip
-  add_pair(vary(13), tip_y + 3, vary(7), vary(7), 6 * nose);     // wings
-  add_pair(vary(31), vary(-20), vary(17), vary(12), vary(-10));  // eye sockets
-  add_pair(vary(31), vary(-19), vary(10), vary(8), vary(5));     // lids over the eyes
-  add(0, vary(-38), vary(52), vary(11), d.brow * vary(4.5));     // brow ridge
-  add_pair(vary(43), vary(12), vary(22), vary(19), d.cheekbones * vary(6));
-  add(0, vary(43), vary(22), vary(5), d.lips * vary(4.5));  // upper lip
-  add(0, vary(53), vary(18), vary(6), d.lips * vary(5));    // lower lip
-  add(0, vary(63), vary(22), vary(6), vary(-3.5));          // fold above the chin
-  add(0, vary(79), vary(19), vary(14), d.chin * vary(9));   // chin
-  eye_y_ = bumps_[6].cy;
 }
 
 void Head::AddWrinkles() {
@@ -111,11 +101,11 @@ void Head::AddWrinkles() {
 }
 
 double Head::Height(double x, double y) const {
-  const double u = x / radius_x_, v = y / radius_y_;
+  const double u = x / features_.radius_x_mm, v = y / features_.radius_y_mm;
   // A superellipse keeps the forehead and cheeks fuller than an ellipsoid.
   const double q = 1.0 - std::pow(u * u, 1.15) - std::pow(v * v, 1.25);
   if (!(q > 0.0)) return kNaN;
-  double height = centre_z_ - radius_z_ * std::sqrt(q) - Sum(bumps_, x, y);
+  double height = centre_z_ - features_.radius_z_mm * std::sqrt(q) - Sum(bumps_, x, y);
   for (const Wrinkle& w : wrinkles_) {
     if (!w.reach.contains(Eigen::Vector2d(x, y))) continue;
     const double distance = DistanceTo(w.line, {x, y});
@@ -162,8 +152,9 @@ void Head::GrowHair() {
   if (description_.hair)
     hairs_.Grow(kHeadHair, seed_, 8, [](double x, double y) { return y < kHairline + 0.008 * x * x; });
   if (description_.stubble_per_cm2 > 0.0)
-    hairs_.Grow({description_.stubble_per_cm2, description_.stubble_mm, kStubbleWidthMm, kStubbleDirectionRad}, seed_,
-                9, InBeard);
+    hairs_.Grow({description_.stubble_per_cm2, description_.stubble_mm, kStubbleWidthMm, kStubbleDirectionRad,
+                 SurfaceClass::kStubble},
+                seed_, 9, InBeard);
 }
 
 std::optional<Material> Head::EyeAt(double x, double y) const {
@@ -172,7 +163,7 @@ std::optional<Material> Head::EyeAt(double x, double y) const {
   if (std::abs(q) >= 1.0 || std::abs(v) >= kEyeHalfHeight * (1.0 - q * q)) return std::nullopt;
   const double r = std::hypot(u, v + 0.6);
   Random random(seed_, 5);
-  Material eye = Material::Opaque(MaterialKind::kEye, {0.62F, 0.55F, 0.5F}, 0.9F, 0.08F);
+  Material eye = Material::Opaque(MaterialKind::kEye, {0.62F, 0.55F, 0.5F}, 0.9F, 0.08F, SurfaceClass::kEye);
   if (r < kIrisRadius) {  // brown to blue
     const auto t = static_cast<float>(random.Uniform());
     eye.albedo = {0.12F - 0.06F * t, 0.06F + 0.05F * t, 0.03F + 0.11F * t};
@@ -181,18 +172,24 @@ std::optional<Material> Head::EyeAt(double x, double y) const {
   return eye;
 }
 
+bool Head::InNostril(double x, double y) const {
+  return std::hypot((std::abs(x) - nostril_.cx) / nostril_.sx, (y - nostril_.cy) / nostril_.sy) < kNostrilReach;
+}
+
 Material Head::MaterialAt(const Eigen::Vector3d& point, EyeLids lids) const {
   const double x = point.x(), y = point.y();
   if (description_.eyes == Eyes::kOpen && lids == EyeLids::kAsDescribed)
     if (const auto eye = EyeAt(x, y)) return *eye;
-  if (hairs_.CoversAt(x, y)) return Hair();
-  SkinParameters skin = skin_.At(x, y);
+  if (description_.nostrils && InNostril(x, y))
+    return Material::Opaque(MaterialKind::kMatt, kNostrilAlbedo, 0.0F, 1.0F, SurfaceClass::kNostril);
+  if (const SurfaceClass hair = hairs_.At(x, y); hair != SurfaceClass::kNone) return Hair(hair);
   // The slit of a closed eye: lashes.
   if (description_.eyes != Eyes::kNone) {
     const double q = (std::abs(x) - kEyeX) / kEyeHalfWidth;
-    if (std::abs(q) < 1.0 && std::abs(y - eye_y_ - 0.8 * kEyeHalfHeight * (1.0 - q * q)) < 0.5) return Hair();
+    if (std::abs(q) < 1.0 && std::abs(y - eye_y_ - 0.8 * kEyeHalfHeight * (1.0 - q * q)) < 0.5)
+      return Hair(SurfaceClass::kLashes);
   }
-  return Material::Skin(skin);
+  return Material::Skin(skin_.At(x, y), surface_.At(x, y), skin_.ClassAt(x, y));
 }
 
 }  // namespace stratalux::rig

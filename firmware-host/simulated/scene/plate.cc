@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "firmware-host/simulated/scene/aruco_markers.h"
+#include "firmware-host/simulated/scene/srgb.h"
 
 namespace stratalux::rig {
 namespace {
@@ -21,12 +22,6 @@ std::array<float, 3> Grey(double albedo) {
   return {a, a, a};
 }
 
-// Linear from sRGB, 8 bits.
-float Linear(int srgb) {
-  const double v = srgb / 255.0;
-  return static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
-}
-
 }  // namespace
 
 // sRGB of the patches: McCamy, Marcus, Davidson, "A color-rendition chart" (1976), as published for D65 by X-Rite.
@@ -40,7 +35,7 @@ const std::array<std::array<float, 3>, 24>& ColourChart() {
                                   {160, 160, 160}, {122, 122, 121}, {85, 85, 85},   {52, 52, 52}};
     std::array<std::array<float, 3>, 24> albedo{};
     for (size_t i = 0; i < albedo.size(); ++i)
-      for (size_t c = 0; c < 3; ++c) albedo[i][c] = Linear(kSrgb[i][c]);
+      for (size_t c = 0; c < 3; ++c) albedo[i][c] = static_cast<float>(LinearFromSrgb(kSrgb[i][c] / 255.0));
     return albedo;
   }();
   return chart;

@@ -4,8 +4,10 @@
 #include <Eigen/Geometry>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "firmware-host/simulated/scene/head.h"
+#include "firmware-host/simulated/scene/mesh.h"
 #include "firmware-host/simulated/scene/plate.h"
 #include "firmware-host/simulated/scene/solids.h"
 #include "shared/units/angle.h"
@@ -26,18 +28,31 @@ Rigid3 PoseOf(const PoseDescription& pose, const Eigen::Vector3d& offset_mm) {
   return rig_from_shape;
 }
 
-std::shared_ptr<const Shape> MakeShape(const SceneDescription& scene, uint64_t seed) {
+template <typename T, typename... Arguments>
+std::shared_ptr<const Shape> Make(Arguments&&... arguments) {
+  return std::make_shared<const T>(std::forward<Arguments>(arguments)...);
+}
+
+Result<std::shared_ptr<const Shape>> MakeShape(const SceneDescription& scene, uint64_t seed, const SkinTable* table) {
+  const FaceFeatures features = FaceFeatures::Of(scene.head, seed);
+  const FaceSkin skin(scene.skin, FaceRegions(features), seed);
+  const FaceSurface surface(scene.surface);
   switch (scene.shape) {
     case ShapeKind::kHead:
-      return std::make_shared<Head>(scene.head, FaceSkin(scene.skin, seed), seed);
+      return Make<Head>(scene.head, features, skin, surface, seed);
     case ShapeKind::kPlane:
-      return std::make_shared<TiltedPlane>(FaceSkin(scene.skin, seed));
+      return Make<TiltedPlane>(skin, surface);
     case ShapeKind::kSphere:
-      return std::make_shared<Sphere>(FaceSkin(scene.skin, seed));
+      return Make<Sphere>(skin, surface);
     case ShapeKind::kBowl:
-      return std::make_shared<Bowl>(scene.plate.light_albedo);
+      return Make<Bowl>(scene.plate.light_albedo);
+    case ShapeKind::kMesh: {
+      SLX_ASSIGN_OR_RETURN(std::shared_ptr<const Shape> mesh,
+                           Mesh::Create(scene.mesh, scene.skin, surface, seed, table));
+      return mesh;
+    }
     default:
-      return std::make_shared<Plate>(scene.shape, scene.plate);
+      return Make<Plate>(scene.shape, scene.plate);
   }
 }
 
@@ -48,11 +63,11 @@ Result<Scene> Scene::Create(const std::string& name, uint64_t seed) {
   return Create(description, seed);
 }
 
-Result<Scene> Scene::Create(const SceneDescription& description, uint64_t seed) {
+Result<Scene> Scene::Create(const SceneDescription& description, uint64_t seed, const SkinTable* table) {
   SLX_RETURN_IF_ERROR(description.Validate());
   Scene scene;
   scene.description_ = description;
-  scene.shape_ = MakeShape(description, description.seed.value_or(seed));
+  SLX_ASSIGN_OR_RETURN(scene.shape_, MakeShape(description, description.seed.value_or(seed), table));
   return scene.In({});
 }
 
@@ -104,7 +119,9 @@ Eigen::Vector3d Scene::Normal(const Eigen::Vector3d& point) const {
 
 Material Scene::MaterialAt(const Eigen::Vector3d& point) const {
   Material material = shape_->MaterialAt(ToShape(point), state_.lids);
-  if (uniform_skin_) material = Material::Skin(*uniform_skin_);
+  if (uniform_skin_)
+    material =
+        Material::Skin(*uniform_skin_, material.kind == MaterialKind::kSkin ? material.surface : SurfaceReflection{});
   return material;
 }
 

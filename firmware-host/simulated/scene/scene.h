@@ -8,9 +8,11 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "firmware-host/simulated/scene/description.h"
 #include "firmware-host/simulated/scene/shape.h"
+#include "firmware-host/simulated/skin/skin_table.h"
 #include "shared/base/result.h"
 #include "shared/geometry/rigid3.h"
 
@@ -28,8 +30,9 @@ struct SubjectState {
 
 class Scene {
  public:
-  // The description's seed, else `seed`.
-  static Result<Scene> Create(const SceneDescription& description, uint64_t seed);
+  // The description's seed, else `seed`. `table`: against which the colours of a mesh's picture are solved; null: such
+  // a scene is refused. kUsage for what a description, or the files that it names, may not say.
+  static Result<Scene> Create(const SceneDescription& description, uint64_t seed, const SkinTable* table = nullptr);
   // The plain scene of a shape's name.
   static Result<Scene> Create(const std::string& name, uint64_t seed);
   // The same skin everywhere, for subjects whose light can be computed by hand.
@@ -50,6 +53,8 @@ class Scene {
   [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point) const;
   // Of the skin at a surface point; meaningless where the material is none.
   [[nodiscard]] SkinParameters Skin(const Eigen::Vector3d& point) const { return MaterialAt(point).skin; }
+  // What whoever described the scene should be told, a line each.
+  [[nodiscard]] std::vector<std::string> Remarks() const { return shape_->Remarks(); }
   [[nodiscard]] const std::string& name() const { return description_.name; }
   [[nodiscard]] const SceneDescription& description() const { return description_; }
 

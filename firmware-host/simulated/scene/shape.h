@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// A subject's surface, z = h(x, y) in a frame of its own: the rig frame (camera at the origin, +z forward) while the
+// A subject's surface in a frame of its own: the rig frame (camera at the origin, +z forward) while the
 // subject rests. Lengths in mm. Immutable, hence safe from any thread.
 #pragma once
 
 #include <Eigen/Core>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "firmware-host/simulated/scene/material.h"
 #include "shared/geometry/rigid3.h"
@@ -17,15 +19,17 @@ enum class EyeLids { kAsDescribed, kClosed };
 class Shape {
  public:
   virtual ~Shape() = default;
-  // Depth of the surface; NaN where there is none.
+  // Depth of the surface as seen along z; NaN where there is none.
   [[nodiscard]] virtual double Height(double x, double y) const = 0;
   // First point of the ray on the surface.
   [[nodiscard]] virtual std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const = 0;
-  // Unit normal at a surface point, towards -z.
+  // Unit normal at a surface point, out of the body: towards -z where it is seen from the front.
   [[nodiscard]] virtual Eigen::Vector3d Normal(const Eigen::Vector3d& point) const = 0;
   // Whether the surface itself stands between two of its points.
   [[nodiscard]] virtual bool Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const = 0;
   [[nodiscard]] virtual Material MaterialAt(const Eigen::Vector3d& point, EyeLids lids) const = 0;
+  // What whoever described it should be told, a line each.
+  [[nodiscard]] virtual std::vector<std::string> Remarks() const { return {}; }
 };
 
 // A curved surface, between 560 and 800 mm from the camera and within 170 mm of its axis: rays are marched through a

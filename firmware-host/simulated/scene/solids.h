@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "firmware-host/simulated/scene/face_skin.h"
+#include "firmware-host/simulated/scene/face_surface.h"
 #include "firmware-host/simulated/scene/shape.h"
 
 namespace stratalux::rig {
@@ -12,27 +13,29 @@ namespace stratalux::rig {
 // Turned by 10 degrees about y, 700 mm away on the axis, without an edge in sight.
 class TiltedPlane : public HeightField {
  public:
-  explicit TiltedPlane(FaceSkin skin) : skin_(std::move(skin)) { Tabulate(); }
+  TiltedPlane(FaceSkin skin, const FaceSurface& surface) : skin_(std::move(skin)), surface_(surface) { Tabulate(); }
   [[nodiscard]] double Height(double x, double y) const override;
   [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point, EyeLids) const override {
-    return Material::Skin(skin_.At(point.x(), point.y()));
+    return Material::Skin(skin_.At(point.x(), point.y()), surface_.At(point.x(), point.y()));
   }
 
  private:
   FaceSkin skin_;
+  FaceSurface surface_;
 };
 
 // Radius 80 mm, centre 760 mm away on the axis.
 class Sphere : public HeightField {
  public:
-  explicit Sphere(FaceSkin skin) : skin_(std::move(skin)) { Tabulate(); }
+  Sphere(FaceSkin skin, const FaceSurface& surface) : skin_(std::move(skin)), surface_(surface) { Tabulate(); }
   [[nodiscard]] double Height(double x, double y) const override;
   [[nodiscard]] Material MaterialAt(const Eigen::Vector3d& point, EyeLids) const override {
-    return Material::Skin(skin_.At(point.x(), point.y()));
+    return Material::Skin(skin_.At(point.x(), point.y()), surface_.At(point.x(), point.y()));
   }
 
  private:
   FaceSkin skin_;
+  FaceSurface surface_;
 };
 
 // The far half of a sphere of radius 80 mm about the point 660 mm away on the axis, seen from inside, sunk into a flat

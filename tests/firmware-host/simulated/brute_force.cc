@@ -32,18 +32,54 @@ double Transmittance(double n_from, double n_to, double cos_from, double cos_to)
   return 1.0 - 0.5 * (s * s + p * p);
 }
 
-// The rig's surface reflection, from docs/simulated-rig.md: GGX facets of slope 0.35, Smith's shadowing for each of the
-// two directions, Schlick's Fresnel from 0.028.
-double SurfaceBrdf(const Vector3d& n, const Vector3d& in, const Vector3d& out) {
+// The rig's surface reflection by other formulas than its own (docs/simulated-rig.md, "Surface"); 1 / sr. GGX facets
+// with Smith's shadowing for each of the two directions and Schlick's Fresnel from 0.028.
+double GgxBrdf(double alpha, double ci, double co, double ch, double ih) {
+  const double alpha2 = alpha * alpha, tan2_h = 1.0 / (ch * ch) - 1.0;
+  const double facets = 1.0 / (kPi * alpha2 * std::pow(ch, 4) * std::pow(1.0 + tan2_h / alpha2, 2));
+  auto unshadowed = [alpha2](double c) { return 2.0 / (1.0 + std::sqrt(1.0 + alpha2 * (1.0 / (c * c) - 1.0))); };
+  const double fresnel = 0.028 + 0.972 * std::pow(1.0 - ih, 5);
+  return facets * fresnel * unshadowed(ci) * unshadowed(co) / (4.0 * ci * co);
+}
+
+// Facets of Gaussian slopes: their density, and of those that a direction sees the area in its own projection, by
+// quadrature over the slope along it.
+double BeckmannBrdf(double m, double index, double ci, double co, double ch, double ih) {
+  const double slope2 = 1.0 / (ch * ch) - 1.0;
+  const double density = std::exp(-slope2 / (m * m)) / (kPi * m * m);  // of slopes
+  auto seen = [m](double c) {
+    constexpr int kSteps = 200;
+    const double s = std::sqrt(1.0 - c * c), step = 12.0 * m / kSteps;
+    double sum = 0.0;
+    for (int k = 0; k < kSteps; ++k) {
+      const double slope = (k + 0.5) * step - 6.0 * m;
+      sum += std::exp(-slope * slope / (m * m)) * std::max(0.0, c - s * slope);
+    }
+    return sum * step / (m * std::sqrt(kPi) * c);
+  };
+  const double inside = std::sqrt(1.0 - (1.0 - ih * ih) / (index * index));
+  return density / std::pow(ch, 4) * (1.0 - Transmittance(1.0, index, ih, inside)) /
+         ((seen(ci) + seen(co) - 1.0) * 4.0 * ci * co);
+}
+
+double SurfaceBrdf(const SurfaceReflection& surface, const Vector3d& n, const Vector3d& in, const Vector3d& out) {
   const double ci = n.dot(in), co = n.dot(out);
   if (ci <= 0.0 || co <= 0.0) return 0.0;
-  constexpr double kAlpha2 = 0.35 * 0.35;
   const Vector3d half = (in + out).normalized();
-  const double tan2_h = 1.0 / std::pow(n.dot(half), 2) - 1.0;
-  const double facets = 1.0 / (kPi * kAlpha2 * std::pow(n.dot(half), 4) * std::pow(1.0 + tan2_h / kAlpha2, 2));
-  auto unshadowed = [](double c) { return 2.0 / (1.0 + std::sqrt(1.0 + kAlpha2 * (1.0 / (c * c) - 1.0))); };
-  const double fresnel = 0.028 + 0.972 * std::pow(1.0 - half.dot(in), 5);
-  return facets * fresnel * unshadowed(ci) * unshadowed(co) / (4.0 * ci * co);
+  const double ch = n.dot(half), ih = half.dot(in);
+  double facets = 0.0;
+  if (surface.form == FacetForm::kGgx) {
+    facets = GgxBrdf(surface.roughness, ci, co, ch, ih);
+  } else {
+    facets = (1.0 - surface.wide_share) * BeckmannBrdf(surface.roughness, surface.index, ci, co, ch, ih) +
+             surface.wide_share * BeckmannBrdf(surface.wide_roughness, surface.index, ci, co, ch, ih);
+  }
+  // Hairs, slice by slice of the layer above the facets.
+  constexpr int kSlices = 16;
+  const double slice = surface.fuzz_depth / kSlices, path = 1.0 / ci + 1.0 / co;
+  double fuzz = 0.0;
+  for (int k = 0; k < kSlices; ++k) fuzz += slice / (4.0 * kPi * ci * co) * std::exp(-(k + 0.5) * slice * path);
+  return surface.strength * facets * std::exp(-surface.fuzz_depth * path) + fuzz;
 }
 
 // Continuous image of a projector: square pixels under a Gaussian blur.
@@ -116,7 +152,7 @@ bool Visible(const Scene& scene, const Vector3d& point, const Vector3d& lamp) {
 class Walker {
  public:
   explicit Walker(const PixelJob& job) : job_(job), skin_(kGrid * kGrid) {
-    const Tissue clear = ClearSkin(job.colour, {});  // skin and subcutis
+    const Tissue clear = ClearSkin(job.colour, {}, job.scene.Skin(job.centre).scattering);  // skin and subcutis
     g_ = clear.layers[0].g;
     scatter_ = {clear.layers[0].mu_s_per_mm, clear.layers[0].mu_s_per_mm, clear.layers[1].mu_s_per_mm};
     subcutis_absorption_ = SkinAbsorption(job.colour, {})[2];
@@ -162,11 +198,12 @@ class Walker {
   }
 
   void Reflect(const Vector3d& n, const Vector3d& out, std::vector<double>& direct) const {
+    const SurfaceReflection surface = job_.scene.MaterialAt(entry_).surface;
     for (size_t l = 0; l < direct.size(); ++l) {
       const int p = job_.lamp_of_light[l];
       const Falling light = FallingLight(p, entry_, n);
       if (light.white_dn > 0.0)
-        direct[l] += kPi * SurfaceBrdf(n, (job_.lamps[p].centre - entry_).normalized(), out) * light.white_dn *
+        direct[l] += kPi * SurfaceBrdf(surface, n, (job_.lamps[p].centre - entry_).normalized(), out) * light.white_dn *
                      job_.projections[l].Intensity(light.column_row);
     }
   }
@@ -181,8 +218,8 @@ class Walker {
     if (!skin.known) {
       const Vector3d offset((u - kGrid / 2) * kGridMm, (v - kGrid / 2) * kGridMm, 0.0);
       Vector3d point = job_.centre + offset;
+      if (const double z = job_.scene.Height(point.x(), point.y()); !std::isnan(z)) point.z() = z;
       const SkinParameters parameters = job_.scene.Skin(point);
-      point.z() = job_.scene.Height(point.x(), point.y());
       skin = {true, job_.scene.Normal(point), parameters.epidermis_mm, SkinAbsorption(job_.colour, parameters)};
       for (double& a : skin.absorption) a = std::min(a, job_.most_absorption);
     }
@@ -307,7 +344,9 @@ double MostAbsorption(const Scene& scene, const Vector3d& centre, int colour) {
   double most = 0.0;
   for (double dy = -6.0; dy <= 6.0; dy += 0.25)
     for (double dx = -6.0; dx <= 6.0; dx += 0.25) {
-      const auto a = SkinAbsorption(colour, scene.Skin(centre + Vector3d(dx, dy, 0.0)));
+      Vector3d point = centre + Vector3d(dx, dy, 0.0);
+      if (const double z = scene.Height(point.x(), point.y()); !std::isnan(z)) point.z() = z;
+      const auto a = SkinAbsorption(colour, scene.Skin(point));
       most = std::max({most, a[0], a[1], a[2]});
     }
   return 1.05 * most;

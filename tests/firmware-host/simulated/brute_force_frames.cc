@@ -65,7 +65,9 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
   quiet.noise = false;
   SLX_ASSIGN_OR_RETURN(const auto rig, SimulatedRig::Create(quiet, logger));
   SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(quiet.scene));
-  SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed));
+  SLX_ASSIGN_OR_RETURN(const SkinTable table,
+                       SkinTable::Load(quiet.skin_table.empty() ? SkinTable::DefaultPath() : quiet.skin_table));
+  SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed, &table));
   SLX_RETURN_IF_ERROR(rig->camera().Start());
   // Lines and spots are dim: longer exposures keep the rounding small.
   auto longer = [](const NamedLight& l) { return l.light.pattern.kind == PatternKind::kWhite ? 1.0 : 4.0; };

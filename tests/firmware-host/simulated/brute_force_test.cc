@@ -52,6 +52,29 @@ TEST(BruteForce, WhiteLightOnAPlaneIsTheLayeredMonteCarlos) {
   }
 }
 
+TEST(BruteForce, SurfaceOfTheRigIsThatOfThePhotons) {
+  // Formulas written apart: density of slopes and quadratures there, closed forms in the rig. The photons start all
+  // over the pixel's footprint, the rig takes its middle.
+  for (const SkinSurface form : {SkinSurface::kGgx, SkinSurface::kBeckmann, SkinSurface::kTwoLobes})
+    for (const double light_deg : {-25.0, 10.0, 65.0}) {
+      const FlatWorld world({.light_deg = light_deg});
+      SceneDescription description = *SceneOfName("plane");
+      description.surface = {.form = form, .oiliness = 0.7, .fuzz = 1.0};
+      const Scene scene = *Scene::Create(description, 1);
+      SubjectPixel pixel = world.Pixel();
+      pixel.material = scene.MaterialAt(pixel.point);
+      const std::vector<SubjectPixel> pixels = {pixel};
+      std::vector<float> subsurface(1, 0.0F), direct(1, 0.0F);
+      LightTransport(scene, world.table(), world.albedo(), world.rig(), 0, pixels, {})
+          .Render(kWhite, subsurface, direct);
+      const std::vector<ProjectedLight> lights = {{0, kWhite}};
+      const auto traced = TracePixel(scene, world.rig(), pixel.x, pixel.y, lights, {.photons = 400});
+      EXPECT_GT(traced[0].direct, 0.005 * world.Irradiance(pixel.point, 0));
+      EXPECT_NEAR(direct[0] / traced[0].direct, 1.0, 0.003 + 4.0 * traced[0].direct_error / traced[0].direct)
+          << static_cast<int>(form) << ", " << light_deg;
+    }
+}
+
 TEST(BruteForce, FramesOfTheRigAreThoseOfThePhotons) {
   // White, stripe and spot of two projectors on six pixels of the head, two places in three colours. The long run and
   // what it found: docs/simulated-rig.md.

@@ -54,6 +54,8 @@ TEST_F(SceneFile, EveryComplaintNamesFileLineAndRemedy) {
       {"[subject]\nposition_mm = [1, 2]\n", ":2: position_mm takes three numbers"},
       {"[subject]\nshape = \"charuco\"\n[plate]\nmarker_mm = 30\n", "must be smaller than square_mm"},
       {"[subject]\nshape = \"charuco\"\n[plate]\ncolumns = 20\nrows = 20\n", "50 markers"},
+      {"[surface]\nform = \"velvet\"\n", ":2: form 'velvet' is unknown; allowed: ggx, beckmann, two_lobes"},
+      {"[surface]\noiliness = 1.2\n", ":2"},
       {"[subject\n", ":1"},
   };
   for (const auto& c : cases) {
@@ -126,6 +128,22 @@ TEST_F(SceneFile, APoseMovesSurfaceNormalAndMaterialTogether) {
       EXPECT_LT((turned.Normal(*hit) - rotate({0, 0, -1})).norm(), 1e-12);
       EXPECT_EQ(turned.MaterialAt(*hit).albedo, resting.MaterialAt({x, y, 700}).albedo);
     }
+}
+
+TEST_F(SceneFile, TheSurfaceIsThatOfTheSkinAlone) {
+  const Scene plain = Make("[subject]\nseed = 4\n[head]\neyes = \"open\"\nvariation = 0\n");
+  const Scene oily = Make(
+      "[subject]\nseed = 4\n[head]\neyes = \"open\"\nvariation = 0\n[surface]\nform = \"two_lobes\"\noiliness = 0.8\n"
+      "fuzz = 1\n");
+  const Eigen::Vector3d pupil(31, -20.6, 700), forehead(0, -64, 650), cheek(45, 16, 680);
+  EXPECT_EQ(oily.MaterialAt(pupil).surface.form, FacetForm::kGgx);
+  EXPECT_EQ(oily.MaterialAt(pupil).surface.fuzz_depth, 0.0F);
+  EXPECT_EQ(plain.MaterialAt(forehead).surface.form, FacetForm::kGgx);
+  EXPECT_EQ(oily.MaterialAt(cheek).surface.form, FacetForm::kBeckmann);
+  EXPECT_LT(oily.MaterialAt(forehead).surface.wide_share, oily.MaterialAt(cheek).surface.wide_share - 0.2F);
+  EXPECT_GT(oily.MaterialAt(cheek).surface.fuzz_depth, 0.0F);
+  // It says nothing of the light inside.
+  EXPECT_EQ(oily.Skin(cheek).melanin, plain.Skin(cheek).melanin);
 }
 
 TEST_F(SceneFile, BoardSquaresAreWhereTheSquareSizeSays) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "firmware-host/simulated/skin_albedo.h"
+#include "firmware-host/simulated/scene/skin_albedo.h"
 
 #include <cmath>
 
