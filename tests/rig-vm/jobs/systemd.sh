@@ -236,7 +236,8 @@ next_batch() {
   need "was started anew" [ "$(main_pid)" = "$before" ]
 }
 
-# A visitor who was captured here, fitted in the batch's own sandbox: the quickest fit that goes the whole road.
+# An encrypted visitor whose keys stayed on its rig, fitted in the batch's own sandbox by its credential: the quickest fit
+# that goes the whole road. Without the credential nobody is fitted.
 is_over() { ran "$1" || [ "$(of_unit "$1" ActiveState)" = failed ]; }
 night_of_fits() {
   cp /share/libraries/* /usr/lib/x86_64-linux-gnu/
@@ -248,14 +249,26 @@ night_of_fits() {
   printf 'name = "face"\n[subject]\nshape = "head"\n[camera]\ncfa = "mono"\n' >/run/rig/face.toml
   { printf '[camera]\nwidth = 174\nheight = 130\n'; cat /source/tests/support/smallest_plan.toml; } >/run/rig/small.toml
   chmod 755 /run/rig
+  credentials=/etc/credstore
   as_rig /usr/bin/stratalux-rig capture --simulate=/run/rig/face.toml --no-scattering --seed 3 --config /run/rig/small.toml \
-    --store $store >"$out/capture.log" 2>&1
+    --encrypt --store $store >"$out/capture.log" 2>&1
+  /usr/bin/stratalux-db key reader-init --out /run/rig/reader.key >/run/rig/reader.pub 2>>"$out/db.log"
+  chmod 644 /run/rig/reader.pub
+  as_rig /usr/bin/stratalux-db key share /run/rig/reader.pub --store $store >>"$out/db.log" 2>&1
+  rm $store/keys.sqlite  # as a pull leaves it, for which the guest has no rsync
   need "no visitor" [ "$(db ls | grep -c '"complete"')" = 1 ]
   # An operator's options; all else is the unit's.
   mkdir -p /run/systemd/system/$batch.service.d
   printf '[Service]\nExecStart=\nExecStart=%s --pool 2 --prior none --maps off --iterations 1 --layers 1\n' \
     "$(sed -n 's/^ExecStart=//p' /usr/lib/systemd/system/$batch.service)" >/run/systemd/system/$batch.service.d/options.conf
   systemctl daemon-reload
+  systemctl start $batch.service
+  need "fitted without the credential" [ "$(fits)" = 0 ]
+  as_rig /usr/bin/stratalux-fit batch report --text --store $store >"$out/blind.txt" 2>&1
+  need "who is left out is not named" grep -q "no reader's key was given" "$out/blind.txt"
+  mkdir -m 700 -p $credentials
+  mv /run/rig/reader.key $credentials/reader.key
+  systemctl reset-failed $batch.service 2>/dev/null
   systemctl start $batch.timer
   date -s "@$(next_evening)" >/dev/null
   need "the timer does not begin it" soon begun
@@ -268,10 +281,15 @@ night_of_fits() {
   systemctl stop $batch.timer
   db show latest >"$out/show.json"
   cp -r $store/nights "$out/" 2>/dev/null
-  need "no fit in the store" [ "$(ls $store/sessions/*/fits 2>/dev/null | wc -l)" = 1 ]
+  need "no fit in the store" [ "$(fits)" = 1 ]
+  need "its layers are plain" [ "$(head -c 7 $store/sessions/*/fits/*/layers_weight.exr)" = SLXSEAL ]
+  need "a key stays" [ ! -e $store/keys.sqlite ]
   need "the store is not whole" store_is_whole
+  rm -r $credentials
 }
-begun() { [ "$(of_unit $batch.service ActiveState)" = activating ] && [ "$(of_unit $batch.service MainPID)" != 0 ]; }
+fits() { ls $store/sessions/*/fits 2>/dev/null | wc -l; }
+# Not what systemd still is before it becomes the program.
+begun() { [ "$(readlink "/proc/$(of_unit $batch.service MainPID)/exe")" = /usr/bin/stratalux-fit ]; }
 # sandbox_of PID: what the kernel says of the process.
 sandbox_of() {
   local at=/proc/$1
