@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the page is made of: words, pictures, facts of the computer, the store's sessions.
-#include <csetjmp>
 #include <cstdio>
 #include <set>
 
 #include <gmock/gmock.h>
-#include <jpeglib.h>
 #include <nlohmann/json.hpp>
 
 #include "db/catalogue/consent.h"
@@ -17,6 +15,7 @@
 #include "firmware-host/kiosk/words.h"
 #include "firmware-host/preview/preview_picture.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/jpeg.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
 
@@ -126,25 +125,6 @@ TEST(TicketPicture, HasTheFindersAndTheLightAroundThatReadersLookFor) {
   EXPECT_EQ(TicketPicture(std::string(4000, 'a')).status().code(), StatusCode::kUsage);
 }
 
-Image<uint8_t> Decoded(const std::string& bytes) {
-  jpeg_decompress_struct jpeg{};
-  jpeg_error_mgr errors{};
-  jpeg.err = jpeg_std_error(&errors);
-  jpeg_create_decompress(&jpeg);
-  jpeg_mem_src(&jpeg, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
-  jpeg_read_header(&jpeg, TRUE);
-  jpeg_start_decompress(&jpeg);
-  Image<uint8_t> image(static_cast<int>(jpeg.output_width), static_cast<int>(jpeg.output_height),
-                       jpeg.output_components);
-  while (jpeg.output_scanline < jpeg.output_height) {
-    JSAMPLE* row = image.row(static_cast<int>(jpeg.output_scanline));
-    jpeg_read_scanlines(&jpeg, &row, 1);
-  }
-  jpeg_finish_decompress(&jpeg);
-  jpeg_destroy_decompress(&jpeg);
-  return image;
-}
-
 TEST(PreviewPicture, IsSmallGreyAndBrightEnough) {
   FrameRecord record;  // an RGGB mosaic
   Image<uint16_t> frame(1392, 1042);
@@ -152,7 +132,7 @@ TEST(PreviewPicture, IsSmallGreyAndBrightEnough) {
     for (int x = 0; x < frame.width(); ++x) frame(x, y) = x < frame.width() / 2 ? 60 : 20;
   const auto jpeg = PreviewPicture(record, frame.view());
   ASSERT_TRUE(jpeg.ok()) << jpeg.status().message();
-  const auto picture = Decoded(*jpeg);
+  const auto picture = DecodeJpeg(*jpeg);
   EXPECT_EQ(picture.channels(), 1);
   EXPECT_LE(picture.width(), 640);
   EXPECT_GT(picture.width(), 300);
@@ -166,7 +146,7 @@ TEST(PreviewPicture, IsSmallGreyAndBrightEnough) {
 TEST(PreviewPicture, ANightStaysDark) {
   const auto jpeg = PreviewPicture({}, Image<uint16_t>(64, 48).view());
   ASSERT_TRUE(jpeg.ok());
-  EXPECT_LT(Decoded(*jpeg)(10, 10), 3);
+  EXPECT_LT(DecodeJpeg(*jpeg)(10, 10), 3);
   EXPECT_EQ(PreviewPicture({}, ImageView<const uint16_t>()).status().code(), StatusCode::kUsage);
 }
 
@@ -209,8 +189,8 @@ TEST_F(RecentSessionsOfAStore, APictureIsSmallGreyAndEnteredOnceInTheAccessLog) 
   for (int look = 0; look < 3; ++look) {
     const auto jpeg = SessionPicture(folder_, id, "127.0.0.1", log);
     ASSERT_TRUE(jpeg.ok()) << jpeg.status().message();
-    EXPECT_EQ(Decoded(*jpeg).channels(), 1);
-    EXPECT_LE(Decoded(*jpeg).width(), 160);
+    EXPECT_EQ(DecodeJpeg(*jpeg).channels(), 1);
+    EXPECT_LE(DecodeJpeg(*jpeg).width(), 160);
   }
   const auto entries = db::ListAccess(folder_, id);
   ASSERT_TRUE(entries.ok());

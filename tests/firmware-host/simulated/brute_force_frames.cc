@@ -111,6 +111,12 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
   return compared;
 }
 
+double SigmaOf(const ComparedPixel& pixel, double exposure_ms) {
+  const bool white = pixel.light == "white";
+  const double rig_error = (white ? 0.02 : 0.04) * pixel.traced + 0.001 * exposure_ms * 3.0;
+  return std::hypot(std::hypot(pixel.traced_error, white ? 0.41 : 0.11), rig_error);
+}
+
 std::string ComparisonTable(const std::vector<ComparedPixel>& pixels) {
   std::string table =
       "| light | projector | colour | pixel | light, view | rig DN | photons DN | std error | of it at the surface | "

@@ -43,6 +43,10 @@ struct CompareOptions {
                                                                 const std::vector<Eigen::Vector2i>& pixels,
                                                                 Logger& logger);
 // Lines of a Markdown table.
+// DN by which frame and photons of an exposure of so many ms may differ, one sigma: the photons' errors; two frames are
+// rounded (0.4 DN, lines and spots a quarter of it); and what the rig may be off beside that is the table's
+// interpolation over melanin and blood (docs), and where a pattern is dark the tails of its lines.
+[[nodiscard]] double SigmaOf(const ComparedPixel& pixel, double exposure_ms);
 [[nodiscard]] std::string ComparisonTable(const std::vector<ComparedPixel>& pixels);
 
 }  // namespace stratalux::rig

@@ -93,12 +93,7 @@ TEST(BruteForce, FramesOfTheRigAreThoseOfThePhotons) {
   std::fputs(ComparisonTable(*compared).c_str(), stdout);
   double chi2 = 0.0, white = 0.0;
   for (const ComparedPixel& c : *compared) {
-    // Two frames are rounded: 0.4 DN, lines and spots a quarter of it. What the rig may be off beside the photons'
-    // errors is the table's interpolation over melanin and blood (docs), and where a pattern is dark the tails of its
-    // lines.
-    const double rig_error = (c.light == "white" ? 0.02 : 0.04) * c.traced + 0.001 * options.exposure_ms * 3.0;
-    const double rounding = c.light == "white" ? 0.41 : 0.11;
-    const double sigma = std::hypot(std::hypot(c.traced_error, rounding), rig_error);
+    const double sigma = SigmaOf(c, options.exposure_ms);
     EXPECT_NEAR(c.rig, c.traced, 4.0 * sigma) << c.light << " of " << c.projector << " at " << c.x << ", " << c.y;
     chi2 += std::pow((c.rig - c.traced) / sigma, 2);
     if (c.light == "white") white += c.Deviation() / 12.0;

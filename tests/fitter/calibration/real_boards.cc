@@ -2,13 +2,13 @@
 #include "tests/fitter/calibration/real_boards.h"
 
 #include <cstdio>
-#include <cstdlib>
 #include <fstream>
 #include <sstream>
 
 #include "fitter/calibration/observe_board.h"
 #include "fitter/structured_light/gray_decoder.h"
 #include "shared/image/png.h"
+#include "tests/support/test_data.h"
 
 namespace stratalux::fit {
 namespace {
@@ -61,12 +61,7 @@ Result<PoseObservation> ObservePose(int pose, const Eigen::Vector2d& crop, const
 
 }  // namespace
 
-fs::path RealBoardsFolder() {
-  const char* named = std::getenv("STRATALUX_DATA");
-  const fs::path data =
-      named != nullptr ? fs::path(named) : fs::path(STRATALUX_SOURCE_DIR).parent_path() / "shared" / "data";
-  return data / "procam_gray_kamino";
-}
+fs::path RealBoardsFolder() { return TestDataFolder() / "procam_gray_kamino"; }
 
 Result<CalibrationObservations> ObserveRealBoards() {
   CalibrationObservations observations{{BoardKind::kChess, 10, 8, 75.0, 0.0}, {1280, 1024}, {{1024, 768}}, {}};

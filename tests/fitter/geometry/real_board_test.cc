@@ -2,7 +2,6 @@
 // The public captures of a real projector and camera (procam-calibration, MIT): skipped where they are not installed.
 #include <algorithm>
 #include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -13,15 +12,10 @@
 #include "fitter/structured_light/gray_decoder.h"
 #include "fitter/structured_light/local_homography.h"
 #include "shared/image/png.h"
+#include "tests/support/test_data.h"
 
 namespace stratalux::fit {
 namespace {
-
-std::filesystem::path DataFolder() {
-  const char* named = std::getenv("STRATALUX_DATA");
-  return named != nullptr ? std::filesystem::path(named)
-                          : std::filesystem::path(STRATALUX_SOURCE_DIR).parent_path() / "shared" / "data";
-}
 
 struct Corner {
   int pose = 0;
@@ -48,7 +42,7 @@ DecodeInput BoardInput(const std::vector<Image<uint16_t>>& frames, const Image<f
 }
 
 TEST(RealBoard, DecodesTheReferenceCorners) {
-  const std::filesystem::path folder = DataFolder() / "procam_gray_kamino";
+  const std::filesystem::path folder = TestDataFolder() / "procam_gray_kamino";
   if (!std::filesystem::exists(folder / "reference_corners.txt"))
     GTEST_SKIP() << folder << " is absent; set STRATALUX_DATA to the folder of the test data";
 

@@ -3,50 +3,25 @@
 // it; skipped elsewhere.
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <jpeglib.h>
 
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "shared/image/png.h"
 #include "tests/firmware-host/simulated/brute_force_frames.h"
 #include "tests/firmware-host/simulated/small_rig.h"
+#include "tests/support/jpeg.h"
 #include "tests/support/scratch_folder.h"
+#include "tests/support/test_data.h"
 #include "tests/support/text_file.h"
 
 namespace stratalux::rig {
 namespace {
 
-std::filesystem::path ScanFolder() {
-  const char* named = std::getenv("STRATALUX_DATA");
-  return (named != nullptr ? std::filesystem::path(named)
-                           : std::filesystem::path(STRATALUX_SOURCE_DIR).parent_path() / "shared" / "data") /
-         "lps_head";
-}
-
-// Ends the program where the file is none: it is the test's own.
-Image<uint8_t> DecodeJpeg(const std::string& bytes) {
-  jpeg_decompress_struct jpeg{};
-  jpeg_error_mgr errors{};
-  jpeg.err = jpeg_std_error(&errors);
-  jpeg_create_decompress(&jpeg);
-  jpeg_mem_src(&jpeg, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
-  jpeg_read_header(&jpeg, TRUE);
-  jpeg_start_decompress(&jpeg);
-  Image<uint8_t> image(static_cast<int>(jpeg.output_width), static_cast<int>(jpeg.output_height),
-                       jpeg.output_components);
-  while (jpeg.output_scanline < jpeg.output_height) {
-    JSAMPLE* row = image.row(static_cast<int>(jpeg.output_scanline));
-    jpeg_read_scanlines(&jpeg, &row, 1);
-  }
-  jpeg_finish_decompress(&jpeg);
-  jpeg_destroy_decompress(&jpeg);
-  return image;
-}
+std::filesystem::path ScanFolder() { return TestDataFolder() / "lps_head"; }
 
 class ScannedHead : public ScratchFolderTest {
  protected:
@@ -116,10 +91,7 @@ TEST_F(ScannedHead, FramesAreThoseOfThePhotons) {
   std::fputs(ComparisonTable(*compared).c_str(), stdout);
   double chi2 = 0.0;
   for (const ComparedPixel& c : *compared) {
-    // As on the default head (brute_force_test.cc).
-    const double rig_error = (c.light == "white" ? 0.02 : 0.04) * c.traced + 0.001 * options.exposure_ms * 3.0;
-    const double rounding = c.light == "white" ? 0.41 : 0.11;
-    const double sigma = std::hypot(std::hypot(c.traced_error, rounding), rig_error);
+    const double sigma = SigmaOf(c, options.exposure_ms);
     EXPECT_NEAR(c.rig, c.traced, 4.0 * sigma) << c.light << " of " << c.projector << " at " << c.x << ", " << c.y;
     chi2 += std::pow((c.rig - c.traced) / sigma, 2);
   }
