@@ -66,7 +66,8 @@ if [ "$night" -gt 0 ]; then
     # Melanin from 1 to 25 %, evenly spaced in the logarithm; each another head.
     melanin=$(awk -v i="$i" -v n="$night" 'BEGIN { print 0.01 * 25 ^ (n > 1 ? i / (n - 1) : 0.5) }')
     printf '[subject]\nshape = "head"\n[skin]\nmelanin = %s\n' "$melanin" >"$out/visitor.toml"
-    "$bin/stratalux-rig" capture --simulate="$out/visitor.toml" --exposure auto --store "$store" --seed $((seed + i)) --size "$size" >&2
+    "$bin/stratalux-rig" capture --simulate="$out/visitor.toml" --exposure auto --store "$store" --seed $((seed + i)) --size "$size" >&2 ||
+      [ $? -eq 3 ]  # 3: degraded, with its findings; a night fits such visitors, too
   done
   "$bin/stratalux-fit" batch plan --store "$store" >&2
   # Whoever is being fitted when somebody pulls the plug loses a moment's work: stages that are finished stay.
@@ -82,10 +83,11 @@ if [ "$night" -gt 0 ]; then
     kill -0 "$batch" 2>/dev/null || break
     sleep 0.1
   done
-  wait "$batch"
+  status=0
+  wait "$batch" || status=$?
   "$bin/stratalux-fit" batch report --store "$store" --text >&2
   cat "$out/night.txt"
-  exit 0
+  exit $status
 fi
 
 start=$(date +%s)
