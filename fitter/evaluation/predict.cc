@@ -35,25 +35,24 @@ Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
   return predictions;
 }
 
-namespace {
-
-double TotalWeight(const MixtureMap& map, int64_t profile) {
-  const auto first = map.weight.begin() + profile * map.layers;
-  return std::accumulate(first, first + map.layers, 0.0);
+std::vector<double> TotalWeights(const MixtureMap& map) {
+  std::vector<double> totals;
+  totals.reserve(static_cast<size_t>(map.profiles()));
+  for (auto first = map.weight.begin(); first != map.weight.end(); first += map.layers)
+    totals.push_back(std::accumulate(first, first + map.layers, 0.0));
+  return totals;
 }
 
-}  // namespace
-
-Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, const MixtureMap& scaled, int pool) {
+Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, std::span<const double> of,
+                              std::span<const double> to, int pool) {
   for (auto& [light, prediction] : predictions)
     for (Image<float>* image : {&prediction.subsurface, &prediction.direct_part})
       for (int j = 0; j < image->height(); ++j)
         for (int i = 0; i < image->width(); ++i)
           for (int c = 0; c < image->channels(); ++c) {
             const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
-            const double of = profile < 0 ? 0.0 : TotalWeight(map, profile);
-            if (of > 0.0)
-              (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (TotalWeight(scaled, profile) / of));
+            if (profile >= 0 && of[profile] > 0.0)
+              (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (to[profile] / of[profile]));
           }
   return predictions;
 }

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <map>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -13,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 4;
+inline constexpr int kPredictVersion = 5;
 
 // Under one light; quads x colours, digital numbers above black; 0 outside the surface, NaN where that colour was not
 // fitted.
@@ -29,10 +30,14 @@ using Predictions = std::map<std::string, Prediction>;  // by light
 
 [[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view);
 
-// The predictions of `scaled` from those of `map`: of the same fit, with the same layers but for the total weight of
-// each profile, in which subsurface light is linear.
-[[nodiscard]] Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, const MixtureMap& scaled,
-                                            int pool);
+// Sum of the layers' weights of each profile.
+[[nodiscard]] std::vector<double> TotalWeights(const MixtureMap& map);
+
+// The predictions of layers that are those of `map` but for each profile's total weight, in which subsurface light is
+// linear: from the predictions of layers of total weights `of` to those of total weights `to`. (Layers themselves would
+// be most of the memory of a run.)
+[[nodiscard]] Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, std::span<const double> of,
+                                            std::span<const double> to, int pool);
 
 // <light>_subsurface.exr, <light>_surface.exr, <light>_direct_part.exr, predict.json.
 Status SavePredictions(const std::filesystem::path& folder, const Predictions& predictions);

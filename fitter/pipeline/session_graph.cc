@@ -401,9 +401,10 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
                 SLX_ASSIGN_OR_RETURN(auto predictions, TakePredictions(predicted));
                 predictions_[predicted] = predictions;
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
+                const std::vector<double> of = TotalWeights(Homogeneous(fitted->map)),
+                                          to = TotalWeights(HomogeneousLocalAlbedo(fitted->map));
                 return KeepPredictions(key, folder,
-                                       ScaledPredictions(std::move(predictions), Homogeneous(fitted->map),
-                                                         HomogeneousLocalAlbedo(fitted->map), fitted->pool));
+                                       ScaledPredictions(std::move(predictions), fitted->map, of, to, fitted->pool));
               }});
 }
 

@@ -266,7 +266,8 @@ TEST(ScaledPredictions, AreThoseOfTheScaledLayers) {
   const std::vector<std::string> lights = {"stripe", "white"};
   const HeldOutView view = ViewOf(shape, plan, 0, lights);
   const Predictions rendered = Predict(own_albedo, 1, view),
-                    scaled = ScaledPredictions(Predict(mean, 1, view), mean, own_albedo, 1);
+                    scaled = ScaledPredictions(Predict(mean, 1, view), skin, TotalWeights(mean),
+                                               TotalWeights(own_albedo), 1);
   ASSERT_EQ(scaled.size(), 2U);
   for (const std::string& light : lights) {
     const Prediction &expected = rendered.at(light), &found = scaled.at(light);
