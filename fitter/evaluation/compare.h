@@ -16,7 +16,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 4;
+inline constexpr int kCompareVersion = 5;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged

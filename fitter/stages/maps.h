@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 1;
+inline constexpr int kMapsVersion = 2;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 2;
+inline constexpr int kNormalsVersion = 3;
 
 struct FaceNormals {
   PhotometricMap photometric;

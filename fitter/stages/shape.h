@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 2;
+inline constexpr int kShapeVersion = 3;
 
 struct FaceShape {
   RigCalibration record;            // of the rig that it stands in, as a manifest has it
