@@ -52,6 +52,12 @@ void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const Tangent
       const auto load = [&](const std::vector<float>& v) { return hn::LoadU(d, v.data() + from + x); };
       V flux = load(planes.flux);
       if (columns - x < lanes) flux = hn::IfThenElseZero(hn::FirstN(d, columns - x), flux);
+      const auto store = [&](V v, std::vector<float>& into) { hn::StoreU(v, d, into.data() + to + x); };
+      if (hn::AllTrue(d, hn::Eq(flux, none))) {  // where they lie is asked of none of them
+        store(none, seen.flux);
+        store(none, seen.spread_mm2);
+        continue;
+      }
       const V spread = hn::IfThenElseZero(hn::Gt(flux, none), load(planes.spread_mm2));
       widest = hn::Max(widest, spread);
       brightest = hn::Max(brightest, flux);
@@ -59,7 +65,6 @@ void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const Tangent
       flux = hn::IfThenZeroElse(hn::Lt(facing, none), flux);
       const V dx = hn::Sub(load(planes.x), origin[0]), dy = hn::Sub(load(planes.y), origin[1]),
               dz = hn::Sub(load(planes.z), origin[2]);
-      const auto store = [&](V v, std::vector<float>& into) { hn::StoreU(v, d, into.data() + to + x); };
       store(Dot(p[0], p[1], p[2], dx, dy, dz), seen.p);
       store(Dot(q[0], q[1], q[2], dx, dy, dz), seen.q);
       store(flux, seen.flux);
@@ -108,6 +113,10 @@ BlockWindow BlockWindow::With(const BlockWindow& other) const {
   if (Empty()) return other;
   if (other.Empty()) return *this;
   return {std::min(x0, other.x0), std::max(x1, other.x1), std::min(y0, other.y0), std::max(y1, other.y1)};
+}
+
+BlockWindow BlockWindow::Within(const BlockWindow& other) const {
+  return {std::max(x0, other.x0), std::min(x1, other.x1), std::max(y0, other.y0), std::min(y1, other.y1)};
 }
 
 void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const TangentPlane& plane, SeenBlocks& seen) {

@@ -11,6 +11,17 @@ namespace stratalux::fit {
 
 inline constexpr int kGatherLanes = 16;
 
+// Columns x0 .. x1, rows y0 .. y1 of a level's blocks, or of pixels; x1 < x0 or y1 < y0: none.
+struct BlockWindow {
+  int x0 = 0, x1 = -1, y0 = 0, y1 = -1;
+
+  [[nodiscard]] bool Empty() const { return x1 < x0 || y1 < y0; }
+  // The least window that holds both.
+  [[nodiscard]] BlockWindow With(const BlockWindow& other) const;
+  // What lies in both.
+  [[nodiscard]] BlockWindow Within(const BlockWindow& other) const;
+};
+
 // One pyramid level as planes, rows padded by kGatherLanes blocks without flux. All colours of a light fall alike, but
 // for their strength: `flux` is that of the brightest.
 struct LitPlanes {
@@ -19,15 +30,7 @@ struct LitPlanes {
   std::vector<float> nx, ny, nz;  // normal
   std::vector<float> spread_mm2;
   std::vector<float> flux;
-};
-
-// Columns x0 .. x1, rows y0 .. y1 of a level's blocks; x1 < x0 or y1 < y0: none.
-struct BlockWindow {
-  int x0 = 0, x1 = -1, y0 = 0, y1 = -1;
-
-  [[nodiscard]] bool Empty() const { return x1 < x0 || y1 < y0; }
-  // The least window that holds both.
-  [[nodiscard]] BlockWindow With(const BlockWindow& other) const;
+  BlockWindow lit;  // the least that holds every block with flux
 };
 
 // A tangent plane: axes p and q at right angles, lengths in mm.

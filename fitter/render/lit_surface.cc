@@ -70,6 +70,15 @@ Image<float> Shown(const LitSurface& lit, const Pattern& pattern, double scale) 
   return shown;
 }
 
+// The least window that holds every pixel that is not dark.
+BlockWindow LitPixels(const Image<float>& image) {
+  BlockWindow lit;
+  for (int y = 0; y < image.height(); ++y)
+    for (int x = 0; x < image.width(); ++x)
+      if (image(x, y) != 0.0F) lit = lit.With({x, x, y, y});
+  return lit;
+}
+
 // Flux-weighted sum of up to 2 x 2 samples.
 LitSample Block(const Image<LitSample>& fine, int x, int y) {
   LitSample sum;
@@ -124,6 +133,7 @@ LitPlanes PlanesOf(const Image<LitSample>& blocks, int colour) {
       planes.nz[at] = s.normal.z();
       planes.spread_mm2[at] = s.spread_mm2;
       planes.flux[at] = s.flux[colour];
+      if (s.flux[colour] > 0.0F) planes.lit = planes.lit.With({x, x, y, y});
     }
   return planes;
 }
@@ -185,6 +195,7 @@ Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, dou
 LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale) {
   LitPyramid pyramid;
   pyramid.shown = Shown(lit, pattern, pattern_scale);
+  pyramid.shown_lit = LitPixels(pyramid.shown);
   pyramid.pattern = Blurred(pyramid.shown, lit.light.line_blur_px);
   const auto& white = lit.light.white_dn_mm2_per_ms;
   pyramid.colour = static_cast<int>(std::max_element(white.begin(), white.end()) - white.begin());

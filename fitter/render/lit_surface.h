@@ -39,9 +39,10 @@ struct LitSurface {
 // position.
 struct LitPyramid {
   std::vector<LitPlanes> levels;
-  int colour = 0;        // whose flux they hold: the light's brightest
-  Image<float> pattern;  // ProjectedPattern
-  Image<float> shown;    // before the optics blurred it
+  int colour = 0;         // whose flux they hold: the light's brightest
+  Image<float> pattern;   // ProjectedPattern
+  Image<float> shown;     // before the optics blurred it
+  BlockWindow shown_lit;  // the least that holds all of its pixels that are not dark
 };
 [[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
 

@@ -120,20 +120,25 @@ class QuadLayers {
   [[nodiscard]] std::array<double, 3> Under(const LitPyramid& light, Seen& seen) const {
     std::array<double, 3> sums{};
     for (size_t level = 0; level < windows_.size(); ++level) {
-      if (windows_[level].Empty()) continue;
-      SeeBlocks(light.levels[level], windows_[level], Plane(), seen.blocks);
+      const BlockWindow& lit = light.levels[level].lit;  // little of the skin, under a stripe or a spot
+      const BlockWindow all = windows_[level].Within(lit);
+      if (all.Empty()) continue;
+      SeeBlocks(light.levels[level], all, Plane(), seen.blocks);
       if (seen.blocks.dark) continue;
       for (const WideLayer& layer : wide_) {
-        if (layer.level != static_cast<int>(level) || layer.window.Empty()) continue;
-        float sum = GatherBlocks(seen.blocks, layer.window, layer.target);
+        if (layer.level != static_cast<int>(level)) continue;
+        const BlockWindow window = layer.window.Within(lit);
+        if (window.Empty()) continue;
+        float sum = GatherBlocks(seen.blocks, window, layer.target);
         if (seen.blocks.widest_mm2 > layer.target.max_spread_mm2) {
-          FindWideBlocks(seen.blocks, layer.window, layer.target.max_spread_mm2, seen.wide);
+          FindWideBlocks(seen.blocks, window, layer.target.max_spread_mm2, seen.wide);
           sum += OpenedBlocks{light, layer, normal_.cast<float>()}.Sum(seen.wide);
         }
         sums[layer.channel] += layer.factor * sum;
       }
     }
-    for (const ReadLayer& layer : narrow_) sums[layer.channel] += layer.factor * layer.pixels.Under(light.shown);
+    for (const ReadLayer& layer : narrow_)
+      sums[layer.channel] += layer.factor * layer.pixels.Under(light.shown, light.shown_lit);
     return sums;
   }
 
@@ -146,7 +151,7 @@ class QuadLayers {
     while (level < coarsest && r.pitch_mm * (2 << level) < kBlockSigmas * std::sqrt(own2)) ++level;
     const double h = r.pitch_mm * (1 << level);
     const Eigen::Vector3d centre = r.point + depth * r.shift;
-    const auto pixel = lit_.light.ProjectFromCamera(centre);
+    const auto pixel = lit_.light.model.Project(r.point_in_light + depth * r.shift_in_light);
     if (!pixel) return;
     const double variance = own2 + h * h / 12.0,
                  factor = weight * DirectionalFactor(map_.scattering.directional, r.directions, depth, width);
@@ -262,7 +267,7 @@ Image<float> RenderSubsurfaceReference(const MixtureMap& map, const SurfaceMap& 
       double layer = 0.0;
       if (variance < r.narrowest2) {
         const auto pixel = lit.light.ProjectFromCamera(centre);
-        if (pixel) layer = NarrowLayer(r, lit, centre, *pixel, own2, c).Under(light.shown);
+        if (pixel) layer = NarrowLayer(r, lit, centre, *pixel, own2, c).Under(light.shown, light.shown_lit);
       } else {
         for (size_t k = 0; k < lit.samples.size(); ++k)
           if (const float shown = light.pattern.pixels()[k]; shown > 0.0F && lit.samples.pixels()[k].flux[c] > 0.0F)

@@ -50,6 +50,8 @@ std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const Surface
   r.narrowest2 = std::pow(0.55 * r.pitch_mm, 2) / cos_in;
   const Rigid3& pose = light.camera_from_projector;
   const Eigen::Vector3d in_light = pose.Inverse() * r.point;
+  r.point_in_light = in_light;
+  r.shift_in_light = pose.rotation.conjugate() * r.shift;
   r.column_per_mm =
       light.model.fx / in_light.z() * (pose.rotation * Eigen::Vector3d(1.0, 0.0, -in_light.x() / in_light.z()));
   r.row_per_mm =
@@ -87,6 +89,11 @@ NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
   }
 }
 
+std::pair<int, int> NarrowLayer::PixelShares::Read(int pixels) const {
+  const int last = first + static_cast<int>(share.size()) - 1;
+  return {std::clamp(first, 0, pixels - 1), std::clamp(last, 0, pixels - 1)};
+}
+
 double NarrowLayer::PixelSigma(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& per_mm,
                                double variance) {
   const double along_normal = receiver.normal.dot(per_mm), optics = lit.light.line_blur_px;
@@ -101,8 +108,11 @@ NarrowLayer::NarrowLayer(const Receiver& receiver, const LitSurface& lit, const 
     white_dn_ = lit.light.WhiteTargetDn(centre, receiver.normal, channel, lit.exposure_ms);
 }
 
-double NarrowLayer::Under(const Image<float>& shown) const {
+double NarrowLayer::Under(const Image<float>& shown, const BlockWindow& lit) const {
   if (white_dn_ == 0.0) return 0.0;
+  const auto [x0, x1] = columns_.Read(shown.width());
+  const auto [y0, y1] = rows_.Read(shown.height());
+  if (BlockWindow{x0, x1, y0, y1}.Within(lit).Empty()) return 0.0;
   const auto columns = static_cast<int>(columns_.share.size());
   const bool inside = columns_.first >= 0 && columns_.first + columns <= shown.width();
   double sum = 0.0;

@@ -4,6 +4,7 @@
 
 #include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "fitter/mixture/directional_weights.h"
@@ -21,7 +22,8 @@ struct Receiver {
   // Variance below which the light's pixels sample a Gaussian too coarsely (0.55 of the longer pitch: 0.5 % of ripple):
   // such layers read the pattern itself.
   double narrowest2 = 0.0;
-  Eigen::Vector3d column_per_mm, row_per_mm;  // gradient of the light's pixel coordinates
+  Eigen::Vector3d point_in_light, shift_in_light;  // frame of the light
+  Eigen::Vector3d column_per_mm, row_per_mm;       // gradient of the light's pixel coordinates
 };
 
 // Of the site `site_in_quad` (mosaic px from the quad's centre); nullopt where the surface turns away from light or
@@ -44,8 +46,8 @@ class NarrowLayer {
   // `at`: the light's pixel that shows `centre`. `variance`: of layer and camera pixel, mm^2.
   NarrowLayer(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& centre, const Eigen::Vector2d& at,
               double variance, int channel);
-  // Light of the layer under a pattern, as LitPyramid::shown.
-  [[nodiscard]] double Under(const Image<float>& shown) const;
+  // Light of the layer under a pattern, as LitPyramid::shown; `lit` holds all of it that is not dark.
+  [[nodiscard]] double Under(const Image<float>& shown, const BlockWindow& lit) const;
 
  private:
   // Shares of a Gaussian (mean, standard deviation in pixels) that fall on pixels first, first + 1, ...
@@ -53,6 +55,8 @@ class NarrowLayer {
     int first = 0;
     std::vector<double> share;
     PixelShares(double mean, double sigma);
+    // First and last pixel read of so many; beyond the edge, the edge.
+    [[nodiscard]] std::pair<int, int> Read(int pixels) const;
   };
   [[nodiscard]] static double PixelSigma(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& per_mm,
                                          double variance);

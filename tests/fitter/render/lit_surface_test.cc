@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/render/lit_surface.h"
 
+#include <array>
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -150,6 +151,22 @@ TEST(MakePointLight, ReadsTheAskedLevelInTheMiddleAndLightsTheWholeSurface) {
   int samples = 0;
   for (const LitSample& s : lit.samples.pixels()) samples += s.flux[0] > 0.0F ? 1 : 0;
   EXPECT_GT(samples, 48 * 36 * 4);  // finer than the camera
+}
+
+TEST(LitPyramid, KnowsTheLeastWindowOfItsLight) {
+  const LitScene scene = MakeScene(FaceLike(), {-350.0, 0.0, 150.0});
+  const LitPyramid pyramid = LightWith(scene.lit, MiddleLine(scene, 2));
+  for (const LitPlanes& planes : pyramid.levels) {
+    BlockWindow found;
+    for (int y = 0; y < planes.height; ++y)
+      for (int x = 0; x < planes.width; ++x)
+        if (planes.flux[static_cast<size_t>(y) * planes.stride + x] > 0.0F) found = found.With({x, x, y, y});
+    EXPECT_EQ((std::array<int, 4>{planes.lit.x0, planes.lit.x1, planes.lit.y0, planes.lit.y1}),
+              (std::array<int, 4>{found.x0, found.x1, found.y0, found.y1}));
+  }
+  EXPECT_EQ(pyramid.shown_lit.x1 - pyramid.shown_lit.x0 + 1, 2);
+  EXPECT_EQ(pyramid.shown_lit.y0, 0);
+  EXPECT_EQ(pyramid.shown_lit.y1, pyramid.shown.height() - 1);
 }
 
 }  // namespace

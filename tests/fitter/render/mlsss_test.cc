@@ -212,6 +212,24 @@ TEST(RenderSubsurface, ShowsEachPatternAsIfItWereAlone) {
   }
 }
 
+TEST(RenderSubsurface, LosesNothingToTheDarkThatItLeavesOut) {
+  // A line and a spot light little of the face: only the window that holds their light is looked at. Dark that counts
+  // as lit changes no more than the order of the sums.
+  const LitScene scene = MakeScene(FaceLike(), kFromLeft, Cfa::kRggb);
+  const MixtureMap map = VaryingSkin(scene, {{0.2F, 0.05F, 0.01F}, {0.2F, 0.2F, 0.3F}, {0.2F, 0.6F, 2.5F}});
+  for (const Pattern& pattern : {MiddleLine(scene, 2), kSpots, kWhite}) {
+    const std::vector<LitPyramid> lights = {LightWith(scene.lit, pattern)};
+    std::vector<LitPyramid> everywhere = lights;
+    for (LitPlanes& planes : everywhere.front().levels) planes.lit = {0, planes.width - 1, 0, planes.height - 1};
+    everywhere.front().shown_lit = {0, lights.front().shown.width() - 1, 0, lights.front().shown.height() - 1};
+    const Image<float> with = RenderSubsurface(map, scene.surface, scene.rig, scene.lit, lights).front(),
+                       plain = RenderSubsurface(map, scene.surface, scene.rig, scene.lit, everywhere).front();
+    ASSERT_GT(Maximum(plain), 1.0F);
+    for (size_t i = 0; i < plain.size(); ++i)
+      ASSERT_NEAR(with.pixels()[i], plain.pixels()[i], 1e-6F * plain.pixels()[i] + 1e-12F) << pattern.ToString();
+  }
+}
+
 TEST(RenderSubsurface, ShowsEachColourAtItsOwnSite) {
   // The same skin in every colour: R and B sites lie half a mosaic pixel to either side of the quad's centre, so their
   // pictures of one line differ by one mosaic pixel.
