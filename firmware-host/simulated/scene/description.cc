@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "firmware-host/simulated/mesh/surface.h"
+#include "firmware-host/simulated/skin/population.h"
 #include "shared/config/toml_reader.h"
 
 namespace stratalux::rig {
@@ -76,6 +77,8 @@ Status ReadSkin(TomlTable t, SkinDescription& skin) {
   bool opaque = skin.body == SkinBody::kMatt;
   t.Get("opaque", opaque);
   skin.body = opaque ? SkinBody::kMatt : SkinBody::kTranslucent;
+  GetOptional(t, "person", skin.person, 0, kMostPeople - 1);
+  if (skin.person) skin.BecomePerson(*skin.person);  // before the keys that change it
   GetOptional(t, "melanin", skin.melanin, 0.005, 0.3);
   GetOptional(t, "blood", skin.blood, 0.0005, 0.06);
   t.Get("epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
@@ -139,6 +142,10 @@ Status CheckMesh(const SceneDescription& scene) {
     return Status::Usage(where + "[mesh] up and front lie along one axis; name two");
   if (mesh.subdivisions > 0 && mesh.crease_deg)
     return Status::Usage(where + "[mesh] subdivisions makes the whole surface smooth; leave crease_deg out");
+  if (!mesh.albedo.empty() && scene.skin.person)
+    return Status::Usage(where +
+                         "[skin] person brings melanin and blood, which are solved from [mesh] albedo; leave one of "
+                         "them out (epidermis_mm and scattering are keys of their own)");
   if (!mesh.albedo.empty() && (scene.skin.melanin || scene.skin.blood))
     return Status::Usage(where + "[skin] melanin and blood are solved from [mesh] albedo; leave one of them out");
   return Status::Ok();
@@ -165,6 +172,15 @@ HeadDescription HeadDescription::Person() {
   head.eyes = Eyes::kOpen;
   head.nostrils = head.brows = head.hair = true;
   return head;
+}
+
+void SkinDescription::BecomePerson(int number) {
+  const SkinParameters drawn = Person(number);
+  person = number;
+  melanin = drawn.melanin;
+  blood = drawn.blood;
+  epidermis_mm = drawn.epidermis_mm;
+  scattering = drawn.scattering;
 }
 
 const char* ToString(ShapeKind kind) { return kShapes[static_cast<size_t>(kind)].data(); }

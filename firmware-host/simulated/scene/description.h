@@ -47,6 +47,7 @@ enum class SkinBody { kTranslucent, kMatt };  // kMatt: opaque, of the same albe
 
 struct SkinDescription {
   SkinBody body = SkinBody::kTranslucent;
+  std::optional<int> person;      // whose melanin, blood, thickness and scattering these are (skin/population.h)
   std::optional<double> melanin;  // volume fraction in the epidermis; unset: by seed, 1.2 % to 10 %
   std::optional<double> blood;    // volume fraction in the dermis; unset: by seed
   double epidermis_mm = 0.08;     // thickness
@@ -57,6 +58,9 @@ struct SkinDescription {
   double redness = 1.0;           // strength of the blood of cheeks, nose and lips
   bool scar = false;              // across a cheek: pale, without melanin
   double regions = 0.0;           // strength of what sets forehead, nose, lips, ... apart (face_regions.h); 1: as there
+
+  // Takes melanin, blood, thickness and scattering of a person of the population; what is set later stands.
+  void BecomePerson(int number);
 };
 
 enum class SkinSurface { kGgx, kBeckmann, kTwoLobes };

@@ -12,6 +12,7 @@
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin/skin_table_check.h"
 #include "firmware-host/simulated/table_tool/line_spread.h"
+#include "firmware-host/simulated/table_tool/people.h"
 #include "shared/base/formatted.h"
 #include "shared/base/version.h"
 #include "shared/manual/manual.h"
@@ -126,6 +127,51 @@ int Profiles(const LineSpreadOptions& options, const std::string& out) {
   return Report(logger, file ? Status::Ok() : Status::Failed("cannot write " + out));
 }
 
+struct PeopleRequest {
+  int people = 200, first = 0;
+  uint64_t seed = kPeopleSeed;
+  bool fit = false, json = false;
+  std::string table, csv;
+};
+
+Population Fitted(const SkinTable& table, const PeopleRequest& request, Logger& logger) {
+  const Population p = FitPopulation(table, {}, request.people, request.seed, [&](int round, double cost) {
+    if (round % 10 == 0) logger.Info(Formatted("round %d: cost %.5f", round, cost));
+  });
+  logger.Info(
+      Formatted("fitted: melanin_span = %.4f, melanin_shift = %.4f, scattering_spread = %.4f, blood_median = %.5f, "
+                "blood_spread = %.4f",
+                p.melanin_span, p.melanin_shift, p.scattering_spread, p.blood_median, p.blood_spread));
+  return p;
+}
+
+int People(const PeopleRequest& request) {
+  Logger logger;
+  const auto table = SkinTable::Load(request.table.empty() ? SkinTable::DefaultPath() : request.table);
+  if (!table.ok()) return Report(logger, table.status());
+  if (table->nodes() == 1) return Report(logger, Status::Usage(request.table + ": a table of wax; people have skin"));
+  for (const double scattering : {kPeopleScattering.front(), kPeopleScattering.back()})
+    if (const Status known = table->CheckScattering(scattering); !known.ok()) return Report(logger, known);
+  if (request.first > kMostPeople - request.people)
+    return Report(logger, Status::Usage(Formatted("--first %d --people %d: people are 0 .. %d", request.first,
+                                                  request.people, kMostPeople - 1)));
+  const Population population = request.fit ? Fitted(*table, request, logger) : Population();
+  const auto people = DrawPeople(*table, request.first, request.people, request.seed, population);
+  if (!request.csv.empty() && request.csv != "-") {
+    std::ofstream file(request.csv);
+    file << PeopleCsv(people);
+    file.flush();
+    if (!file) return Report(logger, Status::Failed("cannot write " + request.csv));
+  }
+  if (request.csv == "-") {
+    std::cout << PeopleCsv(people);
+  } else {
+    std::cout << (request.json ? PeopleJson(people, Summarise(people)) : PeopleText(Summarise(people)));
+  }
+  std::cout.flush();
+  return std::cout ? 0 : 1;
+}
+
 }  // namespace
 
 int Main(int argc, char** argv) {
@@ -136,7 +182,9 @@ int Main(int argc, char** argv) {
       "  stratalux-skin-table generate --scattering 0.5 0.74 1 --photons 3000000 --out skin_table.bin\n"
       "  stratalux-skin-table check skin_table.bin --channel 0 --in 1 --exit 2 --azimuth 4\n"
       "  stratalux-skin-table check skin_table.bin --interpolation --photons 200000\n"
-      "  stratalux-skin-table profiles --melanin 0.03 --blood 0.004 --channel 0 --incidence -45 0 30 --out train.csv");
+      "  stratalux-skin-table profiles --melanin 0.03 --blood 0.004 --channel 0 --incidence -45 0 30 --out train.csv\n"
+      "  stratalux-skin-table population --people 200 --csv people.csv\n"
+      "  stratalux-skin-table population --fit --people 400");
   app.set_version_flag("--version", kVersion);
   app.require_subcommand(1);
   SkinTableRun run;
@@ -192,6 +240,19 @@ int Main(int argc, char** argv) {
   spread->add_option("--photons", profiles.photons, "Photons for each incidence")->check(CLI::PositiveNumber);
   spread->add_option("--seed", profiles.seed, "Seed");
   spread->add_option("--out", out, "CSV file, - for stdout");
+  auto* population = app.add_subcommand(
+      "population",
+      "The people that scenes' `person` draws from: their reflectance and scattering beside measured ones");
+  PeopleRequest people;
+  population->add_option("--people", people.people, "How many")->check(CLI::Range(3, 100000))->capture_default_str();
+  population->add_option("--first", people.first, "The first one's number")
+      ->check(CLI::Range(0, kMostPeople - 1))
+      ->capture_default_str();
+  population->add_option("--seed", people.seed, "Seed (a scene's people are of 1)")->capture_default_str();
+  population->add_option("--csv", people.csv, "Also write each person's skin and reflectance, - for stdout alone");
+  population->add_flag("--json", people.json, "JSON instead of a table for people: summary and each person");
+  population->add_flag("--fit", people.fit, "Fit the population to these people first, and say its numbers on stderr");
+  population->add_option("--table", people.table, "Table file (the shipped one)");
   if (const auto manual = AskedManual(app, "stratalux-skin-table", argc, argv)) {
     std::cout << *manual << std::flush;
     return std::cout ? 0 : 1;
@@ -204,6 +265,7 @@ int Main(int argc, char** argv) {
   if (generate->parsed()) return Generate(out, run, wax ? std::vector<double>() : scatterings, made);
   if (check->parsed() && interpolation) return CheckBetweenNodes(file, run, between);
   if (check->parsed()) return Check(file, column, run.photons, run.seed);
+  if (population->parsed()) return People(people);
   return Profiles(profiles, out);
 }
 

@@ -10,6 +10,7 @@
 #include "firmware-host/simulated/scene/plate.h"
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "firmware-host/simulated/skin/population.h"
 
 namespace stratalux::rig {
 namespace {
@@ -50,6 +51,9 @@ TEST_F(SceneFile, EveryComplaintNamesFileLineAndRemedy) {
       {"[subject]\nshape = \"cube\"\n", ":2: shape 'cube' is unknown; allowed: head, plane"},
       {"[subject]\nsahpe = \"head\"\n", ":2"},
       {"[skin]\nmelanin = 0.9\n", ":2"},
+      {"[skin]\nperson = -1\n", ":2: skin.person: value -1 is out of range, allowed: 0 .. 999999"},
+      {"[skin]\nperson = 1000000\n", "value 1000000 is out of range, allowed: 0 .. 999999"},
+      {"[skin]\nperson = 1.5\n", "value 1.5 is not an integer"},
       {"[head]\n\neyes = \"wide\"\n", ":3: eyes 'wide' is unknown; allowed: none, closed, open"},
       {"[subject]\nposition_mm = [1, 2]\n", ":2: position_mm takes three numbers"},
       {"[subject]\nshape = \"charuco\"\n[plate]\nmarker_mm = 30\n", "must be smaller than square_mm"},
@@ -237,6 +241,43 @@ TEST_F(SceneFile, StubbleCoversTheStatedShareOfTheBeard) {
   // 60 hairs of 0.64 x 0.11 mm on 100 mm^2, the raster's cells a little wider than the hair.
   EXPECT_NEAR(static_cast<double>(covered) / points, 0.042, 0.02);
   EXPECT_EQ(above, 0);
+}
+
+TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
+  const std::string even = "patches = 0\nfreckles = 0\nvessels = 0\nredness = 0\n";
+  const auto at_cheek = [](const Scene& scene) { return scene.Skin({45, 10, 0}); };
+  for (const int person : {0, 7, 999999}) {
+    const std::string key = "[skin]\nperson = " + std::to_string(person) + "\n" + even;
+    const SkinParameters drawn = Person(person), here = at_cheek(Make(key));
+    EXPECT_FLOAT_EQ(here.melanin, drawn.melanin) << person;
+    EXPECT_FLOAT_EQ(here.blood, drawn.blood) << person;
+    EXPECT_FLOAT_EQ(here.epidermis_mm, drawn.epidermis_mm) << person;
+    EXPECT_FLOAT_EQ(here.scattering, drawn.scattering) << person;
+    // Each key alone, wherever it stands.
+    const SkinParameters melanin = at_cheek(Make(key + "melanin = 0.07\n")),
+                         blood =
+                             at_cheek(Make("[skin]\nblood = 0.02\nperson = " + std::to_string(person) + "\n" + even)),
+                         thick = at_cheek(Make(key + "epidermis_mm = 0.12\n")),
+                         clear = at_cheek(Make(key + "scattering = 0.93\n"));
+    EXPECT_FLOAT_EQ(melanin.melanin, 0.07F);
+    EXPECT_FLOAT_EQ(melanin.blood, drawn.blood);
+    EXPECT_FLOAT_EQ(blood.blood, 0.02F);
+    EXPECT_FLOAT_EQ(blood.scattering, drawn.scattering);
+    EXPECT_FLOAT_EQ(thick.epidermis_mm, 0.12F);
+    EXPECT_FLOAT_EQ(thick.melanin, drawn.melanin);
+    EXPECT_FLOAT_EQ(clear.scattering, 0.93F);
+    EXPECT_FLOAT_EQ(clear.epidermis_mm, drawn.epidermis_mm);
+  }
+  // Freckles and patches are the seed's, not the person's.
+  const Scene one = Make("[subject]\nseed = 3\n[skin]\nperson = 7\n"),
+              other = Make("[subject]\nseed = 4\n[skin]\nperson = 7\n");
+  EXPECT_NE(at_cheek(one).melanin, at_cheek(other).melanin);
+  EXPECT_EQ(at_cheek(one).scattering, at_cheek(other).scattering);
+  const auto picture =
+      Load("[subject]\nshape = \"mesh\"\n[mesh]\nfile = \"a.obj\"\nalbedo = \"a.png\"\n[skin]\nperson = 7\n");
+  const Status refused = picture.ok() ? picture->Validate() : picture.status();
+  EXPECT_EQ(refused.code(), StatusCode::kUsage);
+  EXPECT_THAT(refused.message(), HasSubstr("[skin] person brings melanin and blood"));
 }
 
 TEST_F(SceneFile, SkinTakesItsStatedMelaninFrecklesAndScar) {
