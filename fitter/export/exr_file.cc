@@ -42,8 +42,8 @@ Status WriteExr(const std::filesystem::path& file, ImageView<const float> image,
                           std::to_string(image.channels()) + " channels");
   try {
     Imf::Header header(image.width(), image.height());
-    // What compresses in a map is where no face is, and runs tell that: deflate (level 1) makes files 4 % smaller and takes
-    // four times as long to write them.
+    // What compresses in a map is where no face is, and runs tell that: deflate (level 1) makes files 4 % smaller and
+    // takes four times as long to write them.
     header.compression() = Imf::RLE_COMPRESSION;
     for (const std::string& name : channels) header.channels().insert(name.c_str(), Imf::Channel(Imf::FLOAT));
     Imf::OutputFile out(file.c_str(), header, CompressorThreads());
