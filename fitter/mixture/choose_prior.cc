@@ -14,6 +14,10 @@ namespace {
 
 // 1e6: pixels are all alike but for their light.
 constexpr double kGrid[] = {0.0, 100.0, 300.0, 1000.0, 3000.0, 1e4, 1e6};
+// Below, EM settles slowest: those are tried only where the weakest of the others may be the best.
+constexpr size_t kWeak = 2;
+// Standard errors by which a trial must be worse than another for weaker ones to be worse still.
+constexpr double kSurely = 3.0;
 
 // Fewer tell no N0 from another.
 constexpr int64_t kLeastJudged = 100;
@@ -34,41 +38,60 @@ Score ScoreOf(double divergence, const SrdBatch& light, int64_t profile) {
 // [trial][profile of a light left out]
 using Scores = std::vector<std::vector<Score>>;
 
-// One projector left out: what the fits of the others with each N0 make of it, behind `scores`.
-Status LeaveOut(int projector, std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                int channels, const EmOptions& options, Scores& scores) {
-  std::vector<const SrdBatch*> training, left_out;
-  std::vector<int> names;
+// One projector left out.
+struct LeftOut {
+  std::vector<const SrdBatch*> training, light;
+  std::vector<int> names;  // of the training ones
+  std::vector<LayerSet> mean;
+};
+
+Result<LeftOut> LeaveOut(int projector, std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                         int channels, const EmOptions& options) {
+  LeftOut out;
   for (size_t p = 0; p < lights.size(); ++p) {
-    (projectors[p] == projector ? left_out : training).push_back(lights[p]);
-    if (projectors[p] != projector) names.push_back(projectors[p]);
+    (projectors[p] == projector ? out.light : out.training).push_back(lights[p]);
+    if (projectors[p] != projector) out.names.push_back(projectors[p]);
   }
-  const int64_t profiles = lights[0]->profiles();
-  SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(training, channels, options, 1));
-  SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(training, names, channels, options, mean, kGrid));
-  for (const SrdBatch* light : left_out) {
-    const auto divergences = DivergencesFrom(fits, *light, channels, options);
-    for (size_t trial = 0; trial < fits.size(); ++trial)
-      for (int64_t i = 0; i < profiles; ++i) scores[trial].push_back(ScoreOf(divergences[trial][i], *light, i));
+  SLX_ASSIGN_OR_RETURN(out.mean, MeanLayers(out.training, channels, options, 1));
+  return out;
+}
+
+// What the fits of the others make of each light left out with N0 of kGrid from `first` on, before `end`.
+Status Try(size_t first, size_t end, const std::vector<LeftOut>& turns, int channels, const EmOptions& options,
+           Scores& scores) {
+  for (const LeftOut& turn : turns) {
+    SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(turn.training, turn.names, channels, options, turn.mean,
+                                                        std::span(kGrid).subspan(first, end - first)));
+    for (const SrdBatch* light : turn.light) {
+      const auto divergences = DivergencesFrom(fits, *light, channels, options);
+      for (size_t trial = first; trial < end; ++trial)
+        for (int64_t i = 0; i < light->profiles(); ++i)
+          scores[trial].push_back(ScoreOf(divergences[trial - first][i], *light, i));
+    }
   }
   return Status::Ok();
 }
 
-// The weakest prior that these profiles do not tell from the best one: worse by less than a standard error of the
-// difference.
-size_t WeakestOfTheBest(const Scores& scores, const std::vector<PriorChoice::Trial>& trials) {
-  const auto best = std::min_element(trials.begin(), trials.end(),
-                                     [](const auto& a, const auto& b) { return a.divergence < b.divergence; }) -
-                    trials.begin();
-  for (size_t trial = 0; trial < scores.size(); ++trial) {
-    double worse = 0.0, squares = 0.0;
-    for (size_t i = 0; i < scores[trial].size(); ++i) {
-      const double more = scores[trial][i].divergence - scores[best][i].divergence;
-      worse += more;
-      squares += more * more;
-    }
-    if (worse <= std::sqrt(squares)) return trial;
+double DivergenceOf(const std::vector<Score>& scores) {
+  return std::accumulate(scores.begin(), scores.end(), 0.0,
+                         [](double sum, const Score& s) { return sum + s.divergence; });
+}
+
+// Whether a trial is worse than another by more than so many standard errors of the difference.
+bool IsWorse(const std::vector<Score>& trial, const std::vector<Score>& other, double standard_errors) {
+  double worse = 0.0, squares = 0.0;
+  for (size_t i = 0; i < trial.size(); ++i) {
+    const double more = trial[i].divergence - other[i].divergence;
+    worse += more;
+    squares += more * more;
   }
+  return worse > standard_errors * std::sqrt(squares);
+}
+
+size_t BestOf(const Scores& scores, size_t first) {
+  size_t best = first;
+  for (size_t trial = first; trial < scores.size(); ++trial)
+    if (DivergenceOf(scores[trial]) < DivergenceOf(scores[best])) best = trial;
   return best;
 }
 
@@ -95,20 +118,31 @@ Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const s
   std::sort(distinct.begin(), distinct.end());
   distinct.erase(std::unique(distinct.begin(), distinct.end()), distinct.end());
   if (distinct.size() < 2) return choice;
-  Scores scores(std::size(kGrid));
-  for (int projector : distinct) SLX_RETURN_IF_ERROR(LeaveOut(projector, sampled, projectors, channels, trial, scores));
-  for (size_t t = 0; t < scores.size(); ++t) {
-    Score sum;
-    int64_t told = 0;
-    for (const Score& score : scores[t]) {
-      sum.divergence += score.divergence;
-      sum.photons += score.photons;
-      told += score.photons > 0.0 ? 1 : 0;
-    }
-    if (told < kLeastJudged) return PriorChoice{choice.prior, {}};
-    choice.trials.push_back({kGrid[t], sum.divergence / sum.photons});
+  std::vector<LeftOut> turns;
+  for (int projector : distinct) {
+    SLX_ASSIGN_OR_RETURN(auto turn, LeaveOut(projector, sampled, projectors, channels, trial));
+    turns.push_back(std::move(turn));
   }
-  choice.prior.photons = kGrid[WeakestOfTheBest(scores, choice.trials)];
+  Scores scores(std::size(kGrid));
+  SLX_RETURN_IF_ERROR(Try(kWeak, scores.size(), turns, channels, trial, scores));
+  const auto told = std::ranges::count_if(scores[kWeak], [](const Score& s) { return s.photons > 0.0; });
+  if (told < kLeastJudged) return choice;
+  size_t first = kWeak;
+  if (!IsWorse(scores[first], scores[BestOf(scores, first)], kSurely)) {
+    SLX_RETURN_IF_ERROR(Try(0, kWeak, turns, channels, trial, scores));
+    first = 0;
+  }
+  const size_t best = BestOf(scores, first);
+  bool chosen = false;
+  for (size_t t = first; t < scores.size(); ++t) {
+    const double photons = std::accumulate(scores[t].begin(), scores[t].end(), 0.0,
+                                           [](double sum, const Score& s) { return sum + s.photons; });
+    choice.trials.push_back({kGrid[t], DivergenceOf(scores[t]) / photons});
+    // The weakest that these profiles do not tell from the best.
+    if (chosen || IsWorse(scores[t], scores[best], 1.0)) continue;
+    choice.prior.photons = kGrid[t];
+    chosen = true;
+  }
   return choice;
 }
 

@@ -26,7 +26,8 @@ struct PriorChoice {
 
 // On some 500 pixels each projector of `projectors` (the batches' own) is left out in turn, columns and rows: mean
 // layers and tied fits of the others predict its samples. From a logarithmic grid of 0, few to endlessly many photons
-// the least N0 whose divergence is not a standard error above the best one's. The same bits for any number of threads.
+// the least N0 whose divergence is not a standard error above the best one's; 0 and 100 are left out where 300 is three
+// above it. The same bits for any number of threads.
 [[nodiscard]] Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights,
                                               const std::vector<int>& projectors, int channels,
                                               const EmOptions& options);

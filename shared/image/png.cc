@@ -37,9 +37,8 @@ Result<std::vector<uint8_t>> Encode(const void* pixels, int width, int height, i
   png.image.width = static_cast<png_uint_32>(width);
   png.image.height = static_cast<png_uint_32>(height);
   png.image.format = (channels == 3 ? PNG_FORMAT_FLAG_COLOR : 0U) | linear_flag;
-  png_alloc_size_t size = 0;
-  if (png_image_write_to_memory(&png.image, nullptr, &size, 0, pixels, 0, nullptr) == 0)
-    return Status::Failed(std::string("PNG: ") + png.image.message);
+  // Asked for the size it needs, libpng would compress all of it for the answer.
+  png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(png.image);
   std::vector<uint8_t> bytes(size);
   if (png_image_write_to_memory(&png.image, bytes.data(), &size, 0, pixels, 0, nullptr) == 0)
     return Status::Failed(std::string("PNG: ") + png.image.message);

@@ -76,6 +76,22 @@ TEST(ChoosePrior, BindsPixelsThatAreAlikeMoreThanThoseThatAreNot) {
   EXPECT_LT(3.0 * Chosen(unlike, options).photons, Chosen(alike, options).photons);
 }
 
+TEST(ChoosePrior, TriesWeakPriorsOnlyWhereOneMayBeTheBest) {
+  const EmOptions options;
+  // Enough photons to tell how much alike the pixels are.
+  const auto choose = [&](int alike) {
+    const EmCases made = MakeEmCases({.profiles = kProfiles, .peak_counts = 1e4, .alike = alike}, options, 46);
+    auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
+    EXPECT_TRUE(choice.ok() && !choice->trials.empty());
+    return *std::move(choice);
+  };
+  const PriorChoice alike = choose(kProfiles), unlike = choose(1);
+  EXPECT_EQ(alike.trials.front().photons, 300.0);
+  EXPECT_GT(alike.prior.photons, 300.0);
+  EXPECT_EQ(unlike.trials.front().photons, 0.0);
+  EXPECT_LT(unlike.prior.photons, 300.0);
+}
+
 TEST(ChoosePrior, HearsNothingOfLightsThatNoFitCanUse) {
   // Samples that are no number; light from behind the horizon, as of directions given to the wrong light.
   const EmOptions options;
