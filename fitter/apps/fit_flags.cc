@@ -75,6 +75,11 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
   verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
       ->check(CLI::IsMember({"reconstructed", "truth"}))
       ->capture_default_str();
+  verb.add_option("--offset", f.offset,
+                  "on: the reconstructed surface is moved along the view to where the sweeps say it lies, which "
+                  "scattering hides from the codes; off: taken as it is")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
   verb.add_option(
           "--maps", f.maps,
           "on: maps/, too: the layers refined by the projector that is left out, for pictures and exports; off. "
@@ -103,6 +108,7 @@ Result<RunOptions> RunOptionsOf(const FitFlags& flags) {
   run.fit.choose.reflection = flags.surface == "model";
   run.fit.em.background_term = flags.background == "on";
   run.fit.choose.directions = flags.directional == "on";
+  run.offset = flags.offset == "on";
   run.maps = flags.maps == "on";
   run.geometry = flags.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   return run;

@@ -11,6 +11,13 @@
 namespace stratalux::fit {
 namespace {
 
+nlohmann::ordered_json JsonOf(const SurfaceError& error) {
+  return {{"depth_rms_mm", error.depth_rms_mm},
+          {"depth_bias_mm", error.depth_bias_mm},
+          {"normal_median_deg", error.normal_median_deg},
+          {"pixels", error.pixels}};
+}
+
 double FigureOf(const nlohmann::json& json) { return json.is_null() ? std::nan("") : json.get<double>(); }
 
 }  // namespace
@@ -138,11 +145,17 @@ std::string Metrics::ToJson() const {
                                            {"spread_px", d.spread_px},
                                            {"expected_px", d.expected_px},
                                            {"moved", d.moved}});
-  if (truth)
-    json["truth"] = {{"depth_rms_mm", truth->depth_rms_mm},
-                     {"depth_bias_mm", truth->depth_bias_mm},
-                     {"normal_median_deg", truth->normal_median_deg},
-                     {"pixels", truth->pixels}};
+  json["offsets"] = Json::array();
+  for (const OffsetFigure& o : offsets) {
+    json["offsets"].push_back({{"heldout", o.heldout ? Json(*o.heldout) : Json()},
+                               {"model", o.model},
+                               {"depth_mm", o.offset.depth_mm},
+                               {"sigma_mm", o.offset.sigma_mm},
+                               {"pixels", o.offset.pixels}});
+    if (o.truth) json["offsets"].back()["truth"] = JsonOf(*o.truth);
+  }
+  if (truth) json["truth"] = JsonOf(*truth);
+  if (unplaced) json["unplaced"] = JsonOf(*unplaced);
   return json.dump(1) + "\n";
 }
 

@@ -9,6 +9,7 @@
 
 #include "fitter/evaluation/image_error.h"
 #include "fitter/mixture/srd_centroid.h"
+#include "fitter/mixture/surface_offset.h"
 #include "fitter/reconstruction/drift.h"
 #include "fitter/stages/fit_summary.h"
 #include "fitter/stages/srd.h"
@@ -18,7 +19,8 @@ namespace stratalux::fit {
 struct HeldOutFigure {
   int projector = 0;
   std::string light;  // stripe | white | spot
-  std::string model;  // tied | free | homogeneous | homogeneous_local_albedo | direction_blind | dipole | an ablation
+  std::string model;  // tied | free | homogeneous | homogeneous_local_albedo | direction_blind |
+                      // direction_blind_placed | dipole | an ablation
   std::string part;   // total | subsurface
   // total: the separated direct light, or the model's own prediction of the surface's; subsurface: against the truth of
   // a simulation, or the captured light less the separated direct one.
@@ -56,6 +58,14 @@ struct CentroidFigure {
   CentroidError error;
 };
 
+// How the surface of a fit was placed along the view (SurfaceOffset).
+struct OffsetFigure {
+  std::optional<int> heldout;  // none: by all projectors, as the fit's files have it
+  std::string model;           // whose choice: the judged one's, or direction_blind_placed
+  SurfaceOffset offset;
+  std::optional<SurfaceError> truth;  // of the placed surface
+};
+
 struct StageFigure {
   std::string name;
   double seconds = 0.0;
@@ -74,8 +84,10 @@ struct Metrics {
   FitSummary summary;
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;
-  DriftReport drift;                  // of the rig since its calibration
-  std::optional<SurfaceError> truth;  // only in simulation
+  DriftReport drift;  // of the rig since its calibration
+  std::vector<OffsetFigure> offsets;
+  std::optional<SurfaceError> truth;     // of the fit's surface; only in simulation
+  std::optional<SurfaceError> unplaced;  // the same before it was placed
 
   [[nodiscard]] std::string ToJson() const;
 };

@@ -232,6 +232,12 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   return map;
 }
 
+MixtureMap UnfittedMap(int width, int height, int channels, const EmOptions& options) {
+  MixtureMap map = EmptyMap(width, height, channels, options, {});
+  map.prior_photons = options.prior.photons;
+  return map;
+}
+
 namespace {
 
 // Of each light of `projectors` its place among those of `fit`; -1: a further one. Empty: they are not in that order.

@@ -22,6 +22,9 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
                               int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
                               const std::function<void(int64_t)>& progress = {});
 
+// A map of which nothing is fitted, by no light, with the prior of `options`: to refine it is to fit it.
+[[nodiscard]] MixtureMap UnfittedMap(int width, int height, int channels, const EmOptions& options);
+
 // A map of some lights, refined by all.
 struct RefinedMap {
   MixtureMap map;

@@ -83,24 +83,6 @@ MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
   return row;
 }
 
-// A row in which nothing is fitted, by no light: refining it is fitting anew.
-MixtureMap EmptyRow(int64_t profiles, int channels, const EmOptions& options) {
-  MixtureMap row;
-  row.width = static_cast<int>(profiles) / channels;
-  row.height = 1;
-  row.channels = channels;
-  row.layers = options.layers;
-  row.scattering = options.scattering;
-  row.prior_photons = options.prior.photons;
-  const auto count = static_cast<size_t>(profiles);
-  for (auto* values : {&row.weight, &row.depth_mm, &row.sigma_mm})
-    values->assign(count * static_cast<size_t>(options.layers), 0.0F);
-  for (auto* values : {&row.divergence, &row.prior_share}) values->assign(count, 0.0F);
-  row.iterations.assign(count, 0);
-  row.reason.assign(count, static_cast<uint8_t>(FitReason::kNoProjector));
-  return row;
-}
-
 // Mean difference over the profiles that `wanted` says.
 double MeanAbove(const std::vector<float>& cost, const std::vector<float>& referee, const std::vector<uint8_t>& wanted,
                  int64_t count) {
@@ -133,7 +115,7 @@ Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights, const 
   });
   if (which.empty()) return choice;
   const SampledBatches sampled(lights, which);
-  const MixtureMap none = EmptyRow(std::ssize(which), channels, options);
+  const MixtureMap none = UnfittedMap(static_cast<int>(std::ssize(which)) / channels, 1, channels, options);
   const auto swept = [&](int sweeps) {
     EmOptions few = options;
     few.max_iterations = few.refinement_iterations = sweeps;
@@ -164,7 +146,7 @@ Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights
   EmOptions of_fit = options;
   of_fit.scattering = fit.scattering;
   of_fit.prior.photons = fit.prior_photons;
-  const MixtureMap row = SampledRow(fit, which), none = EmptyRow(std::ssize(which), fit.channels, of_fit);
+  const MixtureMap row = SampledRow(fit, which), none = UnfittedMap(row.width, 1, fit.channels, of_fit);
   // Without a prior EM starts from widths spread over all scales, with its own number of sweeps.
   EmOptions endless = options;
   endless.max_iterations = endless.refinement_iterations = kRefereeSweeps;

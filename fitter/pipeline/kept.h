@@ -31,6 +31,8 @@ class Kept {
     value_.emplace(std::move(value));
     key_ = key;
   }
+  // The value that is kept, or nullptr; who changes it, changes it for all who have it.
+  T* Get() { return value_ ? &*value_ : nullptr; }
   void Drop() { value_.reset(); }
   [[nodiscard]] bool Empty() const { return !value_; }
 

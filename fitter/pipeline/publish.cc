@@ -18,6 +18,7 @@
 #include "fitter/evaluation/compare.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/report/session_report.h"
+#include "fitter/stages/offset.h"
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
 #include "fitter/stages/stage_json.h"
@@ -36,10 +37,11 @@ constexpr const char* kAblations[] = {"projectors_permuted", "comb_frames_shuffl
 
 // Keys of the stages that a fit is made of; their files are the fit's.
 std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOptions& options) {
-  std::map<std::string, std::string> keys = {{"shape", graph.Shape(options.geometry)},
+  std::map<std::string, std::string> keys = {{"shape", graph.PlacedShape(options.geometry, kNoneHeldOut)},
                                              {"separate", graph.Separate()},
                                              {"normals", graph.Normals()},
                                              {"fit", graph.Fit(options.geometry, options.heldout, FitKind::kJudged)}};
+  if (const std::string offset = graph.Offset(options.geometry, kNoneHeldOut); !offset.empty()) keys["offset"] = offset;
   if (options.MakesMaps()) keys["maps"] = graph.Maps();
   if (options.standard_errors) keys["standard_errors"] = graph.StandardErrors();
   return keys;
@@ -86,6 +88,31 @@ Status AddCentroid(SessionGraph& graph, GeometrySource source, int heldout, Metr
   return Status::Ok();
 }
 
+// Nothing without a truth.
+Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const SessionFrames& frames,
+                                                 const std::string& shape) {
+  SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
+  if (!truth) return std::optional<SurfaceError>();
+  SLX_ASSIGN_OR_RETURN(const auto depth, truth->Depth());
+  SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
+  SLX_ASSIGN_OR_RETURN(const FaceShape made, graph.stages().Load(shape, LoadShape));
+  return std::optional(CompareSurface(made.surface, depth, normal));
+}
+
+// Of the surface that fits without `heldout` (none: the fit's files) stand on; nothing where it was not moved.
+Status AddOffset(SessionGraph& graph, const SessionFrames& frames, GeometrySource source, std::optional<int> heldout,
+                 FitKind kind, Metrics& metrics) {
+  const int projector = heldout.value_or(kNoneHeldOut);
+  const std::string key = graph.Offset(source, projector, kind);
+  if (key.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const auto offset, graph.stages().Load(key, LoadOffset));
+  OffsetFigure figure{heldout, kind == FitKind::kJudged ? graph.JudgedModel() : "direction_blind_placed", offset,
+                      std::nullopt};
+  SLX_ASSIGN_OR_RETURN(figure.truth, AgainstTruth(graph, frames, graph.PlacedShape(source, projector, kind)));
+  metrics.offsets.push_back(figure);
+  return Status::Ok();
+}
+
 // The projectors that --full-evaluation holds out, and the surface that it does so on.
 std::vector<std::pair<GeometrySource, int>> FullViews(const SessionGraph& graph, const RunOptions& options,
                                                       int projectors) {
@@ -105,23 +132,20 @@ std::string Ablations(SessionGraph& graph, const RunOptions& options) {
 
 // Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
 // the reconstruction's.
-Status EvaluateFully(SessionGraph& graph, const RunOptions& options, int projectors, Metrics& metrics) {
-  const std::vector<std::string> models = ModelsOf(graph, Evaluation::kFull);
+Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames, int projectors,
+                     Metrics& metrics) {
   SLX_ASSIGN_OR_RETURN(const auto compared, graph.stages().Load(Ablations(graph, options), LoadComparison));
   metrics.ablations = compared.figures;
+  SLX_RETURN_IF_ERROR(
+      AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kDirectionBlindPlaced, metrics));
   for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
+    const auto models = ModelsOf(graph, Evaluation::kFull, source, projector);
     SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr));
     SLX_RETURN_IF_ERROR(AddCentroid(graph, source, projector, metrics));
+    for (const FitKind kind : {FitKind::kJudged, FitKind::kDirectionBlindPlaced})
+      SLX_RETURN_IF_ERROR(AddOffset(graph, frames, source, projector, kind, metrics));
   }
   return Status::Ok();
-}
-
-Result<std::optional<SurfaceError>> AgainstTruth(const SessionFrames& frames, const SurfaceMap& surface) {
-  SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
-  if (!truth) return std::optional<SurfaceError>();
-  SLX_ASSIGN_OR_RETURN(const auto depth, truth->Depth());
-  SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
-  return std::optional(CompareSurface(surface, depth, normal));
 }
 
 // Layers of all projectors are in memory no longer than what is shown of them takes.
@@ -172,10 +196,12 @@ const char* ToString(Evaluation evaluation) {
   return "";
 }
 
-std::vector<std::string> ModelsOf(const SessionGraph& graph, Evaluation evaluation) {
+std::vector<std::string> ModelsOf(SessionGraph& graph, Evaluation evaluation, GeometrySource source, int heldout) {
   std::vector<std::string> models = {graph.JudgedModel(), "homogeneous"};
   if (evaluation == Evaluation::kFirst) return models;
   for (const char* name : {"homogeneous_local_albedo", "direction_blind", "dipole"}) models.emplace_back(name);
+  if (evaluation == Evaluation::kFull && !graph.Offset(source, heldout).empty())
+    models.emplace_back("direction_blind_placed");
   return models;
 }
 
@@ -184,14 +210,17 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
 }
 
 std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
-  std::vector<std::string> keys = {graph.Normals()};
+  std::vector<std::string> keys = {graph.Normals(), graph.PlacedShape(options.geometry, kNoneHeldOut)};
   if (options.MakesMaps()) keys.push_back(graph.Maps());
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
-  keys.push_back(graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout));
+  const auto compare = [&](GeometrySource source, int heldout) {
+    return graph.Compare(ModelsOf(graph, evaluation, source, heldout), source, heldout);
+  };
+  keys.push_back(compare(options.geometry, options.heldout));
   if (evaluation != Evaluation::kFull) return keys;
   keys.push_back(Ablations(graph, options));
   for (const auto& [source, projector] : FullViews(graph, options, projectors))
-    keys.push_back(graph.Compare(ModelsOf(graph, evaluation), source, projector));
+    keys.push_back(compare(source, projector));
   return keys;
 }
 
@@ -238,25 +267,34 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);
 
+  SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kJudged, metrics));
+  SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, std::nullopt, FitKind::kJudged, metrics));
+  if (!metrics.offsets.empty()) {
+    SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, frames, graph.Shape(options.geometry)));
+  }
   SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
+  const int projectors = static_cast<int>(shape->record.projectors.size());
   SLX_ASSIGN_OR_RETURN(const auto* separation, graph.Separation(keys.at("separate")));
   SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, graph.Layers(keys.at("fit")));
   const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers->map.channels); };
   SLX_ASSIGN_OR_RETURN(const auto normals, stages.Load(keys.at("normals"), load_normals));
-  SLX_ASSIGN_OR_RETURN(auto shown,
-                       LayersToShow(stages, keys, *layers, static_cast<int>(shape->record.projectors.size())));
+  SLX_ASSIGN_OR_RETURN(auto shown, LayersToShow(stages, keys, *layers, projectors));
   const int64_t chosen = ProfileToShow(layers->map);
   const auto load_profile = [&](const fs::path& folder) { return LoadProfileSrds(folder, chosen); };
   SLX_ASSIGN_OR_RETURN(auto srds, stages.Load(graph.Srd(options.geometry), load_profile));
   metrics.sweeps = std::move(srds.figures);
+  if (const std::string key = graph.Offset(options.geometry, options.heldout); !key.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto offset, stages.Load(key, LoadOffset));
+    for (SrdBatch& batch : srds.batches) MoveSurface(batch, offset.depth_mm);
+  }
   ReportInput input{frames,  *shape,           *separation, normals,
                     *layers, std::move(shown), chosen,      std::move(srds.batches),
                     {},      options.heldout};
-  const std::string compare = graph.Compare(ModelsOf(graph, evaluation), options.geometry, options.heldout);
+  const std::string compare =
+      graph.Compare(ModelsOf(graph, evaluation, options.geometry, options.heldout), options.geometry, options.heldout);
   SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons));
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
-  if (evaluation == Evaluation::kFull)
-    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, static_cast<int>(shape->record.projectors.size()), metrics));
+  if (evaluation == Evaluation::kFull) SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, projectors, metrics));
 
   metrics.session = frames.info().id;
   metrics.fit = FitIdOf(graph, options);
@@ -264,7 +302,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   metrics.options_json = options.ToJson();
   metrics.evaluation = ToString(evaluation);
   metrics.drift = shape->drift;
-  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(frames, shape->surface));
+  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(graph, frames, keys.at("shape")));
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});

@@ -20,7 +20,8 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 [[nodiscard]] const char* ToString(Evaluation evaluation);
 
 // Models that a comparison of that evaluation holds, the judged one first.
-[[nodiscard]] std::vector<std::string> ModelsOf(const SessionGraph& graph, Evaluation evaluation);
+[[nodiscard]] std::vector<std::string> ModelsOf(SessionGraph& graph, Evaluation evaluation, GeometrySource source,
+                                                int heldout);
 
 // Keys of the stages that a fit with that evaluation asks for, of a rig with so many projectors; not those that only an
 // earlier evaluation asks for.

@@ -55,6 +55,7 @@ std::string RunOptions::ToJson() const {
                                        {"reading", fit::ToString(srd.reading)},
                                        {"distance", fit::ToString(srd.distance)},
                                        {"full_evaluation", full_evaluation},
+                                       {"offset", offset},
                                        {"maps", MakesMaps()},
                                        {"standard_errors", standard_errors},
                                        {"geometry", fit::ToString(geometry)}};

@@ -40,6 +40,8 @@ const char* ToString(FitKind kind) {
       return "none";
     case FitKind::kDirectionBlind:
       return "direction_blind";
+    case FitKind::kDirectionBlindPlaced:
+      return "direction_blind_placed";
     case FitKind::kProjectorsPermuted:
       return "projectors_permuted";
     case FitKind::kCombFramesShuffled:
@@ -212,52 +214,107 @@ std::string SessionGraph::Srd(GeometrySource source) {
               }});
 }
 
-std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) {
+FitOptions SessionGraph::FitOptionsOf(FitKind kind) const {
   FitOptions fit = options_.fit;
-  if (kind == FitKind::kDirectionBlind) {
+  if (kind == FitKind::kDirectionBlind || kind == FitKind::kDirectionBlindPlaced) {
     fit.em.scattering.mode = FitMode::kTied;
     fit.em.direction_blind = true;
   }
+  return fit;
+}
+
+std::string SessionGraph::Offset(GeometrySource source, int heldout, FitKind kind) {
+  if (source == GeometrySource::kTruth || !options_.offset) return "";
+  const std::string srd = Srd(source), shape = Shape(source);
+  const bool own = kind == FitKind::kDirectionBlindPlaced;
+  const FitOptions fit = FitOptionsOf(own ? kind : FitKind::kJudged);
+  SortedJson options = SortedJson::parse(FitOptionsJson(fit));
+  options["heldout"] = heldout;
+  const std::string what = own ? std::string("offset, ") + ToString(kind) : "offset";
+  const std::string label = heldout == kNoneHeldOut ? "offset, all projectors" : LabelOf(what, source, heldout);
+  return Add({{"offset", kOffsetVersion, options.dump(), {{"srd", srd}, {"shape", shape}}, isa_},
+              label,
+              {srd, shape},
+              [=, this](const fs::path& folder) -> Status {
+                MakeRoomForAFit();
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds({srd, ""}, FitKind::kJudged, heldout));
+                SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, face->surface, heldout, fit, logger_, label));
+                return SaveOffset(folder, offset);
+              }});
+}
+
+std::string SessionGraph::PlacedShape(GeometrySource source, int heldout, FitKind kind) {
+  const std::string shape = Shape(source), offset = Offset(source, heldout, kind);
+  if (offset.empty()) return shape;
+  return Add({{"placed_shape", kPlacedShapeVersion, "{}", {{"shape", shape}, {"offset", offset}}, ""},
+              heldout == kNoneHeldOut ? "shape, placed" : LabelOf("shape, placed", source, heldout),
+              {shape, offset},
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                SLX_ASSIGN_OR_RETURN(const auto found, stages_.Load(offset, LoadOffset));
+                return SaveShape(folder, fit::PlacedShape(*face, found));
+              }});
+}
+
+std::map<std::string, std::string> SessionGraph::SrdKeys::Inputs() const {
+  std::map<std::string, std::string> inputs = {{"srd", srd}};
+  if (!offset.empty()) inputs["offset"] = offset;
+  return inputs;
+}
+
+std::vector<std::string> SessionGraph::SrdKeys::Upstream() const {
+  return offset.empty() ? std::vector{srd} : std::vector{srd, offset};
+}
+
+std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) {
   const std::string what = kind == FitKind::kJudged ? "fit" : std::string("fit, ") + ToString(kind);
-  std::string key = AddFit(Srd(source), heldout, fit, kind, LabelOf(what, source, heldout));
+  std::string key =
+      AddFit(SrdsOf(source, heldout, kind), heldout, FitOptionsOf(kind), kind, LabelOf(what, source, heldout));
   if (kind == FitKind::kJudged && source == options_.geometry && heldout == options_.heldout) judged_fit_ = key;
   return key;
 }
 
-std::string SessionGraph::AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
+std::string SessionGraph::AddFit(const SrdKeys& from, int heldout, const FitOptions& fit, FitKind kind,
                                  const std::string& label) {
   SortedJson options = SortedJson::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
-  options["spoilt"] = kind == FitKind::kDirectionBlind ? "none" : ToString(kind);
+  options["spoilt"] = IsSpoilt(kind) ? ToString(kind) : ToString(FitKind::kJudged);
   if (kind == FitKind::kCombFramesShuffled) options["seed"] = kShuffleSeed;
-  const db::ArtifactIdentity identity = {"fit", kFitVersion, options.dump(), {{"srd", srd}}, isa_};
-  return Add({identity, label, {srd}, [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
-                MakeRoomForAFit();
-                SLX_ASSIGN_OR_RETURN(const SrdSet* read, Srds(srd, kind, heldout));
-                const SrdSet& srds = *read;
-                FittedLayers layers;
-                layers.pool = srds.pool;
-                SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
-                SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(srds, heldout));
-                layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
-                SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
-                SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
-                SLX_RETURN_IF_ERROR(SaveSummary(folder, Summarise(layers.map, srds, heldout)));
-                KeptLayers(key).Put(key, std::move(layers));
-                return Status::Ok();
-              }});
+  const db::ArtifactIdentity identity = {"fit", kFitVersion, options.dump(), from.Inputs(), isa_};
+  return Add(
+      {identity, label, from.Upstream(), [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
+         MakeRoomForAFit();
+         SLX_ASSIGN_OR_RETURN(const SrdSet* read, Srds(from, kind, heldout));
+         const SrdSet& srds = *read;
+         FittedLayers layers;
+         layers.pool = srds.pool;
+         SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
+         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(srds, heldout));
+         layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
+         SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
+         SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
+         SLX_RETURN_IF_ERROR(SaveSummary(folder, Summarise(layers.map, srds, heldout)));
+         KeptLayers(key).Put(key, std::move(layers));
+         return Status::Ok();
+       }});
 }
 
 std::string SessionGraph::Maps() {
-  const std::string srd = Srd(options_.geometry), fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
+  const SrdKeys from = SrdsOf(options_.geometry, kNoneHeldOut);
+  const std::string fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
   SortedJson options = SortedJson::parse(FitOptionsJson(options_.fit));
   options["heldout"] = options_.heldout;
-  return Add({{"maps", kMapsVersion, options.dump(), {{"srd", srd}, {"fit", fit}}, isa_},
+  auto inputs = from.Inputs();
+  auto upstream = from.Upstream();
+  inputs["fit"] = fit;
+  upstream.push_back(fit);
+  return Add({{"maps", kMapsVersion, options.dump(), inputs, isa_},
               "maps, all projectors",
-              {srd, fit},
+              upstream,
               [=, this](const fs::path& folder) -> Status {
                 MakeRoomForAFit();
-                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, options_.heldout));
+                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
                 SLX_ASSIGN_OR_RETURN(const auto refined, RefineLayers(*srds, options_.heldout, std::move(layers),
                                                                       options_.fit, logger_, "maps, all projectors"));
@@ -266,25 +323,34 @@ std::string SessionGraph::Maps() {
 }
 
 std::string SessionGraph::StandardErrors() {
-  const std::string srd = Srd(options_.geometry), fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
-  return Add(
-      {{"standard_errors", kStandardErrorsVersion, FitOptionsJson(options_.fit), {{"srd", srd}, {"fit", fit}}, isa_},
-       "standard errors",
-       {srd, fit},
-       [=, this](const fs::path& folder) -> Status {
-         SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, options_.heldout));
-         SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
-         SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));
-         Progress progress(logger_, "standard errors", layers->map.profiles());
-         return WriteStandardErrors(folder, FindStandardErrors(layers->map, lights.batches, options_.fit.em,
-                                                               [&](int64_t done) { progress.Advance(done); }));
-       }});
+  const SrdKeys from = SrdsOf(options_.geometry, options_.heldout);
+  const std::string fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
+  auto inputs = from.Inputs();
+  auto upstream = from.Upstream();
+  inputs["fit"] = fit;
+  upstream.push_back(fit);
+  return Add({{"standard_errors", kStandardErrorsVersion, FitOptionsJson(options_.fit), inputs, isa_},
+              "standard errors",
+              upstream,
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
+                SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
+                SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));
+                Progress progress(logger_, "standard errors", layers->map.profiles());
+                return WriteStandardErrors(folder, FindStandardErrors(layers->map, lights.batches, options_.fit.em,
+                                                                      [&](int64_t done) { progress.Advance(done); }));
+              }});
+}
+
+FitKind SessionGraph::KindOf(const std::string& model) {
+  for (const FitKind kind : {FitKind::kDirectionBlind, FitKind::kDirectionBlindPlaced, FitKind::kProjectorsPermuted,
+                             FitKind::kCombFramesShuffled})
+    if (model == ToString(kind)) return kind;
+  return FitKind::kJudged;
 }
 
 std::string SessionGraph::FitOf(const std::string& model, GeometrySource source, int heldout) {
-  for (const FitKind kind : {FitKind::kDirectionBlind, FitKind::kProjectorsPermuted, FitKind::kCombFramesShuffled})
-    if (model == ToString(kind)) return Fit(source, heldout, kind);
-  return Fit(source, heldout, FitKind::kJudged);
+  return Fit(source, heldout, KindOf(model));
 }
 
 Result<const SessionFrames*> SessionGraph::Frames(const RigCalibration& record) {
@@ -303,12 +369,26 @@ Result<const std::vector<SeparationMap>*> SessionGraph::Separation(const std::st
   return separation_.Of(separate, [&] { return stages_.Load(separate, LoadSeparation); });
 }
 
-Result<const SrdSet*> SessionGraph::Srds(const std::string& srd, FitKind kind, int heldout) {
-  const std::string of = IsSpoilt(kind) ? srd + ToString(kind) + std::to_string(heldout) : srd;
-  return srds_.Of(of, [&]() -> Result<SrdSet> {
-    SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(srd, LoadSrds));
-    return Spoil(std::move(extracted.set), kind, heldout);
-  });
+Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int heldout) {
+  SurfaceOffset offset;
+  if (!keys.offset.empty()) {
+    SLX_ASSIGN_OR_RETURN(offset, stages_.Load(keys.offset, LoadOffset));
+  }
+  const bool spoilt = IsSpoilt(kind);
+  const std::string of =
+      spoilt ? keys.srd + " " + keys.offset + " " + ToString(kind) + " " + std::to_string(heldout) : keys.srd;
+  SLX_RETURN_IF_ERROR(srds_
+                          .Of(of,
+                              [&]() -> Result<PlacedSrds> {
+                                SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(keys.srd, LoadSrds));
+                                PlacedSrds srds(std::move(extracted.set));
+                                if (!spoilt) return srds;
+                                srds.MoveTo(offset.depth_mm);
+                                return PlacedSrds(Spoil(srds.Take(), kind, heldout));
+                              })
+                          .status());
+  if (!spoilt) srds_.Get()->MoveTo(offset.depth_mm);
+  return &srds_.Get()->set();
 }
 
 Result<const HeldOutView*> SessionGraph::View(const std::string& shape, int heldout) {
@@ -349,8 +429,8 @@ void SessionGraph::MakeRoomForAFit() {
   predictions_.clear();
 }
 
-Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const std::string& srd, int heldout) {
-  SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(srd, FitKind::kJudged, heldout));
+Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const SrdKeys& keys, int heldout) {
+  SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(keys, FitKind::kJudged, heldout));
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
   std::vector<Dipole> dipoles;
   for (int c = 0; c < fit.channels; ++c)
@@ -361,15 +441,16 @@ Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const std
 
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
   if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
-  const std::string fit = FitOf(model, source, heldout), shape = Shape(source), srd = Srd(source);
+  const std::string fit = FitOf(model, source, heldout), shape = PlacedShape(source, heldout, KindOf(model));
+  const SrdKeys from = SrdsOf(source, heldout);
   SortedJson options = {
       {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}};
   std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
   std::vector<std::string> upstream = {fit, shape};
   if (IsBaseline(model)) options["baseline"] = model;
   if (model == "dipole") {
-    inputs["srd"] = srd;
-    upstream.push_back(srd);
+    inputs.merge(from.Inputs());
+    for (const std::string& key : from.Upstream()) upstream.push_back(key);
   }
   const db::ArtifactIdentity identity = {"predict", kPredictVersion, options.dump(), inputs, isa_};
   return Add({identity, LabelOf("predict, " + model, source, heldout), upstream,
@@ -378,7 +459,7 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
                 std::optional<MixtureMap> baseline;
                 if (model == "homogeneous") baseline = Homogeneous(fitted->map);
                 if (model == "dipole") {
-                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, srd, heldout));
+                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, from, heldout));
                 }
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
                 return KeepPredictions(key, folder,
@@ -409,7 +490,7 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
-  const std::string shape = Shape(source), separate = Separate();
+  const std::string shape = PlacedShape(source, heldout), separate = Separate();
   std::vector<std::string> predictions, fits;
   for (const std::string& model : models)
     if (!stages_.Has(Predict(model, source, heldout))) fits.push_back(FitOf(model, source, heldout));
@@ -454,7 +535,11 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 }
                 const CompareInput input{
                     *frames, *view, (*maps)[heldout], truth, options_.srd.pool, fit::ToString(source)};
-                SLX_ASSIGN_OR_RETURN(const auto comparison, CompareHeldOut(input, compared));
+                SLX_ASSIGN_OR_RETURN(auto comparison, CompareHeldOut(input, compared));
+                // The separated light lies on the judged surface: to a model on another one it is no yardstick.
+                std::erase_if(comparison.figures, [](const HeldOutFigure& figure) {
+                  return figure.model == ToString(FitKind::kDirectionBlindPlaced) && figure.direct == "separated";
+                });
                 predictions_.clear();
                 view_.Drop();
                 return SaveComparison(folder, comparison);

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // The stages of one session: which reads what. Each method adds a node, and what it reads, and gives its key.
 //
-//   frames -> decode -> shape --------+-> srd -> fit -> predict -> compare
-//         \-> separate -> normals      |          \-> maps, which nothing reads that judges a fit
-//                                      \-> (truth_shape, of the truth of a simulation, in its place)
+//   frames -> decode -> shape --------+-> srd -> offset -> fit -> predict -> compare
+//         \-> separate -> normals      |     \       |         \-> maps, which nothing reads that judges a fit
+//                                      |      \      \-> placed_shape, which predictions and comparisons stand on
+//                                      \-> (truth_shape, of the truth of a simulation, in its place: without offset)
 #pragma once
 
 #include <map>
@@ -21,12 +22,13 @@
 #include "fitter/session/session_frames.h"
 #include "fitter/stages/decode.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/offset.h"
 #include "fitter/stages/srd_file.h"
 
 namespace stratalux::fit {
 
 // What a fit is made of data for: itself, a baseline, an ablation.
-enum class FitKind { kJudged, kDirectionBlind, kProjectorsPermuted, kCombFramesShuffled };
+enum class FitKind { kJudged, kDirectionBlind, kDirectionBlindPlaced, kProjectorsPermuted, kCombFramesShuffled };
 
 class SessionGraph {
  public:
@@ -39,6 +41,12 @@ class SessionGraph {
   std::string Separate();
   std::string Normals();
   std::string Srd(GeometrySource source);
+  // Of the surface, by the lights that a fit with that projector held out is fitted to; empty where the surface is
+  // taken as it is.
+  // Its depths are the judged fit's; kDirectionBlindPlaced has a surface of its own choice.
+  std::string Offset(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged);
+  // The surface put right by that; Shape where there is none.
+  std::string PlacedShape(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged);
   std::string Fit(GeometrySource source, int heldout, FitKind kind);
   // Of the judged fit: its layers, refined by all projectors.
   std::string Maps();
@@ -65,22 +73,32 @@ class SessionGraph {
   SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts, Logger& logger);
   std::string Add(StageNode node);
   std::string PredictLocalAlbedo(GeometrySource source, int heldout);
+  // What the judged fit's options are to a fit of that kind.
+  [[nodiscard]] FitOptions FitOptionsOf(FitKind kind) const;
   // The fit that a model is, or is derived from.
+  [[nodiscard]] static FitKind KindOf(const std::string& model);
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
   // The session's frames as `record` reads them, and the dark frames that stages have asked of them.
   Result<const SessionFrames*> Frames(const RigCalibration& record);
-  // What a fit of that kind is made of.
-  Result<const SrdSet*> Srds(const std::string& srd, FitKind kind, int heldout);
+  // What a fit of that kind is made of: SRDs, by an offset (empty: none).
+  struct SrdKeys {
+    std::string srd, offset;
+    [[nodiscard]] std::map<std::string, std::string> Inputs() const;
+    [[nodiscard]] std::vector<std::string> Upstream() const;
+  };
+  SrdKeys SrdsOf(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged) {
+    return {Srd(source), Offset(source, heldout, kind)};
+  }
+  Result<const SrdSet*> Srds(const SrdKeys& keys, FitKind kind, int heldout);
   // Of a shape; SRDs make room for it.
   Result<const HeldOutView*> View(const std::string& shape, int heldout);
   Status KeepPredictions(const std::string& predict, const std::filesystem::path& folder, Predictions predictions);
   // Those kept, or read; they are kept no longer.
   Result<Predictions> TakePredictions(const std::string& predict);
   Kept<FittedLayers>& KeptLayers(const std::string& fit) { return fit == judged_fit_ ? judged_layers_ : layers_; }
-  Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, const std::string& srd, int heldout);
+  Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, const SrdKeys& srds, int heldout);
   void MakeRoomForAFit();
-  std::string AddFit(const std::string& srd, int heldout, const FitOptions& fit, FitKind kind,
-                     const std::string& label);
+  std::string AddFit(const SrdKeys& from, int heldout, const FitOptions& fit, FitKind kind, const std::string& label);
   [[nodiscard]] std::string LabelOf(const std::string& what, GeometrySource source, int heldout) const;
 
   const RunOptions options_;
@@ -96,7 +114,7 @@ class SessionGraph {
   Kept<DecodedFace> decoded_;
   Kept<FaceShape> face_;
   Kept<std::vector<SeparationMap>> separation_;
-  Kept<SrdSet> srds_;
+  Kept<PlacedSrds> srds_;
   Kept<HeldOutView> view_;
   std::string judged_fit_;  // the fit that the session's report shows
   Kept<FittedLayers> judged_layers_, layers_;

@@ -76,6 +76,27 @@ ReportSection Shape(const ReportInput& in) {
   return section;
 }
 
+// Where the surface was placed.
+ReportTable PlacementTable(const Metrics& m) {
+  ReportTable table{
+      "How far the surface lies below the codes', by the sweeps, which scattering hides from the codes (negative: "
+      "above); "
+      "bias and RMS about it of depth against the truth of a simulation",
+      {"by the sweeps of", "layers", "depth mm", "its error mm", "pixels", "bias mm", "RMS mm"},
+      {}};
+  const auto add = [&](const std::string& what, std::vector<std::string> row, const auto& truth) {
+    row.insert(row.begin(), what);
+    row.push_back(truth ? Fixed(truth->depth_bias_mm) : "");
+    row.push_back(truth ? Fixed(truth->depth_rms_mm) : "");
+    table.rows.push_back(std::move(row));
+  };
+  add("none: by the codes alone", {"", "", "", ""}, m.unplaced);
+  for (const OffsetFigure& o : m.offsets)
+    add(o.heldout ? "all but projector " + std::to_string(*o.heldout) : "all projectors",
+        {o.model, Fixed(o.offset.depth_mm), Fixed(o.offset.sigma_mm), std::to_string(o.offset.pixels)}, o.truth);
+  return table;
+}
+
 ReportSection DirectAndGlobal(const ReportInput& in, double white) {
   ReportSection section{"Direct and global light",
                         "Separated with high-frequency sinusoids, per projector; both on the same scale.",
@@ -389,6 +410,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));
   report.sections.push_back(std::move(samples));
   report.sections.push_back(Shape(in));
+  if (!metrics.offsets.empty()) report.sections.back().tables.push_back(PlacementTable(metrics));
   report.sections.push_back(CalibrationSection(*in.frames.calibration(), metrics.drift));
   report.sections.push_back(DirectAndGlobal(in, white));
   report.sections.push_back(SrdOfPixel(in));

@@ -51,30 +51,6 @@ std::string Describe(const SweepChoice& choice) {
                    choice.trials.back().excess_nats);
 }
 
-// What EM is told but for the prior, with all that the profiles of the session share.
-Result<EmOptions> WithShared(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
-                             const std::string& label) {
-  EmOptions em = OnPools(options.em, srds.pool);
-  ScatteringModel& model = em.scattering;
-  model.reflection = {};
-  if (em.surface_term && options.choose.reflection) {
-    model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
-    if (!model.reflection.Known())
-      logger.Warning(label +
-                     ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
-                     "reflects; of each light its own, as with --surface free");
-  }
-  if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);
-  logger.Info(label + ": " + Describe(model));
-  if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
-    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));
-    model.tau = chosen.tau;
-    model.directional = chosen.weights;
-    logger.Info(label + ": " + Describe(chosen));
-  }
-  return em;
-}
-
 int64_t UsableProfiles(const Lights& lights) {
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i)
@@ -136,11 +112,34 @@ Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
   return lights;
 }
 
+Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
+                                const std::string& label) {
+  EmOptions em = OnPools(options.em, srds.pool);
+  ScatteringModel& model = em.scattering;
+  model.reflection = {};
+  if (em.surface_term && options.choose.reflection) {
+    model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
+    if (!model.reflection.Known())
+      logger.Warning(label +
+                     ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
+                     "reflects; of each light its own, as with --surface free");
+  }
+  if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);
+  logger.Info(label + ": " + Describe(model));
+  if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
+    SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));
+    model.tau = chosen.tau;
+    model.directional = chosen.weights;
+    logger.Info(label + ": " + Describe(chosen));
+  }
+  return em;
+}
+
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                              const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   const auto& [lights, projectors] = training;
-  SLX_ASSIGN_OR_RETURN(EmOptions em, WithShared(options, lights, srds, logger, label));
+  SLX_ASSIGN_OR_RETURN(EmOptions em, SharedOptions(options, lights, srds, logger, label));
   std::vector<LayerSet> start;
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights

@@ -44,6 +44,10 @@ struct TrainingLights {
 // kUsage when none is left.
 [[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
+// What EM is told but for the prior, with all that the profiles of the session share, chosen on `lights`.
+[[nodiscard]] Result<EmOptions> SharedOptions(const FitOptions& options, const std::vector<const SrdBatch*>& lights,
+                                              const SrdSet& srds, Logger& logger, const std::string& label);
+
 // EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
 // directional weights, the prior with the mean layers that it is centred on; from these, of a tied fit, the number of
 // sweeps, at most em.refinement_iterations.

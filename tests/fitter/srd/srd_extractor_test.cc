@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/line_response.h"
+#include "fitter/mixture/surface_offset.h"
 #include "shared/base/random.h"
 #include "shared/geometry/quad.h"
 #include "tests/fitter/srd/plane_scene.h"
@@ -160,6 +161,33 @@ TEST(SrdExtractor, SlopesFollowTheTiltOfTheSurface) {
   EXPECT_NEAR(g.slope_out, 0.0, 1e-3);
   EXPECT_NEAR(g.cos_in, 700.0 / std::hypot(350.0, 40.0, 700.0), 1e-6);
   EXPECT_NEAR(g.mm_per_column, 0.29 / g.cos_in, 0.03);
+}
+
+TEST(SrdExtractor, OfAMovedSurfaceIsTheProfileMoved) {
+  const RigCalibration rig = SmallRig();
+  for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
+    for (const double tilt : {-0.5, 0.0, 0.4}) {
+      const Eigen::Vector3d point(20, -12, 700), normal = Eigen::Vector3d(tilt, 0.3 * tilt, -1).normalized();
+      const auto pixel = rig.camera.model.Project(point);
+      const auto at = [&](double depth_mm) {
+        // Deeper along the normal: where the view meets that plane.
+        const double along = depth_mm / -normal.dot(point.normalized());
+        const Eigen::Vector3d moved = point * (1.0 + along / point.norm());
+        return ComputeSrdGeometry(rig, 0, moved, normal, *pixel, 1, 16.0, axis);
+      };
+      const SrdGeometry g = at(0.0);
+      for (const double depth_mm : {-0.2, 0.1}) {
+        SrdBatch batch;
+        batch.samples = 1;
+        batch.first_u_mm = {0.0F};
+        batch.slope_in = {static_cast<float>(g.slope_in)};
+        batch.slope_out = {static_cast<float>(g.slope_out)};
+        MoveSurface(batch, depth_mm);
+        const double moved = (g.column - at(depth_mm).column) * g.mm_per_column;
+        EXPECT_GT(std::abs(moved), 0.004);
+        EXPECT_NEAR(batch.first_u_mm[0], moved, 0.01 * std::abs(moved) + 2e-4) << tilt << " " << depth_mm;
+      }
+    }
 }
 
 TEST(SrdExtractor, SaturationIsCountedAndNeverUsed) {

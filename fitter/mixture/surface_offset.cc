@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/mixture/surface_offset.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <optional>
+#include <utility>
+
+#include "fitter/mixture/choose_prior.h"
+#include "fitter/mixture/fit_mixture.h"
+
+namespace stratalux::fit {
+namespace {
+
+// Of the search, mm: what scattering displaces, several times over.
+constexpr double kFarthest = 0.4, kStep = 0.1;
+// About what it finds, mm: where the cost is still a parabola, and yet differs by more than EM leaves open.
+constexpr double kNear = 0.06;
+// Enough to find a tenth of a millimetre.
+constexpr int64_t kPixelsOfSearch = 512;
+// Enough for a hundredth.
+constexpr int64_t kPixels = 2048;
+constexpr int64_t kLeastPixels = 100;
+// Parts of the face that are taken to err independently, mm across.
+constexpr double kPart = 20.0;
+
+// Pixels that at least two projectors light, every so many of the image's rows and columns.
+std::vector<int64_t> PixelsOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                              int channels, int64_t most) {
+  const auto lit = [&](int64_t pixel) {
+    int first = -1;
+    for (size_t p = 0; p < lights.size(); ++p)
+      for (int c = 0; c < channels; ++c) {
+        if (lights[p]->valid[pixel * channels + c] == 0 || projectors[p] == first) continue;
+        if (first >= 0) return true;
+        first = projectors[p];
+      }
+    return false;
+  };
+  std::vector<int64_t> usable;
+  for (int64_t i = 0; i < lights[0]->profiles() / channels; ++i)
+    if (lit(i)) usable.push_back(i);
+  const double density = static_cast<double>(usable.size()) / static_cast<double>(most);
+  const int every = std::max(1, static_cast<int>(std::ceil(std::sqrt(density))));
+  std::erase_if(usable, [=](int64_t i) { return i % width % every != 0 || i / width % every != 0; });
+  return usable;
+}
+
+// Some pixels of all lights, to be fitted on displaced surfaces.
+class Trials {
+ public:
+  Trials(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int channels,
+         const EmOptions& options, const std::vector<int64_t>& pixels)
+      : projectors_(projectors), channels_(channels), options_(options), pixels_(pixels.size()) {
+    if (!(options_.prior.photons > 0.0)) options_.prior.photons = kUsualPriorPhotons;
+    options_.scattering.mode = FitMode::kTied;
+    std::vector<int64_t> profiles;
+    for (const int64_t pixel : pixels)
+      for (int c = 0; c < channels; ++c) profiles.push_back(pixel * channels + c);
+    for (const SrdBatch* light : lights) batches_.push_back(ProfilesOf(*light, profiles));
+  }
+
+  // [pixel] Negative log posterior of each pixel's layers, all colours together, on the surface moved by `depth_mm`,
+  // with the mean layers of these pixels there; NaN where a colour could not be fitted.
+  [[nodiscard]] Result<std::vector<double>> CostsAt(double depth_mm) const {
+    std::vector<SrdBatch> moved = batches_;
+    std::vector<const SrdBatch*> lights;
+    for (SrdBatch& batch : moved) {
+      MoveSurface(batch, depth_mm);
+      lights.push_back(&batch);
+    }
+    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, 1));
+    const MixtureMap none = UnfittedMap(static_cast<int>(pixels_), 1, channels_, options_);
+    SLX_ASSIGN_OR_RETURN(const auto fit, RefineMixture(lights, projectors_, none, 0, options_, mean));
+    std::vector<double> costs(pixels_, 0.0);
+    for (size_t i = 0; i < fit.cost.size(); ++i) costs[i / static_cast<size_t>(channels_)] += fit.cost[i];
+    return costs;
+  }
+
+ private:
+  const std::vector<int>& projectors_;
+  int channels_;
+  EmOptions options_;
+  size_t pixels_;
+  std::vector<SrdBatch> batches_;
+};
+
+double Sum(const std::vector<double>& costs) {
+  double sum = 0.0;
+  for (const double cost : costs) sum += std::isnan(cost) ? 0.0 : cost;
+  return sum;
+}
+
+struct Found {
+  double depth_mm = 0.0;
+  bool at_bound = false;
+};
+
+// Down the hill from 0, by kStep.
+Result<Found> Search(const Trials& trials) {
+  constexpr int kEnd = static_cast<int>(kFarthest / kStep + 0.5);
+  std::array<std::optional<double>, 2 * kEnd + 1> known;
+  const auto at = [&](int k) -> Result<double> {
+    auto& cost = known[static_cast<size_t>(k + kEnd)];
+    if (!cost) {
+      SLX_ASSIGN_OR_RETURN(const auto costs, trials.CostsAt(k * kStep));
+      cost = Sum(costs);
+    }
+    return *cost;
+  };
+  for (int k = 0;;) {
+    if (std::abs(k) == kEnd) return Found{k * kStep, true};
+    SLX_ASSIGN_OR_RETURN(const double before, at(k - 1));
+    SLX_ASSIGN_OR_RETURN(const double here, at(k));
+    SLX_ASSIGN_OR_RETURN(const double after, at(k + 1));
+    if (here <= before && here <= after) {
+      const double bend = before - 2.0 * here + after;
+      return Found{(k + (bend > 0.0 ? 0.5 * (before - after) / bend : 0.0)) * kStep, false};
+    }
+    k += before < after ? -1 : 1;
+  }
+}
+
+// What pixels say about a depth: their cost is, but for a constant, slope d + bend d^2 / 2.
+struct Witness {
+  double slope = 0.0, bend = 0.0;
+};
+
+}  // namespace
+
+void MoveSurface(SrdBatch& batch, double depth_mm) {
+  for (int64_t i = 0; i < batch.profiles(); ++i)
+    batch.first_u_mm[i] -= static_cast<float>(depth_mm * (batch.slope_in[i] - batch.slope_out[i]));
+}
+
+Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                     int width, int channels, double mm_per_pixel, const EmOptions& options) {
+  const auto few = PixelsOf(lights, projectors, width, channels, kPixelsOfSearch);
+  const auto pixels = PixelsOf(lights, projectors, width, channels, kPixels);
+  if (std::ssize(pixels) < kLeastPixels) return SurfaceOffset{};
+  SLX_ASSIGN_OR_RETURN(const Found found, Search(Trials(lights, projectors, channels, options,
+                                                        std::ssize(few) < kLeastPixels ? pixels : few)));
+  const Trials trials(lights, projectors, channels, options, pixels);
+  SLX_ASSIGN_OR_RETURN(const auto before, trials.CostsAt(found.depth_mm - kNear));
+  SLX_ASSIGN_OR_RETURN(const auto here, trials.CostsAt(found.depth_mm));
+  SLX_ASSIGN_OR_RETURN(const auto after, trials.CostsAt(found.depth_mm + kNear));
+
+  const auto part = static_cast<int64_t>(std::max(1.0, kPart / mm_per_pixel));
+  std::map<std::pair<int64_t, int64_t>, Witness> parts;
+  Witness all;
+  SurfaceOffset offset;
+  for (size_t i = 0; i < pixels.size(); ++i) {
+    if (std::isnan(before[i] + here[i] + after[i])) continue;
+    const Witness says = {(after[i] - before[i]) / (2.0 * kNear),
+                          (before[i] - 2.0 * here[i] + after[i]) / (kNear * kNear)};
+    for (Witness* sum : {&all, &parts[{pixels[i] % width / part, pixels[i] / width / part}]}) {
+      sum->slope += says.slope;
+      sum->bend += says.bend;
+    }
+    ++offset.pixels;
+  }
+  if (offset.pixels < kLeastPixels || !(all.bend > 0.0) || parts.size() < 2) return SurfaceOffset{};
+  const double further = std::clamp(-all.slope / all.bend, -kStep, kStep);
+  double squares = 0.0;
+  for (const auto& [place, says] : parts) squares += std::pow(says.slope + says.bend * further, 2);
+  const auto count = static_cast<double>(parts.size());
+  offset.depth_mm = found.depth_mm + further;
+  offset.sigma_mm = std::sqrt(squares * count / (count - 1.0)) / all.bend;
+  offset.at_bound = found.at_bound;
+  return offset;
+}
+
+}  // namespace stratalux::fit

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The offset stage: how far the reconstructed surface lies from the true one, by the SRDs of the training lights; and
+// surface and SRDs put right by it.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "fitter/mixture/surface_offset.h"
+#include "fitter/stages/layers.h"
+#include "fitter/stages/shape.h"
+#include "fitter/stages/srd.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kOffsetVersion = 1, kPlacedShapeVersion = 1;
+
+// By all lights but those of `heldout` (kNoneHeldOut: by all), of the surface that `srds` were read on. What the pixels
+// share is chosen as FitLayers does. kUsage where no light is left.
+[[nodiscard]] Result<SurfaceOffset> FindOffset(const SrdSet& srds, const SurfaceMap& surface, int heldout,
+                                               const FitOptions& options, Logger& logger, const std::string& label);
+
+// All sweeps of a session, as read on the reconstructed surface or on one at any depth below it.
+class PlacedSrds {
+ public:
+  explicit PlacedSrds(SrdSet as_read);
+  // Whatever they were moved to before: 0 gives them as they were read, bit for bit.
+  void MoveTo(double depth_mm);
+  [[nodiscard]] const SrdSet& set() const { return set_; }
+  [[nodiscard]] SrdSet Take() { return std::move(set_); }
+
+ private:
+  SrdSet set_;
+  std::vector<std::vector<float>> first_u_mm_;  // as read: of all batches, those of rows last
+};
+
+// The surface moved along its normals, each point along its view, and its standard deviation with the offset's error.
+[[nodiscard]] FaceShape PlacedShape(FaceShape shape, const SurfaceOffset& offset);
+
+// offset.json.
+Status SaveOffset(const std::filesystem::path& folder, const SurfaceOffset& offset);
+[[nodiscard]] Result<SurfaceOffset> LoadOffset(const std::filesystem::path& folder);
+
+}  // namespace stratalux::fit
