@@ -149,7 +149,7 @@ std::string Metrics::ToJson() const {
   for (const OffsetFigure& o : offsets) {
     json["offsets"].push_back({{"heldout", o.heldout ? Json(*o.heldout) : Json()},
                                {"model", o.model},
-                               {"depth_mm", o.offset.depth_mm},
+                               {"code_depth_mm", o.offset.code_depth_mm},
                                {"sigma_mm", o.offset.sigma_mm},
                                {"pixels", o.offset.pixels}});
     if (o.truth) json["offsets"].back()["truth"] = JsonOf(*o.truth);

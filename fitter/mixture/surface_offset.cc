@@ -14,10 +14,10 @@
 namespace stratalux::fit {
 namespace {
 
-// Of the search, mm: what scattering displaces, several times over.
-constexpr double kFarthest = 0.4, kStep = 0.1;
+// Of the search, mm of code depth: several times what scattering makes of it.
+constexpr double kFarthest = 0.8, kStep = 0.2;
 // About what it finds, mm: where the cost is still a parabola, and yet differs by more than EM leaves open.
-constexpr double kNear = 0.06;
+constexpr double kNear = 0.12;
 // Enough to find a tenth of a millimetre.
 constexpr int64_t kPixelsOfSearch = 512;
 // Enough for a hundredth.
@@ -52,7 +52,7 @@ std::vector<int64_t> PixelsOf(std::span<const SrdBatch* const> lights, const std
 class Trials {
  public:
   Trials(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int channels,
-         const EmOptions& options, const std::vector<int64_t>& pixels)
+         std::span<const float> displacement, const EmOptions& options, const std::vector<int64_t>& pixels)
       : projectors_(projectors), channels_(channels), options_(options), pixels_(pixels.size()) {
     if (!(options_.prior.photons > 0.0)) options_.prior.photons = kUsualPriorPhotons;
     options_.scattering.mode = FitMode::kTied;
@@ -60,15 +60,18 @@ class Trials {
     for (const int64_t pixel : pixels)
       for (int c = 0; c < channels; ++c) profiles.push_back(pixel * channels + c);
     for (const SrdBatch* light : lights) batches_.push_back(ProfilesOf(*light, profiles));
+    for (const int64_t pixel : pixels) displacement_.push_back(displacement[static_cast<size_t>(pixel)]);
   }
 
-  // [pixel] Negative log posterior of each pixel's layers, all colours together, on the surface moved by `depth_mm`,
-  // with the mean layers of these pixels there; NaN where a colour could not be fitted.
+  // [pixel] Negative log posterior of each pixel's layers, all colours together, on the surface that codes at
+  // `depth_mm` leave, with the mean layers of these pixels there; NaN where a colour could not be fitted.
   [[nodiscard]] Result<std::vector<double>> CostsAt(double depth_mm) const {
     std::vector<SrdBatch> moved = batches_;
+    std::vector<float> deeper = displacement_;
+    for (float& mm : deeper) mm *= static_cast<float>(-depth_mm);
     std::vector<const SrdBatch*> lights;
     for (SrdBatch& batch : moved) {
-      MoveSurface(batch, depth_mm);
+      MoveSurface(batch, channels_, deeper);
       lights.push_back(&batch);
     }
     SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, 1));
@@ -85,6 +88,7 @@ class Trials {
   EmOptions options_;
   size_t pixels_;
   std::vector<SrdBatch> batches_;
+  std::vector<float> displacement_;  // [pixel]
 };
 
 double Sum(const std::vector<double>& costs) {
@@ -130,19 +134,20 @@ struct Witness {
 
 }  // namespace
 
-void MoveSurface(SrdBatch& batch, double depth_mm) {
+void MoveSurface(SrdBatch& batch, int channels, std::span<const float> deeper_mm) {
   for (int64_t i = 0; i < batch.profiles(); ++i)
-    batch.first_u_mm[i] -= static_cast<float>(depth_mm * (batch.slope_in[i] - batch.slope_out[i]));
+    batch.first_u_mm[i] -= deeper_mm[static_cast<size_t>(i / channels)] * (batch.slope_in[i] - batch.slope_out[i]);
 }
 
 Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                     int width, int channels, double mm_per_pixel, const EmOptions& options) {
+                                     int width, int channels, double mm_per_pixel, std::span<const float> displacement,
+                                     const EmOptions& options) {
   const auto few = PixelsOf(lights, projectors, width, channels, kPixelsOfSearch);
   const auto pixels = PixelsOf(lights, projectors, width, channels, kPixels);
   if (std::ssize(pixels) < kLeastPixels) return SurfaceOffset{};
-  SLX_ASSIGN_OR_RETURN(const Found found, Search(Trials(lights, projectors, channels, options,
+  SLX_ASSIGN_OR_RETURN(const Found found, Search(Trials(lights, projectors, channels, displacement, options,
                                                         std::ssize(few) < kLeastPixels ? pixels : few)));
-  const Trials trials(lights, projectors, channels, options, pixels);
+  const Trials trials(lights, projectors, channels, displacement, options, pixels);
   SLX_ASSIGN_OR_RETURN(const auto before, trials.CostsAt(found.depth_mm - kNear));
   SLX_ASSIGN_OR_RETURN(const auto here, trials.CostsAt(found.depth_mm));
   SLX_ASSIGN_OR_RETURN(const auto after, trials.CostsAt(found.depth_mm + kNear));
@@ -166,7 +171,7 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
   double squares = 0.0;
   for (const auto& [place, says] : parts) squares += std::pow(says.slope + says.bend * further, 2);
   const auto count = static_cast<double>(parts.size());
-  offset.depth_mm = found.depth_mm + further;
+  offset.code_depth_mm = found.depth_mm + further;
   offset.sigma_mm = std::sqrt(squares * count / (count - 1.0)) / all.bend;
   offset.at_bound = found.at_bound;
   return offset;

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// How far the true surface lies below the reconstructed one, told by the SRDs of the training lights
-// (docs/math/offset.md). Scattering displaces the codes of all projectors alike: what they see lies about 0.1 mm below
-// the surface. A displaced surface moves the whole SRD of a light by the displacement times (tan theta_i - tan
-// theta_o), in air; the layers' depths move what scattered alone, by refracted angles, and the light of the very
-// surface stays where the lines are.
+// At which depth below the skin its codes are seen, told by the SRDs of the training lights (docs/math/offset.md).
+// Scattering displaces the codes of all projectors alike, and with them the surface that is triangulated. A displaced
+// surface moves the whole SRD of a light by the displacement times (tan theta_i - tan theta_o), in air; the layers'
+// depths move what scattered alone, by refracted angles, and the light of the very surface stays where the lines are.
 #pragma once
 
 #include <span>
@@ -15,24 +14,25 @@
 
 namespace stratalux::fit {
 
-// `batch` as it would have been read on a surface that lies `depth_mm` deeper along its normals, each pixel's point
-// being where its view meets that. To first order: angles, widths and irradiances stay.
-void MoveSurface(SrdBatch& batch, double depth_mm);
+// `batch` as it would have been read on a surface that lies deeper[pixel] mm deeper along its normal, each pixel's
+// point being where its view meets that; `channels` profiles a pixel. To first order: angles, widths and irradiances
+// stay.
+void MoveSurface(SrdBatch& batch, int channels, std::span<const float> deeper_mm);
 
 struct SurfaceOffset {
-  // Of the true surface below the reconstructed one, along the normal; negative where that lies too deep. One for the
-  // whole face and all colours.
-  double depth_mm = 0.0;
-  double sigma_mm = 0.0;  // its standard error, from how far parts of the face disagree
-  int64_t pixels = 0;     // that told; 0: too few are lit by two projectors, and the depth is 0
-  bool at_bound = false;  // no depth that is tried is best
+  double code_depth_mm = 0.0;  // below the true surface; one for the whole face and all colours
+  double sigma_mm = 0.0;       // its standard error, from how far parts of the face disagree
+  int64_t pixels = 0;          // that told; 0: too few are lit by two projectors, and the depth is 0
+  bool at_bound = false;       // no depth that is tried is best
 };
 
 // `lights`: the training lights of a map `width` pixels wide of `channels` profiles each, `mm_per_pixel` apart.
-// `options`: of their fit, with all that the pixels of the session share; blind to direction or not. The same bits for
-// any number of threads.
+// `displacement`: by pixel, how far the surface that they were read on lies too deep, per mm of code depth. `options`:
+// of their fit, with all that the pixels of the session share; blind to direction or not. The same bits for any number
+// of threads.
 [[nodiscard]] Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights,
                                                    const std::vector<int>& projectors, int width, int channels,
-                                                   double mm_per_pixel, const EmOptions& options);
+                                                   double mm_per_pixel, std::span<const float> displacement,
+                                                   const EmOptions& options);
 
 }  // namespace stratalux::fit

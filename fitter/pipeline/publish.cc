@@ -106,7 +106,7 @@ Status AddOffset(SessionGraph& graph, const SessionFrames& frames, GeometrySourc
   const std::string key = graph.Offset(source, projector, kind);
   if (key.empty()) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(const auto offset, graph.stages().Load(key, LoadOffset));
-  OffsetFigure figure{heldout, kind == FitKind::kJudged ? graph.JudgedModel() : "direction_blind_placed", offset,
+  OffsetFigure figure{heldout, kind == FitKind::kJudged ? graph.JudgedModel() : "direction_blind_placed", offset.found,
                       std::nullopt};
   SLX_ASSIGN_OR_RETURN(figure.truth, AgainstTruth(graph, frames, graph.PlacedShape(source, projector, kind)));
   metrics.offsets.push_back(figure);
@@ -283,9 +283,13 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   const auto load_profile = [&](const fs::path& folder) { return LoadProfileSrds(folder, chosen); };
   SLX_ASSIGN_OR_RETURN(auto srds, stages.Load(graph.Srd(options.geometry), load_profile));
   metrics.sweeps = std::move(srds.figures);
-  if (const std::string key = graph.Offset(options.geometry, options.heldout); !key.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto offset, stages.Load(key, LoadOffset));
-    for (SrdBatch& batch : srds.batches) MoveSurface(batch, offset.depth_mm);
+  const std::string offset_key = graph.Offset(options.geometry, options.heldout);
+  if (!offset_key.empty() && chosen >= 0) {
+    SLX_ASSIGN_OR_RETURN(const auto offset, stages.Load(offset_key, LoadOffset));
+    const auto pixel = chosen / layers->map.channels;
+    const float deeper = offset.DeeperMm(static_cast<int>(pixel % layers->map.width) * layers->pool,
+                                         static_cast<int>(pixel / layers->map.width) * layers->pool);
+    for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1});
   }
   ReportInput input{frames,  *shape,           *separation, normals,
                     *layers, std::move(shown), chosen,      std::move(srds.batches),

@@ -239,7 +239,7 @@ std::string SessionGraph::Offset(GeometrySource source, int heldout, FitKind kin
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds({srd, ""}, FitKind::kJudged, heldout));
-                SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, face->surface, heldout, fit, logger_, label));
+                SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, *face, heldout, fit, logger_, label));
                 return SaveOffset(folder, offset);
               }});
 }
@@ -370,7 +370,7 @@ Result<const std::vector<SeparationMap>*> SessionGraph::Separation(const std::st
 }
 
 Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int heldout) {
-  SurfaceOffset offset;
+  std::optional<FaceOffset> offset;
   if (!keys.offset.empty()) {
     SLX_ASSIGN_OR_RETURN(offset, stages_.Load(keys.offset, LoadOffset));
   }
@@ -383,11 +383,11 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
                                 SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(keys.srd, LoadSrds));
                                 PlacedSrds srds(std::move(extracted.set));
                                 if (!spoilt) return srds;
-                                srds.MoveTo(offset.depth_mm);
+                                srds.MoveTo(offset ? &*offset : nullptr);
                                 return PlacedSrds(Spoil(srds.Take(), kind, heldout));
                               })
                           .status());
-  if (!spoilt) srds_.Get()->MoveTo(offset.depth_mm);
+  if (!spoilt) srds_.Get()->MoveTo(offset ? &*offset : nullptr);
   return &srds_.Get()->set();
 }
 

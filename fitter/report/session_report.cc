@@ -79,10 +79,9 @@ ReportSection Shape(const ReportInput& in) {
 // Where the surface was placed.
 ReportTable PlacementTable(const Metrics& m) {
   ReportTable table{
-      "How far the surface lies below the codes', by the sweeps, which scattering hides from the codes (negative: "
-      "above); "
-      "bias and RMS about it of depth against the truth of a simulation",
-      {"by the sweeps of", "layers", "depth mm", "its error mm", "pixels", "bias mm", "RMS mm"},
+      "At which depth below the skin its codes are seen, by the sweeps; the surface is placed above them by as much as "
+      "that displaces it. Bias of depth against the truth of a simulation, and RMS about it",
+      {"by the sweeps of", "layers", "code depth mm", "its error mm", "pixels", "bias mm", "RMS mm"},
       {}};
   const auto add = [&](const std::string& what, std::vector<std::string> row, const auto& truth) {
     row.insert(row.begin(), what);
@@ -93,7 +92,7 @@ ReportTable PlacementTable(const Metrics& m) {
   add("none: by the codes alone", {"", "", "", ""}, m.unplaced);
   for (const OffsetFigure& o : m.offsets)
     add(o.heldout ? "all but projector " + std::to_string(*o.heldout) : "all projectors",
-        {o.model, Fixed(o.offset.depth_mm), Fixed(o.offset.sigma_mm), std::to_string(o.offset.pixels)}, o.truth);
+        {o.model, Fixed(o.offset.code_depth_mm), Fixed(o.offset.sigma_mm), std::to_string(o.offset.pixels)}, o.truth);
   return table;
 }
 

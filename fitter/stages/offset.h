@@ -17,17 +17,28 @@ namespace stratalux::fit {
 
 inline constexpr int kOffsetVersion = 1, kPlacedShapeVersion = 1;
 
-// By all lights but those of `heldout` (kNoneHeldOut: by all), of the surface that `srds` were read on. What the pixels
-// share is chosen as FitLayers does. kUsage where no light is left.
-[[nodiscard]] Result<SurfaceOffset> FindOffset(const SrdSet& srds, const SurfaceMap& surface, int heldout,
-                                               const FitOptions& options, Logger& logger, const std::string& label);
+struct FaceOffset {
+  SurfaceOffset found;
+  Image<float> displacement;  // on quads: CodeDisplacement
 
-// All sweeps of a session, as read on the reconstructed surface or on one at any depth below it.
+  // By how much the true surface lies deeper than the reconstructed one, along the normal: above it is negative.
+  [[nodiscard]] float DeeperMm(int i, int j) const {
+    return static_cast<float>(-found.code_depth_mm) * displacement(i, j);
+  }
+};
+
+// By all lights but those of `heldout` (kNoneHeldOut: by all), of the surface that `srds` were read on; the codes that
+// it was made of are those of all projectors. What the pixels share is chosen as FitLayers does. kUsage where no light
+// is left.
+[[nodiscard]] Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout,
+                                            const FitOptions& options, Logger& logger, const std::string& label);
+
+// All sweeps of a session, as read on the reconstructed surface or on one that an offset places.
 class PlacedSrds {
  public:
   explicit PlacedSrds(SrdSet as_read);
-  // Whatever they were moved to before: 0 gives them as they were read, bit for bit.
-  void MoveTo(double depth_mm);
+  // Whatever they were moved to before; nullptr gives them as they were read.
+  void MoveTo(const FaceOffset* offset);
   [[nodiscard]] const SrdSet& set() const { return set_; }
   [[nodiscard]] SrdSet Take() { return std::move(set_); }
 
@@ -37,10 +48,10 @@ class PlacedSrds {
 };
 
 // The surface moved along its normals, each point along its view, and its standard deviation with the offset's error.
-[[nodiscard]] FaceShape PlacedShape(FaceShape shape, const SurfaceOffset& offset);
+[[nodiscard]] FaceShape PlacedShape(FaceShape shape, const FaceOffset& offset);
 
-// offset.json.
-Status SaveOffset(const std::filesystem::path& folder, const SurfaceOffset& offset);
-[[nodiscard]] Result<SurfaceOffset> LoadOffset(const std::filesystem::path& folder);
+// offset.exr, offset.json.
+Status SaveOffset(const std::filesystem::path& folder, const FaceOffset& offset);
+[[nodiscard]] Result<FaceOffset> LoadOffset(const std::filesystem::path& folder);
 
 }  // namespace stratalux::fit

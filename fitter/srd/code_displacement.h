@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// How far codes that are seen below the skin displace the surface that is triangulated from them (docs/math/offset.md).
+#pragma once
+
+#include <vector>
+
+#include "fitter/mixture/scattering_model.h"
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/capture/rig_calibration.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+// Of each quad of `surface`, along its normal, per mm of the depth that the codes seem to come from; 0 outside the
+// mask. A code is displaced by T(omega_i) - T(omega_o) a mm of that depth, what a deeper surface does to it is
+// t(omega_i) - t(omega_o) a mm: the triangulated depth is the least squares over columns and rows of all projectors
+// that light the quad (`lit`: by projector, on quads; where none does, of those that it faces), each weighted by the
+// square of its pixels' density on the skin. Between 0 and 1.
+[[nodiscard]] Image<float> CodeDisplacement(const SurfaceMap& surface, const std::vector<Image<uint8_t>>& lit,
+                                            const RigCalibration& rig, const ScatteringModel& model);
+
+}  // namespace stratalux::fit
