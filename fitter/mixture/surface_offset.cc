@@ -147,6 +147,7 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
   if (std::ssize(pixels) < kLeastPixels) return SurfaceOffset{};
   SLX_ASSIGN_OR_RETURN(const Found found, Search(Trials(lights, projectors, channels, displacement, options,
                                                         std::ssize(few) < kLeastPixels ? pixels : few)));
+  if (found.at_bound) return SurfaceOffset{.at_bound = true};
   const Trials trials(lights, projectors, channels, displacement, options, pixels);
   SLX_ASSIGN_OR_RETURN(const auto before, trials.CostsAt(found.depth_mm - kNear));
   SLX_ASSIGN_OR_RETURN(const auto here, trials.CostsAt(found.depth_mm));
@@ -173,7 +174,6 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
   const auto count = static_cast<double>(parts.size());
   offset.code_depth_mm = found.depth_mm + further;
   offset.sigma_mm = std::sqrt(squares * count / (count - 1.0)) / all.bend;
-  offset.at_bound = found.at_bound;
   return offset;
 }
 

@@ -29,6 +29,8 @@ double SpacingOf(const SurfaceMap& surface) {
 }
 
 std::string Describe(const SurfaceOffset& offset) {
+  if (offset.at_bound)
+    return "no depth of the codes below the skin is best for the whole face: the surface stays as it is";
   if (offset.pixels == 0)
     return "too few pixels are lit by two projectors to tell where the surface lies: it stays as it is";
   return Formatted("codes are seen %.3f +- %.3f mm below the skin, by %lld pixels", offset.code_depth_mm,
@@ -60,11 +62,11 @@ Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int he
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,
                                                     std::max(SpacingOf(shape.surface) * srds.pool, 1e-3),
                                                     Pooled(offset.displacement, srds.pool), em));
-  logger.Info(label + ": " + Describe(offset.found));
+  const std::string told = label + ": " + Describe(offset.found);
   if (offset.found.at_bound)
-    logger.Warning(label + Formatted(": no depth of the codes up to %.1f mm is the best for the whole face: is the "
-                                     "calibration the rig's? (`stratalux-fit report` shows the drift)",
-                                     std::abs(offset.found.code_depth_mm)));
+    logger.Warning(told + "; is the calibration the rig's? (the report shows its drift)");
+  else
+    logger.Info(told);
   return offset;
 }
 

@@ -94,7 +94,11 @@ TEST(SurfaceOffset, SaysHowLittleFewPhotonsTell) {
   EXPECT_GT(least, 2.0 * MakeFace(0.2, 6000.0, 60).Estimate().sigma_mm);
 }
 
-TEST(SurfaceOffset, TooFarIsSaid) { EXPECT_TRUE(MakeFace(2.0, 2000.0, 57).Estimate().at_bound); }
+TEST(SurfaceOffset, TooFarIsSaidAndMovesNothing) {
+  const SurfaceOffset offset = MakeFace(2.0, 2000.0, 57).Estimate();
+  EXPECT_TRUE(offset.at_bound);
+  EXPECT_EQ(offset.code_depth_mm, 0.0);
+}
 
 TEST(SurfaceOffset, ADirectionBlindFitFindsAnother) {
   // Its layers have no depth: where light leaves displaced, the surface must be.
