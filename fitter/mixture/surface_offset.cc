@@ -67,11 +67,9 @@ class Trials {
   // `depth_mm` leave, with the mean layers of these pixels there; NaN where a colour could not be fitted.
   [[nodiscard]] Result<std::vector<double>> CostsAt(double depth_mm) const {
     std::vector<SrdBatch> moved = batches_;
-    std::vector<float> deeper = displacement_;
-    for (float& mm : deeper) mm *= static_cast<float>(-depth_mm);
     std::vector<const SrdBatch*> lights;
     for (SrdBatch& batch : moved) {
-      MoveSurface(batch, channels_, deeper);
+      MoveSurface(batch, channels_, displacement_, -depth_mm);
       lights.push_back(&batch);
     }
     SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, 1));
@@ -134,9 +132,11 @@ struct Witness {
 
 }  // namespace
 
-void MoveSurface(SrdBatch& batch, int channels, std::span<const float> deeper_mm) {
+void MoveSurface(SrdBatch& batch, int channels, std::span<const float> displacement, double deeper_mm) {
+  const auto per_displacement = static_cast<float>(deeper_mm);
   for (int64_t i = 0; i < batch.profiles(); ++i)
-    batch.first_u_mm[i] -= deeper_mm[static_cast<size_t>(i / channels)] * (batch.slope_in[i] - batch.slope_out[i]);
+    batch.first_u_mm[i] -=
+        per_displacement * displacement[static_cast<size_t>(i / channels)] * (batch.slope_in[i] - batch.slope_out[i]);
 }
 
 Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,

@@ -14,10 +14,10 @@
 
 namespace stratalux::fit {
 
-// `batch` as it would have been read on a surface that lies deeper[pixel] mm deeper along its normal, each pixel's
-// point being where its view meets that; `channels` profiles a pixel. To first order: angles, widths and irradiances
-// stay.
-void MoveSurface(SrdBatch& batch, int channels, std::span<const float> deeper_mm);
+// `batch` as it would have been read on a surface that lies deeper along its normal by displacement[pixel] a mm of
+// `deeper_mm`, each pixel's point being where its view meets that; `channels` profiles a pixel. To first order: angles,
+// widths and irradiances stay.
+void MoveSurface(SrdBatch& batch, int channels, std::span<const float> displacement, double deeper_mm);
 
 struct SurfaceOffset {
   double code_depth_mm = 0.0;  // below the true surface; one for the whole face and all colours

@@ -269,7 +269,10 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
 
   SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kJudged, metrics));
   SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, std::nullopt, FitKind::kJudged, metrics));
-  if (!metrics.offsets.empty()) {
+  if (metrics.offsets.empty()) {
+    SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(graph, frames, keys.at("shape")));
+  } else {
+    metrics.truth = metrics.offsets.back().truth;  // by all projectors: the fit's surface
     SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, frames, graph.Shape(options.geometry)));
   }
   SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
@@ -289,7 +292,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
     const auto pixel = chosen / layers->map.channels;
     const float deeper = offset.DeeperMm(static_cast<int>(pixel % layers->map.width) * layers->pool,
                                          static_cast<int>(pixel / layers->map.width) * layers->pool);
-    for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1});
+    for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1}, 1.0);
   }
   ReportInput input{frames,  *shape,           *separation, normals,
                     *layers, std::move(shown), chosen,      std::move(srds.batches),
@@ -306,7 +309,6 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   metrics.options_json = options.ToJson();
   metrics.evaluation = ToString(evaluation);
   metrics.drift = shape->drift;
-  SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(graph, frames, keys.at("shape")));
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});

@@ -42,8 +42,7 @@ class SessionGraph {
   std::string Normals();
   std::string Srd(GeometrySource source);
   // Of the surface, by the lights that a fit with that projector held out is fitted to; empty where the surface is
-  // taken as it is.
-  // Its depths are the judged fit's; kDirectionBlindPlaced has a surface of its own choice.
+  // taken as it is. All fits share the judged one's, but for kDirectionBlindPlaced, which has its own.
   std::string Offset(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged);
   // The surface put right by that; Shape where there is none.
   std::string PlacedShape(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged);

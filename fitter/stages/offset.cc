@@ -76,16 +76,13 @@ PlacedSrds::PlacedSrds(SrdSet as_read) : set_(std::move(as_read)) {
 }
 
 void PlacedSrds::MoveTo(const FaceOffset* offset) {
-  std::vector<float> deeper;
-  if (offset != nullptr) {
-    deeper = Pooled(offset->displacement, set_.pool);
-    for (float& mm : deeper) mm *= static_cast<float>(-offset->found.code_depth_mm);
-  }
+  const std::vector<float> displacement =
+      offset != nullptr ? Pooled(offset->displacement, set_.pool) : std::vector<float>{};
   auto as_read = first_u_mm_.begin();
   for (auto* batches : {&set_.batches, &set_.row_batches})
     for (SrdBatch& batch : *batches) {
       batch.first_u_mm = *as_read++;
-      if (offset != nullptr) MoveSurface(batch, set_.channels, deeper);
+      if (offset != nullptr) MoveSurface(batch, set_.channels, displacement, -offset->found.code_depth_mm);
     }
 }
 

@@ -48,8 +48,6 @@ Face MakeFace(double depth, double peak_counts, uint64_t seed, std::vector<doubl
   EmCases made =
       MakeEmCases({.profiles = kSide * kSide, .alike = kSide * kSide, .slopes = std::move(slopes)}, face.options, seed);
   Random random(seed + 1);
-  std::vector<float> too_deep = kDisplacement;
-  for (float& mm : too_deep) mm *= static_cast<float>(depth);
   for (SrdBatch& b : made.batches) {
     for (int64_t i = 0; i < b.profiles(); ++i) {
       LayerSet skin = made.skins[i];
@@ -65,7 +63,7 @@ Face MakeFace(double depth, double peak_counts, uint64_t seed, std::vector<doubl
         b.Variances(i)[k] = static_cast<float>(variance);
       }
     }
-    MoveSurface(b, 1, too_deep);
+    MoveSurface(b, 1, kDisplacement, depth);
     face.batches.push_back(std::move(b));
   }
   return face;

@@ -182,8 +182,8 @@ TEST(SrdExtractor, OfAMovedSurfaceIsTheProfileMoved) {
         batch.first_u_mm = {0.0F};
         batch.slope_in = {static_cast<float>(g.slope_in)};
         batch.slope_out = {static_cast<float>(g.slope_out)};
-        const float deeper = static_cast<float>(depth_mm);
-        MoveSurface(batch, 1, {&deeper, 1});
+        const float along_normal = 1.0F;
+        MoveSurface(batch, 1, {&along_normal, 1}, depth_mm);
         const double moved = (g.column - at(depth_mm).column) * g.mm_per_column;
         EXPECT_GT(std::abs(moved), 0.004);
         EXPECT_NEAR(batch.first_u_mm[0], moved, 0.01 * std::abs(moved) + 2e-4) << tilt << " " << depth_mm;
