@@ -259,7 +259,7 @@ night_of_fits() {
   need "no visitor" [ "$(db ls | grep -c '"complete"')" = 1 ]
   # An operator's options; all else is the unit's.
   mkdir -p /run/systemd/system/$batch.service.d
-  printf '[Service]\nExecStart=\nExecStart=%s --pool 2 --prior none --maps off --iterations 1 --layers 1\n' \
+  printf '[Service]\nExecStart=\nExecStart=%s --pool 2 --prior none --offset off --maps off --iterations 1 --layers 1\n' \
     "$(sed -n 's/^ExecStart=//p' /usr/lib/systemd/system/$batch.service)" >/run/systemd/system/$batch.service.d/options.conf
   systemctl daemon-reload
   systemctl start $batch.service
