@@ -25,7 +25,7 @@ const std::string kHostile =
     "gnp\r\x7f\xff";
 
 bool Steers(const std::string& text) {
-  const auto control = [](char c) { return (c >= 0 && c < 0x20 && c != '\n') || c == 0x7f; };
+  const auto control = [](unsigned char c) { return (c < 0x20 && c != '\n') || c == 0x7f; };
   for (const char* sequence : {"\xc2\x9b", "\xe2\x80\xae", "\xff"})
     if (text.find(sequence) != std::string::npos) return true;
   return std::any_of(text.begin(), text.end(), control);
