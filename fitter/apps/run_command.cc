@@ -159,7 +159,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"run", "All stages, from frames to the report; what an earlier run made is not made again", Stage::kReport},
       {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
       {"separate", "Direct and global light as EXR", Stage::kSeparate},
-      {"normals", "Four-source normals as EXR", Stage::kNormals},
+      {"normals", "Normals of photometric stereo as EXR", Stage::kNormals},
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit},
       {"maps", "Refine the layers by the projector that the fit leaves out: maps/", Stage::kMaps}};

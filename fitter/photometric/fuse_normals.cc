@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/photometric/fuse_normals.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -47,10 +48,11 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
   if (photometric.normal.width() != width || photometric.normal.height() != height)
     return Status::Usage("fuse: the photometric normals and the surface differ in size");
 
-  // Channels 0..2: photometric minus geometric; 3: weight, so that holes neither count nor bleed in; 4: noise variance.
-  Image<float> difference(width, height, 5);
+  // Channels 0..2: photometric minus geometric; 3: weight, so that holes neither count nor bleed in; 4: variance before
+  // it was widened; 5, 6: squared residuals over their variances and their degrees of freedom.
+  Image<float> difference(width, height, 7);
   const auto both = [&](int i, int j) {
-    return surface.mask(i, j) != 0 && std::isfinite(photometric.normal_sigma_rad(i, j));
+    return surface.mask(i, j) != 0 && photometric.reason(i, j) == static_cast<uint8_t>(PhotometricReason::kValid);
   };
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
@@ -58,6 +60,11 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
       for (int k = 0; k < 3; ++k) difference(i, j, k) = photometric.normal(i, j, k) - surface.normal(i, j, k);
       difference(i, j, 3) = 1.0F;
       difference(i, j, 4) = photometric.normal_sigma_rad(i, j) * photometric.normal_sigma_rad(i, j);
+      const int freedom = photometric.usable(i, j) - 3;
+      if (freedom <= 0) continue;
+      difference(i, j, 4) /= std::max(1.0F, photometric.scatter(i, j));
+      difference(i, j, 5) = static_cast<float>(freedom) * photometric.scatter(i, j);
+      difference(i, j, 6) = static_cast<float>(freedom);
     }
   const std::vector<float> taps = GaussianTaps(options.sigma_quads);
   const Image<float> smooth = Convolve(Convolve(difference, taps, 1, 0), taps, 0, 1);
@@ -77,7 +84,9 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
       if (!both(i, j)) continue;
-      const float noise = smooth(i, j, 4);
+      // One quad's residuals tell little of its noise, a neighbourhood's do.
+      const float scatter = smooth(i, j, 6) > 0.0F ? smooth(i, j, 5) / smooth(i, j, 6) : 1.0F;
+      const float noise = smooth(i, j, 4) * scatter;
       const float gain = local_energy(i, j) > noise ? 1.0F - noise / local_energy(i, j) : 0.0F;
       Eigen::Vector3f n;
       for (int k = 0; k < 3; ++k) n[k] = surface.normal(i, j, k) + gain * difference(i, j, k);

@@ -14,11 +14,13 @@ struct FuseOptions {
   [[nodiscard]] Status Validate() const;
 };
 
-// With D = photometric - geometric normal and G a Gaussian over the known quads,
+// With D = photometric - geometric normal and G a Gaussian over the quads whose normal is from light alone,
 //   normal = geometric + gain (D - G D),   gain = max(0, 1 - G sigma^2 / G |D - G D|^2)
 // to unit length: low frequencies are the surface's; the detail is added as far as it exceeds the photometric noise
-// (Wiener's gain, from normal_sigma_rad). Where fewer than four sources agree the geometric normal is kept. W x H x 3,
-// NaN outside the surface. kUsage: sizes differ.
+// (Wiener's gain). sigma^2 is the a priori variance of normal_sigma_rad, without its widening, times the scatter of the
+// neighbourhood, G chi^2 / G degrees of freedom (1 where nothing is left over): narrowed as well as widened, since a
+// model's error that all lights share is not in the detail. Elsewhere the geometric normal is kept. W x H x 3, NaN
+// outside the surface. kUsage: sizes differ.
 [[nodiscard]] Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,
                                                const FuseOptions& options = {});
 

@@ -1,61 +1,49 @@
 // SPDX-License-Identifier: Apache-2.0
-// Four-source photometric stereo with near lights, shadows and highlights [Barsky & Petrou 2003]
-// (model section 5, docs/math/photometric.md).
+// Photometric stereo by any number of near and far lights, with shadows and highlights (model section 5,
+// docs/math/photometric.md).
 #pragma once
 
 #include <array>
 #include <cstdint>
 #include <span>
 
+#include "fitter/photometric/photometric_light.h"
+#include "fitter/photometric/point_normal.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "shared/base/result.h"
-#include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {
 
-enum class PhotometricReason : uint8_t {
-  kValid = 0,
-  kNoSurface = 1,
-  kTooFewSources = 2,  // fewer than three lights reach the point
-  kInconsistent = 3,   // no triple explains the fourth light as shadow or highlight
-  kDegenerate = 4,     // the lights lie nearly in one plane
-};
-inline constexpr int kPhotometricReasons = 5;
-[[nodiscard]] const char* ToString(PhotometricReason reason);
-
-struct PhotometricOptions {
-  // Standard deviation of a source's normalised intensity: what direct images, calibration and a real skin's departure
-  // from Lambert leave, relative to the brightest source.
-  double relative_sigma = 0.03;
-  double dependence_sigmas = 4.0;    // a linear dependence violated by more rejects a source
-  double shadow_fraction = 0.15;     // below this part of the brightest source a source may be shadowed
-  double highlight_cone_deg = 35.0;  // a highlight lies within this angle of mirror reflection
-  double min_condition = 0.03;       // smallest over largest singular value of the light directions
-  [[nodiscard]] Status Validate() const;
+// What the camera saw of one light.
+struct LitImage {
+  PhotometricLight light;
+  ImageView<const float> direct;    // W x H x C, linear digital numbers above black and ambient; NaN where unknown
+  ImageView<const float> variance;  // W x H x C, of the noise of `direct`; empty: not known, relative_sigma alone
 };
 
 // Maps on quads.
 struct PhotometricMap {
-  Image<float> normal;    // W x H x 3, unit, out of the skin; NaN where invalid
-  Image<float> albedo;    // W x H x C of the direct light; NaN where invalid
-  Image<float> residual;  // W x H, rms of the used sources over the brightest; NaN with three sources
-  // W x H, rad: standard deviation of the normal (both tilts together) if the residual is noise,
-  //   sigma_y sqrt(trace (L^T L)^-1) / albedo,  sigma_y^2 = sum of squared residuals (one degree of freedom);
-  // noisy itself, to be averaged over neighbours. NaN with three sources.
+  Image<float> normal;    // W x H x 3, unit, out of the skin; NaN where none is known
+  Image<float> albedo;    // W x H x C of the direct light; NaN where no source tells it
+  Image<float> residual;  // W x H, rms of the used sources over the brightness; NaN where as many fix the normal
+  // W x H, rad: standard deviation of the normal, both tilts together (E |error|^2 = sigma^2), finite wherever the
+  // normal is; a priori from variances and relative_sigma, widened by scatter where that is above 1.
   Image<float> normal_sigma_rad;
-  Image<uint8_t> usable;  // W x H, number of sources used
+  Image<float> scatter;   // W x H, squared residuals over their variances, per degree of freedom; NaN as residual
+  Image<uint8_t> usable;  // W x H, number of sources that have weight
   Image<uint8_t> reason;  // W x H, PhotometricReason
   std::array<int64_t, kPhotometricReasons> counts{};
+  // Quads times lights on the surface, left out: of the direct image or its variance not finite, below zero by more
+  // than negative_sigmas (the variance: at all). A light that does not reach a quad counts in neither.
+  int64_t masked_not_finite = 0;
+  int64_t masked_negative = 0;
 };
 
-// `direct[p]`: W x H x C direct images of projector p, digital numbers above black, NaN where unknown; their exposure
-// is `exposure_ms`. With E_p the irradiance of a facing white target at the point, y_p = direct / E_p = albedo n . l_p,
-// l_p the true direction to the projector's centre. Any four such values of one point are linearly dependent; when they
-// are not, the triple is taken whose normal explains the fourth as shadow or highlight and lies nearest to the surface
-// normal. More than four projectors: the four brightest at each point. kUsage: sizes differ, fewer than three
-// projectors. Reentrant, thread-count independent.
-[[nodiscard]] Result<PhotometricMap> EstimateNormals(std::span<const ImageView<const float>> direct,
-                                                     const SurfaceMap& surface, const RigCalibration& rig,
-                                                     double exposure_ms, const PhotometricOptions& options = {});
+// Of each quad of the surface y_p = direct_p / white_p = albedo n . l_p, mean over channels, with light p's direction
+// and white there, and from these EstimatePointNormal(). The surface gives points and, where light alone does not do,
+// its normal as prior. kUsage: sizes or channels (1 or 3) differ, a light is not valid, fewer than three or more than
+// 255 lights. Reentrant; same input, same bits, whatever the number of threads.
+[[nodiscard]] Result<PhotometricMap> EstimateNormals(std::span<const LitImage> images, const SurfaceMap& surface,
+                                                     const PhotometricOptions& options = {});
 
 }  // namespace stratalux::fit

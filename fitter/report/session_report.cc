@@ -61,7 +61,7 @@ ReportSection Shape(const ReportInput& in) {
   const Image<float> depth = Channel(in.shape.surface.point_mm, 2);
   ReportSection section{
       "Shape",
-      "Depth from all projectors together; normals of the surface, of four-source photometric stereo, and both fused.",
+      "Depth from all projectors together; normals of the surface, of photometric stereo, and both fused.",
       {},
       {},
       {}};

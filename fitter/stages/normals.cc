@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/normals.h"
 
+#include <string>
+#include <vector>
+
 #include "fitter/export/exr_file.h"
 #include "fitter/photometric/fuse_normals.h"
 #include "fitter/stages/colours.h"
@@ -9,10 +12,16 @@ namespace stratalux::fit {
 
 Result<FaceNormals> EstimateFaceNormals(std::span<const SeparationMap> separation, const SurfaceMap& surface,
                                         const RigCalibration& rig, double exposure_ms) {
-  std::vector<ImageView<const float>> direct;
-  for (const SeparationMap& s : separation) direct.push_back(s.direct);
+  if (separation.size() != rig.projectors.size())
+    return Status::Usage("normals: " + std::to_string(separation.size()) + " separations for " +
+                         std::to_string(rig.projectors.size()) + " projectors; needs one each");
+  if (!(exposure_ms > 0.0)) return Status::Usage("normals: the exposure must be positive");
+  std::vector<LitImage> images;
+  for (size_t p = 0; p < separation.size(); ++p)
+    images.push_back(
+        {LightOfProjector(rig.projectors[p], exposure_ms), separation[p].direct, separation[p].direct_variance});
   FaceNormals normals;
-  SLX_ASSIGN_OR_RETURN(normals.photometric, EstimateNormals(direct, surface, rig, exposure_ms));
+  SLX_ASSIGN_OR_RETURN(normals.photometric, EstimateNormals(images, surface));
   SLX_ASSIGN_OR_RETURN(normals.fused, FuseNormals(surface, normals.photometric));
   return normals;
 }

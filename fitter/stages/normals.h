@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The normals stage: four-source photometric stereo on the direct light, fused with the surface's.
+// The normals stage: photometric stereo on the direct light of all projectors, fused with the surface's.
 #pragma once
 
 #include <filesystem>
@@ -9,18 +9,20 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 3;
+inline constexpr int kNormalsVersion = 4;
 
 struct FaceNormals {
   PhotometricMap photometric;
   Image<float> fused;  // photometric detail on the surface's low frequencies
 };
 
+// `separation`: of each projector of the rig, in its order. kUsage: as many are not there, or fewer than three.
 [[nodiscard]] Result<FaceNormals> EstimateFaceNormals(std::span<const SeparationMap> separation,
                                                       const SurfaceMap& surface, const RigCalibration& rig,
                                                       double exposure_ms);
 
-// normal_photometric.exr, normal_fused.exr, albedo.exr, photometric.exr (residual, sigma, sources used, reason).
+// normal_photometric.exr, normal_fused.exr, albedo.exr, photometric.exr (residual, sigma, sources used, reason: see
+// docs/file-formats.md).
 Status SaveNormals(const std::filesystem::path& folder, const FaceNormals& normals);
 // What the report shows of them: normals and albedo.
 [[nodiscard]] Result<FaceNormals> LoadNormals(const std::filesystem::path& folder, int channels);

@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -28,9 +31,14 @@ class LambertSphere : public testing::Test {
       direct_.push_back(std::move(image));
     }
   }
-  [[nodiscard]] PhotometricMap Estimate(const RigCalibration& rig) const {
-    std::vector<ImageView<const float>> views(direct_.begin(), direct_.end());
-    auto map = EstimateNormals(views, truth_, rig, kExposureMs);
+  [[nodiscard]] std::vector<LitImage> Lit(const RigCalibration& rig) const {
+    std::vector<LitImage> images;
+    for (size_t p = 0; p < direct_.size(); ++p)
+      images.push_back({LightOfProjector(rig.projectors[p], kExposureMs), direct_[p], {}});
+    return images;
+  }
+  [[nodiscard]] PhotometricMap Estimate(const RigCalibration& rig, const PhotometricOptions& options = {}) const {
+    auto map = EstimateNormals(Lit(rig), truth_, options);
     EXPECT_TRUE(map.ok()) << map.status().message();
     return std::move(map).value();
   }
@@ -107,12 +115,180 @@ TEST_F(LambertSphere, OneHighlightIsRejected) {
   EXPECT_GT(highlights, 20);
 }
 
-TEST_F(LambertSphere, TwoKnownLightsAreTooFew) {
+TEST_F(LambertSphere, TwoKnownLightsLeanOnTheSurface) {
   ScalePatch(0, std::nanf(""), 0.0F);
   ScalePatch(3, std::nanf(""), 0.0F);
   const PhotometricMap map = Estimate(rig_);
   EXPECT_EQ(map.reason(60, 48), static_cast<uint8_t>(PhotometricReason::kTooFewSources));
+  EXPECT_EQ(map.usable(60, 48), 2);
+  for (int k = 0; k < 3; ++k) EXPECT_NEAR(map.normal(60, 48, k), truth_.normal(60, 48, k), 1e-5);
+  EXPECT_GT(map.normal_sigma_rad(60, 48), 0.05);
+  EXPECT_LT(map.normal_sigma_rad(60, 48), std::sqrt(2.0) * PhotometricOptions{}.surface_sigma_rad);
+  EXPECT_NEAR(map.albedo(60, 48), kAlbedo, 1e-4);
+}
+
+TEST_F(LambertSphere, WithoutSurfaceThereIsNoNormal) {
+  truth_.mask(60, 48) = 0;
+  const PhotometricMap map = Estimate(rig_);
+  EXPECT_EQ(map.reason(60, 48), static_cast<uint8_t>(PhotometricReason::kNoSurface));
   EXPECT_TRUE(std::isnan(map.normal(60, 48, 0)));
+  EXPECT_TRUE(std::isnan(map.normal_sigma_rad(60, 48)));
+}
+
+TEST_F(LambertSphere, WhatIsNoLightIsMaskedAndCounted) {
+  direct_[0](60, 48) = std::nanf("");
+  direct_[1](61, 48) = INFINITY;
+  direct_[2](62, 48) = -1.0F;
+  Image<float> variance(truth_.width(), truth_.height(), 1, 1.0F);
+  variance(63, 48) = std::nanf("");
+  variance(64, 48) = -1.0F;
+  direct_[3](65, 48) = -1.0F;  // one standard deviation: no light, and no fault
+  std::vector<LitImage> images = Lit(rig_);
+  images[3].variance = variance;
+  const auto map = EstimateNormals(images, truth_);
+  ASSERT_TRUE(map.ok());
+  EXPECT_EQ(map->masked_not_finite, 3);
+  EXPECT_EQ(map->masked_negative, 2);
+  for (int i = 60; i < 66; ++i) {
+    EXPECT_EQ(map->usable(i, 48), 3) << i;
+    for (int k = 0; k < 3; ++k) EXPECT_NEAR(map->normal(i, 48, k), truth_.normal(i, 48, k), 1e-4) << i;
+  }
+}
+
+TEST_F(LambertSphere, ProjectorsAreLightsOfTheirWhite) {
+  const ProjectorCalibration& projector = rig_.projectors[1];
+  const PhotometricLight light = LightOfProjector(projector, kExposureMs);
+  for (const Eigen::Vector3d& x : {Eigen::Vector3d(0, 0, 600), Eigen::Vector3d(40, -30, 650)}) {
+    const LightAtPoint at = light.At(x);
+    for (int c = 0; c < 3; ++c) {
+      const double white = projector.WhiteTargetDn(x, at.to_light, c, kExposureMs);
+      EXPECT_NEAR(at.white_dn[static_cast<size_t>(c)], white, 1e-9 * white);
+    }
+  }
+  EXPECT_EQ(light.At({0, 0, -5000}).white_dn[0], 0.0);  // behind it
+}
+
+// Lights of their own, without a rig: images of the sphere under each.
+class LightsOverSphere : public LambertSphere {
+ protected:
+  void Shine(const std::vector<PhotometricLight>& lights) {
+    direct_.clear();
+    images_.clear();
+    for (const PhotometricLight& light : lights) {
+      direct_.emplace_back(truth_.width(), truth_.height(), 1, std::nanf(""));
+      for (int j = 0; j < truth_.height(); ++j)
+        for (int i = 0; i < truth_.width(); ++i) {
+          if (truth_.mask(i, j) == 0) continue;
+          const LightAtPoint at = light.At(truth_.Point(i, j));
+          const double cosine = std::max(0.0, truth_.Normal(i, j).dot(at.to_light));
+          direct_.back()(i, j) = static_cast<float>(kAlbedo * at.white_dn[0] * cosine);
+        }
+    }
+    for (size_t s = 0; s < lights.size(); ++s) images_.push_back({lights[s], direct_[s], {}});
+  }
+  [[nodiscard]] PhotometricMap Estimate() const {
+    auto map = EstimateNormals(images_, truth_);
+    EXPECT_TRUE(map.ok()) << map.status().message();
+    return std::move(map).value();
+  }
+  // Seven around the camera, `distance_mm` from the sphere.
+  [[nodiscard]] static std::vector<PhotometricLight> Around(double distance_mm) {
+    std::vector<PhotometricLight> lights;
+    for (int s = 0; s < 7; ++s) {
+      const double azimuth = 2.0 * M_PI * s / 7.0, polar = s % 2 == 0 ? 0.7 : 0.4;
+      const Eigen::Vector3d to_light(std::sin(polar) * std::cos(azimuth), std::sin(polar) * std::sin(azimuth),
+                                     -std::cos(polar));
+      lights.push_back({NearLight{kMiddle + distance_mm * to_light, {}}, {}});
+      lights.back().strength.fill(1000.0 * distance_mm * distance_mm);
+    }
+    return lights;
+  }
+  static inline const Eigen::Vector3d kMiddle = Eigen::Vector3d(0, 0, 600);
+  std::vector<LitImage> images_;
+};
+
+TEST_F(LightsOverSphere, SevenAreExact) {
+  Shine(Around(400.0));
+  const PhotometricMap map = Estimate();
+  EXPECT_LT(WorstAngle(map), 1e-5);
+  EXPECT_EQ(map.usable(60, 48), 7);
+}
+
+TEST_F(LightsOverSphere, AFarLightIsANearOneAtGreatDistance) {
+  const std::vector<PhotometricLight> near = Around(1e7);
+  Shine(near);
+  for (size_t s = 0; s < near.size(); ++s) {
+    const Eigen::Vector3d to_light = std::get<NearLight>(near[s].place).position_mm - kMiddle;
+    images_[s].light.place = FarLight{to_light.normalized()};
+    images_[s].light.strength.fill(1000.0);
+  }
+  const PhotometricMap map = Estimate();
+  EXPECT_LT(WorstAngle(map), 1e-4);
+  EXPECT_NEAR(map.albedo(60, 48), kAlbedo, 1e-4);
+}
+
+TEST_F(LightsOverSphere, LobesArePartOfTheLight) {
+  std::vector<PhotometricLight> lights = Around(400.0);
+  for (size_t s = 0; s < lights.size(); ++s) {
+    auto& near = std::get<NearLight>(lights[s].place);
+    const Eigen::Vector3d aside = kMiddle + Eigen::Vector3d(s % 2 == 0 ? 150.0 : -150.0, 0.0, 0.0);
+    near.lobe = LambertianLobe((aside - near.position_mm).normalized(), 1.0 + static_cast<double>(s % 3));
+  }
+  Shine(lights);
+  EXPECT_LT(WorstAngle(Estimate()), 1e-5);
+  for (LitImage& image : images_) std::get<NearLight>(image.light.place).lobe = {};
+  EXPECT_GT(WorstAngle(Estimate()), 0.05);
+}
+
+TEST_F(LightsOverSphere, CapturedVarianceIsWeight) {
+  // One of seven lights is noise alone and says so.
+  Shine(Around(400.0));
+  Random random(8);
+  Image<float> variance(truth_.width(), truth_.height(), 1, 100.0F * 100.0F);
+  for (float& value : direct_[2].pixels()) value = std::abs(value + 100.0F * static_cast<float>(random.Normal()));
+  const double deaf = WorstAngle(Estimate());
+  images_[2].variance = variance;
+  EXPECT_LT(WorstAngle(Estimate()), 0.03);
+  EXPECT_LT(WorstAngle(Estimate()), 0.5 * deaf);
+}
+
+TEST_F(LightsOverSphere, SameBitsWhateverTheThreads) {
+  Shine(Around(400.0));
+  Random random(9);
+  for (Image<float>& image : direct_)
+    for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.2 * random.Normal());
+  std::vector<PhotometricMap> maps;
+  for (const char* threads : {"1", "3"}) {
+    setenv("STRATALUX_THREADS", threads, 1);
+    maps.push_back(Estimate());
+  }
+  unsetenv("STRATALUX_THREADS");
+  const auto same = [](const Image<float>& a, const Image<float>& b) {
+    return std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0;
+  };
+  EXPECT_TRUE(same(maps[0].normal, maps[1].normal));
+  EXPECT_TRUE(same(maps[0].albedo, maps[1].albedo));
+  EXPECT_TRUE(same(maps[0].normal_sigma_rad, maps[1].normal_sigma_rad));
+  EXPECT_EQ(maps[0].counts, maps[1].counts);
+  EXPECT_EQ(maps[0].masked_negative, maps[1].masked_negative);
+}
+
+TEST_F(LightsOverSphere, RefuseWhatDoesNotFit) {
+  Shine(Around(400.0));
+  const auto code = [&] { return EstimateNormals(images_, truth_).status().code(); };
+  const std::vector<LitImage> good = images_;
+  images_.resize(2);
+  EXPECT_EQ(code(), StatusCode::kUsage);
+  images_ = good;
+  const Image<float> small(4, 4);
+  images_[1].variance = small;
+  EXPECT_EQ(code(), StatusCode::kUsage);
+  images_ = good;
+  images_[1].light.strength[0] = -1.0;
+  EXPECT_EQ(code(), StatusCode::kUsage);
+  images_ = good;
+  images_[1].light.place = FarLight{{0, 0, -2}};
+  EXPECT_EQ(code(), StatusCode::kUsage);
 }
 
 TEST_F(LambertSphere, FusionTakesLowFrequenciesFromTheSurface) {
@@ -155,17 +331,37 @@ TEST_F(LambertSphere, PredictsTheNoiseOfItsNormals) {
   Random random(6);
   for (Image<float>& image : direct_)
     for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.01 * random.Normal());
-  const PhotometricMap map = Estimate(rig_);
-  double error = 0.0, predicted = 0.0;
+  const PhotometricMap map = Estimate(rig_, {.relative_sigma = 0.009});  // of the brightest: most sources are darker
+  double normalised = 0.0;
   for (int j = 38; j < 58; ++j)
     for (int i = 50; i < 70; ++i) {
       ASSERT_EQ(map.usable(i, j), 4);
+      double error = 0.0;
       for (int k = 0; k < 3; ++k) error += std::pow(map.normal(i, j, k) - truth_.normal(i, j, k), 2);
-      predicted += std::pow(map.normal_sigma_rad(i, j), 2);
+      normalised += error / std::pow(map.normal_sigma_rad(i, j), 2) / 400.0;
     }
-  // The trace also counts the error along the normal, which moves the albedo alone.
-  EXPECT_LT(error, 1.15 * predicted);
-  EXPECT_GT(error, 0.5 * predicted);
+  EXPECT_NEAR(std::sqrt(normalised), 1.0, 0.15);
+}
+
+TEST_F(LambertSphere, FusionDoesNotAddTheNoiseOfThreeSources) {
+  direct_.pop_back();
+  rig_.projectors.pop_back();
+  Random random(5);
+  for (Image<float>& image : direct_)
+    for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.03 * random.Normal());
+  const PhotometricMap map = Estimate(rig_);
+  const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
+  ASSERT_TRUE(fused.ok());
+  double photometric = 0.0, after = 0.0;
+  for (int j = 38; j < 58; ++j)
+    for (int i = 50; i < 70; ++i) {
+      ASSERT_EQ(map.usable(i, j), 3);
+      for (int k = 0; k < 3; ++k) {
+        photometric += std::pow(map.normal(i, j, k) - truth_.normal(i, j, k), 2);
+        after += std::pow((*fused)(i, j, k) - truth_.normal(i, j, k), 2);
+      }
+    }
+  EXPECT_LT(after, 0.1 * photometric);
 }
 
 }  // namespace
