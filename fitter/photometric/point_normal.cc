@@ -13,10 +13,11 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kIterations = 60;       // a start a million sigmas away takes 40
-constexpr double kNarrowing = 0.7;    // of the biweight from one iteration to the next
-constexpr double kSettled = 1e-7;     // relative step that ends the iteration
-constexpr double kMostScatter = 3.0;  // more sigmas than that are no noise that was understated
+constexpr int kIterations = 60;         // a start a million sigmas away takes 40
+constexpr double kNarrowing = 0.7;      // of the biweight from one iteration to the next
+constexpr double kSettled = 1e-7;       // relative step that ends the iteration
+constexpr size_t kMostForTriples = 12;  // 220 triples
+constexpr double kMostScatter = 3.0;    // more sigmas than that are no noise that was understated
 
 double Square(double x) { return x * x; }
 
@@ -53,7 +54,12 @@ class PointSolver {
   PointSolver(std::span<const PointSource> sources, const Eigen::Vector3d& view, const std::optional<Prior>& prior,
               const PhotometricOptions& options)
       : sources_(sources), view_(view), prior_(prior), options_(options), weights_(sources.size()) {
-    for (const PointSource& s : sources) brightest_ = std::max(brightest_, s.intensity);
+    std::vector<double> intensities;
+    for (const PointSource& s : sources) intensities.push_back(s.intensity);
+    if (intensities.empty()) return;
+    brightest_ = std::max(0.0, std::ranges::max(intensities));
+    std::ranges::nth_element(intensities, intensities.begin() + static_cast<std::ptrdiff_t>(intensities.size() / 2));
+    median_ = std::max(intensities[intensities.size() / 2], options_.shadow_fraction * brightest_);
   }
 
   [[nodiscard]] PointNormal Solve() {
@@ -211,10 +217,52 @@ class PointSolver {
     double reach = 0.0;
     for (const PointSource& s : sources_)
       if (!IsInAttachedShadow(s)) reach = std::max(reach, 2.0 * std::abs(Distance(s)));
-    if (Narrow(prior, reach, options_.robust_sigmas)) {
-      const double scattered = options_.robust_sigmas * RobustScatter();
-      Narrow(prior, scattered, scattered);
+    bool settled = Narrow(prior, reach, options_.robust_sigmas);
+    if (prior == nullptr && sources_.size() <= kMostForTriples && TripleIsBetter())
+      settled = Narrow(prior, options_.robust_sigmas, options_.robust_sigmas);
+    if (!settled) return;
+    const double scattered = options_.robust_sigmas * RobustScatter();
+    Narrow(prior, scattered, scattered);
+  }
+
+  // Among few sources an outlier draws the wide start to itself, but triples are few: g_ of the one with the least
+  // cost, if that is less than g_'s own.
+  [[nodiscard]] bool TripleIsBetter() {
+    const Eigen::Vector3d before = g_;
+    Eigen::Vector3d best = g_;
+    double least = Cost();
+    const auto n = sources_.size();
+    for (size_t a = 0; a < n; ++a)
+      for (size_t b = a + 1; b < n; ++b)
+        for (size_t c = b + 1; c < n; ++c) {
+          if (!SolveTriple(sources_[a], sources_[b], sources_[c]) || !(g_.dot(view_) > 0.0)) continue;
+          if (const double cost = Cost(); cost < least) least = cost, best = g_;
+        }
+    g_ = best;
+    return g_ != before;
+  }
+
+  // By the columns of the inverse: cross products over the determinant.
+  [[nodiscard]] bool SolveTriple(const PointSource& a, const PointSource& b, const PointSource& c) {
+    const Eigen::Vector3d bc = b.direction.cross(c.direction);
+    const double determinant = a.direction.dot(bc);
+    if (!(std::abs(determinant) > Square(options_.min_condition))) return false;
+    g_ = (a.intensity * bc + b.intensity * c.direction.cross(a.direction) +
+          c.intensity * a.direction.cross(b.direction)) /
+         determinant;
+    return g_.norm() > 0.0;
+  }
+
+  // Tukey's bounded loss of all sources, 1 for each beyond reach, by sigmas of one brightness: their median.
+  [[nodiscard]] double Cost() const {
+    double cost = 0.0;
+    for (const PointSource& s : sources_) {
+      if (IsInAttachedShadow(s)) continue;
+      const double variance = s.variance + Square(options_.relative_sigma * median_);
+      const double u2 = Square(s.intensity - Predicted(s)) / (variance * Square(options_.robust_sigmas));
+      cost += u2 < 1.0 ? 1.0 - std::pow(1.0 - u2, 3) : 1.0;
     }
+    return cost;
   }
 
   bool Narrow(const Prior* prior, double reach, double least) {
@@ -248,18 +296,12 @@ class PointSolver {
 
   [[nodiscard]] PhotometricReason JudgeMany() const {
     const int used = Used();
-    int shadowed = 0, explained = 0;
-    for (size_t s = 0; s < sources_.size(); ++s) {
-      if (weights_[s] > 0.0) continue;
-      if (IsInAttachedShadow(sources_[s]))
-        ++shadowed;
-      else if (Explains(sources_[s]))
-        ++explained;
-    }
+    int shadowed = 0;
+    for (size_t s = 0; s < sources_.size(); ++s) shadowed += weights_[s] <= 0.0 && IsInAttachedShadow(sources_[s]);
     const int all = static_cast<int>(sources_.size());
     if (used < 3) return used + shadowed == all ? PhotometricReason::kTooFewSources : PhotometricReason::kInconsistent;
-    // Three always agree with each other, so that somebody else has to tell why the rest does not.
-    const bool agreed = used > 3 || used + shadowed + explained == all;
+    // Three always agree with each other: nothing may be left that they do not explain.
+    const bool agreed = used > 3 || used + shadowed == all;
     if (!agreed || 2 * (used + shadowed) <= all) return PhotometricReason::kInconsistent;
     return DirectionsSpan() ? PhotometricReason::kValid : PhotometricReason::kDegenerate;
   }
@@ -313,7 +355,7 @@ class PointSolver {
   Eigen::Vector3d view_;
   const std::optional<Prior>& prior_;
   const PhotometricOptions& options_;
-  double brightest_ = 0.0;
+  double brightest_ = 0.0, median_ = 0.0;
   Eigen::Vector3d g_ = Eigen::Vector3d::Zero();  // albedo n
   std::vector<double> weights_;
 };

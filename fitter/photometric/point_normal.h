@@ -40,9 +40,9 @@ struct PhotometricOptions {
   double min_condition = 0.03;       // smallest over largest singular value of the light directions
   // Input further below zero than its noise is no light and masked.
   double negative_sigmas = 4.0;
-  // Of each of the surface normal's two tilts, where it serves as a prior: the relief that the surface's window of some
-  // millimetres averages away.
-  double surface_sigma_rad = 0.1;
+  // Of each of the surface normal's two tilts, where it serves as a prior: three times what the surfaces of simulated
+  // people are off by, since real skin has relief that theirs lack.
+  double surface_sigma_rad = 0.03;
   [[nodiscard]] Status Validate() const;
 };
 
@@ -70,9 +70,9 @@ struct PointNormal {
 //   four              weighted least squares where their linear dependence holds within noise; else the triple whose
 //                     normal explains the fourth as shadow or highlight and is nearest to the surface's [Barsky &
 //                     Petrou 2003]
-//   five and more     least squares iterated with Tukey's biweight, from a wide one down to robust_sigmas; dark sources
-//                     behind the normal's horizon do not count. Consistent where more than half are used or so
-//                     explained
+//   five and more     least squares iterated with Tukey's biweight, from a wide one or the best triple down to
+//                     robust_sigmas; dark sources behind the normal's horizon do not count. Consistent where more than
+//                     half are used or so explained
 //   otherwise         the same with the surface's normal as prior: two rows t . g = 0 +- |g| surface_sigma_rad
 //
 // sigma_rad is sqrt(trace(T^T C T)) / |g|, C the inverse of the weighted normal matrix of g = albedo n and T the

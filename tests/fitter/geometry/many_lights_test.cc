@@ -70,6 +70,7 @@ struct Rms {
 struct Errors {
   Rms estimate, plain, normalised;  // rad, rad, over the stated sigma
   int not_from_light = 0;
+  int wrong = 0;  // by more than 0.1 rad
 };
 
 // `spoil` changes the sources of a point after the light fell.
@@ -91,6 +92,7 @@ Errors ErrorsOf(int lights, double noise, uint64_t seed, const Spoil& spoil) {
     }
     const double square = (found.normal - normal).squaredNorm();
     errors.estimate.Add(square);
+    errors.wrong += square > 0.01;
     errors.plain.Add((LeastSquares(sources) - normal).squaredNorm());
     errors.normalised.Add(square / (found.sigma_rad * found.sigma_rad));
   }
@@ -128,6 +130,15 @@ TEST(ManyLights, RejectOneOfSeven) {
   const Errors clean = ErrorsOf(7, kNoise, 3, Nothing), spoilt = ErrorsOf(7, kNoise, 3, highlight);
   EXPECT_LT(spoilt.estimate.Value(), 1.35 * clean.plain.Value());
   EXPECT_LT(spoilt.not_from_light, kPoints / 100);
+}
+
+TEST(ManyLights, RejectTwoOfNine) {
+  // Two outliers draw least squares over so few to themselves: an iteration from there fails for 5 % of these points.
+  const Errors clean = ErrorsOf(9, kNoise, 15, Nothing), spoilt = ErrorsOf(9, kNoise, 15, EveryFifth);
+  EXPECT_LT(spoilt.wrong + spoilt.not_from_light, kPoints / 100);
+  EXPECT_EQ(clean.wrong, 0);
+  std::printf("9 lights, two spoilt: %d of %d points wrong, %d not from light alone\n", spoilt.wrong, kPoints,
+              spoilt.not_from_light);
 }
 
 TEST(ManyLights, StateTheirSigma) {
@@ -261,7 +272,7 @@ TEST(FewLights, InOnePlaneLeanOnTheSurface) {
   EXPECT_EQ(found.reason, PhotometricReason::kDegenerate);
   EXPECT_NEAR(found.normal.x() / found.normal.z(), normal.x() / normal.z(), 0.005);  // the lights tell this tilt
   EXPECT_NEAR(found.normal.y(), 0.0, 0.005);                                         // and not this one
-  EXPECT_NEAR(found.sigma_rad, PhotometricOptions{}.surface_sigma_rad, 0.01);
+  EXPECT_NEAR(found.sigma_rad, PhotometricOptions{}.surface_sigma_rad, 0.003);
 }
 
 TEST(FewLights, FourThatNothingExplainsHaveANormalWithSigma) {
