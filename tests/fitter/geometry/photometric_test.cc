@@ -156,7 +156,8 @@ TEST_F(LambertSphere, WhatIsNoLightIsMaskedAndCounted) {
 }
 
 TEST_F(LambertSphere, ProjectorsAreLightsOfTheirWhite) {
-  const ProjectorCalibration& projector = rig_.projectors[1];
+  ProjectorCalibration& projector = rig_.projectors[1];
+  projector.falloff = {-0.3, 0.05};
   const PhotometricLight light = LightOfProjector(projector, kExposureMs);
   for (const Eigen::Vector3d& x : {Eigen::Vector3d(0, 0, 600), Eigen::Vector3d(40, -30, 650)}) {
     const LightAtPoint at = light.At(x);
