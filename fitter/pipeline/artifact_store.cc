@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/memory_folder.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/pipeline/stopwatch.h"
 #include "shared/base/version.h"
@@ -82,6 +83,7 @@ Result<ArtifactStore> ArtifactStore::Open(const fs::path& session_folder, PlainF
 }
 
 void ArtifactStore::RemoveLeftovers() {
+  db::RemoveAbandonedMemory();
   std::error_code error;
   std::multimap<std::string, fs::path> left;  // by what the lock is of
   for (const auto& entry : fs::directory_iterator(folder_, error)) {

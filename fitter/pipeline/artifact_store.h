@@ -47,7 +47,7 @@ struct CleanOptions {
 
 class ArtifactStore {
  public:
-  // `session_folder`: STORE/sessions/<id>. Removes what killed runs left half made.
+  // `session_folder`: STORE/sessions/<id>. Removes what killed runs left half made, or in memory.
   static Result<ArtifactStore> Open(const std::filesystem::path& session_folder, PlainFiles files, Logger& logger);
 
   [[nodiscard]] std::filesystem::path FolderOf(const db::ArtifactIdentity& identity) const {

@@ -321,7 +321,7 @@ TEST_F(EncryptedFit, WhatAnOlderProgramLeftPlainIsNamedAndMended) {
     EXPECT_TRUE(ReadText(folder_ / "again" / name) == ReadText(seen / name)) << name;
 }
 
-// A killed run leaves plain files in memory alone, and those the next run removes.
+// A killed run leaves plain files in memory alone, and those the next run removes, before it does anything.
 TEST_F(EncryptedFit, KilledLeavesNothingPlainOnTheDisk) {
   std::mt19937_64 random(Seed() * 23'000'003);
   std::uniform_real_distribution<double> anywhere(0.0, 1.0);
@@ -342,11 +342,16 @@ TEST_F(EncryptedFit, KilledLeavesNothingPlainOnTheDisk) {
     const auto memory = MemoryOf(run.pid());
     if (memory.empty()) continue;
     ++left_in_memory;
+    const auto any_left = [&] {
+      return std::ranges::any_of(memory, [](const auto& folder) { return fs::exists(folder); });
+    };
     Running next(RunArguments(store), folder_ / "log");
-    (void)next.WaitFor(std::chrono::seconds(1));
+    while (any_left() && !next.WaitFor(milliseconds(20)))
+      ;
+    (void)next.WaitFor(std::chrono::seconds(1));  // into its work
     next.Send(SIGINT);
     (void)next.Wait();
-    for (const fs::path& folder : memory) EXPECT_FALSE(fs::exists(folder)) << where;
+    EXPECT_FALSE(any_left()) << where;
     EXPECT_THAT(MemoryOf(next.pid()), IsEmpty()) << where << ": interrupted";
     ExpectNothingPlain(store, where + ", interrupted");
   }
