@@ -155,17 +155,19 @@ std::string SessionGraph::Shape(GeometrySource source) {
                   return SaveShape(folder, made);
                 }});
   }
-  const std::string decoded = Decode();
-  return Add({{"shape", kShapeVersion, "{}", {{"decode", decoded}, {"record", record_hash_}}, ""},
-              "shape",
-              {decoded},
-              [this, decoded](const fs::path& folder) -> Status {
-                const auto load = [&] { return stages_.Load(decoded, LoadDecoded); };
-                SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
-                SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face->maps, LinearRig(record_), record_));
-                decoded_.Drop();  // nobody else reads it
-                return SaveShape(folder, shape);
-              }});
+  const std::string decoded = Decode(), separate = Separate();
+  return Add(
+      {{"shape", kShapeVersion, "{}", {{"decode", decoded}, {"separate", separate}, {"record", record_hash_}}, ""},
+       "shape",
+       {decoded, separate},
+       [=, this](const fs::path& folder) -> Status {
+         const auto load = [&] { return stages_.Load(decoded, LoadDecoded); };
+         SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
+         SLX_ASSIGN_OR_RETURN(const auto* separation, Separation(separate));
+         SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face->maps, *separation, LinearRig(record_), record_));
+         decoded_.Drop();  // nobody else reads it
+         return SaveShape(folder, shape);
+       }});
 }
 
 std::string SessionGraph::Separate() {
@@ -209,7 +211,7 @@ std::string SessionGraph::Srd(GeometrySource source) {
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face->record));
                 ExtractedSrds srds;
                 SLX_ASSIGN_OR_RETURN(
-                    srds.set, ExtractSrds(*frames, face->surface, face->lit, options_.srd, logger_, srds.figures));
+                    srds.set, ExtractSrds(*frames, face->surface, face->lights.lit, options_.srd, logger_, srds.figures));
                 return SaveSrds(folder, srds);
               }});
 }

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 1, kPlacedShapeVersion = 1;
+inline constexpr int kOffsetVersion = 1, kPlacedShapeVersion = 2;
 
 struct FaceOffset {
   SurfaceOffset found;

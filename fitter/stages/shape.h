@@ -8,27 +8,26 @@
 #include "fitter/reconstruction/drift.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/reconstruction/triangulate.h"
+#include "fitter/stages/quad_lights.h"
 #include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 3;
+inline constexpr int kShapeVersion = 4;
 
 struct FaceShape {
-  RigCalibration record;            // of the rig that it stands in, as a manifest has it
-  SurfaceMap surface;               // smoothed
-  std::vector<Image<uint8_t>> lit;  // by projector, on quads: it reaches the point
+  RigCalibration record;  // of the rig that it stands in, as a manifest has it
+  SurfaceMap surface;     // smoothed
+  QuadLights lights;
   TriangulationCounts triangulation;
   DriftReport drift;
 };
 
-// `rig`: what the frames were decoded by (SessionFrames::calibration()); `record`: that it was made from.
-[[nodiscard]] Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, const RigCalibration& rig,
+// `rig`: what the frames were decoded by (SessionFrames::calibration()); `record`: that it was made from. `separation`:
+// of each projector, for what it lights (FindQuadLights); empty where none was captured.
+[[nodiscard]] Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded,
+                                                 std::span<const SeparationMap> separation, const RigCalibration& rig,
                                                  const RigCalibration& record);
-
-// Quads that a projector lights: decoded where the surface says so, one quad away from any shadow's edge.
-[[nodiscard]] Image<uint8_t> LitQuads(const DecodedMap& decoded, const SurfaceMap& surface, const RigCalibration& rig,
-                                      int projector);
 
 // position.exr, depth_sigma.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, shape.json.
 Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape);

@@ -219,18 +219,18 @@ Training TrainingOf(const SessionFrames& frames, Logger& logger) {
   Training training;
   const auto decoded = DecodeFace(frames, logger);
   EXPECT_TRUE(decoded.ok()) << decoded.status().message();
-  auto face = ReconstructShape(decoded->maps, *frames.calibration(), *frames.record());
-  EXPECT_TRUE(face.ok()) << face.status().message();
-  training.face = *std::move(face);
   auto separation = SeparateFace(frames);
   EXPECT_TRUE(separation.ok()) << separation.status().message();
   training.separation = *std::move(separation);
+  auto face = ReconstructShape(decoded->maps, training.separation, *frames.calibration(), *frames.record());
+  EXPECT_TRUE(face.ok()) << face.status().message();
+  training.face = *std::move(face);
   auto normals = EstimateFaceNormals(training.separation, training.face.surface, *frames.calibration(),
                                      frames.plan()->exposure_ms);
   EXPECT_TRUE(normals.ok()) << normals.status().message();
   training.normals = *std::move(normals);
   std::vector<SweepFigure> figures;
-  auto srds = ExtractSrds(frames, training.face.surface, training.face.lit, {}, logger, figures);
+  auto srds = ExtractSrds(frames, training.face.surface, training.face.lights.lit, {}, logger, figures);
   EXPECT_TRUE(srds.ok()) << srds.status().message();
   training.srds = *std::move(srds);
   for (int p = 0; p < 4; ++p) {

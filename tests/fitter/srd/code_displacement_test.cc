@@ -11,11 +11,13 @@
 namespace stratalux::fit {
 namespace {
 
+// `coded`: by projector, of every quad; empty: all.
 Image<float> DisplacementOf(const RigCalibration& rig, const SurfaceMap& surface, const ScatteringModel& model,
-                            uint8_t lit = 1) {
-  const std::vector<Image<uint8_t>> masks(rig.projectors.size(),
-                                          Image<uint8_t>(surface.width(), surface.height(), 1, lit));
-  return CodeDisplacement(surface, masks, rig, model);
+                            std::vector<float> coded = {}) {
+  coded.resize(rig.projectors.size(), coded.empty() ? 1.0F : 0.0F);
+  std::vector<Image<float>> shares;
+  for (const float share : coded) shares.emplace_back(surface.width(), surface.height(), 1, share);
+  return CodeDisplacement(surface, shares, rig, model);
 }
 
 TEST(CodeDisplacement, OfStraightRaysIsTheDepthItself) {
@@ -41,7 +43,8 @@ TEST(CodeDisplacement, OfOneLampBeforeAFrontalSurfaceIsTheRefractionsOwn) {
   ScatteringModel model;
   model.eta = 1.4;
   EXPECT_NEAR(DisplacementOf(rig, plane, model)(i, j), refracted / tangent, 0.02);
-  EXPECT_NEAR(DisplacementOf(rig, plane, model, 0)(i, j), refracted / tangent, 0.02) << "lit by none: by all it faces";
+  EXPECT_NEAR(DisplacementOf(rig, plane, model, {0.0F})(i, j), refracted / tangent, 0.02)
+      << "coded by none: by all it faces";
 }
 
 TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
@@ -59,23 +62,35 @@ TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
     return across / std::sqrt(1.0 - across.squaredNorm());
   };
   constexpr double kDepth = 0.2;
+  std::vector<double> coded = {1.0, 1.0};
   const auto error_at = [&](double too_deep) {
     double squares = 0.0;
-    for (const ProjectorCalibration& projector : rig.projectors) {
+    for (size_t p = 0; p < coded.size(); ++p) {
+      const ProjectorCalibration& projector = rig.projectors[p];
       const Eigen::Vector3d to_lamp = (projector.CentreInCamera() - point).normalized();
       const double cos_in = to_lamp.dot(normal);
       if (cos_in < 0.1) continue;
       // On the tangent plane: where the light came in, and where the lamp's ray through the point too deep meets it.
       const Eigen::Vector3d came_in = kDepth * (refracted(to_lamp) - refracted(-view));
       const Eigen::Vector3d moved = too_deep * (to_lamp / cos_in - -view / -view.dot(normal));
-      squares += std::pow(cos_in, 2) * (came_in - moved).squaredNorm();
+      squares += coded[p] * std::pow(cos_in, 2) * (came_in - moved).squaredNorm();
     }
     return squares;
   };
-  double best = 0.0;
-  for (double h = 0.0; h < 0.3; h += 1e-4)
-    if (error_at(h) < error_at(best)) best = h;
-  EXPECT_NEAR(DisplacementOf(rig, plane, model)(i, j) * kDepth, best, 2e-4);
+  const auto best = [&] {
+    double least = 0.0;
+    for (double h = 0.0; h < 0.3; h += 1e-4)
+      if (error_at(h) < error_at(least)) least = h;
+    return least;
+  };
+  const double of_both = best();
+  EXPECT_NEAR(DisplacementOf(rig, plane, model)(i, j) * kDepth, of_both, 2e-4);
+  // A projector counts as far as its codes took part.
+  coded = {1.0, 0.0};
+  EXPECT_NEAR(DisplacementOf(rig, plane, model, {1.0F, 0.0F})(i, j) * kDepth, best(), 2e-4);
+  EXPECT_GT(std::abs(best() - of_both), 2e-3);
+  coded = {0.25, 1.0};
+  EXPECT_NEAR(DisplacementOf(rig, plane, model, {0.25F, 1.0F})(i, j) * kDepth, best(), 2e-4);
 }
 
 TEST(CodeDisplacement, IsNothingWhereNoSurfaceIs) {
