@@ -32,8 +32,9 @@ struct ImageFile {
 [[nodiscard]] Result<ImageFile> DecodePnm(std::span<const uint8_t> bytes, const std::string& file);
 [[nodiscard]] Result<ImageFile> DecodeTiff(std::span<const uint8_t> bytes, const std::string& file);
 
-// 1 or 3 channels, strips with deflate.
+// 1 or 3 channels, strips with deflate. `description`: the tag ImageDescription, ASCII; empty: none.
 Status WriteTiff8(const std::filesystem::path& file, ImageView<const uint8_t> image);
-Status WriteTiff16(const std::filesystem::path& file, ImageView<const uint16_t> image);
+Status WriteTiff16(const std::filesystem::path& file, ImageView<const uint16_t> image,
+                   const std::string& description = {});
 
 }  // namespace stratalux::db

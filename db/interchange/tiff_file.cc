@@ -138,7 +138,8 @@ Result<ImageFile> DecodeTiff(std::span<const uint8_t> bytes, const std::string& 
 
 namespace {
 
-Status Encode(const std::filesystem::path& file, const void* pixels, int width, int height, int channels, int bits) {
+Status Encode(const std::filesystem::path& file, const void* pixels, int width, int height, int channels, int bits,
+              const std::string& description) {
   Memory memory;
   memory.writes = true;
   const auto row_bytes = static_cast<size_t>(width) * static_cast<size_t>(channels) * static_cast<size_t>(bits / 8);
@@ -155,6 +156,7 @@ Status Encode(const std::filesystem::path& file, const void* pixels, int width, 
     TIFFSetField(tiff.get(), TIFFTAG_COMPRESSION, COMPRESSION_ADOBE_DEFLATE);
     TIFFSetField(tiff.get(), TIFFTAG_PREDICTOR, PREDICTOR_HORIZONTAL);
     TIFFSetField(tiff.get(), TIFFTAG_ZIPQUALITY, 1);
+    if (!description.empty()) TIFFSetField(tiff.get(), TIFFTAG_IMAGEDESCRIPTION, description.c_str());
     TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, TIFFDefaultStripSize(tiff.get(), 0));
     written = true;
     std::vector<uint8_t> row(row_bytes);  // the predictor works in place
@@ -172,10 +174,10 @@ Status Encode(const std::filesystem::path& file, const void* pixels, int width, 
 }  // namespace
 
 Status WriteTiff8(const std::filesystem::path& file, ImageView<const uint8_t> image) {
-  return Encode(file, image.data(), image.width(), image.height(), image.channels(), 8);
+  return Encode(file, image.data(), image.width(), image.height(), image.channels(), 8, "");
 }
-Status WriteTiff16(const std::filesystem::path& file, ImageView<const uint16_t> image) {
-  return Encode(file, image.data(), image.width(), image.height(), image.channels(), 16);
+Status WriteTiff16(const std::filesystem::path& file, ImageView<const uint16_t> image, const std::string& description) {
+  return Encode(file, image.data(), image.width(), image.height(), image.channels(), 16, description);
 }
 
 }  // namespace stratalux::db

@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
       "  stratalux-fit calibrate --last 12 --store store\n"
       "  stratalux-fit decode latest --store store --out decoded\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
+      "  stratalux-fit export latest --store store --out face\n"
       "  stratalux-fit clean latest --store store --dry-run\n"
       "  stratalux-fit profiles fit --in arm.csv --out arm.json");
   app.set_version_flag("--version", stratalux::kVersion);
@@ -35,6 +36,7 @@ int main(int argc, char** argv) {
   stratalux::fit::AddDecodeCommand(app, exit_code);
   stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);
+  stratalux::fit::AddExportCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
   if (const auto manual = stratalux::AskedManual(app, "stratalux-fit", argc, argv)) {
     const stratalux::Status written = stratalux::WriteStdout(*manual);

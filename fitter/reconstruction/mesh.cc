@@ -2,21 +2,10 @@
 #include "fitter/reconstruction/mesh.h"
 
 #include <Eigen/Geometry>
-#include <bit>
-#include <fstream>
-#include <type_traits>
+#include <algorithm>
 
 namespace stratalux::fit {
 namespace {
-
-static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's own byte order");
-
-template <typename T>
-void Append(std::vector<char>& bytes, const T& value) {
-  static_assert(std::is_trivially_copyable_v<T>);
-  const char* data = reinterpret_cast<const char*>(&value);
-  bytes.insert(bytes.end(), data, data + sizeof(T));
-}
 
 Eigen::Vector3f Position(const Mesh& mesh, int32_t vertex) {
   return Eigen::Map<const Eigen::Vector3f>(mesh.positions_mm[vertex].data());
@@ -52,34 +41,13 @@ Mesh MeshFromSurface(const SurfaceMap& surface, double max_edge_mm) {
       vertex(i, j) = static_cast<int32_t>(mesh.positions_mm.size());
       mesh.positions_mm.push_back({surface.point_mm(i, j, 0), surface.point_mm(i, j, 1), surface.point_mm(i, j, 2)});
       mesh.normals.push_back({surface.normal(i, j, 0), surface.normal(i, j, 1), surface.normal(i, j, 2)});
+      mesh.texture_uv.push_back({(static_cast<float>(i) + 0.5F) / static_cast<float>(surface.width()),
+                                 (static_cast<float>(j) + 0.5F) / static_cast<float>(surface.height())});
     }
   for (int j = 0; j + 1 < surface.height(); ++j)
     for (int i = 0; i + 1 < surface.width(); ++i)
       AddCell(mesh, vertex(i, j), vertex(i + 1, j), vertex(i, j + 1), vertex(i + 1, j + 1), max_edge_mm);
   return mesh;
-}
-
-Status WritePly(const std::filesystem::path& file, const Mesh& mesh) {
-  std::ofstream out(file, std::ios::binary);
-  out << "ply\nformat binary_little_endian 1.0\ncomment lengths in mm, camera frame (x right, y down, z forward)\n"
-      << "element vertex " << mesh.positions_mm.size()
-      << "\nproperty float x\nproperty float y\nproperty float z\n"
-         "property float nx\nproperty float ny\nproperty float nz\nelement face "
-      << mesh.triangles.size() << "\nproperty list uchar int vertex_indices\nend_header\n";
-  std::vector<char> bytes;
-  bytes.reserve(mesh.positions_mm.size() * 24 + mesh.triangles.size() * 13);
-  for (size_t v = 0; v < mesh.positions_mm.size(); ++v) {
-    Append(bytes, mesh.positions_mm[v]);
-    Append(bytes, mesh.normals[v]);
-  }
-  for (const auto& triangle : mesh.triangles) {
-    Append(bytes, uint8_t{3});
-    Append(bytes, triangle);
-  }
-  out.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
-  out.close();
-  if (!out) return Status::Failed("cannot write " + file.string() + ": check the folder and the free space");
-  return Status::Ok();
 }
 
 }  // namespace stratalux::fit

@@ -2,6 +2,7 @@
 #include "fitter/stages/shape.h"
 
 #include "fitter/export/exr_file.h"
+#include "fitter/export/ply_file.h"
 #include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/smooth_surface.h"
 #include "fitter/stages/quad_lights.h"

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "fitter/export/ply_file.h"
 #include "fitter/reconstruction/components.h"
 #include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/smooth_surface.h"

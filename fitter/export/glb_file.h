@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// glTF 2.0 in its binary container (.glb): one mesh with one material.
+//
+// glTF has metres and Y up. The camera frame (mm; x right, y down, z forward) is turned by half a turn about x:
+//   x_gltf = x / 1000,  y_gltf = -y / 1000,  z_gltf = -z / 1000
+// so that the camera stands at the origin and looks along -z as glTF's own cameras do, and the face looks along +z,
+// glTF's front. It is a rotation: triangles keep their sense, and normals follow it without the scale.
+#pragma once
+
+#include <filesystem>
+
+#include "fitter/export/origin.h"
+#include "fitter/export/triangle_mesh.h"
+#include "shared/base/result.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+struct GlbMaterial {
+  ImageView<const uint8_t> base_colour = {};  // RGB, sRGB-coded, over texture_uv; empty: none, the material is grey
+  double roughness = 1.0;                     // glTF's, the square root of GGX's alpha
+};
+
+// POSITION with its bounds, NORMAL, 32-bit indices; with a picture TEXCOORD_0 and that as an embedded PNG. `origin` and
+// the units are the asset's extras. kNotFound: the mesh has no triangle (glTF knows no empty one). kFailed: it cannot
+// be written.
+Status WriteGlb(const std::filesystem::path& file, const Mesh& mesh, const GlbMaterial& material,
+                const ExportOrigin& origin = {});
+
+}  // namespace stratalux::fit
