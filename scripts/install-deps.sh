@@ -56,7 +56,7 @@ cage                 web  shows the kiosk's page on the visitor's screen, as str
 xwayland             web  cage of Debian 12 does not start without it
 xvfb                 web  the display on which the tests look at that screen
 grim                 web  a picture of what cage shows
-npm                  web  fetches axe-core, the accessibility checks of the page (npm ci)
+npm                  web  fetches axe-core, the accessibility checks of the page, and the validator of glTF files (npm ci)
 qemu-system-x86      vm   emulator of the tests with the label vm (docs/rig-vm.md)
 busybox-static       vm   shell of the guest
 cpio                 vm   the guest's first file system

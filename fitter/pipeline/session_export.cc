@@ -132,13 +132,17 @@ Result<std::string> Make(const fs::path& partial, const ExportedSurface& exporte
   return text;
 }
 
+// The record last, and none before: where it lies, the files are those that it names.
 Status GiveNames(const fs::path& partial, const fs::path& out, const std::vector<std::string>& names) {
   const NotInterrupted whole;
+  std::error_code error;
+  fs::remove(out / kRecordFile, error);
+  if (error) return Status::Failed("cannot replace " + (out / kRecordFile).string() + ": " + error.message());
   for (const std::string& name : names) SLX_RETURN_IF_ERROR(db::KeepFile(partial / name, out / name));
   return Status::Ok();
 }
 
-// Those that get their names, then all that may ever lie in the folder.
+// Those that get their names, the record last; and all that may ever lie in the folder.
 std::vector<std::string> NamesOf(const std::set<ExportFormat>& formats) {
   std::vector<std::string> names = SurfaceFiles(formats);
   names.emplace_back(kRecordFile);
@@ -155,9 +159,15 @@ Result<std::string> WriteInto(const SessionExportOptions& options, const Exporte
   const std::vector<std::string> names = NamesOf(options.formats);
   SLX_RETURN_IF_ERROR(
       db::BeginExport(options.store, "export", exported.origin.session, options.out, MarkedNames(names)));
-  const RemovedOnSignal lock_guard(options.out / kLock);
-  SLX_ASSIGN_OR_RETURN(const KeyLock lock, KeyLock::Try(options.out / kLock));
-  if (!lock.held()) return Status::Busy("another export writes to " + options.out.string());
+  std::optional<RemovedOnSignal> lock_guard;  // of our own lock, never of another's
+  const Result<KeyLock> lock = [&] {
+    const NotInterrupted whole;
+    auto tried = KeyLock::Try(options.out / kLock);
+    if (tried.ok() && tried->held()) lock_guard.emplace(options.out / kLock);
+    return tried;
+  }();
+  if (!lock.ok()) return lock.status();
+  if (!lock->held()) return Status::Busy("another export writes to " + options.out.string());
   const fs::path partial = options.out / kMaking;
   const RemovedOnSignal guard(partial);
   std::error_code error;

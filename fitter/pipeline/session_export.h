@@ -2,8 +2,9 @@
 // `stratalux-fit export`: the surface of a session out of the store, as files in a folder.
 //
 // They are made in OUT/.stratalux-export.partial and get their names together once all are whole and synced; the record
-// export.json comes last. A failure, Ctrl-C or a full disk leaves the folder's earlier files as they were; what a kill
-// leaves half made, the next export to that folder removes, and `forget`.
+// export.json goes first and comes last, so that a folder that has it has the files that it names. A failure, Ctrl-C or
+// a full disk before that leaves the folder's earlier files as they were; what a kill leaves half made, the next export
+// to that folder removes, and `forget`.
 #pragma once
 
 #include <filesystem>

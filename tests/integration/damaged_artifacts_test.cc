@@ -183,6 +183,7 @@ TEST_F(DamagedArtifacts, AFitThatWasChangedIsNamedAndMadeAgain) {
     ExpectNamed(Fit(store, Options("run")), 6, file, "run");
     ExpectNamed(Fit(store, "report latest --path-only"), 6, file, "report");
     ExpectNamed(Fit(store, "render latest --direction=0,0,-1 --out " + (folder_ / "out").string()), 6, file, "render");
+    ExpectNamed(Fit(store, "export latest --out " + (folder_ / "out").string()), 6, file, "export");
     EXPECT_FALSE(fs::exists(folder_ / "out"));
     ExpectNamed(Db(store, "verify --deep"), 6, file, "verify");
     EXPECT_EQ(Fit(store, "clean latest --damaged").code, 0);

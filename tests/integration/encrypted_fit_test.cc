@@ -185,12 +185,20 @@ TEST_F(EncryptedFit, IsShownWhereSomebodyAsksAndNowhereElse) {
   EXPECT_THAT(relit.out, HasSubstr("is encrypted; the files in"));
   EXPECT_EQ(Fit(plain, light + (folder_ / "plain_lit").string()).code, 0);
   EXPECT_TRUE(ReadText(folder_ / "lit" / "total.png") == ReadText(folder_ / "plain_lit" / "total.png"));
+
+  const fs::path face = folder_ / "face", plain_face = folder_ / "plain_face";
+  const Outcome exported = Fit(store, "export latest --out " + face.string());
+  EXPECT_EQ(exported.code, 0) << exported.out;
+  EXPECT_THAT(exported.out, HasSubstr("is encrypted; the files in " + face.string() + " are not"));
+  EXPECT_EQ(Fit(plain, "export latest --out " + plain_face.string()).code, 0);
+  EXPECT_TRUE(ReadText(face / "depth.exr") == ReadText(plain_face / "depth.exr"));
   ExpectNothingPlain(store, "after looking");
 
   // All that left it goes with it.
   EXPECT_EQ(Db(store, "forget latest --yes").code, 0);
   EXPECT_FALSE(fs::exists(out)) << "a logged copy";
   EXPECT_FALSE(fs::exists(folder_ / "lit"));
+  EXPECT_FALSE(fs::exists(face));
   EXPECT_THAT(PlainFilesBelow(store), IsEmpty());
 }
 
@@ -221,7 +229,7 @@ TEST_F(EncryptedFit, WithoutItsKeyIsCheckedAndCopiedAndNotRead) {
   const State before = StateOf(store);
   for (const std::string& verb :
        {"run latest --heldout 0 " + std::string(kSmallFitOptions), "report latest --out " + out.string(),
-        "render latest --direction=0,0,-1 --out " + out.string()}) {
+        "render latest --direction=0,0,-1 --out " + out.string(), "export latest --out " + out.string()}) {
     const Outcome refused = Fit(store, verb);
     EXPECT_EQ(refused.code, 4) << verb << ": " << refused.out;
     EXPECT_THAT(refused.out, HasSubstr("stratalux-db key export")) << verb;

@@ -20,6 +20,7 @@ step() { echo "$ $*"; "$@" >"$work/said" 2>&1 || { echo "exit code $?"; tail -n 
 step stratalux-rig capture --simulate --config "$work/rig.toml" --seed 5
 step stratalux-fit run latest
 step stratalux-fit render latest --point=-200,-150,250 --out "$work/relit"
+step stratalux-fit export latest --out "$work/face"
 step stratalux-db export latest --out "$work/pictures" --format tiff
 step stratalux-db verify --deep
 step stratalux-db reindex
