@@ -22,7 +22,7 @@ libpng-dev           rig  PNG files
 libjpeg-dev          rig  the kiosk's live picture
 libqrencode-dev      rig  QR codes of the kiosk's tickets
 libsqlite3-dev       rig  the store's index
-libtiff-dev          rig  stratalux-db: import and export of TIFF files (the controller does not link it); peer in benchmarks
+libtiff-dev          rig  import and export of TIFF files by stratalux-db and stratalux-fit (the controller does not link it); peer in benchmarks
 rsync                rig  stratalux-db pull
 openssh-client       rig  stratalux-db pull from another machine
 libtomlplusplus-dev  rig  configuration files

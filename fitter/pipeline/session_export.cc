@@ -172,7 +172,10 @@ Result<std::string> WriteInto(const SessionExportOptions& options, const Exporte
   const RemovedOnSignal guard(partial);
   std::error_code error;
   fs::remove_all(partial, error);
-  fs::create_directory(partial, error);
+  {
+    const NotInterrupted whole;
+    fs::create_directory(partial, error);
+  }
   if (error) return Status::Failed("cannot create " + partial.string() + ": " + error.message());
   auto record = Make(partial, exported, options.formats, logger);
   Status status = record.status();

@@ -5,9 +5,9 @@
 // standard deviation sigma (depth_sigma_mm). Across the ray the point stands for the whole quad: its place there is
 // known to be somewhere on the quad's footprint, a square of side a = step z / sqrt(fx fy), evenly. So
 //   C = sigma^2 r r^T + a^2 / 12 (I - r r^T)
-// with r^T C r = sigma^2. It holds what each quad has by itself; what all share (calibration, docs/math/offset.md) is
-// not in it. Lens distortion and the foreshortening of pixels off the axis change a by a few per cent, and are left
-// out.
+// with r^T C r = sigma^2. Of a surface that the sweeps have placed (docs/math/offset.md), sigma holds what that leaves
+// open, too, which all quads share; errors of the calibration are in neither. Lens distortion and the foreshortening of
+// pixels off the axis change a by a few per cent, and are left out. A simulation's true surface has sigma 0.
 #pragma once
 
 #include <Eigen/Core>

@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 #include <deque>
+#include <span>
+#include <utility>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/export/glb_file.h"
@@ -57,7 +59,12 @@ bool Finite(ImageView<const float> map, int i, int j) {
 // Where photometric stereo adds none, the surface's own stay.
 Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to) {
   SLX_ASSIGN_OR_RETURN(const auto fused, ReadExr(folder / "normal_fused.exr", {"X", "Y", "Z"}));
-  SLX_ASSIGN_OR_RETURN(to.normal_sigma_rad, ReadExr(folder / "photometric.exr", {"sigma_rad"}));
+  if (auto sigma = ReadExr(folder / "photometric.exr", {"sigma_rad"}); sigma.ok())
+    to.normal_sigma_rad = std::move(*sigma);
+  else if (sigma.status().code() == StatusCode::kNotFound)  // of an older program, which did not tell
+    to.normal_sigma_rad = Image<float>(fused.width(), fused.height(), 1, std::nanf(""));
+  else
+    return sigma.status();
   SurfaceMap& surface = to.surface;
   for (const Image<float>* map : {&fused, &std::as_const(to.normal_sigma_rad)})
     if (map->width() != surface.width() || map->height() != surface.height())
@@ -76,7 +83,7 @@ Status CheckSurface(SurfaceMap& surface, const std::string& where) {
       if (surface.mask(i, j) == 0) continue;
       const Eigen::Vector3d normal = surface.Normal(i, j);
       if (!(surface.point_mm(i, j, 2) > 0.0F) || !surface.Point(i, j).allFinite() || !(normal.norm() > 0.5) ||
-          !(normal.norm() < 2.0) || !(surface.depth_sigma_mm(i, j) > 0.0F))
+          !(normal.norm() < 2.0) || !(surface.depth_sigma_mm(i, j) >= 0.0F))
         return Status::Integrity(where + ": quad " + std::to_string(i) + ", " + std::to_string(j) +
                                  " of its surface has no place, no normal or no deviation");
       for (int c = 0; c < 3; ++c) surface.normal(i, j, c) = static_cast<float>(normal[c] / normal.norm());
