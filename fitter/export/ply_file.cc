@@ -20,14 +20,15 @@ void Append(std::vector<char>& bytes, const T& value) {
 
 std::string Properties(const char* type, std::initializer_list<const char*> names) {
   std::string text;
-  for (const char* name : names) text += std::string("property ") + type + " " + name + "\n";
+  for (const char* name : names) text.append("property ").append(type).append(" ").append(name).append("\n");
   return text;
 }
 
 std::string HeaderOf(const ExportOrigin& origin, const std::string& comment, size_t vertices) {
   std::string text =
       "ply\nformat binary_little_endian 1.0\ncomment lengths in mm, camera frame (x right, y down, z forward)\n";
-  for (const auto& [name, value] : origin.Named()) text += "comment " + name + " " + value + "\n";
+  for (const auto& [name, value] : origin.Named())
+    text.append("comment ").append(name).append(" ").append(value).append("\n");
   return text + comment + "element vertex " + std::to_string(vertices) + "\n" + Properties("float", {"x", "y", "z"}) +
          Properties("float", {"nx", "ny", "nz"});
 }
