@@ -57,12 +57,38 @@ Result<double> CompareCorners(const std::string& file, int pose, const DecodedMa
   return errors[errors.size() / 2];
 }
 
+// Of the axes that were captured.
+Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::string& name, const DecodedMap& map) {
+  std::error_code error;
+  std::filesystem::create_directories(f.out, error);
+  std::vector<std::pair<std::string, const Image<float>*>> axes;
+  std::vector<std::string> files;
+  for (const auto& [axis, values] : {std::pair{"_column", &map.column}, std::pair{"_row", &map.row}}) {
+    if (std::ranges::all_of(values->pixels(), [](float v) { return std::isnan(v); })) continue;
+    axes.emplace_back(name + axis, values);
+    files.push_back(name + axis + ".exr");
+    files.push_back(name + axis + ".png");
+  }
+  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "decode", session, f.out, files));
+  for (const auto& [file, values] : axes) {
+    const std::string base = (std::filesystem::path(f.out) / file).string();
+    SLX_RETURN_IF_ERROR(WriteExr(base + ".exr", *values, {"Y"}));
+    SLX_RETURN_IF_ERROR(
+        WritePng8(base + ".png", ToColourScale(*values, Percentile(*values, 0.01), Percentile(*values, 0.99))));
+  }
+  return Status::Ok();
+}
+
 Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, nlohmann::ordered_json& results) {
   const CodeSize code = CodeSizeOf(frames);
   SLX_ASSIGN_OR_RETURN(const auto report,
                        DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames)));
   nlohmann::ordered_json result = {{"projector", f.projector}, {"pose", pose}};
   for (int r = 0; r < kDecodeReasons; ++r) result["pixels"][ToString(static_cast<DecodeReason>(r))] = report.counts[r];
+  for (const auto& [axis, counts] :
+       {std::pair{"columns", &report.column_bit_counts}, std::pair{"rows", &report.row_bit_counts}})
+    for (size_t bits = 0; bits < counts->size(); ++bits)
+      if ((*counts)[bits] > 0) result["trusted_bits"][axis][std::to_string(bits)] = (*counts)[bits];
   if (!f.reference.empty()) {
     const db::FrameRow* row = frames.Find(f.projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose);
     int found = 0, total = 0;
@@ -71,22 +97,9 @@ Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, n
     result["reference"] = {{"corners", total}, {"found", found}, {"median_px", median}};
   }
   if (!f.out.empty()) {
-    std::error_code error;
-    std::filesystem::create_directories(f.out, error);
     const std::string name =
         "projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : "");
-    const std::filesystem::path base = std::filesystem::path(f.out) / name;
-    SLX_RETURN_IF_ERROR(
-        db::BeginExport(f.store, "decode", frames.info().id, f.out,
-                        {name + "_column.exr", name + "_row.exr", name + "_column.png", name + "_row.png"}));
-    SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_column.exr", report.map.column, {"Y"}));
-    SLX_RETURN_IF_ERROR(WriteExr(base.string() + "_row.exr", report.map.row, {"Y"}));
-    SLX_RETURN_IF_ERROR(WritePng8(
-        base.string() + "_column.png",
-        ToColourScale(report.map.column, Percentile(report.map.column, 0.01), Percentile(report.map.column, 0.99))));
-    SLX_RETURN_IF_ERROR(
-        WritePng8(base.string() + "_row.png",
-                  ToColourScale(report.map.row, Percentile(report.map.row, 0.01), Percentile(report.map.row, 0.99))));
+    SLX_RETURN_IF_ERROR(WriteMaps(f, frames.info().id, name, report.map));
   }
   results.push_back(result);
   return Status::Ok();

@@ -71,7 +71,10 @@ DecodedMap WithInverted(const DecodedMap& map, PatternAxis axis, const DeviceSiz
   const unsigned mask = (1U << GrayBits(count)) - 1U;
   Image<float>& values = axis == PatternAxis::kColumns ? other.column : other.row;
   for (float& v : values.pixels())
-    if (std::isfinite(v)) v = static_cast<float>(BinaryFromGray(~GrayFromBinary(static_cast<unsigned>(v)) & mask));
+    if (std::isfinite(v)) {
+      const auto cell = static_cast<unsigned>(std::lround(std::max(v, 0.0F)));
+      v = static_cast<float>(BinaryFromGray(~GrayFromBinary(cell) & mask));
+    }
   return other;
 }
 

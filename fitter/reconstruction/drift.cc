@@ -33,7 +33,7 @@ bool DecodedQuad(const DecodedMap& map, int step, int i, int j, Eigen::Vector2d&
   const double sites = step * step;
   at /= sites;
   sigma = std::sqrt(variance) / sites;
-  return true;
+  return at.allFinite();  // not where one axis alone was captured
 }
 
 std::optional<Point> PointAt(const ProjectorCalibration& projector, const Eigen::Vector3d& x_in_camera,

@@ -21,7 +21,7 @@ struct SmoothOptions {
 // Around every known quad the inverse depth q = 1/z is fitted by a quadratic of the normalised image coordinates
 // (x, y), weighted by 1/sigma^2, distance and robustness. A plane is exactly linear in q, so planes are left as they
 // are at any slant; the normal follows from the gradient: n ~ -(q_x, q_y, q - x q_x - y q_y)
-// (docs/math/geometry.md, eq. 7). depth_sigma_mm becomes the sandwich covariance of the fit for independent samples.
+// (docs/math/geometry.md, eq. 12). depth_sigma_mm becomes the sandwich covariance of the fit for independent samples.
 // Reentrant, thread-count independent.
 [[nodiscard]] Result<SurfaceMap> SmoothSurface(const SurfaceMap& rough, const RigCalibration& rig,
                                                const SmoothOptions& options = {});

@@ -2,6 +2,7 @@
 #include "fitter/reconstruction/triangulate.h"
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cmath>
 #include <string>
 #include <vector>
@@ -15,7 +16,7 @@ namespace {
 
 struct View {
   Eigen::Vector2d observed;       // column, row
-  Eigen::Vector2d inverse_sigma;  // 1 / px
+  Eigen::Vector2d inverse_sigma;  // 1 / px; 0 of an axis that was not captured: it weighs nothing
   Eigen::Vector3d ray_in_device;  // the camera ray's direction, projector frame
   Eigen::Vector3d origin;         // the camera centre, projector frame
   const Pinhole* model = nullptr;
@@ -51,7 +52,8 @@ double OwnRange(const View& view) {
   const Eigen::Vector2d n = ray.head<2>() / ray.z();
   const Eigen::Vector2d a = view.ray_in_device.head<2>() - n * view.ray_in_device.z();
   const Eigen::Vector2d b = n * view.origin.z() - view.origin.head<2>();
-  return a.dot(b) / a.squaredNorm();
+  const Eigen::Vector2d captured = (view.inverse_sigma.array() > 0.0).cast<double>();
+  return a.cwiseProduct(captured).dot(b) / a.cwiseProduct(captured).squaredNorm();
 }
 
 class RaySolver {
@@ -122,10 +124,10 @@ class RaySolver {
       }
       information += r->slope.squaredNorm();
       chi2 += r->value.squaredNorm();
-      used += 2;
+      used += static_cast<int>((view.inverse_sigma.array() > 0.0).count());
     }
     if (used == 0 || !(information > 0.0)) return std::nullopt;
-    const double sigma = std::sqrt(std::max(1.0, chi2 / (used - 1)) / information);
+    const double sigma = std::sqrt(std::max(1.0, chi2 / std::max(used - 1, 1)) / information);
     if (!(range > options_.min_depth_mm) || !(range < options_.max_depth_mm) || sigma > options_.max_depth_sigma_mm)
       return std::nullopt;
     return SiteDepth{range, sigma, rejected};
@@ -152,14 +154,15 @@ class SurfaceBuilder {
     for (size_t p = 0; p < decoded_.size(); ++p) {
       const DecodedMap& map = decoded_[p];
       if (map.reason(x, y) != static_cast<uint8_t>(DecodeReason::kValid)) continue;
-      const Eigen::Vector2d sigma(std::hypot(map.column_sigma(x, y), options_.model_sigma_px),
-                                  std::hypot(map.row_sigma(x, y), options_.model_sigma_px));
+      Eigen::Vector2d observed(map.column(x, y), map.row(x, y)), inverse_sigma;
+      const std::array<float, 2> decoded_sigma = {map.column_sigma(x, y), map.row_sigma(x, y)};
+      for (int k = 0; k < 2; ++k) {
+        const bool captured = !std::isnan(observed[k]);
+        inverse_sigma[k] = captured ? 1.0 / std::hypot(decoded_sigma[k], options_.model_sigma_px) : 0.0;
+        if (!captured) observed[k] = 0.0;
+      }
       const Rigid3& t = projector_from_camera_[p];
-      views.push_back({{map.column(x, y), map.row(x, y)},
-                       sigma.cwiseInverse(),
-                       t.rotation * ray,
-                       t.translation_mm,
-                       &rig_.projectors[p].model});
+      views.push_back({observed, inverse_sigma, t.rotation * ray, t.translation_mm, &rig_.projectors[p].model});
     }
     if (views.empty()) return SiteOutcome::kUndecoded;
     const auto solved = solver_.Solve(views);

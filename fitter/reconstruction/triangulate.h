@@ -44,9 +44,9 @@ struct Triangulation {
 
 // `decoded[p]`: maps of projector p at the size of the camera's frames. For each site the ray length t minimises
 //   sum_p rho((C_p - C(t x))^2 / sigma^2) + rho((R_p - R(t x))^2 / sigma^2),   rho of Geman-McClure,
-// by Gauss-Newton from the best of the projectors' own linear solutions. A quad holds the weighted mean depth of its
-// sites on the ray through its centre. kUsage: sizes or numbers of projectors differ. Reentrant, thread-count
-// independent.
+// by Gauss-Newton from the best of the projectors' own linear solutions. An axis that was not captured (NaN) is left
+// out. A quad holds the weighted mean depth of its sites on the ray through its centre. kUsage: sizes or numbers of
+// projectors differ. Reentrant, thread-count independent.
 [[nodiscard]] Result<Triangulation> Triangulate(std::span<const DecodedMap> decoded, const RigCalibration& rig,
                                                 const TriangulateOptions& options = {});
 

@@ -19,16 +19,32 @@ struct AxisFrames {
   std::vector<Image<uint16_t>> positive, inverse, shifts;
 };
 
+enum class Polarity { kPositive, kInverse };
+
+Pattern GrayPattern(PatternAxis axis, int bit, int bits, Polarity polarity) {
+  return {
+      .kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = polarity == Polarity::kInverse};
+}
+
+// Whether there is any frame of an axis' code.
+bool Captured(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count, Polarity polarity) {
+  const int bits = count > 0 ? GrayBits(count) : 0;
+  for (int bit = 0; bit < bits; ++bit)
+    if (frames.Find(projector, CapturePhase::kCorrespondence, GrayPattern(axis, bit, bits, polarity), pose) != nullptr)
+      return true;
+  return false;
+}
+
+// All of the code's frames, but for inverses where none was captured at all.
 Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count) {
   std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
-  for (int bit = 0; bit < bits; ++bit)
-    for (bool inverse : {false, true}) {
-      SLX_ASSIGN_OR_RETURN(
-          rows.emplace_back(),
-          frames.Require(projector, CapturePhase::kCorrespondence,
-                         {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse},
-                         pose));
+  std::vector<Polarity> polarities = {Polarity::kPositive};
+  if (Captured(frames, projector, pose, axis, count, Polarity::kInverse)) polarities.push_back(Polarity::kInverse);
+  for (const Polarity polarity : polarities)
+    for (int bit = 0; bit < bits; ++bit) {
+      SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
+                                                               GrayPattern(axis, bit, bits, polarity), pose));
     }
   for (int shift = 0; frames.plan() && shift < frames.plan()->separation_shifts; ++shift) {
     const PlanOptions& o = *frames.plan();
@@ -44,8 +60,9 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose
   SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
   AxisFrames read;
   for (size_t i = 0; i < images.size(); ++i) {
-    const bool code = i < 2 * static_cast<size_t>(bits);
-    (!code ? read.shifts : i % 2 == 1 ? read.inverse : read.positive).push_back(std::move(images[i]));
+    const size_t kind = i / static_cast<size_t>(bits);
+    auto& list = kind == 0 ? read.positive : kind < polarities.size() ? read.inverse : read.shifts;
+    list.push_back(std::move(images[i]));
   }
   return read;
 }
@@ -53,7 +70,8 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose
 AxisCode CodeOf(const AxisFrames& frames, int count, int period) {
   AxisCode code;
   code.count = count;
-  for (size_t b = 0; b < frames.positive.size(); ++b) code.bits.push_back({frames.positive[b], frames.inverse[b]});
+  for (size_t b = 0; b < frames.positive.size(); ++b)
+    code.bits.push_back({frames.positive[b], frames.inverse.empty() ? RawView{} : RawView{frames.inverse[b]}});
   for (const auto& image : frames.shifts) code.shifts.push_back(image);
   code.period_px = frames.shifts.empty() ? 0 : period;
   return code;
@@ -85,8 +103,18 @@ Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector,
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));
-  SLX_ASSIGN_OR_RETURN(const auto columns, ReadAxis(frames, projector, pose, PatternAxis::kColumns, code_width));
-  SLX_ASSIGN_OR_RETURN(const auto rows, ReadAxis(frames, projector, pose, PatternAxis::kRows, code_height));
+  const auto captured = [&](PatternAxis axis, int count) {
+    return Captured(frames, projector, pose, axis, count, Polarity::kPositive) ||
+           Captured(frames, projector, pose, axis, count, Polarity::kInverse);
+  };
+  AxisFrames columns, rows;
+  const bool has_rows = captured(PatternAxis::kRows, code_height);
+  if (!has_rows || captured(PatternAxis::kColumns, code_width)) {  // where there is nothing, a column's frame is named
+    SLX_ASSIGN_OR_RETURN(columns, ReadAxis(frames, projector, pose, PatternAxis::kColumns, code_width));
+  }
+  if (has_rows) {
+    SLX_ASSIGN_OR_RETURN(rows, ReadAxis(frames, projector, pose, PatternAxis::kRows, code_height));
+  }
   const int period = frames.plan() ? frames.plan()->separation_period : 0;
   DecodeInput input;
   input.white = white;

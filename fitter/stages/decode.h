@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kDecodeVersion = 3;
+inline constexpr int kDecodeVersion = 4;
 
 struct CodeSize {
   int columns = 0, rows = 0;  // of the projectors: as the plan says, or the most that the stored code can number
@@ -22,7 +22,7 @@ struct CodeSize {
 [[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
 
 // Decodes projector p of a session whose frames have `width` x `height` code columns and rows; sinusoids where the plan
-// has them.
+// has them. An axis without any Gray frame is left out; inverses may be absent all together, single frames may not.
 [[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                                    int code_height, const SensorNoise& noise);
 

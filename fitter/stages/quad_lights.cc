@@ -22,6 +22,12 @@ struct Share {
   bool known = false;
 };
 
+// Columns (of a capture that has but rows: rows) between what was decoded and where the surface says.
+double Off(const DecodedMap& decoded, int x, int y, const Eigen::Vector2d& at) {
+  const float column = decoded.column(x, y);
+  return std::isnan(column) ? std::abs(decoded.row(x, y) - at.y()) : std::abs(column - at.x());
+}
+
 // Of one projector.
 class Reach {
  public:
@@ -99,7 +105,7 @@ class Reach {
     const float one = 1.0F / static_cast<float>(step_ * step_);
     ForEachSite(i, j, [&](int x, int y) {
       if (decoded_.reason(x, y) != static_cast<uint8_t>(DecodeReason::kValid)) return;
-      const bool agrees = at && std::abs(decoded_.column(x, y) - at->x()) < options_.max_code_columns;
+      const bool agrees = at && Off(decoded_, x, y, *at) < options_.max_code_columns;
       (agrees ? codes.agreeing : codes.contradicting) += one;
     });
     return codes;

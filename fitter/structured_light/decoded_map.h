@@ -15,7 +15,7 @@ inline constexpr int kDecodeReasons = 6;
 // All maps have the size of the camera's frames (every mosaic site is decoded: bit decisions are ratios, so
 // colour-free).
 struct DecodedMap {
-  Image<float> column;  // projector px; NaN where invalid
+  Image<float> column;  // projector px; NaN where invalid, and everywhere where the axis was not captured
   Image<float> row;
   Image<float> column_sigma;  // standard deviation, px
   Image<float> row_sigma;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decoding of Gray codes with inverses, refined by the phase of shifted sinusoids where there are any
-// (model section 3, docs/math/geometry.md).
+// Decoding of Gray codes, refined by the phase of shifted sinusoids where there are any (model section 3,
+// docs/math/geometry.md). A doubtful bit costs certainty, not the site: the sigma holds what it leaves open.
 #pragma once
 
 #include <array>
@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "fitter/structured_light/decoded_map.h"
+#include "fitter/structured_light/gray_word.h"
 #include "fitter/structured_light/sensor_noise.h"
 #include "shared/base/result.h"
 
@@ -17,14 +18,14 @@ using RawView = ImageView<const uint16_t>;
 
 struct CodedBit {
   RawView positive;
-  RawView inverse;
+  RawView inverse{};  // empty: decided against white and black
 };
 
-// One axis of one projector.
+// One axis of one projector; without bits and shifts it was not captured.
 struct AxisCode {
   int count = 0;                  // columns (or rows) of the projector
   std::vector<CodedBit> bits{};   // reflected Gray code, most significant first
-  std::vector<RawView> shifts{};  // sinusoids in shift order; empty: the bits alone, to the pixel
+  std::vector<RawView> shifts{};  // sinusoids in shift order; empty: the bits alone
   int period_px = 0;              // of the sinusoids
 };
 
@@ -40,22 +41,35 @@ struct DecodeOptions {
   // White minus black must exceed both; in standard deviations, and in parts of the range above black level.
   double min_signal_sigmas = 6.0;
   double min_signal_fraction = 0.005;
-  // A bit is certain when |positive - inverse| exceeds both; skin blurs fine stripes to 20-30 % contrast.
-  double min_bit_sigmas = 4.0;
-  double min_bit_contrast = 0.06;  // of white minus black
+  // A pair's difference errs by its noise and, beside it, by so much of white minus black: light that does not repeat
+  // or that other surfaces send. A wrong bit is improbable (4 sigmas) from 6 % of contrast on; skin leaves 20 to 30 %.
+  double pair_sigma_fraction = 0.015;
+  // Margin of the bounds on direct and global light, in standard deviations.
+  double bound_sigmas = 4.0;
+  // A site is kept where its code (with sinusoids: its period) is another one with no more probability than this ...
+  double max_astray = 1e-4;
+  // ... and its position no less certain: the two finest bits may tell nothing (1.15 px), three may not (2.3 px).
+  double max_sigma_px = 1.5;
   // The phase counts when its amplitude exceeds so many standard deviations (phase sigma 0.12 rad at 8).
-  double min_amplitude_sigmas = 8.0;
+  double min_amplitude_sigmas = 4.0;
   [[nodiscard]] Status Validate() const;
 };
+
+// By number of leading bits that can be trusted, of those that were read (with sinusoids: that number the period).
+using TrustedBitCounts = std::array<int64_t, kMaxGrayBits + 1>;
 
 struct DecodeReport {
   DecodedMap map;
   std::array<int64_t, kDecodeReasons> counts{};  // by DecodeReason
+  // What is left of a code that is none: lost sites have a place to within one cell of so many bits. 0 where unlit.
+  Image<uint8_t> column_bits, row_bits;
+  TrustedBitCounts column_bit_counts{}, row_bit_counts{};  // of lit sites
 };
 
-// Columns and rows of the projector per camera site; integer = centre of a projector pixel. A site is valid when both
-// axes are. With sinusoids only the bits coarser than half a period are read; a doubtful bit is accepted where the
-// phase makes both of its values agree on the period (only one Gray bit changes at a time).
+// Columns and rows of the projector per camera site; integer = centre of a projector pixel. A site is valid when all
+// captured axes are; the other axis' maps are NaN. With sinusoids only the bits coarser than half a period are read; a
+// doubtful bit is accepted where the phase makes both of its values agree on the period (only one Gray bit changes at a
+// time). Without them, or where they saturate, neighbours on one surface with the site sharpen its position.
 // kUsage: sizes differ, too few bits or shifts, period out of range; the message names the frame. Reentrant; the same
 // bits whatever the number of threads.
 [[nodiscard]] Result<DecodeReport> DecodeGray(const DecodeInput& input, const SensorNoise& noise,

@@ -57,6 +57,7 @@ std::vector<Pair> CollectPairs(const DecodedMap& map, const Eigen::Vector2d& cam
   for (int y = cy - radius; y <= cy + radius; ++y)
     for (int x = cx - radius; x <= cx + radius; ++x) {
       if (!map.reason.contains(x, y) || map.reason(x, y) != static_cast<uint8_t>(DecodeReason::kValid)) continue;
+      if (std::isnan(map.column(x, y)) || std::isnan(map.row(x, y))) continue;
       pairs.push_back({(Eigen::Vector2d(x, y) - camera_px) / radius, {map.column(x, y), map.row(x, y)}});
     }
   return pairs;

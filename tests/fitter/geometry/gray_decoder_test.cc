@@ -50,8 +50,8 @@ TEST_F(GrayDecoder, FindsEveryLitSiteWithoutNoise) {
 TEST_F(GrayDecoder, GivesTheColumnWithoutSinusoids) {
   const Frames frames = Shoot(rig_, 0, kBall, {.blur_px = 0.3});
   const DecodeReport report = Decode(frames, 0);
-  EXPECT_GT(static_cast<double>(report.counts[0]), 0.6 * Lit(frames));
-  EXPECT_LT(Largest(report.map, frames), 0.6);
+  EXPECT_GT(static_cast<double>(report.counts[0]), 0.98 * Lit(frames));
+  EXPECT_LT(Largest(report.map, frames), 0.8);  // at the rim, where the ball falls away from the neighbours' plane
 }
 
 TEST_F(GrayDecoder, IsInvariantToAmbientLightAndAlbedo) {
@@ -93,7 +93,8 @@ TEST_F(GrayDecoder, SurvivesStrongGlobalLight) {
 TEST_F(GrayDecoder, NamesUnlitAndSaturatedSites) {
   const DecodeReport dark = Decode(Shoot(rig_, 0, kBall, {.white_dn = 3.0}));
   EXPECT_EQ(dark.counts[static_cast<int>(DecodeReason::kUnlit)], static_cast<int64_t>(dark.map.reason.size()));
-  const DecodeReport hot = Decode(Shoot(rig_, 0, kBall, {.white_dn = 40000.0}));
+  // Global light alone saturates here: both frames of every pair.
+  const DecodeReport hot = Decode(Shoot(rig_, 0, kBall, {.global = 2.0, .white_dn = 40000.0}));
   EXPECT_GT(hot.counts[static_cast<int>(DecodeReason::kSaturated)], 1000);
   for (size_t s = 0; s < hot.map.reason.size(); ++s)
     if (hot.map.reason.data()[s] != 0) {

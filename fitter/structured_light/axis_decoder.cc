@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/structured_light/axis_decoder.h"
+
+#include <algorithm>
+#include <bit>
+#include <numbers>
+
+namespace stratalux::fit {
+namespace {
+
+double NormalDensity(double z) { return std::exp(-0.5 * z * z) / std::sqrt(2.0 * std::numbers::pi); }
+double NormalShare(double z) { return 0.5 * std::erfc(-z / std::numbers::sqrt2); }
+
+}  // namespace
+
+AxisDecoder::AxisDecoder(const AxisCode& code, const SensorNoise& noise, const DecodeOptions& options)
+    : code_(code),
+      noise_(noise),
+      options_(options),
+      table_(static_cast<int>(code.shifts.size())),
+      all_bits_(static_cast<int>(code.bits.size())),
+      period_bits_(all_bits_) {
+  if (code.shifts.empty()) return;
+  // Largest power of two <= period / 2: cells of that many columns number the period without doubt.
+  cell_px_ = static_cast<int>(std::bit_floor(static_cast<unsigned>(code.period_px / 2)));
+  cell_px_ = std::min(cell_px_, 1 << all_bits_);
+  period_bits_ = all_bits_ - std::countr_zero(static_cast<unsigned>(cell_px_));
+}
+
+// A saturated frame holds at least its level: beside an unsaturated one the difference is a lower bound, and its sign
+// right. Where no inverse was captured, white and black together less the positive stand for it: the difference is
+// 2 (positive - (white + black) / 2).
+AxisDecoder::Pair AxisDecoder::PairAt(size_t bit, size_t site, const SiteLight& light) const {
+  const CodedBit& frames = code_.bits[bit];
+  const double systematic = options_.pair_sigma_fraction * light.SignalDn();
+  Pair pair{.positive_dn = static_cast<double>(frames.positive.data()[site])};
+  double variance = systematic * systematic;
+  if (frames.inverse.empty()) {
+    pair.inverse_dn = light.white_dn + light.black_dn - pair.positive_dn;
+    // Half of a saturated white is no threshold; what lies below it lies below the true one, too.
+    pair.lost = light.white_saturated && pair.positive_dn > pair.inverse_dn;
+    variance += 4.0 * noise_.VarianceDn2(pair.positive_dn) + noise_.VarianceDn2(light.white_dn) +
+                noise_.VarianceDn2(light.black_dn);
+  } else {
+    pair.inverse_dn = frames.inverse.data()[site];
+    pair.lost = std::min(pair.positive_dn, pair.inverse_dn) >= noise_.saturation_dn;
+    variance += noise_.VarianceDn2(pair.positive_dn) + noise_.VarianceDn2(pair.inverse_dn);
+  }
+  pair.sigma_dn = std::sqrt(variance);
+  return pair;
+}
+
+// Bounds after Xu & Aliaga 2007: of the pair, the directly lit frame holds at least the direct part, the other one at
+// most the global part. A pair that breaks them tells nothing, whatever its contrast.
+double AxisDecoder::ProbabilityOfOne(const Pair& pair, const SiteLight& light, double direct_dn) const {
+  constexpr double kNothing = 0.5;
+  if (pair.lost) return kNothing;
+  const double margin = options_.bound_sigmas * pair.sigma_dn;
+  const double brighter = std::max(pair.positive_dn, pair.inverse_dn) - light.black_dn;
+  const double darker = std::min(pair.positive_dn, pair.inverse_dn) - light.black_dn;
+  if (brighter < direct_dn - margin) return kNothing;
+  if (!light.white_saturated && darker > light.SignalDn() - direct_dn + margin) return kNothing;
+  return NormalShare((pair.positive_dn - pair.inverse_dn) / pair.sigma_dn);
+}
+
+AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int bits, double direct_dn) const {
+  Reading reading;
+  for (int b = 0; b < bits; ++b) {
+    const Pair pair = PairAt(static_cast<size_t>(b), site, light);
+    reading.pair_lost |= pair.lost;
+    reading.word.Push(ProbabilityOfOne(pair, light, direct_dn));
+  }
+  return reading;
+}
+
+Position AxisDecoder::Decode(size_t site, const SiteLight& light) const {
+  if (code_.shifts.empty()) return FromBits(site, light);
+  const Harmonic h = HarmonicAt(code_.shifts, site, table_, noise_);
+  const bool has_phase = !h.saturated && h.amplitude_dn >= options_.min_amplitude_sigmas * h.amplitude_sigma_dn;
+  return has_phase ? FromPhase(site, light, h) : FromBits(site, light);
+}
+
+Position AxisDecoder::FromBits(size_t site, const SiteLight& light) const {
+  const Reading reading = Read(site, light, all_bits_, 0.0);
+  Position position{.trusted_bits = reading.word.TrustedBits(options_.max_astray), .source = PositionSource::kBits};
+  const CodeSpread spread = reading.word.Spread();
+  if (spread.astray > options_.max_astray) {
+    position.reason = reading.pair_lost ? DecodeReason::kSaturated : DecodeReason::kAmbiguous;
+  } else if (static_cast<int>(reading.word.MostProbable()) >= code_.count) {
+    position.reason = DecodeReason::kOutside;
+  } else {
+    position.value_px = static_cast<float>(spread.mean);
+    position.sigma_px = static_cast<float>(spread.sigma);
+    if (spread.sigma > options_.max_sigma_px)
+      position.reason = reading.pair_lost ? DecodeReason::kSaturated : DecodeReason::kAmbiguous;
+  }
+  return position;
+}
+
+Position AxisDecoder::FromPhase(size_t site, const SiteLight& light, const Harmonic& h) const {
+  const double direct_dn =
+      light.white_saturated ? 2.0 * h.amplitude_dn : std::min(2.0 * h.amplitude_dn, light.SignalDn());
+  const Reading reading = Read(site, light, period_bits_, direct_dn);
+  Position position{.trusted_bits = reading.word.TrustedBits(options_.max_astray), .source = PositionSource::kPhase};
+  position.reason = reading.pair_lost ? DecodeReason::kSaturated : DecodeReason::kAmbiguous;
+  // The period whose phase position (`within`, from its first edge) lies nearest to the cell's centre; a doubtful bit
+  // is none where its other value gives the same period.
+  const double within = h.phase_rad / (2.0 * std::numbers::pi) * code_.period_px;
+  const auto period_of = [&](unsigned cell) {
+    return std::round(((cell + 0.5) * cell_px_ - within) / code_.period_px);
+  };
+  const unsigned middle = reading.word.MostProbable();
+  const double number = period_of(middle);
+  double mass = 0.0;
+  const unsigned last = (1U << period_bits_) - 1;
+  for (unsigned cell = middle; period_of(cell) == number; --cell) {
+    mass += reading.word.Probability(cell);
+    if (cell == 0) break;
+  }
+  for (unsigned cell = middle + 1; cell <= last && period_of(cell) == number; ++cell)
+    mass += reading.word.Probability(cell);
+  if (mass < 1.0 - options_.max_astray) return position;
+  const double column = number * code_.period_px + within - 0.5;
+  if (column < -0.5 || column >= code_.count - 0.5) {
+    position.reason = DecodeReason::kOutside;
+    return position;
+  }
+  position.reason = DecodeReason::kValid;
+  position.value_px = static_cast<float>(column);
+  position.sigma_px =
+      static_cast<float>(h.amplitude_sigma_dn / h.amplitude_dn * code_.period_px / (2.0 * std::numbers::pi));
+  return position;
+}
+
+double AxisDecoder::MostProbable(size_t site, const SiteLight& light) const {
+  return Read(site, light, all_bits_, 0.0).word.MostProbable();
+}
+
+// With the prior N(mu, s^2) of the neighbours and the probability P_c of every cell c, the column's density is P_c
+// times the prior within each cell. Its moments about mu, a = (c - 1/2 - mu) / s, b = (c + 1/2 - mu) / s:
+//   S0 = sum P_c (Phi(b) - Phi(a)),  S1 = s sum P_c (phi(a) - phi(b)),
+//   S2 = s^2 sum P_c (Phi(b) - Phi(a) + a phi(a) - b phi(b)).
+std::optional<Position> AxisDecoder::Pool(size_t site, const SiteLight& light,
+                                          const PlanePrediction& neighbours) const {
+  constexpr double kTogether = 0.05;  // a site of which they say otherwise keeps its own code
+  const Reading reading = Read(site, light, all_bits_, 0.0);
+  const double mu = neighbours.value_px, s = neighbours.sigma_px;
+  const auto middle = static_cast<int>(std::lround(mu));
+  const int reach = 1 + static_cast<int>(std::ceil(4.0 * s));
+  double s0 = 0.0, s1 = 0.0, s2 = 0.0;
+  for (int cell = std::max(middle - reach, 0); cell <= std::min(middle + reach, code_.count - 1); ++cell) {
+    const double probability = reading.word.Probability(static_cast<unsigned>(cell));
+    const double a = (cell - 0.5 - mu) / s, b = (cell + 0.5 - mu) / s;
+    const double share = NormalShare(b) - NormalShare(a);
+    s0 += probability * share;
+    s1 += probability * s * (NormalDensity(a) - NormalDensity(b));
+    s2 += probability * s * s * (share + a * NormalDensity(a) - b * NormalDensity(b));
+  }
+  if (!(s0 > kTogether)) return std::nullopt;
+  const double shift = s1 / s0;
+  Position position{.trusted_bits = reading.word.TrustedBits(options_.max_astray), .source = PositionSource::kBits};
+  position.value_px = static_cast<float>(mu + shift);
+  // Quantisation errs alike at all of them, so that both together are no surer than the surer one.
+  const double sigma =
+      std::max(std::sqrt(std::max(0.0, s2 / s0 - shift * shift)), std::min(s, reading.word.Spread().sigma));
+  if (sigma > options_.max_sigma_px) return std::nullopt;
+  position.sigma_px = static_cast<float>(sigma);
+  return position;
+}
+
+}  // namespace stratalux::fit
