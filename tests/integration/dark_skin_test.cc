@@ -49,6 +49,7 @@ struct Coverage {
   std::array<int64_t, 3> of_colour{};
   [[nodiscard]] double Share(int64_t quads) const { return static_cast<double>(quads) / static_cast<double>(lit); }
   [[nodiscard]] double share() const { return Share(fitted); }
+  [[nodiscard]] double ShareOfColours() const { return Share(of_colour[0] + of_colour[1] + of_colour[2]) / 3.0; }
 };
 
 class DarkSkin : public ScratchFolderTest {
@@ -134,9 +135,9 @@ TEST_F(DarkSkin, IsFittedWhereItIsLit) {
     EXPECT_GT(coverage.lit, 5000) << melanin;
     // Of six heads of 20 % melanin 72 to 83 %: the mean less three standard deviations of heads.
     EXPECT_GE(coverage.share(), melanin > 0.1 ? 0.67 : 0.75) << melanin;
-    // What the choice is for.
+    // What the choice is for: the dim codes are read as well, what green and blue light says is not (54 against 75 %).
     if (melanin == 0.2) {
-      EXPECT_LT(Run(melanin, "--exposure 16").share(), coverage.share() - 0.1);
+      EXPECT_LT(Run(melanin, "--exposure 16").ShareOfColours(), coverage.ShareOfColours() - 0.1);
     }
   }
 }
