@@ -68,7 +68,7 @@ struct Masks {
 // Judged: fitted skin that the light reaches. Left out: what was predicted and, as far as is known, is lit, and is not
 // judged.
 Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const TrueSkin& truth, Coverage& coverage) {
-  const Image<uint8_t>& lit = in.view.shape.lights.lit[in.view.projector];
+  const Image<uint8_t>& lit = in.view.shape.lit[in.view.projector];
   Masks masks{Image<uint8_t>(lit.width(), lit.height()), Image<uint8_t>(lit.width(), lit.height())};
   for (int j = 0; j < lit.height(); ++j)
     for (int i = 0; i < lit.width(); ++i) {

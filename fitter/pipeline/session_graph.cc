@@ -210,8 +210,8 @@ std::string SessionGraph::Srd(GeometrySource source) {
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face->record));
                 ExtractedSrds srds;
-                SLX_ASSIGN_OR_RETURN(srds.set, ExtractSrds(*frames, face->surface, face->lights.lit, options_.srd,
-                                                           logger_, srds.figures));
+                SLX_ASSIGN_OR_RETURN(
+                    srds.set, ExtractSrds(*frames, face->surface, face->lit, options_.srd, logger_, srds.figures));
                 return SaveSrds(folder, srds);
               }});
 }

@@ -15,6 +15,7 @@ namespace stratalux::fit {
 namespace {
 
 struct View {
+  size_t projector = 0;
   Eigen::Vector2d observed;       // column, row
   Eigen::Vector2d inverse_sigma;  // 1 / px; 0 of an axis that was not captured: it weighs nothing
   Eigen::Vector3d ray_in_device;  // the camera ray's direction, projector frame
@@ -59,6 +60,20 @@ double OwnRange(const View& view) {
 class RaySolver {
  public:
   explicit RaySolver(const TriangulateOptions& options) : options_(options) {}
+
+  // What the view's codes weigh at range t, over that of codes without noise.
+  [[nodiscard]] double WeightOf(const View& view, double range) const {
+    const auto r = Evaluate(view, range);
+    if (!r) return 0.0;
+    double weight = 0.0;
+    int axes = 0;
+    for (int k = 0; k < 2; ++k) {
+      if (!(view.inverse_sigma[k] > 0.0)) continue;
+      ++axes;
+      weight += std::pow(Damping(r->value[k]) * view.inverse_sigma[k] * options_.model_sigma_px, 2);
+    }
+    return axes > 0 ? weight / axes : 0.0;
+  }
 
   [[nodiscard]] std::optional<SiteDepth> Solve(const std::vector<View>& views) const {
     double best_range = 0.0, best_cost = INFINITY;
@@ -144,8 +159,8 @@ class SurfaceBuilder {
       projector_from_camera_.push_back(p.camera_from_projector.Inverse());
   }
 
-  void BuildRow(int j, SurfaceMap& surface, TriangulationCounts& counts) const {
-    for (int i = 0; i < surface.width(); ++i) BuildQuad(i, j, surface, counts);
+  void BuildRow(int j, Triangulation& out, TriangulationCounts& counts) const {
+    for (int i = 0; i < out.surface.width(); ++i) BuildQuad(i, j, out, counts);
   }
 
  private:
@@ -162,7 +177,7 @@ class SurfaceBuilder {
         if (!captured) observed[k] = 0.0;
       }
       const Rigid3& t = projector_from_camera_[p];
-      views.push_back({observed, inverse_sigma, t.rotation * ray, t.translation_mm, &rig_.projectors[p].model});
+      views.push_back({p, observed, inverse_sigma, t.rotation * ray, t.translation_mm, &rig_.projectors[p].model});
     }
     if (views.empty()) return SiteOutcome::kUndecoded;
     const auto solved = solver_.Solve(views);
@@ -171,9 +186,11 @@ class SurfaceBuilder {
     return SiteOutcome::kGood;
   }
 
-  void BuildQuad(int i, int j, SurfaceMap& surface, TriangulationCounts& counts) const {
+  void BuildQuad(int i, int j, Triangulation& out, TriangulationCounts& counts) const {
     const int step = QuadStep(rig_.camera.cfa);
+    SurfaceMap& surface = out.surface;
     std::vector<View> views;
+    std::vector<double> of_projector(decoded_.size());
     double weight = 0.0, depth = 0.0;
     int good = 0;
     for (int y = step * j; y < step * (j + 1); ++y)
@@ -189,6 +206,7 @@ class SurfaceBuilder {
         const double w = 1.0 / (site.sigma_mm * site.sigma_mm);
         weight += w;
         depth += w * site.range_mm * ray.z();
+        for (const View& view : views) of_projector[view.projector] += solver_.WeightOf(view, site.range_mm);
         ++good;
       }
     if (good < std::min(options_.min_sites, step * step)) return;
@@ -197,6 +215,8 @@ class SurfaceBuilder {
     for (int k = 0; k < 3; ++k) surface.point_mm(i, j, k) = static_cast<float>(point[k]);
     surface.depth_sigma_mm(i, j) = static_cast<float>(1.0 / std::sqrt(weight));
     surface.mask(i, j) = 1;
+    for (size_t p = 0; p < of_projector.size(); ++p)
+      out.weights[p](i, j) = static_cast<float>(of_projector[p] / (step * step));
   }
 
   std::span<const DecodedMap> decoded_;
@@ -238,11 +258,12 @@ Result<Triangulation> Triangulate(std::span<const DecodedMap> decoded, const Rig
   const float nan = std::nanf("");
   Triangulation out{{Image<float>(width, height, 3, nan), Image<float>(width, height, 3, nan),
                      Image<float>(width, height, 1, nan), Image<uint8_t>(width, height)},
+                    std::vector<Image<float>>(decoded.size(), Image<float>(width, height)),
                     {}};
   const SurfaceBuilder builder(decoded, rig, options);
   std::vector<TriangulationCounts> counts(static_cast<size_t>(height));
   ParallelFor(height, 4, [&](int64_t begin, int64_t end) {
-    for (int64_t j = begin; j < end; ++j) builder.BuildRow(static_cast<int>(j), out.surface, counts[j]);
+    for (int64_t j = begin; j < end; ++j) builder.BuildRow(static_cast<int>(j), out, counts[j]);
   });
   for (const TriangulationCounts& row : counts) {
     out.counts.sites += row.sites;

@@ -39,6 +39,9 @@ struct Triangulation {
   // On quads. `normal` is NaN: SmoothSurface gives it. `depth_sigma_mm` holds the noise of decoding and the model
   // sigma, along the camera ray.
   SurfaceMap surface;
+  // By projector, on quads: what its codes weigh in the depth, over codes without noise at all sites of the quad; by
+  // their sigmas and the last round's robust weights.
+  std::vector<Image<float>> weights;
   TriangulationCounts counts;
 };
 

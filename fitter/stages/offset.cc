@@ -58,7 +58,7 @@ Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int he
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   SLX_ASSIGN_OR_RETURN(const EmOptions em, SharedOptions(options, training.batches, srds, logger, label));
   FaceOffset offset;
-  offset.displacement = CodeDisplacement(shape.surface, shape.lights.coded, shape.record, em.scattering);
+  offset.displacement = CodeDisplacement(shape.surface, shape.code_weights, shape.record, em.scattering);
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,
                                                     std::max(SpacingOf(shape.surface) * srds.pool, 1e-3),
                                                     Pooled(offset.displacement, srds.pool), em));

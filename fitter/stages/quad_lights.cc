@@ -152,7 +152,7 @@ Share ExpectedShare(std::vector<Share> shares) {
 
 // Every projector at one quad.
 void JudgeQuad(const std::vector<Reach>& reaches, const LitOptions& options, int i, int j,
-               std::vector<Image<Light>>& light, std::vector<Image<float>>& coded) {
+               std::vector<Image<Light>>& light) {
   std::vector<Share> shares(reaches.size()), known;
   std::vector<uint8_t> faced(reaches.size());
   for (size_t p = 0; p < reaches.size(); ++p) {
@@ -166,7 +166,6 @@ void JudgeQuad(const std::vector<Reach>& reaches, const LitOptions& options, int
                  sigma = std::hypot(shares[p].sigma, options.min_share * expected.sigma);
     const bool lacks = shares[p].known && expected.known && shares[p].value + options.sigmas * sigma < least;
     const auto codes = reaches[p].CodesAt(i, j);
-    coded[p](i, j) = codes.agreeing;
     const bool lit = faced[p] != 0 && !lacks && !reaches[p].IsDark(i, j) && codes.contradicting <= codes.agreeing;
     light[p](i, j) = lit ? Light::kLit : Light::kShadow;
   }
@@ -210,8 +209,9 @@ Status LitOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<QuadLights> FindQuadLights(std::span<const DecodedMap> decoded, std::span<const SeparationMap> separation,
-                                  const SurfaceMap& surface, const RigCalibration& rig, const LitOptions& options) {
+Result<std::vector<Image<uint8_t>>> LitQuads(std::span<const DecodedMap> decoded,
+                                             std::span<const SeparationMap> separation, const SurfaceMap& surface,
+                                             const RigCalibration& rig, const LitOptions& options) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_RETURN_IF_ERROR(CheckSizes(decoded, separation, surface, rig));
   std::vector<Reach> reaches;
@@ -219,13 +219,11 @@ Result<QuadLights> FindQuadLights(std::span<const DecodedMap> decoded, std::span
     reaches.emplace_back(decoded[p], separation.empty() ? nullptr : &separation[p], surface, rig, static_cast<int>(p),
                          options);
   std::vector<Image<Light>> light(decoded.size(), Image<Light>(surface.width(), surface.height()));
-  QuadLights lights;
-  lights.coded.assign(decoded.size(), Image<float>(surface.width(), surface.height()));
   ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
         if (surface.mask(i, j) != 0) {
-          JudgeQuad(reaches, options, i, j, light, lights.coded);
+          JudgeQuad(reaches, options, i, j, light);
           continue;
         }
         // A hole of the surface within lit skin is no edge.
@@ -233,8 +231,9 @@ Result<QuadLights> FindQuadLights(std::span<const DecodedMap> decoded, std::span
           light[p](i, j) = reaches[p].IsBright(i, j) ? Light::kUnknown : Light::kShadow;
       }
   });
-  for (const Image<Light>& map : light) lights.lit.push_back(AwayFromShadow(map));
-  return lights;
+  std::vector<Image<uint8_t>> lit;
+  for (const Image<Light>& map : light) lit.push_back(AwayFromShadow(map));
+  return lit;
 }
 
 }  // namespace stratalux::fit

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which quads of the joint surface a projector lights, and which its codes tell of (docs/math/geometry.md, "Lit").
+// Which quads of the joint surface a projector lights (docs/math/geometry.md, "Lit").
 #pragma once
 
 #include <span>
@@ -25,20 +25,16 @@ struct LitOptions {
   [[nodiscard]] Status Validate() const;
 };
 
-// By projector, on quads.
-struct QuadLights {
-  std::vector<Image<uint8_t>> lit;  // 1: its direct light falls there
-  std::vector<Image<float>> coded;  // share of the quad's sites whose codes took part in the surface
-};
-
+// By projector, on quads, 1 where its direct light falls.
 // Lit is where the surface faces the projector within its picture; no other part of the surface stands in the way by
 // more than both depths' error and the step from pixel to pixel of the projector; its light is not missing; most of its
 // codes do not contradict; and of the eight neighbours none lies in shadow, or off the surface in the dark.
 // `separation`: of each projector, its direct light and white; empty where none was captured: then light is missing
 // where the white frame has none (the codes' kUnlit), and shadows of what is not on the surface show in contradicting
 // codes alone. kUsage: sizes or numbers differ.
-[[nodiscard]] Result<QuadLights> FindQuadLights(std::span<const DecodedMap> decoded,
-                                                std::span<const SeparationMap> separation, const SurfaceMap& surface,
-                                                const RigCalibration& rig, const LitOptions& options = {});
+[[nodiscard]] Result<std::vector<Image<uint8_t>>> LitQuads(std::span<const DecodedMap> decoded,
+                                                           std::span<const SeparationMap> separation,
+                                                           const SurfaceMap& surface, const RigCalibration& rig,
+                                                           const LitOptions& options = {});
 
 }  // namespace stratalux::fit

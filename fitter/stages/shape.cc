@@ -14,7 +14,7 @@ namespace {
 
 std::vector<std::string> MaskChannels(size_t projectors) {
   std::vector<std::string> names = {"surface"};
-  for (const char* of : {"lit", "coded"})
+  for (const char* of : {"lit", "codes"})
     for (size_t p = 0; p < projectors; ++p) names.push_back(of + std::to_string(p));
   return names;
 }
@@ -25,7 +25,7 @@ nlohmann::ordered_json JsonOf(const FaceShape& shape) {
   for (const ProjectorDrift& d : shape.drift.projectors)
     drift["projectors"].push_back({d.projector, d.points, d.shift_columns, d.shift_rows, d.shift_px, d.turned_deg,
                                    d.spread_px, d.expected_px, d.moved});
-  return {{"projectors", shape.lights.lit.size()},
+  return {{"projectors", shape.lit.size()},
           {"triangulation", {t.sites, t.undecoded, t.inconsistent, t.rejected_views, t.islands}},
           {"drift", drift}};
 }
@@ -37,8 +37,8 @@ void FromJson(const nlohmann::json& json, FaceShape& shape) {
   json.at("drift").at("warning").get_to(shape.drift.warning);
   for (const auto& d : json.at("drift").at("projectors"))
     shape.drift.projectors.push_back({d.at(0), d.at(1), d.at(2), d.at(3), d.at(4), d.at(5), d.at(6), d.at(7), d.at(8)});
-  shape.lights.lit.resize(json.at("projectors").get<size_t>());
-  shape.lights.coded.resize(shape.lights.lit.size());
+  shape.lit.resize(json.at("projectors").get<size_t>());
+  shape.code_weights.resize(shape.lit.size());
 }
 
 }  // namespace
@@ -47,10 +47,11 @@ Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, std::spa
                                    const RigCalibration& rig, const RigCalibration& record) {
   FaceShape shape;
   shape.record = record;
-  SLX_ASSIGN_OR_RETURN(const auto rough, Triangulate(decoded, rig));
+  SLX_ASSIGN_OR_RETURN(auto rough, Triangulate(decoded, rig));
   shape.triangulation = rough.counts;
+  shape.code_weights = std::move(rough.weights);
   SLX_ASSIGN_OR_RETURN(shape.surface, SmoothSurface(rough.surface, rig));
-  SLX_ASSIGN_OR_RETURN(shape.lights, FindQuadLights(decoded, separation, shape.surface, rig));
+  SLX_ASSIGN_OR_RETURN(shape.lit, LitQuads(decoded, separation, shape.surface, rig));
   SLX_ASSIGN_OR_RETURN(shape.drift, CheckDrift(decoded, shape.surface, rig));
   return shape;
 }
@@ -60,14 +61,14 @@ Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape) {
   SLX_RETURN_IF_ERROR(WriteExr(folder / "position.exr", surface.point_mm, {"X", "Y", "Z"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "depth_sigma.exr", surface.depth_sigma_mm, {"Y"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "normal_surface.exr", surface.normal, {"X", "Y", "Z"}));
-  const size_t projectors = shape.lights.lit.size(), channels = 1 + 2 * projectors;
+  const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   Image<float> masks(surface.width(), surface.height(), static_cast<int>(channels));
   for (size_t i = 0; i < surface.mask.size(); ++i) {
     float* quad = masks.data() + i * channels;
     quad[0] = surface.mask.pixels()[i];
     for (size_t p = 0; p < projectors; ++p) {
-      quad[1 + p] = shape.lights.lit[p].pixels()[i];
-      quad[1 + projectors + p] = shape.lights.coded[p].pixels()[i];
+      quad[1 + p] = shape.lit[p].pixels()[i];
+      quad[1 + projectors + p] = shape.code_weights[p].pixels()[i];
     }
   }
   SLX_RETURN_IF_ERROR(WriteExr(folder / "masks.exr", masks, MaskChannels(projectors)));
@@ -84,21 +85,21 @@ Result<FaceShape> LoadShape(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(shape.surface.point_mm, ReadExr(folder / "position.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.normal, ReadExr(folder / "normal_surface.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.depth_sigma_mm, ReadExr(folder / "depth_sigma.exr", {"Y"}));
-  const size_t projectors = shape.lights.lit.size(), channels = 1 + 2 * projectors;
+  const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   SLX_ASSIGN_OR_RETURN(const auto masks, ReadExr(folder / "masks.exr", MaskChannels(projectors)));
   const int width = masks.width(), height = masks.height();
   const auto same = [&](const Image<float>& map) { return map.width() == width && map.height() == height; };
   if (!same(shape.surface.point_mm) || !same(shape.surface.normal) || !same(shape.surface.depth_sigma_mm))
     return Status::Integrity(folder.string() + ": its maps differ in size");
   shape.surface.mask = Image<uint8_t>(width, height);
-  for (auto& lit : shape.lights.lit) lit = Image<uint8_t>(width, height);
-  for (auto& coded : shape.lights.coded) coded = Image<float>(width, height);
+  for (auto& lit : shape.lit) lit = Image<uint8_t>(width, height);
+  for (auto& weights : shape.code_weights) weights = Image<float>(width, height);
   for (size_t i = 0; i < shape.surface.mask.size(); ++i) {
     const float* quad = masks.data() + i * channels;
     shape.surface.mask.pixels()[i] = quad[0] != 0.0F ? 1 : 0;
     for (size_t p = 0; p < projectors; ++p) {
-      shape.lights.lit[p].pixels()[i] = quad[1 + p] != 0.0F ? 1 : 0;
-      shape.lights.coded[p].pixels()[i] = quad[1 + projectors + p];
+      shape.lit[p].pixels()[i] = quad[1 + p] != 0.0F ? 1 : 0;
+      shape.code_weights[p].pixels()[i] = quad[1 + projectors + p];
     }
   }
   return shape;

@@ -18,13 +18,15 @@ inline constexpr int kShapeVersion = 4;
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it
   SurfaceMap surface;     // smoothed
-  QuadLights lights;
+  // By projector, on quads.
+  std::vector<Image<uint8_t>> lit;         // 1: its direct light falls there (LitQuads)
+  std::vector<Image<float>> code_weights;  // what its codes weigh in the surface (Triangulation::weights)
   TriangulationCounts triangulation;
   DriftReport drift;
 };
 
 // `rig`: what the frames were decoded by (SessionFrames::calibration()); `record`: that it was made from. `separation`:
-// of each projector, for what it lights (FindQuadLights); empty where none was captured.
+// of each projector, for what it lights (LitQuads); empty where none was captured.
 [[nodiscard]] Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded,
                                                  std::span<const SeparationMap> separation, const RigCalibration& rig,
                                                  const RigCalibration& record);
