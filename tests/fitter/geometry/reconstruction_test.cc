@@ -113,6 +113,40 @@ TEST(Triangulate, OutvotesOneWrongProjector) {
   EXPECT_GT(out->counts.rejected_views, 3000);
 }
 
+// By how much depth gives way when one projector's columns are displaced follows from the weights.
+TEST(Triangulate, WeightsSayWhatCodesDoToTheDepth) {
+  const RigCalibration rig = SyntheticRig();
+  auto maps = NoisyMaps(rig, kBall, 0.0);
+  for (auto* sigma : {&maps[1].column_sigma, &maps[1].row_sigma})
+    for (float& v : sigma->pixels()) v += 0.6F;  // of 0; NaN stays
+  const auto before = Triangulate(maps, rig);
+  constexpr float kShift = 0.02F;
+  const int i = rig.camera.model.width / 2, j = rig.camera.model.height / 2;
+  const auto seen_by = [&](size_t p) { return before->weights[p](i, j) > 0.0F; };
+  ASSERT_TRUE(seen_by(0) && seen_by(1));
+  EXPECT_NEAR(before->weights[0](i, j), 1.0F, 1e-3F);
+  EXPECT_NEAR(before->weights[1](i, j), 0.04F / (0.04F + 0.36F), 1e-3F);
+  // Projector pixels a mm along the camera's ray.
+  const auto slope = [&](size_t p) -> Eigen::Vector2d {
+    const Eigen::Vector3d x = before->surface.Point(i, j), ray = x.normalized();
+    return *rig.projectors[p].ProjectFromCamera(x + 0.5 * ray) - *rig.projectors[p].ProjectFromCamera(x - 0.5 * ray);
+  };
+  double all = 0.0;
+  for (size_t p = 0; p < maps.size(); ++p) all += before->weights[p](i, j) * slope(p).squaredNorm();
+  for (const size_t p : {0, 1}) {
+    auto moved = maps;
+    for (float& column : moved[p].column.pixels()) column += kShift;
+    const auto after = Triangulate(moved, rig);
+    const double gave_way = after->surface.Point(i, j).norm() - before->surface.Point(i, j).norm();
+    const double expected = kShift * before->weights[p](i, j) * slope(p).x() / all;
+    EXPECT_NEAR(gave_way, expected, 0.05 * std::abs(expected)) << p;
+  }
+  // An outlier has none, nor has who sees nothing.
+  for (float& column : maps[1].column.pixels()) column += 60.0F;
+  EXPECT_LT(Triangulate(maps, rig)->weights[1](i, j), 0.01F);
+  EXPECT_EQ(before->weights[0](0, 0), 0.0F);
+}
+
 TEST(Triangulate, DoesNotDependOnTheNumberOfThreads) {
   const RigCalibration rig = SyntheticRig();
   const auto maps = NoisyMaps(rig, kBall, 0.2);

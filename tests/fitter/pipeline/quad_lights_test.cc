@@ -90,10 +90,10 @@ struct Scene {
     for (int k = 0; k < 4; ++k) decoded[p].reason(2 * i + k % 2, 2 * j + k / 2) = static_cast<uint8_t>(reason);
   }
 
-  [[nodiscard]] QuadLights Find() const {
-    auto lights = FindQuadLights(decoded, separation, surface, rig);
-    EXPECT_TRUE(lights.ok()) << lights.status().message();
-    return std::move(lights).value();
+  [[nodiscard]] std::vector<Image<uint8_t>> Find() const {
+    auto lit = LitQuads(decoded, separation, surface, rig);
+    EXPECT_TRUE(lit.ok()) << lit.status().message();
+    return std::move(lit).value();
   }
 };
 
@@ -119,15 +119,8 @@ void ForPatch(const Visit& visit) {
 TEST(QuadLights, APlaneIsLitByAllWhateverOfItsCodesIsMissing) {
   Scene scene;
   ForPatch([&](int i, int j) { scene.SetReason(0, i, j, DecodeReason::kAmbiguous); });
-  const QuadLights lights = scene.Find();
-  for (const auto& lit : lights.lit) ExpectLit(lit, Everywhere, "plane");
-  EXPECT_EQ(lights.coded[0](20, 15), 0.0F);
-  EXPECT_EQ(lights.coded[0](30, 15), 1.0F);
-  EXPECT_EQ(lights.coded[1](20, 15), 1.0F);
-  // One site of four.
-  Scene one;
-  one.decoded[0].reason(40, 30) = static_cast<uint8_t>(DecodeReason::kAmbiguous);
-  EXPECT_EQ(one.Find().coded[0](20, 15), 0.75F);
+  const auto lit = scene.Find();
+  for (const auto& map : lit) ExpectLit(map, Everywhere, "plane");
 }
 
 // A wall of seven quads' width, 20 mm before the plane: where its shadow falls follows from the two rays alone.
@@ -135,7 +128,7 @@ TEST(QuadLights, WhatStandsOnTheSurfaceThrowsItsShadow) {
   constexpr double kWall = 680.0;
   Scene scene([](int i, int /*j*/) { return i >= 28 && i <= 34 ? kWall : 700.0; });
   // Its light says nothing: all of it is there, as if what it falls on shone.
-  const QuadLights lights = scene.Find();
+  const auto lit = scene.Find();
   int shadowed = 0;
   for (size_t p = 0; p < 3; ++p) {
     const Eigen::Vector3d lamp = scene.rig.projectors[p].CentreInCamera();
@@ -151,13 +144,13 @@ TEST(QuadLights, WhatStandsOnTheSurfaceThrowsItsShadow) {
       for (int i = 1; i + 1 < kWidth / 2; ++i) {
         if (in_shadow(i, j, -0.5)) {
           ++shadowed;
-          EXPECT_EQ(lights.lit[p](i, j), 0) << p << ": " << i << ", " << j;
+          EXPECT_EQ(lit[p](i, j), 0) << p << ": " << i << ", " << j;
         }
         bool near = false;
         for (int y = -1; y <= 1; ++y)
           for (int x = -1; x <= 1; ++x) near = near || in_shadow(i + x, j + y, 1.0);
         if (!near) {
-          EXPECT_EQ(lights.lit[p](i, j), 1) << p << ": " << i << ", " << j;
+          EXPECT_EQ(lit[p](i, j), 1) << p << ": " << i << ", " << j;
         }
       }
   }
@@ -167,9 +160,9 @@ TEST(QuadLights, WhatStandsOnTheSurfaceThrowsItsShadow) {
 TEST(QuadLights, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
   Scene scene;
   ForPatch([&](int i, int j) { scene.Light(0, i, j, 0.0, 5.0); });
-  const QuadLights lights = scene.Find();
-  ExpectLit(lights.lit[0], OffPatch, "in the shadow of a hair");
-  ExpectLit(lights.lit[1], Everywhere, "the others");
+  const auto lit = scene.Find();
+  ExpectLit(lit[0], OffPatch, "in the shadow of a hair");
+  ExpectLit(lit[1], Everywhere, "the others");
   // Too faint to be told apart: then all light, of which global light is a tenth, tells.
   Scene faint;
   ForPatch([&](int i, int j) {
@@ -178,15 +171,15 @@ TEST(QuadLights, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
     for (int c = 0; c < 3; ++c)
       faint.separation[0].direct(i, j, c) = faint.separation[0].direct_variance(i, j, c) = std::nanf("");
   });
-  ExpectLit(faint.Find().lit[0], OffPatch, "faint");
+  ExpectLit(faint.Find()[0], OffPatch, "faint");
   // A quarter and more of a shadow is an edge that the surface's own test or the next quad tells.
   Scene half;
   ForPatch([&](int i, int j) { half.Light(0, i, j, 0.5, 5.0); });
-  ExpectLit(half.Find().lit[0], Everywhere, "half of it");
+  ExpectLit(half.Find()[0], Everywhere, "half of it");
   // Three times as bright in one light: a highlight, in which the others are no shadows.
   Scene highlight;
   ForPatch([&](int i, int j) { highlight.Light(1, i, j, 6.0, 5.0); });
-  for (const auto& lit : highlight.Find().lit) ExpectLit(lit, Everywhere, "highlight");
+  for (const auto& lit : highlight.Find()) ExpectLit(lit, Everywhere, "highlight");
 }
 
 TEST(QuadLights, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
@@ -197,7 +190,7 @@ TEST(QuadLights, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
         scene.Light(p, i, j, 0.01, 40.0);
         scene.SetReason(p, i, j, DecodeReason::kAmbiguous);
       }
-  for (const auto& lit : scene.Find().lit) ExpectLit(lit, Everywhere, "dark");
+  for (const auto& lit : scene.Find()) ExpectLit(lit, Everywhere, "dark");
 }
 
 TEST(QuadLights, CodesOfAnotherSurfaceAreContradicted) {
@@ -205,9 +198,8 @@ TEST(QuadLights, CodesOfAnotherSurfaceAreContradicted) {
   ForPatch([&](int i, int j) {
     for (int k = 0; k < 4; ++k) scene.decoded[2].column(2 * i + k % 2, 2 * j + k / 2) += 12.0F;
   });
-  const QuadLights lights = scene.Find();
-  ExpectLit(lights.lit[2], OffPatch, "contradicted");
-  EXPECT_EQ(lights.coded[2](20, 15), 0.0F);
+  const auto lit = scene.Find();
+  ExpectLit(lit[2], OffPatch, "contradicted");
 }
 
 TEST(QuadLights, HolesAreEdgesInTheDarkAlone) {
@@ -219,7 +211,7 @@ TEST(QuadLights, HolesAreEdgesInTheDarkAlone) {
       for (auto& map : scene.separation)
         for (int c = 0; c < 3; ++c) map.white(i, j, c) = 1.0F;
     });
-    for (const auto& lit : scene.Find().lit)
+    for (const auto& lit : scene.Find())
       ExpectLit(
           lit, [&](int i, int j) { return dark ? OffPatch(i, j) : !InPatch(i, j); }, dark ? "dark" : "bright");
   }
@@ -229,27 +221,27 @@ TEST(QuadLights, OutsideOfThePictureAndBehindTheSurfaceIsNoLight) {
   Scene scene;
   scene.rig.projectors[0].camera_from_projector = LookAt({-500, -40, 0}, {2000, 0, 700});
   scene.rig.projectors[1].camera_from_projector = LookAt({0, 0, 1400}, {0, 0, 700});
-  const QuadLights lights = scene.Find();
+  const auto lit = scene.Find();
   for (const size_t p : {0, 1})
     ExpectLit(
-        lights.lit[p], [](int, int) { return false; }, "away");
-  ExpectLit(lights.lit[2], Everywhere, "the third");
+        lit[p], [](int, int) { return false; }, "away");
+  ExpectLit(lit[2], Everywhere, "the third");
 }
 
 TEST(QuadLights, WithoutASeparationTheWhiteFrameTells) {
   Scene scene;
   scene.separation.clear();
   ForPatch([&](int i, int j) { scene.SetReason(0, i, j, DecodeReason::kUnlit); });
-  const QuadLights lights = scene.Find();
-  ExpectLit(lights.lit[0], OffPatch, "unlit");
-  ExpectLit(lights.lit[1], Everywhere, "the others");
+  const auto lit = scene.Find();
+  ExpectLit(lit[0], OffPatch, "unlit");
+  ExpectLit(lit[1], Everywhere, "the others");
 }
 
 TEST(QuadLights, WhatDoesNotFitIsRefused) {
   const Scene scene;
   const auto code = [&](std::span<const DecodedMap> decoded, std::span<const SeparationMap> separation,
                         const LitOptions& options = {}) {
-    return FindQuadLights(decoded, separation, scene.surface, scene.rig, options).status().code();
+    return LitQuads(decoded, separation, scene.surface, scene.rig, options).status().code();
   };
   const std::span<const DecodedMap> decoded = scene.decoded;
   const std::span<const SeparationMap> separation = scene.separation;
