@@ -179,7 +179,7 @@ TEST(QuadLights, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
   // Three times as bright in one light: a highlight, in which the others are no shadows.
   Scene highlight;
   ForPatch([&](int i, int j) { highlight.Light(1, i, j, 6.0, 5.0); });
-  for (const auto& lit : highlight.Find()) ExpectLit(lit, Everywhere, "highlight");
+  for (const auto& map : highlight.Find()) ExpectLit(map, Everywhere, "highlight");
 }
 
 TEST(QuadLights, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
