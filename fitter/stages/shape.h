@@ -13,7 +13,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 4;
+inline constexpr int kShapeVersion = 5;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it
