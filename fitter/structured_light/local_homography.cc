@@ -11,9 +11,13 @@
 namespace stratalux::fit {
 namespace {
 
+// What a site's sigma does not tell: the homography is not quite the surface.
+constexpr double kModelVariancePx2 = 0.01;
+
 struct Pair {
   Eigen::Vector2d from;  // camera, about the wanted point, in window radii
   Eigen::Vector2d to;    // projector px, about the window's mean
+  double weight = 1.0;   // 1 / px^2
 };
 
 // (h0 x + h1 y + h2, h3 x + h4 y + h5) / (h6 x + h7 y + 1): the denominator cannot vanish at the window's centre.
@@ -24,7 +28,7 @@ Eigen::Vector2d Apply(const Homography& h, const Eigen::Vector2d& p) {
   return {(h[0] * p.x() + h[1] * p.y() + h[2]) / w, (h[3] * p.x() + h[4] * p.y() + h[5]) / w};
 }
 
-// Least squares of the linearised equations over the chosen pairs.
+// Weighted least squares of the linearised equations over the chosen pairs.
 template <typename Indices>
 std::optional<Homography> Fit(const std::vector<Pair>& pairs, const Indices& chosen) {
   Eigen::Matrix<double, 8, 8> normal = Eigen::Matrix<double, 8, 8>::Zero();
@@ -35,8 +39,8 @@ std::optional<Homography> Fit(const std::vector<Pair>& pairs, const Indices& cho
     Homography a, b;
     a << x, y, 1, 0, 0, 0, -u * x, -u * y;
     b << 0, 0, 0, x, y, 1, -v * x, -v * y;
-    normal += a * a.transpose() + b * b.transpose();
-    right += u * a + v * b;
+    normal += pairs[i].weight * (a * a.transpose() + b * b.transpose());
+    right += pairs[i].weight * (u * a + v * b);
   }
   const Eigen::LDLT<Eigen::Matrix<double, 8, 8>> solver(normal);
   const Homography h = solver.solve(right);
@@ -58,7 +62,10 @@ std::vector<Pair> CollectPairs(const DecodedMap& map, const Eigen::Vector2d& cam
     for (int x = cx - radius; x <= cx + radius; ++x) {
       if (!map.reason.contains(x, y) || map.reason(x, y) != static_cast<uint8_t>(DecodeReason::kValid)) continue;
       if (std::isnan(map.column(x, y)) || std::isnan(map.row(x, y))) continue;
-      pairs.push_back({(Eigen::Vector2d(x, y) - camera_px) / radius, {map.column(x, y), map.row(x, y)}});
+      const double variance = std::pow(map.column_sigma(x, y), 2) + std::pow(map.row_sigma(x, y), 2);
+      pairs.push_back({(Eigen::Vector2d(x, y) - camera_px) / radius,
+                       {map.column(x, y), map.row(x, y)},
+                       1.0 / (variance + kModelVariancePx2)});
     }
   return pairs;
 }
@@ -92,11 +99,14 @@ std::optional<ProjectorPoint> LookUpProjectorPoint(const DecodedMap& map, const 
     if (!refined) return std::nullopt;
     best = Inliers(pairs, *refined, options.inlier_px);
   }
-  double sum = 0.0;
-  for (int i : best) sum += (Apply(*refined, pairs[i].from) - pairs[i].to).squaredNorm();
+  double sum = 0.0, weight = 0.0;
+  for (int i : best) {
+    sum += pairs[i].weight * (Apply(*refined, pairs[i].from) - pairs[i].to).squaredNorm();
+    weight += pairs[i].weight;
+  }
   const int inliers = static_cast<int>(best.size());
   if (inliers == 0) return std::nullopt;
-  return ProjectorPoint{mean + Apply(*refined, Eigen::Vector2d::Zero()), inliers, std::sqrt(sum / inliers)};
+  return ProjectorPoint{mean + Apply(*refined, Eigen::Vector2d::Zero()), inliers, std::sqrt(sum / weight)};
 }
 
 }  // namespace stratalux::fit

@@ -21,7 +21,7 @@ struct LocalHomographyOptions {
 struct ProjectorPoint {
   Eigen::Vector2d column_row;  // projector px
   int inliers = 0;
-  double rms_px = 0.0;  // of the inliers about the homography
+  double rms_px = 0.0;  // of the inliers about the homography, weighted by the sites' variances
 };
 
 // nullopt where too few sites are valid or agree. Deterministic: the samples depend on the window alone. Reentrant.

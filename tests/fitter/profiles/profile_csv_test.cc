@@ -9,15 +9,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::fit {
 namespace {
 
 using ::testing::HasSubstr;
 
-class ProfileCsv : public ::testing::Test {
+class ProfileCsv : public ScratchFolderTest {
  protected:
   std::string Write(const std::string& text) {
-    const auto file = std::filesystem::path(::testing::TempDir()) / "profiles.csv";
+    const auto file = folder_ / "profiles.csv";
     std::ofstream(file) << text;
     return file.string();
   }
