@@ -26,7 +26,7 @@ class RelightTest : public ::testing::Test {
     return std::move(*relit);
   }
   static SavedFit FitOf(const LitScene& scene) {
-    SavedFit fit{{scene.rig, scene.surface, {}, {}, {}}, UniformSkin(scene, SkinLayers()), 1};
+    SavedFit fit{{scene.rig, scene.surface, {}, {}, {}, {}}, UniformSkin(scene, SkinLayers()), 1};
     fit.map.training_projectors = {0};
     fit.map.surface.assign(static_cast<size_t>(fit.map.profiles()), 0.04F);
     return fit;
