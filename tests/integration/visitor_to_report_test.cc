@@ -129,10 +129,11 @@ TEST_F(Visitor, SumOfSurfaceAndLayersIsTheHeldOutLight) {
   for (const char* geometry : {"reconstructed", "truth"}) {
     EXPECT_LT(above_noise("stripe", "tied", "separated", geometry), 0.05) << geometry;
     EXPECT_LT(above_noise("spot", "tied", "separated", geometry), 0.05) << geometry;
-    EXPECT_LT(above_noise("white", "tied", "separated", geometry), 0.03) << geometry;
+    // Of white light much grazes, and is judged.
+    EXPECT_LT(above_noise("white", "tied", "separated", geometry), 0.045) << geometry;
     // With nothing of the held-out light but its directions.
     EXPECT_LT(above_noise("stripe", "tied", "predicted", geometry), 0.055) << geometry;
-    EXPECT_LT(above_noise("white", "tied", "predicted", geometry), 0.03) << geometry;
+    EXPECT_LT(above_noise("white", "tied", "predicted", geometry), 0.045) << geometry;
   }
   for (const char* geometry : {"reconstructed", "truth"})
     EXPECT_LT(above_noise("stripe", "tied", "separated", geometry),
