@@ -13,6 +13,7 @@ constexpr size_t kFewestOfCycle = 300;  // of a cycle that is judged
 constexpr size_t kFewestInCell = 30;    // of a cell that a plane is laid through
 constexpr int kFewestFar = 8;           // frames
 constexpr double kClip = 4.0;           // standard deviations; edges and shadows must not speak for all
+constexpr double kBeyondNoise = 5.0;    // standard deviations; a session asks hundreds of lines
 
 // From the frame in which the line passes to `frame`, the short way round.
 int Offset(int frame, int passed_in, int frames) {
@@ -221,23 +222,31 @@ std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::ve
   const std::vector<size_t> known = KnownProbes(cycle);
   if (known.size() < kFewestOfCycle) return std::nullopt;
   const double at_line = MeanPassage(cycle, known)[0];
-  std::vector<double> sum(cycle.frames), weight(cycle.frames);
+  std::vector<double> sum(cycle.frames), weight(cycle.frames), variance(cycle.frames);
   for (const size_t i : known) {
-    weight[cycle.passed_in[i]] += cycle.contrast[i];
-    for (int k = 0; k < cycle.frames; ++k)
-      sum[cycle.passed_in[i]] += static_cast<double>(cycle.contrast[i]) * cycle.level[k][i];
+    const double contrast = cycle.contrast[i];
+    const int line = cycle.passed_in[i];
+    weight[line] += contrast;
+    // One black is taken off all frames: its noise adds up as it is, the frames' own in squares.
+    double noise = static_cast<double>(cycle.frames) * cycle.frames * cycle.black_variance[i];
+    for (int k = 0; k < cycle.frames; ++k) {
+      sum[line] += contrast * cycle.level[k][i];
+      noise += cycle.variance[k][i];
+    }
+    variance[line] += contrast * contrast * noise;
   }
   double whole = 0.0, all = 0.0;
   for (int k = 0; k < cycle.frames; ++k) {
     whole += sum[k];
     all += weight[k];
   }
-  const double mean = whole / std::max(1e-9, all), limit = 0.5 * at_line / mean;
+  const double mean = whole / std::max(1e-9, all), half_a_frame = 0.5 * at_line / mean;
   std::optional<MissingComb> missing;
   bool twice = false;
   for (int k = 0; k < cycle.frames; ++k) {
     if (weight[k] <= 0.0) continue;
     const double here = sum[k] / weight[k] / mean;
+    const double limit = std::max(half_a_frame, kBeyondNoise * std::sqrt(variance[k]) / weight[k] / mean);
     twice = twice || here > 1.0 + limit;
     if (here < 1.0 - limit && std::abs(gain[k] - 1.0) < 0.5 && (!missing || here < missing->sum))
       missing = MissingComb{k, here, limit};

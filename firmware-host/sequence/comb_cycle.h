@@ -22,11 +22,12 @@ struct CombCycle {
   // By frame, then probe: (I - B) / (W - B), and its variance.
   std::vector<std::vector<float>> level, variance;
   // By probe.
-  std::vector<float> contrast;  // W - B, weighs the frames' gains
-  std::vector<int> passed_in;   // frame whose line passes it; -1: not known
-  std::vector<int> position;    // of the projector along the comb's axis, px
-  std::vector<int> x, y;        // in the lattice
-  int pitch = 1;                // camera pixels from probe to probe
+  std::vector<float> contrast;        // W - B, weighs the frames' gains
+  std::vector<float> black_variance;  // of B / (W - B), which all frames have in common
+  std::vector<int> passed_in;         // frame whose line passes it; -1: not known
+  std::vector<int> position;          // of the projector along the comb's axis, px
+  std::vector<int> x, y;              // in the lattice
+  int pitch = 1;                      // camera pixels from probe to probe
 };
 
 // Light of each frame over what the whole cycle's mean passage says of the probes that it meets; about 1, and on uneven
@@ -63,7 +64,7 @@ struct CombMotion {
 struct MissingComb {
   int frame = 0;
   double sum = 1.0;    // of the cycle at the probes that its line passes, over the mean of all
-  double limit = 0.0;  // of its deviation from 1: half of what one frame gives
+  double limit = 0.0;  // of its deviation from 1: half of what one frame gives, or what noise may do
 };
 [[nodiscard]] std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::vector<double>& gain);
 

@@ -70,15 +70,14 @@ std::vector<int> PatternWitness::StepsOfCycle(PatternAxis axis) const {
   return steps;
 }
 
-std::vector<double> PatternWitness::MeanBlack() const {
+PatternWitness::Black PatternWitness::MeanBlack() const {
   // A whole cycle takes the black off period / step times, so its noise counts.
-  std::vector<double> black(black_.probes.size());
-  int count = 0;
+  Black black{std::vector<double>(black_.probes.size()), 0};
   for (CapturePhase phase : {CapturePhase::kReference, CapturePhase::kGuard})
     for (int i : StepsOf(phase)) {
       if (plan_.steps[i].pattern.kind != PatternKind::kBlack || Find(i) == nullptr) continue;
-      ++count;
-      for (size_t k = 0; k < black.size(); ++k) black[k] += (Find(i)->probes[k] - black[k]) / count;
+      ++black.frames;
+      for (size_t k = 0; k < black.dn.size(); ++k) black.dn[k] += (Find(i)->probes[k] - black.dn[k]) / black.frames;
     }
   return black;
 }
@@ -87,7 +86,7 @@ CombCycle PatternWitness::CycleOf(PatternAxis axis, const std::vector<int>& step
   const PlanOptions& o = plan_.options;
   const Coordinates& at = Where();
   const std::vector<int>& position = axis == PatternAxis::kColumns ? at.column : at.row;
-  const std::vector<double> black = MeanBlack();
+  const Black black = MeanBlack();
   CombCycle cycle;
   cycle.pitch = lattice_.pitch();
   cycle.frames = static_cast<int>(steps.size());
@@ -95,8 +94,10 @@ CombCycle PatternWitness::CycleOf(PatternAxis axis, const std::vector<int>& step
   cycle.variance.resize(steps.size());
   for (size_t j = 0; j < lit_.size(); ++j) {
     const int i = lit_[j];
-    const double contrast = std::max(1.0, white_.probes[i] - black[i]);
+    const double contrast = std::max(1.0, white_.probes[i] - black.dn[i]);
     cycle.contrast.push_back(static_cast<float>(contrast));
+    cycle.black_variance.push_back(
+        static_cast<float>(VarianceDn(black.dn[i]) / std::max(1, black.frames) / (contrast * contrast)));
     cycle.x.push_back(i % lattice_.columns());
     cycle.y.push_back(i / lattice_.columns());
     cycle.position.push_back(position.empty() ? -1 : position[j]);
@@ -106,7 +107,7 @@ CombCycle PatternWitness::CycleOf(PatternAxis axis, const std::vector<int>& step
     cycle.passed_in.push_back(cycle.position.back() < 0 ? -1 : (nearest % cycle.frames + cycle.frames) % cycle.frames);
     for (size_t k = 0; k < steps.size(); ++k) {
       const double dn = Find(steps[k])->probes[i];
-      cycle.level[k].push_back(static_cast<float>((dn - black[i]) / contrast));
+      cycle.level[k].push_back(static_cast<float>((dn - black.dn[i]) / contrast));
       cycle.variance[k].push_back(static_cast<float>(VarianceDn(dn) / (contrast * contrast)));
     }
   }

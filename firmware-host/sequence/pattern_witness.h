@@ -164,7 +164,11 @@ class PatternWitness {
   // Steps of the axis' cycle at the nominal exposure, in its order; empty where one is missing.
   [[nodiscard]] std::vector<int> StepsOfCycle(PatternAxis axis) const;
   [[nodiscard]] CombCycle CycleOf(PatternAxis axis, const std::vector<int>& steps);
-  [[nodiscard]] std::vector<double> MeanBlack() const;
+  struct Black {
+    std::vector<double> dn;  // by probe
+    int frames = 0;          // that this is the mean of
+  };
+  [[nodiscard]] Black MeanBlack() const;
   [[nodiscard]] double VarianceDn(double dn) const { return options_.VarianceDn(dn); }
   [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
   const Coordinates& Where();
