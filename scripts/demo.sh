@@ -63,10 +63,8 @@ fi
 if [ "$night" -gt 0 ]; then
   store=$out/night-store
   for ((i = 0; i < night; ++i)); do
-    # Melanin from 1 to 25 %, evenly spaced in the logarithm; each another head.
-    melanin=$(awk -v i="$i" -v n="$night" 'BEGIN { print 0.01 * 25 ^ (n > 1 ? i / (n - 1) : 0.5) }')
-    printf '[subject]\nshape = "head"\n[skin]\nmelanin = %s\n' "$melanin" >"$out/visitor.toml"
-    "$bin/stratalux-rig" capture --simulate="$out/visitor.toml" --exposure auto --store "$store" --seed $((seed + i)) --size "$size" >&2 ||
+    # Each seed is somebody else of the simulated population: another head, another skin, light to dark.
+    "$bin/stratalux-rig" capture --simulate --exposure auto --store "$store" --seed $((seed + i)) --size "$size" >&2 ||
       [ $? -eq 3 ]  # 3: degraded, with its findings; a night fits such visitors, too
   done
   "$bin/stratalux-fit" batch plan --store "$store" >&2

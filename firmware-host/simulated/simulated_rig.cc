@@ -13,6 +13,12 @@ namespace {
 
 bool IsWax(const SceneDescription& scene) { return scene.shape == ShapeKind::kSlab; }
 
+bool IsSkin(const SceneDescription& scene) {
+  const ShapeKind shape = scene.shape;
+  return shape == ShapeKind::kHead || shape == ShapeKind::kPlane || shape == ShapeKind::kSphere ||
+         shape == ShapeKind::kMesh;
+}
+
 Result<Scene> SubjectOf(const SubjectOptions& options, SceneDescription description, const SkinTable& table,
                         Logger& logger) {
   SLX_RETURN_IF_ERROR(description.TakePose(options.board_pose).WithContext(options.scene));
@@ -21,18 +27,22 @@ Result<Scene> SubjectOf(const SubjectOptions& options, SceneDescription descript
   return scene;
 }
 
-// Whether the table knows the skin of the whole subject.
-Status CheckSkin(const SkinTable& table, const SkinDescription& skin) {
-  SLX_RETURN_IF_ERROR(table.CheckScattering(skin.scattering).WithContext("[skin]"));
-  const ScatteringRange range = ScatteringOf(skin);
+// Whether the table knows the skin of the whole subject. `seed`: where the scene has none.
+Status CheckSkin(const SkinTable& table, const SceneDescription& scene, uint64_t seed) {
+  if (!IsSkin(scene)) return Status::Ok();
+  const SkinDescription& skin = scene.skin;
+  seed = scene.seed.value_or(seed);
+  const double cheek = skin.Of(seed).scattering;
+  SLX_RETURN_IF_ERROR(table.CheckScattering(cheek).WithContext("[skin]"));
+  const ScatteringRange range = ScatteringOf(skin, seed);
   for (const double scattering : {range.least, range.most})
     SLX_RETURN_IF_ERROR(table.CheckScattering(scattering)
                             .WithContext(Formatted("[skin] regions = %g makes %g .. %g of scattering = %g",
-                                                   skin.regions, range.least, range.most, skin.scattering)));
+                                                   skin.regions, range.least, range.most, cheek)));
   return Status::Ok();
 }
 
-Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescription& scene) {
+Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescription& scene, uint64_t seed) {
   const bool wax = IsWax(scene);
   const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
   Result<SkinTable> loaded = SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table);
@@ -46,7 +56,7 @@ Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescri
   if ((table.nodes() == 1) != wax)
     return Status::Usage("skin table " + options.skin_table + ": of " +
                          (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
-  SLX_RETURN_IF_ERROR(CheckSkin(table, scene.skin));
+  SLX_RETURN_IF_ERROR(CheckSkin(table, scene, seed));
   return table;
 }
 
@@ -61,10 +71,10 @@ Status SimulatedDevices::SetSubject(const SubjectOptions& subject) {
   }();
   std::optional<SkinTable> other;  // where the tissue is another
   if (IsWax(simulation.scene) != (table.nodes() == 1)) {
-    SLX_ASSIGN_OR_RETURN(other, TableFor(options_, simulation.scene));
+    SLX_ASSIGN_OR_RETURN(other, TableFor(options_, simulation.scene, subject.seed));
     table = *other;
   }
-  SLX_RETURN_IF_ERROR(CheckSkin(table, simulation.scene.skin));
+  SLX_RETURN_IF_ERROR(CheckSkin(table, simulation.scene, subject.seed));
   SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf(subject, simulation.scene, table, logger_));
   const Turn turn(*this);
   const std::lock_guard lock(world_mutex_);
@@ -106,7 +116,7 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::Create(const SimulatedRigOpt
     }
   }
   SLX_RETURN_IF_ERROR(simulation.scene.Validate());
-  SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, simulation.scene));
+  SLX_ASSIGN_OR_RETURN(SkinTable table, TableFor(options, simulation.scene, given.seed));
   SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf({given.scene, given.seed, given.board_pose, given.lens_covered},
                                               simulation.scene, table, logger));
   return std::unique_ptr<SimulatedRig>(new SimulatedDevices(options, std::move(scene), std::move(table), logger));

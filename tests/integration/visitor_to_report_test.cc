@@ -35,7 +35,12 @@ class Visitor : public ::testing::Test {
     folder_ = fs::temp_directory_path() / ("stratalux_integration_" + std::to_string(getpid()));
     store_ = (folder_ / "store").string();
     ASSERT_EQ(Execute("stratalux-db init --store " + store_).code, 0);
-    ASSERT_EQ(Execute("stratalux-rig capture --simulate --store " + store_ + " --seed 5 --size " + Size()).code, 0);
+    // Of the surface's form that the fit has, so that what it finds of it can be held to what is there.
+    const std::string scene = (folder_ / "visitor.toml").string();
+    WriteText(scene, "[surface]\nform = \"ggx\"\noiliness = 0\nfuzz = 0\n");
+    ASSERT_EQ(
+        Execute("stratalux-rig capture --simulate=" + scene + " --store " + store_ + " --seed 5 --size " + Size()).code,
+        0);
     const Outcome run =
         Execute("stratalux-fit run latest --store " + store_ + " --full-evaluation --json", Show::kStdout);
     ASSERT_EQ(run.code, 0);

@@ -47,9 +47,9 @@ Status GetVector(TomlTable& table, const std::string& key, std::array<double, 3>
 }
 
 Status ReadHead(TomlTable t, HeadDescription& head) {
-  bool bald = true;
+  bool bald = false;
   t.Get("bald", bald);
-  head = bald ? HeadDescription::Bald() : HeadDescription::Person();  // what the other keys do not say
+  if (bald) head = HeadDescription::Bald();  // before the keys that change it
   for (const auto& [key, value] : {std::pair{"width", &head.width},
                                    {"height", &head.height},
                                    {"depth", &head.depth},
@@ -78,11 +78,10 @@ Status ReadSkin(TomlTable t, SkinDescription& skin) {
   t.Get("opaque", opaque);
   skin.body = opaque ? SkinBody::kMatt : SkinBody::kTranslucent;
   GetOptional(t, "person", skin.person, 0, kMostPeople - 1);
-  if (skin.person) skin.BecomePerson(*skin.person);  // before the keys that change it
   GetOptional(t, "melanin", skin.melanin, 0.005, 0.3);
   GetOptional(t, "blood", skin.blood, 0.0005, 0.06);
-  t.Get("epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
-  t.Get("scattering", skin.scattering, 0.1, 3.0);
+  GetOptional(t, "epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
+  GetOptional(t, "scattering", skin.scattering, 0.1, 3.0);
   t.Get("patches", skin.patches, 0.0, 3.0);
   GetOptional(t, "freckles", skin.freckles, 0, 1000);
   t.Get("vessels", skin.vessels, 0, 20);
@@ -167,20 +166,30 @@ Status ReadMotion(TomlTable t, MotionDescription& motion) {
 
 }  // namespace
 
-HeadDescription HeadDescription::Person() {
+HeadDescription HeadDescription::Bald() {
   HeadDescription head;
-  head.eyes = Eyes::kOpen;
-  head.nostrils = head.brows = head.hair = true;
+  head.eyes = Eyes::kNone;
+  head.nostrils = head.brows = head.hair = false;
   return head;
 }
 
-void SkinDescription::BecomePerson(int number) {
-  const SkinParameters drawn = Person(number);
-  person = number;
-  melanin = drawn.melanin;
-  blood = drawn.blood;
-  epidermis_mm = drawn.epidermis_mm;
-  scattering = drawn.scattering;
+SkinParameters SkinDescription::Of(uint64_t seed) const {
+  SkinParameters skin = Person(person.value_or(static_cast<int>(seed % kMostPeople)));
+  if (melanin) skin.melanin = static_cast<float>(*melanin);
+  if (blood) skin.blood = static_cast<float>(*blood);
+  if (epidermis_mm) skin.epidermis_mm = static_cast<float>(*epidermis_mm);
+  if (scattering) skin.scattering = static_cast<float>(*scattering);
+  return skin;
+}
+
+SceneDescription SceneDescription::Of(ShapeKind shape) {
+  SceneDescription scene;
+  scene.name = ToString(shape);
+  scene.shape = shape;
+  if (shape == ShapeKind::kHead) return scene;
+  scene.skin.regions = 0.0;
+  scene.surface = SurfaceDescription::Even();
+  return scene;
 }
 
 const char* ToString(ShapeKind kind) { return kShapes[static_cast<size_t>(kind)].data(); }
@@ -213,12 +222,12 @@ Status SceneDescription::TakePose(int index) {
 }
 
 Result<SceneDescription> ReadScene(TomlTable& root) {
-  SceneDescription scene;
   TomlTable subject = root.Table("subject");
-  root.Get("name", scene.name);
-  std::string shape = ToString(scene.shape);
+  std::string shape = ToString(ShapeKind::kHead);
   subject.Get("shape", shape);
-  SLX_ASSIGN_OR_RETURN(scene.shape, ParseShapeKind(shape).WithContext(subject.Where("shape")));
+  SLX_ASSIGN_OR_RETURN(const ShapeKind kind, ParseShapeKind(shape).WithContext(subject.Where("shape")));
+  SceneDescription scene = SceneDescription::Of(kind);
+  root.Get("name", scene.name);
   if (subject.Has("seed")) {
     int seed = 0;
     subject.Get("seed", seed, 0, 1 << 30);
@@ -238,18 +247,17 @@ Result<SceneDescription> ReadScene(TomlTable& root) {
 }
 
 Result<SceneDescription> SceneOfName(const std::string& name) {
-  SceneDescription scene;
-  scene.name = name;
-  if (name == "bald" || name == "face") {
-    scene.head = name == "bald" ? HeadDescription::Bald() : HeadDescription::Person();
+  if (name == "bald") {
+    SceneDescription scene;
+    scene.name = name;
+    scene.head = HeadDescription::Bald();
     return scene;
   }
   const auto shape = ParseShapeKind(name);
   if (!shape.ok())
     return Status::Usage("scene '" + name + "' is unknown; allowed: " + Names(kShapes) +
-                         ", bald, face, or a scene file ending in .toml");
-  scene.shape = *shape;
-  return scene;
+                         ", bald, or a scene file ending in .toml");
+  return SceneDescription::Of(*shape);
 }
 
 }  // namespace stratalux::rig

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene as its TOML file describes it (docs/simulated-rig.md lists every key). The defaults are the plain head of
+// A scene as its TOML file describes it (docs/simulated-rig.md lists every key). The defaults are the visitor of
 // `--simulate`; lengths in mm, angles in degrees.
 #pragma once
 
@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware-host/simulated/skin/skin_optics.h"
 #include "shared/base/result.h"
 
 namespace stratalux {
@@ -30,46 +31,47 @@ struct HeadDescription {
   double variation = 0.1;    // how far the seed varies each length, relative
   double wrinkles_mm = 0.0;  // depth of forehead lines, crow's feet and the folds beside the nose
   double pores_mm = 0.0;     // depth
-  Eyes eyes = Eyes::kNone;
-  bool nostrils = false;  // dark and shallow
-  bool brows = false;
-  bool hair = false;             // above the forehead
+  Eyes eyes = Eyes::kOpen;
+  bool nostrils = true;  // dark and shallow
+  bool brows = true;
+  bool hair = true;              // above the forehead
   double stubble_per_cm2 = 0.0;  // opaque hairs of a shaven beard
   double stubble_mm = 0.6;       // their length
 
-  // Without eyes, nostrils and hair, as a mannequin's: what a head is today where nothing is said.
-  [[nodiscard]] static HeadDescription Bald() { return {}; }
-  // With open eyes, nostrils, brows and hair.
-  [[nodiscard]] static HeadDescription Person();
+  // Without eyes, nostrils, brows and hair, as a mannequin's.
+  [[nodiscard]] static HeadDescription Bald();
 };
 
 enum class SkinBody { kTranslucent, kMatt };  // kMatt: opaque, of the same albedo
 
 struct SkinDescription {
   SkinBody body = SkinBody::kTranslucent;
-  std::optional<int> person;      // whose melanin, blood, thickness and scattering these are (skin/population.h)
-  std::optional<double> melanin;  // volume fraction in the epidermis; unset: by seed, 1.2 % to 10 %
-  std::optional<double> blood;    // volume fraction in the dermis; unset: by seed
-  double epidermis_mm = 0.08;     // thickness
-  double scattering = 1.0;        // over that of tissue samples; within the skin table's nodes
-  double patches = 1.0;           // strength of the patches of a few centimetres; 0: even skin
-  std::optional<int> freckles;    // unset: by seed, 30 to 90
-  int vessels = 1;                // across forehead and temples
-  double redness = 1.0;           // strength of the blood of cheeks, nose and lips
-  bool scar = false;              // across a cheek: pale, without melanin
-  double regions = 0.0;           // strength of what sets forehead, nose, lips, ... apart (face_regions.h); 1: as there
+  std::optional<int> person;      // of the population (skin/population.h), for what is unset below; unset: the seed's
+  std::optional<double> melanin;  // volume fraction in the epidermis
+  std::optional<double> blood;    // volume fraction in the dermis
+  std::optional<double> epidermis_mm;  // thickness
+  std::optional<double> scattering;    // over that of tissue samples; within the skin table's nodes
+  double patches = 1.0;                // strength of the patches of a few centimetres; 0: even skin
+  std::optional<int> freckles;         // unset: by seed, 30 to 90
+  int vessels = 1;                     // across forehead and temples
+  double redness = 1.0;                // strength of the blood of cheeks, nose and lips
+  bool scar = false;                   // across a cheek: pale, without melanin
+  // Strength of what sets forehead, nose, lips, ... apart (face_regions.h); 1: as there.
+  double regions = 1.0;
 
-  // Takes melanin, blood, thickness and scattering of a person of the population; what is set later stands.
-  void BecomePerson(int number);
+  // Of the cheek: the person's, but for what is set here.
+  [[nodiscard]] SkinParameters Of(uint64_t seed) const;
 };
 
 enum class SkinSurface { kGgx, kBeckmann, kTwoLobes };
 
 // The skin's very surface (face_surface.h).
 struct SurfaceDescription {
-  SkinSurface form = SkinSurface::kGgx;  // kGgx: the form that the fitter fits
-  double oiliness = 0.0;                 // of forehead, nose and chin; 0: the surface is the same everywhere
-  double fuzz = 0.0;                     // fine hairs over that of a grown face; 0: none
+  SkinSurface form = SkinSurface::kTwoLobes;  // kGgx: the form that the fitter fits
+  double oiliness = 0.5;                      // of forehead, nose and chin; 0: the surface is the same everywhere
+  double fuzz = 1.0;                          // fine hairs over that of a grown face; 0: none
+
+  [[nodiscard]] static SurfaceDescription Even() { return {SkinSurface::kGgx, 0.0, 0.0}; }
 };
 
 // Plates: boards, ramp, chart, white target, wax slab.
@@ -128,12 +130,15 @@ struct SceneDescription {
   double ambient_dn_per_ms = 0.1;  // of a white target; a black box is nearly dark
   bool interreflection = false;    // one bounce between parts of the subject
 
+  // What a scene of that shape is where it says nothing else: a head is a person's; other bodies are of a person's
+  // skin without regions, under an even surface.
+  [[nodiscard]] static SceneDescription Of(ShapeKind shape);
   [[nodiscard]] Status Validate() const;
   // Poses the subject as `poses[index]` says; -1, and scenes without a list, leave it. kUsage names what there is.
   [[nodiscard]] Status TakePose(int index);
 };
 
-// The plain scene of a shape's name, or "bald" or "face": HeadDescription::Bald() and Person(); kUsage lists the names.
+// The plain scene of a shape's name, or of "bald", a head that is HeadDescription::Bald(); kUsage lists the names.
 [[nodiscard]] Result<SceneDescription> SceneOfName(const std::string& name);
 // Reads the scene's own tables of `root` and leaves others to the caller.
 [[nodiscard]] Result<SceneDescription> ReadScene(TomlTable& root);

@@ -44,14 +44,8 @@ Polyline WalkVessel(Random& random, double left, double right, double top) {
 }  // namespace
 
 FaceSkin::FaceSkin(const SkinDescription& skin, const FaceRegions& regions, uint64_t seed)
-    : regions_(regions), strength_(skin.regions) {
+    : regions_(regions), strength_(skin.regions), cheek_(skin.Of(seed)) {
   Random random(seed, 2);
-  melanin_ = 0.012 * std::pow(8.0, random.Uniform());  // 1.2 % (light) to 10 % (dark)
-  blood_ = random.Uniform(0.003, 0.008);
-  epidermis_mm_ = skin.epidermis_mm;
-  scattering_ = skin.scattering;
-  melanin_ = skin.melanin.value_or(melanin_);
-  blood_ = skin.blood.value_or(blood_);
   // Patches of a few centimetres.
   for (int i = 0; i < 24; ++i) {
     const double x = random.Uniform(-80, 80), y = random.Uniform(-100, 100), s = random.Uniform(12, 35);
@@ -87,18 +81,18 @@ double FaceSkin::ScarAt(double x, double y) const {
 }
 
 SkinParameters FaceSkin::At(double x, double y) const {
-  double melanin = melanin_ * std::max(0.3, 1.0 + Sum(melanin_bumps_, x, y));
+  double melanin = cheek_.melanin * std::max(0.3, 1.0 + Sum(melanin_bumps_, x, y));
   double vessel = 0.0;
   for (const Polyline& line : vessels_) {
     const double distance = DistanceTo(line, {x, y});
     if (distance < 5.0)
       vessel = std::max(vessel, kVesselBlood * std::exp(-distance * distance / (2 * kVesselSigmaMm * kVesselSigmaMm)));
   }
-  double blood = blood_ * (std::max(0.3, 1.0 + Sum(blood_bumps_, x, y)) + vessel);
+  double blood = cheek_.blood * (std::max(0.3, 1.0 + Sum(blood_bumps_, x, y)) + vessel);
   const double scar = ScarAt(x, y);
   melanin *= 1.0 - (1.0 - kScarFactors.melanin) * scar;
   blood *= 1.0 - (1.0 - kScarFactors.blood) * scar;
-  double epidermis_mm = epidermis_mm_, scattering = scattering_;
+  double epidermis_mm = cheek_.epidermis_mm, scattering = cheek_.scattering;
   if (strength_ > 0.0) {
     SkinFactors log{0.0, 0.0, 0.0, 0.0};
     const RegionWeights weights = regions_.WeightsAt(x, y);
@@ -106,7 +100,8 @@ SkinParameters FaceSkin::At(double x, double y) const {
     melanin *= std::exp(log.melanin);
     blood *= std::exp(log.blood);
     epidermis_mm = std::clamp(epidermis_mm * std::exp(log.epidermis + scar * log_scar_.epidermis), 0.05, 0.15);
-    scattering = ClampScattering(scattering * std::exp(log.scattering + scar * log_scar_.scattering), scattering_);
+    scattering =
+        ClampScattering(scattering * std::exp(log.scattering + scar * log_scar_.scattering), cheek_.scattering);
   }
   return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06)),
           static_cast<float>(epidermis_mm), static_cast<float>(scattering)};
@@ -116,10 +111,11 @@ SurfaceClass FaceSkin::ClassAt(double x, double y) const {
   return ScarAt(x, y) > 0.5 ? SurfaceClass::kScar : ClassOf(regions_.At(x, y));
 }
 
-ScatteringRange ScatteringOf(const SkinDescription& skin) {
-  ScatteringRange range{skin.scattering, skin.scattering};
+ScatteringRange ScatteringOf(const SkinDescription& skin, uint64_t seed) {
+  const double cheek = skin.Of(seed).scattering;
+  ScatteringRange range{cheek, cheek};
   auto take = [&](const SkinFactors& f) {
-    const double here = ClampScattering(skin.scattering * std::pow(f.scattering, skin.regions), skin.scattering);
+    const double here = ClampScattering(cheek * std::pow(f.scattering, skin.regions), cheek);
     range = {std::min(range.least, here), std::max(range.most, here)};
   };
   for (const SkinFactors& f : kRegionFactors) take(f);

@@ -33,17 +33,16 @@ class FaceSkin {
   std::array<SkinFactors, kFaceRegions> log_factors_{};
   SkinFactors log_scar_{0.0, 0.0, 0.0, 0.0};
   double strength_ = 0.0;
-  double melanin_ = 0.03, blood_ = 0.004, epidermis_mm_ = kEpidermisMm, scattering_ = 1.0;
+  SkinParameters cheek_;                           // without patches, vessels and the like
   std::vector<Bump> melanin_bumps_, blood_bumps_;  // relative: value = base (1 + sum)
   std::vector<Polyline> vessels_;
   Polyline scar_;
 };
 
-// Scattering over a face of this description. Regions keep it within 0.5 .. 1.1, or as far beyond as the description's
-// own lies.
+// Scattering over a face of this description. Regions keep it within 0.5 .. 1.1, or as far beyond as the cheek's lies.
 struct ScatteringRange {
   double least = 1.0, most = 1.0;
 };
-[[nodiscard]] ScatteringRange ScatteringOf(const SkinDescription& description);
+[[nodiscard]] ScatteringRange ScatteringOf(const SkinDescription& description, uint64_t seed);
 
 }  // namespace stratalux::rig

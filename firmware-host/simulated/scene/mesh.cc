@@ -102,9 +102,8 @@ Result<std::shared_ptr<const Mesh>> Mesh::Create(const MeshDescription& descript
   SLX_ASSIGN_OR_RETURN(auto shape,
                        Create(std::move(mesh), description, face, surface, seed).WithContext(description.file));
   const SkinAlbedo albedo(*table);
-  const SkinParameters like{.epidermis_mm = static_cast<float>(skin.epidermis_mm),
-                            .scattering = static_cast<float>(skin.scattering)};
-  SLX_ASSIGN_OR_RETURN(auto picture, PictureSkin::Read(description.albedo, description.albedo_scale, albedo, like));
+  SLX_ASSIGN_OR_RETURN(auto picture,
+                       PictureSkin::Read(description.albedo, description.albedo_scale, albedo, skin.Of(seed)));
   std::const_pointer_cast<Mesh>(shape)->TakePicture(std::move(picture));
   return shape;
 }

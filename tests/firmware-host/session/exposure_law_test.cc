@@ -27,7 +27,7 @@ class ExposureLawTest : public ScratchFolderTest {
     config.plan.projector_width = 256;
     config.plan.projector_height = 192;
     const auto scene = folder_ / "head.toml";
-    WriteText(scene, "[subject]\nshape = \"head\"\n[skin]\nmelanin = " + std::to_string(melanin) + "\n");
+    WriteText(scene, "[skin]\nepidermis_mm = 0.08\nscattering = 1\nmelanin = " + std::to_string(melanin) + "\n");
     Simulate(options, scene.string());
     options.simulated->seed = seed;
     options.simulated->noise = noise;

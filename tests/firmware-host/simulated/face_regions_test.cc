@@ -155,7 +155,7 @@ TEST(FaceSkin, RegionsStayWithinTheTableAndWithinWhatIsAsked) {
       description.scar = scar;
       description.regions = 2.0;
       const FaceSkin skin(description, FaceRegions(FeaturesOf(0.1, 3)), 3);
-      const ScatteringRange range = ScatteringOf(description);
+      const ScatteringRange range = ScatteringOf(description, 3);
       double least = 9.0, most = 0.0;
       for (double x = -70; x <= 70; x += 0.7)
         for (double y = -95; y <= 95; y += 0.7) {
@@ -177,7 +177,7 @@ TEST(FaceSkin, RegionsStayWithinTheTableAndWithinWhatIsAsked) {
 }
 
 TEST(HeadClasses, AHeadWithAllOfThemNamesEachClass) {
-  SceneDescription scene = *SceneOfName("face");
+  SceneDescription scene = SceneDescription();
   scene.head.stubble_per_cm2 = 60;
   scene.skin.scar = true;
   std::map<SurfaceClass, int> seen;
@@ -201,7 +201,7 @@ TEST(HeadClasses, AHeadWithAllOfThemNamesEachClass) {
 }
 
 TEST(HeadClasses, EachIsWhereItBelongs) {
-  SceneDescription scene = *SceneOfName("face");
+  SceneDescription scene = SceneDescription();
   scene.head.variation = 0.0;
   scene.head.stubble_per_cm2 = 60;
   const Scene face = *Scene::Create(scene, 2);
@@ -223,20 +223,24 @@ TEST(HeadClasses, EachIsWhereItBelongs) {
 }
 
 TEST(HeadClasses, BaldIsTheHeadWithoutThem) {
-  const Scene bald = *Scene::Create("bald", 5), head = *Scene::Create("head", 5), face = *Scene::Create("face", 5);
+  const Scene bald = *Scene::Create("bald", 5), head = *Scene::Create("head", 5);
   int other = 0;
   for (double x = -60; x <= 60; x += 0.7)
     for (double y = -90; y <= 90; y += 0.7) {
       if (std::isnan(bald.Height(x, y))) continue;
-      ASSERT_EQ(bald.Height(x, y), head.Height(x, y));
       ASSERT_TRUE(IsSkin(bald.MaterialAt({x, y, 700}).part));
-      other += face.MaterialAt({x, y, 700}).kind != MaterialKind::kSkin;
+      const SurfaceClass part = head.MaterialAt({x, y, 700}).part;
+      other += IsSkin(part) ? 0 : 1;
+      if (!IsSkin(part) || part == SurfaceClass::kNose) continue;  // the nostrils' pits reach into the nose
+      ASSERT_NEAR(bald.Height(x, y), head.Height(x, y), 1e-3);
+      ASSERT_EQ(bald.Skin({x, y, 700}).melanin, head.Skin({x, y, 700}).melanin);
     }
   EXPECT_GT(other, 500);
 }
 
 TEST(HeadClasses, NostrilsAreShallowPits) {
   SceneDescription scene;
+  scene.head = HeadDescription::Bald();
   scene.head.variation = 0.0;
   const Scene smooth = *Scene::Create(scene, 1);
   scene.head.nostrils = true;
@@ -251,8 +255,8 @@ class RegionRig : public ::testing::Test {
     Logger quiet(LogLevel::kError);
     for (const auto& [name, axis] : {std::pair{"one", std::vector{1.0}}, {"two", std::vector{0.5, 1.0}}})
       ASSERT_TRUE(GenerateSkinTable({1000, 1, 0}, axis, {}, quiet)->Save(File(name), 1).ok());
-    std::ofstream(File("scene.toml")) << "[skin]\nregions = 1\nscattering = 0.8\nscar = true\n[head]\nbald = false\n";
-    std::ofstream(File("samples.toml")) << "[skin]\nregions = 1\n";
+    std::ofstream(File("scene.toml")) << "[skin]\nscattering = 0.8\nscar = true\n";
+    std::ofstream(File("samples.toml")) << "[skin]\nscattering = 1\n";
     std::ofstream(File("low.toml")) << "[skin]\nscattering = 0.4\n";
   }
   static void TearDownTestSuite() {

@@ -78,9 +78,11 @@ struct Place {
 // The skin in the middle of each region of a face without patches, freckles, vessels and redness.
 std::vector<Place> Places(double regions, double scattering) {
   SceneDescription scene;
+  scene.head = HeadDescription::Bald();
   scene.head.variation = 0.0;
   scene.skin.melanin = 0.03;
   scene.skin.blood = 0.004;
+  scene.skin.epidermis_mm = kEpidermisMm;
   scene.skin.scattering = scattering;
   scene.skin.patches = scene.skin.redness = 0.0;
   scene.skin.freckles = scene.skin.vessels = 0;

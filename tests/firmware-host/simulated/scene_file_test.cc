@@ -34,7 +34,7 @@ class SceneFile : public ::testing::Test {
   std::filesystem::path file_;
 };
 
-TEST_F(SceneFile, AnEmptyFileIsTheDefaultHead) {
+TEST_F(SceneFile, AnEmptyFileIsTheDefaultVisitor) {
   const Scene described = Make(""), head = *Scene::Create("head", 1);
   for (double x = -60; x <= 60; x += 7.3)
     for (double y = -80; y <= 80; y += 9.1) {
@@ -135,10 +135,8 @@ TEST_F(SceneFile, APoseMovesSurfaceNormalAndMaterialTogether) {
 }
 
 TEST_F(SceneFile, TheSurfaceIsThatOfTheSkinAlone) {
-  const Scene plain = Make("[subject]\nseed = 4\n[head]\neyes = \"open\"\nvariation = 0\n");
-  const Scene oily = Make(
-      "[subject]\nseed = 4\n[head]\neyes = \"open\"\nvariation = 0\n[surface]\nform = \"two_lobes\"\noiliness = 0.8\n"
-      "fuzz = 1\n");
+  const std::string head = "[subject]\nseed = 4\n[head]\nvariation = 0\nhair = false\n[surface]\n";
+  const Scene plain = Make(head + "form = \"ggx\"\noiliness = 0\nfuzz = 0\n"), oily = Make(head + "oiliness = 0.8\n");
   const Eigen::Vector3d pupil(31, -20.6, 700), forehead(0, -64, 650), cheek(45, 16, 680);
   EXPECT_EQ(oily.MaterialAt(pupil).surface.form, FacetForm::kGgx);
   EXPECT_EQ(oily.MaterialAt(pupil).surface.fuzz_depth, 0.0F);
@@ -199,8 +197,7 @@ TEST_F(SceneFile, RampStepsAreEvenAndTheChartHasItsNeutrals) {
 }
 
 TEST_F(SceneFile, OpenEyesCloseWhileBlinking) {
-  const Scene face = Make(
-      "[subject]\nseed = 4\n[head]\neyes = \"open\"\nvariation = 0\n[motion]\nblink_at_s = [1.0]\nblink_s = 0.2\n");
+  const Scene face = Make("[subject]\nseed = 4\n[head]\nvariation = 0\n[motion]\nblink_at_s = [1.0]\nblink_s = 0.2\n");
   const Eigen::Vector3d pupil(31, -20.6, 700);
   EXPECT_EQ(face.MaterialAt(pupil).kind, MaterialKind::kEye);
   EXPECT_EQ(face.In(face.StateAt(0.99)).MaterialAt(pupil).kind, MaterialKind::kEye);
@@ -244,7 +241,7 @@ TEST_F(SceneFile, StubbleCoversTheStatedShareOfTheBeard) {
 }
 
 TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
-  const std::string even = "patches = 0\nfreckles = 0\nvessels = 0\nredness = 0\n";
+  const std::string even = "patches = 0\nfreckles = 0\nvessels = 0\nredness = 0\nregions = 0\n";
   const auto at_cheek = [](const Scene& scene) { return scene.Skin({45, 10, 0}); };
   for (const int person : {0, 7, 999999}) {
     const std::string key = "[skin]\nperson = " + std::to_string(person) + "\n" + even;
@@ -268,6 +265,10 @@ TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
     EXPECT_FLOAT_EQ(clear.scattering, 0.93F);
     EXPECT_FLOAT_EQ(clear.epidermis_mm, drawn.epidermis_mm);
   }
+  // Whose skin it is where nobody is named, the seed says.
+  const SkinParameters unnamed = at_cheek(Make("[subject]\nseed = 7\n[skin]\n" + even)), seventh = Person(7);
+  EXPECT_EQ(unnamed.melanin, seventh.melanin);
+  EXPECT_EQ(unnamed.scattering, seventh.scattering);
   // Freckles and patches are the seed's, not the person's.
   const Scene one = Make("[subject]\nseed = 3\n[skin]\nperson = 7\n"),
               other = Make("[subject]\nseed = 4\n[skin]\nperson = 7\n");
@@ -281,13 +282,13 @@ TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
 }
 
 TEST_F(SceneFile, SkinTakesItsStatedMelaninFrecklesAndScar) {
-  const Scene even =
-      Make("[skin]\nmelanin = 0.05\npatches = 0\nfreckles = 0\nvessels = 0\nredness = 0\nblood = 0.004\n");
+  const std::string skin = "[skin]\nmelanin = 0.05\nregions = 0\npatches = 0\nfreckles = 0\n";
+  const Scene even = Make(skin + "vessels = 0\nredness = 0\nblood = 0.004\n");
   for (double x = -50; x < 50; x += 3.7) {
     EXPECT_FLOAT_EQ(even.Skin({x, 10, 0}).melanin, 0.05F);
     EXPECT_FLOAT_EQ(even.Skin({x, 10, 0}).blood, 0.004F);
   }
-  const Scene scarred = Make("[skin]\nmelanin = 0.05\npatches = 0\nfreckles = 0\nscar = true\n");
+  const Scene scarred = Make(skin + "scar = true\n");
   EXPECT_LT(scarred.Skin({31, 19, 0}).melanin, 0.02F);
   auto speckled = [](const Scene& scene) {
     int strong = 0;
@@ -295,7 +296,7 @@ TEST_F(SceneFile, SkinTakesItsStatedMelaninFrecklesAndScar) {
       for (double y = -60; y < 80; y += 0.8) strong += scene.Skin({x, y, 0}).melanin > 0.06F;
     return strong;
   };
-  const Scene many = Make("[skin]\nmelanin = 0.05\npatches = 0\nfreckles = 300\n");
+  const Scene many = Make("[skin]\nmelanin = 0.05\nregions = 0\npatches = 0\nfreckles = 300\n");
   EXPECT_GT(speckled(many), 100);
   EXPECT_EQ(speckled(even), 0);
 }

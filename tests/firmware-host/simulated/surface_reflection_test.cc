@@ -273,14 +273,22 @@ TEST(SurfaceReflection, NoSingleGgxIsTheFace) {
   EXPECT_GT(of_face, 0.25);
 }
 
-TEST(FaceSurface, IsTheFittersFormUnlessToldOtherwise) {
-  const SurfaceReflection plain = FaceSurface({}).At(0.0, -64.0), stated;
+TEST(FaceSurface, OfAnEvenBodyIsTheFittersForm) {
+  const SurfaceReflection plain = FaceSurface(SurfaceDescription::Even()).At(0.0, -64.0), stated;
   EXPECT_EQ(plain.form, FacetForm::kGgx);
   EXPECT_EQ(plain.strength, 1.0F);
   EXPECT_EQ(plain.roughness, 0.35F);
   EXPECT_EQ(plain.fuzz_depth, 0.0F);
   const Vector3d in = Direction(50), out = Direction(30, 140);
   EXPECT_EQ(ReflectanceOf(plain, kNormal, in, out), ReflectanceOf(stated, kNormal, in, out));
+}
+
+TEST(FaceSurface, OfAHeadWhereNothingIsSaidIsNotTheFittersForm) {
+  EXPECT_EQ(SceneDescription().surface.form, SkinSurface::kTwoLobes);
+  const SurfaceReflection forehead = FaceSurface({}).At(0.0, -64.0), cheek = FaceSurface({}).At(45.0, 16.0);
+  EXPECT_GT(ResidualOfOneGgx({forehead, cheek}), 0.15);
+  for (const ShapeKind shape : {ShapeKind::kPlane, ShapeKind::kSphere, ShapeKind::kMesh})
+    EXPECT_EQ(SceneDescription::Of(shape).surface.form, SkinSurface::kGgx);
 }
 
 TEST(FaceSurface, OfAllFormsHasTheSlopesOfOne) {

@@ -249,7 +249,8 @@ TEST_F(MeshScene, APictureIsSolvedForTheSkinOfEachPoint) {
     for (int x = 0; x < 64; ++x)
       for (int c = 0; c < 3; ++c) picture(x, y, c) = colour_of(x < 32 ? light : dark, c);
   ASSERT_TRUE(WritePng8(folder_ / "skin.png", picture).ok());
-  const std::string keys = "origin_mm = [0, 0, 0]\nalbedo = \"skin.png\"", skin = "[skin]\nepidermis_mm = 0.1";
+  const std::string keys = "origin_mm = [0, 0, 0]\nalbedo = \"skin.png\"",
+                    skin = "[skin]\nepidermis_mm = 0.1\nscattering = 1";
   const auto description = LoadSimulation(SceneOf(board, keys, skin))->scene;
   EXPECT_THAT(Scene::Create(description, 1).status().message(), HasSubstr("solved against a skin table"));
   const Scene scene = *Scene::Create(description, 1, &table);
