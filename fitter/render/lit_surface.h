@@ -27,8 +27,8 @@ struct LitSurface {
   Image<LitSample> samples;  // projector pixels; zero flux where nothing is lit
 };
 
-// Rasterises the surface into the light's pixel grid with a depth buffer; triangles longer than `max_edge_mm` in depth
-// bridge a discontinuity and are left out.
+// Rasterises the surface, with what lies beyond its edges (WithRim), into the light's pixel grid with a depth buffer;
+// triangles longer than `max_edge_mm` in depth bridge a discontinuity and are left out.
 [[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,
                                          double exposure_ms, double max_edge_mm = 6.0);
 

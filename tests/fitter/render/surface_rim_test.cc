@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/render/surface_rim.h"
+
+#include <Eigen/Geometry>
+#include <cmath>
+#include <span>
+
+#include <gtest/gtest.h>
+
+#include "fitter/render/mlsss.h"
+#include "tests/fitter/render/lit_scene.h"
+
+namespace stratalux::fit {
+namespace {
+
+HeightField SlantedPlane() {
+  return [](double x, double y) { return Height{kDistanceMm + 1.2 * x + 0.3 * y, 1.2, 0.3}; };
+}
+
+void Forget(SurfaceMap& surface, int i, int j) {
+  surface.mask(i, j) = 0;
+  for (int k = 0; k < 3; ++k) surface.point_mm(i, j, k) = surface.normal(i, j, k) = std::nanf("");
+}
+
+// Without the columns from `first` on.
+SurfaceMap CutOff(SurfaceMap surface, int first) {
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = first; i < surface.width(); ++i) Forget(surface, i, j);
+  return surface;
+}
+
+TEST(SurfaceRim, APlaneGoesOnByOneQuad) {
+  const SurfaceMap whole = MakeScene(SlantedPlane(), {0.0, 0.0, 0.0}).surface, rimmed = WithRim(CutOff(whole, 30), 6.0);
+  for (int j = 0; j < whole.height(); ++j) {
+    ASSERT_EQ(rimmed.mask(30, j), 1) << j;
+    EXPECT_EQ(rimmed.mask(31, j), 0) << j;
+    EXPECT_LT((rimmed.Point(30, j) - whole.Point(30, j)).norm(), 1e-3) << j;
+    EXPECT_LT((rimmed.Normal(30, j) - whole.Normal(30, j)).norm(), 1e-5) << j;
+    EXPECT_EQ(rimmed.Point(29, j), whole.Point(29, j)) << "what is known stays";
+  }
+}
+
+TEST(SurfaceRim, AHoleInADomeIsFilledAsItBends) {
+  const SurfaceMap whole = MakeScene(FaceLike(), {0.0, 0.0, 0.0}).surface;
+  SurfaceMap holed = whole;
+  Forget(holed, 40, 8);
+  const SurfaceMap rimmed = WithRim(holed, 6.0);
+  ASSERT_EQ(rimmed.mask(40, 8), 1);
+  EXPECT_LT((rimmed.Point(40, 8) - whole.Point(40, 8)).norm(), 0.03);
+  EXPECT_LT((rimmed.Normal(40, 8) - whole.Normal(40, 8)).norm(), 0.01);
+}
+
+TEST(SurfaceRim, NothingStandsBetweenTwoSurfacesOrBehindASilhouette) {
+  SurfaceMap steps = MakeScene(FrontalPlane(), {0.0, 0.0, 0.0}).surface;
+  for (int j = 0; j < steps.height(); ++j) {
+    for (int i = 25; i < steps.width(); ++i)
+      for (int k = 0; k < 3; ++k) steps.point_mm(i, j, k) *= 1.1F;
+    Forget(steps, 24, j);
+  }
+  const SurfaceMap between = WithRim(steps, 6.0);
+  for (int j = 0; j < steps.height(); ++j) EXPECT_EQ(between.mask(24, j), 0) << j;
+  // A normal that has turned away within the next quad.
+  SurfaceMap turning = CutOff(MakeScene(FrontalPlane(), {0.0, 0.0, 0.0}).surface, 30);
+  for (int j = 0; j < turning.height(); ++j)
+    for (int i = 28; i < 30; ++i) {
+      const double angle = (i == 28 ? 40.0 : 75.0) * M_PI / 180.0;
+      turning.normal(i, j, 0) = static_cast<float>(std::sin(angle));
+      turning.normal(i, j, 1) = 0.0F;
+      turning.normal(i, j, 2) = static_cast<float>(-std::cos(angle));
+    }
+  const SurfaceMap turned = WithRim(turning, 6.0);
+  for (int j = 0; j < turning.height(); ++j) EXPECT_EQ(turned.mask(30, j), 0) << j;
+}
+
+// Light that enters beyond the last quad comes out of it: with the rim lit, a surface that ends there is nearly as
+// bright at its edge as one that goes on.
+TEST(SurfaceRim, TheLastQuadIsNearlyAsBrightAsWhereTheSurfaceGoesOn) {
+  const Eigen::Vector3d lamp(-300.0, 0.0, 100.0);
+  const LitScene whole = MakeScene(FrontalPlane(), lamp);
+  const MixtureMap skin = UniformSkin(whole, {{0.6F, 0.2F, 0.5F}});
+  constexpr int kLast = 29;
+  // Of the last quad's light, where the lit surface ends before column `end` and its rim.
+  const auto at_the_edge = [&](int end) {
+    const LitSurface lit = BuildLitSurface(CutOff(whole.surface, end), whole.lit.light, kExposureMs);
+    const LitPyramid light = LightWith(lit, {.kind = PatternKind::kWhite});
+    const auto seen = RenderSubsurface(skin, CutOff(whole.surface, kLast + 1), whole.rig, lit, std::span(&light, 1));
+    return seen[0](kLast, whole.surface.height() / 2, 0);
+  };
+  const float all = at_the_edge(whole.surface.width());
+  EXPECT_GT(at_the_edge(kLast + 1) / all, 0.9F);
+  EXPECT_LT(at_the_edge(kLast) / all, 0.7F) << "as if there were no rim";
+}
+
+}  // namespace
+}  // namespace stratalux::fit
