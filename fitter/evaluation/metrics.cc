@@ -94,7 +94,8 @@ std::string Metrics::ToJson() const {
                {"session", session},
                {"fit_id", fit},
                {"program_version", program_version},
-               {"evaluation", evaluation}};
+               {"evaluation", evaluation},
+               {"evaluation_key", evaluation_key}};
   json["options"] = options_json.empty() ? Json::object() : Json::parse(options_json);
   json["artifacts"] = artifacts;
   json["prediction"] = heldout;

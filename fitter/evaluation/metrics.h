@@ -76,6 +76,7 @@ struct StageFigure {
 struct Metrics {
   std::string session, fit, program_version, options_json;
   std::string evaluation;                        // first | held_out | full: what of it is in here
+  std::string evaluation_key;                    // of the stages that were compared: other programs make other keys
   std::map<std::string, std::string> artifacts;  // stage -> key, of what the fit is made of
   std::vector<HeldOutFigure> heldout;
   std::vector<HeldOutFigure> ablations;  // and, beside each, the judged fit on the same mask

@@ -243,7 +243,16 @@ Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::s
   return db::RegisterFit(frames.store().folder(), proven);
 }
 
-Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit) {
+namespace {
+
+std::string EvaluationKey(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
+  return db::HashHex(nlohmann::json(KeysOf(graph, options, evaluation, projectors)).dump());
+}
+
+}  // namespace
+
+Result<std::optional<Evaluation>> EvaluationHeld(SessionGraph& graph, const RunOptions& options,
+                                                 const SessionFrames& frames, const std::string& fit) {
   std::optional<Evaluation> none;
   const fs::path folder = frames.store().FitFolder(frames.info().id, fit);
   SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
@@ -255,8 +264,11 @@ Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, co
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext((folder / "metrics.json").string()));
   const auto json = nlohmann::json::parse(text, nullptr, false);
   const std::string held = json.is_object() ? json.value("evaluation", "") : "";
-  for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, Evaluation::kFull})
-    if (held == ToString(evaluation)) return std::optional(evaluation);
+  for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, Evaluation::kFull}) {
+    if (held != ToString(evaluation)) continue;
+    const std::string today = EvaluationKey(graph, options, evaluation, frames.plan()->projectors);
+    return json.value("evaluation_key", "") == today ? std::optional(evaluation) : none;
+  }
   return none;
 }
 
@@ -308,6 +320,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   metrics.program_version = kVersion;
   metrics.options_json = options.ToJson();
   metrics.evaluation = ToString(evaluation);
+  metrics.evaluation_key = EvaluationKey(graph, options, evaluation, projectors);
   metrics.drift = shape->drift;
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())
@@ -315,7 +328,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
 
   fs::path place = frames.store().FitFolder(metrics.session, metrics.fit);
   SLX_ASSIGN_OR_RETURN(const KeyLock lock, stages.store().Lock(LockOfFit(metrics.fit), kEnters));
-  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, metrics.fit));
+  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(graph, options, frames, metrics.fit));
   if (held && *held >= evaluation) return place;  // another run's, meanwhile
   const fs::path partial = place.string() + kPartial;
   const RemovedOnSignal guard(partial);

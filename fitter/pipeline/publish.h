@@ -33,8 +33,10 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 // What killed runs left of fits that they were putting in their place: half made ones go; this fit, if it is whole and
 // not listed, or with the figures of before, is entered.
 [[nodiscard]] Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::string& fit);
-// What a listed fit holds; nullopt: there is none. kIntegrity names the file that is not what fit.json says.
-[[nodiscard]] Result<std::optional<Evaluation>> EvaluationHeld(const SessionFrames& frames, const std::string& fit);
+// What a listed fit holds; nullopt: there is none, or one that stages of another version were compared for. kIntegrity
+// names the file that is not what fit.json says.
+[[nodiscard]] Result<std::optional<Evaluation>> EvaluationHeld(SessionGraph& graph, const RunOptions& options,
+                                                               const SessionFrames& frames, const std::string& fit);
 
 // Held by whoever puts the fit in its place: one at a time.
 [[nodiscard]] std::string LockOfFit(const std::string& fit);

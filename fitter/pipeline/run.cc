@@ -97,7 +97,7 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, wanted})
     (void)KeysOf(graph, options, evaluation, Projectors(frames));
   SLX_RETURN_IF_ERROR(SettleFits(graph, frames, outcome.fit));
-  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
+  SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(graph, options, frames, outcome.fit));
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
   outcome.was_complete = held && *held >= wanted;
   if (outcome.was_complete) return Status::Ok();
@@ -145,7 +145,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   outcome.fit = FitIdOf(*graph, options);
   if (options.dry_run) {
     outcome.plan = graph->stages().Plan(WantedKeys(*graph, options, frames));
-    SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(frames, outcome.fit));
+    SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(*graph, options, frames, outcome.fit));
     outcome.was_complete = options.until == Stage::kReport && held && *held >= EvaluationOf(options);
     const FrameRecord& first = frames.rows().front().record;  // of a session that is fittable there is one
     outcome.readable = seal.RequireKey();

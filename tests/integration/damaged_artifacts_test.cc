@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 
 #include "db/base/own_hash.h"
+#include "db/catalogue/fit_record.h"
 #include "tests/integration/small_fit.h"
 #include "tests/support/text_file.h"
 
@@ -191,6 +192,25 @@ TEST_F(DamagedArtifacts, AFitThatWasChangedIsNamedAndMadeAgain) {
     EXPECT_EQ(Fit(store, Options("run")).code, 0);
     ExpectAsUndisturbed(store, damage.name);
   }
+}
+
+// Stages that a fit is judged by change, too: figures of another program are no figures of this one.
+TEST_F(DamagedArtifacts, FiguresOfAnotherProgramAreMadeAnew) {
+  const fs::path store = Fitted("store"), fit = FitOf(store), metrics = fit / "metrics.json";
+  const auto key = [&] { return Json::parse(ReadText(metrics))["evaluation_key"].get<std::string>(); };
+  const std::string todays = key();
+  Json others = Json::parse(ReadText(metrics));
+  others["evaluation_key"] = std::string(todays.size(), '0');
+  Replace(metrics, others.dump());
+  const auto row = db::ReadFitRecord(fit, Session(store).filename().string());
+  ASSERT_TRUE(row.ok()) << row.status().message();
+  Replace(fit / db::kFitRecordFile, *db::FitRecordOf(fit, *row));
+  const Outcome again = Fit(store, Options("run"));
+  EXPECT_EQ(again.code, 0);
+  EXPECT_THAT(again.out, Not(HasSubstr("complete already")));
+  EXPECT_EQ(key(), todays);
+  EXPECT_THAT(Fit(store, Options("run")).out, HasSubstr("complete already"));
+  EXPECT_EQ(Db(store, "verify --deep").code, 0);
 }
 
 TEST_F(DamagedArtifacts, OtherVerbsLeaveAFinishedFitAlone) {

@@ -47,7 +47,7 @@ class MapsWorth : public ScratchFolderTest {
     const std::string store = Given("STRATALUX_VISITOR_STORE", (folder_ / "store").c_str()), at = " --store " + store;
     if (!fs::exists(store)) {
       const std::string visitor =
-          " --seed " + Given("STRATALUX_SEED", "3") + " --size " + Given("STRATALUX_VISITOR_SIZE", "348x260");
+          " --seed " + Given("STRATALUX_SEED", "8") + " --size " + Given("STRATALUX_VISITOR_SIZE", "348x260");
       ASSERT_EQ(Execute("stratalux-db init" + at).code, 0);
       ASSERT_EQ(Execute("stratalux-rig capture --simulate" + at + visitor).code, 0);
     }

@@ -35,9 +35,9 @@ class Visitor : public ::testing::Test {
     folder_ = fs::temp_directory_path() / ("stratalux_integration_" + std::to_string(getpid()));
     store_ = (folder_ / "store").string();
     ASSERT_EQ(Execute("stratalux-db init --store " + store_).code, 0);
-    // Of the surface's form that the fit has, so that what it finds of it can be held to what is there.
+    // All of it skin, under a surface of the fit's form, so that what is found of that can be held to what is there.
     const std::string scene = (folder_ / "visitor.toml").string();
-    WriteText(scene, "[surface]\nform = \"ggx\"\noiliness = 0\nfuzz = 0\n");
+    WriteText(scene, "[head]\nbald = true\n[surface]\nform = \"ggx\"\noiliness = 0\nfuzz = 0\n");
     ASSERT_EQ(
         Execute("stratalux-rig capture --simulate=" + scene + " --store " + store_ + " --seed 5 --size " + Size()).code,
         0);

@@ -232,7 +232,7 @@ TEST(HeadClasses, BaldIsTheHeadWithoutThem) {
       const SurfaceClass part = head.MaterialAt({x, y, 700}).part;
       other += IsSkin(part) ? 0 : 1;
       if (!IsSkin(part) || part == SurfaceClass::kNose) continue;  // the nostrils' pits reach into the nose
-      ASSERT_NEAR(bald.Height(x, y), head.Height(x, y), 1e-3);
+      ASSERT_NEAR(bald.Height(x, y), head.Height(x, y), 0.01);
       ASSERT_EQ(bald.Skin({x, y, 700}).melanin, head.Skin({x, y, 700}).melanin);
     }
   EXPECT_GT(other, 500);
