@@ -3,7 +3,6 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <optional>
@@ -11,14 +10,9 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr double kLeastFacing = 0.05;  // cosine between normal and view
-
-// What two known quads in a row say of the one after them.
 struct Continuation {
-  Eigen::Vector2d ray;           // x / z, y / z
-  Eigen::Vector3d plane;         // normal / distance: inverse depth along a ray (x, y, 1) is plane . ray
-  Eigen::Vector3d normal;        // turned on
-  double neighbour_depth = 0.0;  // z
+  Eigen::Vector3d point, normal;
+  double from_depth = 0.0;  // z of the quad that it continues
 };
 
 class Rim {
@@ -26,30 +20,22 @@ class Rim {
   Rim(const SurfaceMap& surface, double max_edge_mm) : surface_(surface), max_edge_mm_(max_edge_mm) {}
 
   void Extend(int i, int j, SurfaceMap& out) const {
-    std::array<Continuation, 8> from;
-    size_t count = 0;
-    for (int y = -1; y <= 1; ++y)
-      for (int x = -1; x <= 1; ++x)
-        if (x != 0 || y != 0)
-          if (const auto one = Continue(i, j, x, y)) from[count++] = *one;
-    if (count == 0) return;
-    double nearest = std::numeric_limits<double>::infinity(), furthest = 0.0, inverse_depth = 0.0;
-    Eigen::Vector2d ray = Eigen::Vector2d::Zero();
-    Eigen::Vector3d normal = Eigen::Vector3d::Zero();
-    for (size_t k = 0; k < count; ++k) {
-      nearest = std::min(nearest, from[k].neighbour_depth);
-      furthest = std::max(furthest, from[k].neighbour_depth);
-      ray += from[k].ray / static_cast<double>(count);
-      normal += from[k].normal;
-    }
-    if (furthest - nearest > max_edge_mm_) return;
-    for (size_t k = 0; k < count; ++k)
-      inverse_depth += from[k].plane.dot(ray.homogeneous()) / static_cast<double>(count);
+    Eigen::Vector3d point = Eigen::Vector3d::Zero(), normal = Eigen::Vector3d::Zero();
+    double nearest = std::numeric_limits<double>::infinity(), furthest = 0.0;
+    int count = 0;
+    for (int dy = -1; dy <= 1; ++dy)
+      for (int dx = -1; dx <= 1; ++dx) {
+        const auto one = Continue(i, j, dx, dy);
+        if (!one) continue;
+        ++count;
+        point += one->point;
+        normal += one->normal;
+        nearest = std::min(nearest, one->from_depth);
+        furthest = std::max(furthest, one->from_depth);
+      }
+    if (count == 0 || furthest - nearest > max_edge_mm_) return;
+    point /= count;
     normal.normalize();
-    const Eigen::Vector3d view = ray.homogeneous().normalized();
-    if (!(inverse_depth > 0.0) || -normal.dot(view) < kLeastFacing) return;
-    const Eigen::Vector3d point = ray.homogeneous() / inverse_depth;
-    if (std::abs(point.z() - 0.5 * (nearest + furthest)) > max_edge_mm_) return;
     out.mask(i, j) = 1;
     for (int c = 0; c < 3; ++c) {
       out.point_mm(i, j, c) = static_cast<float>(point[c]);
@@ -66,9 +52,9 @@ class Rim {
     if (!Known(i + dx, j + dy) || !Known(i + 2 * dx, j + 2 * dy)) return std::nullopt;
     const Eigen::Vector3d beside = surface_.Point(i + dx, j + dy), behind = surface_.Point(i + 2 * dx, j + 2 * dy),
                           normal = surface_.Normal(i + dx, j + dy);
-    const double distance = normal.dot(beside);  // of the tangent plane from the camera, negative
-    if (!(distance < 0.0) || std::abs(beside.z() - behind.z()) > max_edge_mm_) return std::nullopt;
-    return Continuation{2.0 * beside.hnormalized() - behind.hnormalized(), normal / distance,
+    const Eigen::Vector3d step = beside - behind, along = step - normal * normal.dot(step);
+    if (std::abs(step.z()) > max_edge_mm_ || along.isZero()) return std::nullopt;
+    return Continuation{beside + along.normalized() * step.norm(),
                         2.0 * normal - surface_.Normal(i + 2 * dx, j + 2 * dy), beside.z()};
   }
 

@@ -7,10 +7,10 @@
 
 namespace stratalux::fit {
 
-// The surface and the quads next to it, each on the tangent planes of its known neighbours (the mean in inverse depth,
-// in which a plane is linear), with the normal as it turns from quad to quad. Left out are those whose plane no longer
-// faces the camera, and those whose neighbours are further apart in depth than `max_edge_mm`: they stand between two
-// surfaces. depth_sigma_mm of the new quads is NaN.
+// The surface and the quads next to it. Each continues the two known quads in a row of every direction that has them:
+// as far on the nearer one's tangent plane as that lies from the other, with the normal turned on likewise; their mean.
+// At a silhouette such a point lies beside its own camera ray, where the camera no longer sees the skin. Left out are
+// quads between surfaces that are further apart in depth than `max_edge_mm`. depth_sigma_mm of the new quads is NaN.
 [[nodiscard]] SurfaceMap WithRim(const SurfaceMap& surface, double max_edge_mm);
 
 }  // namespace stratalux::fit
