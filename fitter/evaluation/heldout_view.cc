@@ -3,6 +3,7 @@
 
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/render/surface_light.h"
+#include "fitter/render/surface_rim.h"
 #include "fitter/sensor/linear_frame.h"
 #include "shared/base/parallel.h"
 
@@ -18,7 +19,7 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   view.lights = lights;
   const ProjectorCalibration& held_out = view.rig.projectors[projector];
   const double open = 1.0 - held_out.black_level;  // a frame minus its black frame
-  view.lit = BuildLitSurface(view.shape.surface, held_out, plan.exposure_ms);
+  view.lit = BuildLitSurface(WithRim(view.shape.surface), held_out, plan.exposure_ms);
   view.pyramids.resize(lights.size());
   ParallelFor(static_cast<int64_t>(lights.size()), 1, [&](int64_t begin, int64_t end) {
     for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k)

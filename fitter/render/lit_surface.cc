@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 
-#include "fitter/render/surface_rim.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -141,9 +140,8 @@ LitPlanes PlanesOf(const Image<LitSample>& blocks, int colour) {
 
 }  // namespace
 
-LitSurface BuildLitSurface(const SurfaceMap& known_surface, const ProjectorCalibration& light, double exposure_ms,
+LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms,
                            double max_edge_mm) {
-  const SurfaceMap surface = WithRim(known_surface, max_edge_mm);
   LitSurface lit{light, exposure_ms, Image<LitSample>(light.model.width, light.model.height)};
   const int width = surface.width(), height = surface.height();
   std::vector<Vertex> vertices(static_cast<size_t>(width) * height);

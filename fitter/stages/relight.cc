@@ -9,6 +9,7 @@
 #include "fitter/export/pictures.h"
 #include "fitter/render/mlsss.h"
 #include "fitter/render/surface_light.h"
+#include "fitter/render/surface_rim.h"
 #include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/image/png.h"
@@ -83,7 +84,7 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   if (light.kind == VirtualLight::Kind::kProjector) {
     SLX_RETURN_IF_ERROR(light.pattern.Validate(projector.model.width, projector.model.height));
   }
-  const LitSurface lit = BuildLitSurface(fit.shape.surface, projector, exposure_ms);
+  const LitSurface lit = BuildLitSurface(WithRim(fit.shape.surface), projector, exposure_ms);
   const std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
   Relit relit;
   relit.provenance = fit.provenance;

@@ -97,16 +97,16 @@ TEST(SurfaceRim, TheLastQuadIsNearlyAsBrightAsWhereTheSurfaceGoesOn) {
   const LitScene whole = MakeScene(FrontalPlane(), lamp);
   const MixtureMap skin = UniformSkin(whole, {{0.6F, 0.2F, 0.5F}});
   constexpr int kLast = 29;
-  // Of the last quad's light, where the lit surface ends before column `end` and its rim.
-  const auto at_the_edge = [&](int end) {
-    const LitSurface lit = BuildLitSurface(CutOff(whole.surface, end), whole.lit.light, kExposureMs);
+  // Of the last quad, by what of the surface is lit.
+  const SurfaceMap cut = CutOff(whole.surface, kLast + 1);
+  const auto at_the_edge = [&](const SurfaceMap& lit_surface) {
+    const LitSurface lit = BuildLitSurface(lit_surface, whole.lit.light, kExposureMs);
     const LitPyramid light = LightWith(lit, {.kind = PatternKind::kWhite});
-    const auto seen = RenderSubsurface(skin, CutOff(whole.surface, kLast + 1), whole.rig, lit, std::span(&light, 1));
-    return seen[0](kLast, whole.surface.height() / 2, 0);
+    return RenderSubsurface(skin, cut, whole.rig, lit, std::span(&light, 1))[0](kLast, cut.height() / 2, 0);
   };
-  const float all = at_the_edge(whole.surface.width());
-  EXPECT_GT(at_the_edge(kLast + 1) / all, 0.9F);
-  EXPECT_LT(at_the_edge(kLast) / all, 0.7F) << "as if there were no rim";
+  const float all = at_the_edge(whole.surface);
+  EXPECT_GT(at_the_edge(WithRim(cut)) / all, 0.9F);
+  EXPECT_LT(at_the_edge(cut) / all, 0.7F) << "what the rim is for";
 }
 
 }  // namespace
