@@ -231,8 +231,10 @@ TEST(HeadClasses, BaldIsTheHeadWithoutThem) {
       ASSERT_TRUE(IsSkin(bald.MaterialAt({x, y, 700}).part));
       const SurfaceClass part = head.MaterialAt({x, y, 700}).part;
       other += IsSkin(part) ? 0 : 1;
-      if (!IsSkin(part) || part == SurfaceClass::kNose) continue;  // the nostrils' pits reach into the nose
-      ASSERT_NEAR(bald.Height(x, y), head.Height(x, y), 0.01);
+      // The nostrils' pits reach into the nose and a little around it.
+      const bool near_nostrils = std::abs(x) < 20.0 && y > 10.0 && y < 46.0;
+      if (!IsSkin(part) || near_nostrils) continue;
+      ASSERT_NEAR(bald.Height(x, y), head.Height(x, y), 1e-3);
       ASSERT_EQ(bald.Skin({x, y, 700}).melanin, head.Skin({x, y, 700}).melanin);
     }
   EXPECT_GT(other, 500);
