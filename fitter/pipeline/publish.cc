@@ -167,6 +167,10 @@ Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
                         "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
 }
 
+std::string EvaluationKey(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
+  return db::HashHex(nlohmann::json(KeysOf(graph, options, evaluation, projectors)).dump());
+}
+
 }  // namespace
 
 std::string LockOfFit(const std::string& fit) { return "fit-" + fit; }
@@ -242,14 +246,6 @@ Status SettleFits(SessionGraph& graph, const SessionFrames& frames, const std::s
   SLX_ASSIGN_OR_RETURN(const db::FitRow proven, db::ReadProvenFit(place, frames.info().id));
   return db::RegisterFit(frames.store().folder(), proven);
 }
-
-namespace {
-
-std::string EvaluationKey(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
-  return db::HashHex(nlohmann::json(KeysOf(graph, options, evaluation, projectors)).dump());
-}
-
-}  // namespace
 
 Result<std::optional<Evaluation>> EvaluationHeld(SessionGraph& graph, const RunOptions& options,
                                                  const SessionFrames& frames, const std::string& fit) {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "fitter/render/surface_rim.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -140,8 +141,7 @@ LitPlanes PlanesOf(const Image<LitSample>& blocks, int colour) {
 
 }  // namespace
 
-LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms,
-                           double max_edge_mm) {
+LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms) {
   LitSurface lit{light, exposure_ms, Image<LitSample>(light.model.width, light.model.height)};
   const int width = surface.width(), height = surface.height();
   std::vector<Vertex> vertices(static_cast<size_t>(width) * height);
@@ -162,7 +162,7 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
   auto fill = [&](size_t a, size_t b, size_t c) {
     if (known[a] == 0 || known[b] == 0 || known[c] == 0) return;
     const auto [low, high] = std::minmax({vertices[a].point.z(), vertices[b].point.z(), vertices[c].point.z()});
-    if (high - low <= max_edge_mm) FillTriangle({&vertices[a], &vertices[b], &vertices[c]}, lit.samples, nearest);
+    if (high - low <= kMaxEdgeMm) FillTriangle({&vertices[a], &vertices[b], &vertices[c]}, lit.samples, nearest);
   };
   for (int j = 0; j + 1 < height; ++j)
     for (int i = 0; i + 1 < width; ++i) {

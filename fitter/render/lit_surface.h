@@ -8,7 +8,6 @@
 
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/render/gather_kernel.h"
-#include "fitter/render/surface_rim.h"
 #include "shared/capture/rig_calibration.h"
 #include "shared/pattern/pattern.h"
 
@@ -28,11 +27,11 @@ struct LitSurface {
   Image<LitSample> samples;  // projector pixels; zero flux where nothing is lit
 };
 
-// Rasterises the surface into the light's pixel grid with a depth buffer; triangles longer than `max_edge_mm` in depth
+// Rasterises the surface into the light's pixel grid with a depth buffer; triangles longer than kMaxEdgeMm in depth
 // bridge a discontinuity and are left out. What is rendered by it wants the surface WithRim: it ends at the centres of
 // its last quads.
 [[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,
-                                         double exposure_ms, double max_edge_mm = kMaxEdgeMm);
+                                         double exposure_ms);
 
 // A pattern times `scale` in the light's pixels, as its optics blur it.
 [[nodiscard]] Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, double scale = 1.0);

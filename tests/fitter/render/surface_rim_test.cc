@@ -7,6 +7,7 @@
 
 #include <gtest/gtest.h>
 
+#include "fitter/reconstruction/components.h"
 #include "fitter/render/mlsss.h"
 #include "tests/fitter/render/lit_scene.h"
 
@@ -17,20 +18,15 @@ HeightField SlantedPlane() {
   return [](double x, double y) { return Height{kDistanceMm + 1.2 * x + 0.3 * y, 1.2, 0.3}; };
 }
 
-void Forget(SurfaceMap& surface, int i, int j) {
-  surface.mask(i, j) = 0;
-  for (int k = 0; k < 3; ++k) surface.point_mm(i, j, k) = surface.normal(i, j, k) = std::nanf("");
-}
-
 // Without the columns from `first` on.
 SurfaceMap CutOff(SurfaceMap surface, int first) {
   for (int j = 0; j < surface.height(); ++j)
-    for (int i = first; i < surface.width(); ++i) Forget(surface, i, j);
+    for (int i = first; i < surface.width(); ++i) ForgetQuad(surface, i, j);
   return surface;
 }
 
 TEST(SurfaceRim, APlaneGoesOnByOneQuad) {
-  const SurfaceMap whole = MakeScene(SlantedPlane(), {0.0, 0.0, 0.0}).surface, rimmed = WithRim(CutOff(whole, 30), 6.0);
+  const SurfaceMap whole = MakeScene(SlantedPlane(), {0.0, 0.0, 0.0}).surface, rimmed = WithRim(CutOff(whole, 30));
   for (int j = 0; j < whole.height(); ++j) {
     ASSERT_EQ(rimmed.mask(30, j), 1) << j;
     EXPECT_EQ(rimmed.mask(31, j), 0) << j;
@@ -44,8 +40,8 @@ TEST(SurfaceRim, APlaneGoesOnByOneQuad) {
 TEST(SurfaceRim, AHoleInADomeIsFilledAsItBends) {
   const SurfaceMap whole = MakeScene(FaceLike(), {0.0, 0.0, 0.0}).surface;
   SurfaceMap holed = whole;
-  Forget(holed, 40, 8);
-  const SurfaceMap rimmed = WithRim(holed, 6.0);
+  ForgetQuad(holed, 40, 8);
+  const SurfaceMap rimmed = WithRim(holed);
   ASSERT_EQ(rimmed.mask(40, 8), 1);
   EXPECT_LT((rimmed.Point(40, 8) - whole.Point(40, 8)).norm(), 0.03);
   EXPECT_LT((rimmed.Normal(40, 8) - whole.Normal(40, 8)).norm(), 0.01);
@@ -56,9 +52,9 @@ TEST(SurfaceRim, NothingStandsBetweenTwoSurfaces) {
   for (int j = 0; j < steps.height(); ++j) {
     for (int i = 25; i < steps.width(); ++i)
       for (int k = 0; k < 3; ++k) steps.point_mm(i, j, k) *= 1.1F;
-    Forget(steps, 24, j);
+    ForgetQuad(steps, 24, j);
   }
-  const SurfaceMap between = WithRim(steps, 6.0);
+  const SurfaceMap between = WithRim(steps);
   for (int j = 0; j < steps.height(); ++j) EXPECT_EQ(between.mask(24, j), 0) << j;
 }
 
@@ -78,8 +74,8 @@ TEST(SurfaceRim, GoesRoundASilhouette) {
     for (int i = 0; i < ball.width(); ++i)
       if (ball.Point(i, j).head<2>().norm() > 0.995 * kRadius ||
           std::abs((ball.Point(i, j) - centre).norm() - kRadius) > 0.2)
-        Forget(ball, i, j);
-  const SurfaceMap rimmed = WithRim(ball, 6.0);
+        ForgetQuad(ball, i, j);
+  const SurfaceMap rimmed = WithRim(ball);
   int round = 0;
   for (int j = 0; j < ball.height(); ++j)
     for (int i = 0; i < ball.width(); ++i) {
