@@ -11,7 +11,10 @@ add_test(NAME style.includes COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-includes
 add_test(NAME style.includes_selftest COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-includes-selftest.sh")
 add_test(NAME style.spdx COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style.sh" spdx)
 add_test(NAME style.spdx_selftest COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style-selftest.sh" spdx)
-set(style_tests style.includes style.includes_selftest style.spdx style.spdx_selftest)
+add_test(NAME style.scratch COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style.sh" scratch)
+add_test(NAME style.scratch_selftest COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style-selftest.sh" scratch)
+set(style_tests style.includes style.includes_selftest style.spdx style.spdx_selftest style.scratch
+    style.scratch_selftest)
 if(is_clang_format_14)
   add_test(NAME style.format COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style.sh" format)
   add_test(NAME style.format_selftest COMMAND "${CMAKE_SOURCE_DIR}/scripts/check-style-selftest.sh" format)

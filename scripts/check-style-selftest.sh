@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # The style check must find a planted violation in every folder, and pass a clean tree.
-#   scripts/check-style-selftest.sh format|spdx
+#   scripts/check-style-selftest.sh format|spdx|scratch
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 check=$here/check-style.sh
-kind=${1:?format or spdx}
+kind=${1:?format, spdx or scratch}
 tree=$(mktemp -d)
 trap 'rm -rf "$tree"' EXIT
 spdx='// SPDX-License-Identifier: Apache-2.0'
@@ -35,6 +35,9 @@ for folder in shared db firmware-host fitter tests; do
         plant "$file" ""
         plant "$file" "\n$spdx\nint x;\n"                           # on the first line, not on a later one
         plant "$file" "// SPDX-License-Identifier: MIT\nint x;\n" ;;
+      scratch)
+        plant "$file" "$spdx\nauto f = std::filesystem::temp_directory_path() / \"mesh.ply\";\n"
+        plant "$file" "$spdx\nauto f =\n    fs::temp_directory_path() /\n    (name + \".ply\");\n" ;;
     esac
   done
 done

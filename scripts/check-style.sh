@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 #   scripts/check-style.sh format [ROOT]   clang-format would change nothing
 #   scripts/check-style.sh spdx [ROOT]     every source file begins with its licence
+#   scripts/check-style.sh scratch [ROOT]  nothing has a fixed name in the temporary folder, where
+#                                          two tests at once would take each other's files
 set -uo pipefail
 cd "${2:-$(dirname "$0")/..}" || exit 2
 sources() { find shared db firmware-host fitter tests -name '*.h' -o -name '*.cc' | sort; }
@@ -13,5 +15,12 @@ case "${1:-}" in
       head -n 1 "$file" | grep -q 'SPDX-License-Identifier: Apache-2.0' || { echo "$file: no SPDX line"; bad=1; }
     done
     exit $bad ;;
-  *) echo "usage: scripts/check-style.sh format|spdx [ROOT]" >&2; exit 2 ;;
+  scratch)
+    fixed=$(sources | xargs grep -lPzo 'temp_directory_path\(\)\s*/(?![^;]*(XXXXXX|getpid\(\)))')
+    [ -n "$fixed" ] || exit 0
+    while read -r file; do
+      echo "$file: a fixed name in the temporary folder; tests/support/scratch_folder.h has folders"
+    done <<<"$fixed"
+    exit 1 ;;
+  *) echo "usage: scripts/check-style.sh format|spdx|scratch [ROOT]" >&2; exit 2 ;;
 esac

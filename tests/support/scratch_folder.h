@@ -10,20 +10,36 @@
 
 namespace stratalux {
 
-class ScratchFolderTest : public ::testing::Test {
- protected:
-  ScratchFolderTest() {
+class ScratchFolder {
+ public:
+  ScratchFolder() {
     std::string name = (std::filesystem::temp_directory_path() / "stratalux-test-XXXXXX").string();
     if (mkdtemp(name.data()) == nullptr) throw std::filesystem::filesystem_error("mkdtemp", name, {});
-    folder_ = name;
+    path_ = name;
   }
-  ~ScratchFolderTest() override {
+  ~ScratchFolder() {
     std::error_code ignored;
-    std::filesystem::permissions(folder_, std::filesystem::perms::owner_all, ignored);
-    std::filesystem::remove_all(folder_, ignored);
+    std::filesystem::permissions(path_, std::filesystem::perms::owner_all, ignored);
+    std::filesystem::remove_all(path_, ignored);
+  }
+  ScratchFolder(const ScratchFolder&) = delete;
+  ScratchFolder& operator=(const ScratchFolder&) = delete;
+
+  [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+  friend std::filesystem::path operator/(const ScratchFolder& folder, const std::filesystem::path& file) {
+    return folder.path_ / file;
   }
 
-  std::filesystem::path folder_;
+ private:
+  std::filesystem::path path_;
+};
+
+class ScratchFolderTest : public ::testing::Test {
+ private:
+  ScratchFolder scratch_;
+
+ protected:
+  const std::filesystem::path folder_ = scratch_.path();
 };
 
 }  // namespace stratalux

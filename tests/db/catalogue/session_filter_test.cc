@@ -2,12 +2,14 @@
 #include "db/catalogue/session_filter.h"
 
 #include <algorithm>
+#include <optional>
 #include <random>
 
 #include <gtest/gtest.h>
 
 #include "tests/db/index_rows.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::db {
 namespace {
@@ -45,15 +47,13 @@ bool Passes(const RowsOfSession& s, const SessionFilter& f) {
 class SessionFilterTest : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
-    std::string name = (std::filesystem::temp_directory_path() / "stratalux-filter-XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-    rows_ = WriteIndexRows(folder_, {.sessions = 240, .frames_per_session = 3, .seed = 7});
-    index_.emplace(*ReadOnlyIndex::Open(folder_));
+    folder_.emplace();
+    rows_ = WriteIndexRows(folder_->path(), {.sessions = 240, .frames_per_session = 3, .seed = 7});
+    index_.emplace(*ReadOnlyIndex::Open(folder_->path()));
   }
   static void TearDownTestSuite() {
     index_.reset();
-    std::filesystem::remove_all(folder_);
+    folder_.reset();
   }
 
   static std::vector<std::string> Listed(const SessionFilter& filter) {
@@ -72,7 +72,7 @@ class SessionFilterTest : public ::testing::Test {
   }
 
   // Only read by the tests.
-  static inline std::filesystem::path folder_;
+  static inline std::optional<ScratchFolder> folder_;
   static inline std::vector<RowsOfSession> rows_;
   static inline std::optional<ReadOnlyIndex> index_;
 };

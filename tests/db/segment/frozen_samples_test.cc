@@ -70,8 +70,9 @@ TEST(FrozenSamples, SegmentVersion1IsReadForEver) {
 }
 
 TEST(FrozenSamples, DISABLED_Write) {
-  const auto file = std::filesystem::temp_directory_path() / "segment-new.seg";
-  std::filesystem::remove(file);
+  std::string folder = (std::filesystem::temp_directory_path() / "segment-new-XXXXXX").string();
+  ASSERT_NE(mkdtemp(folder.data()), nullptr);
+  const auto file = std::filesystem::path(folder) / "segment-new.seg";
   auto writer = SegmentWriter::Create(file, "s000017-0badcafe");
   ASSERT_TRUE(writer.ok()) << writer.status().message();
   int step = 0;

@@ -4,11 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <fstream>
 #include <map>
 #include <memory>
 #include <numeric>
+#include <optional>
 #include <set>
 #include <string>
 #include <tuple>
@@ -22,6 +22,7 @@
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "shared/capture/plan.h"
 #include "tests/firmware-host/simulated/small_rig.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
@@ -254,6 +255,7 @@ TEST(HeadClasses, NostrilsAreShallowPits) {
 class RegionRig : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
+    scratch_.emplace();
     Logger quiet(LogLevel::kError);
     for (const auto& [name, axis] : {std::pair{"one", std::vector{1.0}}, {"two", std::vector{0.5, 1.0}}})
       ASSERT_TRUE(GenerateSkinTable({1000, 1, 0}, axis, {}, quiet)->Save(File(name), 1).ok());
@@ -261,19 +263,17 @@ class RegionRig : public ::testing::Test {
     std::ofstream(File("samples.toml")) << "[skin]\nscattering = 1\n";
     std::ofstream(File("low.toml")) << "[skin]\nscattering = 0.4\n";
   }
-  static void TearDownTestSuite() {
-    for (const char* name : {"one", "two", "scene.toml", "samples.toml", "low.toml"})
-      std::filesystem::remove(File(name));
-  }
-  static std::string File(const std::string& name) {
-    return (std::filesystem::temp_directory_path() / ("stratalux_regions_" + name)).string();
-  }
+  static void TearDownTestSuite() { scratch_.reset(); }
+  static std::string File(const std::string& name) { return (*scratch_ / name).string(); }
   static Result<std::unique_ptr<SimulatedRig>> Make(const std::string& scene, const std::string& table) {
     SimulatedRigOptions options = SmallRig(File(scene));
     options.skin_table = File(table);
     static Logger quiet(LogLevel::kError);
     return SimulatedRig::Create(options, quiet);
   }
+
+ private:
+  static inline std::optional<ScratchFolder> scratch_;
 };
 
 TEST_F(RegionRig, ATableThatDoesNotKnowTheirScatteringIsRefused) {

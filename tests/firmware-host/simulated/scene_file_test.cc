@@ -11,27 +11,22 @@
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/simulation_file.h"
 #include "firmware-host/simulated/skin/population.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
 
 using ::testing::HasSubstr;
 
-class SceneFile : public ::testing::Test {
+class SceneFile : public ScratchFolderTest {
  protected:
-  void SetUp() override {
-    file_ =
-        std::filesystem::temp_directory_path() /
-        ("stratalux_scene_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()) + ".toml");
-  }
-  void TearDown() override { std::filesystem::remove(file_); }
   Result<SceneDescription> Load(const std::string& text) {
     std::ofstream(file_) << text;
     SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(file_.string()));
     return simulation.scene;
   }
   Scene Make(const std::string& text) { return *Scene::Create(*Load(text), 1); }
-  std::filesystem::path file_;
+  std::filesystem::path file_ = folder_ / "scene.toml";
 };
 
 TEST_F(SceneFile, AnEmptyFileIsTheDefaultVisitor) {

@@ -14,6 +14,7 @@
 #include "fitter/reconstruction/triangulate.h"
 #include "shared/base/random.h"
 #include "tests/fitter/geometry/synthetic_rig.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -233,7 +234,8 @@ TEST(Mesh, FacesTheCameraAndIsReadBack) {
     const auto p = [&](int k) { return Eigen::Map<const Eigen::Vector3f>(mesh.positions_mm[t[k]].data()); };
     ASSERT_LT((p(1) - p(0)).cross(p(2) - p(0)).z(), 0.0F);
   }
-  const auto file = std::filesystem::temp_directory_path() / "stratalux_mesh_test.ply";
+  const ScratchFolder scratch;
+  const auto file = scratch / "mesh.ply";
   ASSERT_TRUE(WritePly(file, mesh).ok());
   std::ifstream in(file, std::ios::binary);
   std::string line;
@@ -245,7 +247,6 @@ TEST(Mesh, FacesTheCameraAndIsReadBack) {
   EXPECT_EQ(first[5], -1.0F);
   const auto header = static_cast<uintmax_t>(in.tellg()) - sizeof(first);
   EXPECT_EQ(std::filesystem::file_size(file), header + mesh.positions_mm.size() * 24 + mesh.triangles.size() * 13);
-  std::filesystem::remove(file);
 }
 
 // The whole road: images of a sphere through the decoder, the triangulation and the smoothing.

@@ -6,13 +6,16 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::fit {
 namespace {
 
 TEST(ExrFile, ReadsBackWhatWasWrittenBitForBit) {
   Image<float> image(7, 5, 3);
   for (size_t i = 0; i < image.size(); ++i) image.pixels()[i] = std::sin(static_cast<float>(i)) * 1e3F;
-  const auto file = std::filesystem::temp_directory_path() / "stratalux_exr_test.exr";
+  const ScratchFolder scratch;
+  const auto file = scratch / "image.exr";
   ASSERT_TRUE(WriteExr(file, image, {"R", "G", "B"}).ok());
   const auto back = ReadExr(file, {"R", "G", "B"});
   ASSERT_TRUE(back.ok()) << back.status().message();

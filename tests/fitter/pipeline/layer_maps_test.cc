@@ -9,6 +9,7 @@
 #include "fitter/export/pictures.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -71,16 +72,14 @@ TEST(LayerMaps, BandsHoldAThirdOfTheLightEachAndAddUpToTheTotal) {
 TEST(LayerMaps, AreWrittenAsExrAndShownWithColourBars) {
   const MixtureMap map = SmallMap();
   const LayerMaps maps = SummariseLayers(map);
-  const auto folder = std::filesystem::temp_directory_path() / "stratalux_layer_maps_test";
-  std::filesystem::create_directories(folder);
-  ASSERT_TRUE(WriteLayerMaps(folder, maps).ok());
+  const ScratchFolder folder;
+  ASSERT_TRUE(WriteLayerMaps(folder.path(), maps).ok());
   const auto depth = ReadExr(folder / "mean_depth_mm.exr", {"R", "G", "B"});
   ASSERT_TRUE(depth.ok());
   EXPECT_EQ((*depth)(3, 2, 1), maps.mean_depth_mm(3, 2, 1));
   const auto bands = ReadExr(folder / "depth_bands.exr", {"shallow.B", "middle.B", "deep.B"});
   ASSERT_TRUE(bands.ok());
   EXPECT_EQ((*bands)(5, 1, 2), maps.deep(5, 1, 2));
-  std::filesystem::remove_all(folder);
   const ReportSection section = LayerPictures(ShownOf({map, 1, Image<float>(6, 4, 3, 80.0F)}, 4));
   EXPECT_GE(section.images.size(), 9U);
   const auto html = RenderHtml({"t", "s", {section}});

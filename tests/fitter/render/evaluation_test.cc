@@ -17,6 +17,7 @@
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
 #include "tests/fitter/render/lit_scene.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -193,12 +194,10 @@ TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
 }
 
 TEST(SceneTruth, IsAbsentWhereTheSessionHasNone) {
-  const auto folder = std::filesystem::temp_directory_path() / "stratalux_no_truth";
-  std::filesystem::create_directories(folder);
-  const auto truth = SceneTruth::Open(folder);
+  const ScratchFolder folder;
+  const auto truth = SceneTruth::Open(folder.path());
   ASSERT_TRUE(truth.ok());
   EXPECT_FALSE(truth->has_value());
-  std::filesystem::remove_all(folder);
 }
 
 TEST(Metrics, WritesSchemaTwo) {

@@ -11,6 +11,7 @@
 #include "fitter/report/svg_drawing.h"
 #include "shared/image/png.h"
 #include "tests/fitter/report/html_checks.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -89,16 +90,16 @@ TEST(RenderHtml, CarriesPicturesBitForBit) {
   const Report report = Sample();
   const std::string html = Rendered(report);
   const std::string mark = "base64,";
+  const ScratchFolder scratch;
   size_t at = 0;
   for (const ReportImage& image : report.sections[0].images) {
     at = html.find(mark, at);
     ASSERT_NE(at, std::string::npos);
     at += mark.size();
     const auto bytes = FromBase64(html.substr(at, html.find('\'', at) - at));
-    const auto file = std::filesystem::temp_directory_path() / "stratalux_report_picture.png";
+    const auto file = scratch / "picture.png";
     std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(bytes.data()), std::ssize(bytes));
     const auto read = ReadPng(file, nullptr);
-    std::filesystem::remove(file);
     ASSERT_TRUE(read.ok()) << read.status().message();
     ASSERT_EQ(read->channels(), image.pixels.channels());
     ASSERT_EQ(read->size(), image.pixels.size());

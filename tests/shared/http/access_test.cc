@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::http {
 namespace {
 
@@ -194,22 +196,14 @@ TEST(AccessGuard, MakesThoseWaitWhoGuessTheKeepersToken) {
   EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, kKeeperToken))), 429);
 }
 
-class TokenFile : public ::testing::Test {
+class TokenFile : public ScratchFolderTest {
  protected:
-  void SetUp() override {
-    std::string name = (std::filesystem::temp_directory_path() / "stratalux-token-XXXXXX").string();
-    const int fd = mkstemp(name.data());
-    ASSERT_GE(fd, 0);
-    UniqueFd closes(fd);
-    file_ = name;
-  }
-  void TearDown() override { std::filesystem::remove(file_); }
   Result<std::string> Read(const std::string& text, mode_t mode = 0600) const {
     std::ofstream(file_, std::ios::binary | std::ios::trunc) << text;
     chmod(file_.c_str(), mode);
     return ReadTokenFile(file_);
   }
-  std::string file_;
+  std::string file_ = (folder_ / "token").string();
 };
 
 TEST_F(TokenFile, IsItsFirstLine) {

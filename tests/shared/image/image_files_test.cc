@@ -7,6 +7,7 @@
 #include "shared/base/random.h"
 #include "shared/image/png.h"
 #include "shared/image/raw12.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux {
 namespace {
@@ -32,12 +33,9 @@ TEST(Raw12, UnpackInvertsPackForAnyWidth) {
   }
 }
 
-class PngFile : public ::testing::Test {
+class PngFile : public ScratchFolderTest {
  protected:
-  void TearDown() override { std::filesystem::remove(file_); }
-  std::filesystem::path file_ =
-      std::filesystem::temp_directory_path() /
-      (std::string("stratalux_png_") + ::testing::UnitTest::GetInstance()->current_test_info()->name() + ".png");
+  std::filesystem::path file_ = folder_ / "picture.png";
 };
 
 TEST_F(PngFile, KeepsEverySampleAtBothDepths) {
