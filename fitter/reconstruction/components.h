@@ -11,8 +11,8 @@ namespace stratalux::fit {
 // Marks a quad as unknown: NaN maps, mask 0.
 void ForgetQuad(SurfaceMap& surface, int i, int j);
 
-// Quads are connected to their four neighbours where the depths (z) differ by at most `max_step_mm`. Components of
-// fewer than `min_quads` are forgotten; returns the number of quads dropped.
-int64_t RemoveIslands(SurfaceMap& surface, double max_step_mm, int min_quads);
+// Quads are connected to those of their four neighbours that are OnOneSurface with them. Components of fewer than
+// `min_quads` are forgotten; returns the number of quads dropped.
+int64_t RemoveIslands(SurfaceMap& surface, int min_quads);
 
 }  // namespace stratalux::fit

@@ -3,11 +3,16 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <atomic>
 #include <cmath>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "fitter/reconstruction/components.h"
+#include "fitter/reconstruction/one_surface.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -17,132 +22,263 @@ namespace {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-struct Sample {
-  Vector6 basis;         // 1, x, y, x^2, x y, y^2 about the centre, in window radii
-  double inverse_depth;  // relative to the centre's: z0 / z - 1, so that depth errors are about -z0 times its errors
-  double sigma;          // of inverse_depth
-  double base_weight;    // distance weight / sigma^2
+// Where a window's quads lie about its centre, the nearest first.
+struct Offset {
+  int dx = 0, dy = 0;
+  int parent = 0;  // the quad before it on the way from the centre
+  double radius = 0.0;
 };
 
+std::vector<Offset> OffsetsWithin(double radius) {
+  const int reach = static_cast<int>(radius);
+  std::vector<Offset> offsets;
+  for (int dy = -reach; dy <= reach; ++dy)
+    for (int dx = -reach; dx <= reach; ++dx)
+      if (const double r = std::hypot(dx, dy); r <= radius) offsets.push_back({dx, dy, 0, r});
+  std::stable_sort(offsets.begin(), offsets.end(), [](const auto& a, const auto& b) { return a.radius < b.radius; });
+  for (Offset& o : offsets) {
+    const int steps = std::max(std::abs(o.dx), std::abs(o.dy));
+    if (steps == 0) continue;
+    const int dx = o.dx - static_cast<int>(std::lround(static_cast<double>(o.dx) / steps));
+    const int dy = o.dy - static_cast<int>(std::lround(static_cast<double>(o.dy) / steps));
+    const auto at = std::ranges::find_if(offsets, [&](const Offset& p) { return p.dx == dx && p.dy == dy; });
+    o.parent = static_cast<int>(at - offsets.begin());
+  }
+  return offsets;
+}
+
+// Of a window: columns that sums run along.
+struct Samples {
+  std::vector<double> x, y;           // from the centre, quads
+  std::vector<double> inverse_depth;  // relative to the centre's: z0 / z - 1, its errors about -1 / z0 of the depth's
+  std::vector<double> variance;       // of it
+  std::vector<double> noise;          // the part of that which is independent from quad to quad
+  std::vector<double> radius;         // quads
+  std::vector<uint8_t> reached;       // of all offsets so far
+
+  void Clear() {
+    for (auto* column : {&x, &y, &inverse_depth, &variance, &noise, &radius}) column->clear();
+    reached.clear();
+  }
+  [[nodiscard]] size_t size() const { return x.size(); }
+};
+
+using Column = Eigen::Map<const Eigen::ArrayXd>;
+Column ColumnOf(const std::vector<double>& values, size_t count) {
+  return {values.data(), static_cast<Eigen::Index>(count)};
+}
+
+// Sums of weight x^a y^b, a + b <= 4, as a quadratic's normal equations have them.
+Matrix6 Moments(const Eigen::ArrayXd& w, const Column& x, const Column& y, Eigen::ArrayXd& wx, Eigen::ArrayXd& wy) {
+  Matrix6 m;
+  wx = w * x;
+  wy = w * y;
+  m(0, 0) = w.sum();
+  m(1, 0) = wx.sum();
+  m(2, 0) = wy.sum();
+  m(3, 0) = m(1, 1) = (wx * x).sum();
+  m(4, 0) = m(2, 1) = (wx * y).sum();
+  m(5, 0) = m(2, 2) = (wy * y).sum();
+  wx *= x;  // w x^2
+  wy *= y;  // w y^2
+  m(3, 1) = (wx * x).sum();
+  m(3, 2) = m(4, 1) = (wx * y).sum();
+  m(4, 2) = m(5, 1) = (wy * x).sum();
+  m(5, 2) = (wy * y).sum();
+  m(3, 3) = (wx * x * x).sum();
+  m(4, 3) = (wx * x * y).sum();
+  m(5, 3) = m(4, 4) = (wx * y * y).sum();
+  m(5, 4) = (wy * x * y).sum();
+  m(5, 5) = (wy * y * y).sum();
+  return m.selfadjointView<Eigen::Lower>();
+}
+
+// Of a quadratic in x, y (quads): 1, x, y, x^2, x y, y^2.
 struct LocalFit {
-  Vector6 coefficients;
-  double sigma = 0.0;  // of the constant term
+  Vector6 coefficients = Vector6::Zero();
+  Eigen::Vector3d sigmas = Eigen::Vector3d::Zero();  // of the constant and the linear terms
 };
 
 class Smoother {
  public:
-  Smoother(const SurfaceMap& rough, const RigCalibration& rig, const SmoothOptions& options)
-      : rough_(rough), options_(options) {
-    const Pinhole& camera = rig.camera.model;
-    quads_per_unit_ = camera.fx / QuadStep(rig.camera.cfa);
+  Smoother(const SurfaceMap& rough, ImageView<const float> noise_sigma_mm, const RigCalibration& rig,
+           const SmoothOptions& options)
+      : rough_(rough),
+        noise_sigma_mm_(noise_sigma_mm),
+        camera_(rig.camera),
+        options_(options),
+        quads_per_unit_(rig.camera.model.fx / QuadStep(rig.camera.cfa)),
+        offsets_(OffsetsWithin(options.max_radius_quads)),
+        links_(rough.width(), rough.height()) {
+    ParallelFor(rough.height(), 4, [&](int64_t begin, int64_t end) {
+      for (int j = static_cast<int>(begin); j < end; ++j)
+        for (int i = 0; i < rough.width(); ++i) links_(i, j) = LinksOf(i, j);
+    });
   }
 
-  void SmoothQuad(int i, int j, SurfaceMap& out) const {
-    const Eigen::Vector3d centre = rough_.Point(i, j);
-    const std::vector<Sample> samples = Collect(i, j, centre);
-    if (static_cast<int>(samples.size()) < options_.min_samples) return ForgetQuad(out, i, j);
-    const auto fit = Fit(samples, centre.z());
-    if (!fit) return ForgetQuad(out, i, j);
-
-    const double q = (1.0 + fit->coefficients[0]) / centre.z();
-    if (!(q > 0.0)) return ForgetQuad(out, i, j);
-    const double scale = Radius(centre.z()) * centre.z();
-    const Eigen::Vector2d n(centre.x() / centre.z(), centre.y() / centre.z());
-    const Eigen::Vector2d slope(fit->coefficients[1] / scale, fit->coefficients[2] / scale);
+  // False: the quad is dropped.
+  bool SmoothQuad(int i, int j, SurfaceMap& out) const {
+    const Eigen::Vector3d ray = camera_.model.Unproject(QuadCentre(camera_.cfa, i, j));
+    const Eigen::Vector2d n = ray.head<2>() / ray.z();
+    const double depth_mm = rough_.point_mm(i, j, 2);
+    const auto fit = WidestThatAgrees(i, j, n, depth_mm);
+    if (!fit) return false;
+    const double q = (1.0 + fit->coefficients[0]) / depth_mm;
+    if (!(q > 0.0)) return false;
+    const Eigen::Vector2d slope = fit->coefficients.segment<2>(1) * quads_per_unit_ / depth_mm;
     const Eigen::Vector3d normal = -Eigen::Vector3d(slope.x(), slope.y(), q - n.dot(slope)).normalized();
     const Eigen::Vector3d point = Eigen::Vector3d(n.x(), n.y(), 1.0) / q;
     for (int k = 0; k < 3; ++k) {
       out.point_mm(i, j, k) = static_cast<float>(point[k]);
       out.normal(i, j, k) = static_cast<float>(normal[k]);
     }
-    out.depth_sigma_mm(i, j) = static_cast<float>(fit->sigma * point.norm());
+    const double noise_mm = noise_sigma_mm_(i, j), all_mm = rough_.depth_sigma_mm(i, j);
+    const double common_mm = std::sqrt(std::max(all_mm * all_mm - noise_mm * noise_mm, 0.0));
+    out.depth_sigma_mm(i, j) = static_cast<float>(std::hypot(fit->sigmas[0] * point.norm(), common_mm));
+    return true;
   }
 
  private:
-  // Window radius in normalised coordinates.
-  [[nodiscard]] double Radius(double depth_mm) const { return options_.radius_mm / depth_mm; }
+  static constexpr std::array<std::array<int, 2>, 4> kLinks = {{{1, 0}, {-1, 1}, {0, 1}, {1, 1}}};
 
-  [[nodiscard]] std::vector<Sample> Collect(int i, int j, const Eigen::Vector3d& centre) const {
-    const double radius = Radius(centre.z());
-    const int reach = static_cast<int>(std::ceil(radius * quads_per_unit_));
-    std::vector<Sample> samples;
-    for (int y = std::max(0, j - reach); y <= std::min(rough_.height() - 1, j + reach); ++y)
-      for (int x = std::max(0, i - reach); x <= std::min(rough_.width() - 1, i + reach); ++x) {
-        if (rough_.mask(x, y) == 0) continue;
-        const Eigen::Vector3d p = rough_.Point(x, y);
-        const double u = (p.x() / p.z() - centre.x() / centre.z()) / radius;
-        const double v = (p.y() / p.z() - centre.y() / centre.z()) / radius;
-        const double r2 = u * u + v * v;
-        if (r2 > 1.0) continue;
-        const double sigma_mm = rough_.depth_sigma_mm(x, y) * p.z() / p.norm();
-        const double centre_sigma = rough_.depth_sigma_mm(i, j);
-        const double allowed =
-            options_.max_slope * std::sqrt(r2) * options_.radius_mm + 4.0 * std::hypot(sigma_mm, centre_sigma);
-        if (std::abs(p.z() - centre.z()) > allowed) continue;
-        const double sigma = sigma_mm * centre.z() / (p.z() * p.z());
-        Sample s;
-        s.basis << 1.0, u, v, u * u, u * v, v * v;
-        s.inverse_depth = centre.z() / p.z() - 1.0;
-        s.sigma = sigma;
-        s.base_weight = std::exp(-2.0 * r2) / (sigma * sigma);
-        samples.push_back(s);
-      }
-    return samples;
+  // A bit for each of kLinks that leads to a quad on the same surface.
+  [[nodiscard]] uint8_t LinksOf(int i, int j) const {
+    uint8_t links = 0;
+    if (rough_.mask(i, j) == 0) return links;
+    for (size_t k = 0; k < kLinks.size(); ++k) {
+      const int x = i + kLinks[k][0], y = j + kLinks[k][1];
+      if (rough_.mask.contains(x, y) && rough_.mask(x, y) != 0 && OnOneSurface(rough_, i, j, x, y))
+        links |= static_cast<uint8_t>(1U << k);
+    }
+    return links;
+  }
+  [[nodiscard]] bool Linked(int i, int j, int x, int y) const {
+    if (y < j || (y == j && x < i)) return Linked(x, y, i, j);
+    for (size_t k = 0; k < kLinks.size(); ++k)
+      if (x - i == kLinks[k][0] && y - j == kLinks[k][1]) return (links_(i, j) >> k & 1U) != 0;
+    return false;
   }
 
-  // Iterated least squares; the first round has no robust weights.
-  [[nodiscard]] std::optional<LocalFit> Fit(const std::vector<Sample>& samples, double depth_mm) const {
-    LocalFit fit{Vector6::Zero(), 0.0};
-    for (int round = 0; round < options_.iterations; ++round) {
-      Matrix6 normal = Matrix6::Zero(), spread = Matrix6::Zero();
-      Vector6 right = Vector6::Zero();
-      for (const Sample& s : samples) {
-        double weight = s.base_weight;
-        if (round > 0) {
-          const double residual = s.inverse_depth - s.basis.dot(fit.coefficients);
-          const double scale = std::max(options_.robust_floor_mm / depth_mm, 3.0 * s.sigma);
-          const double damping = 1.0 / (1.0 + residual * residual / (scale * scale));
-          weight *= damping * damping;
-        }
-        normal.selfadjointView<Eigen::Lower>().rankUpdate(s.basis, weight);
-        spread.selfadjointView<Eigen::Lower>().rankUpdate(s.basis, weight * weight * s.sigma * s.sigma);
-        right += weight * s.inverse_depth * s.basis;
-      }
-      const Eigen::LDLT<Matrix6> solver(normal);  // reads the lower half
-      if (solver.info() != Eigen::Success || solver.rcond() < 1e-9) return std::nullopt;
-      fit.coefficients = solver.solve(right);
-      const Vector6 gain = solver.solve(Vector6::Unit(0));
-      fit.sigma = std::sqrt(gain.dot(spread.selfadjointView<Eigen::Lower>() * gain));
+  // Adds what the window has within the radius.
+  void Collect(int i, int j, const Eigen::Vector2d& n, double depth_mm, double radius, Samples& samples) const {
+    for (size_t k = samples.reached.size(); k < offsets_.size() && offsets_[k].radius <= radius; ++k) {
+      const Offset& o = offsets_[k];
+      const Offset& from = offsets_[o.parent];
+      const int x = i + o.dx, y = j + o.dy;
+      const bool reached = k == 0 || (samples.reached[o.parent] != 0 && rough_.mask.contains(x, y) &&
+                                      Linked(i + from.dx, j + from.dy, x, y));
+      samples.reached.push_back(reached ? 1 : 0);
+      if (!reached) continue;
+      const Eigen::Vector3d p = rough_.Point(x, y);
+      const double of_depth = p.z() / p.norm() * depth_mm / (p.z() * p.z());
+      samples.x.push_back((p.x() / p.z() - n.x()) * quads_per_unit_);
+      samples.y.push_back((p.y() / p.z() - n.y()) * quads_per_unit_);
+      samples.inverse_depth.push_back(depth_mm / p.z() - 1.0);
+      samples.variance.push_back(std::pow(rough_.depth_sigma_mm(x, y) * of_depth, 2));
+      samples.noise.push_back(std::pow(noise_sigma_mm_(x, y) * of_depth, 2));
+      samples.radius.push_back(o.radius);
     }
-    if (!fit.coefficients.allFinite() || !std::isfinite(fit.sigma)) return std::nullopt;
+  }
+
+  // The intersection of confidence intervals, of the depth and of both slopes.
+  [[nodiscard]] std::optional<LocalFit> WidestThatAgrees(int i, int j, const Eigen::Vector2d& n,
+                                                         double depth_mm) const {
+    thread_local Samples samples;
+    samples.Clear();
+    std::optional<LocalFit> widest;
+    Eigen::Array3d low = Eigen::Array3d::Constant(-INFINITY), high = -low;
+    for (double radius = options_.min_radius_quads; radius < 1.001 * options_.max_radius_quads; radius *= M_SQRT2) {
+      const size_t before = samples.size();
+      Collect(i, j, n, depth_mm, radius, samples);
+      if (samples.size() < static_cast<size_t>(options_.min_samples)) break;
+      if (samples.size() == before) continue;
+      const auto fit = Fit(samples, radius, widest);
+      if (!fit) break;
+      const Eigen::Array3d value = fit->coefficients.head<3>(), reach = options_.agreement_sigmas * fit->sigmas.array();
+      low = low.max(value - reach);
+      high = high.min(value + reach);
+      if ((low > high).any()) break;
+      widest = fit;
+    }
+    return widest;
+  }
+
+  // Iterated least squares. What a narrower window says makes the robust weights; without, the first round has none.
+  [[nodiscard]] std::optional<LocalFit> Fit(const Samples& samples, double radius,
+                                            const std::optional<LocalFit>& narrower) const {
+    const size_t count = samples.size();
+    const Column x = ColumnOf(samples.x, count), y = ColumnOf(samples.y, count),
+                 q = ColumnOf(samples.inverse_depth, count), variance = ColumnOf(samples.variance, count);
+    const Vector6 scale(1.0, radius, radius, radius * radius, radius * radius, radius * radius);
+    const Matrix6 unscaled = (scale * scale.transpose()).cwiseInverse();  // of sums, so that x, y are in radii
+    thread_local Eigen::ArrayXd near, w, wx, wy;
+    near = (ColumnOf(samples.radius, count) / radius).square();
+    near = (-2.0 * near).exp() / variance;
+    LocalFit fit = narrower.value_or(LocalFit{});
+    for (int round = narrower ? kRounds - 1 : 0; round < kRounds; ++round) {
+      w = near;
+      if (round > 0) {
+        const Vector6& c = fit.coefficients;
+        wx = q - c[0] - x * (c[1] + c[3] * x + c[4] * y) - y * (c[2] + c[5] * y);
+        w *= (1.0 + wx.square() / (variance * options_.robust_scale * options_.robust_scale)).square().inverse();
+      }
+      const Matrix6 normal = Moments(w, x, y, wx, wy).cwiseProduct(unscaled);
+      const Eigen::LDLT<Matrix6> solver(normal);
+      if (solver.info() != Eigen::Success || solver.rcond() < 1e-9) return std::nullopt;
+      wx = w * q;
+      Vector6 right;
+      right << wx.sum(), (wx * x).sum(), (wx * y).sum(), (wx * x * x).sum(), (wx * x * y).sum(), (wx * y * y).sum();
+      fit.coefficients = solver.solve(right.cwiseQuotient(scale)).cwiseQuotient(scale);
+      if (round + 1 < kRounds) continue;
+      w *= w * ColumnOf(samples.noise, count);
+      const Matrix6 spread = Moments(w, x, y, wx, wy).cwiseProduct(unscaled);
+      for (int k = 0; k < 3; ++k) {
+        const Vector6 gain = solver.solve(Vector6::Unit(k));
+        fit.sigmas[k] = std::sqrt(gain.dot(spread * gain)) / scale[k];
+      }
+    }
+    if (!fit.coefficients.allFinite() || !fit.sigmas.allFinite()) return std::nullopt;
     return fit;
   }
 
+  static constexpr int kRounds = 3;
   const SurfaceMap& rough_;
+  const ImageView<const float> noise_sigma_mm_;
+  const CameraCalibration& camera_;
   const SmoothOptions& options_;
-  double quads_per_unit_ = 0.0;
+  const double quads_per_unit_;
+  const std::vector<Offset> offsets_;
+  Image<uint8_t> links_;
 };
 
 }  // namespace
 
 Status SmoothOptions::Validate() const {
-  if (!(radius_mm > 0.0) || !(max_slope > 0.0) || !(robust_floor_mm > 0.0))
-    return Status::Usage("smooth: radius, slope and robust floor must be positive");
-  if (iterations < 1 || min_samples < 6)
-    return Status::Usage("smooth: needs at least 1 iteration and 6 samples, has " + std::to_string(iterations) +
-                         " and " + std::to_string(min_samples));
+  if (!(min_radius_quads >= 1.5) || !(max_radius_quads >= min_radius_quads) || !(max_radius_quads <= 64.0))
+    return Status::Usage("smooth: windows must be 1.5 to 64 quads wide");
+  if (!(agreement_sigmas > 0.0) || !(robust_scale > 0.0))
+    return Status::Usage("smooth: sigmas and scales must be positive");
+  if (min_samples < 6) return Status::Usage("smooth: a quadratic needs 6 samples, has " + std::to_string(min_samples));
   return Status::Ok();
 }
 
-Result<SurfaceMap> SmoothSurface(const SurfaceMap& rough, const RigCalibration& rig, const SmoothOptions& options) {
+Result<SurfaceMap> SmoothSurface(const SurfaceMap& rough, ImageView<const float> noise_sigma_mm,
+                                 const RigCalibration& rig, const SmoothOptions& options, int64_t* dropped) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  if (noise_sigma_mm.width() != rough.width() || noise_sigma_mm.height() != rough.height())
+    return Status::Usage("smooth: the deviations are of another surface");
   SurfaceMap out = rough;
-  const Smoother smoother(rough, rig, options);
+  const Smoother smoother(rough, noise_sigma_mm, rig, options);
+  std::atomic<int64_t> count = 0;
   ParallelFor(rough.height(), 4, [&](int64_t begin, int64_t end) {
-    for (int64_t j = begin; j < end; ++j)
-      for (int i = 0; i < rough.width(); ++i)
-        if (rough.mask(i, static_cast<int>(j)) != 0) smoother.SmoothQuad(i, static_cast<int>(j), out);
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < rough.width(); ++i) {
+        if (rough.mask(i, j) == 0 || smoother.SmoothQuad(i, j, out)) continue;
+        ForgetQuad(out, i, j);
+        ++count;
+      }
   });
+  if (dropped != nullptr) *dropped = count;
   return out;
 }
 

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "fitter/render/surface_rim.h"
+#include "fitter/reconstruction/one_surface.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -159,10 +159,14 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
       }
   });
   Image<float> nearest(light.model.width, light.model.height, 1, std::numeric_limits<float>::infinity());
+  auto linked = [&](size_t a, size_t b) {
+    const int i = static_cast<int>(a) % width, k = static_cast<int>(b) % width;
+    return OnOneSurface(surface, i, static_cast<int>(a) / width, k, static_cast<int>(b) / width);
+  };
   auto fill = [&](size_t a, size_t b, size_t c) {
     if (known[a] == 0 || known[b] == 0 || known[c] == 0) return;
-    const auto [low, high] = std::minmax({vertices[a].point.z(), vertices[b].point.z(), vertices[c].point.z()});
-    if (high - low <= kMaxEdgeMm) FillTriangle({&vertices[a], &vertices[b], &vertices[c]}, lit.samples, nearest);
+    if (linked(a, b) && linked(b, c) && linked(c, a))
+      FillTriangle({&vertices[a], &vertices[b], &vertices[c]}, lit.samples, nearest);
   };
   for (int j = 0; j + 1 < height; ++j)
     for (int i = 0; i + 1 < width; ++i) {

@@ -27,7 +27,7 @@ struct LitSurface {
   Image<LitSample> samples;  // projector pixels; zero flux where nothing is lit
 };
 
-// Rasterises the surface into the light's pixel grid with a depth buffer; triangles longer than kMaxEdgeMm in depth
+// Rasterises the surface into the light's pixel grid with a depth buffer; triangles whose corners are not OnOneSurface
 // bridge a discontinuity and are left out. What is rendered by it wants the surface WithRim: it ends at the centres of
 // its last quads.
 [[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,

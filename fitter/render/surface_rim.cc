@@ -2,17 +2,18 @@
 #include "fitter/render/surface_rim.h"
 
 #include <Eigen/Geometry>
-#include <algorithm>
-#include <cmath>
-#include <limits>
+#include <array>
 #include <optional>
+#include <span>
+
+#include "fitter/reconstruction/one_surface.h"
 
 namespace stratalux::fit {
 namespace {
 
 struct Continuation {
   Eigen::Vector3d point, normal;
-  double from_depth = 0.0;  // z of the quad that it continues
+  int i = 0, j = 0;  // the quad that it continues
 };
 
 class Rim {
@@ -20,21 +21,18 @@ class Rim {
   explicit Rim(const SurfaceMap& surface) : surface_(surface) {}
 
   void Extend(int i, int j, SurfaceMap& out) const {
-    Eigen::Vector3d point = Eigen::Vector3d::Zero(), normal = Eigen::Vector3d::Zero();
-    double nearest = std::numeric_limits<double>::infinity(), furthest = 0.0;
-    int count = 0;
+    std::array<Continuation, 8> found;
+    size_t count = 0;
     for (int dy = -1; dy <= 1; ++dy)
-      for (int dx = -1; dx <= 1; ++dx) {
-        const auto one = Continue(i, j, dx, dy);
-        if (!one) continue;
-        ++count;
-        point += one->point;
-        normal += one->normal;
-        nearest = std::min(nearest, one->from_depth);
-        furthest = std::max(furthest, one->from_depth);
-      }
-    if (count == 0 || furthest - nearest > kMaxEdgeMm) return;
-    point /= count;
+      for (int dx = -1; dx <= 1; ++dx)
+        if (const auto one = Continue(i, j, dx, dy)) found[count++] = *one;
+    const std::span<const Continuation> all(found.data(), count);
+    if (all.empty() || !Together(all)) return;
+    Eigen::Vector3d point = Eigen::Vector3d::Zero(), normal = Eigen::Vector3d::Zero();
+    for (const Continuation& one : all) {
+      point += one.point / static_cast<double>(count);
+      normal += one.normal;
+    }
     normal.normalize();
     out.mask(i, j) = 1;
     for (int c = 0; c < 3; ++c) {
@@ -53,9 +51,15 @@ class Rim {
     const Eigen::Vector3d beside = surface_.Point(i + dx, j + dy), behind = surface_.Point(i + 2 * dx, j + 2 * dy),
                           normal = surface_.Normal(i + dx, j + dy);
     const Eigen::Vector3d step = beside - behind, along = step - normal * normal.dot(step);
-    if (std::abs(step.z()) > kMaxEdgeMm || along.isZero()) return std::nullopt;
+    if (!OnOneSurface(surface_, i + dx, j + dy, i + 2 * dx, j + 2 * dy) || along.isZero()) return std::nullopt;
     return Continuation{beside + along.normalized() * step.norm(),
-                        2.0 * normal - surface_.Normal(i + 2 * dx, j + 2 * dy), beside.z()};
+                        2.0 * normal - surface_.Normal(i + 2 * dx, j + 2 * dy), i + dx, j + dy};
+  }
+  [[nodiscard]] bool Together(std::span<const Continuation> all) const {
+    for (const Continuation& a : all)
+      for (const Continuation& b : all)
+        if (!OnOneSurface(surface_, a.i, a.j, b.i, b.j)) return false;
+    return true;
   }
 
   const SurfaceMap& surface_;

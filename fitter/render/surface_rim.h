@@ -7,12 +7,10 @@
 
 namespace stratalux::fit {
 
-inline constexpr double kMaxEdgeMm = 6.0;  // neighbours further apart in depth are of two surfaces
-
 // The surface and the quads next to it. Each continues the two known quads in a row of every direction that has them:
 // as far on the nearer one's tangent plane as that lies from the other, with the normal turned on likewise; their mean.
 // At a silhouette such a point lies beside its own camera ray, where the camera no longer sees the skin. Left out are
-// quads between surfaces that are further apart in depth than kMaxEdgeMm. depth_sigma_mm of the new quads is NaN.
+// quads between neighbours that are not OnOneSurface. depth_sigma_mm of the new quads is NaN.
 [[nodiscard]] SurfaceMap WithRim(const SurfaceMap& surface);
 
 }  // namespace stratalux::fit

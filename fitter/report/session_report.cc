@@ -70,6 +70,12 @@ ReportSection Shape(const ReportInput& in) {
   for (float& v : nearness.pixels()) v = -v;
   section.images.push_back({"depth, " + Fixed(low, 0) + " mm (light) to " + Fixed(high, 0) + " mm (dark)",
                             ToColourScale(nearness, -high, -low)});
+  const Image<float>& disagreement = in.shape.disagreement_mm;
+  if (const double most = Percentile(disagreement, 0.99); most > 0.0)
+    section.images.push_back({"disagreement of the projectors' own depths: median " +
+                                  Fixed(Percentile(disagreement, 0.5), 3) + " mm, 0 (dark) to " + Fixed(most, 2) +
+                                  " mm (light)",
+                              ToColourScale(disagreement, 0.0, most)});
   section.images.push_back({"normals of the surface", NormalColours(in.shape.surface.normal)});
   section.images.push_back({"normals, photometric", NormalColours(in.normals.photometric.normal)});
   section.images.push_back({"normals, fused", NormalColours(in.normals.fused)});

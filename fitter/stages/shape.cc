@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/shape.h"
 
+#include <algorithm>
+#include <cmath>
+
 #include "fitter/export/exr_file.h"
 #include "fitter/export/ply_file.h"
 #include "fitter/reconstruction/mesh.h"
@@ -26,14 +29,31 @@ nlohmann::ordered_json JsonOf(const FaceShape& shape) {
     drift["projectors"].push_back({d.projector, d.points, d.shift_columns, d.shift_rows, d.shift_px, d.turned_deg,
                                    d.spread_px, d.expected_px, d.moved});
   return {{"projectors", shape.lit.size()},
-          {"triangulation", {t.sites, t.undecoded, t.inconsistent, t.rejected_views, t.islands}},
+          {"triangulation",
+           {{"sites", t.sites},
+            {"undecoded", t.undecoded},
+            {"inconsistent", t.inconsistent},
+            {"uncertain", t.uncertain},
+            {"rejected_views", t.rejected_views},
+            {"lone_quads", t.lone},
+            {"mixed_quads", t.mixed},
+            {"island_quads", t.islands},
+            {"unsmoothed_quads", shape.unsmoothed}}},
           {"drift", drift}};
 }
 
 void FromJson(const nlohmann::json& json, FaceShape& shape) {
   TriangulationCounts& t = shape.triangulation;
   const auto& counts = json.at("triangulation");
-  t = {counts.at(0), counts.at(1), counts.at(2), counts.at(3), counts.at(4)};
+  counts.at("sites").get_to(t.sites);
+  counts.at("undecoded").get_to(t.undecoded);
+  counts.at("inconsistent").get_to(t.inconsistent);
+  counts.at("uncertain").get_to(t.uncertain);
+  counts.at("rejected_views").get_to(t.rejected_views);
+  counts.at("lone_quads").get_to(t.lone);
+  counts.at("mixed_quads").get_to(t.mixed);
+  counts.at("island_quads").get_to(t.islands);
+  counts.at("unsmoothed_quads").get_to(shape.unsmoothed);
   json.at("drift").at("warning").get_to(shape.drift.warning);
   for (const auto& d : json.at("drift").at("projectors"))
     shape.drift.projectors.push_back({d.at(0), d.at(1), d.at(2), d.at(3), d.at(4), d.at(5), d.at(6), d.at(7), d.at(8)});
@@ -50,7 +70,16 @@ Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, std::spa
   SLX_ASSIGN_OR_RETURN(auto rough, Triangulate(decoded, rig));
   shape.triangulation = rough.counts;
   shape.code_weights = std::move(rough.weights);
-  SLX_ASSIGN_OR_RETURN(shape.surface, SmoothSurface(rough.surface, rig));
+  shape.disagreement_mm = std::move(rough.disagreement_mm);
+  SLX_ASSIGN_OR_RETURN(shape.surface, SmoothSurface(rough.surface, rough.noise_sigma_mm, rig, {}, &shape.unsmoothed));
+  const auto known = std::ranges::count(shape.surface.mask.pixels(), 1);
+  if (known == 0) {
+    std::string why = WhyNoSurface(shape.triangulation);
+    if (shape.unsmoothed > 0) why += ", " + std::to_string(shape.unsmoothed) + " quads without neighbours";
+    return Status::Failed("no surface was found: " + why);
+  }
+  for (size_t i = 0; i < shape.surface.mask.size(); ++i)
+    if (shape.surface.mask.pixels()[i] == 0) shape.disagreement_mm.pixels()[i] = std::nanf("");
   SLX_ASSIGN_OR_RETURN(shape.lit, LitQuads(decoded, separation, shape.surface, rig));
   SLX_ASSIGN_OR_RETURN(shape.drift, CheckDrift(decoded, shape.surface, rig));
   return shape;
@@ -60,6 +89,7 @@ Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape) {
   const SurfaceMap& surface = shape.surface;
   SLX_RETURN_IF_ERROR(WriteExr(folder / "position.exr", surface.point_mm, {"X", "Y", "Z"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "depth_sigma.exr", surface.depth_sigma_mm, {"Y"}));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "disagreement.exr", shape.disagreement_mm, {"Y"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "normal_surface.exr", surface.normal, {"X", "Y", "Z"}));
   const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   Image<float> masks(surface.width(), surface.height(), static_cast<int>(channels));
@@ -85,11 +115,13 @@ Result<FaceShape> LoadShape(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(shape.surface.point_mm, ReadExr(folder / "position.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.normal, ReadExr(folder / "normal_surface.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.depth_sigma_mm, ReadExr(folder / "depth_sigma.exr", {"Y"}));
+  SLX_ASSIGN_OR_RETURN(shape.disagreement_mm, ReadExr(folder / "disagreement.exr", {"Y"}));
   const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   SLX_ASSIGN_OR_RETURN(const auto masks, ReadExr(folder / "masks.exr", MaskChannels(projectors)));
   const int width = masks.width(), height = masks.height();
   const auto same = [&](const Image<float>& map) { return map.width() == width && map.height() == height; };
-  if (!same(shape.surface.point_mm) || !same(shape.surface.normal) || !same(shape.surface.depth_sigma_mm))
+  if (!same(shape.surface.point_mm) || !same(shape.surface.normal) || !same(shape.surface.depth_sigma_mm) ||
+      !same(shape.disagreement_mm))
     return Status::Integrity(folder.string() + ": its maps differ in size");
   shape.surface.mask = Image<uint8_t>(width, height);
   for (auto& lit : shape.lit) lit = Image<uint8_t>(width, height);

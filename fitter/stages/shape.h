@@ -13,7 +13,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 5;
+inline constexpr int kShapeVersion = 6;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it
@@ -21,17 +21,20 @@ struct FaceShape {
   // By projector, on quads.
   std::vector<Image<uint8_t>> lit;         // 1: its direct light falls there (LitQuads)
   std::vector<Image<float>> code_weights;  // what its codes weigh in the surface (Triangulation::weights)
+  Image<float> disagreement_mm;            // on quads (Triangulation::disagreement_mm); NaN off the surface
   TriangulationCounts triangulation;
+  int64_t unsmoothed = 0;  // quads dropped by SmoothSurface
   DriftReport drift;
 };
 
 // `rig`: what the frames were decoded by (SessionFrames::calibration()); `record`: that it was made from. `separation`:
-// of each projector, for what it lights (LitQuads); empty where none was captured.
+// of each projector, for what it lights (LitQuads); empty where none was captured. kFailed, with what took it, where no
+// surface is left.
 [[nodiscard]] Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded,
                                                  std::span<const SeparationMap> separation, const RigCalibration& rig,
                                                  const RigCalibration& record);
 
-// position.exr, depth_sigma.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, shape.json.
+// position.exr, depth_sigma.exr, disagreement.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, shape.json.
 Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape);
 [[nodiscard]] Result<FaceShape> LoadShape(const std::filesystem::path& folder);
 

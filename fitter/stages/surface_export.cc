@@ -66,6 +66,7 @@ Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to
   else
     return sigma.status();
   SurfaceMap& surface = to.surface;
+  to.own_normal = surface.normal;
   for (const Image<float>* map : {&fused, &std::as_const(to.normal_sigma_rad)})
     if (map->width() != surface.width() || map->height() != surface.height())
       return Status::Integrity(folder.string() + ": its maps differ in size; fit again");
@@ -129,13 +130,34 @@ Image<float> Masked(const SurfaceMap& surface, const Image<float>& map, int firs
   return masked;
 }
 
+Mesh MeshOf(const SurfaceMap& surface, const Image<float>& own_normal) {
+  if (own_normal.empty()) return MeshFromSurface(surface);
+  SurfaceMap own = surface;
+  own.normal = own_normal;
+  Mesh mesh = MeshFromSurface(own);
+  std::vector<Eigen::Vector3f> detailed;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i)
+      if (surface.mask(i, j) != 0) detailed.emplace_back(surface.Normal(i, j).cast<float>());
+  // A detail that would point into its own triangles, as at a silhouette, is left out.
+  std::vector<uint8_t> fits(detailed.size(), 1);
+  for (const auto& triangle : mesh.triangles) {
+    const Eigen::Vector3f faces = TriangleNormal(mesh, triangle);
+    for (const int32_t v : triangle)
+      if (detailed[v].dot(faces) <= 0.0F) fits[v] = 0;
+  }
+  for (size_t v = 0; v < fits.size(); ++v)
+    if (fits[v] != 0) Eigen::Map<Eigen::Vector3f>(mesh.normals[v].data()) = detailed[v];
+  return mesh;
+}
+
 // Everything that files are written from, made once.
 class Writer {
  public:
   Writer(const ExportedSurface& exported, const std::filesystem::path& folder)
       : exported_(exported), folder_(folder), picture_(AlbedoPicture(exported.albedo)) {
     const SurfaceMap& surface = exported.surface;
-    mesh_ = MeshFromSurface(surface);
+    mesh_ = MeshOf(surface, exported.own_normal);
     mesh_.colours = ColoursAt(surface, picture_);
     report_.points = static_cast<int64_t>(mesh_.positions_mm.size());
     report_.triangles = static_cast<int64_t>(mesh_.triangles.size());

@@ -26,7 +26,8 @@ enum class ExportFormat { kPly, kGlb, kCloud, kTiff, kExr };
 
 // Maps on quads.
 struct ExportedSurface {
-  SurfaceMap surface;  // its normals with photometric detail where that is known
+  SurfaceMap surface;       // its normals with photometric detail where that is known
+  Image<float> own_normal;  // without: they say what hangs together in the mesh; empty: those of `surface`
   CameraCalibration camera;
   Image<float> normal_sigma_rad;  // NaN where not known; empty: nowhere
   // Diffuse albedo, W x H x (1 or 3): the sum of the fitted weights, light that went through the skin over what a white

@@ -3,8 +3,10 @@
 #pragma once
 
 #include <filesystem>
+#include <vector>
 
 #include "fitter/calibration/observations.h"
+#include "fitter/structured_light/decoded_map.h"
 #include "shared/base/result.h"
 
 namespace stratalux::fit {
@@ -13,5 +15,13 @@ namespace stratalux::fit {
 [[nodiscard]] std::filesystem::path RealBoardsFolder();
 // Five poses, from the frames themselves: search, motion, decoding, look-up. No poses where the data are absent.
 [[nodiscard]] Result<CalibrationObservations> ObserveRealBoards();
+
+// A pose as its codes say, of the crop that was kept of its pictures.
+struct DecodedBoard {
+  Eigen::Vector2d crop_px;  // where the crop lies in the camera's picture
+  DecodedMap map;
+  Image<uint8_t> lit;  // 1: white less black above 40
+};
+[[nodiscard]] Result<std::vector<DecodedBoard>> DecodeRealBoards();
 
 }  // namespace stratalux::fit

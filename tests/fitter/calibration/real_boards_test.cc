@@ -2,6 +2,9 @@
 // The public captures of a real projector and camera: skipped where they are not installed.
 #include "tests/fitter/calibration/real_boards.h"
 
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
 #include <iostream>
 
 #include <gtest/gtest.h>
@@ -9,6 +12,8 @@
 
 #include "fitter/calibration/calibrate_rig.h"
 #include "fitter/calibration/verdict.h"
+#include "fitter/reconstruction/smooth_surface.h"
+#include "fitter/reconstruction/triangulate.h"
 #include "tests/fitter/calibration/opencv_peer.h"
 
 namespace stratalux::fit {
@@ -84,6 +89,73 @@ TEST_F(RealBoards, PublishedResultThatIsOffByAFactorOfTwoIsRefused) {
     focal = focal || f.what.find("projector 0: fx") != std::string::npos;
   }
   EXPECT_TRUE(focal);
+}
+
+// Of points that lie within 3 mm of it at last; the first round takes all within 100.
+double PlaneRms(const SurfaceMap& surface, const Image<uint8_t>& of, int64_t& inliers, int64_t& points) {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero(), normal = Eigen::Vector3d::Zero();
+  double rms = 0.0;
+  for (double limit_mm = 1e9; limit_mm > 2.9; limit_mm = limit_mm > 1e8 ? 96.0 : limit_mm / 2.0) {
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    Eigen::Matrix3d squares = Eigen::Matrix3d::Zero();
+    double residuals = 0.0;
+    inliers = points = 0;
+    for (int j = 0; j < surface.height(); ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0 || of(i, j) == 0) continue;
+        ++points;
+        const Eigen::Vector3d p = surface.Point(i, j);
+        const double off = normal.dot(p - centre);
+        if (std::abs(off) > limit_mm) continue;
+        ++inliers;
+        residuals += off * off;
+        sum += p;
+        squares += p * p.transpose();
+      }
+    const auto n = static_cast<double>(inliers);
+    rms = std::sqrt(residuals / n);
+    centre = sum / n;
+    normal =
+        Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(squares / n - centre * centre.transpose()).eigenvectors().col(0);
+  }
+  return rms;
+}
+
+// Boards at 3.2 to 3.6 m, by one projector and the calibration that the same pictures gave.
+TEST_F(RealBoards, AreDensePlanesAtThreeMetres) {
+  const auto report = CalibrateRig(observations_);
+  ASSERT_TRUE(report.ok());
+  const RigGeometry& found = report->bundle.rig;
+  const auto boards = DecodeRealBoards();
+  ASSERT_TRUE(boards.ok()) << boards.status().message();
+  for (size_t k = 0; k < boards->size(); ++k) {
+    const DecodedBoard& board = boards->at(k);
+    RigCalibration rig;
+    rig.camera.cfa = Cfa::kMono;
+    rig.camera.model = found.camera;
+    rig.camera.model.width = board.lit.width();
+    rig.camera.model.height = board.lit.height();
+    rig.camera.model.cx -= board.crop_px.x();
+    rig.camera.model.cy -= board.crop_px.y();
+    ProjectorCalibration projector;
+    projector.model = found.projectors[0].model;
+    projector.camera_from_projector = found.projectors[0].camera_from_projector;
+    rig.projectors = {projector};
+    const auto rough = Triangulate({&board.map, 1}, rig);
+    ASSERT_TRUE(rough.ok());
+    const auto smooth = SmoothSurface(rough->surface, rough->noise_sigma_mm, rig);
+    int64_t rough_inliers = 0, inliers = 0, points = 0;
+    const double rough_rms_mm = PlaneRms(rough->surface, board.lit, rough_inliers, points);
+    const double rms_mm = PlaneRms(*smooth, board.lit, inliers, points);
+    const auto lit = static_cast<double>(std::ranges::count(board.lit.pixels(), 1));
+    std::cout << "pose " << k << ": " << static_cast<double>(points) / lit << " of the lit pixels have a point, "
+              << static_cast<double>(inliers) / static_cast<double>(points) << " of them within 3 mm of a plane, rms "
+              << rms_mm << " mm (before smoothing " << rough_rms_mm << ", "
+              << static_cast<double>(rough_inliers) / static_cast<double>(points) << ")\n";
+    EXPECT_GE(static_cast<double>(points), 0.95 * lit) << "pose " << k;
+    EXPECT_GE(static_cast<double>(inliers), 0.95 * static_cast<double>(points)) << "pose " << k;
+    EXPECT_LE(rms_mm, 0.7) << "pose " << k;
+  }
 }
 
 TEST_F(RealBoards, PredictsHeldOutPosesNoWorseThanStereoCalibrate) {

@@ -256,6 +256,26 @@ TEST_F(ExportFiles, DepthBeyondSixteenBitsIsMaskedAndCounted) {
   EXPECT_THAT(ReadTiff(folder_ / "far.tif").samples, ElementsAre(130, 65530, 0, 0));
 }
 
+// Detail that tilts normals does not tear the mesh.
+TEST_F(ExportFiles, TheMeshHangsTogetherAsTheSurfaceDoes) {
+  ExportedSurface detailed = ball_;
+  detailed.own_normal = ball_.surface.normal;
+  EachQuad([&](size_t, int i, int j) {
+    const Eigen::Vector3d tilted =
+        (ball_.surface.Normal(i, j) + Eigen::Vector3d(i % 2 == 0 ? 1.5 : -1.5, 0, 0)).normalized();
+    for (int k = 0; k < 3; ++k) detailed.surface.normal(i, j, k) = static_cast<float>(tilted[k]);
+  });
+  const auto before = ReadPly(folder_ / "mesh.ply");
+  ASSERT_TRUE(
+      WriteSurface(folder_, detailed, {ExportFormat::kPly, ExportFormat::kGlb}, [](const std::string&) {}).ok());
+  const auto after = ReadPly(folder_ / "mesh.ply");
+  EXPECT_EQ(after.faces, before.faces);
+  EXPECT_THAT(FaultsOf(ReadGlb(folder_ / "mesh.glb")), IsEmpty()) << "a normal that points into the skin";
+  size_t tilted = 0;
+  EachQuad([&](size_t v, int i, int j) { tilted += after.columns.at("nx")[v] == detailed.surface.normal(i, j, 0); });
+  EXPECT_GT(static_cast<double>(tilted), 0.6 * static_cast<double>(report_.points));
+}
+
 TEST_F(ExportFiles, ASurfaceWithoutAlbedoIsWithoutColour) {
   ExportedSurface bare = ball_;
   bare.albedo = {};

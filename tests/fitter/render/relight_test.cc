@@ -26,7 +26,9 @@ class RelightTest : public ::testing::Test {
     return std::move(*relit);
   }
   static SavedFit FitOf(const LitScene& scene) {
-    SavedFit fit{{scene.rig, scene.surface, {}, {}, {}, {}}, UniformSkin(scene, SkinLayers()), 1};
+    SavedFit fit{{}, UniformSkin(scene, SkinLayers()), 1};
+    fit.shape.record = scene.rig;
+    fit.shape.surface = scene.surface;
     fit.map.training_projectors = {0};
     fit.map.surface.assign(static_cast<size_t>(fit.map.profiles()), 0.04F);
     return fit;
