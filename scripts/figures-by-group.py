@@ -1,0 +1,153 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the fit by groups of skin colour: simulated people, light to dark, captured, fitted, judged by one yardstick.
+
+Six groups of the individual typology angle, ITA = atan((L* - 50) / b*) of CIELAB under D65, with the bounds that
+dermatology uses (Del Bino & Bernerd 2013): 55, 41, 28, 10, -30 degrees. L* and b* are of the person's diffuse reflectance at
+630, 532 and 465 nm taken as linear sRGB: the cameras' three bands, not a spectrum. Each group takes the first people of
+the population, from --first on, that fall into it; a person's number is the seed of the capture, so each has a head and
+a surface of its own, too.
+
+  scripts/figures-by-group.py --work /tmp/groups                         # two of each group at 696x520
+  scripts/figures-by-group.py --work /tmp/groups --size 348x260 --per-group 1 --json groups.json
+  scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
+
+What is in --work already is not done again. Exit 1: a program failed; the figures of the others are printed.
+"""
+import argparse
+import csv
+import json
+import math
+import os
+import pathlib
+import subprocess
+import sys
+
+GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
+          ("dark", -90, -30)]
+MODELS = [("tied", "layers"), ("homogeneous_local_albedo", "mean layers"), ("direction_blind", "blind")]
+
+
+def ita_deg(red, green, blue):
+    xyz = [0.4124564 * red + 0.3575761 * green + 0.1804375 * blue, 0.2126729 * red + 0.7151522 * green + 0.0721750 * blue,
+           0.0193339 * red + 0.1191920 * green + 0.9503041 * blue]
+
+    def f(t):
+        return t ** (1 / 3) if t > (6 / 29) ** 3 else t / (3 * (6 / 29) ** 2) + 4 / 29
+    y, z = f(xyz[1]), f(xyz[2] / 1.08883)
+    return math.degrees(math.atan2(116 * y - 16 - 50, 200 * (y - z)))
+
+
+def group_of(ita):
+    return next(name for name, low, high in GROUPS if low <= ita <= high)
+
+
+def choose(bin_folder, first, per_group):
+    text = subprocess.run([bin_folder / "stratalux-skin-table", "population", "--first", str(first), "--people", "3000",
+                           "--csv", "-"], check=True, capture_output=True, text=True).stdout
+    chosen = {name: [] for name, _, _ in GROUPS}
+    for row in csv.DictReader(text.splitlines()):
+        ita = ita_deg(*(float(row[f"reflectance_{nm}"]) for nm in (630, 532, 465)))
+        of = chosen[group_of(ita)]
+        if len(of) < per_group:
+            of.append({"person": int(row["person"]), "ita_deg": ita, "melanin": float(row["melanin"]),
+                       "scattering": float(row["scattering"])})
+    return chosen
+
+
+def metrics_of(store):
+    files = sorted(store.glob("sessions/*/fits/*/metrics.json"), key=os.path.getmtime)
+    return json.loads(files[-1].read_text()) if files else None
+
+
+def judge(args, person):
+    store = args.work / f"person-{person['person']}"
+    if metrics_of(store) is None:
+        scene = "--simulate"
+        if args.scattering is not None:
+            file = args.work / "scene.toml"
+            file.write_text(f"[skin]\nscattering = {args.scattering}\n")
+            scene = f"--simulate={file}"
+        log = args.work / f"person-{person['person']}.log"
+        with open(log, "w") as out:
+            for command in (["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]),
+                             "--size", args.size], ["stratalux-fit", "run", "latest"]):
+                if command[0] == "stratalux-rig" and list(store.glob("sessions/*/manifest.json")):
+                    continue
+                done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=out, stderr=out)
+                if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
+                    print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
+                          file=sys.stderr)
+                    return False
+    metrics = metrics_of(store)
+    person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
+    covered = [c for c in metrics["coverage"] if c["geometry"] == "reconstructed"]
+    person["judged"] = sum(c["judged"] for c in covered) / sum(c["lit_skin"] for c in covered)
+    person["nrmse"] = {}
+    for p in metrics["prediction"]:
+        if p["part"] == "total" and p["direct"] == "predicted" and p["geometry"] == "reconstructed":
+            person["nrmse"].setdefault(p["model"], {}).setdefault(p["light"], []).append(p["nrmse_without_noise"])
+    for lights in person["nrmse"].values():
+        for light, values in lights.items():
+            lights[light] = sum(values) / len(values)
+    return True
+
+
+def mean(values):
+    values = list(values)
+    return sum(values) / len(values)
+
+
+def table(chosen):
+    lights = ("stripe", "white", "spot")
+    head = ["group", "people", "ITA", "melanin", "judged", "depth rms, mm"]
+    head += [f"{light}, {name}" for light in lights for _, name in MODELS]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    by_light = {light: [] for light in lights}
+    for name, _, _ in GROUPS:
+        people = [p for p in chosen[name] if "nrmse" in p]
+        if not people:
+            lines.append(f"| {name} | 0 |" + " |" * (len(head) - 2))
+            continue
+        row = [name, str(len(people)), " ".join(f"{p['ita_deg']:.0f}" for p in people),
+               " ".join(f"{100 * p['melanin']:.1f} %" for p in people), f"{100 * mean(p['judged'] for p in people):.1f} %",
+               f"{mean(p['depth_rms_mm'] for p in people):.3f}"]
+        for light in lights:
+            for model, _ in MODELS:
+                error = mean(p["nrmse"][model][light] for p in people)
+                row.append(f"{100 * error:.2f}")
+                if model == "tied":
+                    by_light[light].append(error)
+        lines.append("| " + " | ".join(row) + " |")
+    for light, errors in by_light.items():
+        if errors:
+            lines.append(f"{light}: the worst group has {max(errors) / min(errors):.2f} times the best one's error")
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    root = pathlib.Path(__file__).resolve().parent.parent
+    parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
+    parser.add_argument("--work", type=pathlib.Path, required=True, help="stores and logs of the people")
+    parser.add_argument("--size", default="696x520", help="of the camera (696x520)")
+    parser.add_argument("--per-group", type=int, default=2, help="people of each group (2)")
+    parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
+    parser.add_argument("--scattering", type=float, help="of all, in place of their own")
+    parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")
+    args = parser.parse_args()
+    args.work.mkdir(parents=True, exist_ok=True)
+    chosen = choose(args.bin, args.first, args.per_group)
+    people = [p for name, _, _ in GROUPS for p in chosen[name]]
+    ok = True
+    for k, person in enumerate(people):
+        print(f"person {person['person']} ({k + 1} of {len(people)}), ITA {person['ita_deg']:.0f} degrees", file=sys.stderr)
+        ok = judge(args, person) and ok
+    print(table(chosen))
+    if args.json:
+        args.json.write_text(json.dumps(chosen, indent=1) + "\n")
+    return 0 if ok else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
