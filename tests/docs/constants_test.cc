@@ -27,6 +27,7 @@
 #include "fitter/reconstruction/triangulate.h"
 #include "fitter/scattering/baselines.h"
 #include "fitter/separation/separate.h"
+#include "fitter/skin/skin_mask.h"
 #include "fitter/srd/srd_extractor.h"
 #include "fitter/structured_light/gray_decoder.h"
 #include "fitter/structured_light/local_homography.h"
@@ -230,6 +231,7 @@ std::map<std::string, double> Compiled() {
   const SmoothOptions smooth;
   const DriftOptions drift;
   const SeparationOptions separation;
+  const SkinOptions skin;
   const PhotometricOptions photometric;
   const SrdOptions srd;
   const CombCycle comb;
@@ -275,6 +277,11 @@ std::map<std::string, double> Compiled() {
           {"SeparationOptions::sinusoid_amplitude", separation.sinusoid_amplitude},
           {"SeparationOptions::min_signal_sigmas", separation.min_signal_sigmas},
           {"SeparationOptions::negative_sigmas", separation.negative_sigmas},
+          {"SkinOptions::least_log_scale", skin.least_log_scale},
+          {"SkinOptions::least_share_scale", skin.least_share_scale},
+          {"SkinOptions::freedom", skin.freedom},
+          {"SkinOptions::coupling", skin.coupling},
+          {"SkinOptions::least_quads", static_cast<double>(skin.least_quads)},
           {"PhotometricOptions::relative_sigma", photometric.relative_sigma},
           {"PhotometricOptions::dependence_sigmas", photometric.dependence_sigmas},
           {"PhotometricOptions::robust_sigmas", photometric.robust_sigmas},
@@ -348,7 +355,7 @@ TEST(Constants, DefaultsAreThoseThatTheCompilerHas) {
 TEST(Constants, NoneOfTheStagesIsMissing) {
   int sources = 0;
   for (const char* folder : {"evaluation", "mixture", "photometric", "profiles", "reconstruction", "render",
-                             "scattering", "sensor", "separation", "srd", "stages", "structured_light"})
+                             "scattering", "sensor", "separation", "skin", "srd", "stages", "structured_light"})
     for (const auto& entry :
          std::filesystem::directory_iterator(std::string(STRATALUX_SOURCE_DIR) + "/fitter/" + folder)) {
       if (entry.path().extension() != ".h" && entry.path().extension() != ".cc") continue;

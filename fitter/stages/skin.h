@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// The skin stage: which quads of the surface are skin, by the light of all projectors.
+#pragma once
+
+#include <filesystem>
+#include <span>
+
+#include "fitter/skin/skin_mask.h"
+#include "fitter/stages/shape.h"
+
+namespace stratalux::fit {
+
+inline constexpr int kSkinVersion = 1;
+
+// `rig`: shape.record, linear. `separation`: of each projector; empty where none was captured: then all of the surface
+// counts as skin.
+[[nodiscard]] Result<SkinMask> JudgeFaceSkin(const FaceShape& shape, std::span<const SeparationMap> separation,
+                                             const RigCalibration& rig, double exposure_ms);
+// For people: how much is skin, and by what.
+[[nodiscard]] std::string Describe(const SkinMask& mask);
+
+// skin.exr (probability, skin, reason), skin.json.
+Status SaveSkin(const std::filesystem::path& folder, const SkinMask& mask);
+[[nodiscard]] Result<SkinMask> LoadSkin(const std::filesystem::path& folder);
+
+}  // namespace stratalux::fit
