@@ -160,6 +160,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
       {"separate", "Direct and global light as EXR", Stage::kSeparate},
       {"normals", "Normals of photometric stereo as EXR", Stage::kNormals},
+      {"skin", "Tell skin from hair, brows, eyes and nostrils: skin.exr", Stage::kSkin},
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit},
       {"maps", "Refine the layers by the projector that the fit leaves out: maps/", Stage::kMaps}};

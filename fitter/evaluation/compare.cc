@@ -44,18 +44,20 @@ Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, 
   return fitted;
 }
 
-// What of the scene the truth calls skin that the light reaches; empty where there is no truth. A scene without any
-// skin (a sphere of wax) is judged wherever the light reaches it.
-struct TrueSkin {
-  Image<uint8_t> skin, lit;  // on quads
-  [[nodiscard]] bool known() const { return !skin.empty() && !lit.empty(); }
+// What is skin, and what of it the light truly reaches: by the truth of a simulation, else by the mask of the skin
+// stage, and nothing is known of the light. A scene without any skin (a sphere of wax) is judged wherever the light
+// reaches it.
+struct JudgedSkin {
+  Image<uint8_t> skin, lit;  // on quads; lit is empty where there is no truth
+  [[nodiscard]] bool is_true() const { return !lit.empty(); }
 };
 
-Result<TrueSkin> ReadTrueSkin(const CompareInput& in) {
-  TrueSkin truth;
-  if (!in.truth) return truth;
+Result<JudgedSkin> ReadSkin(const CompareInput& in) {
+  JudgedSkin truth;
+  if (!in.truth) return JudgedSkin{in.skin.skin, {}};
   SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
   SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.view.projector));
+  if (truth.skin.empty() || truth.lit.empty()) return JudgedSkin{in.skin.skin, {}};  // of an older simulation
   const auto skin = truth.skin.pixels();
   if (std::none_of(skin.begin(), skin.end(), [](uint8_t s) { return s != 0; })) std::fill(skin.begin(), skin.end(), 1);
   return truth;
@@ -67,14 +69,15 @@ struct Masks {
 
 // Judged: fitted skin that the light reaches. Left out: what was predicted and, as far as is known, is lit, and is not
 // judged.
-Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const TrueSkin& truth, Coverage& coverage) {
+Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const JudgedSkin& judged_skin,
+                Coverage& coverage) {
   const Image<uint8_t>& lit = in.view.shape.lit[in.view.projector];
   Masks masks{Image<uint8_t>(lit.width(), lit.height()), Image<uint8_t>(lit.width(), lit.height())};
   for (int j = 0; j < lit.height(); ++j)
     for (int i = 0; i < lit.width(); ++i) {
       const bool surface = in.view.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
-      const bool skin = !truth.known() || truth.skin(i, j) != 0;
-      const bool shines = !truth.known() || truth.lit(i, j) != 0;
+      const bool skin = judged_skin.skin(i, j) != 0;
+      const bool shines = !judged_skin.is_true() || judged_skin.lit(i, j) != 0;
       const bool judged = surface && reached && has_fit && skin && shines;
       masks.judged(i, j) = judged ? 1 : 0;
       masks.left_out(i, j) = surface && has_fit && shines && !judged ? 1 : 0;
@@ -82,8 +85,8 @@ Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const True
       coverage.not_skin += surface && reached && has_fit && !skin ? 1 : 0;
       coverage.in_shadow += surface && reached && has_fit && skin && !shines ? 1 : 0;
       if (!(skin && shines)) continue;
-      coverage.lit_skin += truth.known() ? 1 : 0;
-      coverage.no_surface += truth.known() && !surface ? 1 : 0;
+      coverage.lit_skin += judged_skin.is_true() ? 1 : 0;
+      coverage.no_surface += judged_skin.is_true() && !surface ? 1 : 0;
       coverage.unlit += surface && !reached ? 1 : 0;
       coverage.not_fitted += surface && reached && !has_fit ? 1 : 0;
     }
@@ -134,9 +137,10 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   const HeldOutView& view = in.view;
   const SurfaceMap& surface = view.shape.surface;
   Comparison comparison;
-  SLX_ASSIGN_OR_RETURN(const auto true_skin, ReadTrueSkin(in));
+  SLX_ASSIGN_OR_RETURN(const auto skin, ReadSkin(in));
   const Image<uint8_t> fitted = FittedByAll(models, surface.width(), surface.height());
-  const Masks masks = MakeMasks(in, fitted, true_skin, comparison.coverage);
+  const Masks masks = MakeMasks(in, fitted, skin, comparison.coverage);
+  comparison.coverage.skin_by = skin.is_true() ? "truth" : in.skin.told ? "mask" : "none";
   comparison.coverage.projector = in.view.projector;
   comparison.coverage.geometry = in.geometry;
   const Image<float> direct_reflectance =

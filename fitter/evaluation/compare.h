@@ -13,10 +13,11 @@
 #include "fitter/evaluation/truth.h"
 #include "fitter/separation/separation_map.h"
 #include "fitter/session/session_frames.h"
+#include "fitter/skin/skin_mask.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 5;
+inline constexpr int kCompareVersion = 6;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
@@ -28,6 +29,7 @@ struct CompareInput {
   const HeldOutView& view;
   const SeparationMap& separation;  // of the projector
   const std::optional<SceneTruth>& truth;
+  const SkinMask& skin;  // what is judged where the truth does not say what is skin
   int pool = 1;
   std::string geometry;  // reconstructed | truth
 };

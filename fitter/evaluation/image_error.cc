@@ -115,6 +115,25 @@ double NoiseFloor(ImageView<const float> reference, ImageView<const float> varia
   return power > 0.0 ? std::sqrt(noise / power) : std::nan("");
 }
 
+double MaskOverlap::IntersectionOverUnion() const {
+  const int64_t either = both + only_estimate + only_reference;
+  return either == 0 ? std::nan("") : static_cast<double>(both) / static_cast<double>(either);
+}
+
+MaskOverlap CompareMasks(ImageView<const uint8_t> reference, ImageView<const uint8_t> estimate,
+                         ImageView<const uint8_t> where) {
+  SLX_CHECK(reference.size() == estimate.size() && reference.size() == where.size());
+  MaskOverlap overlap;
+  for (size_t i = 0; i < where.size(); ++i) {
+    if (where.pixels()[i] == 0) continue;
+    const bool is = reference.pixels()[i] != 0, said = estimate.pixels()[i] != 0;
+    overlap.both += is && said ? 1 : 0;
+    overlap.only_estimate += said && !is ? 1 : 0;
+    overlap.only_reference += is && !said ? 1 : 0;
+  }
+  return overlap;
+}
+
 SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
                             ImageView<const float> true_normal) {
   std::vector<double> depth, angle;

@@ -30,6 +30,14 @@ struct ImageError {
 [[nodiscard]] double NoiseFloor(ImageView<const float> reference, ImageView<const float> variance,
                                 ImageView<const uint8_t> mask);
 
+// How two masks agree, in pixels where a third one counts.
+struct MaskOverlap {
+  int64_t both = 0, only_estimate = 0, only_reference = 0;
+  [[nodiscard]] double IntersectionOverUnion() const;  // NaN: neither has a pixel
+};
+[[nodiscard]] MaskOverlap CompareMasks(ImageView<const uint8_t> reference, ImageView<const uint8_t> estimate,
+                                       ImageView<const uint8_t> where);
+
 struct SurfaceError {
   double depth_rms_mm = 0.0;  // after removing the bias
   double depth_bias_mm = 0.0;

@@ -18,6 +18,19 @@ nlohmann::ordered_json JsonOf(const SurfaceError& error) {
           {"pixels", error.pixels}};
 }
 
+nlohmann::ordered_json JsonOf(const SkinFigure& skin) {
+  nlohmann::ordered_json json = {{"surface", skin.surface},
+                                 {"skin", skin.skin},
+                                 {"told", skin.told},
+                                 {"surface_by_reason", skin.surface_by_reason}};
+  if (skin.truth)
+    json["truth"] = {{"iou", skin.truth->IntersectionOverUnion()},
+                     {"skin_in_both", skin.truth->both},
+                     {"skin_in_mask_alone", skin.truth->only_estimate},
+                     {"skin_in_truth_alone", skin.truth->only_reference}};
+  return json;
+}
+
 double FigureOf(const nlohmann::json& json) { return json.is_null() ? std::nan("") : json.get<double>(); }
 
 }  // namespace
@@ -72,7 +85,8 @@ void to_json(nlohmann::ordered_json& json, const Coverage& c) {
           {"lit_skin", c.lit_skin},     {"judged", c.judged},
           {"no_surface", c.no_surface}, {"unlit", c.unlit},
           {"not_fitted", c.not_fitted}, {"not_skin", c.not_skin},
-          {"in_shadow", c.in_shadow},   {"left_out_nrmse", c.left_out_nrmse}};
+          {"in_shadow", c.in_shadow},   {"left_out_nrmse", c.left_out_nrmse},
+          {"skin_by", c.skin_by}};
 }
 
 void from_json(const nlohmann::json& json, Coverage& c) {
@@ -86,6 +100,7 @@ void from_json(const nlohmann::json& json, Coverage& c) {
   json.at("not_skin").get_to(c.not_skin);
   json.at("in_shadow").get_to(c.in_shadow);
   for (const auto& [light, error] : json.at("left_out_nrmse").items()) c.left_out_nrmse[light] = FigureOf(error);
+  json.at("skin_by").get_to(c.skin_by);
 }
 
 std::string Metrics::ToJson() const {
@@ -155,6 +170,7 @@ std::string Metrics::ToJson() const {
                                {"pixels", o.offset.pixels}});
     if (o.truth) json["offsets"].back()["truth"] = JsonOf(*o.truth);
   }
+  json["skin"] = JsonOf(skin);
   if (truth) json["truth"] = JsonOf(*truth);
   if (unplaced) json["unplaced"] = JsonOf(*unplaced);
   return json.dump(1) + "\n";

@@ -50,6 +50,8 @@ struct Coverage {
   int64_t not_skin = 0, in_shadow = 0;
   // Of the judged fit, total, over what it predicts and is not judged; by light.
   std::map<std::string, double> left_out_nrmse;
+  // Who says what is skin: truth, the mask of the skin stage, or none (all of the surface is).
+  std::string skin_by = {};
 };
 
 struct CentroidFigure {
@@ -64,6 +66,14 @@ struct OffsetFigure {
   std::string model;           // whose choice: the judged one's, or direction_blind_placed
   SurfaceOffset offset;
   std::optional<SurfaceError> truth;  // of the placed surface
+};
+
+// What the skin stage found, in quads of the reconstructed surface.
+struct SkinFigure {
+  int64_t surface = 0, skin = 0;
+  bool told = false;                                 // else all of the surface counts as skin
+  std::map<std::string, int64_t> surface_by_reason;  // SkinReason
+  std::optional<MaskOverlap> truth;                  // against that of a simulation, stubble as skin
 };
 
 struct StageFigure {
@@ -87,6 +97,7 @@ struct Metrics {
   std::vector<StageFigure> stages;
   DriftReport drift;  // of the rig since its calibration
   std::vector<OffsetFigure> offsets;
+  SkinFigure skin;
   std::optional<SurfaceError> truth;     // of the fit's surface; only in simulation
   std::optional<SurfaceError> unplaced;  // the same before it was placed
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "shared/base/read_file.h"
+#include "shared/capture/surface_class.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -32,6 +33,16 @@ Result<Image<uint8_t>> SceneTruth::Skin() const {
   if (!material.ok()) return material.status();
   Image<uint8_t> skin(material->width(), material->height());
   for (size_t i = 0; i < skin.size(); ++i) skin.pixels()[i] = material->pixels()[i] == kSkin ? 1 : 0;
+  return skin;
+}
+
+Result<Image<uint8_t>> SceneTruth::SkinOrStubble() const {
+  SLX_ASSIGN_OR_RETURN(auto skin, Skin());
+  const auto part = segment_.Read("class");
+  if (part.status().code() == StatusCode::kNotFound) return skin;
+  if (!part.ok()) return part.status();
+  for (size_t i = 0; i < skin.size(); ++i)
+    if (part->pixels()[i] == static_cast<float>(SurfaceClass::kStubble)) skin.pixels()[i] = 1;
   return skin;
 }
 

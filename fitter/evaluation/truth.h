@@ -23,6 +23,8 @@ class SceneTruth {
   // On quads: what is skin; what of the scene the projector's light reaches. empty where the truth, of an older
   // simulation, does not say.
   [[nodiscard]] Result<Image<uint8_t>> Skin() const;
+  // Skin, and skin between the hairs of a shaven beard, which no quad tells apart. Empty as above.
+  [[nodiscard]] Result<Image<uint8_t>> SkinOrStubble() const;
   [[nodiscard]] Result<Image<uint8_t>> LitBy(int projector) const;
   // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
   // another calibration than the exact one, on the rays of the exact one, which lies beside the truth.

@@ -40,6 +40,7 @@ std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOption
   std::map<std::string, std::string> keys = {{"shape", graph.PlacedShape(options.geometry, kNoneHeldOut)},
                                              {"separate", graph.Separate()},
                                              {"normals", graph.Normals()},
+                                             {"skin", graph.Skin()},
                                              {"fit", graph.Fit(options.geometry, options.heldout, FitKind::kJudged)}};
   if (const std::string offset = graph.Offset(options.geometry, kNoneHeldOut); !offset.empty()) keys["offset"] = offset;
   if (options.MakesMaps()) keys["maps"] = graph.Maps();
@@ -97,6 +98,20 @@ Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const Sess
   SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
   SLX_ASSIGN_OR_RETURN(const FaceShape made, graph.stages().Load(shape, LoadShape));
   return std::optional(CompareSurface(made.surface, depth, normal));
+}
+
+// Of quads of the reconstructed surface, which the mask was made of.
+Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames, const SkinMask& mask) {
+  SkinFigure figure{mask.surface_quads(), mask.skin_quads, mask.told, {}, {}};
+  for (int r = 0; r < kSkinReasons; ++r)
+    if (const auto reason = static_cast<SkinReason>(r); reason != SkinReason::kNoSurface)
+      figure.surface_by_reason[ToString(reason)] = mask.counts[r];
+  SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
+  if (!truth) return figure;
+  SLX_ASSIGN_OR_RETURN(const auto skin, truth->SkinOrStubble());
+  SLX_ASSIGN_OR_RETURN(const FaceShape* face, graph.Face(graph.Shape(GeometrySource::kReconstructed)));
+  if (!skin.empty()) figure.truth = CompareMasks(skin, mask.skin, face->surface.mask);
+  return figure;
 }
 
 // Of the surface that fits without `heldout` (none: the fit's files) stand on; nothing where it was not moved.
@@ -214,7 +229,7 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
 }
 
 std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
-  std::vector<std::string> keys = {graph.Normals(), graph.PlacedShape(options.geometry, kNoneHeldOut)};
+  std::vector<std::string> keys = {graph.Normals(), graph.Skin(), graph.PlacedShape(options.geometry, kNoneHeldOut)};
   if (options.MakesMaps()) keys.push_back(graph.Maps());
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
   const auto compare = [&](GeometrySource source, int heldout) {
@@ -283,6 +298,8 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
     metrics.truth = metrics.offsets.back().truth;  // by all projectors: the fit's surface
     SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, frames, graph.Shape(options.geometry)));
   }
+  SLX_ASSIGN_OR_RETURN(const SkinMask skin, stages.Load(keys.at("skin"), LoadSkin));
+  SLX_ASSIGN_OR_RETURN(metrics.skin, SkinFigureOf(graph, frames, skin));
   SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
   const int projectors = static_cast<int>(shape->record.projectors.size());
   SLX_ASSIGN_OR_RETURN(const auto* separation, graph.Separation(keys.at("separate")));
@@ -302,9 +319,9 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
                                          static_cast<int>(pixel / layers->map.width) * layers->pool);
     for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1}, 1.0);
   }
-  ReportInput input{frames,  *shape,           *separation, normals,
-                    *layers, std::move(shown), chosen,      std::move(srds.batches),
-                    {},      options.heldout};
+  ReportInput input{
+      frames, *shape,         *separation, normals, skin, *layers, std::move(shown), chosen, std::move(srds.batches),
+      {},     options.heldout};
   const std::string compare =
       graph.Compare(ModelsOf(graph, evaluation, options.geometry, options.heldout), options.geometry, options.heldout);
   SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons));

@@ -53,6 +53,8 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
       return graph.Separate();
     case Stage::kNormals:
       return graph.Normals();
+    case Stage::kSkin:
+      return graph.Skin();
     case Stage::kSrd:
       return graph.Srd(options.geometry);
     case Stage::kMaps:

@@ -12,7 +12,7 @@
 namespace stratalux::fit {
 
 // Stages that a user can ask for by name; kReport: a whole fit.
-enum class Stage { kReconstruct, kSeparate, kNormals, kSrd, kFit, kMaps, kReport };
+enum class Stage { kReconstruct, kSeparate, kNormals, kSkin, kSrd, kFit, kMaps, kReport };
 
 enum class GeometrySource { kReconstructed, kTruth };
 [[nodiscard]] const char* ToString(GeometrySource source);

@@ -201,6 +201,25 @@ std::string SessionGraph::Normals() {
               }});
 }
 
+std::string SessionGraph::Skin() {
+  const std::string separate = Separate(), shape = Shape(GeometrySource::kReconstructed);
+  return Add({{"skin",
+               kSkinVersion,
+               SortedJson({{"exposure_ms", plan_.exposure_ms}}).dump(),
+               {{"separate", separate}, {"shape", shape}},
+               ""},
+              "skin",
+              {separate, shape},
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
+                SLX_ASSIGN_OR_RETURN(const auto skin,
+                                     JudgeFaceSkin(*face, *maps, LinearRig(face->record), plan_.exposure_ms));
+                logger_.Info("skin: " + Describe(skin));
+                return SaveSkin(folder, skin);
+              }});
+}
+
 std::string SessionGraph::Srd(GeometrySource source) {
   const std::string shape = Shape(source);
   return Add({{"srd", kSrdVersion, SrdOptionsJson(options_.srd), {{"frames", frames_hash_}, {"shape", shape}}, ""},
@@ -492,11 +511,12 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
-  const std::string shape = PlacedShape(source, heldout), separate = Separate();
+  const std::string shape = PlacedShape(source, heldout), separate = Separate(), skin = Skin();
   std::vector<std::string> predictions, fits;
   for (const std::string& model : models)
     if (!stages_.Has(Predict(model, source, heldout))) fits.push_back(FitOf(model, source, heldout));
-  std::map<std::string, std::string> inputs = {{"frames", frames_hash_}, {"shape", shape}, {"separate", separate}};
+  std::map<std::string, std::string> inputs = {
+      {"frames", frames_hash_}, {"shape", shape}, {"separate", separate}, {"skin", skin}};
   if (has_truth()) inputs["truth"] = truth_hash_;
   for (const std::string& model : models) {
     predictions.push_back(Predict(model, source, heldout));
@@ -511,7 +531,7 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
   std::ranges::stable_sort(order, {}, [&](size_t m) {
     return models[m] == "dipole" ? 0 : FitOf(models[m], source, heldout) == judged ? 1 : 2;
   });
-  std::vector<std::string> upstream = {shape, separate};
+  std::vector<std::string> upstream = {shape, separate, skin};
   upstream.insert(upstream.end(), fits.begin(), fits.end());
   for (const size_t m : order) upstream.push_back(predictions[m]);
   return Add({{"compare", kCompareVersion,
@@ -530,13 +550,14 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(view->shape.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
+                SLX_ASSIGN_OR_RETURN(const SkinMask mask, stages_.Load(skin, LoadSkin));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
                   SLX_ASSIGN_OR_RETURN(auto taken, TakePredictions(predictions[m]));
                   compared.push_back({models[m], std::move(taken)});
                 }
                 const CompareInput input{
-                    *frames, *view, (*maps)[heldout], truth, options_.srd.pool, fit::ToString(source)};
+                    *frames, *view, (*maps)[heldout], truth, mask, options_.srd.pool, fit::ToString(source)};
                 SLX_ASSIGN_OR_RETURN(auto comparison, CompareHeldOut(input, compared));
                 // The separated light lies on the judged surface: to a model on another one it is no yardstick.
                 std::erase_if(comparison.figures, [](const HeldOutFigure& figure) {

@@ -3,6 +3,7 @@
 //
 //   frames -> decode -> shape --------+-> srd -> offset -> fit -> predict -> compare
 //         \-> separate -> normals      |     \       |         \-> maps, which nothing reads that judges a fit
+//                     \-> skin (+ shape), by which comparisons judge what the truth of a simulation does not tell
 //                                      |      \      \-> placed_shape, which predictions and comparisons stand on
 //                                      \-> (truth_shape, of the truth of a simulation, in its place: without offset)
 #pragma once
@@ -23,6 +24,7 @@
 #include "fitter/stages/decode.h"
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/offset.h"
+#include "fitter/stages/skin.h"
 #include "fitter/stages/srd_file.h"
 
 namespace stratalux::fit {
@@ -40,6 +42,8 @@ class SessionGraph {
   std::string Shape(GeometrySource source);
   std::string Separate();
   std::string Normals();
+  // Of the reconstructed surface, whichever the fits stand on: nothing of the truth enters.
+  std::string Skin();
   std::string Srd(GeometrySource source);
   // Of the surface, by the lights that a fit with that projector held out is fitted to; empty where the surface is
   // taken as it is. All fits share the judged one's, but for kDirectionBlindPlaced, which has its own.

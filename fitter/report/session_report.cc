@@ -115,6 +115,44 @@ ReportSection DirectAndGlobal(const ReportInput& in, double white) {
   return section;
 }
 
+// What of the picture is left out, in the scale's colours of certainty on a grey face.
+Image<uint8_t> SkinPicture(const Image<uint8_t>& face, const SkinMask& mask) {
+  Image<uint8_t> picture(face.width(), face.height(), 3);
+  constexpr std::array<int, 3> kLeftOut = {30, 120, 220};
+  for (int y = 0; y < face.height(); ++y)
+    for (int x = 0; x < face.width(); ++x) {
+      const bool surface = mask.reason(x, y) != static_cast<uint8_t>(SkinReason::kNoSurface);
+      for (int c = 0; c < 3; ++c) {
+        const int light = face(x, y, std::min(c, face.channels() - 1));
+        const int shown = !surface ? light / 4 : mask.skin(x, y) != 0 ? light : (light + 2 * kLeftOut[c]) / 3;
+        picture(x, y, c) = static_cast<uint8_t>(shown);
+      }
+    }
+  return picture;
+}
+
+ReportSection Skin(const ReportInput& in, const Image<float>& lit, double white, const SkinFigure& figure) {
+  ReportSection section{"Skin",
+                        "Skin is what most of the face is, by the light that goes through it (global) and its share of "
+                        "all light, of all projectors together. " +
+                            Describe(in.skin) + ".",
+                        {},
+                        {},
+                        {}};
+  section.images.push_back({"skin; in blue " + std::to_string(in.skin.left_out()) + " of " +
+                                std::to_string(in.skin.surface_quads()) +
+                                " quads of the surface, which are left out; dark: no surface",
+                            SkinPicture(ToSrgb(lit, white), in.skin)});
+  section.images.push_back({"how likely each quad is skin", ToColourScale(in.skin.probability, 0.0, 1.0), "0", "1"});
+  if (figure.truth)
+    section.tables.push_back(
+        {"Against the simulated truth, quads of the surface; stubble counts as skin",
+         {"intersection over union", "skin in both", "in the mask alone", "in the truth alone"},
+         {{Fixed(figure.truth->IntersectionOverUnion(), 4), std::to_string(figure.truth->both),
+           std::to_string(figure.truth->only_estimate), std::to_string(figure.truth->only_reference)}}});
+  return section;
+}
+
 // The fitted pixel nearest to the cheek beside the image's centre.
 int64_t ChosenProfile(const MixtureMap& map) {
   int64_t best = -1;
@@ -272,7 +310,8 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
 ReportTable CoverageTable(const Metrics& m) {
   ReportTable table{
       "Coverage, quads: with a truth, of the skin that the light truly reaches; else of the reconstructed "
-      "surface. Left out: NRMSE of the fit (total) over what it predicts and is not judged",
+      "surface, and skin is what the skin stage found. Left out: NRMSE of the fit (total) over what it predicts and is "
+      "not judged",
       {"projector", "geometry", "lit skin", "judged", "no surface", "unlit by its codes", "not fitted", "not skin",
        "in shadow", "left out"},
       {}};
@@ -398,12 +437,12 @@ int64_t ProfileToShow(const MixtureMap& map) { return ChosenProfile(map); }
 Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, const Metrics& metrics) {
   SLX_ASSIGN_OR_RETURN(const auto lit,
                        Captured(in, in.heldout, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
-  Image<float> skin = lit;
-  for (int y = 0; y < skin.height(); ++y)
-    for (int x = 0; x < skin.width(); ++x)
-      for (int c = 0; c < skin.channels(); ++c)
-        if (in.shape.surface.mask(x, y) == 0) skin(x, y, c) = std::nanf("");
-  const double white = 1.05 * Percentile(skin, 0.985);
+  Image<float> face = lit;
+  for (int y = 0; y < face.height(); ++y)
+    for (int x = 0; x < face.width(); ++x)
+      for (int c = 0; c < face.channels(); ++c)
+        if (in.shape.surface.mask(x, y) == 0) face(x, y, c) = std::nanf("");
+  const double white = 1.05 * Percentile(face, 0.985);
   const SessionInfo& info = in.frames.info();
   Report report{
       "Stratalux: session " + info.id,
@@ -418,6 +457,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   if (!metrics.offsets.empty()) report.sections.back().tables.push_back(PlacementTable(metrics));
   report.sections.push_back(CalibrationSection(*in.frames.calibration(), metrics.drift));
   report.sections.push_back(DirectAndGlobal(in, white));
+  report.sections.push_back(Skin(in, lit, white, metrics.skin));
   report.sections.push_back(SrdOfPixel(in));
   for (const LightComparison& c : in.comparisons) {
     if (c.light == "stripe") {

@@ -13,6 +13,7 @@
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/normals.h"
 #include "fitter/stages/shape.h"
+#include "fitter/stages/skin.h"
 
 namespace stratalux::fit {
 
@@ -21,6 +22,7 @@ struct ReportInput {
   const FaceShape& shape;
   const std::vector<SeparationMap>& separation;
   const FaceNormals& normals;
+  const SkinMask& skin;
   const FittedLayers& layers;         // of the fit: what SRDs are held against
   ShownLayers shown;                  // what the maps show: of all projectors, where they were made
   int64_t chosen_profile = -1;        // whose SRDs are shown; -1: none

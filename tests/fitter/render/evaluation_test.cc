@@ -136,6 +136,22 @@ TEST(CompareImages, FollowsTheFormulaOfStructuralSimilarityOnContrast) {
   EXPECT_NEAR(CompareImages(a, b, kEverywhere).ssim, (2 * 0.5 * v + c2) / (1.25 * v + c2), 1e-3);
 }
 
+TEST(CompareMasks, CountsWhatBothSayAndWhatOneSaysAlone) {
+  Image<uint8_t> truth(10, 4), mask(10, 4), where(10, 4, 1, 1);
+  for (int j = 0; j < 4; ++j)
+    for (int i = 0; i < 10; ++i) {
+      truth(i, j) = i < 6 ? 1 : 0;
+      mask(i, j) = i >= 2 && i < 7 ? 1 : 0;
+      where(i, j) = j > 0 ? 1 : 0;
+    }
+  const MaskOverlap overlap = CompareMasks(truth, mask, where);
+  EXPECT_EQ(overlap.both, 3 * 4);
+  EXPECT_EQ(overlap.only_estimate, 3 * 1);
+  EXPECT_EQ(overlap.only_reference, 3 * 2);
+  EXPECT_DOUBLE_EQ(overlap.IntersectionOverUnion(), 12.0 / 21.0);
+  EXPECT_TRUE(std::isnan(CompareMasks(truth, mask, Image<uint8_t>(10, 4)).IntersectionOverUnion()));
+}
+
 TEST(CompareImages, SeesNothingOutsideTheMask) {
   const Image<float> reference = Picture();
   Image<float> estimate = reference;
@@ -217,12 +233,15 @@ TEST(Metrics, WritesSchemaTwo) {
                        0.031});
   m.ablations.push_back(m.heldout[0]);
   m.ablations[0].model = "projectors_permuted";
-  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, 1, {{"stripe", 0.2}}});
+  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, 1, {{"stripe", 0.2}}, "mask"});
+  m.skin = {100, 90, true, {{"unlit", 4}}, {}};
   m.evaluation = "full";
   m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
   m.summary.masked_by_reason["too dark"] = 7;
   const auto without_truth = nlohmann::json::parse(m.ToJson());
   EXPECT_FALSE(without_truth.contains("truth"));
+  EXPECT_FALSE(without_truth["skin"].contains("truth"));
+  m.skin.truth = MaskOverlap{80, 10, 10};
   m.truth = SurfaceError{0.1, -0.2, 2.0, 99};
   const auto json = nlohmann::json::parse(m.ToJson());
   EXPECT_EQ(json["schema"], 2);
@@ -246,6 +265,10 @@ TEST(Metrics, WritesSchemaTwo) {
   EXPECT_EQ(json["ablations"][0]["model"], "projectors_permuted");
   EXPECT_EQ(json["coverage"][0]["lit_skin"], 100);
   EXPECT_EQ(json["coverage"][0]["left_out_nrmse"]["stripe"], 0.2);
+  EXPECT_EQ(json["coverage"][0]["skin_by"], "mask");
+  EXPECT_EQ(json["coverage"][0].get<Coverage>().skin_by, "mask");
+  EXPECT_EQ(json["skin"]["surface_by_reason"]["unlit"], 4);
+  EXPECT_EQ(json["skin"]["truth"]["iou"], 0.8);
   EXPECT_EQ(json["fit"]["masked_by_reason"]["too dark"], 7);
   EXPECT_EQ(json["stages"][0]["cpu_seconds"], 2.5);
   EXPECT_EQ(json["stages"][0]["peak_rss_bytes"], 1 << 20);
