@@ -225,7 +225,7 @@ TEST_F(DamagedArtifacts, OtherVerbsLeaveAFinishedFitAlone) {
     return files;
   };
   const auto before = all();
-  for (const char* verb : {"reconstruct", "separate", "normals", "srd", "fit", "run"}) {
+  for (const char* verb : {"reconstruct", "separate", "normals", "skin", "srd", "fit", "run"}) {
     const Outcome outcome = Execute("stratalux-fit " + Options(verb) + " --store " + store.string(), Show::kStdout);
     EXPECT_EQ(outcome.code, 0) << verb;
     EXPECT_TRUE(fs::exists(outcome.out.substr(0, outcome.out.find('\n')))) << verb << outcome.out;
@@ -300,7 +300,7 @@ TEST_F(DamagedArtifacts, ADryRunNamesWhatAnOptionTouches) {
                                   "compare, projector 3 held out, true geometry"}));
   for (const std::string& label : full)
     EXPECT_TRUE(label != "decode" && label != "shape" && label != "srd" && label != "separate" && label != "normals" &&
-                label != "fit, projector 3 held out")
+                label != "skin" && label != "fit, projector 3 held out")
         << label;
   EXPECT_THAT(runs("--heldout 1"), Not(Contains("srd")));
   EXPECT_TRUE(StateOf(store) == before);
