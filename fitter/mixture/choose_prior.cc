@@ -99,7 +99,7 @@ size_t BestOf(const Scores& scores, size_t first) {
 int OneIn(std::span<const SrdBatch* const> lights, int channels) {
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
-    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->valid[i] != 0; }) ? 1 : 0;
+    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->Shares(i); }) ? 1 : 0;
   return static_cast<int>(std::max<int64_t>(usable / kPixels, 1));
 }
 

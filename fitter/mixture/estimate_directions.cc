@@ -21,7 +21,7 @@ namespace {
 double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
   double photons = 0.0;
   for (const SrdBatch* b : lights) {
-    if (b->valid[profile] == 0) continue;
+    if (!b->Shares(profile)) continue;
     const auto y = b->Samples(profile), v = b->Variances(profile);
     const double sum = std::accumulate(y.begin(), y.end(), 0.0), variance = std::accumulate(v.begin(), v.end(), 0.0);
     if (std::isfinite(sum) && variance > 0.0) photons += sum * sum / variance;
@@ -41,7 +41,7 @@ double ReachOfSurface(const SrdBatch& batch, int64_t i) {
 }
 
 std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double reach, double eta) {
-  if (batch.valid[i] == 0 || batch.cos_in[i] < 0.4F) return std::nullopt;
+  if (!batch.Shares(i) || batch.cos_in[i] < 0.4F) return std::nullopt;
   const double step = batch.step_mm[i], period = step * batch.samples;
   const auto y = batch.Samples(i);
   Scattered s;

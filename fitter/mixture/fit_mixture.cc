@@ -360,7 +360,7 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
   SLX_RETURN_IF_ERROR(CheckBatches(lights, lights[0]->profiles()));
   Judgement judged = JudgeAll(lights);
   // Every so many pixels, all channels of each.
-  std::erase_if(judged.work, [&](int64_t i) { return i / channels % every != 0; });
+  std::erase_if(judged.work, [&](int64_t i) { return i / channels % every != 0 || lights[0]->IsApart(i); });
   // Layers by profile, so that the sums do not depend on the order in which blocks finish.
   const size_t layers = static_cast<size_t>(options.layers);
   const size_t stride = 3 * layers + 1;
@@ -427,7 +427,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
   for (int64_t i = 0; i < profiles; ++i) {
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
-      if (Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
+      if (batch->IsApart(i) || Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
       const double sum =
           WhiteReflectanceOf(*batch, i).value - ReflectanceOf(surface, ReflectionAngles::Of(*batch, i), eta);
       if (!(sum > 0.0)) continue;

@@ -6,7 +6,7 @@ namespace stratalux::fit {
 SrdBatch SampledPixels(const SrdBatch& all, int channels, int every) {
   std::vector<int64_t> which;
   for (int64_t i = 0; i < all.profiles(); ++i)
-    if (i / channels % every == 0) which.push_back(i);
+    if (i / channels % every == 0 && !all.IsApart(i)) which.push_back(i);
   return ProfilesOf(all, which);
 }
 

@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-// Every so many pixels of a batch, all `channels` profiles of each, in their order.
+// Every so many pixels of a batch, all `channels` profiles of each, in their order, but for those that stand apart.
 [[nodiscard]] SrdBatch SampledPixels(const SrdBatch& all, int channels, int every);
 
 [[nodiscard]] std::vector<SrdBatch> SampledPixels(std::span<const SrdBatch* const> lights, int channels, int every);

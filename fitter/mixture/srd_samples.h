@@ -43,6 +43,15 @@ struct SrdBatch {
   std::vector<float> slope_in_across;  // [profile] t(omega_i) . (n x e), the part along the line (for exact refraction)
   std::vector<float> slope_out_across;  // [profile]
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel
+  // [profile] 1: fitted as any other, but without a part in what all pixels share (surface reflection, tau, mean
+  // layers, offset, prior): it is no skin. The same for all lights. Empty: none.
+  std::vector<uint8_t> apart;
+  [[nodiscard]] bool IsApart(int64_t profile) const {
+    return !apart.empty() && apart[static_cast<size_t>(profile)] != 0;
+  }
+  [[nodiscard]] bool Shares(int64_t profile) const {
+    return valid[static_cast<size_t>(profile)] != 0 && !IsApart(profile);
+  }
   [[nodiscard]] int64_t profiles() const { return static_cast<int64_t>(first_u_mm.size()); }
   // Of a profile that has a row: its K samples, and their variances.
   [[nodiscard]] std::span<const float> Samples(int64_t profile) const {

@@ -33,7 +33,7 @@ std::vector<int64_t> PixelsOf(std::span<const SrdBatch* const> lights, const std
     int first = -1;
     for (size_t p = 0; p < lights.size(); ++p)
       for (int c = 0; c < channels; ++c) {
-        if (lights[p]->valid[pixel * channels + c] == 0 || projectors[p] == first) continue;
+        if (!lights[p]->Shares(pixel * channels + c) || projectors[p] == first) continue;
         if (first >= 0) return true;
         first = projectors[p];
       }

@@ -80,7 +80,7 @@ std::unique_ptr<ProfileResiduals> ResidualsOf(std::span<const SrdBatch* const> l
   auto profile = std::make_unique<ProfileResiduals>(ProfileResiduals{{}, eta});
   double mean = 0.0;
   for (const SrdBatch* batch : lights) {
-    if (batch->valid[i] == 0 || !(batch->cos_in[i] > kLeastCos) || !(batch->cos_out[i] > kLeastCos)) continue;
+    if (!batch->Shares(i) || !(batch->cos_in[i] > kLeastCos) || !(batch->cos_out[i] > kLeastCos)) continue;
     const WhiteReflectance white = WhiteReflectanceOf(*batch, i);
     if (!std::isfinite(white.value) || !std::isfinite(white.variance) || !(white.value > 0.0)) continue;
     Shown s;

@@ -38,7 +38,7 @@ bool FurtherLit(std::span<const SrdBatch* const> lights, const std::vector<int>&
   if (!fit.Fitted(profile)) return false;
   for (size_t p = 0; p < lights.size(); ++p)
     if (std::ranges::find(fit.training_projectors, projectors[p]) == fit.training_projectors.end() &&
-        lights[p]->valid[profile] != 0)
+        lights[p]->Shares(profile))
       return true;
   return false;
 }
@@ -111,7 +111,7 @@ Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights, const 
                                  int channels, const EmOptions& options, std::span<const LayerSet> start) {
   SweepChoice choice;
   const std::vector<int64_t> which = SampleOf(lights[0]->profiles(), channels, [&](int64_t i) {
-    return std::ranges::any_of(lights, [i](const SrdBatch* light) { return light->valid[i] != 0; });
+    return std::ranges::any_of(lights, [i](const SrdBatch* light) { return light->Shares(i); });
   });
   if (which.empty()) return choice;
   const SampledBatches sampled(lights, which);

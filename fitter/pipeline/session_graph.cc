@@ -246,20 +246,20 @@ FitOptions SessionGraph::FitOptionsOf(FitKind kind) const {
 
 std::string SessionGraph::Offset(GeometrySource source, int heldout, FitKind kind) {
   if (source == GeometrySource::kTruth || !options_.offset) return "";
-  const std::string srd = Srd(source), shape = Shape(source);
+  const std::string srd = Srd(source), shape = Shape(source), skin = Skin();
   const bool own = kind == FitKind::kDirectionBlindPlaced;
   const FitOptions fit = FitOptionsOf(own ? kind : FitKind::kJudged);
   SortedJson options = SortedJson::parse(FitOptionsJson(fit));
   options["heldout"] = heldout;
   const std::string what = own ? std::string("offset, ") + ToString(kind) : "offset";
   const std::string label = heldout == kNoneHeldOut ? "offset, all projectors" : LabelOf(what, source, heldout);
-  return Add({{"offset", kOffsetVersion, options.dump(), {{"srd", srd}, {"shape", shape}}, isa_},
+  return Add({{"offset", kOffsetVersion, options.dump(), {{"srd", srd}, {"shape", shape}, {"skin", skin}}, isa_},
               label,
-              {srd, shape},
+              {srd, shape, skin},
               [=, this](const fs::path& folder) -> Status {
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
-                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds({srd, ""}, FitKind::kJudged, heldout));
+                SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds({srd, "", skin}, FitKind::kJudged, heldout));
                 SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, *face, heldout, fit, logger_, label));
                 return SaveOffset(folder, offset);
               }});
@@ -279,13 +279,13 @@ std::string SessionGraph::PlacedShape(GeometrySource source, int heldout, FitKin
 }
 
 std::map<std::string, std::string> SessionGraph::SrdKeys::Inputs() const {
-  std::map<std::string, std::string> inputs = {{"srd", srd}};
+  std::map<std::string, std::string> inputs = {{"srd", srd}, {"skin", skin}};
   if (!offset.empty()) inputs["offset"] = offset;
   return inputs;
 }
 
 std::vector<std::string> SessionGraph::SrdKeys::Upstream() const {
-  return offset.empty() ? std::vector{srd} : std::vector{srd, offset};
+  return offset.empty() ? std::vector{srd, skin} : std::vector{srd, skin, offset};
 }
 
 std::string SessionGraph::Fit(GeometrySource source, int heldout, FitKind kind) {
@@ -398,16 +398,16 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
   const bool spoilt = IsSpoilt(kind);
   const std::string of =
       spoilt ? keys.srd + " " + keys.offset + " " + ToString(kind) + " " + std::to_string(heldout) : keys.srd;
-  SLX_RETURN_IF_ERROR(srds_
-                          .Of(of,
-                              [&]() -> Result<PlacedSrds> {
-                                SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(keys.srd, LoadSrds));
-                                PlacedSrds srds(std::move(extracted.set));
-                                if (!spoilt) return srds;
-                                srds.MoveTo(offset ? &*offset : nullptr);
-                                return PlacedSrds(Spoil(srds.Take(), kind, heldout));
-                              })
-                          .status());
+  const auto load = [&]() -> Result<PlacedSrds> {
+    SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(keys.srd, LoadSrds));
+    SLX_ASSIGN_OR_RETURN(const SkinMask skin, stages_.Load(keys.skin, LoadSkin));
+    SLX_RETURN_IF_ERROR(SetApart(extracted.set, skin));
+    PlacedSrds srds(std::move(extracted.set));
+    if (!spoilt) return srds;
+    srds.MoveTo(offset ? &*offset : nullptr);
+    return PlacedSrds(Spoil(srds.Take(), kind, heldout));
+  };
+  SLX_RETURN_IF_ERROR(srds_.Of(of, load).status());
   if (!spoilt) srds_.Get()->MoveTo(offset ? &*offset : nullptr);
   return &srds_.Get()->set();
 }

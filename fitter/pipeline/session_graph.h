@@ -3,7 +3,8 @@
 //
 //   frames -> decode -> shape --------+-> srd -> offset -> fit -> predict -> compare
 //         \-> separate -> normals      |     \       |         \-> maps, which nothing reads that judges a fit
-//                     \-> skin (+ shape), by which comparisons judge what the truth of a simulation does not tell
+//                     \-> skin (+ shape), which offset and fit pool what all pixels share over, and by which
+//                         comparisons judge where no truth of a simulation tells what is skin
 //                                      |      \      \-> placed_shape, which predictions and comparisons stand on
 //                                      \-> (truth_shape, of the truth of a simulation, in its place: without offset)
 #pragma once
@@ -83,14 +84,14 @@ class SessionGraph {
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
   // The session's frames as `record` reads them, and the dark frames that stages have asked of them.
   Result<const SessionFrames*> Frames(const RigCalibration& record);
-  // What a fit of that kind is made of: SRDs, by an offset (empty: none).
+  // What a fit of that kind is made of: SRDs, by an offset (empty: none), what they share by skin alone.
   struct SrdKeys {
-    std::string srd, offset;
+    std::string srd, offset, skin;
     [[nodiscard]] std::map<std::string, std::string> Inputs() const;
     [[nodiscard]] std::vector<std::string> Upstream() const;
   };
   SrdKeys SrdsOf(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged) {
-    return {Srd(source), Offset(source, heldout, kind)};
+    return {Srd(source), Offset(source, heldout, kind), Skin()};
   }
   Result<const SrdSet*> Srds(const SrdKeys& keys, FitKind kind, int heldout);
   // Of a shape; SRDs make room for it.

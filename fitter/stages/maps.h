@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 2;
+inline constexpr int kMapsVersion = 3;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

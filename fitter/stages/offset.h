@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 1, kPlacedShapeVersion = 3;
+inline constexpr int kOffsetVersion = 2, kPlacedShapeVersion = 3;
 
 struct FaceOffset {
   SurfaceOffset found;

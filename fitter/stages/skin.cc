@@ -18,7 +18,38 @@ SkinTrait TraitOf(const nlohmann::json& json) {
   return {json.at("centre").get<double>(), json.at("scale").get<double>()};
 }
 
+// By pixel: 1 where less than half of its quads are skin.
+std::vector<uint8_t> ApartOf(const SrdSet& srds, const SkinMask& mask) {
+  std::vector<uint8_t> apart;
+  for (int y = 0; y < srds.height; ++y)
+    for (int x = 0; x < srds.width; ++x) {
+      int skin = 0;
+      for (int j = y * srds.pool; j < (y + 1) * srds.pool; ++j)
+        for (int i = x * srds.pool; i < (x + 1) * srds.pool; ++i) skin += mask.skin(i, j);
+      apart.push_back(2 * skin < srds.pool * srds.pool ? 1 : 0);
+    }
+  return apart;
+}
+
 }  // namespace
+
+Status SetApart(SrdSet& srds, const SkinMask& mask) {
+  if (mask.skin.width() / srds.pool != srds.width || mask.skin.height() / srds.pool != srds.height)
+    return Status::Usage("skin: the mask is not of the SRDs' size");
+  const std::vector<uint8_t> pixels = ApartOf(srds, mask);
+  std::vector<uint8_t> profiles;
+  for (const uint8_t apart : pixels) profiles.insert(profiles.end(), static_cast<size_t>(srds.channels), apart);
+  bool any_shares = false;
+  for (auto* batches : {&srds.batches, &srds.row_batches})
+    for (SrdBatch& batch : *batches) {
+      batch.apart = profiles;
+      for (int64_t i = 0; i < batch.profiles() && !any_shares; ++i) any_shares = batch.Shares(i);
+    }
+  if (any_shares) return Status::Ok();
+  for (auto* batches : {&srds.batches, &srds.row_batches})
+    for (SrdBatch& batch : *batches) batch.apart.clear();
+  return Status::Ok();
+}
 
 Result<SkinMask> JudgeFaceSkin(const FaceShape& shape, std::span<const SeparationMap> separation,
                                const RigCalibration& rig, double exposure_ms) {

@@ -7,6 +7,7 @@
 
 #include "fitter/skin/skin_mask.h"
 #include "fitter/stages/shape.h"
+#include "fitter/stages/srd.h"
 
 namespace stratalux::fit {
 
@@ -18,6 +19,10 @@ inline constexpr int kSkinVersion = 1;
                                              const RigCalibration& rig, double exposure_ms);
 // For people: how much is skin, and by what.
 [[nodiscard]] std::string Describe(const SkinMask& mask);
+
+// What is no skin has no part in what all pixels share: sets SrdBatch::apart where less than half of a pixel's quads
+// are skin. No pixel that some light reaches is skin: none is apart. kUsage: the mask is not of the SRDs' size.
+Status SetApart(SrdSet& srds, const SkinMask& mask);
 
 // skin.exr (probability, skin, reason), skin.json.
 Status SaveSkin(const std::filesystem::path& folder, const SkinMask& mask);

@@ -19,6 +19,7 @@
 #include "fitter/pipeline/stopwatch.h"
 #include "fitter/session/session_frames.h"
 #include "fitter/stages/maps.h"
+#include "fitter/stages/skin.h"
 #include "fitter/stages/srd_file.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
@@ -58,6 +59,9 @@ class MapsWorth : public ScratchFolderTest {
     auto srds = LoadSrds(Artifact("srd"));
     ASSERT_TRUE(srds.ok()) << srds.status().message();
     srds_ = std::move(srds->set);
+    const auto skin = LoadSkin(Artifact("skin"));
+    ASSERT_TRUE(skin.ok()) << skin.status().message();
+    ASSERT_TRUE(SetApart(srds_, *skin).ok());
     auto shape = LoadShape(Artifact("shape"));
     ASSERT_TRUE(shape.ok()) << shape.status().message();
     shape_ = *std::move(shape);

@@ -2,6 +2,7 @@
 #include "fitter/mixture/surface_reflection.h"
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -183,6 +184,34 @@ TEST_P(WhiteReflectanceOfTest, WithoutWhiteFramesIsTheCyclesSum) {
 }
 
 INSTANTIATE_TEST_SUITE_P(GatheredAndScattered, WhiteReflectanceOfTest, testing::Bool());
+
+// As hair among skin: it shines as nothing else of the face does, and is no part of it.
+TEST(EstimateSurfaceReflection, TakesNoNoticeOfProfilesThatStandApart) {
+  const Sphere skin, wet{.strength = 3.0, .roughness = 0.2};
+  const auto of_skin = skin.Lights(ThreeLamps()), of_wet = wet.Lights(ThreeLamps());
+  std::vector<int64_t> rest;
+  const auto is_wet = [](int64_t i) { return i / 3 % 4 == 2; };
+  for (int64_t i = 0; i < of_skin[0].profiles(); ++i)
+    if (!is_wet(i)) rest.push_back(i);
+  auto mixed = of_skin;
+  std::vector<SrdBatch> alone;
+  for (size_t p = 0; p < mixed.size(); ++p) {
+    for (int64_t i = 0; i < mixed[p].profiles(); ++i) {
+      if (is_wet(i)) {
+        std::ranges::copy(of_wet[p].Samples(i), mixed[p].Samples(i).begin());
+        if (!mixed[p].white.empty()) mixed[p].white[i] = of_wet[p].white[i];
+      }
+      mixed[p].apart.push_back(is_wet(i) ? 1 : 0);
+    }
+    alone.push_back(ProfilesOf(of_skin[p], rest));
+  }
+  const SurfaceReflection apart = Estimate(mixed), without = Estimate(alone);
+  ASSERT_TRUE(apart.Known() && without.Known());
+  EXPECT_NEAR(apart.strength, without.strength, 1e-9);
+  EXPECT_NEAR(apart.roughness, without.roughness, 1e-9);
+  for (SrdBatch& batch : mixed) batch.apart.clear();
+  EXPECT_GT(std::abs(Estimate(mixed).strength - without.strength), 0.01);
+}
 
 }  // namespace
 }  // namespace stratalux::fit

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The skin stage: what it says where no light was separated, and its files.
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 
@@ -63,6 +64,36 @@ TEST_F(SkinStage, ReadsWhatItWrote) {
       EXPECT_TRUE(back->probability(i, j) == mask.probability(i, j) ||
                   (std::isnan(back->probability(i, j)) && std::isnan(mask.probability(i, j))));
     }
+}
+
+// SRDs of 4 x 3 pixels of 2 x 2 quads, two colours, two lights; nothing in them but which are valid.
+SrdSet Srds() {
+  SrdSet srds{2, 4, 3, 2, std::vector<SrdBatch>(2), {}};
+  for (SrdBatch& batch : srds.batches) {
+    batch.first_u_mm.assign(24, 0.0F);
+    batch.valid.assign(24, 1);
+  }
+  return srds;
+}
+
+TEST_F(SkinStage, PixelsOfLittleSkinHaveNoPartInWhatAllShare) {
+  SkinMask mask = AllSkin(Image<uint8_t>(9, 7, 1, 1));
+  for (const auto& [i, j] : {std::pair(2, 0), {3, 0}, {2, 1}, {4, 2}, {5, 2}}) mask.skin(i, j) = 0;
+  SrdSet srds = Srds();
+  ASSERT_TRUE(SetApart(srds, mask).ok());
+  for (const SrdBatch& batch : srds.batches)
+    for (int64_t i = 0; i < 24; ++i)
+      EXPECT_EQ(batch.IsApart(i), i / 2 == 1) << i;  // three quads of four; of the other pixel it is half
+}
+
+TEST_F(SkinStage, WhereNoPixelIsSkinNoneIsApart) {
+  SkinMask mask = AllSkin(Image<uint8_t>(9, 7, 1, 1));
+  std::ranges::fill(mask.skin.pixels(), uint8_t{0});
+  SrdSet srds = Srds();
+  ASSERT_TRUE(SetApart(srds, mask).ok());
+  EXPECT_TRUE(srds.batches[0].Shares(0));
+  srds.width = 5;
+  EXPECT_EQ(SetApart(srds, mask).code(), StatusCode::kUsage);
 }
 
 TEST_F(SkinStage, RefusesFilesThatAreNotItsOwn) {
