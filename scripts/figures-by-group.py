@@ -11,8 +11,11 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/groups                         # two of each group at 696x520
   scripts/figures-by-group.py --work /tmp/groups --size 348x260 --per-group 1 --json groups.json
   scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
+  scripts/figures-by-group.py --list                                     # who they are
 
-What is in --work already is not done again. Exit 1: a program failed; the figures of the others are printed.
+People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and the figures of the others are printed; or, with
+--check, in some group layers do not predict stripes better than the fit that is blind to direction, or less than nine
+tenths of the truly lit skin are judged.
 """
 import argparse
 import csv
@@ -22,6 +25,7 @@ import os
 import pathlib
 import subprocess
 import sys
+import tempfile
 
 GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
           ("dark", -90, -30)]
@@ -62,23 +66,24 @@ def metrics_of(store):
 
 def judge(args, person):
     store = args.work / f"person-{person['person']}"
-    if metrics_of(store) is None:
+    commands = []
+    if not list(store.glob("sessions/*/manifest.json")):
         scene = "--simulate"
         if args.scattering is not None:
             file = args.work / "scene.toml"
             file.write_text(f"[skin]\nscattering = {args.scattering}\n")
             scene = f"--simulate={file}"
-        log = args.work / f"person-{person['person']}.log"
-        with open(log, "w") as out:
-            for command in (["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]),
-                             "--size", args.size], ["stratalux-fit", "run", "latest"]):
-                if command[0] == "stratalux-rig" and list(store.glob("sessions/*/manifest.json")):
-                    continue
-                done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=out, stderr=out)
-                if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
-                    print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
-                          file=sys.stderr)
-                    return False
+        commands.append(["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]), "--size",
+                         args.size])
+    commands.append(["stratalux-fit", "run", "latest"])
+    log = args.work / f"person-{person['person']}.log"
+    with open(log, "a") as out:
+        for command in commands:
+            done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=out, stderr=out)
+            if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
+                print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
+                      file=sys.stderr)
+                return False
     metrics = metrics_of(store)
     person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
     covered = [c for c in metrics["coverage"] if c["geometry"] == "reconstructed"]
@@ -125,19 +130,43 @@ def table(chosen):
     return "\n".join(lines)
 
 
+def faults(chosen):
+    for name, people in chosen.items():
+        judged = [p for p in people if "nrmse" in p]
+        if not judged:
+            yield f"{name}: nobody was judged"
+            continue
+        layers, blind = (mean(p["nrmse"][model]["stripe"] for p in judged) for model in ("tied", "direction_blind"))
+        if not layers < blind:
+            yield f"{name}: stripes {100 * layers:.2f} % by layers, {100 * blind:.2f} % by the blind fit"
+        covered = mean(p["judged"] for p in judged)
+        if not covered >= 0.9:
+            yield f"{name}: {100 * covered:.1f} % of the truly lit skin judged"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     root = pathlib.Path(__file__).resolve().parent.parent
     parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
-    parser.add_argument("--work", type=pathlib.Path, required=True, help="stores and logs of the people")
+    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs of the people stay; else nowhere")
     parser.add_argument("--size", default="696x520", help="of the camera (696x520)")
     parser.add_argument("--per-group", type=int, default=2, help="people of each group (2)")
     parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
     parser.add_argument("--scattering", type=float, help="of all, in place of their own")
+    parser.add_argument("--list", action="store_true", help="only say who would be captured")
+    parser.add_argument("--check", action="store_true", help="exit 1 where a group falls short")
     parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")
     args = parser.parse_args()
-    args.work.mkdir(parents=True, exist_ok=True)
     chosen = choose(args.bin, args.first, args.per_group)
+    if args.list:
+        for name, people in chosen.items():
+            for p in people:
+                print(f"{name}: person {p['person']}, ITA {p['ita_deg']:.0f} degrees, melanin {100 * p['melanin']:.1f} %, "
+                      f"scattering {p['scattering']:.2f}")
+        return 0 if all(len(people) == args.per_group for people in chosen.values()) else 1
+    scratch = tempfile.TemporaryDirectory(prefix="stratalux-people-") if args.work is None else None
+    args.work = pathlib.Path(scratch.name) if scratch else args.work
+    args.work.mkdir(parents=True, exist_ok=True)
     people = [p for name, _, _ in GROUPS for p in chosen[name]]
     ok = True
     for k, person in enumerate(people):
@@ -146,6 +175,10 @@ def main():
     print(table(chosen))
     if args.json:
         args.json.write_text(json.dumps(chosen, indent=1) + "\n")
+    if args.check:
+        for fault in faults(chosen):
+            print(f"error: {fault}", file=sys.stderr)
+            ok = False
     return 0 if ok else 1
 
 
