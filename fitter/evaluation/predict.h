@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 8;
+inline constexpr int kPredictVersion = 9;
 
 // Under one light; quads x colours, digital numbers above black; 0 outside the surface, NaN where that colour was not
 // fitted.

@@ -450,12 +450,18 @@ void SessionGraph::MakeRoomForAFit() {
   predictions_.clear();
 }
 
+Result<std::vector<uint8_t>> SessionGraph::Apart(const std::string& skin, const FittedLayers& layers) {
+  SLX_ASSIGN_OR_RETURN(const SkinMask mask, stages_.Load(skin, LoadSkin));
+  return ApartProfiles(mask, layers.map.width, layers.map.height, layers.pool, layers.map.channels);
+}
+
 Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const SrdKeys& keys, int heldout) {
   SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(keys, FitKind::kJudged, heldout));
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
   std::vector<Dipole> dipoles;
   for (int c = 0; c < fit.channels; ++c)
-    dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta, MeanSurfaceReflectance(fit, c)));
+    dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta,
+                                MeanSurfaceReflectance(fit, c, lights.batches.front()->apart)));
   srds_.Drop();
   return DipoleMap(fit, dipoles);
 }
@@ -468,7 +474,12 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
       {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}};
   std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
   std::vector<std::string> upstream = {fit, shape};
+  const std::string skin = Skin();
   if (IsBaseline(model)) options["baseline"] = model;
+  if (model == "homogeneous") {
+    inputs["skin"] = skin;
+    upstream.push_back(skin);
+  }
   if (model == "dipole") {
     inputs.merge(from.Inputs());
     for (const std::string& key : from.Upstream()) upstream.push_back(key);
@@ -478,7 +489,10 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
               [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
                 std::optional<MixtureMap> baseline;
-                if (model == "homogeneous") baseline = Homogeneous(fitted->map);
+                if (model == "homogeneous") {
+                  SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
+                  baseline = Homogeneous(fitted->map, apart);
+                }
                 if (model == "dipole") {
                   SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, from, heldout));
                 }
@@ -490,21 +504,23 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
 
 // Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
 std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
-  const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout);
+  const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout),
+                    skin = Skin();
   const db::ArtifactIdentity identity = {"predict",
                                          kPredictVersion,
                                          SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
-                                         {{"fit", fit}, {"predict", predicted}},
+                                         {{"fit", fit}, {"predict", predicted}, {"skin", skin}},
                                          isa_};
   return Add({identity,
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
-              {fit, predicted},
+              {fit, predicted, skin},
               [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(auto predictions, TakePredictions(predicted));
                 predictions_[predicted] = predictions;
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
-                const std::vector<double> of = TotalWeights(Homogeneous(fitted->map)),
-                                          to = TotalWeights(HomogeneousLocalAlbedo(fitted->map));
+                SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
+                const std::vector<double> of = TotalWeights(Homogeneous(fitted->map, apart)),
+                                          to = TotalWeights(HomogeneousLocalAlbedo(fitted->map, apart));
                 return KeepPredictions(key, folder,
                                        ScaledPredictions(std::move(predictions), fitted->map, of, to, fitted->pool));
               }});

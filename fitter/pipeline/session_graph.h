@@ -100,6 +100,8 @@ class SessionGraph {
   // Those kept, or read; they are kept no longer.
   Result<Predictions> TakePredictions(const std::string& predict);
   Kept<FittedLayers>& KeptLayers(const std::string& fit) { return fit == judged_fit_ ? judged_layers_ : layers_; }
+  // Of the profiles of those layers (SrdBatch::apart).
+  Result<std::vector<uint8_t>> Apart(const std::string& skin, const FittedLayers& layers);
   Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, const SrdKeys& srds, int heldout);
   void MakeRoomForAFit();
   std::string AddFit(const SrdKeys& from, int heldout, const FitOptions& fit, FitKind kind, const std::string& label);

@@ -13,14 +13,18 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 
+bool IsApart(std::span<const uint8_t> apart, int64_t profile) {
+  return !apart.empty() && apart[static_cast<size_t>(profile)] != 0;
+}
+
 // Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is (MeanLayers weighs
 // them by light).
-LayerSet PlainMean(const MixtureMap& map, int channel) {
+LayerSet PlainMean(const MixtureMap& map, int channel, std::span<const uint8_t> apart) {
   LayerSet mean;
   for (auto* v : {&mean.weight, &mean.depth_mm, &mean.sigma_mm}) v->assign(map.layers, 0.0);
   int64_t count = 0;
   for (int64_t i = channel; i < map.profiles(); i += map.channels) {
-    if (!map.Fitted(i)) continue;
+    if (!map.Fitted(i) || IsApart(apart, i)) continue;
     ++count;
     for (int l = 0; l < map.layers; ++l) {
       mean.weight[l] += map.weight[i * map.layers + l];
@@ -39,10 +43,10 @@ double TotalWeight(const MixtureMap& map, int64_t i) {
   return sum;
 }
 
-MixtureMap WithMeanLayers(const MixtureMap& map, bool keep_albedo) {
+MixtureMap WithMeanLayers(const MixtureMap& map, std::span<const uint8_t> apart, bool keep_albedo) {
   MixtureMap out = map;
   for (int c = 0; c < map.channels; ++c) {
-    const LayerSet mean = PlainMean(map, c);
+    const LayerSet mean = PlainMean(map, c, apart);
     double total = 0.0;
     for (double w : mean.weight) total += w;
     for (int64_t i = c; i < map.profiles(); i += map.channels) {
@@ -204,8 +208,12 @@ double Misfit(const Dipole& dipole, const MeanProfile& mean) {
 
 }  // namespace
 
-MixtureMap Homogeneous(const MixtureMap& map) { return WithMeanLayers(map, false); }
-MixtureMap HomogeneousLocalAlbedo(const MixtureMap& map) { return WithMeanLayers(map, true); }
+MixtureMap Homogeneous(const MixtureMap& map, std::span<const uint8_t> apart) {
+  return WithMeanLayers(map, apart, false);
+}
+MixtureMap HomogeneousLocalAlbedo(const MixtureMap& map, std::span<const uint8_t> apart) {
+  return WithMeanLayers(map, apart, true);
+}
 
 double Dipole::RadialReflectance(double r_mm) const { return DipoleSources(*this).At(r_mm * r_mm); }
 
@@ -218,11 +226,11 @@ double Dipole::TotalReflectance() const {
   return alpha / 2.0 * (1.0 + std::exp(-4.0 / 3.0 * a * root)) * std::exp(-root);
 }
 
-double MeanSurfaceReflectance(const MixtureMap& map, int channel) {
+double MeanSurfaceReflectance(const MixtureMap& map, int channel, std::span<const uint8_t> apart) {
   const size_t lights = map.training_projectors.size();
   double sum = 0.0, count = 0.0;
   for (int64_t i = channel; i < map.profiles(); i += map.channels) {
-    if (!map.Fitted(i)) continue;
+    if (!map.Fitted(i) || IsApart(apart, i)) continue;
     for (size_t p = 0; p < lights; ++p) sum += map.surface[static_cast<size_t>(i) * lights + p];
     count += static_cast<double>(lights);
   }

@@ -44,7 +44,7 @@ struct SrdOptions {
   int pool = 1;           // pool x pool quads make one profile
   double min_cos = 0.15;  // grazing light or view beyond about 81 degrees carries no usable SRD
   // A profile is too dark when its cycle sum is below this many standard deviations of itself.
-  double min_signal_to_noise = 5.0;
+  double min_signal_to_noise = 1.0;
   // A profile moved (or saw another light) when its cycle sum and its white frames differ by more than this share and
   // by more than five standard deviations.
   double energy_tolerance = 0.1;

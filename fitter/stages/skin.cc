@@ -18,27 +18,24 @@ SkinTrait TraitOf(const nlohmann::json& json) {
   return {json.at("centre").get<double>(), json.at("scale").get<double>()};
 }
 
-// By pixel: 1 where less than half of its quads are skin.
-std::vector<uint8_t> ApartOf(const SrdSet& srds, const SkinMask& mask) {
+}  // namespace
+
+std::vector<uint8_t> ApartProfiles(const SkinMask& mask, int width, int height, int pool, int channels) {
   std::vector<uint8_t> apart;
-  for (int y = 0; y < srds.height; ++y)
-    for (int x = 0; x < srds.width; ++x) {
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
       int skin = 0;
-      for (int j = y * srds.pool; j < (y + 1) * srds.pool; ++j)
-        for (int i = x * srds.pool; i < (x + 1) * srds.pool; ++i) skin += mask.skin(i, j);
-      apart.push_back(2 * skin < srds.pool * srds.pool ? 1 : 0);
+      for (int j = y * pool; j < (y + 1) * pool; ++j)
+        for (int i = x * pool; i < (x + 1) * pool; ++i) skin += mask.skin(i, j);
+      apart.insert(apart.end(), static_cast<size_t>(channels), 2 * skin < pool * pool ? 1 : 0);
     }
   return apart;
 }
 
-}  // namespace
-
 Status SetApart(SrdSet& srds, const SkinMask& mask) {
   if (mask.skin.width() / srds.pool != srds.width || mask.skin.height() / srds.pool != srds.height)
     return Status::Usage("skin: the mask is not of the SRDs' size");
-  const std::vector<uint8_t> pixels = ApartOf(srds, mask);
-  std::vector<uint8_t> profiles;
-  for (const uint8_t apart : pixels) profiles.insert(profiles.end(), static_cast<size_t>(srds.channels), apart);
+  const auto profiles = ApartProfiles(mask, srds.width, srds.height, srds.pool, srds.channels);
   bool any_shares = false;
   for (auto* batches : {&srds.batches, &srds.row_batches})
     for (SrdBatch& batch : *batches) {

@@ -20,6 +20,9 @@ inline constexpr int kSkinVersion = 1;
 // For people: how much is skin, and by what.
 [[nodiscard]] std::string Describe(const SkinMask& mask);
 
+// By profile of a map of pixels of `pool` quads a side: 1 where less than half of the pixel's quads are skin.
+[[nodiscard]] std::vector<uint8_t> ApartProfiles(const SkinMask& mask, int width, int height, int pool, int channels);
+
 // What is no skin has no part in what all pixels share: sets SrdBatch::apart where less than half of a pixel's quads
 // are skin. No pixel that some light reaches is skin: none is apart. kUsage: the mask is not of the SRDs' size.
 Status SetApart(SrdSet& srds, const SkinMask& mask);

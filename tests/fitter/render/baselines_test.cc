@@ -146,6 +146,24 @@ TEST(Homogeneous, LeavesUnfittedPixelsOutOfTheMean) {
   EXPECT_FALSE(Homogeneous(map).Fitted(2));
 }
 
+// Hair is fitted, and has no part in the mean of skin.
+TEST(Homogeneous, IsOfSkinAlone) {
+  MixtureMap map = TwoColourMap();
+  map.surface = {0.02F, 0.0F, 0.3F, 0.0F};
+  const std::vector<uint8_t> apart = {0, 0, 1, 1};  // pixel 1, both colours
+  const MixtureMap mean = Homogeneous(map, apart);
+  for (int pixel : {0, 1}) {
+    EXPECT_FLOAT_EQ(mean.weight[pixel * 4 + 0], 0.1F);
+    EXPECT_FLOAT_EQ(mean.sigma_mm[pixel * 4 + 1], 2.0F);
+    EXPECT_FLOAT_EQ(mean.weight[pixel * 4 + 2], 0.2F);
+  }
+  const MixtureMap flat = HomogeneousLocalAlbedo(map, apart);
+  EXPECT_FLOAT_EQ(flat.weight[5] / flat.weight[4], 3.0F);
+  EXPECT_NEAR(flat.weight[4] + flat.weight[5], 0.8F, 1e-6);
+  EXPECT_FLOAT_EQ(static_cast<float>(MeanSurfaceReflectance(map, 0, apart)), 0.02F);
+  EXPECT_FLOAT_EQ(static_cast<float>(MeanSurfaceReflectance(map, 0)), 0.16F);
+}
+
 TEST(HomogeneousLocalAlbedo, KeepsEachPixelsTotalAndSharesTheShape) {
   const MixtureMap map = TwoColourMap(), flat = HomogeneousLocalAlbedo(map);
   for (int i = 0; i < 4; ++i)
