@@ -13,9 +13,9 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
   scripts/figures-by-group.py --list                                     # who they are
 
-People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and the figures of the others are printed; or, with
---check, in some group layers do not predict stripes better than the fit that is blind to direction, or less than nine
-tenths of the truly lit skin are judged.
+People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and
+the figures of the others are printed; or, with --check, in some group layers do not predict stripes better than the fit
+that is blind to direction, or less than nine tenths of the truly lit skin are judged.
 """
 import argparse
 import csv

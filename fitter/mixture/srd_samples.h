@@ -10,6 +10,11 @@
 
 namespace stratalux::fit {
 
+// By SrdBatch::apart, or marks like it.
+[[nodiscard]] inline bool IsApart(std::span<const uint8_t> apart, int64_t profile) {
+  return !apart.empty() && apart[static_cast<size_t>(profile)] != 0;
+}
+
 // Samples of one projector for a batch of profiles. All profiles share the number of samples K; positions are regular:
 //   sample k of profile i lies at u = first_u_mm[i] + k * step_mm[i] from the pixel's own entry point, wrapped with the
 //   period K * step_mm[i] (comb sweeps), or not wrapped (single lines, CSV).
@@ -46,9 +51,7 @@ struct SrdBatch {
   // [profile] 1: fitted as any other, but without a part in what all pixels share (surface reflection, tau, mean
   // layers, offset, prior): it is no skin. The same for all lights. Empty: none.
   std::vector<uint8_t> apart;
-  [[nodiscard]] bool IsApart(int64_t profile) const {
-    return !apart.empty() && apart[static_cast<size_t>(profile)] != 0;
-  }
+  [[nodiscard]] bool IsApart(int64_t profile) const { return fit::IsApart(apart, profile); }
   [[nodiscard]] bool Shares(int64_t profile) const {
     return valid[static_cast<size_t>(profile)] != 0 && !IsApart(profile);
   }

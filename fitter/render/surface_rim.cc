@@ -56,9 +56,9 @@ class Rim {
                         2.0 * normal - surface_.Normal(i + 2 * dx, j + 2 * dy), i + dx, j + dy};
   }
   [[nodiscard]] bool Together(std::span<const Continuation> all) const {
-    for (const Continuation& a : all)
-      for (const Continuation& b : all)
-        if (!OnOneSurface(surface_, a.i, a.j, b.i, b.j)) return false;
+    for (size_t a = 0; a < all.size(); ++a)
+      for (size_t b = 0; b < a; ++b)
+        if (!OnOneSurface(surface_, all[a].i, all[a].j, all[b].i, all[b].j)) return false;
     return true;
   }
 

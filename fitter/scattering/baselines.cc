@@ -13,10 +13,6 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 
-bool IsApart(std::span<const uint8_t> apart, int64_t profile) {
-  return !apart.empty() && apart[static_cast<size_t>(profile)] != 0;
-}
-
 // Mean parameters of one channel; sigma and depth are weighted by nothing, as the paper's mean is (MeanLayers weighs
 // them by light).
 LayerSet PlainMean(const MixtureMap& map, int channel, std::span<const uint8_t> apart) {

@@ -358,7 +358,7 @@ TEST(SmoothSurface, WindowsFollowTheSurface) {
   EXPECT_LT(regret(adaptive), 2.0);
 }
 
-// A strip of three quads between two edges has no window of its smallest size.
+// Three quads between two edges have half of the smallest window, which is enough but at the strip's ends.
 TEST(SmoothSurface, NarrowStripsKeepTheirQuads) {
   const RigCalibration rig = SyntheticRig();
   SurfaceMap strip = TrueSurface(rig, Plane({0, 0, 600}, {0, 0, -1}));
