@@ -75,6 +75,10 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
   verb.add_option("--geometry", f.geometry, "reconstructed, or truth (simulation)")
       ->check(CLI::IsMember({"reconstructed", "truth"}))
       ->capture_default_str();
+  verb.add_option("--frames", f.run.frames,
+                  "At most so many of the visit's frames, as if a shorter visit had been captured; all by default. Too "
+                  "few for codes need --geometry truth (--dry-run says what is left out)")
+      ->check(CLI::Range(1, 1000000));
   verb.add_option("--offset", f.offset,
                   "on: the reconstructed surface is moved along the view to where the sweeps say it lies, which "
                   "scattering hides from the codes; off: taken as it is")

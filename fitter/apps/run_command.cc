@@ -31,15 +31,23 @@ void AddStore(CLI::App& verb, RunFlags& f) {
   verb.add_flag("--json", f.json, "Machine-readable result on stdout");
 }
 
+nlohmann::ordered_json FramesJson(const ThinPlan& thin) {
+  return {{"asked", thin.asked},           {"kept", thin.kept.size()},
+          {"whole", thin.whole},           {"evaluation_only", thin.evaluation_only},
+          {"comb_every", thin.comb_every}, {"surface", thin.columns},
+          {"left_out", thin.left_out}};
+}
+
 Status PrintPlan(const RunOutcome& outcome, bool json) {
   if (json) {
     nlohmann::ordered_json stages = nlohmann::ordered_json::array();
     for (const PlannedStage& s : outcome.plan)
       stages.push_back({{"stage", s.stage}, {"label", s.label}, {"key", s.key}, {"runs", !s.exists}, {"why", s.why}});
-    const nlohmann::ordered_json all = {{"session", outcome.session}, {"fit", outcome.fit}, {"stages", stages}};
+    nlohmann::ordered_json all = {{"session", outcome.session}, {"fit", outcome.fit}, {"stages", stages}};
+    if (outcome.thin) all["frames"] = FramesJson(*outcome.thin);
     return WriteStdout(all.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
   }
-  std::string text;
+  std::string text = outcome.thin ? "frames: " + Describe(*outcome.thin) + "\n" : "";
   for (const PlannedStage& s : outcome.plan) text += s.label + ": " + (s.exists ? "is there" : "runs: " + s.why) + "\n";
   return WriteStdout(text);
 }
@@ -60,9 +68,10 @@ int Execute(const RunFlags& f) {
     logger.Info("sealed under the session's key; to look at it: `stratalux-fit report " + outcome->session +
                 " --out FOLDER`, or `stratalux-db serve`");
   if (f.json) {
-    const nlohmann::ordered_json json = {{"session", outcome->session},        {"fit", outcome->fit},
-                                         {"folder", outcome->folder.string()}, {"report", report.string()},
-                                         {"sealed", outcome->sealed},          {"was_complete", outcome->was_complete}};
+    nlohmann::ordered_json json = {{"session", outcome->session},        {"fit", outcome->fit},
+                                   {"folder", outcome->folder.string()}, {"report", report.string()},
+                                   {"sealed", outcome->sealed},          {"was_complete", outcome->was_complete}};
+    if (outcome->thin) json["frames"] = FramesJson(*outcome->thin);
     return finish(WriteStdout(json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n"));
   }
   return finish(WriteStdout((run->until == Stage::kReport ? report : outcome->folder).string() + "\n"));

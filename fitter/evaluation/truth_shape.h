@@ -14,4 +14,8 @@ inline constexpr int kTruthShapeVersion = 6;
 [[nodiscard]] Result<FaceShape> TruthShape(const SceneTruth& truth, const FaceShape& reconstructed,
                                            const RigCalibration& record);
 
+// The same where nothing was decoded: what is lit is the truth's word, too, one quad off any shadow's edge as LitQuads
+// has it; no code has a weight, and nothing is known of a drift. kNotFound: a truth without direct light.
+[[nodiscard]] Result<FaceShape> TruthShapeAlone(const SceneTruth& truth, const RigCalibration& record);
+
 }  // namespace stratalux::fit

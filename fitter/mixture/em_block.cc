@@ -16,6 +16,11 @@ constexpr float kFreeReachMm = 8.0F;  // of a mean in free mode
 // A divergence this much (relative) above the best is single precision's noise, not a step too far.
 constexpr double kNoise = 1e-5;
 
+void AddBack(const LaneRow& back, LaneRows& q) {
+  if (std::ranges::all_of(back.at, [](float b) { return b == 0.0F; })) return;
+  for (size_t at = 0; at < q.size(); ++at) q[at] += back[at % kEmLanes];
+}
+
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
@@ -98,11 +103,14 @@ void EmBlock::Start(int lane, double photons) {
     const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
     const auto y = batches_[p]->Samples(lanes_[lane].profile);
-    total += std::max(std::accumulate(y.begin(), y.end(), 0.0), 1e-6) * light.counts[lane];
-    exposure += double(light.counts[lane]) * light.gain[lane] * light.coverage[lane];
+    const double white = light.white_weight[lane];
+    total +=
+        (std::max(std::accumulate(y.begin(), y.end(), 0.0), 1e-6) + white * light.white[lane]) * light.counts[lane];
+    exposure += double(light.counts[lane]) * light.gain[lane] * light.coverage[lane] * (1.0 + white);
     longest = std::max(longest, double(light.cell_mm[lane]) * light.grid.cells);
     for (int k = 0; k < light.samples; ++k)
       lanes_[lane].total += double(light.counts[lane]) * light.data[RowOf(k) + lane];
+    lanes_[lane].total += light.counts[lane] * white * light.white[lane];
   }
   if (!(exposure > 0.0)) return;
   // What each light shows of the surface and of the layers; light of the layers per exposure.
@@ -116,7 +124,7 @@ void EmBlock::Start(int lane, double photons) {
       surface = light.reflected[lane] < 0.0F ? kUnknownSurface * shown
                                              : std::min(double(light.reflected[lane]), kMostSurface * shown);
     At(rows_.surface(static_cast<int>(p)), lane) = static_cast<float>(surface);
-    layers += light.counts[lane] * light.coverage[lane] * (shown - surface);
+    layers += light.counts[lane] * light.coverage[lane] * (shown - surface) * (1.0 + light.white_weight[lane]);
   }
   layers /= exposure;
   const size_t channel = start_.empty() ? 0 : static_cast<size_t>(lanes_[lane].profile) % start_.size();
@@ -210,15 +218,33 @@ void EmBlock::Sweep(bool update) {
     AddLayers(light.grid, layers, light.tiles, light.Mass());
     Project(light, at_.data() + RowOf(rows_.surface(p)), at_.data() + RowOf(rows_.background(p)));
     Compare(light, divergence_.data());
+    AddWhite(p);
     if (prior_.On()) prior_.AddShown(p, light, at_.data(), cell_weight_.data());
     if (!update) continue;
     ProjectBack(light);
+    AddBack(light.white_back, light.q);
     LayerMoments(layers, light.tiles, light.q.data(), moments_.data());
     AddMoments(rows_.layers, light, moments_.data(), sums_);
     UpdateFloor(p);
   }
   if (prior_.On()) prior_.AddCost(at_.data(), divergence_.data());
   if (update) UpdateParameters();
+}
+
+// The E step of a thinned cycle's white frames: all columns at once, as the samples' sum would be in the mean.
+void EmBlock::AddWhite(int p) {
+  EmLight& light = lights_[p];
+  for (int i = 0; i < kEmLanes; ++i) {
+    light.white_back[i] = 0.0F;
+    if (!(light.white_weight[i] > 0.0F)) continue;
+    double model = At(rows_.surface(p), i);
+    for (int l = 0; l < rows_.layers; ++l) model += cell_weight_[RowOf(l) + i];
+    model = model * light.coverage[i] + double(light.samples) * At(rows_.background(p), i);
+    const double data = light.white[i], photons = double(light.counts[i]) * light.white_weight[i];
+    model = std::max(model, double(kTiny));
+    light.white_back[i] = static_cast<float>(light.white_weight[i] * light.coverage[i] * data / model);
+    divergence_[i] += static_cast<float>(photons * (model - data + data * std::log(data / model)));
+  }
 }
 
 // EM of the two terms that no layer holds.
@@ -229,9 +255,13 @@ void EmBlock::UpdateFloor(int p) {
   const size_t surface = RowOf(rows_.surface(p)), background = RowOf(rows_.background(p));
   const bool held = options_.scattering.reflection.Known();
   for (int i = 0; i < kEmLanes; ++i) {
+    const float white = light.white_weight[i] * light.coverage[i], back = light.white_back[i];
     image[surface + i] =
-        held ? at[surface + i] : at[surface + i] * light.surface_ratio[i] / std::max(light.surface_total[i], kTiny);
-    image[background + i] = at[background + i] * light.ratio_sum[i] / static_cast<float>(light.samples);
+        held ? at[surface + i]
+             : at[surface + i] * (light.surface_ratio[i] + back) / std::max(light.surface_total[i] + white, kTiny);
+    const float to_samples = light.coverage[i] > 0.0F ? static_cast<float>(light.samples) / light.coverage[i] : 0.0F;
+    image[background + i] = at[background + i] * (light.ratio_sum[i] + back * to_samples) /
+                            (static_cast<float>(light.samples) * (1.0F + light.white_weight[i]));
   }
 }
 
@@ -318,7 +348,8 @@ double EmBlock::ScaleToWhite(int lane) const {
     }
     information += of_samples;
     scaled += of_samples;  // EM's own scale: 1
-    if (!(light.white_variance[lane] > 0.0F) || !(sum > 0.0)) continue;
+    // EM has seen those of a thinned cycle.
+    if (!(light.white_variance[lane] > 0.0F) || !(sum > 0.0) || light.white_weight[lane] > 0.0F) continue;
     const double of_white = sum * sum / light.white_variance[lane];
     information += of_white;
     scaled += of_white * (light.white[lane] - held) / sum;

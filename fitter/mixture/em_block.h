@@ -88,6 +88,7 @@ class EmBlock {
   void StartFrom(const LayerSet& layers, int lane, double total);
   void GoToWarmStart();
   void Sweep(bool update);
+  void AddWhite(int light);
   void UpdateFloor(int light);
   void ShareBackground(float* parameters) const;
   void UpdateParameters();

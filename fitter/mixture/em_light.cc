@@ -58,6 +58,24 @@ void LoadSamples(const ScatteringModel& model, const SrdBatch& batch, int64_t pr
   }
 }
 
+// Lines of a thinned cycle stand apart: cells between them are seen by few samples or none. All samples' cells are
+// alike, so one period of them tells.
+void LoadThinned(int reach, int lane, EmLight& light) {
+  std::vector<double> seen(static_cast<size_t>(light.cells_per_sample), 0.0);
+  for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
+    const int cell = (t % light.cells_per_sample + light.cells_per_sample) % light.cells_per_sample;
+    seen[static_cast<size_t>(cell)] += light.response[RowOf(light.reach_limit + t) + lane];
+  }
+  const double most = *std::ranges::max_element(seen);
+  for (int c = 0; c < light.grid.cells; ++c)
+    light.unseen[RowOf(c) + lane] = static_cast<float>(most - seen[static_cast<size_t>(c % light.cells_per_sample)]);
+  light.full_coverage[lane] = static_cast<float>(most);
+  if (!(light.white[lane] > 0.0F) || !(light.white_variance[lane] > 0.0F) || !(light.counts[lane] > 0.0F)) return;
+  // As a sample of the others' photons per unit: its variance is then its value over them.
+  light.white_weight[lane] = light.white[lane] / (light.counts[lane] * light.white_variance[lane]);
+  light.full_coverage[lane] += light.white_weight[lane] * light.coverage[lane];
+}
+
 void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& light) {
   const double cell = light.cell_mm[lane];
   const LineResponse line = LineResponseOf(batch, profile, cell);
@@ -81,6 +99,8 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
     light.surface_response[RowOf(k) + lane] = static_cast<float>(line.At(u));
     light.surface_total[lane] += light.surface_response[RowOf(k) + lane];
   }
+  light.full_coverage[lane] = light.coverage[lane];
+  if (IsThinned(batch, profile)) return LoadThinned(reach, lane, light);
   if (light.grid.wrapped) return;
   // Open windows: what of each cell no sample sees (B^T 1 short of the full coverage).
   for (int c = 0; c < light.grid.cells; ++c) light.unseen[RowOf(c) + lane] = light.coverage[lane];
@@ -94,11 +114,19 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
 
 }  // namespace
 
+bool IsThinned(const SrdBatch& batch, int64_t profile) {
+  constexpr double kRounding = 1e-3;  // both are lengths in single precision
+  const auto i = static_cast<size_t>(profile);
+  const double lines = double{batch.line_width_mm[i]} / batch.step_mm[i];
+  return batch.wrapped && (lines < 1.0 - kRounding || std::abs(lines - std::round(lines)) > kRounding);
+}
+
 void ClearLane(int lane, EmLight& light) {
   light.cell_mm[lane] = light.gain[lane] = 1.0F;
   light.origin[lane] = 0.5F * static_cast<float>(light.grid.cells);
   for (LaneRow* row : {&light.shift, &light.surface_total, &light.s, &light.counts, &light.extra_path, &light.phase_m1,
-                       &light.coverage, &light.white, &light.white_variance})
+                       &light.coverage, &light.full_coverage, &light.white, &light.white_variance, &light.white_weight,
+                       &light.white_back})
     (*row)[lane] = 0.0F;
   for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen})
     for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;

@@ -27,9 +27,15 @@ struct EmLight {
   LaneRow cell_mm, origin;    // cell size; cell coordinate of u = 0
   // Of the directional weights: sec_i + sec_o - 2, and what a layer without depth or width shows, less 1.
   LaneRow extra_path, phase_m1;
-  LaneRow reflected;              // by the surface, reflectance; negative: unknown
-  LaneRow coverage;               // sum over samples of the response, inside
+  LaneRow reflected;  // by the surface, reflectance; negative: unknown
+  LaneRow coverage;   // sum over samples of the response, inside: mean over the cells
+  // What the M step takes each cell to be seen by: of a thinned cycle, whose lines light some cells more than others,
+  // the most that any is, and the white frames. `unseen` is what a cell's samples lack of it.
+  LaneRow full_coverage;
   LaneRow white, white_variance;  // variance 0: none
+  // Of a thinned cycle the white frames are one more sample, that sees all cells alike: its weight beside the others
+  // (0: none), and what the E step gives back of it to each cell.
+  LaneRow white_weight, white_back;
 
   // Work space. `mass` has reach_limit, `ratio` halo_samples more rows on either side.
   int halo_samples = 0;
@@ -43,6 +49,9 @@ struct EmLight {
   // Of the first of a sample's own cells.
   [[nodiscard]] const float* Response() const { return response.data() + size_t(reach_limit) * kEmLanes; }
 };
+
+// Whether combs of the cycle are left out: its lines light some columns more often than others.
+[[nodiscard]] bool IsThinned(const SrdBatch& batch, int64_t profile);
 
 // No light in that lane.
 void ClearLane(int lane, EmLight& light);

@@ -87,7 +87,7 @@ void AddExposure(int layers, const EmLight& light, const float* HWY_RESTRICT fac
   for (int lane = 0; lane < kEmLanes; lane += static_cast<int>(hn::Lanes(d))) {
     const V exposure =
         hn::Mul(hn::Load(d, light.counts.data() + lane),
-                hn::Mul(hn::Load(d, light.gain.data() + lane), hn::Load(d, light.coverage.data() + lane)));
+                hn::Mul(hn::Load(d, light.gain.data() + lane), hn::Load(d, light.full_coverage.data() + lane)));
     for (int l = 0; l < layers; ++l) {
       const size_t row = size_t(l) * kEmLanes + lane;
       AddTo(factor != nullptr ? hn::Mul(exposure, hn::Load(d, factor + row)) : exposure, sums.exposure.data() + row);

@@ -27,7 +27,7 @@ struct LayerBounds {
   bool fixed_depth = false;
 };
 
-// Sums over lights of counts x {c, c s (z - mean), c s^2, c (z - mean)^2, gain x factor x coverage}, in mm:
+// Sums over lights of counts x {c, c s (z - mean), c s^2, c (z - mean)^2, gain x factor x full coverage}, in mm:
 // [layer][lane].
 struct MomentSums {
   LaneRows photons, moved, leverage, spread, exposure;

@@ -109,7 +109,7 @@ Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames
   SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
   if (!truth) return figure;
   SLX_ASSIGN_OR_RETURN(const auto skin, truth->SkinOrStubble());
-  SLX_ASSIGN_OR_RETURN(const FaceShape* face, graph.Face(graph.Shape(GeometrySource::kReconstructed)));
+  SLX_ASSIGN_OR_RETURN(const FaceShape* face, graph.Face(graph.Shape(graph.SkinSource())));
   if (!skin.empty()) figure.truth = CompareMasks(skin, mask.skin, face->surface.mask);
   return figure;
 }

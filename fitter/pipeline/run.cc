@@ -82,7 +82,7 @@ Status SayDrift(SessionGraph& graph, const RunOptions& options, Logger& logger) 
                                  [&](const nlohmann::json& json) { json.at("drift").at("warning").get_to(warning); }));
     return warning;
   };
-  SLX_ASSIGN_OR_RETURN(const auto warning, graph.stages().Load(graph.Shape(GeometrySource::kReconstructed), load));
+  SLX_ASSIGN_OR_RETURN(const auto warning, graph.stages().Load(graph.Shape(graph.SkinSource()), load));
   if (!warning.empty()) logger.Warning(warning);
   return Status::Ok();
 }
@@ -144,6 +144,8 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   if (frames.info().simulated && !graph->has_truth())
     logger.Warning("session " + outcome.session +
                    " is simulated but has no truth.seg: nothing is compared with the truth");
+  outcome.thin = graph->thin();
+  if (outcome.thin) logger.Info(Describe(*outcome.thin));
   outcome.fit = FitIdOf(*graph, options);
   if (options.dry_run) {
     outcome.plan = graph->stages().Plan(WantedKeys(*graph, options, frames));

@@ -19,6 +19,7 @@ struct RunOutcome {
   bool was_complete = false;       // nothing had to be done; of a dry run: has to be
   std::vector<PlannedStage> plan;  // of a dry run
   int64_t sites = 0;               // of the camera's mosaic
+  std::optional<ThinPlan> thin;    // what of the visit's frames the fit reads; none: all
   Status readable = {};            // of a dry run: kNotFound without the key of an encrypted session
 };
 

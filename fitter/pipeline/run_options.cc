@@ -29,6 +29,7 @@ Status RunOptions::Validate() const {
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
   if (standard_errors && fit.em.scattering.mode == FitMode::kFree)
     return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
+  if (frames && *frames < 1) return Status::Usage("--frames " + std::to_string(*frames) + ": 1 or more");
   if (until == Stage::kMaps && !MakesMaps())
     return Status::Usage("maps from all projectors are those of a tied fit: leave out --mode free and --maps off");
   if (fit.choose.directions && fit.em.scattering.mode == FitMode::kFree)
@@ -39,26 +40,27 @@ Status RunOptions::Validate() const {
 std::string RunOptions::ToJson() const {
   const EmOptions& em = fit.em;
   const ScatteringModel& model = em.scattering;
-  const nlohmann::ordered_json json = {{"layers", em.layers},
-                                       {"mode", model.mode == FitMode::kTied ? "tied" : "free"},
-                                       {"shift", fit::ToString(model.shift_law)},
-                                       {"eta", model.eta},
-                                       {"gain_model", model.gain_model},
-                                       {"directional", fit.choose.directions},
-                                       {"surface", fit.choose.reflection ? "model" : "free"},
-                                       {"background", em.background_term},
-                                       {"iterations", em.max_iterations},
-                                       {"prior", PriorText(fit)},
-                                       {"tolerance", em.tolerance},
-                                       {"heldout", heldout},
-                                       {"pool", srd.pool},
-                                       {"reading", fit::ToString(srd.reading)},
-                                       {"distance", fit::ToString(srd.distance)},
-                                       {"full_evaluation", full_evaluation},
-                                       {"offset", offset},
-                                       {"maps", MakesMaps()},
-                                       {"standard_errors", standard_errors},
-                                       {"geometry", fit::ToString(geometry)}};
+  nlohmann::ordered_json json = {{"layers", em.layers},
+                                 {"mode", model.mode == FitMode::kTied ? "tied" : "free"},
+                                 {"shift", fit::ToString(model.shift_law)},
+                                 {"eta", model.eta},
+                                 {"gain_model", model.gain_model},
+                                 {"directional", fit.choose.directions},
+                                 {"surface", fit.choose.reflection ? "model" : "free"},
+                                 {"background", em.background_term},
+                                 {"iterations", em.max_iterations},
+                                 {"prior", PriorText(fit)},
+                                 {"tolerance", em.tolerance},
+                                 {"heldout", heldout},
+                                 {"pool", srd.pool},
+                                 {"reading", fit::ToString(srd.reading)},
+                                 {"distance", fit::ToString(srd.distance)},
+                                 {"full_evaluation", full_evaluation},
+                                 {"offset", offset},
+                                 {"maps", MakesMaps()},
+                                 {"standard_errors", standard_errors},
+                                 {"geometry", fit::ToString(geometry)}};
+  if (frames) json["frames"] = *frames;
   return json.dump();
 }
 

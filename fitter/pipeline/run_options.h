@@ -28,6 +28,9 @@ struct RunOptions {
   bool maps = true;              // from all projectors, too; not of a free fit: MakesMaps()
   bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
   GeometrySource geometry = GeometrySource::kReconstructed;
+  // As if a shorter visit had been captured: at most so many of its frames (shared/capture/thin_plan.h). Comparisons
+  // with held-out light and the report still read all of them.
+  std::optional<int> frames = {};
   Stage until = Stage::kReport;
   bool dry_run = false;
   // Of the lease under which a queue's worker runs (db/catalogue/job_store.h): the fit is entered only while it stands,

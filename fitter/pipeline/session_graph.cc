@@ -68,6 +68,19 @@ SrdSet Spoil(SrdSet srds, FitKind kind, int heldout) {
   return srds;
 }
 
+// What of the visit's plan is read; nothing where that is all of it.
+Result<std::optional<ThinPlan>> ThinnedBy(const RunOptions& options, const PlanOptions& captured) {
+  if (!options.frames) return std::optional<ThinPlan>();
+  SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(captured));
+  SLX_ASSIGN_OR_RETURN(ThinPlan thin, ThinTo(plan, *options.frames));
+  if (thin.IsWhole()) return std::optional<ThinPlan>();
+  if (!thin.columns && options.geometry == GeometrySource::kReconstructed)
+    return Status::Usage("--frames " + std::to_string(*options.frames) +
+                         ": no codes of columns are left, so no surface can be reconstructed; that takes " +
+                         std::to_string(LeastForSurface(plan)) + " frames, or --geometry truth (simulated sessions)");
+  return std::optional(std::move(thin));
+}
+
 bool IsBaseline(const std::string& model) { return model == "homogeneous" || model == "dipole"; }
 
 }  // namespace
@@ -88,7 +101,14 @@ Result<std::unique_ptr<SessionGraph>> SessionGraph::Open(const RunOptions& optio
   SLX_ASSIGN_OR_RETURN(auto seal, db::FindSeal(frames.store(), frames.info().id));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), PlainFiles(std::move(seal)), logger));
   std::unique_ptr<SessionGraph> graph(new SessionGraph(options, frames, std::move(artifacts), logger));
-  SLX_ASSIGN_OR_RETURN(graph->frames_hash_, frames.FramesHash());
+  SLX_ASSIGN_OR_RETURN(graph->thin_, ThinnedBy(options, graph->plan_));
+  SLX_ASSIGN_OR_RETURN(graph->all_frames_hash_, frames.FramesHash());
+  graph->frames_hash_ = graph->all_frames_hash_;
+  if (graph->thin_) {
+    SLX_ASSIGN_OR_RETURN(auto kept, SessionFrames::Open(options.store, frames.info().id));
+    kept.KeepOnly(*graph->thin_);
+    SLX_ASSIGN_OR_RETURN(graph->frames_hash_, kept.FramesHash());
+  }
   const fs::path truth = frames.folder() / "truth.seg", exact = frames.folder() / "truth_calibration.json";
   std::error_code error;
   for (const fs::path& file : {truth, exact})
@@ -138,6 +158,21 @@ std::string SessionGraph::Decode() {
 }
 
 std::string SessionGraph::Shape(GeometrySource source) {
+  if (source == GeometrySource::kTruth && thin_) {
+    return Add({{"truth_shape",
+                 kTruthShapeVersion,
+                 SortedJson({{"alone", true}}).dump(),
+                 {{"truth", truth_hash_}, {"record", record_hash_}},
+                 ""},
+                "shape, of the truth",
+                {},
+                [this](const fs::path& folder) -> Status {
+                  SLX_ASSIGN_OR_RETURN(const auto truth,
+                                       SceneTruth::Open(fs::path(options_.store) / "sessions" / session_));
+                  SLX_ASSIGN_OR_RETURN(const auto made, TruthShapeAlone(*truth, record_));
+                  return SaveShape(folder, made);
+                }});
+  }
   if (source == GeometrySource::kTruth) {
     const std::string shape = Shape(GeometrySource::kReconstructed);
     return Add({{"truth_shape",
@@ -170,11 +205,16 @@ std::string SessionGraph::Shape(GeometrySource source) {
        }});
 }
 
-std::string SessionGraph::Separate() {
+std::string SessionGraph::Separate() { return SeparateBy(frames_hash_, false); }
+
+std::string SessionGraph::SeparateAll() { return thin_ ? SeparateBy(all_frames_hash_, true) : Separate(); }
+
+std::string SessionGraph::SeparateBy(const std::string& frames_hash, bool of_all) {
   const db::ArtifactIdentity identity = {
-      "separate", kSeparateVersion, "{}", {{"frames", frames_hash_}, {"record", record_hash_}}, ""};
-  return Add({identity, "separate", {}, [this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
+      "separate", kSeparateVersion, "{}", {{"frames", frames_hash}, {"record", record_hash_}}, ""};
+  const std::string label = of_all ? "separate, all frames" : "separate";
+  return Add({identity, label, {}, [this, of_all, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, of_all ? AllFrames(record_) : Frames(record_));
                 SLX_ASSIGN_OR_RETURN(auto maps, SeparateFace(*frames));
                 SLX_RETURN_IF_ERROR(SaveSeparation(folder, maps));
                 separation_.Put(key, std::move(maps));
@@ -202,7 +242,7 @@ std::string SessionGraph::Normals() {
 }
 
 std::string SessionGraph::Skin() {
-  const std::string separate = Separate(), shape = Shape(GeometrySource::kReconstructed);
+  const std::string separate = Separate(), shape = Shape(SkinSource());
   return Add({{"skin",
                kSkinVersion,
                SortedJson({{"exposure_ms", plan_.exposure_ms}}).dump(),
@@ -377,6 +417,16 @@ std::string SessionGraph::FitOf(const std::string& model, GeometrySource source,
 Result<const SessionFrames*> SessionGraph::Frames(const RigCalibration& record) {
   return frames_.Of(record.ToJson(), [&]() -> Result<SessionFrames> {
     SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options_.store, session_));
+    if (thin_) frames.KeepOnly(*thin_);
+    frames.UseRecord(record);
+    return frames;
+  });
+}
+
+Result<const SessionFrames*> SessionGraph::AllFrames(const RigCalibration& record) {
+  if (!thin_) return Frames(record);
+  return all_frames_.Of(record.ToJson(), [&]() -> Result<SessionFrames> {
+    SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(options_.store, session_));
     frames.UseRecord(record);
     return frames;
   });
@@ -527,12 +577,12 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
 }
 
 std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
-  const std::string shape = PlacedShape(source, heldout), separate = Separate(), skin = Skin();
+  const std::string shape = PlacedShape(source, heldout), separate = SeparateAll(), skin = Skin();
   std::vector<std::string> predictions, fits;
   for (const std::string& model : models)
     if (!stages_.Has(Predict(model, source, heldout))) fits.push_back(FitOf(model, source, heldout));
   std::map<std::string, std::string> inputs = {
-      {"frames", frames_hash_}, {"shape", shape}, {"separate", separate}, {"skin", skin}};
+      {"frames", all_frames_hash_}, {"shape", shape}, {"separate", separate}, {"skin", skin}};
   if (has_truth()) inputs["truth"] = truth_hash_;
   for (const std::string& model : models) {
     predictions.push_back(Predict(model, source, heldout));
@@ -564,7 +614,7 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 layers_.Drop();
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
                 SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
-                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(view->shape.record));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, AllFrames(view->shape.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
                 SLX_ASSIGN_OR_RETURN(const SkinMask mask, stages_.Load(skin, LoadSkin));
                 std::vector<ComparedModel> compared;

@@ -11,6 +11,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -35,13 +36,15 @@ enum class FitKind { kJudged, kDirectionBlind, kDirectionBlindPlaced, kProjector
 
 class SessionGraph {
  public:
-  // Hashes the session's frames. kIntegrity, kNotFound.
+  // Hashes the session's frames. kIntegrity, kNotFound; kUsage: frames that are too few for the geometry asked for.
   static Result<std::unique_ptr<SessionGraph>> Open(const RunOptions& options, const SessionFrames& frames,
                                                     Logger& logger);
 
   std::string Decode();
   std::string Shape(GeometrySource source);
   std::string Separate();
+  // Of all frames, however few a fit may read: the direct light by which predictions are judged.
+  std::string SeparateAll();
   std::string Normals();
   // Of the reconstructed surface, whichever the fits stand on: nothing of the truth enters.
   std::string Skin();
@@ -63,6 +66,10 @@ class SessionGraph {
   [[nodiscard]] std::string JudgedModel() const {
     return options_.fit.em.scattering.mode == FitMode::kTied ? "tied" : "free";
   }
+  // The frames that stages of a fit read; none: all.
+  [[nodiscard]] const std::optional<ThinPlan>& thin() const { return thin_; }
+  // What tells skin stands on: of the reconstructed surface; of a thinned visit on the true surface, on that.
+  [[nodiscard]] GeometrySource SkinSource() const { return thin_ ? options_.geometry : GeometrySource::kReconstructed; }
   [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
   // What stages and the report read of artifacts, by key. The last of each kind stays in memory for whoever asks next,
   // until a fit needs the room: pointers are valid until another key of that kind is asked for, or a stage is made.
@@ -82,8 +89,11 @@ class SessionGraph {
   // The fit that a model is, or is derived from.
   [[nodiscard]] static FitKind KindOf(const std::string& model);
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
-  // The session's frames as `record` reads them, and the dark frames that stages have asked of them.
+  // The session's frames as `record` reads them, and the dark frames that stages have asked of them: those that a fit
+  // may read; all, for what judges it.
   Result<const SessionFrames*> Frames(const RigCalibration& record);
+  Result<const SessionFrames*> AllFrames(const RigCalibration& record);
+  std::string SeparateBy(const std::string& frames_hash, bool of_all);
   // What a fit of that kind is made of: SRDs, by an offset (empty: none), what they share by skin alone.
   struct SrdKeys {
     std::string srd, offset, skin;
@@ -112,11 +122,12 @@ class SessionGraph {
   const RigCalibration record_;
   const PlanOptions plan_;
   Logger& logger_;
-  std::string frames_hash_, record_hash_, truth_hash_, isa_;
+  std::optional<ThinPlan> thin_;
+  std::string frames_hash_, all_frames_hash_, record_hash_, truth_hash_, isa_;
   StageGraph stages_;
   std::vector<std::string> order_;
   // What one stage leaves for the next.
-  Kept<SessionFrames> frames_;
+  Kept<SessionFrames> frames_, all_frames_;
   Kept<DecodedFace> decoded_;
   Kept<FaceShape> face_;
   Kept<std::vector<SeparationMap>> separation_;

@@ -161,7 +161,8 @@ Separation SeparateAll(const SeparationFrames& frames, Cfa cfa, const SensorNois
 }  // namespace
 
 const char* ToString(SeparationReason reason) {
-  constexpr std::array<const char*, kSeparationReasons> kNames = {"valid", "unlit", "saturated", "negative"};
+  constexpr std::array<const char*, kSeparationReasons> kNames = {"valid", "unlit", "saturated", "negative",
+                                                                  "not told"};
   return kNames[static_cast<size_t>(reason)];
 }
 
@@ -188,6 +189,24 @@ Result<Separation> SeparateSinusoids(const SeparationFrames& frames, Cfa cfa, co
   return SeparateAll(frames, cfa, noise, options, [&](size_t site) {
     return SolveSinusoids(frames, site, noise, options, column_table, row_table);
   });
+}
+
+Result<Separation> WhiteAlone(const SeparationFrames& frames, Cfa cfa, const SensorNoise& noise,
+                              const SeparationOptions& options) {
+  SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_RETURN_IF_ERROR(CheckFrames(frames, {}));
+  Separation out =
+      SeparateAll(frames, cfa, noise, options, [&](size_t site) { return WhiteLight(frames, site, noise, options); });
+  out.counts = {};
+  for (size_t quad = 0; quad < out.map.reason.size(); ++quad) {
+    uint8_t& reason = out.map.reason.pixels()[quad];
+    if (reason == static_cast<uint8_t>(SeparationReason::kValid))
+      reason = static_cast<uint8_t>(SeparationReason::kNotTold);
+    ++out.counts[reason];
+  }
+  const Image<float> unknown(out.map.direct.width(), out.map.direct.height(), out.map.direct.channels(), std::nanf(""));
+  out.map.direct = out.map.global = out.map.direct_variance = unknown;
+  return out;
 }
 
 Result<Separation> SeparateCheckerboards(const SeparationFrames& frames, Cfa cfa, const SensorNoise& noise,

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSeparationReasons = 4;
+inline constexpr int kSeparationReasons = 5;
 [[nodiscard]] const char* ToString(SeparationReason reason);
 
 struct SeparationOptions {
@@ -51,6 +51,10 @@ struct Separation {
 // The amplitude is the mean of both axes', over the quad's sites of the colour. kUsage: no sinusoid, or sizes differ.
 [[nodiscard]] Result<Separation> SeparateSinusoids(const SeparationFrames& frames, Cfa cfa, const SensorNoise& noise,
                                                    const SeparationOptions& options = {});
+
+// Where no pattern was captured: all light under white, by the same formula, and nothing of what is direct (kNotTold).
+[[nodiscard]] Result<Separation> WhiteAlone(const SeparationFrames& frames, Cfa cfa, const SensorNoise& noise,
+                                            const SeparationOptions& options = {});
 
 // Extremes over the shifts, ambient removed, lit fraction a = 1/2, as printed in [Nayar et al. 2006]:
 //   L+ = L_d + (a + b (1 - a)) L_g,   L- = b L_d + ((1 - a) + a b) L_g.

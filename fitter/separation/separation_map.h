@@ -8,7 +8,7 @@
 
 namespace stratalux::fit {
 
-enum class SeparationReason : uint8_t { kValid = 0, kUnlit = 1, kSaturated = 2, kNegative = 3 };
+enum class SeparationReason : uint8_t { kValid = 0, kUnlit = 1, kSaturated = 2, kNegative = 3, kNotTold = 4 };
 
 struct SeparationMap {
   Image<float> direct;           // W x H x C; NaN where invalid

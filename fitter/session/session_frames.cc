@@ -40,12 +40,25 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
     frames.UseRecord(record);
   }
   SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
-  for (size_t i = 0; i < frames.rows_.size(); ++i) {
-    const FrameRecord& r = frames.rows_[i].record;
-    if (r.level_check == LevelCheck::kFailed) continue;
-    frames.by_key_[Key(r.projector, r.phase, r.pattern, r.pose, r.bracket)] = i;
-  }
+  frames.Index();
   return frames;
+}
+
+void SessionFrames::Index() {
+  by_key_.clear();
+  for (size_t i = 0; i < rows_.size(); ++i) {
+    const FrameRecord& r = rows_[i].record;
+    if (r.level_check == LevelCheck::kFailed) continue;
+    by_key_[Key(r.projector, r.phase, r.pattern, r.pose, r.bracket)] = i;
+  }
+}
+
+void SessionFrames::KeepOnly(const ThinPlan& thin) {
+  thin_ = thin;
+  std::erase_if(rows_,
+                [&](const db::FrameRow& row) { return !std::ranges::binary_search(thin.kept, row.record.step); });
+  Index();
+  black_.clear();
 }
 
 void SessionFrames::UseRecord(const RigCalibration& record) {
@@ -53,6 +66,11 @@ void SessionFrames::UseRecord(const RigCalibration& record) {
   lineariser_.emplace(record.camera);
   calibration_ = LinearRig(record);
   black_.clear();
+}
+
+std::vector<PatternAxis> SessionFrames::sinusoids() const {
+  if (!thin_) return {PatternAxis::kColumns, PatternAxis::kRows};
+  return thin_->sinusoids;
 }
 
 Result<Image<uint16_t>> SessionFrames::ReadRaw(const db::FrameRow& row) const {

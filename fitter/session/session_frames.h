@@ -11,6 +11,7 @@
 #include "db/catalogue/session_store.h"
 #include "fitter/sensor/linear_frame.h"
 #include "shared/capture/rig_calibration.h"
+#include "shared/capture/thin_plan.h"
 
 namespace stratalux::fit {
 
@@ -47,6 +48,14 @@ class SessionFrames {
   [[nodiscard]] Result<Image<uint16_t>> ReadLinear(const db::FrameRow& row) const;
   // Any frames, linear, in their order; all threads read and decode.
   [[nodiscard]] Result<std::vector<Image<uint16_t>>> ReadAll(std::span<const db::FrameRow* const> rows) const;
+  // From here on as if no other frames had been captured: rows(), Find and whatever reads by them know these alone.
+  void KeepOnly(const ThinPlan& thin);
+  // What is kept of a cycle: one comb in so many.
+  [[nodiscard]] int comb_every() const { return thin_ ? thin_->comb_every : 1; }
+  // Whether the plan has a sweep over rows, and it is kept.
+  [[nodiscard]] bool row_sweep() const { return plan_ && plan_->row_sweep && (!thin_ || thin_->row_sweep); }
+  // Axes along which sinusoids are kept.
+  [[nodiscard]] std::vector<PatternAxis> sinusoids() const;
   // Any frame, as the camera gave it.
   [[nodiscard]] Result<Image<uint16_t>> ReadRaw(const db::FrameRow& row) const;
   // Reads on as if the session had been captured with this record.
@@ -67,6 +76,7 @@ class SessionFrames {
  private:
   [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int bracket, int& count) const;
   SessionFrames(db::SessionStore store, db::SessionRow session);
+  void Index();
   static std::string Key(int projector, CapturePhase phase, const Pattern& pattern, int pose, int bracket);
 
   db::SessionStore store_;
@@ -74,6 +84,7 @@ class SessionFrames {
   std::optional<PlanOptions> plan_;
   std::optional<RigCalibration> record_, calibration_;
   std::optional<FrameLineariser> lineariser_;
+  std::optional<ThinPlan> thin_;
   std::vector<db::FrameRow> rows_;
   std::map<std::string, size_t> by_key_;
   mutable std::vector<db::SessionStore> readers_;  // of ReadAll's other threads

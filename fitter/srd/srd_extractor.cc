@@ -208,6 +208,11 @@ void SrdExtractor::RejectTooDark() {
       double sum = 0.0, variance = 0.0;
       for (const float y : batch_.Samples(i)) sum += y;
       for (const float v : batch_.Variances(i)) variance += v;
+      // Between the lines of a thinned cycle it is dark; white frames light all of it.
+      if (!cycle_.LightsAllAlike() && !batch_.white.empty() && batch_.white_variance[i] > 0.0F) {
+        sum = batch_.white[i];
+        variance = batch_.white_variance[i];
+      }
       if (!(sum > options_.min_signal_to_noise * std::sqrt(variance))) Reject(i, SrdReason::kTooDark);
     }
   });

@@ -25,6 +25,9 @@ struct CombCycle {
   double exposure_ms = 0.0;  // nominal; the white target's digital numbers are those of this exposure
   PatternAxis axis = PatternAxis::kColumns;
   [[nodiscard]] int frames() const { return period / step; }
+  // Every column is lit as often as any other: the cycle's frames add up to width / step whites. Not where some of its
+  // combs are left out (step > width): then that holds of their mean over the columns alone.
+  [[nodiscard]] bool LightsAllAlike() const { return width % step == 0; }
   [[nodiscard]] Status Validate() const;
 };
 
@@ -115,8 +118,8 @@ class SrdExtractor {
   void SetWhite(ImageView<const float> mean_dn, int count, ImageView<const float> dark_dn);
 
   // Call once. A cycle that lacks one frame gets it from the white frames, less the others (gather only); precondition:
-  // no more are missing, and that only where SetWhite() was called. Profile index as in MixtureMap, of width() x
-  // height() x channels.
+  // no more are missing, and that only where SetWhite() was called and the cycle LightsAllAlike(). Profile index as in
+  // MixtureMap, of width() x height() x channels.
   SrdBatch Take();
   [[nodiscard]] int width() const { return width_; }
   [[nodiscard]] int height() const { return height_; }

@@ -127,7 +127,7 @@ void SrdExtractor::SetWhite(ImageView<const float> mean_dn, int count, ImageView
   const auto colours = BlockColours(camera.cfa);
   const int block = QuadStep(camera.cfa) * options_.pool;
   const double read2 = camera.read_noise_dn * camera.read_noise_dn;
-  // Every column is lit width / step times in a cycle.
+  // Every column is lit width / step times in a cycle; of a thinned one, in the mean.
   const double cycle = static_cast<double>(cycle_.width) / cycle_.step;
   batch_.white.assign(batch_.valid.size(), 0.0F);
   batch_.white_variance.assign(batch_.valid.size(), 0.0F);
@@ -154,7 +154,7 @@ void SrdExtractor::SetWhite(ImageView<const float> mean_dn, int count, ImageView
 // samples, and that of the dark frame, which is in all of them alike. The latter is taken from the differences
 // themselves, since most of a face does not move: their median, by channel.
 void SrdExtractor::CheckEnergy() {
-  if (batch_.white.empty() || std::count(seen_.begin(), seen_.end(), 0) != 0) return;
+  if (batch_.white.empty() || !cycle_.LightsAllAlike() || std::count(seen_.begin(), seen_.end(), 0) != 0) return;
   const int64_t profiles = batch_.profiles();
   std::vector<float> sums(profiles, 0.0F), variances(profiles, 0.0F);
   ParallelFor(profiles, 4096, [&](int64_t begin, int64_t end) {

@@ -2,11 +2,13 @@
 #include "fitter/stages/layers.h"
 
 #include <algorithm>
+#include <cmath>
 #include <sstream>
 
 #include <nlohmann/json.hpp>
 
 #include "fitter/mixture/choose_prior.h"
+#include "fitter/mixture/em_light.h"
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/free_fit.h"
 #include "fitter/mixture/warm_start.h"
@@ -51,6 +53,8 @@ std::string Describe(const SweepChoice& choice) {
                    choice.trials.back().excess_nats);
 }
 
+constexpr int kMostSweeps = 100000;
+
 int64_t UsableProfiles(const Lights& lights) {
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i)
@@ -93,8 +97,22 @@ std::string FitOptionsJson(const FitOptions& options) {
 bool HasMeanLayers(const FitOptions& options) { return options.choose.prior || options.em.prior.photons > 0.0; }
 
 EmOptions OnPools(EmOptions em, int pool) {
-  constexpr int kMostSweeps = 100000;
   em.max_iterations = static_cast<int>(std::min<int64_t>(int64_t{em.max_iterations} * pool * pool, kMostSweeps));
+  return em;
+}
+
+EmOptions OnThinnedCycles(EmOptions em, const SrdSet& srds) {
+  double apart = 1.0;
+  for (const SrdBatch& batch : srds.batches)
+    for (int64_t i = 0; i < batch.profiles(); ++i) {
+      if (batch.valid[i] == 0) continue;
+      if (IsThinned(batch, i)) apart = std::max(apart, double{batch.step_mm[i]} / batch.line_width_mm[i]);
+      break;  // the comb is that of all profiles
+    }
+  if (!(apart > 1.0)) return em;
+  const int times = 2 * static_cast<int>(std::lround(apart));
+  em.max_iterations = std::min(em.max_iterations * times, kMostSweeps);
+  em.refinement_iterations = std::min(em.refinement_iterations * times, kMostSweeps);
   return em;
 }
 
@@ -114,7 +132,7 @@ Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
 
 Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
                                 const std::string& label) {
-  EmOptions em = OnPools(options.em, srds.pool);
+  EmOptions em = OnThinnedCycles(OnPools(options.em, srds.pool), srds);
   ScatteringModel& model = em.scattering;
   model.reflection = {};
   if (em.surface_term && options.choose.reflection) {

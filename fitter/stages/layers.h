@@ -34,6 +34,9 @@ struct FitOptions {
 // Pooled profiles have more photons and a wider response, which EM resolves slowly, and are fewer by as much: as many
 // times more sweeps from widths spread over all scales.
 [[nodiscard]] EmOptions OnPools(EmOptions em, int pool);
+// Of sweeps whose lines stand s widths apart EM sees each cell by one line in s, and takes it as seen by a line and the
+// white frames: a sweep goes 1 / (2 s) of the way, so 2 s times as many. Whole cycles: as they are.
+[[nodiscard]] EmOptions OnThinnedCycles(EmOptions em, const SrdSet& srds);
 
 inline constexpr int kNoneHeldOut = -1;
 // The batches of all projectors but one, their row sweeps after their column sweeps. `srds` must outlive it.

@@ -43,7 +43,7 @@ Image<float> RefinedSignalToNoise(const RefinedMap& refined, std::span<const Srd
 Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers fit, const FitOptions& options,
                                    Logger& logger, const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto all, TrainingLightsOf(srds, kNoneHeldOut));
-  EmOptions em = OnPools(options.em, srds.pool);
+  EmOptions em = OnThinnedCycles(OnPools(options.em, srds.pool), srds);
   em.scattering = fit.map.scattering;
   em.prior.photons = fit.map.prior_photons;
   std::vector<LayerSet> mean;

@@ -16,7 +16,7 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
   SLX_ASSIGN_OR_RETURN(const auto black, frames.MeanBlack(projector));
   std::vector<const db::FrameRow*> rows;
-  for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
+  for (PatternAxis axis : frames.sinusoids())
     for (int shift = 0; shift < o.separation_shifts; ++shift) {
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kSeparation,
                                                                {.kind = PatternKind::kSinusoid,
@@ -30,10 +30,12 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
   input.white = white;
   input.black = black;
   for (size_t i = 0; i < images.size(); ++i)
-    (i < images.size() / 2 ? input.column_shifts : input.row_shifts).push_back(images[i]);
+    (rows[i]->record.pattern.axis == PatternAxis::kColumns ? input.column_shifts : input.row_shifts)
+        .push_back(images[i]);
   SeparationOptions options;
   options.projector_black = rig.projectors[projector].black_level;
   options.sinusoid_amplitude = rig.projectors[projector].SinusoidAmplitude();
+  if (rows.empty()) return WhiteAlone(input, rig.camera.cfa, noise, options);
   return SeparateSinusoids(input, rig.camera.cfa, noise, options);
 }
 

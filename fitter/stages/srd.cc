@@ -106,6 +106,15 @@ double QuadsPerStep(const SrdBatch& batch, const SurfaceMap& surface, const RigC
   return ratios[ratios.size() / 2];
 }
 
+// Both read between samples: what lines stand further apart than they are wide has no value there.
+Status CheckReading(const CombCycle& cycle, const SrdOptions& options) {
+  if (cycle.LightsAllAlike()) return Status::Ok();
+  if (options.reading == SrdReading::kGather && options.distance == SrdDistance::kTangentPlane) return Status::Ok();
+  return Status::Usage("srd: of each sweep only combs that move by " + std::to_string(cycle.step) +
+                       " columns are kept, lines are " + std::to_string(cycle.width) +
+                       " wide: reading 'scatter' and distance 'surface' need all of them (--frames)");
+}
+
 Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, const Image<uint8_t>& lit,
                               const SrdOptions& options, Logger& logger, SrdSet& set, SweepFigure& figure) {
   const PlanOptions& plan = *sweep.frames.plan();
@@ -113,7 +122,8 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
   figure.projector = p;
   figure.axis = sweep.cycle.axis == PatternAxis::kRows ? "rows" : "columns";
   for (int k = 0; k < sweep.cycle.frames(); ++k) figure.missing_frames += sweep.Has(k) ? 0 : 1;
-  const bool left_out = figure.missing_frames > (options.reading == SrdReading::kGather ? 1 : 0);
+  const bool made_up = options.reading == SrdReading::kGather && sweep.cycle.LightsAllAlike();
+  const bool left_out = figure.missing_frames > (made_up ? 1 : 0);
   if (figure.missing_frames > 0)
     logger.Warning("projector " + std::to_string(p) + ": " + std::to_string(figure.missing_frames) + " of " +
                    std::to_string(sweep.cycle.frames()) + " frames of the sweep are missing (`stratalux-db show`); " +
@@ -172,9 +182,11 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
   set.channels = QuadChannels(frames.calibration()->camera.cfa);
   bool any = false;
   for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
-    if (axis == PatternAxis::kRows && !plan.row_sweep) continue;
-    const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step, plan.exposure_ms, axis};
+    if (axis == PatternAxis::kRows && !frames.row_sweep()) continue;
+    const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step * frames.comb_every(), plan.exposure_ms,
+                          axis};
     SLX_RETURN_IF_ERROR(cycle.Validate());
+    SLX_RETURN_IF_ERROR(CheckReading(cycle, options));
     for (int p = 0; p < static_cast<int>(frames.calibration()->projectors.size()); ++p) {
       SweepFigure figure;
       SLX_ASSIGN_OR_RETURN(auto batch, ExtractSweep({frames, p, cycle}, surface, lit[p], options, logger, set, figure));
