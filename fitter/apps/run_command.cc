@@ -180,6 +180,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     const std::string command = std::string("  stratalux-fit ") + v.name + " latest --store store";
     verb->footer(
         "Examples:\n" + command + "\n" + command + " --heldout 0 --shift refracted_sine\n" + command +
+        " --frames 128 --dry-run   # what of a shorter visit would be left out\n" + command +
         " --mode free --shift paper --gain none --surface free --background on --prior none   # the paper as printed");
     AddStore(*verb, *flags);
     AddFitOptions(*verb, flags->fit);

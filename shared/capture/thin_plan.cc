@@ -7,9 +7,8 @@
 namespace stratalux {
 namespace {
 
-// Of a cycle's combs, one in so many at most is left: lines further apart than skin scatters light see too little of it
-// in between.
-constexpr int kFewestCombs = 16;
+// Of a cycle's combs, one in so many is left at least, and so many of them: EM takes no fewer samples than three.
+constexpr int kMostApart = 16, kFewestCombs = 4;
 
 // Steps that are kept or left out together, of all projectors.
 struct Group {
@@ -24,8 +23,8 @@ class Thinner {
   explicit Thinner(const CapturePlan& plan) : plan_(plan) {
     const PlanOptions& o = plan.options;
     combs_ = o.comb_period / o.comb_step;
-    for (int every = kFewestCombs; every >= 1; every /= 2)
-      if (combs_ % every == 0 && combs_ / every >= 2) levels_.push_back(every);
+    for (int every = kMostApart; every >= 1; every /= 2)
+      if (combs_ % every == 0 && combs_ / every >= kFewestCombs) levels_.push_back(every);
     AddGroups();
   }
 

@@ -29,7 +29,7 @@ struct ThinPlan {
 // and a few combs (they have no substitute), more combs, sinusoids along columns, codes of columns, combs again, then
 // what measures once more: sinusoids along rows, inverse codes, codes of rows, a sweep over rows, further exposures.
 // What room is left goes to blacks and whites, by turns. Never kept but in the whole plan: what no stage of a fit
-// reads. kUsage: less than white, black and two combs a projector; another kind of session.
+// reads. kUsage: less than white, black and the fewest combs of each projector; another kind of session.
 [[nodiscard]] Result<ThinPlan> ThinTo(const CapturePlan& plan, int frames);
 
 // One line for people: how many are kept, and what is left out of each projector's.

@@ -135,6 +135,19 @@ TEST(SeparateCheckerboards, IsExactOnMixtures) {
   }
 }
 
+TEST(Separate, OfWhiteAloneNothingIsDirect) {
+  const Shots shots{Mixture{}};
+  const auto both = SeparateSinusoids(shots.Views(), Cfa::kRggb, kNoise),
+             alone = WhiteAlone(shots.Views(), Cfa::kRggb, kNoise);
+  ASSERT_TRUE(both.ok() && alone.ok());
+  EXPECT_EQ(alone->counts[static_cast<int>(SeparationReason::kNotTold)], kWidth / 2 * kHeight / 2);
+  for (int c = 0; c < 3; ++c) {
+    EXPECT_EQ(alone->map.white(3, 3, c), both->map.white(3, 3, c));
+    for (const auto* map : {&alone->map.direct, &alone->map.global, &alone->map.direct_variance})
+      EXPECT_TRUE(std::isnan((*map)(3, 3, c)));
+  }
+}
+
 TEST(Separate, IsInvariantToAmbientLight) {
   const Mixture mixture{.ambient = 700.0};
   const Shots shots(mixture);

@@ -85,6 +85,22 @@ TEST_F(SessionFramesTest, ADamagedFrameIsNamed) {
   EXPECT_THAT(read.status().message(), HasSubstr(session));
 }
 
+TEST_F(SessionFramesTest, OnlyWhatIsKeptIsKnown) {
+  SessionFrames frames = Open(BlackFrames());
+  const auto all = frames.FramesHash();
+  ThinPlan thin;
+  for (const int i : {1, 5, 6}) thin.kept.push_back(frames.rows()[static_cast<size_t>(i)].record.step);
+  ASSERT_TRUE(frames.MeanBlack(0).ok());
+  frames.KeepOnly(thin);
+  ASSERT_EQ(frames.rows().size(), 3U);
+  for (const db::FrameRow& row : frames.rows()) EXPECT_THAT(thin.kept, ::testing::Contains(row.record.step));
+  EXPECT_EQ(frames.MeanBlack(0).status().code(), StatusCode::kNotFound);  // even what was read before
+  int count = 0;
+  EXPECT_TRUE(frames.MeanBlack(1).ok());
+  EXPECT_EQ(frames.MeanWhite(1, count).status().code(), StatusCode::kNotFound);
+  EXPECT_NE(*frames.FramesHash(), *all);
+}
+
 TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
   const std::string session = BlackFrames();
   SessionFrames frames = Open(session);

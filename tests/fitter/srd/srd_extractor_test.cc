@@ -200,6 +200,28 @@ TEST(SrdExtractor, SaturationIsCountedAndNeverUsed) {
   for (int c = 0; c < 3; ++c) EXPECT_EQ(batch.valid[profile + c], 0);
 }
 
+// One comb in four: the samples that are left are those of the whole cycle, and lie where they lay.
+TEST(SrdExtractor, AThinnedCycleHasEveryFourthSampleOfTheWholeOne) {
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.3);
+  CombCycle thinned = Cycle();
+  thinned.step = 8;
+  EXPECT_TRUE(Cycle().LightsAllAlike());
+  EXPECT_FALSE(thinned.LightsAllAlike());
+  const SrdBatch whole = Extract(rig, plane, Cycle(), {}), quarter = Extract(rig, plane, thinned, {});
+  ASSERT_EQ(quarter.samples, 16);
+  int64_t compared = 0;
+  for (int64_t i = 0; i < whole.profiles(); ++i) {
+    if (quarter.valid[i] == 0) continue;  // dark between the lines, and no white frame tells that it is lit
+    ++compared;
+    EXPECT_EQ(quarter.first_u_mm[i], whole.first_u_mm[i]);
+    EXPECT_EQ(quarter.line_width_mm[i], whole.line_width_mm[i]);
+    EXPECT_FLOAT_EQ(quarter.step_mm[i], 4.0F * whole.step_mm[i]);
+    for (int k = 0; k < quarter.samples; ++k) EXPECT_EQ(quarter.Samples(i)[k], whole.Samples(i)[4 * k]);
+  }
+  EXPECT_GT(compared, whole.profiles() / 2);
+}
+
 TEST(CombCycle, RefusesStepsThatDoNotDivideThePeriod) {
   EXPECT_TRUE(Cycle().Validate().ok());
   EXPECT_EQ((CombCycle{.period = 128, .width = 2, .step = 3, .exposure_ms = 1}.Validate().code()), StatusCode::kUsage);
