@@ -21,24 +21,58 @@ using std::chrono::milliseconds;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
+constexpr const char* kUnderPseudonym =
+    "--visitor v-5f3a91c2 --consent-scope fit --consent-text 1 --consent-language en";
+
 class BatchShards : public SmallFit {
  protected:
   // A store of one visitor and those of `captures`, its plan, and what another machine sees of it: no index, no keys.
   fs::path Planned(const std::vector<std::string>& captures) {
     fs::path store = Captured("store");
     for (const std::string& options : captures) EXPECT_EQ(Capture(store, options).code, 0);
-    results_ = folder_ / "results";
-    scratch_ = folder_ / "scratch";
-    seen_ = folder_ / "seen";
+    Place(folder_);
     fs::create_directories(scratch_);
-    fs::create_directories(seen_);
-    for (const char* part : {"sessions", "ledger"}) fs::create_directory_symlink(store / part, seen_ / part);
+    Look(store);
     const Outcome plan = Fit(store, "batch plan " + std::string(kSmallFitOptions) + " --out " + results_.string());
     EXPECT_EQ(plan.code, 0) << plan.out;
+    ReadPlan();
+    return store;
+  }
+  // Three visitors, the one in the middle under a pseudonym, planned and fitted in two shards, nothing merged: made by
+  // the first case that asks, copied for each.
+  fs::path FittedByShards() {
+    const fs::path original = Originals() / "shards";
+    if (!fs::exists(original)) {
+      const fs::path store = Planned({kUnderPseudonym, ""});
+      for (const char* shard : {"1/2", "2/2"}) {
+        const Outcome outcome = RunShard(shard);
+        EXPECT_EQ(outcome.code, 0) << outcome.out;
+      }
+      EXPECT_THAT(std::vector<fs::path>(fs::directory_iterator(scratch_), {}), IsEmpty());
+      EXPECT_EQ(std::distance(fs::directory_iterator(seen_), {}), 2) << "a shard wrote beside the sessions";
+      fs::remove_all(seen_);
+      fs::rename(folder_, original);
+    }
+    EXPECT_EQ(Shell("cp -a " + original.string() + "/. " + folder_.string() + " 2>&1").out, "");
+    Place(folder_);
+    fs::path store = folder_ / "store" / "store";
+    Look(store);
+    ReadPlan();
+    return store;
+  }
+  void Place(const fs::path& folder) {
+    results_ = folder / "results";
+    scratch_ = folder / "scratch";
+    seen_ = folder / "seen";
+  }
+  void Look(const fs::path& store) const {
+    fs::create_directories(seen_);
+    for (const char* part : {"sessions", "ledger"}) fs::create_directory_symlink(store / part, seen_ / part);
+  }
+  void ReadPlan() {
     sessions_.clear();
     const Json json = Json::parse(ReadText(results_ / "plan.json"));
     for (const Json& visit : json.at("visits")) sessions_.push_back(visit.at("session"));
-    return store;
   }
   [[nodiscard]] std::vector<std::string> ShardWords(const std::string& shard) const {
     return {"stratalux-fit",   "batch",     "shard",           shard,       "--store", seen_.string(), "--results",
@@ -74,16 +108,10 @@ class BatchShards : public SmallFit {
 };
 
 TEST_F(BatchShards, NeedSealedSessionsAloneAndTheMergeEntersEachFitOnce) {
-  const fs::path store = Planned({"", ""});
+  const fs::path store = FittedByShards();
   ASSERT_EQ(sessions_.size(), 3U);
-  for (const char* shard : {"1/2", "2/2"}) {
-    const Outcome outcome = RunShard(shard);
-    EXPECT_EQ(outcome.code, 0) << outcome.out;
-  }
   for (const std::string& session : sessions_)
     EXPECT_EQ(Layers(store / "sessions" / session), "") << "a shard wrote there";
-  EXPECT_THAT(std::vector<fs::path>(fs::directory_iterator(scratch_), {}), IsEmpty());
-  EXPECT_EQ(std::distance(fs::directory_iterator(seen_), {}), 2) << "a shard wrote beside the sessions";
 
   const Json merged = Merge(store, 0);
   EXPECT_EQ(merged.at("entered"), 3);
@@ -120,7 +148,7 @@ TEST_F(BatchShards, NeedSealedSessionsAloneAndTheMergeEntersEachFitOnce) {
 }
 
 TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
-  const fs::path store = Planned({"", ""});
+  const fs::path store = Planned({""});
   Running shard(ShardWords("1/1"), folder_ / "killed.log");
   // Dies when the first visitor is in its manifest.
   const auto said = [&] { return ReadText(ManifestOf("shard-0001-of-0001")).find("\"done\"") != std::string::npos; };
@@ -130,7 +158,7 @@ TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
   EXPECT_EQ(shard.Wait().signal, SIGKILL);
   Json merged = Merge(store, 3);
   EXPECT_EQ(merged.at("entered"), 1);
-  EXPECT_EQ(merged.at("missing"), (Json{sessions_[1], sessions_[2]}));
+  EXPECT_EQ(merged.at("missing"), Json{sessions_[1]});
   // Half a manifest: what it said is not known, what was merged stays, and the next run writes it anew.
   const std::string manifest = ReadText(ManifestOf("shard-0001-of-0001"));
   WriteText(ManifestOf("shard-0001-of-0001"), manifest.substr(0, manifest.size() / 2));
@@ -148,7 +176,7 @@ TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
   EXPECT_EQ(told.code, 75) << told.out;
   const Outcome rest = RunShard("1/1");
   EXPECT_EQ(rest.code, 0) << rest.out;
-  EXPECT_EQ(Attempts(rest.out), 2) << "only who was left\n" << rest.out;
+  EXPECT_EQ(Attempts(rest.out), 1) << "only who was left\n" << rest.out;
   // The killed one's scratch went with the next.
   EXPECT_THAT(std::vector<fs::path>(fs::directory_iterator(scratch_), {}), IsEmpty());
   // Swapped bytes in what was made: that visitor is not entered, and fitted again by the shard.
@@ -160,7 +188,7 @@ TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
       file.write("damaged", 7);
     }
   merged = Merge(store, 3);
-  EXPECT_EQ(merged.at("entered"), 1);
+  EXPECT_EQ(merged.at("entered"), 0);
   EXPECT_EQ(merged.at("missing"), Json{sessions_[1]});
   EXPECT_THAT(merged.at("problems").dump(), HasSubstr("layers_weight.exr"));
   EXPECT_EQ(Layers(store / "sessions" / sessions_[1]), "");
@@ -173,10 +201,8 @@ TEST_F(BatchShards, WhatIsKilledLostOrHalfWrittenChangesNothingAndIsNamed) {
 }
 
 TEST_F(BatchShards, WhoIsForgottenOrWithdrewMeanwhileIsNotEntered) {
-  const fs::path store =
-      Planned({"--visitor v-5f3a91c2 --consent-scope fit --consent-text 1 --consent-language en", ""});
-  ASSERT_EQ(sessions_.size(), 3U);  // newest first: in the middle the one with a pseudonym of its own
-  ASSERT_EQ(RunShard("1/1").code, 0);
+  const fs::path store = FittedByShards();
+  ASSERT_EQ(sessions_.size(), 3U);  // newest first
   ASSERT_EQ(Db(store, "consent withdraw --visitor v-5f3a91c2").code, 0);
   ASSERT_EQ(Db(store, "forget " + sessions_[0] + " --yes").code, 0);
   const Json merged = Merge(store, 0);

@@ -156,13 +156,14 @@ TEST_F(DamagedStore, AManifestThatIsNoneIsFoundAndTheFramesStayReadable) {
 }
 
 TEST_F(DamagedStore, WithoutTruthTheMapsAreTheSame) {
-  // Large enough a picture for surfaces and layers.
-  const std::string capture = "stratalux-rig capture --simulate --seed 3 --size 348x260 --config ";
+  // A mono camera sees a quad with each of its pixels: large enough a picture for surfaces and layers.
+  const std::string mono = File("mono.toml", "[camera]\ncfa = \"mono\"\n");
+  const std::string capture = "stratalux-rig capture --simulate=" + mono + " --seed 3 --size 64x48 --config ";
   ASSERT_EQ(Run(capture + File("rig.toml", kTinyConfig)).code, 0);
   Json metrics;
   const auto maps = [this, &metrics] {
     for (const char* made_before : {"fits", "artifacts"}) fs::remove_all(Session("s000003") / made_before);
-    const Outcome run = Run("stratalux-fit run s000003 --pool 3 --json");
+    const Outcome run = Run("stratalux-fit run s000003 --pool 2 --layers 2 --json");
     EXPECT_EQ(run.code, 0) << run.err;
     std::map<std::string, std::string> made;
     for (const auto& [name, text] : Contents(Json::parse(run.out)["folder"].get<std::string>())) {

@@ -9,9 +9,11 @@
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
+#include <sys/file.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "shared/base/unique_fd.h"
 #include "tests/integration/smallest_plan.h"
 #include "tests/support/text_file.h"
 
@@ -27,7 +29,10 @@ using std::chrono::steady_clock;
 
 // A mono camera sees a quad with each of its pixels: a surface as fine as that of a mosaic twice as wide.
 constexpr const char* kScene = "name = \"face\"\n[subject]\nshape = \"head\"\n[camera]\ncfa = \"mono\"\n";
-const std::string kConfig = "[camera]\nwidth = 174\nheight = 130\n" + kSmallestPlan;
+const std::string kConfig = "[camera]\nwidth = 64\nheight = 48\n" + kSmallestPlan;
+
+constexpr const char* kCountFile = "count";           // file calls of the undisturbed run
+constexpr const char* kDurationFile = "duration_ms";  // of the undisturbed run; written last
 
 // Made by the first case, removed when the program ends.
 struct Original {
@@ -230,30 +235,58 @@ fs::path SmallFit::CopyOfOriginal(const std::string& original, const fs::path& f
   return store;
 }
 
-Outcome SmallFit::Capture(const fs::path& store, const std::string& options) {
-  const fs::path folder = Originals();
+Outcome SmallFit::CaptureAs(const fs::path& folder, const fs::path& store, const std::string& options) {
   return Execute("stratalux-rig capture --simulate=" + (folder / "scene.toml").string() + " --seed 3 --config " +
                  (folder / "rig.toml").string() + " --store " + store.string() + " " + options);
 }
 
-void SmallFit::SetUpTestSuite() {
-  const fs::path folder = TheOriginal().folder;
-  if (fs::exists(folder)) return;
+Outcome SmallFit::Capture(const fs::path& store, const std::string& options) {
+  return CaptureAs(Originals(), store, options);
+}
+
+void SmallFit::Make(const fs::path& folder) {
   fs::create_directories(folder / "captured");
   WriteText(folder / "rig.toml", kConfig);
   WriteText(folder / "scene.toml", kScene);
-  const Outcome capture = Capture(folder / "captured" / "store");
+  const Outcome capture = CaptureAs(folder, folder / "captured" / "store", "");
   ASSERT_EQ(capture.code, 0) << capture.out;
-  const fs::path fitted = CopyOfOriginal("captured", folder / "fitted"), count = folder / "count";
+  ASSERT_EQ(Shell("cp -a " + (folder / "captured").string() + " " + (folder / "fitted").string() + " 2>&1").out, "");
+  const fs::path fitted = folder / "fitted" / "store", count = folder / kCountFile;
   auto environment = DiesAt(fitted, kNever);
   environment.push_back("STORE_FAULT_COUNT=" + count.string());
   const auto begin = steady_clock::now();
   Running run(RunArguments(fitted), folder / "log", environment);
   const Outcome outcome = run.Wait();
-  duration_ = std::chrono::duration_cast<milliseconds>(steady_clock::now() - begin);
   ASSERT_EQ(outcome.code, 0) << outcome.out;
-  calls_ = std::atoll(ReadText(count).c_str());
-  undisturbed_ = StateOf(fitted);
+  const auto took = std::chrono::duration_cast<milliseconds>(steady_clock::now() - begin);
+  WriteText(folder / kDurationFile, std::to_string(took.count()));
+}
+
+void SmallFit::MakeOrCopy(const fs::path& shared, const fs::path& folder) {
+  fs::create_directories(shared.parent_path());
+  const UniqueFd lock(open((shared.string() + ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+  ASSERT_GE(lock.get(), 0) << shared;
+  ASSERT_EQ(flock(lock.get(), LOCK_EX), 0) << shared;
+  // The last file of a whole one: a program may have been killed before.
+  if (!fs::exists(shared / kDurationFile)) {
+    fs::remove_all(shared);
+    Make(shared);
+    if (HasFatalFailure()) return;
+  }
+  ASSERT_EQ(Shell("cp -a " + shared.string() + " " + folder.string() + " 2>&1").out, "");
+}
+
+void SmallFit::SetUpTestSuite() {
+  const fs::path folder = TheOriginal().folder;
+  if (fs::exists(folder)) return;
+  if (const char* shared = std::getenv("STRATALUX_SHARED_CAPTURES"); shared != nullptr)
+    MakeOrCopy(fs::path(shared) / "small_fit", folder);
+  else
+    Make(folder);
+  if (HasFatalFailure()) return;
+  duration_ = milliseconds(std::atoll(ReadText(folder / kDurationFile).c_str()));
+  calls_ = std::atoll(ReadText(folder / kCountFile).c_str());
+  undisturbed_ = StateOf(folder / "fitted" / "store");
 }
 
 void SmallFit::SetUp() {

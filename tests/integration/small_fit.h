@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The smallest session that goes the whole road, from frames to an evaluated report, for tests that disturb
-// `stratalux-fit run`: captured and fitted once, each case works on copies.
+// `stratalux-fit run`: captured and fitted once, each case works on copies. STRATALUX_SHARED_CAPTURES names a folder in
+// which programs leave it for each other (tests/integration/CMakeLists.txt); without it each makes its own.
 #pragma once
 
 #include <chrono>
@@ -79,6 +80,14 @@ class SmallFit : public ::testing::Test {
   static inline State undisturbed_;
   static inline std::chrono::milliseconds duration_{};  // of the undisturbed run
   static inline int64_t calls_ = 0;                     // of its file calls, as the fault layer counts them
+
+ private:
+  // Captured and fitted in `folder`.
+  static void Make(const std::filesystem::path& folder);
+  // The first of several programs makes it, the others wait and copy.
+  static void MakeOrCopy(const std::filesystem::path& shared, const std::filesystem::path& folder);
+  static Outcome CaptureAs(const std::filesystem::path& folder, const std::filesystem::path& store,
+                           const std::string& options);
 };
 
 inline constexpr int64_t kNever = 1'000'000'000;  // a file call that no run comes to
