@@ -42,13 +42,11 @@ void AddExportCommand(CLI::App& app, int& exit_code) {
   auto* verb = app.add_subcommand(
       "export", "The face for other programs: mesh as PLY and glTF, points with covariance, depth and normals");
   verb->footer(
-      "ply: mesh.ply; glb: mesh.glb (glTF 2.0, metres, y up, albedo as its texture); cloud: cloud.ply, each point "
-      "with\n"
-      "its covariance; tiff: depth.tif, normal.tif (16 bits); exr: depth.exr, normal.exr (floats). PLY, TIFF and EXR "
-      "are\n"
-      "in the camera frame, mm: +x right, +y down, +z away from the camera. A session without a fit gives its "
-      "surface,\n"
-      "without colour. Files of an earlier export are replaced, each whole.\n"
+      "ply: mesh.ply; glb: mesh.glb (glTF 2.0, metres, y up, albedo and photometric normals as its textures);\n"
+      "cloud: cloud.ply, each point with its covariance; tiff: depth.tif, normal.tif (16 bits);\n"
+      "exr: depth.exr, normal.exr (floats). PLY, TIFF and EXR are in the camera frame, mm: +x right, +y down,\n"
+      "+z away from the camera. A session without a fit gives its surface, without colour. Files of an earlier\n"
+      "export are replaced, each whole.\n"
       "Examples:\n"
       "  stratalux-fit export latest --store store --out face\n"
       "  stratalux-fit export s000017 --store store --format glb,cloud --out for-the-artist --json");

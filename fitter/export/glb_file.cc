@@ -71,6 +71,14 @@ std::vector<std::array<float, 3>> Turned(const std::vector<std::array<float, 3>>
   return to;
 }
 
+// A rotation keeps the sense of a cross product, hence w.
+std::vector<std::array<float, 4>> TurnedTangents(const std::vector<std::array<float, 4>>& from) {
+  std::vector<std::array<float, 4>> to;
+  to.reserve(from.size());
+  for (const auto& t : from) to.push_back({t[0], -t[1], -t[2], t[3]});
+  return to;
+}
+
 int AddPositions(Buffer& buffer, const Mesh& mesh) {
   const auto positions_m = Turned(mesh.positions_mm, 1e-3);
   const int index = buffer.AddAccessor(positions_m, "VEC3", kFloat, positions_m.size(), kVertices);
@@ -87,24 +95,48 @@ int AddPositions(Buffer& buffer, const Mesh& mesh) {
   return index;
 }
 
-Json PrimitiveOf(Buffer& buffer, const Mesh& mesh, bool textured) {
+Json PrimitiveOf(Buffer& buffer, const Mesh& mesh, const GlbMaterial& material) {
   const size_t vertices = mesh.positions_mm.size();
   Json attributes;
   attributes["POSITION"] = AddPositions(buffer, mesh);
   attributes["NORMAL"] = buffer.AddAccessor(Turned(mesh.normals, 1.0), "VEC3", kFloat, vertices, kVertices);
-  if (textured) attributes["TEXCOORD_0"] = buffer.AddAccessor(mesh.texture_uv, "VEC2", kFloat, vertices, kVertices);
+  if (!material.normals.empty())
+    attributes["TANGENT"] = buffer.AddAccessor(TurnedTangents(mesh.tangents), "VEC4", kFloat, vertices, kVertices);
+  if (!material.base_colour.empty() || !material.normals.empty())
+    attributes["TEXCOORD_0"] = buffer.AddAccessor(mesh.texture_uv, "VEC2", kFloat, vertices, kVertices);
   const int indices = buffer.AddAccessor(mesh.triangles, "SCALAR", kUnsignedInt, 3 * mesh.triangles.size(), kIndices);
   return {{"attributes", attributes}, {"indices", indices}, {"material", 0}, {"mode", 4}};
 }
 
+// An embedded PNG; its index among the textures.
+Result<int> AddTexture(Buffer& buffer, Json& json, ImageView<const uint8_t> picture) {
+  SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(picture));
+  const int view = buffer.AddView(png.data(), png.size(), 0);
+  json["samplers"] = Json::array(
+      {Json{{"magFilter", kLinear}, {"minFilter", kLinearMipmaps}, {"wrapS", kClampToEdge}, {"wrapT", kClampToEdge}}});
+  const size_t index = json["images"].size();
+  json["images"].push_back({{"bufferView", view}, {"mimeType", "image/png"}});
+  json["textures"].push_back({{"sampler", 0}, {"source", index}});
+  return static_cast<int>(index);
+}
+
 // Seen from both sides: a face without a back has an inside.
-Json MaterialOf(const GlbMaterial& material) {
+Result<Json> MaterialOf(Buffer& buffer, Json& json, const GlbMaterial& material) {
   Json surface = {{"metallicFactor", 0.0}, {"roughnessFactor", std::clamp(material.roughness, 0.0, 1.0)}};
-  if (material.base_colour.empty())
+  Json made = {{"name", "skin"}};
+  if (material.base_colour.empty()) {
     surface["baseColorFactor"] = {0.5, 0.5, 0.5, 1.0};
-  else
-    surface["baseColorTexture"] = {{"index", 0}};
-  return {{"name", "skin"}, {"pbrMetallicRoughness", surface}, {"doubleSided", true}};
+  } else {
+    SLX_ASSIGN_OR_RETURN(const int index, AddTexture(buffer, json, material.base_colour));
+    surface["baseColorTexture"] = {{"index", index}};
+  }
+  made["pbrMetallicRoughness"] = surface;
+  if (!material.normals.empty()) {
+    SLX_ASSIGN_OR_RETURN(const int index, AddTexture(buffer, json, material.normals));
+    made["normalTexture"] = {{"index", index}};
+  }
+  made["doubleSided"] = true;
+  return made;
 }
 
 Json AssetOf(const ExportOrigin& origin) {
@@ -137,22 +169,16 @@ std::string Container(const Json& json, const std::string& binary) {
 Status WriteGlb(const std::filesystem::path& file, const Mesh& mesh, const GlbMaterial& material,
                 const ExportOrigin& origin) {
   if (mesh.triangles.empty()) return Status::NotFound(file.string() + ": the surface has no triangle");
-  const bool textured = !material.base_colour.empty();
+  if (!material.normals.empty() && mesh.tangents.size() != mesh.positions_mm.size())
+    return Status::Usage(file.string() + ": a normal texture needs a tangent for each vertex");
   Buffer buffer;
   Json json = {{"asset", AssetOf(origin)}, {"scene", 0}};
   json["scenes"] = Json::array({Json{{"nodes", Json::array({0})}}});
   json["nodes"] = Json::array({Json{{"name", "face"}, {"mesh", 0}}});
   json["meshes"] =
-      Json::array({Json{{"name", "face"}, {"primitives", Json::array({PrimitiveOf(buffer, mesh, textured)})}}});
-  json["materials"] = Json::array({MaterialOf(material)});
-  if (textured) {
-    SLX_ASSIGN_OR_RETURN(const auto png, EncodePng8(material.base_colour));
-    const int view = buffer.AddView(png.data(), png.size(), 0);
-    json["textures"] = Json::array({Json{{"sampler", 0}, {"source", 0}}});
-    json["images"] = Json::array({Json{{"bufferView", view}, {"mimeType", "image/png"}}});
-    json["samplers"] = Json::array({Json{
-        {"magFilter", kLinear}, {"minFilter", kLinearMipmaps}, {"wrapS", kClampToEdge}, {"wrapT", kClampToEdge}}});
-  }
+      Json::array({Json{{"name", "face"}, {"primitives", Json::array({PrimitiveOf(buffer, mesh, material)})}}});
+  SLX_ASSIGN_OR_RETURN(const Json made, MaterialOf(buffer, json, material));
+  json["materials"] = Json::array({made});
   json["accessors"] = buffer.accessors();
   json["bufferViews"] = buffer.views();
   json["buffers"] = Json::array({Json{{"byteLength", buffer.bytes().size()}}});

@@ -19,11 +19,12 @@ namespace stratalux::fit {
 struct GlbMaterial {
   ImageView<const uint8_t> base_colour = {};  // RGB, sRGB-coded, over texture_uv; empty: none, the material is grey
   double roughness = 1.0;                     // glTF's, the square root of GGX's alpha
+  ImageView<const uint8_t> normals = {};      // RGB of NormalTexture, over texture_uv; empty: none
 };
 
-// POSITION with its bounds, NORMAL, 32-bit indices; with a picture TEXCOORD_0 and that as an embedded PNG. `origin` and
-// the units are the asset's extras. kNotFound: the mesh has no triangle (glTF knows no empty one). kFailed: it cannot
-// be written.
+// POSITION with its bounds, NORMAL, 32-bit indices; with a picture TEXCOORD_0 and that as an embedded PNG; with
+// normals the mesh's tangents as TANGENT. `origin` and the units are the asset's extras. kNotFound: the mesh has no
+// triangle (glTF knows no empty one). kUsage: normals without a tangent for each vertex. kFailed: it cannot be written.
 Status WriteGlb(const std::filesystem::path& file, const Mesh& mesh, const GlbMaterial& material,
                 const ExportOrigin& origin = {});
 

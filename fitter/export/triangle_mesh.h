@@ -13,6 +13,7 @@ struct Mesh {
   std::vector<std::array<float, 3>> normals;       // unit, out of the surface
   std::vector<std::array<float, 2>> texture_uv;    // 0 .. 1 over the picture of quads, (0, 0) its top left corner
   std::vector<std::array<uint8_t, 3>> colours;     // sRGB; empty: none
+  std::vector<std::array<float, 4>> tangents;      // of glTF: unit, across the normal, w = 1 or -1; empty: none
   std::vector<std::array<int32_t, 3>> triangles;   // counter-clockwise as seen from outside the skin
 };
 

@@ -10,11 +10,12 @@
 
 #include "fitter/export/exr_file.h"
 #include "fitter/export/glb_file.h"
+#include "fitter/export/normal_texture.h"
 #include "fitter/export/pictures.h"
 #include "fitter/export/ply_file.h"
 #include "fitter/export/tiff_maps.h"
-#include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/point_cloud.h"
+#include "fitter/stages/detailed_mesh.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/shape.h"
@@ -130,34 +131,15 @@ Image<float> Masked(const SurfaceMap& surface, const Image<float>& map, int firs
   return masked;
 }
 
-Mesh MeshOf(const SurfaceMap& surface, const Image<float>& own_normal) {
-  if (own_normal.empty()) return MeshFromSurface(surface);
-  SurfaceMap own = surface;
-  own.normal = own_normal;
-  Mesh mesh = MeshFromSurface(own);
-  std::vector<Eigen::Vector3f> detailed;
-  for (int j = 0; j < surface.height(); ++j)
-    for (int i = 0; i < surface.width(); ++i)
-      if (surface.mask(i, j) != 0) detailed.emplace_back(surface.Normal(i, j).cast<float>());
-  // A detail that would point into its own triangles, as at a silhouette, is left out.
-  std::vector<uint8_t> fits(detailed.size(), 1);
-  for (const auto& triangle : mesh.triangles) {
-    const Eigen::Vector3f faces = TriangleNormal(mesh, triangle);
-    for (const int32_t v : triangle)
-      if (detailed[v].dot(faces) <= 0.0F) fits[v] = 0;
-  }
-  for (size_t v = 0; v < fits.size(); ++v)
-    if (fits[v] != 0) Eigen::Map<Eigen::Vector3f>(mesh.normals[v].data()) = detailed[v];
-  return mesh;
-}
-
 // Everything that files are written from, made once.
 class Writer {
  public:
   Writer(const ExportedSurface& exported, const std::filesystem::path& folder)
       : exported_(exported), folder_(folder), picture_(AlbedoPicture(exported.albedo)) {
     const SurfaceMap& surface = exported.surface;
-    mesh_ = MeshOf(surface, exported.own_normal);
+    auto [mesh, finer] = MeshWithDetail(surface, exported.own_normal);
+    mesh_ = std::move(mesh);
+    finer_normals_ = std::move(finer);
     mesh_.colours = ColoursAt(surface, picture_);
     report_.points = static_cast<int64_t>(mesh_.positions_mm.size());
     report_.triangles = static_cast<int64_t>(mesh_.triangles.size());
@@ -168,8 +150,8 @@ class Writer {
   Status Write(const std::string& name) {
     const std::filesystem::path file = folder_ / name;
     const SurfaceMap& surface = exported_.surface;
-    if (name == kMeshPly[0]) return WritePly(file, mesh_, exported_.origin);
-    if (name == kMeshGlb[0]) return WriteGlb(file, mesh_, {picture_, exported_.roughness}, exported_.origin);
+    if (name == kMeshPly[0]) return WriteMeshPly(file);
+    if (name == kMeshGlb[0]) return WriteMeshGlb(file);
     if (name == kCloudPly[0]) return WriteCloud(file);
     if (name == kTiffs[0]) return WriteDepth(file);
     if (name == kTiffs[1]) return WriteNormalTiff(file, Masked(surface, surface.normal, 0, 3), exported_.origin);
@@ -179,6 +161,20 @@ class Writer {
   [[nodiscard]] const SurfaceExportReport& report() const { return report_; }
 
  private:
+  Status WriteMeshPly(const std::filesystem::path& file) const {
+    Mesh mesh = mesh_;
+    mesh.normals = finer_normals_;
+    return WritePly(file, mesh, exported_.origin);
+  }
+  Status WriteMeshGlb(const std::filesystem::path& file) const {
+    if (exported_.own_normal.empty())  // nothing finer is known
+      return WriteGlb(file, mesh_, {picture_, exported_.roughness}, exported_.origin);
+    Mesh mesh = mesh_;
+    mesh.tangents = TangentsOf(mesh);
+    const Image<uint8_t> normals =
+        NormalTexture(mesh, finer_normals_, exported_.surface.width(), exported_.surface.height());
+    return WriteGlb(file, mesh, {picture_, exported_.roughness, normals}, exported_.origin);
+  }
   Status WriteCloud(const std::filesystem::path& file) const {
     PointCloud cloud = CloudFromSurface(exported_.surface, exported_.camera, exported_.normal_sigma_rad);
     cloud.colours = mesh_.colours;
@@ -194,7 +190,8 @@ class Writer {
   const ExportedSurface& exported_;
   const std::filesystem::path folder_;
   const Image<uint8_t> picture_;
-  Mesh mesh_;
+  Mesh mesh_;  // with the surface's own normals
+  std::vector<std::array<float, 3>> finer_normals_;
   SurfaceExportReport report_;
 };
 
@@ -226,6 +223,8 @@ Result<ExportedSurface> LoadFittedSurface(const std::filesystem::path& folder) {
   exported.surface = std::move(fit.shape.surface);
   exported.camera = fit.shape.record.camera;
   exported.origin.layers = fit.provenance;
+  // Twice, so that normals without detail stay equal to the surface's own.
+  SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
   SLX_RETURN_IF_ERROR(TakeFusedNormals(folder, exported));
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
   exported.albedo =

@@ -125,6 +125,7 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
   EXPECT_EQ(glb.json.at("asset").at("extras").at("session"), said.at("session"));
   // A fitted texture: not one colour.
   EXPECT_GT(glb.png.size(), 400U);
+  EXPECT_GT(glb.normal_png.size(), 400U);
   EXPECT_THAT(fit::FaultsOf(glb), IsEmpty());
 }
 

@@ -43,6 +43,16 @@ std::vector<T> Accessor(const nlohmann::json& json, const std::string& binary, c
   return Values<T>(binary, view.at("byteOffset"), count);
 }
 
+// Bytes of the picture that `owner` names its `kind`; none: empty.
+std::string TextureOf(const nlohmann::json& json, const std::string& binary, const nlohmann::json& owner,
+                      const char* kind) {
+  if (!owner.contains(kind)) return {};
+  const auto& texture = json.at("textures").at(owner.at(kind).at("index").get<size_t>());
+  const auto& image = json.at("images").at(texture.at("source").get<size_t>());
+  const auto& view = json.at("bufferViews").at(image.at("bufferView").get<size_t>());
+  return binary.substr(view.at("byteOffset"), view.at("byteLength"));
+}
+
 Eigen::Vector3d VectorOf(const std::array<float, 3>& v) { return {v[0], v[1], v[2]}; }
 
 // Entries of the first directory: tag -> type, count, value or offset.
@@ -126,10 +136,11 @@ GlbRead ReadGlb(const std::filesystem::path& file) {
   glb.triangles = Accessor<std::array<uint32_t, 3>>(glb.json, binary, primitive.at("indices"), 3);
   if (attributes.contains("TEXCOORD_0"))
     glb.uv = Accessor<std::array<float, 2>>(glb.json, binary, attributes.at("TEXCOORD_0"), 1);
-  if (glb.json.contains("images")) {
-    const auto& view = glb.json.at("bufferViews").at(glb.json["images"][0].at("bufferView").get<size_t>());
-    glb.png = binary.substr(view.at("byteOffset"), view.at("byteLength"));
-  }
+  if (attributes.contains("TANGENT"))
+    glb.tangents = Accessor<std::array<float, 4>>(glb.json, binary, attributes.at("TANGENT"), 1);
+  const auto& material = glb.json.at("materials").at(0);
+  glb.png = TextureOf(glb.json, binary, material.at("pbrMetallicRoughness"), "baseColorTexture");
+  glb.normal_png = TextureOf(glb.json, binary, material, "normalTexture");
   return glb;
 }
 
@@ -187,6 +198,16 @@ std::vector<std::string> FaultsOf(const GlbRead& glb) {
     for (const uint32_t v : t) backs += turn.dot(VectorOf(glb.normals.at(v))) <= 0.0 ? 1 : 0;
   }
   if (lengths > 0) faults.push_back(std::to_string(lengths) + " normals are no unit vectors");
+  size_t tangents = 0;
+  for (size_t v = 0; v < glb.tangents.size(); ++v) {
+    const auto& t = glb.tangents[v];
+    const Eigen::Vector3d along(t[0], t[1], t[2]);
+    tangents += std::abs(along.norm() - 1.0) > 1e-5 || std::abs(along.dot(VectorOf(glb.normals.at(v)))) > 1e-5 ||
+                        std::abs(t[3]) != 1.0F
+                    ? 1
+                    : 0;
+  }
+  if (tangents > 0) faults.push_back(std::to_string(tangents) + " tangents are no unit vectors across their normals");
   if (backs > 0) faults.push_back(std::to_string(backs) + " normals point into their triangles");
   return faults;
 }

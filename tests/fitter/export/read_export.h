@@ -24,9 +24,10 @@ struct PlyRead {
 struct GlbRead {
   nlohmann::json json;
   std::vector<std::array<float, 3>> positions, normals;
-  std::vector<std::array<float, 2>> uv;  // empty: none
+  std::vector<std::array<float, 2>> uv;        // empty: none
+  std::vector<std::array<float, 4>> tangents;  // empty: none
   std::vector<std::array<uint32_t, 3>> triangles;
-  std::string png;  // bytes of the embedded picture; empty: none
+  std::string png, normal_png;  // bytes of the embedded pictures, base colour and normals; empty: none
 };
 [[nodiscard]] GlbRead ReadGlb(const std::filesystem::path& file);
 
@@ -38,7 +39,8 @@ struct TiffRead {
 [[nodiscard]] TiffRead ReadTiff(const std::filesystem::path& file);
 
 // What is wrong with a glTF face as such: a size that is none of a face in metres, normals that are no unit vectors,
-// triangles that turn their back to their corners' normals, bounds that are not those of the positions.
+// triangles that turn their back to their corners' normals, bounds that are not those of the positions, tangents that
+// are no unit vectors across their normals.
 [[nodiscard]] std::vector<std::string> FaultsOf(const GlbRead& glb);
 
 }  // namespace stratalux::fit
