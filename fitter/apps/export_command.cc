@@ -40,13 +40,13 @@ Status Export(ExportFlags& f, Logger& logger) {
 void AddExportCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<ExportFlags>();
   auto* verb = app.add_subcommand(
-      "export", "The face for other programs: mesh as PLY and glTF, points with covariance, depth and normals");
+      "export", "The face for other programs: mesh as PLY and glTF, points with covariance, depth, normals, skin");
   verb->footer(
       "ply: mesh.ply; glb: mesh.glb (glTF 2.0, metres, y up, albedo and photometric normals as its textures);\n"
-      "cloud: cloud.ply, each point with its covariance; tiff: depth.tif, normal.tif (16 bits);\n"
-      "exr: depth.exr, normal.exr (floats). PLY, TIFF and EXR are in the camera frame, mm: +x right, +y down,\n"
-      "+z away from the camera. A session without a fit gives its surface, without colour. Files of an earlier\n"
-      "export are replaced, each whole.\n"
+      "cloud: cloud.ply, each point with its covariance and whether it is skin;\n"
+      "tiff: depth.tif, normal.tif, skin.tif (16 bits); exr: depth.exr, normal.exr, skin.exr (floats).\n"
+      "PLY, TIFF and EXR are in the camera frame, mm: +x right, +y down, +z away from the camera. A session without\n"
+      "a fit gives its surface, without colour. Files of an earlier export are replaced, each whole.\n"
       "Examples:\n"
       "  stratalux-fit export latest --store store --out face\n"
       "  stratalux-fit export s000017 --store store --format glb,cloud --out for-the-artist --json");

@@ -16,10 +16,13 @@
 
 namespace stratalux::fit {
 
+// The material is opaque whatever alpha says: the mesh's own outline is the surface's, and a cut by filtered alpha
+// would eat into it where a viewer shrinks the picture. Alpha is for programs that paint on it.
 struct GlbMaterial {
-  ImageView<const uint8_t> base_colour = {};  // RGB, sRGB-coded, over texture_uv; empty: none, the material is grey
-  double roughness = 1.0;                     // glTF's, the square root of GGX's alpha
-  ImageView<const uint8_t> normals = {};      // RGB of NormalTexture, over texture_uv; empty: none
+  ImageView<const uint8_t> base_colour =
+      {};                                 // RGB or RGBA, sRGB-coded, over texture_uv; empty: none, the material is grey
+  double roughness = 1.0;                 // glTF's, the square root of GGX's alpha
+  ImageView<const uint8_t> normals = {};  // RGB of NormalTexture, over texture_uv; empty: none
 };
 
 // POSITION with its bounds, NORMAL, 32-bit indices; with a picture TEXCOORD_0 and that as an embedded PNG; with

@@ -36,6 +36,16 @@ Image<uint8_t> ToSrgb(ImageView<const float> linear, double white) {
   return out;
 }
 
+Image<uint8_t> WithAlpha(ImageView<const uint8_t> picture, ImageView<const uint8_t> covered) {
+  Image<uint8_t> out(picture.width(), picture.height(), picture.channels() + 1);
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x) {
+      for (int c = 0; c < picture.channels(); ++c) out(x, y, c) = picture(x, y, c);
+      out(x, y, picture.channels()) = covered(x, y) != 0 ? 255 : 0;
+    }
+  return out;
+}
+
 Image<uint8_t> ToColourScale(ImageView<const float> map, double low, double high) {
   Image<uint8_t> out(map.width(), map.height(), 3, 40);
   for (int y = 0; y < map.height(); ++y)

@@ -66,22 +66,23 @@ Status WritePly(const std::filesystem::path& file, const Mesh& mesh, const Expor
 }
 
 Status WritePly(const std::filesystem::path& file, const PointCloud& cloud, const ExportOrigin& origin) {
-  const bool colours = !cloud.colours.empty();
+  const bool colours = !cloud.colours.empty(), skin = !cloud.skin.empty();
   std::vector<char> bytes;
-  bytes.reserve(cloud.positions_mm.size() * (colours ? 55 : 52));
+  bytes.reserve(cloud.positions_mm.size() * 56);
   for (size_t v = 0; v < cloud.positions_mm.size(); ++v) {
     Append(bytes, cloud.positions_mm[v]);
     Append(bytes, cloud.normals[v]);
     Append(bytes, cloud.normal_sigma_rad[v]);
     Append(bytes, cloud.covariance_mm2[v]);
     if (colours) Append(bytes, cloud.colours[v]);
+    if (skin) Append(bytes, cloud.skin[v]);
   }
   const std::string comment =
       "comment cov_*: covariance of the position in mm^2; normal_sigma_rad: NaN where it is not known\n";
   return WriteBytes(file,
                     HeaderOf(origin, comment, cloud.positions_mm.size()) + Properties("float", {"normal_sigma_rad"}) +
                         Properties("float", {"cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"}) +
-                        ColourProperties(colours),
+                        ColourProperties(colours) + (skin ? Properties("uchar", {"skin"}) : ""),
                     bytes);
 }
 

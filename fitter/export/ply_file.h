@@ -14,7 +14,8 @@ namespace stratalux::fit {
 // cannot be written.
 Status WritePly(const std::filesystem::path& file, const Mesh& mesh, const ExportOrigin& origin = {});
 
-// Vertices x y z nx ny nz normal_sigma_rad cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz (float; mm^2), colours as above.
+// Vertices x y z nx ny nz normal_sigma_rad cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz (float; mm^2), colours as above,
+// and skin (uchar) where the cloud has it.
 Status WritePly(const std::filesystem::path& file, const PointCloud& cloud, const ExportOrigin& origin = {});
 
 }  // namespace stratalux::fit

@@ -15,6 +15,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 constexpr double kMost = 65535.0;
+constexpr uint16_t kNoSkin = 32767;
 
 std::string DescriptionOf(Json about, const ExportOrigin& origin) {
   about["no_surface"] = 0;
@@ -58,6 +59,14 @@ Status WriteNormalTiff(const std::filesystem::path& file, ImageView<const float>
           static_cast<uint16_t>(std::lround(std::clamp((n[c] + 1.0) / 2.0, 0.0, 1.0) * kMost));
   }
   const Json about = {{"quantity", "unit normal, x y z as R G B"}, {"scale", 2.0 / kMost}, {"offset", -1.0}};
+  return db::WriteTiff16(file, samples, DescriptionOf(about, origin));
+}
+
+Status WriteSkinTiff(const std::filesystem::path& file, ImageView<const float> skin, const ExportOrigin& origin) {
+  Image<uint16_t> samples(skin.width(), skin.height());
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (std::isfinite(skin.data()[i])) samples.pixels()[i] = skin.data()[i] != 0.0F ? 2 * kNoSkin : kNoSkin;
+  const Json about = {{"quantity", "skin: 1, other surface: 0"}, {"scale", 1.0 / kNoSkin}, {"offset", -1.0}};
   return db::WriteTiff16(file, samples, DescriptionOf(about, origin));
 }
 

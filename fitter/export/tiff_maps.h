@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Depth and normals as TIFF with 16-bit samples. What a sample means stands in the file itself, as JSON in its
-// ImageDescription: "quantity", "unit", "scale", "offset" (value = offset + scale * sample), "no_surface" (the sample
-// of quads without a surface), the frame, and where it comes from.
+// Depth, normals and the skin mask as TIFF with 16-bit samples. What a sample means stands in the file itself, as JSON
+// in its ImageDescription: "quantity", "unit", "scale", "offset" (value = offset + scale * sample), "no_surface" (the
+// sample of quads without a surface), the frame, and where it comes from.
 #pragma once
 
 #include <cstdint>
@@ -26,5 +26,8 @@ struct DepthTiff {
 // Unit vectors of the camera frame as R, G, B = (n + 1) / 2 * 65535, rounded; 0 0 0 where no surface is.
 Status WriteNormalTiff(const std::filesystem::path& file, ImageView<const float> normals,
                        const ExportOrigin& origin = {});
+// 1 where skin is, 0 where the surface is something else, NaN where none is, as samples 65534, 32767 and 0: a picture
+// in white, grey and black.
+Status WriteSkinTiff(const std::filesystem::path& file, ImageView<const float> skin, const ExportOrigin& origin = {});
 
 }  // namespace stratalux::fit

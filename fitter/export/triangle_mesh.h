@@ -23,6 +23,7 @@ struct PointCloud {
   std::vector<float> normal_sigma_rad;               // both tilts together; NaN where not known
   std::vector<std::array<float, 6>> covariance_mm2;  // of the position: xx xy xz yy yz zz
   std::vector<std::array<uint8_t, 3>> colours;       // sRGB; empty: none
+  std::vector<uint8_t> skin;                         // 1: skin, 0: hair, eyes or else; empty: not told
 };
 
 }  // namespace stratalux::fit

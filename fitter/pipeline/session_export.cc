@@ -100,6 +100,8 @@ Json RecordOf(const ExportedSurface& exported, const SurfaceExportReport& report
   json["frame"] = "camera: x right, y down, z forward, mm; mesh.glb: m, y up";
   json["points"] = report.points;
   json["triangles"] = report.triangles;
+  json["points_of_skin"] = report.skin;
+  json["skin_told"] = exported.skin_told;
   json["points_without_albedo"] = exported.albedo.empty() ? report.points : report.without_albedo;
   json["files"] = files;
   return json;

@@ -66,6 +66,17 @@ Result<ProjectorCalibration> LightFor(const SavedFit& fit, const RigCalibration&
   return MakePointLight(fit.shape.surface, position, light.colour);
 }
 
+// One channel more: 1 on the face, 0 outside.
+Image<float> WithCoverage(const Image<float>& light, const Image<uint8_t>& covered) {
+  Image<float> all(light.width(), light.height(), light.channels() + 1);
+  for (int j = 0; j < all.height(); ++j)
+    for (int i = 0; i < all.width(); ++i) {
+      for (int c = 0; c < light.channels(); ++c) all(i, j, c) = light(i, j, c);
+      all(i, j, light.channels()) = covered(i, j) != 0 ? 1.0F : 0.0F;
+    }
+  return all;
+}
+
 }  // namespace
 
 Status VirtualLight::Validate() const {
@@ -94,6 +105,7 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
   const SurfaceMap& surface = fit.shape.surface;
+  relit.covered = surface.mask;
   relit.face =
       std::count_if(surface.mask.pixels().begin(), surface.mask.pixels().end(), [](uint8_t m) { return m != 0; });
   relit.incomplete =
@@ -130,12 +142,13 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
       if (!(v > 0.0F)) v = std::nanf("");  // outside the face
     white = std::max(Percentile(lit, 0.995), 1e-6);
   }
-  const std::vector<std::string> colours =
-      relit.total.channels() == 1 ? std::vector<std::string>{"Y"} : std::vector<std::string>{"R", "G", "B"};
+  const std::vector<std::string> channels =
+      relit.total.channels() == 1 ? std::vector<std::string>{"Y", "A"} : std::vector<std::string>{"R", "G", "B", "A"};
   for (const auto& [name, image] :
        {std::pair("subsurface", &relit.subsurface), {"surface", &relit.surface}, {"total", &relit.total}}) {
-    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, colours));
-    SLX_RETURN_IF_ERROR(WritePng8(folder / (std::string(name) + ".png"), ToSrgb(*image, white)));
+    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), WithCoverage(*image, relit.covered), channels));
+    SLX_RETURN_IF_ERROR(
+        WritePng8(folder / (std::string(name) + ".png"), WithAlpha(ToSrgb(*image, white), relit.covered)));
   }
   return WriteJson(folder / "relit.json",
                    {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}});

@@ -28,6 +28,7 @@ struct VirtualLight {
 struct Relit {
   // Quads x colours, linear; 0 outside the face, NaN where that colour was not fitted.
   Image<float> subsurface, surface, total;
+  Image<uint8_t> covered;  // by quads: 1 on the face
   std::string provenance;  // of the layers: ProvenanceOf
   int64_t face = 0;        // quads of it
   int64_t incomplete = 0;  // of them without one colour or more: black in the PNGs
@@ -38,7 +39,8 @@ struct Relit {
 // kUsage: the light is inside the face, the projector does not exist, the pattern does not fit it.
 [[nodiscard]] Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light);
 
-// subsurface, surface and total as EXR (linear) and PNG (sRGB; `white` maps to 255, 0: the 99.5th percentile of total);
+// subsurface, surface and total as EXR (linear) and PNG (sRGB; `white` maps to 255, 0: the 99.5th percentile of total),
+// each with alpha: 1 on the face, 0 outside (`covered`), where light is 0, so that it is straight and premultiplied;
 // relit.json: `session` and `fit` by name, and where its layers come from. All names: RelitFiles().
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white, const std::string& session,
                   const std::string& fit);

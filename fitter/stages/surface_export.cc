@@ -19,12 +19,13 @@
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/shape.h"
+#include "fitter/stages/skin.h"
 
 namespace stratalux::fit {
 namespace {
 
 constexpr std::array kMeshPly = {"mesh.ply"}, kMeshGlb = {"mesh.glb"}, kCloudPly = {"cloud.ply"};
-constexpr std::array kTiffs = {"depth.tif", "normal.tif"}, kExrs = {"depth.exr", "normal.exr"};
+constexpr std::array kTiffs = {"depth.tif", "normal.tif", "skin.tif"}, kExrs = {"depth.exr", "normal.exr", "skin.exr"};
 
 std::span<const char* const> FilesOf(ExportFormat format) {
   switch (format) {
@@ -78,6 +79,18 @@ Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to
   return Status::Ok();
 }
 
+// A fit of a program before the skin stage has none.
+Status TakeSkin(const std::filesystem::path& folder, ExportedSurface& to) {
+  auto mask = LoadSkin(folder);
+  if (mask.status().code() == StatusCode::kNotFound) mask = AllSkin(to.surface.mask);
+  if (!mask.ok()) return mask.status();
+  if (mask->skin.width() != to.surface.width() || mask->skin.height() != to.surface.height())
+    return Status::Integrity(folder.string() + ": its skin mask and its surface differ in size; fit again");
+  to.skin = std::move(mask->skin);
+  to.skin_told = mask->told;
+  return Status::Ok();
+}
+
 // What files say is a surface: points before the camera, normals of length 1. Rounded to floats, they still are.
 Status CheckSurface(SurfaceMap& surface, const std::string& where) {
   for (int j = 0; j < surface.height(); ++j)
@@ -114,6 +127,22 @@ void FillFromNearest(Image<float>& map) {
   }
 }
 
+// 1 and 0 on the surface, NaN outside.
+Image<float> SkinMap(const ExportedSurface& exported) {
+  const SurfaceMap& surface = exported.surface;
+  Image<float> map(surface.width(), surface.height(), 1, std::nanf(""));
+  for (size_t i = 0; i < map.size(); ++i)
+    if (surface.mask.pixels()[i] != 0) map.pixels()[i] = exported.skin.pixels()[i] != 0 ? 1.0F : 0.0F;
+  return map;
+}
+
+std::vector<uint8_t> SkinAt(const ExportedSurface& exported) {
+  std::vector<uint8_t> skin;
+  for (size_t i = 0; i < exported.skin.size(); ++i)
+    if (exported.surface.mask.pixels()[i] != 0) skin.push_back(exported.skin.pixels()[i] != 0 ? 1 : 0);
+  return skin;
+}
+
 std::vector<std::array<uint8_t, 3>> ColoursAt(const SurfaceMap& surface, const Image<uint8_t>& picture) {
   std::vector<std::array<uint8_t, 3>> colours;
   for (int j = 0; j < picture.height(); ++j)
@@ -142,6 +171,8 @@ class Writer {
     finer_normals_ = std::move(finer);
     mesh_.colours = ColoursAt(surface, picture_);
     report_.points = static_cast<int64_t>(mesh_.positions_mm.size());
+    skin_ = SkinAt(exported);
+    report_.skin = std::ranges::count(skin_, 1);
     report_.triangles = static_cast<int64_t>(mesh_.triangles.size());
     for (int j = 0; j < surface.height() && !exported.albedo.empty(); ++j)
       for (int i = 0; i < surface.width(); ++i)
@@ -155,6 +186,8 @@ class Writer {
     if (name == kCloudPly[0]) return WriteCloud(file);
     if (name == kTiffs[0]) return WriteDepth(file);
     if (name == kTiffs[1]) return WriteNormalTiff(file, Masked(surface, surface.normal, 0, 3), exported_.origin);
+    if (name == kTiffs[2]) return WriteSkinTiff(file, SkinMap(exported_), exported_.origin);
+    if (name == kExrs[2]) return WriteExr(file, SkinMap(exported_), {"skin"});
     if (name == kExrs[0]) return WriteExr(file, Masked(surface, surface.point_mm, 2, 1), {"Z"});
     return WriteExr(file, Masked(surface, surface.normal, 0, 3), {"X", "Y", "Z"});
   }
@@ -167,17 +200,19 @@ class Writer {
     return WritePly(file, mesh, exported_.origin);
   }
   Status WriteMeshGlb(const std::filesystem::path& file) const {
+    const Image<uint8_t> colour = picture_.empty() ? Image<uint8_t>() : WithAlpha(picture_, exported_.surface.mask);
     if (exported_.own_normal.empty())  // nothing finer is known
-      return WriteGlb(file, mesh_, {picture_, exported_.roughness}, exported_.origin);
+      return WriteGlb(file, mesh_, {colour, exported_.roughness}, exported_.origin);
     Mesh mesh = mesh_;
     mesh.tangents = TangentsOf(mesh);
     const Image<uint8_t> normals =
         NormalTexture(mesh, finer_normals_, exported_.surface.width(), exported_.surface.height());
-    return WriteGlb(file, mesh, {picture_, exported_.roughness, normals}, exported_.origin);
+    return WriteGlb(file, mesh, {colour, exported_.roughness, normals}, exported_.origin);
   }
   Status WriteCloud(const std::filesystem::path& file) const {
     PointCloud cloud = CloudFromSurface(exported_.surface, exported_.camera, exported_.normal_sigma_rad);
     cloud.colours = mesh_.colours;
+    cloud.skin = skin_;
     return WritePly(file, cloud, exported_.origin);
   }
   Status WriteDepth(const std::filesystem::path& file) {
@@ -192,6 +227,7 @@ class Writer {
   const Image<uint8_t> picture_;
   Mesh mesh_;  // with the surface's own normals
   std::vector<std::array<float, 3>> finer_normals_;
+  std::vector<uint8_t> skin_;  // of each point
   SurfaceExportReport report_;
 };
 
@@ -227,6 +263,7 @@ Result<ExportedSurface> LoadFittedSurface(const std::filesystem::path& folder) {
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
   SLX_RETURN_IF_ERROR(TakeFusedNormals(folder, exported));
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
+  SLX_RETURN_IF_ERROR(TakeSkin(folder, exported));
   exported.albedo =
       OnQuads(SummariseLayers(fit.map).total_weight, fit.pool, exported.surface.width(), exported.surface.height());
   const SurfaceReflection& reflection = fit.map.scattering.reflection;
@@ -240,6 +277,7 @@ Result<ExportedSurface> LoadBareSurface(const std::filesystem::path& folder) {
   exported.surface = std::move(shape.surface);
   exported.camera = shape.record.camera;
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
+  exported.skin = AllSkin(exported.surface.mask).skin;
   return exported;
 }
 

@@ -33,17 +33,21 @@ struct ExportedSurface {
   // Diffuse albedo, W x H x (1 or 3): the sum of the fitted weights, light that went through the skin over what a white
   // target would reflect, without the light of the very surface. NaN where nothing was fitted; empty: nowhere.
   Image<float> albedo;
+  Image<uint8_t> skin;  // W x H, 1: skin
+  // Whether the skin stage told; else all of the surface counts as skin, as there.
+  bool skin_told = false;
   double roughness = 1.0;  // glTF's, of the session's surface reflection
   ExportOrigin origin;
 };
 
 // Of a fit's folder. kNotFound: it has no fit's files; kIntegrity: they do not belong together.
 [[nodiscard]] Result<ExportedSurface> LoadFittedSurface(const std::filesystem::path& folder);
-// Of the artifact of a shape stage: without albedo, its normals the surface's own.
+// Of the artifact of a shape stage: without albedo and skin mask, its normals the surface's own.
 [[nodiscard]] Result<ExportedSurface> LoadBareSurface(const std::filesystem::path& folder);
 
 struct SurfaceExportReport {
   int64_t points = 0, triangles = 0;
+  int64_t skin = 0;            // of the points
   int64_t without_albedo = 0;  // of the points: coloured as the nearest one that was fitted
   int64_t too_far = 0;         // of the points: masked in depth.tif
 };

@@ -31,12 +31,13 @@ Status WriteFile(const std::filesystem::path& file, const std::vector<uint8_t>& 
 }
 
 Result<std::vector<uint8_t>> Encode(const void* pixels, int width, int height, int channels, png_uint_32 linear_flag) {
-  if (channels != 1 && channels != 3)
-    return Status::Failed("PNG takes 1 or 3 channels, not " + std::to_string(channels));
+  const bool alpha = channels == 2 || channels == 4;
+  if (channels < 1 || channels > 4 || (alpha && linear_flag != 0))
+    return Status::Failed("PNG takes 1 or 3 channels, of 8 bits alpha with them, not " + std::to_string(channels));
   PngImage png;
   png.image.width = static_cast<png_uint_32>(width);
   png.image.height = static_cast<png_uint_32>(height);
-  png.image.format = (channels == 3 ? PNG_FORMAT_FLAG_COLOR : 0U) | linear_flag;
+  png.image.format = (channels >= 3 ? PNG_FORMAT_FLAG_COLOR : 0U) | (alpha ? PNG_FORMAT_FLAG_ALPHA : 0U) | linear_flag;
   // Asked for the size it needs, libpng would compress all of it for the answer.
   png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(png.image);
   std::vector<uint8_t> bytes(size);

@@ -19,7 +19,7 @@ inline constexpr uint64_t kMostImagePixels = uint64_t{1} << 28;
 // than kMostImagePixels.
 [[nodiscard]] Result<Image<uint16_t>> ReadPng(const std::filesystem::path& file, int* bit_depth);
 
-// 1 or 3 channels.
+// 1 or 3 channels; of 8 bits 2 or 4, too: the last is alpha, straight.
 Status WritePng8(const std::filesystem::path& file, ImageView<const uint8_t> image);
 Status WritePng16(const std::filesystem::path& file, ImageView<const uint16_t> image);
 // The bytes of a PNG file, for data URIs.

@@ -14,6 +14,7 @@
 #include "db/privacy/access_log.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/pipeline/key_lock.h"
+#include "shared/image/png.h"
 #include "tests/fitter/export/read_export.h"
 #include "tests/integration/small_fit.h"
 #include "tests/support/text_file.h"
@@ -26,8 +27,8 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using Json = nlohmann::json;
 
-const std::vector<std::string> kFiles = {"mesh.ply",   "mesh.glb",  "cloud.ply",  "depth.tif",
-                                         "normal.tif", "depth.exr", "normal.exr", "export.json"};
+const std::vector<std::string> kFiles = {"mesh.ply", "mesh.glb",  "cloud.ply",  "depth.tif", "normal.tif",
+                                         "skin.tif", "depth.exr", "normal.exr", "skin.exr",  "export.json"};
 
 class Export : public SmallFit {
  protected:
@@ -93,24 +94,34 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
 
   const Image<float> position = Exr(folder / "position.exr", {"X", "Y", "Z"}),
                      sigma = Exr(folder / "depth_sigma.exr", {"Y"}), mask = Exr(folder / "masks.exr", {"surface"}),
+                     skin = Exr(folder / "skin.exr", {"skin"}), skin_out = Exr(out / "skin.exr", {"skin"}),
                      fused = Exr(folder / "normal_fused.exr", {"X", "Y", "Z"}), depth = Exr(out / "depth.exr", {"Z"}),
                      normal = Exr(out / "normal.exr", {"X", "Y", "Z"});
   const fit::PlyRead mesh = fit::ReadPly(out / "mesh.ply"), cloud = fit::ReadPly(out / "cloud.ply"),
                      stored = fit::ReadPly(folder / "mesh.ply");
   const fit::GlbRead glb = fit::ReadGlb(out / "mesh.glb");
   EXPECT_EQ(mesh.faces, stored.faces);
-  size_t v = 0;
+  WriteText(folder_ / "normals.png", glb.normal_png);
+  const auto texture = ReadPng(folder_ / "normals.png", nullptr);
+  ASSERT_TRUE(texture.ok()) << texture.status().message();
+  size_t v = 0, of_skin = 0, shaded_as_fused = 0;
   for (int j = 0; j < mask.height(); ++j)
     for (int i = 0; i < mask.width(); ++i) {
       EXPECT_EQ(std::isfinite(depth(i, j)), mask(i, j) != 0.0F);
+      EXPECT_EQ(std::isfinite(skin_out(i, j)), mask(i, j) != 0.0F);
       if (mask(i, j) == 0.0F) continue;
       const Eigen::Vector3d x(position(i, j, 0), position(i, j, 1), position(i, j, 2)), ray = x.normalized();
       EXPECT_EQ(depth(i, j), position(i, j, 2));
+      EXPECT_EQ(skin_out(i, j), skin(i, j));
+      EXPECT_EQ(cloud.columns.at("skin")[v], skin(i, j));
+      of_skin += skin(i, j) != 0.0F ? 1 : 0;
       EXPECT_EQ(mesh.columns.at("z")[v], position(i, j, 2));
       EXPECT_FLOAT_EQ(glb.positions.at(v)[2], -position(i, j, 2) / 1000.0F);
       if (std::isfinite(fused(i, j, 0))) {
         EXPECT_NEAR(normal(i, j, 0), fused(i, j, 0), 1e-6);
       }
+      const Eigen::Vector3d turned(normal(i, j, 0), -normal(i, j, 1), -normal(i, j, 2));
+      shaded_as_fused += turned.dot(fit::ShadedNormal(glb, *texture, v)) > std::cos(0.5 * M_PI / 180.0) ? 1 : 0;
       const auto& c = cloud.columns;
       Eigen::Matrix3d covariance;
       covariance << c.at("cov_xx")[v], c.at("cov_xy")[v], c.at("cov_xz")[v], c.at("cov_xy")[v], c.at("cov_yy")[v],
@@ -120,12 +131,14 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
       ++v;
     }
   EXPECT_EQ(v, said.at("points"));
+  EXPECT_GT(shaded_as_fused, 0.98 * static_cast<double>(v)) << "but for silhouettes";
+  EXPECT_EQ(of_skin, said.at("points_of_skin"));
+  EXPECT_EQ(said.at("skin_told"), true);
   EXPECT_EQ(v, glb.positions.size());
   EXPECT_EQ(glb.triangles.size(), said.at("triangles"));
   EXPECT_EQ(glb.json.at("asset").at("extras").at("session"), said.at("session"));
   // A fitted texture: not one colour.
   EXPECT_GT(glb.png.size(), 400U);
-  EXPECT_GT(glb.normal_png.size(), 400U);
   EXPECT_THAT(fit::FaultsOf(glb), IsEmpty());
 }
 
@@ -164,6 +177,8 @@ TEST_F(Export, OfASessionWithoutAFitIsItsSurface) {
   const Json record = Json::parse(ReadText(out / "export.json"));
   EXPECT_FALSE(record.contains("fit"));
   EXPECT_EQ(record.at("points_without_albedo"), record.at("points"));
+  EXPECT_EQ(record.at("points_of_skin"), record.at("points"));
+  EXPECT_EQ(record.at("skin_told"), false);
   EXPECT_THAT(fit::FaultsOf(fit::ReadGlb(out / "mesh.glb")), IsEmpty());
 
   // Of its artifact, too, a file that is not what its record says is named.

@@ -15,6 +15,7 @@
 #include "shared/geometry/quad.h"
 #include "shared/image/png.h"
 #include "tests/fitter/export/read_export.h"
+#include "tests/support/png_rgba.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
 
@@ -34,6 +35,8 @@ CameraCalibration Camera() {
   return camera;
 }
 
+bool IsSkin(int i, int j) { return (i + 2 * j) % 5 != 0; }
+
 // A ball of 35 mm radius, its front 600 mm away, with a hole and a step of 30 mm.
 ExportedSurface Ball() {
   const Eigen::Vector3d centre(5.0, -8.0, 635.0);
@@ -44,6 +47,8 @@ ExportedSurface Ball() {
   s.depth_sigma_mm = Image<float>(kWidth, kHeight, 1, std::nanf(""));
   ball.normal_sigma_rad = s.depth_sigma_mm;
   s.mask = Image<uint8_t>(kWidth, kHeight);
+  ball.skin = Image<uint8_t>(kWidth, kHeight, 1, 1);  // more than the surface, as no stage gives it
+  ball.skin_told = true;
   ball.albedo = Image<float>(kWidth, kHeight, 3, std::nanf(""));
   for (int j = 0; j < kHeight; ++j)
     for (int i = 0; i < kWidth; ++i) {
@@ -53,6 +58,7 @@ ExportedSurface Ball() {
       const Eigen::Vector3d at = (b - std::sqrt(b * b - c)) * ray, n = (at - centre).normalized();
       const Eigen::Vector3d x = j < 28 ? at : Eigen::Vector3d(at * (1.0 + 30.0 / at.norm()));
       s.mask(i, j) = 1;
+      ball.skin(i, j) = IsSkin(i, j) ? 1 : 0;
       s.depth_sigma_mm(i, j) = 0.02F + 0.001F * static_cast<float>(i);
       ball.normal_sigma_rad(i, j) = i < 20 ? std::nanf("") : 0.01F;
       for (int k = 0; k < 3; ++k) {
@@ -199,7 +205,7 @@ TEST_F(ExportFiles, TextureHoldsTheAlbedoWhereTheVertexLies) {
 TEST_F(ExportFiles, CloudsCovarianceIsPositiveDefiniteAndHoldsTheDepthsDeviation) {
   const PlyRead cloud = ReadPly(folder_ / "cloud.ply");
   ASSERT_THAT(cloud.properties, ElementsAre("x", "y", "z", "nx", "ny", "nz", "normal_sigma_rad", "cov_xx", "cov_xy",
-                                            "cov_xz", "cov_yy", "cov_yz", "cov_zz", "red", "green", "blue"));
+                                            "cov_xz", "cov_yy", "cov_yz", "cov_zz", "red", "green", "blue", "skin"));
   const auto& c = cloud.columns;
   EachQuad([&](size_t v, int i, int j) {
     Eigen::Matrix3d covariance;
@@ -242,6 +248,44 @@ TEST_F(ExportFiles, TiffHoldsWhatTheFloatsHold) {
       for (int k = 0; k < 3; ++k)
         EXPECT_NEAR(2.0 * normals.samples[3 * q + k] / 65535.0 - 1.0, (*normal)(i, j, k), 1.6e-5);
     }
+}
+
+TEST_F(ExportFiles, SkinIsInCloudTiffAndExr) {
+  const PlyRead cloud = ReadPly(folder_ / "cloud.ply");
+  const auto map = ReadExr(folder_ / "skin.exr", {"skin"});
+  ASSERT_TRUE(map.ok()) << map.status().message();
+  const TiffRead tiff = ReadTiff(folder_ / "skin.tif");
+  ASSERT_EQ(tiff.samples.size(), map->size());
+  EXPECT_EQ(tiff.channels, 1);
+  const double scale = tiff.description.at("scale"), offset = tiff.description.at("offset");
+  int64_t skin = 0;
+  EachQuad([&](size_t v, int i, int j) {
+    const float expected = IsSkin(i, j) ? 1.0F : 0.0F;
+    skin += IsSkin(i, j) ? 1 : 0;
+    EXPECT_EQ(cloud.columns.at("skin")[v], expected);
+    EXPECT_EQ((*map)(i, j), expected);
+    EXPECT_NEAR(offset + scale * tiff.samples[static_cast<size_t>(j) * kWidth + i], expected, 1e-12);
+  });
+  EXPECT_EQ(report_.skin, skin);
+  for (int j = 0; j < kHeight; ++j)
+    for (int i = 0; i < kWidth; ++i) {
+      if (surface().mask(i, j) != 0) continue;
+      EXPECT_TRUE(std::isnan((*map)(i, j)));
+      EXPECT_EQ(tiff.samples[static_cast<size_t>(j) * kWidth + i], 0);
+    }
+}
+
+// Not cut out by it: see GlbMaterial.
+TEST_F(ExportFiles, TextureHasTheSurfaceAsItsAlpha) {
+  const GlbRead glb = ReadGlb(folder_ / "mesh.glb");
+  WriteText(folder_ / "texture.png", glb.png);
+  const Image<uint8_t> texture = ReadPngRgba(folder_ / "texture.png");
+  for (int j = 0; j < kHeight; ++j)
+    for (int i = 0; i < kWidth; ++i) {
+      EXPECT_EQ(texture(i, j, 3), surface().mask(i, j) != 0 ? 255 : 0) << i << " " << j;
+      EXPECT_GT(texture(i, j, 0), 0) << "colour beside the surface, for filters";
+    }
+  EXPECT_FALSE(glb.json["materials"][0].contains("alphaMode")) << "opaque";
 }
 
 TEST_F(ExportFiles, DepthBeyondSixteenBitsIsMaskedAndCounted) {

@@ -67,22 +67,13 @@ class NormalTextureFile : public ScratchFolderTest {
     ASSERT_EQ(texture_.channels(), 3);
   }
   static Eigen::Vector3d VectorOf(const std::array<float, 3>& v) { return {v[0], v[1], v[2]}; }
-  // Of vertex v: the texel there, then normalize(x T + y w (N x T) + z N).
-  static Eigen::Vector3d Shaded(const GlbRead& glb, const Image<uint16_t>& texture, size_t v) {
-    const int i = static_cast<int>(glb.uv[v][0] * static_cast<float>(texture.width())),
-              j = static_cast<int>(glb.uv[v][1] * static_cast<float>(texture.height()));
-    const auto component = [&](int c) { return 2.0 * texture(i, j, c) / 255.0 - 1.0; };
-    const auto& t = glb.tangents[v];
-    const Eigen::Vector3d tangent(t[0], t[1], t[2]), normal = VectorOf(glb.normals[v]);
-    return (component(0) * tangent + component(1) * t[3] * normal.cross(tangent) + component(2) * normal).normalized();
-  }
   // The worst angle to the photometric normal, degrees, turned as glTF has it: x, -y, -z.
   [[nodiscard]] double WorstAngle_deg(const GlbRead& glb, const Image<uint16_t>& texture) const {
     double worst_rad = 0.0;
     for (size_t v = 0; v < glb.positions.size(); ++v) {
       const int i = static_cast<int>(v) % kWidth, j = static_cast<int>(v) / kWidth;
       const Eigen::Vector3d n = bumpy_.surface.Normal(i, j), expected(n.x(), -n.y(), -n.z());
-      worst_rad = std::max(worst_rad, std::acos(std::clamp(expected.dot(Shaded(glb, texture, v)), -1.0, 1.0)));
+      worst_rad = std::max(worst_rad, std::acos(std::clamp(expected.dot(ShadedNormal(glb, texture, v)), -1.0, 1.0)));
     }
     return worst_rad * 180.0 / std::numbers::pi;
   }

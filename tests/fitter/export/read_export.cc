@@ -144,6 +144,15 @@ GlbRead ReadGlb(const std::filesystem::path& file) {
   return glb;
 }
 
+Eigen::Vector3d ShadedNormal(const GlbRead& glb, ImageView<const uint16_t> normal_texture, size_t v) {
+  const int i = static_cast<int>(glb.uv[v][0] * static_cast<float>(normal_texture.width())),
+            j = static_cast<int>(glb.uv[v][1] * static_cast<float>(normal_texture.height()));
+  const auto component = [&](int c) { return 2.0 * normal_texture(i, j, c) / 255.0 - 1.0; };
+  const auto& t = glb.tangents[v];
+  const Eigen::Vector3d tangent(t[0], t[1], t[2]), normal = VectorOf(glb.normals[v]);
+  return (component(0) * tangent + component(1) * t[3] * normal.cross(tangent) + component(2) * normal).normalized();
+}
+
 TiffRead ReadTiff(const std::filesystem::path& file) {
   const std::string bytes = ReadText(file);
   TiffRead tiff;

@@ -3,6 +3,7 @@
 // failure of the test.
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstdint>
 #include <filesystem>
@@ -11,6 +12,8 @@
 #include <vector>
 
 #include <nlohmann/json.hpp>
+
+#include "shared/image/image.h"
 
 namespace stratalux::fit {
 
@@ -30,6 +33,9 @@ struct GlbRead {
   std::string png, normal_png;  // bytes of the embedded pictures, base colour and normals; empty: none
 };
 [[nodiscard]] GlbRead ReadGlb(const std::filesystem::path& file);
+
+// Of vertex v, as glTF shades: with the texel (x, y, z) there, normalize(x T + y w (N x T) + z N).
+[[nodiscard]] Eigen::Vector3d ShadedNormal(const GlbRead& glb, ImageView<const uint16_t> normal_texture, size_t v);
 
 struct TiffRead {
   int width = 0, height = 0, channels = 0;

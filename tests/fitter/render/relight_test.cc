@@ -6,7 +6,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "fitter/export/exr_file.h"
 #include "tests/fitter/render/lit_scene.h"
+#include "tests/support/png_rgba.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -15,7 +18,7 @@ using ::testing::Contains;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-class RelightTest : public ::testing::Test {
+class RelightTest : public ScratchFolderTest {
  protected:
   [[nodiscard]] Relit Under(const Eigen::Vector3d& towards) const {
     VirtualLight light;
@@ -57,6 +60,26 @@ TEST_F(RelightTest, AColourThatWasNotFittedIsUnknownNotDark) {
     EXPECT_TRUE(std::isfinite((*image)(21, 15, 2)));
   }
   EXPECT_EQ(relit.total(20, 15, 0), whole.total(20, 15, 0)) << "the others stay";
+}
+
+TEST_F(RelightTest, PicturesHaveTheFaceAsTheirAlpha) {
+  for (int i = 0; i < 10; ++i) fit_.shape.surface.mask(i, 12) = 0;
+  fit_.map.reason[fit_.map.ProfileIndex(20, 15, 2)] = static_cast<uint8_t>(FitReason::kTooDark);
+  const Relit relit = Under({0.0, 0.0, -1.0});
+  ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
+  for (const std::string name : {"subsurface", "surface", "total"}) {
+    const auto exr = ReadExr(folder_ / (name + ".exr"), {"R", "G", "B", "A"});
+    ASSERT_TRUE(exr.ok()) << exr.status().message();
+    const Image<uint8_t> png = ReadPngRgba(folder_ / (name + ".png"));
+    for (int j = 0; j < png.height(); ++j)
+      for (int i = 0; i < png.width(); ++i) {
+        const bool face = fit_.shape.surface.mask(i, j) != 0;
+        EXPECT_EQ((*exr)(i, j, 3), face ? 1.0F : 0.0F) << name << " " << i << " " << j;
+        EXPECT_EQ(png(i, j, 3), face ? 255 : 0) << name << " " << i << " " << j;
+        for (int c = 0; c < 3 && !face; ++c) EXPECT_EQ((*exr)(i, j, c), 0.0F) << "premultiplied";
+      }
+    EXPECT_TRUE(std::isnan((*exr)(20, 15, 2))) << "a colour that is not known does not take the face away";
+  }
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include "shared/base/random.h"
 #include "shared/image/png.h"
 #include "shared/image/raw12.h"
+#include "tests/support/png_rgba.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux {
@@ -37,6 +38,21 @@ class PngFile : public ScratchFolderTest {
  protected:
   std::filesystem::path file_ = folder_ / "picture.png";
 };
+
+TEST_F(PngFile, KeepsAlphaOfEightBitsAndNoneOfSixteen) {
+  for (int channels : {2, 4}) {
+    Image<uint8_t> a(5, 4, channels);
+    for (size_t i = 0; i < a.size(); ++i) a.pixels()[i] = static_cast<uint8_t>(i * 3);
+    ASSERT_TRUE(WritePng8(file_, a).ok());
+    const Image<uint8_t> read = ReadPngRgba(file_);
+    for (int y = 0; y < 4; ++y)
+      for (int x = 0; x < 5; ++x) {
+        for (int c = 0; c < 3; ++c) EXPECT_EQ(read(x, y, c), a(x, y, channels == 2 ? 0 : c));
+        EXPECT_EQ(read(x, y, 3), a(x, y, channels - 1));
+      }
+    EXPECT_EQ(WritePng16(file_, Image<uint16_t>(5, 4, channels)).code(), StatusCode::kFailed);
+  }
+}
 
 TEST_F(PngFile, KeepsEverySampleAtBothDepths) {
   for (int channels : {1, 3}) {
