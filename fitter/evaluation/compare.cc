@@ -14,6 +14,7 @@
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/parallel.h"
+#include "shared/image/finite_at.h"
 
 namespace stratalux::fit {
 namespace {
@@ -26,12 +27,6 @@ Image<float> Combine(const Image<float>& a, const Image<float>& b, Operation ope
 }
 Image<float> Sum(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::plus<>()); }
 Image<float> Difference(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::minus<>()); }
-
-bool FiniteAt(const Image<float>& image, int i, int j) {
-  for (int c = 0; c < image.channels(); ++c)
-    if (!std::isfinite(image(i, j, c))) return false;
-  return true;
-}
 
 // Quads that every model has fitted, in all colours.
 Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, int height) {

@@ -450,8 +450,8 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
       spoilt ? keys.srd + " " + keys.offset + " " + ToString(kind) + " " + std::to_string(heldout) : keys.srd;
   const auto load = [&]() -> Result<PlacedSrds> {
     SLX_ASSIGN_OR_RETURN(auto extracted, stages_.Load(keys.srd, LoadSrds));
-    SLX_ASSIGN_OR_RETURN(const SkinMask skin, stages_.Load(keys.skin, LoadSkin));
-    SLX_RETURN_IF_ERROR(SetApart(extracted.set, skin));
+    SLX_ASSIGN_OR_RETURN(const SkinMask* skin, Mask(keys.skin));
+    SLX_RETURN_IF_ERROR(SetApart(extracted.set, *skin));
     PlacedSrds srds(std::move(extracted.set));
     if (!spoilt) return srds;
     srds.MoveTo(offset ? &*offset : nullptr);
@@ -501,8 +501,8 @@ void SessionGraph::MakeRoomForAFit() {
 }
 
 Result<std::vector<uint8_t>> SessionGraph::Apart(const std::string& skin, const FittedLayers& layers) {
-  SLX_ASSIGN_OR_RETURN(const SkinMask mask, stages_.Load(skin, LoadSkin));
-  return ApartProfiles(mask, layers.map.width, layers.map.height, layers.pool, layers.map.channels);
+  SLX_ASSIGN_OR_RETURN(const SkinMask* mask, Mask(skin));
+  return ApartProfiles(*mask, layers.map.width, layers.map.height, layers.pool, layers.map.channels);
 }
 
 Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const SrdKeys& keys, int heldout) {
@@ -616,14 +616,14 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, AllFrames(view->shape.record));
                 SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
-                SLX_ASSIGN_OR_RETURN(const SkinMask mask, stages_.Load(skin, LoadSkin));
+                SLX_ASSIGN_OR_RETURN(const SkinMask* mask, Mask(skin));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
                   SLX_ASSIGN_OR_RETURN(auto taken, TakePredictions(predictions[m]));
                   compared.push_back({models[m], std::move(taken)});
                 }
                 const CompareInput input{
-                    *frames, *view, (*maps)[heldout], truth, mask, options_.srd.pool, fit::ToString(source)};
+                    *frames, *view, (*maps)[heldout], truth, *mask, options_.srd.pool, fit::ToString(source)};
                 SLX_ASSIGN_OR_RETURN(auto comparison, CompareHeldOut(input, compared));
                 // The separated light lies on the judged surface: to a model on another one it is no yardstick.
                 std::erase_if(comparison.figures, [](const HeldOutFigure& figure) {

@@ -110,6 +110,9 @@ class SessionGraph {
   // Those kept, or read; they are kept no longer.
   Result<Predictions> TakePredictions(const std::string& predict);
   Kept<FittedLayers>& KeptLayers(const std::string& fit) { return fit == judged_fit_ ? judged_layers_ : layers_; }
+  Result<const SkinMask*> Mask(const std::string& skin) {
+    return mask_.Of(skin, [&] { return stages_.Load(skin, LoadSkin); });
+  }
   // Of the profiles of those layers (SrdBatch::apart).
   Result<std::vector<uint8_t>> Apart(const std::string& skin, const FittedLayers& layers);
   Result<MixtureMap> DipoleBaseline(const MixtureMap& fit, const SrdKeys& srds, int heldout);
@@ -131,6 +134,7 @@ class SessionGraph {
   Kept<DecodedFace> decoded_;
   Kept<FaceShape> face_;
   Kept<std::vector<SeparationMap>> separation_;
+  Kept<SkinMask> mask_;
   Kept<PlacedSrds> srds_;
   Kept<HeldOutView> view_;
   std::string judged_fit_;  // the fit that the session's report shows

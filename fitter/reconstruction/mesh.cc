@@ -5,7 +5,7 @@
 #include <array>
 #include <utility>
 
-#include "fitter/reconstruction/one_surface.h"
+#include "fitter/reconstruction/surface_links.h"
 
 namespace stratalux::fit {
 namespace {
@@ -15,7 +15,7 @@ using Quad = std::array<int, 2>;
 class MeshBuilder {
  public:
   explicit MeshBuilder(const SurfaceMap& surface)
-      : surface_(surface), vertex_(surface.width(), surface.height(), 1, -1) {}
+      : surface_(surface), links_(surface), vertex_(surface.width(), surface.height(), 1, -1) {}
 
   void AddVertex(int i, int j) {
     vertex_(i, j) = static_cast<int32_t>(mesh.positions_mm.size());
@@ -41,9 +41,7 @@ class MeshBuilder {
 
  private:
   [[nodiscard]] int32_t Vertex(const Quad& q) const { return vertex_(q[0], q[1]); }
-  [[nodiscard]] bool Linked(const Quad& a, const Quad& b) const {
-    return OnOneSurface(surface_, a[0], a[1], b[0], b[1]);
-  }
+  [[nodiscard]] bool Linked(const Quad& a, const Quad& b) const { return links_.Linked(a[0], a[1], b[0], b[1]); }
   [[nodiscard]] bool IsFolded(const std::array<int32_t, 3>& triangle) const {
     const Eigen::Vector3f faces = TriangleNormal(mesh, triangle);
     return std::ranges::any_of(triangle, [&](int32_t v) {
@@ -57,6 +55,7 @@ class MeshBuilder {
   }
 
   const SurfaceMap& surface_;
+  const SurfaceLinks links_;
   Image<int32_t> vertex_;
 };
 

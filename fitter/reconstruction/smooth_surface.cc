@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "fitter/reconstruction/components.h"
-#include "fitter/reconstruction/one_surface.h"
+#include "fitter/reconstruction/surface_links.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -109,12 +109,7 @@ class Smoother {
         options_(options),
         quads_per_unit_(rig.camera.model.fx / QuadStep(rig.camera.cfa)),
         offsets_(OffsetsWithin(options.max_radius_quads)),
-        links_(rough.width(), rough.height()) {
-    ParallelFor(rough.height(), 4, [&](int64_t begin, int64_t end) {
-      for (int j = static_cast<int>(begin); j < end; ++j)
-        for (int i = 0; i < rough.width(); ++i) links_(i, j) = LinksOf(i, j);
-    });
-  }
+        links_(rough) {}
 
   // False: the quad is dropped.
   bool SmoothQuad(int i, int j, SurfaceMap& out) const {
@@ -139,26 +134,6 @@ class Smoother {
   }
 
  private:
-  static constexpr std::array<std::array<int, 2>, 4> kLinks = {{{1, 0}, {-1, 1}, {0, 1}, {1, 1}}};
-
-  // A bit for each of kLinks that leads to a quad on the same surface.
-  [[nodiscard]] uint8_t LinksOf(int i, int j) const {
-    uint8_t links = 0;
-    if (rough_.mask(i, j) == 0) return links;
-    for (size_t k = 0; k < kLinks.size(); ++k) {
-      const int x = i + kLinks[k][0], y = j + kLinks[k][1];
-      if (rough_.mask.contains(x, y) && rough_.mask(x, y) != 0 && OnOneSurface(rough_, i, j, x, y))
-        links |= static_cast<uint8_t>(1U << k);
-    }
-    return links;
-  }
-  [[nodiscard]] bool Linked(int i, int j, int x, int y) const {
-    if (y < j || (y == j && x < i)) return Linked(x, y, i, j);
-    for (size_t k = 0; k < kLinks.size(); ++k)
-      if (x - i == kLinks[k][0] && y - j == kLinks[k][1]) return (links_(i, j) >> k & 1U) != 0;
-    return false;
-  }
-
   // Adds what the window has within the radius.
   void Collect(int i, int j, const Eigen::Vector2d& n, double depth_mm, double radius, Samples& samples) const {
     for (size_t k = samples.reached.size(); k < offsets_.size() && offsets_[k].radius <= radius; ++k) {
@@ -166,7 +141,7 @@ class Smoother {
       const Offset& from = offsets_[o.parent];
       const int x = i + o.dx, y = j + o.dy;
       const bool reached = k == 0 || (samples.reached[o.parent] != 0 && rough_.mask.contains(x, y) &&
-                                      Linked(i + from.dx, j + from.dy, x, y));
+                                      links_.Linked(i + from.dx, j + from.dy, x, y));
       samples.reached.push_back(reached ? 1 : 0);
       if (!reached) continue;
       const Eigen::Vector3d p = rough_.Point(x, y);
@@ -248,7 +223,7 @@ class Smoother {
   const SmoothOptions& options_;
   const double quads_per_unit_;
   const std::vector<Offset> offsets_;
-  Image<uint8_t> links_;
+  const SurfaceLinks links_;
 };
 
 }  // namespace

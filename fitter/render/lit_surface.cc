@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "fitter/reconstruction/one_surface.h"
+#include "fitter/reconstruction/surface_links.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -159,9 +159,10 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
       }
   });
   Image<float> nearest(light.model.width, light.model.height, 1, std::numeric_limits<float>::infinity());
+  const SurfaceLinks links(surface);
   auto linked = [&](size_t a, size_t b) {
     const int i = static_cast<int>(a) % width, k = static_cast<int>(b) % width;
-    return OnOneSurface(surface, i, static_cast<int>(a) / width, k, static_cast<int>(b) / width);
+    return links.Linked(i, static_cast<int>(a) / width, k, static_cast<int>(b) / width);
   };
   auto fill = [&](size_t a, size_t b, size_t c) {
     if (known[a] == 0 || known[b] == 0 || known[c] == 0) return;

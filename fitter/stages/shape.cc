@@ -8,7 +8,7 @@
 #include "fitter/export/ply_file.h"
 #include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/smooth_surface.h"
-#include "fitter/stages/quad_lights.h"
+#include "fitter/stages/lit_quads.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/read_file.h"
 

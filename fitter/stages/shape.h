@@ -8,7 +8,7 @@
 #include "fitter/reconstruction/drift.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/reconstruction/triangulate.h"
-#include "fitter/stages/quad_lights.h"
+#include "fitter/stages/lit_quads.h"
 #include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {

@@ -20,6 +20,7 @@
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/shape.h"
 #include "fitter/stages/skin.h"
+#include "shared/image/finite_at.h"
 
 namespace stratalux::fit {
 namespace {
@@ -52,12 +53,6 @@ Image<float> OnQuads(ImageView<const float> pooled, int pool, int width, int hei
   return quads;
 }
 
-bool Finite(ImageView<const float> map, int i, int j) {
-  for (int c = 0; c < map.channels(); ++c)
-    if (!std::isfinite(map(i, j, c))) return false;
-  return true;
-}
-
 // Where photometric stereo adds none, the surface's own stay.
 Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to) {
   SLX_ASSIGN_OR_RETURN(const auto fused, ReadExr(folder / "normal_fused.exr", {"X", "Y", "Z"}));
@@ -74,7 +69,7 @@ Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to
       return Status::Integrity(folder.string() + ": its maps differ in size; fit again");
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i)
-      for (int c = 0; c < 3 && surface.mask(i, j) != 0 && Finite(fused, i, j); ++c)
+      for (int c = 0; c < 3 && surface.mask(i, j) != 0 && FiniteAt(fused, i, j); ++c)
         surface.normal(i, j, c) = fused(i, j, c);
   return Status::Ok();
 }
@@ -112,7 +107,7 @@ void FillFromNearest(Image<float>& map) {
   Image<uint8_t> known(map.width(), map.height());
   for (int j = 0; j < map.height(); ++j)
     for (int i = 0; i < map.width(); ++i)
-      if (Finite(map, i, j)) {
+      if (FiniteAt(map, i, j)) {
         known(i, j) = 1;
         front.push_back({i, j});
       }
@@ -176,7 +171,7 @@ class Writer {
     report_.triangles = static_cast<int64_t>(mesh_.triangles.size());
     for (int j = 0; j < surface.height() && !exported.albedo.empty(); ++j)
       for (int i = 0; i < surface.width(); ++i)
-        report_.without_albedo += surface.mask(i, j) != 0 && !Finite(exported.albedo, i, j) ? 1 : 0;
+        report_.without_albedo += surface.mask(i, j) != 0 && !FiniteAt(exported.albedo, i, j) ? 1 : 0;
   }
   Status Write(const std::string& name) {
     const std::filesystem::path file = folder_ / name;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/stages/quad_lights.h"
+#include "fitter/stages/lit_quads.h"
 
 #include <algorithm>
 #include <cmath>

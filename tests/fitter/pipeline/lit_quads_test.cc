@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which quads a projector lights: a plane in a known light, its codes and direct light as they would be captured, and
 // what stands in the way.
-#include "fitter/stages/quad_lights.h"
+#include "fitter/stages/lit_quads.h"
 
 #include <cmath>
 #include <functional>
@@ -116,7 +116,7 @@ void ForPatch(const Visit& visit) {
       if (InPatch(i, j)) visit(i, j);
 }
 
-TEST(QuadLights, APlaneIsLitByAllWhateverOfItsCodesIsMissing) {
+TEST(LitQuads, APlaneIsLitByAllWhateverOfItsCodesIsMissing) {
   Scene scene;
   ForPatch([&](int i, int j) { scene.SetReason(0, i, j, DecodeReason::kAmbiguous); });
   const auto lit = scene.Find();
@@ -124,7 +124,7 @@ TEST(QuadLights, APlaneIsLitByAllWhateverOfItsCodesIsMissing) {
 }
 
 // A wall of seven quads' width, 20 mm before the plane: where its shadow falls follows from the two rays alone.
-TEST(QuadLights, WhatStandsOnTheSurfaceThrowsItsShadow) {
+TEST(LitQuads, WhatStandsOnTheSurfaceThrowsItsShadow) {
   constexpr double kWall = 680.0;
   Scene scene([](int i, int /*j*/) { return i >= 28 && i <= 34 ? kWall : 700.0; });
   // Its light says nothing: all of it is there, as if what it falls on shone.
@@ -157,7 +157,7 @@ TEST(QuadLights, WhatStandsOnTheSurfaceThrowsItsShadow) {
   EXPECT_GT(shadowed, 100);
 }
 
-TEST(QuadLights, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
+TEST(LitQuads, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
   Scene scene;
   ForPatch([&](int i, int j) { scene.Light(0, i, j, 0.0, 5.0); });
   const auto lit = scene.Find();
@@ -182,7 +182,7 @@ TEST(QuadLights, WhatTheSurfaceDoesNotKnowOfShowsInTheLight) {
   for (const auto& map : highlight.Find()) ExpectLit(map, Everywhere, "highlight");
 }
 
-TEST(QuadLights, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
+TEST(LitQuads, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
   Scene scene;
   for (int j = 0; j < kHeight / 2; ++j)
     for (int i = 0; i < kWidth / 2; ++i)
@@ -193,7 +193,7 @@ TEST(QuadLights, DarkSkinIsLitAlthoughItsNoiseHidesThat) {
   for (const auto& lit : scene.Find()) ExpectLit(lit, Everywhere, "dark");
 }
 
-TEST(QuadLights, CodesOfAnotherSurfaceAreContradicted) {
+TEST(LitQuads, CodesOfAnotherSurfaceAreContradicted) {
   Scene scene;
   ForPatch([&](int i, int j) {
     for (int k = 0; k < 4; ++k) scene.decoded[2].column(2 * i + k % 2, 2 * j + k / 2) += 12.0F;
@@ -202,7 +202,7 @@ TEST(QuadLights, CodesOfAnotherSurfaceAreContradicted) {
   ExpectLit(lit[2], OffPatch, "contradicted");
 }
 
-TEST(QuadLights, HolesAreEdgesInTheDarkAlone) {
+TEST(LitQuads, HolesAreEdgesInTheDarkAlone) {
   for (const bool dark : {false, true}) {
     Scene scene;
     ForPatch([&](int i, int j) {
@@ -217,7 +217,7 @@ TEST(QuadLights, HolesAreEdgesInTheDarkAlone) {
   }
 }
 
-TEST(QuadLights, OutsideOfThePictureAndBehindTheSurfaceIsNoLight) {
+TEST(LitQuads, OutsideOfThePictureAndBehindTheSurfaceIsNoLight) {
   Scene scene;
   scene.rig.projectors[0].camera_from_projector = LookAt({-500, -40, 0}, {2000, 0, 700});
   scene.rig.projectors[1].camera_from_projector = LookAt({0, 0, 1400}, {0, 0, 700});
@@ -228,7 +228,7 @@ TEST(QuadLights, OutsideOfThePictureAndBehindTheSurfaceIsNoLight) {
   ExpectLit(lit[2], Everywhere, "the third");
 }
 
-TEST(QuadLights, WithoutASeparationTheWhiteFrameTells) {
+TEST(LitQuads, WithoutASeparationTheWhiteFrameTells) {
   Scene scene;
   scene.separation.clear();
   ForPatch([&](int i, int j) { scene.SetReason(0, i, j, DecodeReason::kUnlit); });
@@ -237,7 +237,7 @@ TEST(QuadLights, WithoutASeparationTheWhiteFrameTells) {
   ExpectLit(lit[1], Everywhere, "the others");
 }
 
-TEST(QuadLights, WhatDoesNotFitIsRefused) {
+TEST(LitQuads, WhatDoesNotFitIsRefused) {
   const Scene scene;
   const auto code = [&](std::span<const DecodedMap> decoded, std::span<const SeparationMap> separation,
                         const LitOptions& options = {}) {
