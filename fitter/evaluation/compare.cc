@@ -120,6 +120,28 @@ double NoiseOfTakes(const Target& target, const Image<uint8_t>& mask) {
   return NoiseFloor(target.light, Combine(target.noise, target.noise, std::multiplies<>()), mask);
 }
 
+// Every so many-th judged pixel, by colours.
+std::vector<std::vector<ErrorSample>> SampleErrors(const CompareInput& in, const Target& target,
+                                                   const Image<float>& prediction, const Masks& masks,
+                                                   int64_t judged_pixels) {
+  const HeldOutView& view = in.view;
+  const ErrorCauseMaps causes(view.shape.surface, view.rig.projectors[view.projector].CentreInCamera(), prediction);
+  const int64_t stride = ErrorSampleStride(judged_pixels);
+  std::vector<std::vector<ErrorSample>> samples(prediction.channels());
+  int64_t pixel = 0;
+  for (int j = 0; j < prediction.height(); ++j)
+    for (int i = 0; i < prediction.width(); ++i) {
+      if (masks.judged(i, j) == 0 || pixel++ % stride != 0) continue;
+      for (int c = 0; c < prediction.channels(); ++c) {
+        const float residual = target.light(i, j, c) - prediction(i, j, c), variance = target.variance(i, j, c);
+        if (!std::isfinite(residual) || !std::isfinite(variance)) continue;
+        const float noise = target.noise.empty() ? std::sqrt(variance) : target.noise(i, j, c);
+        samples[c].push_back({causes.At(i, j, c), residual, residual * residual - noise * noise, variance});
+      }
+    }
+  return samples;
+}
+
 // The images of a figure.
 struct Judged {
   size_t figure = 0;
@@ -138,6 +160,7 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   comparison.coverage.skin_by = skin.is_true() ? "truth" : in.skin.told ? "mask" : "none";
   comparison.coverage.projector = in.view.projector;
   comparison.coverage.geometry = in.geometry;
+  comparison.errors = {in.view.projector, view.lights, in.separation.direct.channels(), {}};
   const Image<float> direct_reflectance =
       DirectReflectance({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface, in.separation);
   for (size_t k = 0; k < view.lights.size(); ++k) {
@@ -181,6 +204,8 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
       picture.direct = remaining;
       picture.subsurface = p.subsurface;
       picture.total = total;
+      for (auto& colour : SampleErrors(in, target, Sum(p.subsurface, p.surface), masks, comparison.coverage.judged))
+        comparison.errors.samples.push_back(std::move(colour));
       comparison.coverage.left_out_nrmse[light] = CompareImages(target.light, total, masks.left_out).nrmse;
     }
     ParallelFor(static_cast<int64_t>(judged.size()), 1, [&](int64_t begin, int64_t end) {
@@ -206,6 +231,7 @@ constexpr PictureFile kPictures[] = {{"_measured.exr", &LightComparison::measure
 Status SaveComparison(const std::filesystem::path& folder, const Comparison& comparison) {
   nlohmann::ordered_json json = {{"figures", comparison.figures}, {"coverage", comparison.coverage}};
   json["lights"] = nlohmann::ordered_json::array();
+  SLX_RETURN_IF_ERROR(SaveErrors(folder, comparison.errors));
   for (const LightComparison& picture : comparison.pictures) {
     json["lights"].push_back(picture.light);
     json["channels"] = picture.measured.channels();
@@ -226,6 +252,9 @@ Result<Comparison> LoadComparison(const std::filesystem::path& folder) {
     if (json.contains("channels")) json.at("channels").get_to(channels);
     for (const auto& light : json.at("lights")) comparison.pictures.push_back({light, {}, {}, {}, {}, {}});
   }));
+  comparison.errors = {comparison.coverage.projector, {}, channels, {}};
+  for (const LightComparison& picture : comparison.pictures) comparison.errors.lights.push_back(picture.light);
+  SLX_RETURN_IF_ERROR(LoadErrors(folder, comparison.errors));
   for (LightComparison& picture : comparison.pictures)
     for (const auto& [name, member] : kPictures) {
       const std::filesystem::path file = folder / (picture.light + name);

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "fitter/evaluation/interval_figures.h"
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/predict.h"
 #include "fitter/evaluation/truth.h"
@@ -17,7 +18,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 6;
+inline constexpr int kCompareVersion = 7;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
@@ -48,12 +49,13 @@ struct Comparison {
   std::vector<HeldOutFigure> figures;
   Coverage coverage;
   std::vector<LightComparison> pictures;
+  HeldOutErrors errors;  // of the first model, its own surface light predicted, too
 };
 
 // Figures are NaN, of 0 pixels, where the models have none in common that the light reaches.
 [[nodiscard]] Result<Comparison> CompareHeldOut(const CompareInput& input, const std::vector<ComparedModel>& models);
 
-// compare.json and the pictures as <light>_*.exr.
+// compare.json, the pictures as <light>_*.exr, errors.npy.
 Status SaveComparison(const std::filesystem::path& folder, const Comparison& comparison);
 [[nodiscard]] Result<Comparison> LoadComparison(const std::filesystem::path& folder);
 

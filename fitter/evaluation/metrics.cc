@@ -31,6 +31,20 @@ nlohmann::ordered_json JsonOf(const SkinFigure& skin) {
   return json;
 }
 
+nlohmann::ordered_json JsonOf(const IntervalFigures& intervals) {
+  nlohmann::ordered_json json = {{"learnt_from", intervals.learnt_from},
+                                 {"colours", nlohmann::ordered_json::array()},
+                                 {"covered", nlohmann::ordered_json::array()}};
+  for (const PredictionError& e : intervals.colours) json["colours"].push_back(e);
+  for (const IntervalFigures::Covered& c : intervals.covered)
+    json["covered"].push_back({{"projector", c.projector},
+                               {"light", c.light},
+                               {"share", c.share},
+                               {"half_width", c.half_width},
+                               {"samples", c.samples}});
+  return json;
+}
+
 double FigureOf(const nlohmann::json& json) { return json.is_null() ? std::nan("") : json.get<double>(); }
 
 }  // namespace
@@ -103,6 +117,20 @@ void from_json(const nlohmann::json& json, Coverage& c) {
   json.at("skin_by").get_to(c.skin_by);
 }
 
+void to_json(nlohmann::ordered_json& json, const PredictionError& e) {
+  json = {{"albedo", e.albedo}, {"normal_rad", e.normal_rad}, {"placement_quads", e.placement_quads},
+          {"spread", e.spread}, {"interval", e.interval},     {"samples", e.samples}};
+}
+
+void from_json(const nlohmann::json& json, PredictionError& e) {
+  json.at("albedo").get_to(e.albedo);
+  json.at("normal_rad").get_to(e.normal_rad);
+  json.at("placement_quads").get_to(e.placement_quads);
+  json.at("spread").get_to(e.spread);
+  json.at("interval").get_to(e.interval);
+  json.at("samples").get_to(e.samples);
+}
+
 std::string Metrics::ToJson() const {
   using Json = nlohmann::ordered_json;
   Json json = {{"schema", 2},
@@ -116,6 +144,7 @@ std::string Metrics::ToJson() const {
   json["prediction"] = heldout;
   json["ablations"] = ablations;
   json["coverage"] = coverage;
+  json["intervals"] = JsonOf(intervals);
   json["srd_centroid"] = Json::array();
   for (const CentroidFigure& c : centroids)
     json["srd_centroid"].push_back({{"projector", c.projector},

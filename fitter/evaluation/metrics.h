@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "fitter/evaluation/image_error.h"
+#include "fitter/evaluation/interval_figures.h"
 #include "fitter/mixture/srd_centroid.h"
 #include "fitter/mixture/surface_offset.h"
 #include "fitter/reconstruction/drift.h"
@@ -91,6 +92,7 @@ struct Metrics {
   std::vector<HeldOutFigure> heldout;
   std::vector<HeldOutFigure> ablations;  // and, beside each, the judged fit on the same mask
   std::vector<Coverage> coverage;
+  IntervalFigures intervals;              // by the hold-outs on the fit's own surface
   std::vector<CentroidFigure> centroids;  // of the fitted model's held-out SRDs
   FitSummary summary;
   std::vector<SweepFigure> sweeps;

@@ -11,6 +11,8 @@ namespace stratalux::fit {
 // A name, a figure: what is not finite is null, and reads back as NaN.
 void to_json(nlohmann::ordered_json& json, const HeldOutFigure& figure);
 void from_json(const nlohmann::json& json, HeldOutFigure& figure);
+void to_json(nlohmann::ordered_json& json, const PredictionError& error);
+void from_json(const nlohmann::json& json, PredictionError& error);
 void to_json(nlohmann::ordered_json& json, const Coverage& coverage);
 void from_json(const nlohmann::json& json, Coverage& coverage);
 

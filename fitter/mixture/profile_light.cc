@@ -22,6 +22,7 @@ ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOpti
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.counts = noise.counts;
   light.read_shift = noise.read_shift;
+  if (!batch.white_variance.empty()) light.white_variance = batch.white_variance[profile];
   const ScatteringModel& model = options.scattering;
   light.s = ShiftCoefficient(model, batch, profile);
   light.directions = DirectionsOf(batch, profile, model.eta);

@@ -25,7 +25,8 @@ struct ProfileLight {
   double fresnel = 1.0;      // the angular gain is fresnel exp(-tau gain_path)
   double gain_path = 0.0;
   RefractedDirections directions;
-  double reflected = -1.0;  // by the surface, reflectance; negative: unknown
+  double reflected = -1.0;      // by the surface, reflectance; negative: unknown
+  double white_variance = 0.0;  // of the white frames, in units of the samples' sum; 0: there are none
 
   [[nodiscard]] int samples() const { return static_cast<int>(y.size()); }
   [[nodiscard]] double Gain(double tau) const;

@@ -41,28 +41,36 @@ struct Effective {
 
 Effective EffectiveOf(const LayerSet& layers, const std::vector<double>& t) {
   Effective e;
+  double square = 0.0;
   for (size_t l = 0; l < layers.weight.size(); ++l) {
     e.weight += layers.weight[l];
     e.depth += layers.weight[l] * layers.depth_mm[l];
-    e.width += layers.weight[l] * layers.sigma_mm[l];
+    square += layers.weight[l] * layers.sigma_mm[l] * layers.sigma_mm[l];
   }
   e.depth /= e.weight;
-  e.width /= e.weight;
+  square /= e.weight;
+  e.width = std::sqrt(square);
   for (size_t l = 0; l < layers.weight.size(); ++l) {
-    const double share = layers.weight[l] / e.weight, sigma = layers.sigma_mm[l];
+    const double share = layers.weight[l] / e.weight, sigma2 = layers.sigma_mm[l] * layers.sigma_mm[l];
     const auto changes = ChangesOf(t[l]);
     for (int j = 0; j < kBackground; ++j) {
       e.d_weight[j] += layers.weight[l] * changes[j][0];
       e.d_depth[j] += share * (changes[j][0] * (layers.depth_mm[l] - e.depth) + changes[j][1]);
-      e.d_width[j] += share * (changes[j][0] * (sigma - e.width) + changes[j][2] * sigma);
+      e.d_width[j] += share * (changes[j][0] * (sigma2 - square) + 2.0 * changes[j][2] * sigma2) / (2.0 * e.width);
     }
   }
   return e;
 }
 
-// Adds one light's samples to the information and to the residuals' chi^2.
-void AddLight(const ProfileFit& fit, const std::vector<double>& t, const ProfileLight& light, size_t p,
-              Information& information, double& chi2) {
+// What lights tell: along all changes, by their samples; and of the scale of a known shape, by samples and by whites.
+struct Told {
+  Information information = Information::Zero();
+  double chi2 = 0.0;  // of the samples' residuals
+  double scale_by_samples = 0.0, scale_by_white = 0.0;
+};
+
+void AddLight(const ProfileFit& fit, const std::vector<double>& t, const ProfileLight& light, size_t p, bool has_floor,
+              Told& told) {
   const FineGrid grid(light);
   std::vector<double> mass(grid.cells(), 0.0);
   std::array<std::vector<double>, kBackground> changed;
@@ -82,16 +90,51 @@ void AddLight(const ProfileFit& fit, const std::vector<double>& t, const Profile
   const std::vector<double> model = grid.Project(mass);
   std::array<std::vector<double>, kBackground> slope;
   for (int j = 0; j < kBackground; ++j) slope[j] = grid.Project(changed[j]);
+  double layers = 0.0;
   for (int k = 0; k < light.samples(); ++k) {
     const double y = model[k] + fit.background[p] + fit.surface[p] * grid.SurfaceResponse(k);
-    if (!(y + light.read_shift > 0.0)) continue;
-    const double precision = light.counts / (y + light.read_shift);
     Change j;
     for (int i = 0; i < kBackground; ++i) j[i] = slope[i][k];
-    j[kBackground] = 1.0;
-    information += precision * j * j.transpose();
-    chi2 += precision * (light.y[k] - y) * (light.y[k] - y);
+    j[kBackground] = has_floor ? 1.0 : 0.0;
+    layers += model[k];
+    if (!(y + light.read_shift > 0.0)) continue;
+    const double precision = light.counts / (y + light.read_shift);
+    told.information += precision * j * j.transpose();
+    told.scale_by_samples += precision * model[k] * model[k];
+    told.chi2 += precision * (light.y[k] - y) * (light.y[k] - y);
   }
+  if (light.white_variance > 0.0) told.scale_by_white += layers * layers / light.white_variance;
+}
+
+// Relative variance of the total weight: EM's, of relative variance `of_em`, is scaled by the mean of 1 and of what the
+// white frames ask for, weighted by what both tell of the scale (EmBlock's ScaleToWhite).
+double WeightVariance(double of_em, const Told& told) {
+  const double all = told.scale_by_samples + told.scale_by_white, own = told.scale_by_samples / all;
+  return told.scale_by_white > 0.0 ? own * own * of_em + told.scale_by_white / (all * all) : of_em;
+}
+
+// Curvature of the prior's cost, (5) of the page, along the changes, where the fit is near the prior's centre: shares
+// of layers are held by their covariance, depths by N0 pi v / sigma^2, widths by 2 N0 pi.
+Information PriorInformation(const LayerSet& layers, const std::vector<double>& t, const LayerPrior& prior) {
+  Information held = Information::Zero();
+  if (!(prior.photons > 0.0)) return held;
+  const double total = std::accumulate(layers.weight.begin(), layers.weight.end(), 0.0);
+  Change mean = Change::Zero();
+  for (size_t l = 0; l < t.size(); ++l) {
+    const double share = layers.weight[l] / total, sigma = layers.sigma_mm[l];
+    if (!(share > 0.0)) continue;
+    const auto changes = ChangesOf(t[l]);
+    Change weight = Change::Zero(), depth = Change::Zero(), width = Change::Zero();
+    for (int j = 0; j < kBackground; ++j) {
+      weight[j] = changes[j][0];
+      depth[j] = changes[j][1] / sigma;
+      width[j] = changes[j][2];
+    }
+    mean += share * weight;
+    held += share * (weight * weight.transpose() + prior.square_shift * depth * depth.transpose() +
+                     2.0 * width * width.transpose());
+  }
+  return prior.photons * (held - mean * mean.transpose());
 }
 
 // What the layers' ranges tell by themselves; the floor's is the whole profile's light.
@@ -104,25 +147,31 @@ Change PriorPrecision(const ProfileFit& fit) {
 
 }  // namespace
 
-EffectiveParameters EffectiveParametersOf(const ProfileFit& fit, std::span<const ProfileLight> lights,
-                                          NoiseScale noise) {
+EffectiveParameters EffectiveParametersOf(const ProfileFit& fit, std::span<const ProfileLight> lights, NoiseScale noise,
+                                          const KnownBeside& beside) {
   const double total = std::accumulate(fit.layers.weight.begin(), fit.layers.weight.end(), 0.0);
   if (!(total > 0.0)) return {};
   const std::vector<double> t = LogWidths(fit.layers);
-  Information information = Information::Zero();
-  double chi2 = 0.0, samples = 0.0;
+  Told told;
+  double samples = 0.0;
   for (size_t p = 0; p < lights.size(); ++p) {
-    AddLight(fit, t, lights[p], p, information, chi2);
+    AddLight(fit, t, lights[p], p, beside.has_floor, told);
     samples += lights[p].samples();
   }
-  if (noise == NoiseScale::kFromResiduals && chi2 > 0.0) information *= std::max(samples - kChanges, 1.0) / chi2;
+  Information& information = told.information;
+  if (noise == NoiseScale::kFromResiduals && told.chi2 > 0.0)
+    information *= std::max(samples - kChanges, 1.0) / told.chi2;
+  information += PriorInformation(fit.layers, t, beside.prior);
   information.diagonal() += PriorPrecision(fit);
   const Information covariance = information.ldlt().solve(Information::Identity());
   const Effective e = EffectiveOf(fit.layers, t);
   auto estimate = [&](double value, const Change& gradient) {
     return Estimate{value, std::sqrt(std::max(0.0, gradient.dot(covariance * gradient)))};
   };
-  return {estimate(e.weight, e.d_weight), estimate(e.depth, e.d_depth), estimate(e.width, e.d_width)};
+  EffectiveParameters found{estimate(e.weight, e.d_weight), estimate(e.depth, e.d_depth), estimate(e.width, e.d_width)};
+  double& of_weight = found.total_weight.standard_error;
+  of_weight = e.weight * std::sqrt(WeightVariance(of_weight * of_weight / (e.weight * e.weight), told));
+  return found;
 }
 
 EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile,
@@ -139,7 +188,8 @@ EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile
     fit.surface.push_back(map.surface[profile * lights.size() + p]);
     fit.background.push_back(map.background[profile * lights.size() + p]);
   }
-  return EffectiveParametersOf(fit, seen, NoiseScale::kKnown);
+  return EffectiveParametersOf(fit, seen, NoiseScale::kKnown,
+                               {{map.prior_photons, options.prior.square_shift}, options.background_term});
 }
 
 }  // namespace stratalux::fit

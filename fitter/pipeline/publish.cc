@@ -73,12 +73,14 @@ Status LinkFiles(const fs::path& from, const fs::path& to) {
   return Status::Ok();
 }
 
+// `errors`: gets those of the hold-out.
 Status AddComparison(SessionGraph& graph, const std::string& key, Metrics& metrics,
-                     std::vector<LightComparison>* pictures) {
+                     std::vector<LightComparison>* pictures, std::vector<HeldOutErrors>* errors) {
   SLX_ASSIGN_OR_RETURN(auto comparison, graph.stages().Load(key, LoadComparison));
   metrics.heldout.insert(metrics.heldout.end(), comparison.figures.begin(), comparison.figures.end());
   metrics.coverage.push_back(comparison.coverage);
   if (pictures != nullptr) *pictures = std::move(comparison.pictures);
+  if (errors != nullptr) errors->push_back(std::move(comparison.errors));
   return Status::Ok();
 }
 
@@ -148,14 +150,15 @@ std::string Ablations(SessionGraph& graph, const RunOptions& options) {
 // Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
 // the reconstruction's.
 Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames, int projectors,
-                     Metrics& metrics) {
+                     Metrics& metrics, std::vector<HeldOutErrors>& errors) {
   SLX_ASSIGN_OR_RETURN(const auto compared, graph.stages().Load(Ablations(graph, options), LoadComparison));
   metrics.ablations = compared.figures;
   SLX_RETURN_IF_ERROR(
       AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kDirectionBlindPlaced, metrics));
   for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
     const auto models = ModelsOf(graph, Evaluation::kFull, source, projector);
-    SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr));
+    SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr,
+                                      source == options.geometry ? &errors : nullptr));
     SLX_RETURN_IF_ERROR(AddCentroid(graph, source, projector, metrics));
     for (const FitKind kind : {FitKind::kJudged, FitKind::kDirectionBlindPlaced})
       SLX_RETURN_IF_ERROR(AddOffset(graph, frames, source, projector, kind, metrics));
@@ -324,9 +327,13 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
       {},     options.heldout};
   const std::string compare =
       graph.Compare(ModelsOf(graph, evaluation, options.geometry, options.heldout), options.geometry, options.heldout);
-  SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons));
+  std::vector<HeldOutErrors> errors;
+  SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons, &errors));
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
-  if (evaluation == Evaluation::kFull) SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, projectors, metrics));
+  if (evaluation == Evaluation::kFull) {
+    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, projectors, metrics, errors));
+  }
+  metrics.intervals = FindIntervals(errors);
 
   metrics.session = frames.info().id;
   metrics.fit = FitIdOf(graph, options);

@@ -31,7 +31,7 @@ namespace {
 namespace fs = std::filesystem;
 using SortedJson = nlohmann::json;
 
-constexpr int kStandardErrorsVersion = 3;
+constexpr int kStandardErrorsVersion = 4;
 constexpr uint64_t kShuffleSeed = 1;
 
 const char* ToString(FitKind kind) {

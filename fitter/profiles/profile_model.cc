@@ -203,7 +203,7 @@ Json EffectiveToJson(const EffectiveParameters& effective, bool depth_estimable)
   auto one = [](const Estimate& e) { return Json{{"value", e.value}, {"standard_error", e.standard_error}}; };
   return {{"total_weight", one(effective.total_weight)},
           {"mean_depth_mm", depth_estimable ? one(effective.mean_depth_mm) : Json()},
-          {"width_mm", one(effective.width_mm)}};
+          {"effective_width_mm", one(effective.effective_width_mm)}};
 }
 
 // Free layers: the displacement along u, and the depth that it means where the geometry shifts at all.

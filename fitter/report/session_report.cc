@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 
 #include "fitter/export/pictures.h"
 #include "fitter/mixture/fit_mixture.h"
@@ -11,6 +12,7 @@
 #include "fitter/report/layer_pictures.h"
 #include "fitter/report/page_text.h"
 #include "fitter/session/quad_signal.h"
+#include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
 #include "shared/image/png.h"
@@ -312,8 +314,8 @@ ReportTable CoverageTable(const Metrics& m) {
       "Coverage, quads: with a truth, of the skin that the light truly reaches; else of the reconstructed "
       "surface, and skin is what the skin stage found. Left out: NRMSE of the fit (total) over what it predicts and is "
       "not judged",
-      {"projector", "geometry", "lit skin", "judged", "no surface", "unlit by its codes", "not fitted", "not skin",
-       "in shadow", "left out"},
+      {"projector", "geometry", "lit skin", "judged", "no surface", "unlit", "not fitted", "not skin", "in shadow",
+       "left out"},
       {}};
   for (const Coverage& c : m.coverage) {
     std::string left_out;
@@ -326,6 +328,36 @@ ReportTable CoverageTable(const Metrics& m) {
                           std::to_string(c.not_skin), std::to_string(c.in_shadow), left_out});
   }
   return table;
+}
+
+// What a prediction of other light may be off by, and whether what some hold-outs say of that holds for another.
+std::vector<ReportTable> IntervalTables(const Metrics& m) {
+  std::vector<ReportTable> tables;
+  if (m.intervals.colours.empty()) return tables;
+  ReportTable parts{
+      "Error of light that the fit has not seen, by colour: four parts that add up in squares, and how many "
+      "of that standard deviation leave 5 % of the pixels outside",
+      {"colour", "albedo", "normal, degrees", "placement, quads", "light around", "half a 95 % interval"},
+      {}};
+  const auto colours = Colours(static_cast<int>(m.intervals.colours.size()));
+  for (size_t c = 0; c < colours.size(); ++c) {
+    const PredictionError& e = m.intervals.colours[c];
+    parts.rows.push_back({colours[c], Fixed(100.0 * e.albedo, 2) + " %",
+                          Fixed(e.normal_rad * 180.0 / std::numbers::pi, 2), Fixed(e.placement_quads, 3),
+                          Fixed(100.0 * e.spread, 2) + " %", Fixed(e.interval, 2)});
+  }
+  tables.push_back(std::move(parts));
+  if (m.intervals.covered.empty()) return tables;
+  ReportTable covered{
+      "95 % intervals of a light by what the other hold-outs say: how much of it they hold (widened by the "
+      "capture's own noise), and how wide they are, RMS of half of them over RMS of the light",
+      {"projector", "light", "within", "half-width", "pixels and colours"},
+      {}};
+  for (const auto& c : m.intervals.covered)
+    covered.rows.push_back({std::to_string(c.projector), c.light, Fixed(100.0 * c.share, 1) + " %",
+                            Fixed(100.0 * c.half_width, 1) + " %", std::to_string(c.samples)});
+  tables.push_back(std::move(covered));
+  return tables;
 }
 
 ReportTable SweepTable(const Metrics& m) {
@@ -355,6 +387,7 @@ ReportSection Figures(const Metrics& m) {
       {},
       HeldOutTables(m)};
   section.tables.push_back(CoverageTable(m));
+  for (ReportTable& table : IntervalTables(m)) section.tables.push_back(std::move(table));
   ReportTable ablations{"Ablations: each must be worse than the fit it spoils, on the same mask",
                         {"model", "projector", "light", "part", "NRMSE"},
                         {}};

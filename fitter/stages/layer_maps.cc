@@ -124,7 +124,7 @@ StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdB
       const EffectiveParameters errors = EffectiveParametersOf(map, i, lights, options);
       maps.total_weight.pixels()[i] = static_cast<float>(errors.total_weight.standard_error);
       if (DepthKnown(map, i)) maps.mean_depth_mm.pixels()[i] = static_cast<float>(errors.mean_depth_mm.standard_error);
-      maps.width_mm.pixels()[i] = static_cast<float>(errors.width_mm.standard_error);
+      maps.effective_width_mm.pixels()[i] = static_cast<float>(errors.effective_width_mm.standard_error);
     }
     progress(end - begin);
   });
@@ -132,9 +132,9 @@ StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdB
 }
 
 Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps) {
-  return WriteTogether(
-      folder / "standard_errors.exr",
-      {{"total_weight.", &maps.total_weight}, {"mean_depth_mm.", &maps.mean_depth_mm}, {"width_mm.", &maps.width_mm}});
+  return WriteTogether(folder / "standard_errors.exr", {{"total_weight.", &maps.total_weight},
+                                                        {"mean_depth_mm.", &maps.mean_depth_mm},
+                                                        {"effective_width_mm.", &maps.effective_width_mm}});
 }
 
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps) {

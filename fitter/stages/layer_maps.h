@@ -39,13 +39,13 @@ struct LayerMaps {
 // Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
 // where nothing was fitted. For tied fits.
 struct StandardErrorMaps {
-  Image<float> total_weight, mean_depth_mm, width_mm;
+  Image<float> total_weight, mean_depth_mm, effective_width_mm;
 };
 // `lights`, `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives profiles
 // done.
 [[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights,
                                                    EmOptions options, const std::function<void(int64_t)>& progress);
-// standard_errors.exr: total_weight.R, mean_depth_mm.R, width_mm.R ...
+// standard_errors.exr: total_weight.R, mean_depth_mm.R, effective_width_mm.R ...
 Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
 
 // total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).

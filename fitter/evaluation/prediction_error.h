@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+// How far a prediction of light may be off that nobody captured: learnt from lights that the fit did not see and that
+// were captured all the same (docs/math/evaluation.md, "Intervals").
+//
+// A pixel's error is the sum of four, independent of each other, each as large as what it acts on:
+//   sigma^2 = (albedo p)^2 + (normal_rad tan(theta) p)^2 + (placement_quads |step p|)^2 + (spread m)^2            (6)
+// with p the prediction, theta the angle of incidence, |step p| how far p differs from one quad to the next, m the mean
+// prediction of the quads around. All are proportional to the light, so that (6) holds at any strength of it.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "fitter/reconstruction/surface_map.h"
+#include "shared/image/image.h"
+
+namespace stratalux::fit {
+
+// What the error of one pixel and colour depends on, in the unit of the prediction.
+struct ErrorCauses {
+  float prediction = 0.0F;
+  float tan_incidence = 0.0F;
+  float step = 0.0F;    // |step p|, per quad
+  float around = 0.0F;  // m
+};
+
+// Of a prediction W x H x C (NaN or off the surface: nobody's neighbour): |step p| = sqrt of the mean square difference
+// to the left and right neighbours plus that to the upper and lower ones; m over a square of about 2 kAroundMm.
+class ErrorCauseMaps {
+ public:
+  ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction);
+  [[nodiscard]] ErrorCauses At(int i, int j, int c) const {
+    return {prediction_(i, j, c), tan_incidence_(i, j), step_(i, j, c), around_(i, j, c)};
+  }
+
+ private:
+  const Image<float>& prediction_;
+  Image<float> tan_incidence_, step_, around_;
+};
+
+// A pixel and colour of a light that was predicted and captured.
+struct ErrorSample {
+  ErrorCauses causes;
+  float residual = 0.0F;        // captured less predicted
+  float squared_error = 0.0F;   // of the prediction, without the capture's noise in expectation: may be negative
+  float noise_variance = 0.0F;  // of the capture
+};
+
+// Of one colour.
+struct PredictionError {
+  double albedo = 0.0;           // share of the light
+  double normal_rad = 0.0;       // of the surface that is lit
+  double placement_quads = 0.0;  // of what is seen
+  double spread = 0.0;           // share of the light around
+  // Half-width over sigma that leaves 5 % of the errors outside: 1.96 of a normal distribution.
+  double interval = 0.0;
+  int64_t samples = 0;
+
+  [[nodiscard]] double Sigma(const ErrorCauses& causes) const;
+  // Half the 95 % interval of the light.
+  [[nodiscard]] double HalfWidth(const ErrorCauses& causes) const { return interval * Sigma(causes); }
+};
+
+// Weighted least squares of squared_error by (6), no part below 0. nullopt: too few samples to tell.
+[[nodiscard]] std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples);
+
+// Share of the samples that lie within the interval, widened by their own noise's. NaN of none.
+[[nodiscard]] double ShareWithin(std::span<const ErrorSample> samples, const PredictionError& error);
+
+}  // namespace stratalux::fit

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/evaluation/prediction_error.h"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "shared/base/random.h"
+
+namespace stratalux::fit {
+namespace {
+
+constexpr PredictionError kTrue{0.03, 0.01, 0.06, 0.02, 0.0, 0};
+
+enum class Tails { kNormal, kHeavy };
+
+// Of unit variance. Heavy: one in ten is three times as large as the others.
+double ErrorOf(Random& random, Tails tails) {
+  if (tails == Tails::kNormal) return random.Normal();
+  const double scale = random.Uniform() < 0.1 ? 3.0 : 1.0;
+  return scale * random.Normal() / std::sqrt(0.1 * 9.0 + 0.9);
+}
+
+// Pixels whose errors have the parts of kTrue; two takes with noise of `noise_share` of sigma each.
+std::vector<ErrorSample> Draw(int count, double noise_share, Tails tails, uint64_t seed) {
+  Random random(seed);
+  std::vector<ErrorSample> samples;
+  for (int k = 0; k < count; ++k) {
+    ErrorSample s;
+    const double p = 20.0 + 400.0 * random.Uniform();
+    s.causes = {static_cast<float>(p), static_cast<float>(3.0 * random.Uniform()),
+                static_cast<float>(p * random.Uniform()), static_cast<float>(200.0 * random.Uniform())};
+    const double sigma = kTrue.Sigma(s.causes), noise = noise_share * sigma;
+    const double error = sigma * ErrorOf(random, tails);
+    const double first = error + std::sqrt(2.0) * noise * random.Normal(),
+                 second = error + std::sqrt(2.0) * noise * random.Normal();
+    s.residual = static_cast<float>(0.5 * (first + second));
+    s.squared_error = static_cast<float>(first * second);
+    s.noise_variance = static_cast<float>(noise * noise);
+    samples.push_back(s);
+  }
+  return samples;
+}
+
+TEST(PredictionErrorTest, FindsThePartsThroughTheNoise) {
+  for (const double noise : {0.0, 1.0}) {
+    const auto error = LearnPredictionError(Draw(60000, noise, Tails::kNormal, 3));
+    ASSERT_TRUE(error);
+    EXPECT_NEAR(error->albedo, kTrue.albedo, 0.1 * kTrue.albedo) << noise;
+    EXPECT_NEAR(error->normal_rad, kTrue.normal_rad, 0.1 * kTrue.normal_rad) << noise;
+    EXPECT_NEAR(error->placement_quads, kTrue.placement_quads, 0.1 * kTrue.placement_quads) << noise;
+    EXPECT_NEAR(error->spread, kTrue.spread, 0.1 * kTrue.spread) << noise;
+    EXPECT_NEAR(error->interval, 1.96, 0.06) << noise;
+  }
+}
+
+TEST(PredictionErrorTest, TakesNoiseForErrorWhereItIsNotTakenOff) {
+  auto samples = Draw(60000, 1.0, Tails::kNormal, 4);
+  const double honest = LearnPredictionError(samples)->albedo;
+  for (ErrorSample& s : samples) s.squared_error = s.residual * s.residual;
+  EXPECT_GT(LearnPredictionError(samples)->albedo, 1.25 * honest);
+}
+
+// Of other pixels than it was learnt from, without any noise: the truth.
+TEST(PredictionErrorTest, CoversNineteenOfTwentyOfTheTruth) {
+  for (const Tails tails : {Tails::kNormal, Tails::kHeavy})
+    for (const double noise : {0.3, 1.5}) {
+      const auto error = LearnPredictionError(Draw(40000, noise, tails, 5));
+      ASSERT_TRUE(error);
+      EXPECT_NEAR(ShareWithin(Draw(40000, 0.0, tails, 6), *error), 0.95, 0.015) << noise;
+      EXPECT_NEAR(ShareWithin(Draw(40000, noise, tails, 7), *error), 0.95, 0.015) << noise;
+    }
+}
+
+TEST(PredictionErrorTest, IsNotToldByTooFewOrUnusableSamples) {
+  auto samples = Draw(150, 0.5, Tails::kNormal, 8);
+  EXPECT_FALSE(LearnPredictionError(samples));
+  samples.resize(1000, {{std::nanf(""), 0.0F, 0.0F, 0.0F}, 1.0F, 1.0F, 1.0F});
+  EXPECT_FALSE(LearnPredictionError(samples));
+  EXPECT_TRUE(std::isnan(ShareWithin({}, kTrue)));
+}
+
+// A slope of light across a tilted plane: steps, neighbourhood and angles as worked out by hand.
+TEST(PredictionErrorTest, ReadsTheCausesOffThePrediction) {
+  constexpr int kSize = 41;
+  SurfaceMap surface;
+  surface.point_mm = surface.normal = Image<float>(kSize, kSize, 3);
+  surface.mask = Image<uint8_t>(kSize, kSize, 1, 1);
+  Image<float> prediction(kSize, kSize, 1);
+  for (int j = 0; j < kSize; ++j)
+    for (int i = 0; i < kSize; ++i) {
+      for (int k = 0; k < 3; ++k) {
+        surface.point_mm(i, j, k) = static_cast<float>(k == 0 ? i : k == 1 ? j : 700);
+        surface.normal(i, j, k) = k == 2 ? -1.0F : 0.0F;
+      }
+      prediction(i, j, 0) = static_cast<float>(100 + 3 * i + 4 * j);
+    }
+  prediction(30, 20, 0) = std::nanf("");
+  const ErrorCauseMaps maps(surface, Eigen::Vector3d(20.0 + 700.0, 20.0, 0.0), prediction);
+  const ErrorCauses middle = maps.At(20, 20, 0);
+  EXPECT_FLOAT_EQ(middle.prediction, 240.0F);
+  EXPECT_FLOAT_EQ(middle.step, 5.0F);
+  EXPECT_NEAR(middle.tan_incidence, 1.0, 1e-5);
+  EXPECT_NEAR(middle.around, 240.0, 1e-3) << "symmetric about it";
+  EXPECT_FLOAT_EQ(maps.At(29, 20, 0).step, 5.0F) << "by its other neighbour";
+  EXPECT_FLOAT_EQ(maps.At(0, 0, 0).around, 100.0F + 3.0F * 2.5F + 4.0F * 2.5F) << "5 mm on the sides it has";
+}
+
+}  // namespace
+}  // namespace stratalux::fit
