@@ -9,6 +9,7 @@
 #include "db/catalogue/fit_reader.h"
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
+#include "fitter/evaluation/interval_figures.h"
 #include "fitter/pipeline/session_fits.h"
 #include "fitter/session/choose_session.h"
 #include "fitter/session/session_frames.h"
@@ -65,7 +66,13 @@ Status Render(const RenderFlags& f, Logger& logger) {
     return Status::Ok();
   }));
   logger.Info("relighting fit " + stored.id + " of session " + session + ", layers " + fit.provenance);
-  SLX_ASSIGN_OR_RETURN(const auto relit, Relight(fit, light));
+  SLX_ASSIGN_OR_RETURN(auto relit, Relight(fit, light));
+  SLX_ASSIGN_OR_RETURN(const auto intervals, ReadIntervals(stored.folder / "metrics.json"));
+  if (static_cast<int>(intervals.colours.size()) == relit.total.channels())
+    relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total, intervals.colours);
+  else
+    logger.Info("fit " + stored.id +
+                " does not say how far predictions may be off: no interval.exr (run the session's fit anew)");
   for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
   SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white, session, stored.id));
@@ -82,11 +89,13 @@ Status Render(const RenderFlags& f, Logger& logger) {
 
 void AddRenderCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<RenderFlags>();
-  auto* verb =
-      app.add_subcommand("render", "A fitted face under a new light: subsurface, surface and total as EXR, PNG");
+  auto* verb = app.add_subcommand(
+      "render", "A fitted face under a new light: subsurface, surface and total as EXR, PNG; how far they may be off");
   verb->footer(
       "Camera frame, mm: +x right, +y down, +z away from the camera. A light of colour 1 makes a white target at the\n"
       "middle of the face, turned to it, read 1.\n"
+      "interval.exr: half the 95 % interval of total, by what the fit's held-out light was off "
+      "(docs/math/evaluation.md).\n"
       "Examples:\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
       "  stratalux-fit render latest --store store --direction=1,-0.3,-0.4 --colour 1,0.8,0.6 --out evening\n"

@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "fitter/evaluation/metrics_json.h"
 #include "fitter/export/npy_file.h"
+#include "fitter/stages/stage_json.h"
 
 namespace stratalux::fit {
 namespace {
@@ -95,6 +97,17 @@ Status LoadErrors(const std::filesystem::path& folder, HeldOutErrors& errors) {
         {{row[2], row[3], row[4], row[5]}, row[6], row[7], row[8]});
   }
   return Status::Ok();
+}
+
+Result<IntervalFigures> ReadIntervals(const std::filesystem::path& metrics_json) {
+  IntervalFigures figures;
+  SLX_RETURN_IF_ERROR(ReadJson(metrics_json, [&](const nlohmann::json& json) {
+    if (!json.contains("intervals")) return;
+    json.at("intervals").at("learnt_from").get_to(figures.learnt_from);
+    for (const auto& colour : json.at("intervals").at("colours"))
+      figures.colours.push_back(colour.get<PredictionError>());
+  }));
+  return figures;
 }
 
 IntervalFigures FindIntervals(const std::vector<HeldOutErrors>& heldout) {

@@ -43,6 +43,10 @@ struct IntervalFigures {
   std::vector<Covered> covered;
 };
 
+// What a fit's metrics.json says; without colours where it says nothing (of an older program, or too little was
+// judged). kNotFound, kIntegrity.
+[[nodiscard]] Result<IntervalFigures> ReadIntervals(const std::filesystem::path& metrics_json);
+
 [[nodiscard]] IntervalFigures FindIntervals(const std::vector<HeldOutErrors>& heldout);
 
 }  // namespace stratalux::fit

@@ -187,6 +187,17 @@ std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample>
   return error;
 }
 
+Image<float> HalfWidths(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction,
+                        std::span<const PredictionError> colours) {
+  const ErrorCauseMaps causes(surface, light_mm, prediction);
+  Image<float> half(prediction.width(), prediction.height(), prediction.channels());
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i)
+      for (int c = 0; c < prediction.channels() && surface.mask(i, j) != 0; ++c)
+        half(i, j, c) = static_cast<float>(colours[c].HalfWidth(causes.At(i, j, c)));
+  return half;
+}
+
 double ShareWithin(std::span<const ErrorSample> samples, const PredictionError& error) {
   int64_t all = 0, within = 0;
   for (const ErrorSample& s : samples) {

@@ -26,7 +26,8 @@ struct ErrorCauses {
 };
 
 // Of a prediction W x H x C (NaN or off the surface: nobody's neighbour): |step p| = sqrt of the mean square difference
-// to the left and right neighbours plus that to the upper and lower ones; m over a square of about 2 kAroundMm.
+// to the left and right neighbours plus that to the upper and lower ones; m over a square of about 2 kAroundMm. The
+// prediction must outlive it.
 class ErrorCauseMaps {
  public:
   ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction);
@@ -64,6 +65,11 @@ struct PredictionError {
 
 // Weighted least squares of squared_error by (6), no part below 0. nullopt: too few samples to tell.
 [[nodiscard]] std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples);
+
+// Half the 95 % intervals of a prediction by a light at `light_mm`, `colours` of its colours: W x H x C, NaN where the
+// prediction is, 0 off the surface.
+[[nodiscard]] Image<float> HalfWidths(const SurfaceMap& surface, const Eigen::Vector3d& light_mm,
+                                      const Image<float>& prediction, std::span<const PredictionError> colours);
 
 // Share of the samples that lie within the interval, widened by their own noise's. NaN of none.
 [[nodiscard]] double ShareWithin(std::span<const ErrorSample> samples, const PredictionError& error);

@@ -77,6 +77,18 @@ Image<float> WithCoverage(const Image<float>& light, const Image<uint8_t>& cover
   return all;
 }
 
+// RMS over RMS of the light, where both are known.
+double RelativeHalfWidth(const Relit& relit) {
+  double widths = 0.0, light = 0.0;
+  for (size_t i = 0; i < relit.total.size(); ++i) {
+    const double half = relit.half_width.pixels()[i], total = relit.total.pixels()[i];
+    if (!std::isfinite(half) || !std::isfinite(total)) continue;
+    widths += half * half;
+    light += total * total;
+  }
+  return light > 0.0 ? std::sqrt(widths / light) : 0.0;
+}
+
 }  // namespace
 
 Status VirtualLight::Validate() const {
@@ -99,6 +111,7 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   const std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
   Relit relit;
   relit.provenance = fit.provenance;
+  relit.light_mm = projector.CentreInCamera();
   relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool}).front();
   relit.surface = ReflectedLight(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool),
                                  SurfaceIrradiance(fit.shape.surface, rig, lit, {&pyramids.front().pattern}).front());
@@ -128,7 +141,8 @@ std::vector<std::string> Relit::Notes() const {
 }
 
 std::vector<std::string> RelitFiles() {
-  return {"subsurface.exr", "surface.exr", "total.exr", "subsurface.png", "surface.png", "total.png", "relit.json"};
+  return {"subsurface.exr", "surface.exr", "total.exr",    "subsurface.png",
+          "surface.png",    "total.png",   "interval.exr", "relit.json"};
 }
 
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white, const std::string& session,
@@ -150,8 +164,13 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
     SLX_RETURN_IF_ERROR(
         WritePng8(folder / (std::string(name) + ".png"), WithAlpha(ToSrgb(*image, white), relit.covered)));
   }
-  return WriteJson(folder / "relit.json",
-                   {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}});
+  nlohmann::ordered_json json = {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}};
+  std::filesystem::remove(folder / "interval.exr", error);  // of an earlier picture
+  if (!relit.half_width.empty()) {
+    SLX_RETURN_IF_ERROR(WriteExr(folder / "interval.exr", WithCoverage(relit.half_width, relit.covered), channels));
+    json["interval"] = {{"half_width", RelativeHalfWidth(relit)}};
+  }
+  return WriteJson(folder / "relit.json", json);
 }
 
 }  // namespace stratalux::fit

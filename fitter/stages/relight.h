@@ -28,10 +28,12 @@ struct VirtualLight {
 struct Relit {
   // Quads x colours, linear; 0 outside the face, NaN where that colour was not fitted.
   Image<float> subsurface, surface, total;
-  Image<uint8_t> covered;  // by quads: 1 on the face
-  std::string provenance;  // of the layers: ProvenanceOf
-  int64_t face = 0;        // quads of it
-  int64_t incomplete = 0;  // of them without one colour or more: black in the PNGs
+  Image<uint8_t> covered;   // by quads: 1 on the face
+  Image<float> half_width;  // half the 95 % interval of `total`, as the caller finds it; empty: unknown
+  Eigen::Vector3d light_mm = Eigen::Vector3d::Zero();  // where the light stands
+  std::string provenance;                              // of the layers: ProvenanceOf
+  int64_t face = 0;                                    // quads of it
+  int64_t incomplete = 0;                              // of them without one colour or more: black in the PNGs
   // What a look at the pictures would not tell: no light reaches the face, colours are missing.
   [[nodiscard]] std::vector<std::string> Notes() const;
 };
@@ -41,7 +43,8 @@ struct Relit {
 
 // subsurface, surface and total as EXR (linear) and PNG (sRGB; `white` maps to 255, 0: the 99.5th percentile of total),
 // each with alpha: 1 on the face, 0 outside (`covered`), where light is 0, so that it is straight and premultiplied;
-// relit.json: `session` and `fit` by name, and where its layers come from. All names: RelitFiles().
+// relit.json: `session` and `fit` by name, where its layers come from, and how wide intervals are; where these are
+// known interval.exr, their halves. All names: RelitFiles().
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white, const std::string& session,
                   const std::string& fit);
 [[nodiscard]] std::vector<std::string> RelitFiles();

@@ -159,8 +159,8 @@ std::map<int, HoldOut> HoldOutsOf(const Visit& visit) {
   return found;
 }
 
-// Half-widths below tell no difference from the quiet camera's own noise.
-constexpr double kQuietDn = 0.5;
+// Of narrower intervals the quiet camera's own noise, half a step and less, would be a part.
+constexpr double kQuietDn = 2.0;
 
 // By what the other hold-outs say, without the captured noise: is what the quiet camera saw within the interval?
 Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, HoldOut>& holdouts, int projector,
@@ -219,6 +219,9 @@ TEST_F(Intervals, HoldTheTruthOfPeople) {
         all.all += one.all;
       }
       std::printf(", all %.3f of %lld\n", all.share(), static_cast<long long>(all.all));
+      EXPECT_GT(all.all, 500) << light;
+      EXPECT_GT(all.share(), 0.91) << light;
+      EXPECT_LT(all.share(), 0.985) << light;
     }
     for (const Json& c : noisy_.metrics["intervals"]["covered"])
       std::printf("  stated, projector %d, %s: %.3f, half-width %.3f\n", c["projector"].get<int>(),

@@ -208,8 +208,11 @@ TEST_F(Visitor, IsRelitByLightsThatNobodyCaptured) {
     const fs::path out = folder_ / name;
     EXPECT_EQ(Execute("stratalux-fit render latest --store " + store_ + " " + light + " --out " + out.string()).code,
               0);
-    for (const char* file : {"subsurface.exr", "surface.exr", "total.exr", "total.png"})
+    for (const char* file : {"subsurface.exr", "surface.exr", "total.exr", "total.png", "interval.exr"})
       EXPECT_GT(fs::file_size(out / file), 5000U) << file;
+    const double half_width = Json::parse(ReadText(out / "relit.json"))["interval"]["half_width"];
+    EXPECT_GT(half_width, 0.02) << light;
+    EXPECT_LT(half_width, 0.25) << light;
   };
   relit("--point=-200,-100,200", "point");
   relit("--direction=1,0,-1 --colour 1,0.8,0.6", "direction");
@@ -219,6 +222,19 @@ TEST_F(Visitor, IsRelitByLightsThatNobodyCaptured) {
                             "--point=0,0,200 --direction=0,0,-1"})
     EXPECT_EQ(Execute(render + wrong).code, 2) << wrong;
   EXPECT_EQ(Execute(render + "--projector 1 --fit 0123").code, 4);
+}
+
+// What three hold-outs say of a prediction's error holds for the fourth.
+TEST_F(Visitor, IntervalsHoldForLightsThatTheyWereNotLearntFrom) {
+  const Json intervals = metrics_["intervals"];
+  EXPECT_EQ(intervals["learnt_from"].size(), 4U);
+  EXPECT_EQ(intervals["colours"].size(), 3U);
+  EXPECT_EQ(intervals["covered"].size(), 12U);
+  for (const Json& light : intervals["covered"]) {
+    EXPECT_GT(light["samples"], 1000) << light;
+    EXPECT_GT(light["share"], 0.92) << light;
+    EXPECT_LT(light["share"], 0.98) << light;
+  }
 }
 
 TEST_F(Visitor, ALightBehindTheFaceIsSaid) {

@@ -106,5 +106,33 @@ TEST(PredictionErrorTest, ReadsTheCausesOffThePrediction) {
   EXPECT_FLOAT_EQ(maps.At(0, 0, 0).around, 100.0F + 3.0F * 2.5F + 4.0F * 2.5F) << "5 mm on the sides it has";
 }
 
+// Twice the light, twice the interval: they hold for lights of any strength.
+TEST(PredictionErrorTest, IntervalsScaleWithTheLight) {
+  constexpr int kSize = 12;
+  SurfaceMap surface;
+  surface.point_mm = surface.normal = Image<float>(kSize, kSize, 3);
+  surface.mask = Image<uint8_t>(kSize, kSize, 1, 1);
+  surface.mask(0, 0) = 0;
+  Image<float> dim(kSize, kSize, 1), bright = dim;
+  for (int j = 0; j < kSize; ++j)
+    for (int i = 0; i < kSize; ++i) {
+      surface.point_mm(i, j, 0) = static_cast<float>(i);
+      surface.point_mm(i, j, 1) = static_cast<float>(j);
+      surface.point_mm(i, j, 2) = 700.0F;
+      surface.normal(i, j, 2) = -1.0F;
+      dim(i, j, 0) = static_cast<float>(1 + (i * 7 + j * 3) % 5);
+      bright(i, j, 0) = 2.0F * dim(i, j, 0);
+    }
+  PredictionError error = kTrue;
+  error.interval = 2.0;
+  const Eigen::Vector3d light_mm(300.0, 0.0, 0.0);
+  const auto of_dim = HalfWidths(surface, light_mm, dim, {&error, 1}),
+             of_bright = HalfWidths(surface, light_mm, bright, {&error, 1});
+  EXPECT_EQ(of_dim(0, 0, 0), 0.0F) << "no surface";
+  EXPECT_GT(of_dim(5, 5, 0), 0.0F);
+  for (int j = 0; j < kSize; ++j)
+    for (int i = 0; i < kSize; ++i) EXPECT_NEAR(of_bright(i, j, 0), 2.0F * of_dim(i, j, 0), 1e-5F);
+}
+
 }  // namespace
 }  // namespace stratalux::fit

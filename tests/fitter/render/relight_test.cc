@@ -5,11 +5,14 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
+#include "fitter/evaluation/prediction_error.h"
 #include "fitter/export/exr_file.h"
 #include "tests/fitter/render/lit_scene.h"
 #include "tests/support/png_rgba.h"
 #include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::fit {
 namespace {
@@ -17,6 +20,7 @@ namespace {
 using ::testing::Contains;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 
 class RelightTest : public ScratchFolderTest {
  protected:
@@ -80,6 +84,22 @@ TEST_F(RelightTest, PicturesHaveTheFaceAsTheirAlpha) {
       }
     EXPECT_TRUE(std::isnan((*exr)(20, 15, 2))) << "a colour that is not known does not take the face away";
   }
+}
+
+TEST_F(RelightTest, StatesIntervalsWhereTheyAreKnownAndKeepsNoneOfAnotherPicture) {
+  Relit relit = Under({0.0, 0.0, -1.0});
+  const std::vector<PredictionError> told(3, {0.03, 0.0, 0.0, 0.0, 2.0, 1000});
+  relit.half_width = HalfWidths(fit_.shape.surface, relit.light_mm, relit.total, told);
+  ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
+  const auto half = ReadExr(folder_ / "interval.exr", {"R", "G", "B", "A"});
+  ASSERT_TRUE(half.ok()) << half.status().message();
+  EXPECT_NEAR((*half)(20, 15, 1), 0.06F * relit.total(20, 15, 1), 1e-5F);
+  const auto json = nlohmann::json::parse(ReadText(folder_ / "relit.json"));
+  EXPECT_NEAR(json["interval"]["half_width"].get<double>(), 0.06, 1e-6);
+  relit.half_width = {};
+  ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "interval.exr"));
+  EXPECT_THAT(ReadText(folder_ / "relit.json"), Not(HasSubstr("interval")));
 }
 
 }  // namespace
