@@ -47,7 +47,7 @@ class CalibrationFaults : public ::testing::Test {
     return "[[pose]]\nposition_mm = [" + position + "]\nrotation_deg = [" + rotation + "]\n";
   }
   static std::string Capture(const std::string& scene) {
-    return "stratalux-rig capture --kind calibration --size 522x390 --simulate=" + (folder_ / scene).string();
+    return "stratalux-rig capture --kind calibration --size 348x260 --simulate=" + (folder_ / scene).string();
   }
   static std::string Store(const std::string& name) { return (folder_ / name).string(); }
   static std::string Session(size_t pose) { return series_["poses"][pose]["session"]; }
@@ -151,7 +151,7 @@ TEST_F(CalibrationFaults, ASessionThatNamesNoCalibrationThatIsThereIsNotCaptured
   WriteText(folder_ / "exact.json", exact_.dump());
   const Outcome other = Execute(visit + " --calibration " + (folder_ / "exact.json").string());
   EXPECT_EQ(other.code, 2) << other.out;
-  EXPECT_THAT(other.out, AllOf(HasSubstr("522x390"), HasSubstr("160x120")));
+  EXPECT_THAT(other.out, AllOf(HasSubstr("348x260"), HasSubstr("160x120")));
 }
 
 // The store's own calibration becomes a version, and is what a visitor's session names; the simulation's knowledge is
@@ -165,7 +165,7 @@ TEST_F(CalibrationFaults, AVisitorNamesTheNewestVersionAndTheExactRecordStaysTru
   const Outcome ages = Execute("stratalux-db query calibration-age --json --store " + store.string(), Show::kStdout);
   EXPECT_THAT(ages.out, AllOf(HasSubstr("\"version\""), HasSubstr("valid")));
   const Outcome visit =
-      Execute("stratalux-rig capture --simulate=white --size 522x390 --kind flat --calibration latest --json --store " +
+      Execute("stratalux-rig capture --simulate=white --size 348x260 --kind flat --calibration latest --json --store " +
                   store.string(),
               Show::kStdout);
   ASSERT_EQ(visit.code, 0) << visit.out;
@@ -187,7 +187,7 @@ TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
   WriteText(folder_ / "rig.toml", "[plan]\ncomb_period = 16\nmotion_whites = 0\nspot_radius = 0\n");
   for (const std::string scene : {"straight", "turned"}) {
     const std::string store = Store("visit_" + scene);
-    ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 522x390 --config " +
+    ASSERT_EQ(Execute("stratalux-rig capture --no-scattering --size 348x260 --config " +
                       (folder_ / "rig.toml").string() + " --simulate=" + (folder_ / (scene + ".toml")).string() +
                       " --calibration " + (folder_ / "exact.json").string() + " --store " + store)
                   .code,
