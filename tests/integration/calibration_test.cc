@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
 #include <iostream>
 #include <string>
@@ -49,6 +50,12 @@ std::vector<double> StandardDeviations(const Json& device, size_t parameters) {
   return sd;
 }
 
+// Of the camera, in pixels; at night that of the figures in docs/math/calibration.md.
+std::string Size() {
+  const char* size = std::getenv("STRATALUX_CALIBRATION_SIZE");
+  return size != nullptr ? size : "522x390";
+}
+
 class Calibration : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
@@ -65,8 +72,8 @@ class Calibration : public ::testing::Test {
   static void TearDownTestSuite() { fs::remove_all(folder_); }
 
   static std::string CaptureOf(int pose) {
-    return "stratalux-rig capture --kind calibration --size 696x520 --simulate=" STRATALUX_SOURCE_DIR
-           "/docs/examples/scenes/charuco_poses.toml --pose " +
+    return "stratalux-rig capture --kind calibration --size " + Size() +
+           " --simulate=" STRATALUX_SOURCE_DIR "/docs/examples/scenes/charuco_poses.toml --pose " +
            std::to_string(pose);
   }
   static std::string Record() { return (folder_ / "calibration.json").string(); }
@@ -137,7 +144,7 @@ TEST_F(Calibration, StaysInTheStore) {
 
 TEST_F(Calibration, WithAWrongSquareSizeIsRefusedAndNamesTheRightOne) {
   const Outcome run =
-      Execute("stratalux-fit calibrate --last 12 --store " + store_ +
+      Execute("stratalux-fit calibrate --last 6 --store " + store_ +
               " --square-mm 25 --marker-mm 18.75 --distortion k1k2 --out " + (folder_ / "refused.json").string());
   EXPECT_EQ(run.code, 1) << run.out;
   EXPECT_THAT(run.out, HasSubstr("times as large as before"));
