@@ -14,6 +14,7 @@
 #include "db/privacy/access_log.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/pipeline/key_lock.h"
+#include "fitter/stages/surface_export.h"
 #include "shared/image/png.h"
 #include "tests/fitter/export/read_export.h"
 #include "tests/integration/small_fit.h"
@@ -193,6 +194,20 @@ TEST_F(Export, OfASessionWithoutAFitIsItsSurface) {
     EXPECT_THAT(damaged.out, HasSubstr(file.string()));
     EXPECT_FALSE(fs::exists(folder_ / "no"));
   }
+}
+
+// Fits of programs that had no skin stage.
+TEST_F(Export, OfAFitWithoutASkinMaskAllIsSkin) {
+  const fs::path fit = folder_ / "older";
+  fs::copy(FitOf(Fitted("store")), fit, fs::copy_options::recursive);
+  const auto whole = fit::LoadFittedSurface(fit);
+  ASSERT_TRUE(whole.ok()) << whole.status().message();
+  EXPECT_TRUE(whole->skin_told);
+  for (const char* name : {"skin.exr", "skin.json"}) EXPECT_TRUE(fs::remove(fit / name)) << name;
+  const auto older = fit::LoadFittedSurface(fit);
+  ASSERT_TRUE(older.ok()) << older.status().message();
+  EXPECT_FALSE(older->skin_told);
+  EXPECT_TRUE(std::ranges::equal(older->skin.pixels(), older->surface.mask.pixels()));
 }
 
 TEST_F(Export, IsLoggedMarkedAndForgotten) {
