@@ -15,8 +15,8 @@ first of them by a fit of all frames that a fit reads.
 Seconds: frames times the mean of a frame in `stratalux-rig plan show --simulate` (default plan and exposure); the frames
 that only the comparison reads are not among them. People whose capture is in --work already, and fits that are there,
 are not made again. Exit 1: a program failed; or, with --check, fewer frames predict stripes better by a tenth than all
-do (figures that mix up), layers at 128 frames or more predict them no better than the fit that is blind to direction, or
-less than nine tenths of the truly lit skin are judged.
+do (figures that mix up), or at 128 frames or more layers predict them no better than the fit that is blind to direction
+or less than nine tenths of the truly lit skin are judged.
 """
 import argparse
 import json
@@ -118,7 +118,7 @@ def faults(rows):
             yield f"{what}: stripes {100 * error:.2f} %, {100 * whole:.2f} % with all frames"
         if r["frames"] >= 128 and not error < r["nrmse"]["direction_blind"]["stripe"]:
             yield f"{what}: stripes {100 * error:.2f} %, {100 * r['nrmse']['direction_blind']['stripe']:.2f} % blind"
-        if not r["judged"] >= 0.9:
+        if r["frames"] >= 128 and not r["judged"] >= 0.9:
             yield f"{what}: {100 * r['judged']:.1f} % of the truly lit skin judged"
 
 
