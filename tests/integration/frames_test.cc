@@ -20,8 +20,8 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using Json = nlohmann::json;
 
-// Few profiles: a thinned cycle takes more sweeps.
-constexpr const char* kFewProfiles = "--pool 4 --prior 1000 --iterations 1 --layers 1";
+// Few profiles and stages: a thinned cycle takes more sweeps.
+constexpr const char* kFewProfiles = "--pool 4 --prior 1000 --iterations 1 --layers 1 --offset off";
 // Of 220: as many as a surface takes.
 constexpr int kForSurface = 80;
 
