@@ -10,7 +10,7 @@ first of them by a fit of all frames that a fit reads.
 
   scripts/frames-against-error.py --work /tmp/frames                          # person 1 at 696x520
   scripts/frames-against-error.py --work /tmp/frames --people 1,2,3 --json frames.json
-  scripts/frames-against-error.py --size 348x260 --frames 500,128 --check     # small, held to its limits
+  scripts/frames-against-error.py --size 232x174 --frames 128,24 --geometry truth --check     # small, held to its limits
 
 Seconds: frames times the mean of a frame in `stratalux-rig plan show --simulate` (default plan and exposure); the frames
 that only the comparison reads are not among them. People whose capture is in --work already, and fits that are there,
