@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
@@ -82,11 +83,17 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto seal, db::FindSeal(frames.store(), session));
   std::vector<std::string> files;
   for (const int pose : poses) files.push_back(FileOf(pose));
+  std::vector<CodedCloud> clouds;  // all of them before any is written: one that cannot be made leaves no others
+  for (const int pose : poses) {
+    SLX_ASSIGN_OR_RETURN(auto made, CloudFromCodes(frames, pose, record));
+    clouds.push_back(std::move(made));
+  }
+  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "cloud", session, f.out, files));
   auto results = nlohmann::ordered_json::array();
   std::string text;
-  for (const int pose : poses) {
-    SLX_ASSIGN_OR_RETURN(const CodedCloud made, CloudFromCodes(frames, pose, record));
-    if (results.empty()) SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "cloud", session, f.out, files));
+  for (size_t k = 0; k < poses.size(); ++k) {
+    const int pose = poses[k];
+    const CodedCloud& made = clouds[k];
     const std::filesystem::path file = std::filesystem::path(f.out) / FileOf(pose);
     SLX_RETURN_IF_ERROR(WritePly(file, made.cloud, {.session = session}));
     logger.Info(FileOf(pose) + ": " + TextOf(made));

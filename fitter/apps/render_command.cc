@@ -67,9 +67,10 @@ Status Render(const RenderFlags& f, Logger& logger) {
   }));
   logger.Info("relighting fit " + stored.id + " of session " + session + ", layers " + fit.provenance);
   SLX_ASSIGN_OR_RETURN(auto relit, Relight(fit, light));
-  SLX_ASSIGN_OR_RETURN(const auto intervals, ReadIntervals(stored.folder / "metrics.json"));
-  if (static_cast<int>(intervals.colours.size()) == relit.total.channels())
-    relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total, intervals.colours);
+  const auto intervals = ReadIntervals(stored.folder / "metrics.json");
+  if (!intervals.ok() && intervals.status().code() != StatusCode::kNotFound) return intervals.status();
+  if (intervals.ok() && static_cast<int>(intervals->colours.size()) == relit.total.channels())
+    relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total, intervals->colours);
   else
     logger.Info("fit " + stored.id +
                 " does not say how far predictions may be off: no interval.exr (run the session's fit anew)");

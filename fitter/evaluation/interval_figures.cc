@@ -29,10 +29,12 @@ std::vector<ErrorSample> SamplesOf(const std::vector<HeldOutErrors>& heldout, in
   return samples;
 }
 
-// Of all colours; empty where one of them is not told.
+// Of all colours; empty where one of them is not told, or the hold-outs differ in them.
 std::vector<PredictionError> LearnColours(const std::vector<HeldOutErrors>& heldout, const HeldOutErrors* but) {
   std::vector<PredictionError> colours;
-  for (int c = 0; c < heldout.front().colours; ++c) {
+  const int all = heldout.front().colours;
+  if (std::ranges::any_of(heldout, [all](const HeldOutErrors& errors) { return errors.colours != all; })) return {};
+  for (int c = 0; c < all; ++c) {
     const auto learnt = LearnPredictionError(SamplesOf(heldout, c, but));
     if (!learnt) return {};
     colours.push_back(*learnt);
@@ -44,16 +46,16 @@ IntervalFigures::Covered CoverageOf(const HeldOutErrors& errors, size_t light,
                                     const std::vector<PredictionError>& colours) {
   IntervalFigures::Covered covered{errors.projector, errors.lights[light], 0.0, 0.0, 0};
   double within = 0.0, widths = 0.0, predictions = 0.0;
-  for (int c = 0; c < errors.colours; ++c) {
-    const auto& samples = errors.samples[light * errors.colours + c];
-    if (samples.empty()) continue;
-    within += ShareWithin(samples, colours[c]) * static_cast<double>(samples.size());
-    covered.samples += static_cast<int64_t>(samples.size());
-    for (const ErrorSample& s : samples) {
+  for (int c = 0; c < errors.colours; ++c)
+    for (const ErrorSample& s : errors.samples[light * errors.colours + c]) {
+      const double share = ShareWithin({&s, 1}, colours[c]);
+      if (std::isnan(share)) continue;  // not usable
+      within += share;
       widths += std::pow(colours[c].HalfWidth(s.causes), 2);
       predictions += std::pow(double(s.causes.prediction), 2);
+      ++covered.samples;
     }
-  }
+  if (!(predictions > 0.0)) return {};
   covered.share = within / static_cast<double>(covered.samples);
   covered.half_width = std::sqrt(widths / predictions);
   return covered;

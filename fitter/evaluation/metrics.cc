@@ -118,8 +118,9 @@ void from_json(const nlohmann::json& json, Coverage& c) {
 }
 
 void to_json(nlohmann::ordered_json& json, const PredictionError& e) {
-  json = {{"albedo", e.albedo}, {"normal_rad", e.normal_rad}, {"placement_quads", e.placement_quads},
-          {"spread", e.spread}, {"interval", e.interval},     {"samples", e.samples}};
+  json = {{"albedo", e.albedo},  {"normal_rad", e.normal_rad}, {"placement_quads", e.placement_quads},
+          {"spread", e.spread},  {"interval", e.interval},     {"most_tan_incidence", e.most_tan_incidence},
+          {"samples", e.samples}};
 }
 
 void from_json(const nlohmann::json& json, PredictionError& e) {
@@ -128,6 +129,7 @@ void from_json(const nlohmann::json& json, PredictionError& e) {
   json.at("placement_quads").get_to(e.placement_quads);
   json.at("spread").get_to(e.spread);
   json.at("interval").get_to(e.interval);
+  json.at("most_tan_incidence").get_to(e.most_tan_incidence);
   json.at("samples").get_to(e.samples);
 }
 

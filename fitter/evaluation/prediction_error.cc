@@ -146,7 +146,9 @@ ErrorCauseMaps::ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d&
 
 double PredictionError::Sigma(const ErrorCauses& causes) const {
   const Causes parts(albedo * albedo, normal_rad * normal_rad, placement_quads * placement_quads, spread * spread);
-  return std::sqrt(parts.dot(CausesOf(causes)));
+  ErrorCauses within = causes;
+  within.tan_incidence = std::min(within.tan_incidence, static_cast<float>(most_tan_incidence));
+  return std::sqrt(parts.dot(CausesOf(within)));
 }
 
 std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples) {
@@ -167,11 +169,13 @@ std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample>
       b += causes * (s->squared_error / (scatter * scatter));
     }
     const Causes found = NonNegativeSolution(a, b);
-    if (!(found.maxCoeff() > 0.0)) break;  // noise is all there is
+    if (!(found.maxCoeff() > 0.0)) return std::nullopt;  // noise is all there is
     parts = found;
   }
   PredictionError error{std::sqrt(parts[0]), std::sqrt(parts[1]), std::sqrt(parts[2]),
                         std::sqrt(parts[3]), kInterval95,         static_cast<int64_t>(usable.size())};
+  for (const ErrorSample* s : usable)
+    error.most_tan_incidence = std::max<double>(error.most_tan_incidence, s->causes.tan_incidence);
   // How far errors reach beyond sigma only those tell that exceed their noise.
   std::vector<double> half_widths;
   for (const ErrorSample* s : usable) {

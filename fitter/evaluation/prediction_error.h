@@ -57,13 +57,16 @@ struct PredictionError {
   // Half-width over sigma that leaves 5 % of the errors outside: 1.96 of a normal distribution.
   double interval = 0.0;
   int64_t samples = 0;
+  // Of the incidences that it was learnt from: beyond, where little but scattered light is left, (6) takes this one.
+  double most_tan_incidence = 0.0;
 
   [[nodiscard]] double Sigma(const ErrorCauses& causes) const;
   // Half the 95 % interval of the light.
   [[nodiscard]] double HalfWidth(const ErrorCauses& causes) const { return interval * Sigma(causes); }
 };
 
-// Weighted least squares of squared_error by (6), no part below 0. nullopt: too few samples to tell.
+// Weighted least squares of squared_error by (6), no part below 0. nullopt: too few samples, or noise is all that they
+// tell.
 [[nodiscard]] std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples);
 
 // Half the 95 % intervals of a prediction by a light at `light_mm`, `colours` of its colours: W x H x C, NaN where the

@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace stratalux::fit {
 namespace {
@@ -74,9 +75,11 @@ Image<uint8_t> NormalTexture(const Mesh& mesh, std::span<const std::array<float,
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) texture(i, j, 2) = 255;
   for (size_t v = 0; v < mesh.normals.size(); ++v) {
-    if (finer[v] == mesh.normals[v]) continue;
+    const Eigen::Vector3d normal = VectorOf(mesh.normals[v]), fine = VectorOf(finer[v]);
+    // Equal but for what single precision leaves of normalising them.
+    if ((fine - normal).norm() < 8.0 * std::numeric_limits<float>::epsilon()) continue;
     const auto& t = mesh.tangents[v];
-    const Eigen::Vector3d normal = VectorOf(mesh.normals[v]), tangent(t[0], t[1], t[2]), fine = VectorOf(finer[v]);
+    const Eigen::Vector3d tangent(t[0], t[1], t[2]);
     const Eigen::Vector3d in_tangent_space(fine.dot(tangent), fine.dot(t[3] * normal.cross(tangent)), fine.dot(normal));
     if (!(in_tangent_space.z() > 0.0)) continue;
     const int i = static_cast<int>(mesh.texture_uv[v][0] * static_cast<float>(width)),

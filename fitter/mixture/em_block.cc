@@ -330,9 +330,9 @@ double EmBlock::HeldSurface(const EmLight& light, int p, int k, int lane) const 
   return double(at_[RowOf(rows_.surface(p)) + lane]) * light.surface_response[RowOf(k) + lane];
 }
 
-// The shape is EM's; its scale and that of the white frames are averaged by their Fisher information. White frames
-// enter here and not as samples of EM: they know nothing of positions and would only slow it down. `model` holds
-// predictions.
+// The shape is EM's; its scale and that of the white frames are averaged by their Fisher information. White frames of a
+// whole cycle enter here and not as samples of EM: they know nothing of positions and would only slow it down. `model`
+// holds predictions.
 double EmBlock::ScaleToWhite(int lane) const {
   double information = 0.0, scaled = 0.0;
   bool any = false;
@@ -370,7 +370,7 @@ void EmBlock::Finish(int lane) {
 // `model` holds predictions before the scale.
 double EmBlock::Divergence(int lane) const {
   const double scale = lanes_[lane].scale;
-  double divergence = 0.0;
+  double divergence = 0.0, total = 0.0;  // of samples alone
   for (int p = 0; p < rows_.lights; ++p) {
     const EmLight& light = lights_[p];
     if (!(light.counts[lane] > 0.0F)) continue;
@@ -379,9 +379,10 @@ double EmBlock::Divergence(int lane) const {
       const double model =
           std::max((light.model[RowOf(k) + lane] - held) * scale + held + light.shift[lane], double(kTiny));
       divergence += light.counts[lane] * (model - data + (data > 0.0 ? data * std::log(data / model) : 0.0));
+      total += light.counts[lane] * data;
     }
   }
-  return lanes_[lane].total > 0.0 ? divergence / lanes_[lane].total : 0.0;
+  return total > 0.0 ? divergence / total : 0.0;
 }
 
 // Of all that a block fits; lanes without photons are not held.

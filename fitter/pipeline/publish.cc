@@ -102,7 +102,7 @@ Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const Sess
   return std::optional(CompareSurface(made.surface, depth, normal));
 }
 
-// Of quads of the reconstructed surface, which the mask was made of.
+// Of quads of the surface that the mask was made of.
 Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames, const SkinMask& mask) {
   SkinFigure figure{mask.surface_quads(), mask.skin_quads, mask.told, {}, {}};
   for (int r = 0; r < kSkinReasons; ++r)

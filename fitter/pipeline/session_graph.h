@@ -46,7 +46,7 @@ class SessionGraph {
   // Of all frames, however few a fit may read: the direct light by which predictions are judged.
   std::string SeparateAll();
   std::string Normals();
-  // Of the reconstructed surface, whichever the fits stand on: nothing of the truth enters.
+  // Of the surface of SkinSource().
   std::string Skin();
   std::string Srd(GeometrySource source);
   // Of the surface, by the lights that a fit with that projector held out is fitted to; empty where the surface is
@@ -68,7 +68,8 @@ class SessionGraph {
   }
   // The frames that stages of a fit read; none: all.
   [[nodiscard]] const std::optional<ThinPlan>& thin() const { return thin_; }
-  // What tells skin stands on: of the reconstructed surface; of a thinned visit on the true surface, on that.
+  // The surface that skin is told on: the reconstructed one, whichever the fits stand on, and nothing of the truth
+  // enters; of a thinned visit on the true surface, which may have no codes, the true one.
   [[nodiscard]] GeometrySource SkinSource() const { return thin_ ? options_.geometry : GeometrySource::kReconstructed; }
   [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
   // What stages and the report read of artifacts, by key. The last of each kind stays in memory for whoever asks next,

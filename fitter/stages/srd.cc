@@ -106,15 +106,6 @@ double QuadsPerStep(const SrdBatch& batch, const SurfaceMap& surface, const RigC
   return ratios[ratios.size() / 2];
 }
 
-// Both read between samples: what lines stand further apart than they are wide has no value there.
-Status CheckReading(const CombCycle& cycle, const SrdOptions& options) {
-  if (cycle.LightsAllAlike()) return Status::Ok();
-  if (options.reading == SrdReading::kGather && options.distance == SrdDistance::kTangentPlane) return Status::Ok();
-  return Status::Usage("srd: of each sweep only combs that move by " + std::to_string(cycle.step) +
-                       " columns are kept, lines are " + std::to_string(cycle.width) +
-                       " wide: reading 'scatter' and distance 'surface' need all of them (--frames)");
-}
-
 Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, const Image<uint8_t>& lit,
                               const SrdOptions& options, Logger& logger, SrdSet& set, SweepFigure& figure) {
   const PlanOptions& plan = *sweep.frames.plan();
@@ -172,6 +163,14 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
 
 }  // namespace
 
+Status CheckReading(int width, int step, const SrdOptions& options) {
+  if (width % step == 0) return Status::Ok();
+  if (options.reading == SrdReading::kGather && options.distance == SrdDistance::kTangentPlane) return Status::Ok();
+  return Status::Usage("srd: of each sweep only combs that move by " + std::to_string(step) +
+                       " columns are kept, lines are " + std::to_string(width) +
+                       " wide: reading 'scatter' and distance 'surface' need all of them (--frames)");
+}
+
 Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
                            const std::vector<Image<uint8_t>>& lit, const SrdOptions& options, Logger& logger,
                            std::vector<SweepFigure>& figures) {
@@ -186,7 +185,7 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
     const CombCycle cycle{plan.comb_period, plan.comb_width, plan.comb_step * frames.comb_every(), plan.exposure_ms,
                           axis};
     SLX_RETURN_IF_ERROR(cycle.Validate());
-    SLX_RETURN_IF_ERROR(CheckReading(cycle, options));
+    SLX_RETURN_IF_ERROR(CheckReading(cycle.width, cycle.step, options));
     for (int p = 0; p < static_cast<int>(frames.calibration()->projectors.size()); ++p) {
       SweepFigure figure;
       SLX_ASSIGN_OR_RETURN(auto batch, ExtractSweep({frames, p, cycle}, surface, lit[p], options, logger, set, figure));

@@ -43,4 +43,8 @@ struct SrdSet {
                                          const std::vector<Image<uint8_t>>& lit, const SrdOptions& options,
                                          Logger& logger, std::vector<SweepFigure>& figures);
 
+// Whether samples can be read so from combs of lines `width` columns wide that move by `step`: kUsage for 'scatter' and
+// 'surface', which read between samples, where lines then stand further apart than they are wide.
+[[nodiscard]] Status CheckReading(int width, int step, const SrdOptions& options);
+
 }  // namespace stratalux::fit

@@ -254,7 +254,7 @@ Result<ExportedSurface> LoadFittedSurface(const std::filesystem::path& folder) {
   exported.surface = std::move(fit.shape.surface);
   exported.camera = fit.shape.record.camera;
   exported.origin.layers = fit.provenance;
-  // Twice, so that normals without detail stay equal to the surface's own.
+  // The second time for the fused normals.
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));
   SLX_RETURN_IF_ERROR(TakeFusedNormals(folder, exported));
   SLX_RETURN_IF_ERROR(CheckSurface(exported.surface, folder.string()));

@@ -121,8 +121,9 @@ TEST_F(Frames, WithoutCodesAFitStandsOnTheTruth) {
 
 TEST_F(Frames, ReadingsThatNeedWholeCyclesAreRefused) {
   const fs::path store = Captured("store");
-  for (const char* option : {" --reading scatter", " --distance surface"}) {
-    const Outcome outcome = Fit(store, Options("srd", kForSurface) + option);
+  for (const char* option :
+       {" --reading scatter", " --distance surface", " --standard-errors", " --reading scatter --dry-run"}) {
+    const Outcome outcome = Fit(store, Options("run", kForSurface) + option);
     EXPECT_EQ(outcome.code, 2) << outcome.out;
     EXPECT_THAT(outcome.out, HasSubstr("--frames"));
   }

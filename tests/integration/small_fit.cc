@@ -267,11 +267,12 @@ void SmallFit::MakeOrCopy(const fs::path& shared, const fs::path& folder) {
   const UniqueFd lock(open((shared.string() + ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
   ASSERT_GE(lock.get(), 0) << shared;
   ASSERT_EQ(flock(lock.get(), LOCK_EX), 0) << shared;
-  // The last file of a whole one: a program may have been killed before.
-  if (!fs::exists(shared / kDurationFile)) {
-    fs::remove_all(shared);
-    Make(shared);
+  // Made beside and renamed: a program may be killed before it is whole, and what it ran may go on writing for a while.
+  if (!fs::exists(shared)) {
+    const fs::path making = shared.string() + ".making-" + std::to_string(getpid());
+    Make(making);
     if (HasFatalFailure()) return;
+    fs::rename(making, shared);
   }
   ASSERT_EQ(Shell("cp -a " + shared.string() + " " + folder.string() + " 2>&1").out, "");
 }

@@ -10,7 +10,7 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr PredictionError kTrue{0.03, 0.01, 0.06, 0.02, 0.0, 0};
+constexpr PredictionError kTrue{0.03, 0.01, 0.06, 0.02, 0.0, 0, 1000.0};
 
 enum class Tails { kNormal, kHeavy };
 
@@ -78,6 +78,23 @@ TEST(PredictionErrorTest, IsNotToldByTooFewOrUnusableSamples) {
   samples.resize(1000, {{std::nanf(""), 0.0F, 0.0F, 0.0F}, 1.0F, 1.0F, 1.0F});
   EXPECT_FALSE(LearnPredictionError(samples));
   EXPECT_TRUE(std::isnan(ShareWithin({}, kTrue)));
+}
+
+// Nothing is stated that was not found: a capture whose takes agree less with each other than with the prediction.
+TEST(PredictionErrorTest, NoiseAloneIsNoError) {
+  auto samples = Draw(2000, 1.0, Tails::kNormal, 9);
+  for (ErrorSample& s : samples) s.squared_error = -std::abs(s.squared_error);
+  EXPECT_FALSE(LearnPredictionError(samples));
+}
+
+// Light that only scatters round the edge of shadow does not follow the cosine: no incidence is told of it.
+TEST(PredictionErrorTest, TakesNoIncidenceBeyondThoseItWasLearntFrom) {
+  const auto error = LearnPredictionError(Draw(40000, 0.0, Tails::kNormal, 10));
+  ASSERT_TRUE(error);
+  EXPECT_NEAR(error->most_tan_incidence, 3.0, 0.01);
+  const ErrorCauses grazing{100.0F, static_cast<float>(error->most_tan_incidence), 0.0F, 0.0F},
+      shadow{100.0F, 1000.0F, 0.0F, 0.0F};
+  EXPECT_FLOAT_EQ(static_cast<float>(error->Sigma(shadow)), static_cast<float>(error->Sigma(grazing)));
 }
 
 // A slope of light across a tilted plane: steps, neighbourhood and angles as worked out by hand.
