@@ -2,17 +2,14 @@
 #include "fitter/pipeline/session_graph.h"
 
 #include <algorithm>
-#include <numeric>
 
 #include <nlohmann/json.hpp>
 
 #include "db/base/own_hash.h"
 #include "db/catalogue/fit_reader.h"
 #include "fitter/evaluation/ablations.h"
-#include "fitter/evaluation/compare.h"
 #include "fitter/evaluation/truth_shape.h"
 #include "fitter/mixture/em_kernel.h"
-#include "fitter/scattering/baselines.h"
 #include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/decode.h"
 #include "fitter/stages/fit_summary.h"
@@ -33,22 +30,6 @@ using SortedJson = nlohmann::json;
 
 constexpr int kStandardErrorsVersion = 4;
 constexpr uint64_t kShuffleSeed = 1;
-
-const char* ToString(FitKind kind) {
-  switch (kind) {
-    case FitKind::kJudged:
-      return "none";
-    case FitKind::kDirectionBlind:
-      return "direction_blind";
-    case FitKind::kDirectionBlindPlaced:
-      return "direction_blind_placed";
-    case FitKind::kProjectorsPermuted:
-      return "projectors_permuted";
-    case FitKind::kCombFramesShuffled:
-      return "comb_frames_shuffled";
-  }
-  return "";
-}
 
 std::string SrdOptionsJson(const SrdOptions& o) {
   return SortedJson({{"pool", o.pool},
@@ -84,9 +65,23 @@ Result<std::optional<ThinPlan>> ThinnedBy(const RunOptions& options, const PlanO
   return std::optional(std::move(thin));
 }
 
-bool IsBaseline(const std::string& model) { return model == "homogeneous" || model == "dipole"; }
-
 }  // namespace
+
+const char* ToString(FitKind kind) {
+  switch (kind) {
+    case FitKind::kJudged:
+      return "none";
+    case FitKind::kDirectionBlind:
+      return "direction_blind";
+    case FitKind::kDirectionBlindPlaced:
+      return "direction_blind_placed";
+    case FitKind::kProjectorsPermuted:
+      return "projectors_permuted";
+    case FitKind::kCombFramesShuffled:
+      return "comb_frames_shuffled";
+  }
+  return "";
+}
 
 SessionGraph::SessionGraph(const RunOptions& options, const SessionFrames& frames, ArtifactStore artifacts,
                            Logger& logger)
@@ -482,18 +477,6 @@ Result<const FittedLayers*> SessionGraph::Layers(const std::string& fit) {
   });
 }
 
-Status SessionGraph::KeepPredictions(const std::string& predict, const fs::path& folder, Predictions predictions) {
-  SLX_RETURN_IF_ERROR(SavePredictions(folder, predictions));
-  predictions_[predict] = std::move(predictions);
-  return Status::Ok();
-}
-
-Result<Predictions> SessionGraph::TakePredictions(const std::string& predict) {
-  auto kept = predictions_.extract(predict);
-  if (kept) return std::move(kept.mapped());
-  return stages_.Load(predict, LoadPredictions);
-}
-
 // The samples of a visitor and the layers that come of them are most of a run's memory.
 void SessionGraph::MakeRoomForAFit() {
   separation_.Drop();
@@ -501,141 +484,6 @@ void SessionGraph::MakeRoomForAFit() {
   judged_layers_.Drop();
   layers_.Drop();
   predictions_.clear();
-}
-
-Result<std::vector<uint8_t>> SessionGraph::Apart(const std::string& skin, const FittedLayers& layers) {
-  SLX_ASSIGN_OR_RETURN(const SkinMask* mask, Mask(skin));
-  return ApartProfiles(*mask, layers.map.width, layers.map.height, layers.pool, layers.map.channels);
-}
-
-Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const SrdKeys& keys, int heldout) {
-  SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(keys, FitKind::kJudged, heldout));
-  SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
-  std::vector<Dipole> dipoles;
-  for (int c = 0; c < fit.channels; ++c)
-    dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta,
-                                MeanSurfaceReflectance(fit, c, lights.batches.front()->apart)));
-  srds_.Drop();
-  return DipoleMap(fit, dipoles);
-}
-
-std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
-  if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
-  const std::string fit = FitOf(model, source, heldout), shape = PlacedShape(source, heldout, KindOf(model));
-  const SrdKeys from = SrdsOf(source, heldout);
-  SortedJson options = {
-      {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}};
-  std::map<std::string, std::string> inputs = {{"fit", fit}, {"shape", shape}};
-  std::vector<std::string> upstream = {fit, shape};
-  const std::string skin = Skin();
-  if (IsBaseline(model)) options["baseline"] = model;
-  if (model == "homogeneous") {
-    inputs["skin"] = skin;
-    upstream.push_back(skin);
-  }
-  if (model == "dipole") {
-    inputs.merge(from.Inputs());
-    for (const std::string& key : from.Upstream()) upstream.push_back(key);
-  }
-  const db::ArtifactIdentity identity = {"predict", kPredictVersion, options.dump(), inputs, isa_};
-  return Add({identity, LabelOf("predict, " + model, source, heldout), upstream,
-              [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
-                std::optional<MixtureMap> baseline;
-                if (model == "homogeneous") {
-                  SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
-                  baseline = Homogeneous(fitted->map, apart);
-                }
-                if (model == "dipole") {
-                  SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, from, heldout));
-                }
-                SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                return KeepPredictions(key, folder,
-                                       fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
-              }});
-}
-
-// Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
-std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
-  const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout),
-                    skin = Skin();
-  const db::ArtifactIdentity identity = {"predict",
-                                         kPredictVersion,
-                                         SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
-                                         {{"fit", fit}, {"predict", predicted}, {"skin", skin}},
-                                         isa_};
-  return Add({identity,
-              LabelOf("predict, homogeneous_local_albedo", source, heldout),
-              {fit, predicted, skin},
-              [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(auto predictions, TakePredictions(predicted));
-                predictions_[predicted] = predictions;
-                SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
-                SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
-                const std::vector<double> of = TotalWeights(Homogeneous(fitted->map, apart)),
-                                          to = TotalWeights(HomogeneousLocalAlbedo(fitted->map, apart));
-                return KeepPredictions(key, folder,
-                                       ScaledPredictions(std::move(predictions), fitted->map, of, to, fitted->pool));
-              }});
-}
-
-std::string SessionGraph::Compare(const std::vector<std::string>& models, GeometrySource source, int heldout) {
-  const std::string shape = PlacedShape(source, heldout), separate = SeparateAll(), skin = Skin();
-  std::vector<std::string> predictions, fits;
-  for (const std::string& model : models)
-    if (!stages_.Has(Predict(model, source, heldout))) fits.push_back(FitOf(model, source, heldout));
-  std::map<std::string, std::string> inputs = {
-      {"frames", all_frames_hash_}, {"shape", shape}, {"separate", separate}, {"skin", skin}};
-  if (has_truth()) inputs["truth"] = truth_hash_;
-  for (const std::string& model : models) {
-    predictions.push_back(Predict(model, source, heldout));
-    inputs["predict:" + model] = predictions.back();
-  }
-  // What stays in memory is used up before it makes room: SRDs by the fits, the judged one last, then by the prediction
-  // that reads them, too; the judged layers by their predictions; what all are lit by by all predictions.
-  const std::string judged = FitOf(models.front(), source, heldout);
-  std::stable_partition(fits.begin(), fits.end(), [&](const std::string& fit) { return fit != judged; });
-  std::vector<size_t> order(models.size());
-  std::iota(order.begin(), order.end(), size_t{0});
-  std::ranges::stable_sort(order, {}, [&](size_t m) {
-    return models[m] == "dipole" ? 0 : FitOf(models[m], source, heldout) == judged ? 1 : 2;
-  });
-  std::vector<std::string> upstream = {shape, separate, skin};
-  upstream.insert(upstream.end(), fits.begin(), fits.end());
-  for (const size_t m : order) upstream.push_back(predictions[m]);
-  return Add({{"compare", kCompareVersion,
-               SortedJson({{"models", models},
-                           {"projector", heldout},
-                           {"geometry", fit::ToString(source)},
-                           {"pool", options_.srd.pool},
-                           {"lights", HeldOutLights(plan_)}})
-                   .dump(),
-               inputs, ""},
-              LabelOf("compare", source, heldout),
-              upstream,
-              [=, this](const fs::path& folder) -> Status {
-                layers_.Drop();
-                SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
-                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, AllFrames(view->shape.record));
-                SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames->folder()));
-                SLX_ASSIGN_OR_RETURN(const SkinMask* mask, Mask(skin));
-                std::vector<ComparedModel> compared;
-                for (size_t m = 0; m < models.size(); ++m) {
-                  SLX_ASSIGN_OR_RETURN(auto taken, TakePredictions(predictions[m]));
-                  compared.push_back({models[m], std::move(taken)});
-                }
-                const CompareInput input{
-                    *frames, *view, (*maps)[heldout], truth, *mask, options_.srd.pool, fit::ToString(source)};
-                SLX_ASSIGN_OR_RETURN(auto comparison, CompareHeldOut(input, compared));
-                // The separated light lies on the judged surface: to a model on another one it is no yardstick.
-                std::erase_if(comparison.figures, [](const HeldOutFigure& figure) {
-                  return figure.model == ToString(FitKind::kDirectionBlindPlaced) && figure.direct == "separated";
-                });
-                predictions_.clear();
-                view_.Drop();
-                return SaveComparison(folder, comparison);
-              }});
 }
 
 }  // namespace stratalux::fit

@@ -33,6 +33,7 @@ namespace stratalux::fit {
 
 // What a fit is made of data for: itself, a baseline, an ablation.
 enum class FitKind { kJudged, kDirectionBlind, kDirectionBlindPlaced, kProjectorsPermuted, kCombFramesShuffled };
+[[nodiscard]] const char* ToString(FitKind kind);  // none for the judged fit itself
 
 class SessionGraph {
  public:
