@@ -122,7 +122,7 @@ TEST(RenderHtml, PlotsOnlyFinitePointsInsideTheFrame) {
 
 TEST(RenderHtml, RefusesAPictureThatIsNoPicture) {
   Report report = Sample();
-  report.sections[0].images[0].pixels = Image<uint8_t>(4, 4, 2);
+  report.sections[0].images[0].pixels = Image<uint8_t>(4, 4, 5);
   EXPECT_FALSE(RenderHtml(report).ok());
 }
 
