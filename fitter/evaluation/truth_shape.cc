@@ -1,24 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/truth_shape.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 
 #include "fitter/sensor/linear_frame.h"
+#include "fitter/stages/lit_quads.h"
 
 namespace stratalux::fit {
 namespace {
 
-Image<uint8_t> AwayFromDark(const Image<uint8_t>& light) {
-  Image<uint8_t> lit(light.width(), light.height());
-  for (int j = 1; j + 1 < light.height(); ++j)
-    for (int i = 1; i + 1 < light.width(); ++i) {
-      bool inside = true;
-      for (int y = -1; y <= 1; ++y)
-        for (int x = -1; x <= 1; ++x) inside = inside && light(i + x, j + y) != 0;
-      lit(i, j) = inside ? 1 : 0;
-    }
-  return lit;
+// Whatever the light does not truly reach is shadow.
+Image<QuadLight> LightOf(const Image<uint8_t>& reached) {
+  Image<QuadLight> light(reached.width(), reached.height());
+  std::ranges::transform(reached.pixels(), light.pixels().begin(),
+                         [](uint8_t r) { return r != 0 ? QuadLight::kLit : QuadLight::kShadow; });
+  return light;
 }
 
 }  // namespace
@@ -40,7 +38,7 @@ Result<FaceShape> TruthShapeAlone(const SceneTruth& truth, const RigCalibration&
     if (light.width() != width || light.height() != height)
       return Status::NotFound("truth.seg says nothing of the direct light of projector " + std::to_string(p) +
                               ": capture the simulated visitor again");
-    shape.lit.push_back(AwayFromDark(light));
+    shape.lit.push_back(AwayFromShadow(LightOf(light)));
     shape.code_weights.emplace_back(width, height);
   }
   return shape;

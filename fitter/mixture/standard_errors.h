@@ -5,9 +5,9 @@
 // do hold are the layers' common changes. The Fisher information of the samples is therefore taken along seven of them,
 //   w_l' = w_l (1 + a0 + a1 t_l + a2 t_l^2),  d_l' = d_l + b0 + b1 t_l,  sigma_l' = sigma_l (1 + c),  background' =
 //   background + e,
-// t_l = log sigma_l less its mean, and carried to the effective quantities by the delta method. White frames are one
-// more sample of each light, and the prior that the fit was held by adds the curvature of its own cost
-// (docs/math/em.md, "What is estimable"). A weak prior (one unit of a, b in mm, c) stands for the range that layers
+// t_l = log sigma_l less its mean, and carried to the effective quantities by the delta method. The prior that the fit
+// was held by adds the curvature of its own cost, and the total weight is scaled to the white frames as the fit scales
+// it (docs/math/em.md, "What is estimable"). A weak prior (one unit of a, b in mm, c) stands for the range that layers
 // have; where it is all there is, so is the error.
 //
 // The standard errors are of noise alone: a value +- kInterval95 of them holds in 95 of 100 captures of the same skin

@@ -13,8 +13,6 @@
 namespace stratalux::fit {
 namespace {
 
-enum class Light : uint8_t { kUnknown = 0, kShadow = 1, kLit = 2 };
-
 // Light over what white would give there, all colours together.
 struct Share {
   double value = 0.0;
@@ -152,7 +150,7 @@ Share ExpectedShare(std::vector<Share> shares) {
 
 // Every projector at one quad.
 void JudgeQuad(const std::vector<Reach>& reaches, const LitOptions& options, int i, int j,
-               std::vector<Image<Light>>& light) {
+               std::vector<Image<QuadLight>>& light) {
   std::vector<Share> shares(reaches.size()), known;
   std::vector<uint8_t> faced(reaches.size());
   for (size_t p = 0; p < reaches.size(); ++p) {
@@ -167,20 +165,8 @@ void JudgeQuad(const std::vector<Reach>& reaches, const LitOptions& options, int
     const bool lacks = shares[p].known && expected.known && shares[p].value + options.sigmas * sigma < least;
     const auto codes = reaches[p].CodesAt(i, j);
     const bool lit = faced[p] != 0 && !lacks && !reaches[p].IsDark(i, j) && codes.contradicting <= codes.agreeing;
-    light[p](i, j) = lit ? Light::kLit : Light::kShadow;
+    light[p](i, j) = lit ? QuadLight::kLit : QuadLight::kShadow;
   }
-}
-
-Image<uint8_t> AwayFromShadow(const Image<Light>& light) {
-  Image<uint8_t> lit(light.width(), light.height());
-  for (int j = 1; j + 1 < light.height(); ++j)
-    for (int i = 1; i + 1 < light.width(); ++i) {
-      bool inside = light(i, j) == Light::kLit;
-      for (int y = -1; y <= 1; ++y)
-        for (int x = -1; x <= 1; ++x) inside = inside && light(i + x, j + y) != Light::kShadow;
-      lit(i, j) = inside ? 1 : 0;
-    }
-  return lit;
 }
 
 Status CheckSizes(std::span<const DecodedMap> decoded, std::span<const SeparationMap> separation,
@@ -209,6 +195,18 @@ Status LitOptions::Validate() const {
   return Status::Ok();
 }
 
+Image<uint8_t> AwayFromShadow(const Image<QuadLight>& light) {
+  Image<uint8_t> lit(light.width(), light.height());
+  for (int j = 1; j + 1 < light.height(); ++j)
+    for (int i = 1; i + 1 < light.width(); ++i) {
+      bool inside = light(i, j) == QuadLight::kLit;
+      for (int y = -1; y <= 1; ++y)
+        for (int x = -1; x <= 1; ++x) inside = inside && light(i + x, j + y) != QuadLight::kShadow;
+      lit(i, j) = inside ? 1 : 0;
+    }
+  return lit;
+}
+
 Result<std::vector<Image<uint8_t>>> LitQuads(std::span<const DecodedMap> decoded,
                                              std::span<const SeparationMap> separation, const SurfaceMap& surface,
                                              const RigCalibration& rig, const LitOptions& options) {
@@ -218,7 +216,7 @@ Result<std::vector<Image<uint8_t>>> LitQuads(std::span<const DecodedMap> decoded
   for (size_t p = 0; p < decoded.size(); ++p)
     reaches.emplace_back(decoded[p], separation.empty() ? nullptr : &separation[p], surface, rig, static_cast<int>(p),
                          options);
-  std::vector<Image<Light>> light(decoded.size(), Image<Light>(surface.width(), surface.height()));
+  std::vector<Image<QuadLight>> light(decoded.size(), Image<QuadLight>(surface.width(), surface.height()));
   ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
@@ -228,11 +226,11 @@ Result<std::vector<Image<uint8_t>>> LitQuads(std::span<const DecodedMap> decoded
         }
         // A hole of the surface within lit skin is no edge.
         for (size_t p = 0; p < reaches.size(); ++p)
-          light[p](i, j) = reaches[p].IsBright(i, j) ? Light::kUnknown : Light::kShadow;
+          light[p](i, j) = reaches[p].IsBright(i, j) ? QuadLight::kUnknown : QuadLight::kShadow;
       }
   });
   std::vector<Image<uint8_t>> lit;
-  for (const Image<Light>& map : light) lit.push_back(AwayFromShadow(map));
+  for (const Image<QuadLight>& map : light) lit.push_back(AwayFromShadow(map));
   return lit;
 }
 

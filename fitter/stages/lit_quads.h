@@ -37,4 +37,8 @@ struct LitOptions {
                                                            const SurfaceMap& surface, const RigCalibration& rig,
                                                            const LitOptions& options = {});
 
+enum class QuadLight : uint8_t { kUnknown = 0, kShadow = 1, kLit = 2 };
+// 1 where a quad is lit and none of its eight neighbours lies in shadow; 0 at the picture's edge.
+[[nodiscard]] Image<uint8_t> AwayFromShadow(const Image<QuadLight>& light);
+
 }  // namespace stratalux::fit
