@@ -110,17 +110,18 @@ TEST_F(DayBookTest, WhatItDoesNotWriteItDoesNotTake) {
     json[Json::json_pointer(where)] = value;
     return json.dump();
   };
-  EXPECT_NO_THROW(DayBook::From(with("/days/0/retakes", 7)));
-  EXPECT_THROW(DayBook::From(with("/days/0/retakes", -1)), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/days/0/retakes", 1.5)), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/days/0/day", "yesterday")), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/days/0/faults/<b>", 1)), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/days/0/visits", Json::array())), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/days", Json::array({{}, {}, {}, {}, {}, {}, {}, {}, {}}))), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/last_faults/0/at", int64_t{1} << 62)), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/last_faults/0/word", "")), Json::exception);
-  EXPECT_THROW(DayBook::From(with("/open", 7)), Json::exception);
-  EXPECT_THROW(DayBook::From("{}"), Json::exception);
+  EXPECT_NO_THROW(static_cast<void>(DayBook::From(with("/days/0/retakes", 7))));
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days/0/retakes", -1))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days/0/retakes", 1.5))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days/0/day", "yesterday"))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days/0/faults/<b>", 1))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days/0/visits", Json::array()))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/days", Json::array({{}, {}, {}, {}, {}, {}, {}, {}, {}})))),
+               Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/last_faults/0/at", int64_t{1} << 62))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/last_faults/0/word", ""))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From(with("/open", 7))), Json::exception);
+  EXPECT_THROW(static_cast<void>(DayBook::From("{}")), Json::exception);
 }
 
 }  // namespace

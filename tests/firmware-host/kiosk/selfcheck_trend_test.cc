@@ -178,13 +178,13 @@ TEST_F(SelfcheckTrendTest, WhatItDoesNotWriteItDoesNotTake) {
     json[Json::json_pointer(where)] = value;
     return json.dump();
   };
-  EXPECT_NO_THROW(SelfcheckBook::From(with("/checks/0/figures/level/0", 7.5)));
-  EXPECT_THROW(SelfcheckBook::From(with("/checks/0/figures/level/0", "7.5")), Json::exception);
-  EXPECT_THROW(SelfcheckBook::From(with("/checks/0/figures/level", 7.5)), Json::exception);
-  EXPECT_THROW(SelfcheckBook::From(with("/checks/0/figures", Json::object())), Json::exception);
-  EXPECT_THROW(SelfcheckBook::From(with("/checks/0/at", int64_t{1} << 62)), Json::exception);
-  EXPECT_THROW(SelfcheckBook::From(with("/checks/0/passed", 1)), Json::exception);
-  EXPECT_THROW(SelfcheckBook::From(with("/checks", 7)), Json::exception);
+  EXPECT_NO_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/figures/level/0", 7.5))));
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/figures/level/0", "7.5"))), Json::exception);
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/figures/level", 7.5))), Json::exception);
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/figures", Json::object()))), Json::exception);
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/at", int64_t{1} << 62))), Json::exception);
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks/0/passed", 1))), Json::exception);
+  EXPECT_THROW(static_cast<void>(SelfcheckBook::From(with("/checks", 7))), Json::exception);
 }
 
 TEST_F(SelfcheckTrendTest, IsOneJsonObject) {
