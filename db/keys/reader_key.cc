@@ -55,11 +55,16 @@ ReaderKey::ReaderKey(std::shared_ptr<const SecretKey> secret) : secret_(std::mov
   crypto_scalarmult_base(public_key_.bytes.data(), secret_->bytes.data());
 }
 
-Result<ReaderKey> ReaderKey::Create(const fs::path& file) {
+ReaderKey ReaderKey::Passing() {
   auto secret = std::make_shared<SecretKey>();
   randombytes_buf(secret->bytes.data(), secret->bytes.size());
-  SLX_RETURN_IF_ERROR(PlaceSecretFile(file, kReaderKeyFile, *secret));
   return ReaderKey(std::move(secret));
+}
+
+Result<ReaderKey> ReaderKey::Create(const fs::path& file) {
+  ReaderKey key = Passing();
+  SLX_RETURN_IF_ERROR(PlaceSecretFile(file, kReaderKeyFile, key.secret()));
+  return key;
 }
 
 Result<ReaderKey> ReaderKey::Read(const fs::path& file) {

@@ -43,6 +43,8 @@ class ReaderKey {
   // Of the file that $STRATALUX_READER_KEY names, else of systemd's credential `reader.key`
   // ($CREDENTIALS_DIRECTORY). kNotFound where this program was given none.
   static Result<ReaderKey> OfEnvironment();
+  // A new one in this process's memory alone: it ends with it, and so does what was sealed to it.
+  static ReaderKey Passing();
 
   [[nodiscard]] const ReaderPublicKey& public_key() const { return public_key_; }
   [[nodiscard]] const SecretKey& secret() const { return *secret_; }

@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <map>
 #include <memory>
+#include <optional>
+#include <set>
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
@@ -15,6 +17,7 @@
 #include "db/keys/held_keys.h"
 #include "db/privacy/access_log.h"
 #include "fitter/apps/batch_flags.h"
+#include "fitter/batch/key_exchange.h"
 #include "fitter/batch/merge.h"
 #include "fitter/batch/morning_report.h"
 #include "fitter/batch/shard.h"
@@ -34,9 +37,9 @@ struct ClusterFlags {
   BatchFlags batch;
   std::string shard, results, scratch, plan, engine, task, task_store;
   std::vector<std::string> directives;
-  double chunk_minutes = 60.0, every_s = 60.0;
+  double chunk_minutes = 60.0, every_s = 60.0, ask_minutes = 10.0, look_s = 1.0;
   int cpus = 2;
-  bool close = false, again = false, dry_run = false, keys = false;
+  bool close = false, again = false, dry_run = false, keys = false, ask_keys = false, answer = false;
 };
 
 std::string ScratchOf(const ClusterFlags& flags) {
@@ -61,6 +64,16 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
     db::HoldKeys(keys);
   }
   const InterruptionAsks asks;
+  if (flags.ask_keys && KeysAreMissing(options.night.choice.run.store, plan, options.shard)) {
+    using Minutes = std::chrono::duration<double, std::ratio<60>>;
+    const auto keys = AskForKeys(options.results, plan, options.shard,
+                                 std::chrono::round<std::chrono::milliseconds>(Minutes(flags.ask_minutes)),
+                                 std::chrono::seconds(1), asks.fd(), logger);
+    if (!keys.ok() && keys.status().code() != StatusCode::kNotFound) return keys.status();
+    if (!keys.ok()) logger.Warning(keys.status().message() + "; who needs one is not fitted");
+    if (keys.ok()) db::HoldKeys(*keys);
+    if (keys.ok()) logger.Info(Formatted("%zu keys came", keys->size()));
+  }
   NightTeller teller(logger, flags.batch);
   const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };
   SLX_ASSIGN_OR_RETURN(const ShardOutcome outcome, RunShard(options, plan, asks.fd(), heard, logger));
@@ -74,8 +87,45 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
   return Status::Ok();
 }
 
+// Until the time of day, or until it is told to stop.
+Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
+  if (!flags.shard.empty()) return Status::Usage("--answer is for every shard: without " + flags.shard);
+  std::optional<std::chrono::seconds> time;
+  if (!flags.batch.until.empty()) {
+    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until));
+  }
+  const InterruptionAsks asks;
+  const auto begun = std::chrono::steady_clock::now();
+  std::set<std::string> told;
+  KeyAnswers all;
+  logger.Info("answering who asks for keys in " + flags.results + " ...");
+  while (true) {
+    // The plan may come later, and another after it.
+    const auto plan = ReadPlan(flags.results);
+    if (!plan.ok() && plan.status().code() != StatusCode::kNotFound) return plan.status();
+    KeyAnswers now;
+    if (plan.ok()) {
+      SLX_ASSIGN_OR_RETURN(now, AnswerAsks(flags.batch.fit.run.store, flags.results, *plan));
+    }
+    for (const std::string& problem : now.problems)
+      if (told.insert(problem).second) logger.Warning(problem);
+    if (now.answered > 0) logger.Info(Formatted("%d shards answered, %zu keys", now.answered, now.keys));
+    all.answered += now.answered;
+    all.keys += now.keys;
+    pollfd asked{asks.fd(), POLLIN, 0};
+    if (time && std::chrono::steady_clock::now() - begun >= *time) break;
+    if (poll(&asked, 1, static_cast<int>(1000.0 * flags.look_s)) > 0) break;
+  }
+  logger.Info(Formatted("%d shards answered in all, %zu keys", all.answered, all.keys));
+  if (told.empty()) return Status::Ok();
+  return Status(StatusCode::kDegraded, Formatted("%zu problems", told.size()));
+}
+
 // Logged before they leave, one by one: who fits elsewhere has them until it ends.
 Status SendKeys(const ClusterFlags& flags, Logger& logger) {
+  if (flags.answer) return AnswerKeys(flags, logger);
+  if (flags.shard.empty()) return Status::Usage("whose keys? I/N names a share; --answer is for all who ask");
+  if (!flags.batch.until.empty()) return Status::Usage("--until: with --answer");
   const std::string& store = flags.batch.fit.run.store;
   SLX_RETURN_IF_ERROR(db::CheckKeyPipe(STDOUT_FILENO));
   SLX_ASSIGN_OR_RETURN(const Shard shard, ParseShard(flags.shard));
@@ -156,6 +206,7 @@ Result<SlurmOptions> SlurmOf(const ClusterFlags& flags) {
   }
   options.chunk_minutes = flags.chunk_minutes;
   options.cpus = flags.cpus;
+  options.ask_keys = flags.ask_keys;
   options.directives = flags.directives;
   SLX_RETURN_IF_ERROR(options.Validate());
   return options;
@@ -216,10 +267,11 @@ Status Submit(const ClusterFlags& flags, Logger& logger) {
 }
 
 // Which share, of whose plan.
-void AddShare(CLI::App& verb, ClusterFlags& flags) {
-  verb.add_option("shard", flags.shard, "I/N, I from 1 to N")->required();
+CLI::Option* AddShare(CLI::App& verb, ClusterFlags& flags) {
+  auto* shard = verb.add_option("shard", flags.shard, "I/N, I from 1 to N");
   AddStore(verb, flags.batch);
   verb.add_option("--results", flags.results, "Folder of `batch plan --out`")->required();
+  return shard;
 }
 
 }  // namespace
@@ -235,24 +287,41 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       "  stratalux-fit batch shard 1/2 --store store --results results\n"
       "  parallel -j 2 stratalux-fit batch shard {}/2 --store store --results results ::: 1 2\n"
       "  stratalux-fit batch merge results --store store");
-  AddShare(*shard, *worked);
+  AddShare(*shard, *worked)->required();
   shard->add_option("--scratch", worked->scratch,
                     "Folder of a disk of this machine for its index of the sessions; without it $TMPDIR, or /tmp");
   shard->add_option("--plan", worked->plan, "Refuse any other plan than the one of this id");
-  shard->add_flag("--keys", worked->keys, "Take keys from standard input, as `batch keys` gives them");
+  auto* from_pipe =
+      shard->add_flag("--keys", worked->keys, "Take keys from standard input, as `batch keys` gives them");
+  auto* ask =
+      shard->add_flag("--ask-keys", worked->ask_keys,
+                      "Ask in RESULTS for keys that are not here, and wait until `batch keys --answer` gives them");
+  ask->excludes(from_pipe);
+  shard->add_option("--ask-minutes", worked->ask_minutes, "With --ask-keys: wait so long, then go on without")
+      ->check(CLI::Range(0.0, 1e5))
+      ->capture_default_str();
   AddWorkers(*shard, worked->batch);
   AddAttempts(*shard, worked->batch);
   shard->add_flag("--json", worked->batch.json, "A line an event, as it happens");
   OnCall(*shard, exit_code, [worked](Logger& logger) { return FitShard(*worked, logger); });
 
   auto given = std::make_shared<ClusterFlags>();
-  auto* keys = batch.add_subcommand("keys", "The keys of a share's encrypted visitors, into a pipe; logged");
+  auto* keys =
+      batch.add_subcommand("keys", "The keys of a share's encrypted visitors, into a pipe or to who asks; logged");
   keys->footer(
-      "For a machine without the reader's key; it keeps them in memory. Exit code 3: some are not here.\n"
-      "Example:\n"
+      "For machines without the reader's key; they keep them in memory. Exit code 3: some are not here, or an ask was\n"
+      "refused.\n"
+      "Examples:\n"
       "  stratalux-fit batch keys 1/2 --store store --results results |\n"
-      "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys");
+      "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys\n"
+      "  stratalux-fit batch keys --answer --store store --results results --until 07:00");
   AddShare(*keys, *given);
+  keys->add_flag("--answer", given->answer,
+                 "Stay, and give each shard that asks (`batch shard --ask-keys`) the keys of its share, sealed to it");
+  keys->add_option("--until", given->batch.until, "With --answer: time of day; without it until told to stop");
+  keys->add_option("--every", given->look_s, "With --answer: look so often, seconds")
+      ->check(CLI::Range(0.05, 3600.0))
+      ->capture_default_str();
   OnCall(*keys, exit_code, [given](Logger& logger) { return SendKeys(*given, logger); });
 
   auto submitted = std::make_shared<ClusterFlags>();
@@ -278,6 +347,8 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       ->check(CLI::Range(0.001, 1e5))
       ->capture_default_str();
   submit->add_option("--cpus", submitted->cpus, "Cores of a task")->check(CLI::Range(1, 1024))->capture_default_str();
+  submit->add_flag("--ask-keys", submitted->ask_keys,
+                   "Tasks ask for the keys of their visitors: `batch keys --answer` gives them");
   submit->add_option("--sbatch", submitted->directives, "An option of sbatch, too; as often as needed");
   submit->add_option("--until", submitted->batch.until, "Time of day: stay, and merge what comes");
   submit->add_option("--every", submitted->every_s, "With --until: look so often, seconds")

@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/batch/shard_keys.h"
 
+#include <algorithm>
+
 #include "db/catalogue/session_store.h"
 #include "db/keys/rig_key.h"
+#include "db/keys/sealed_key.h"
 #include "db/keys/session_key.h"
 #include "fitter/batch/night_choice.h"
 
@@ -33,6 +36,17 @@ Result<ShardKeys> KeysOf(const std::filesystem::path& store_folder, const ShardP
     found.sessions.push_back(session);
   }
   return found;
+}
+
+bool KeysAreMissing(const std::filesystem::path& store_folder, const ShardPlan& plan, const Shard& shard) {
+  const std::vector<size_t> places = VisitsOf(plan, shard);
+  return std::any_of(places.begin(), places.end(), [&](size_t place) {
+    const std::string& session = plan.visits[place].session;
+    for (const auto& file : db::ListSealedKeys(store_folder / "sessions" / session))
+      if (const auto header = db::ReadSealedKeyHeader(file); header.ok())
+        return !db::FindKeyOf(store_folder, session, header->key).ok();
+    return false;
+  });
 }
 
 }  // namespace stratalux::fit

@@ -21,4 +21,7 @@ struct ShardKeys {
 // Of the shard's visitors alone, as this program finds them in `store`; unencrypted ones have none.
 [[nodiscard]] Result<ShardKeys> KeysOf(const std::filesystem::path& store, const ShardPlan& plan, const Shard& shard);
 
+// Whether the keys of some of them, sealed to readers beside their sessions, are not to be had by this program.
+[[nodiscard]] bool KeysAreMissing(const std::filesystem::path& store, const ShardPlan& plan, const Shard& shard);
+
 }  // namespace stratalux::fit

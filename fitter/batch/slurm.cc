@@ -137,6 +137,7 @@ std::string SbatchScript(const ShardPlan& plan, const SlurmOptions& options, con
             " batch shard \"$shard/" + std::to_string(count) + "\" --plan " + plan.id + " --store " +
             Quoted(options.store.string()) + " --results " + Quoted(options.results.string()) +
             " --workers 1 --threads " + std::to_string(options.cpus);
+  if (options.ask_keys) script += " --ask-keys";
   if (memory > 0) script += Formatted(" --memory %.3f", static_cast<double>(memory) / 1024.0);
   script +=
       " &\nwork=$!\n"

@@ -18,6 +18,7 @@ struct SlurmOptions {
   std::string program;
   double chunk_minutes = 60.0;          // of a task, by the clock
   int cpus = 2;                         // of a task; a visitor's stages share them
+  bool ask_keys = false;                // of encrypted visitors (key_exchange.h)
   std::vector<std::string> directives;  // of sbatch, too: "--partition=night"
   // One less than Slurm's MaxArraySize (1001 where nobody raised it).
   int most_tasks = 1000;

@@ -17,14 +17,14 @@ begin() {
   cd "$scratch" || fail "cd $scratch"
 }
 
-# small_store STORE VISITORS
+# small_store STORE VISITORS [OPTION-OF-CAPTURE]
 small_store() {
   local i
   # A mono camera sees a quad with each of its pixels: a surface as fine as that of a mosaic twice as wide.
   printf 'name = "face"\n[subject]\nshape = "head"\n[camera]\ncfa = "mono"\n' >"$scratch/scene.toml"
   { printf '[camera]\nwidth = 174\nheight = 130\n'; cat "$source/tests/support/smallest_plan.toml"; } >"$scratch/rig.toml"
   for ((i = 0; i < $2; ++i)); do
-    stratalux-rig capture --simulate="$scratch/scene.toml" --seed 3 --config "$scratch/rig.toml" --store "$1" >"$scratch/log" 2>&1 ||
+    stratalux-rig capture --simulate="$scratch/scene.toml" --seed 3 --config "$scratch/rig.toml" --store "$1" ${3:+"$3"} >"$scratch/log" 2>&1 ||
       { cat "$scratch/log"; fail "a capture"; }
   done
 }

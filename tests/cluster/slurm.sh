@@ -103,5 +103,32 @@ kill_everything_once() {
   echo "$(find store/sessions -mindepth 1 -maxdepth 1 | wc -l) visitors, each fitted once"
 }
 
+# Tasks see the sessions and no key; who answers stands where the store is.
+keys_by_asking() {
+  local answering part
+  small_store locked 1
+  # shellcheck disable=SC2086
+  stratalux-fit run latest --store locked $small_options >/dev/null 2>&1 || fail "a fit"
+  stratalux-db key reader-init --out reader.key >reader.pub
+  stratalux-db key share reader.pub --store locked >said 2>&1 || true # one visitor is not encrypted
+  small_store locked 1 --encrypt
+  mkdir seen
+  for part in sessions ledger; do ln -s "$scratch/locked/$part" seen/$part; done
+  # shellcheck disable=SC2086
+  stratalux-fit batch submit --engine slurm --store locked --task-store seen --results asked --ask-keys --cpus 1 $small_options \
+    >said 2>&1 || { cat said; fail "submit --ask-keys"; }
+  stratalux-fit batch keys --answer --store locked --results asked --every 0.2 >answered 2>&1 &
+  answering=$!
+  slurm_drain 600
+  kill -TERM $answering
+  wait $answering || { cat answered; fail "batch keys --answer"; }
+  stratalux-fit batch merge asked --store locked >merged 2>&1 || { cat merged asked/slurm/*.log; fail "merge"; }
+  grep -q "1 fits entered" merged || { cat merged; fail "merge"; }
+  all_fitted_once locked
+  [ -z "$(find asked/keys -mindepth 1)" ] || fail "asks or answers are left"
+  echo "an encrypted visitor fitted: $(tail -n 1 answered)"
+}
+
 count_calls
 kill_everything_once
+keys_by_asking

@@ -144,8 +144,23 @@ TEST_F(EncryptedNight, OnOtherMachinesNeedsTheKeysOfTheShareAloneAndLeavesThemNo
   EXPECT_EQ(shard("1/2", keys("2/2") + " 2>/dev/null | ", " --keys").code, 3);
   const Outcome handed = shard("1/2", keys("1/2") + " 2>/dev/null | ", " --keys");
   EXPECT_EQ(handed.code, 0) << handed.out;
-  const Outcome reads = shard("2/2", with_reader_, "");
-  EXPECT_EQ(reads.code, 0) << reads.out;
+  // Nobody answers: who needs a key is not fitted. Then somebody does, told to stop when it is over.
+  const Outcome alone = shard("2/2", "", " --ask-keys --ask-minutes 0.01");
+  EXPECT_EQ(alone.code, 3) << alone.out;
+  EXPECT_THAT(alone.out, HasSubstr("nobody answered"));
+  // Whose key is here asks nobody.
+  EXPECT_THAT(shard("1/2", with_reader_, " --ask-keys").out, Not(HasSubstr("asking")));
+  const std::string answering = (folder_ / "answering").string();
+  const std::string answer =
+      "( " + keys("--answer") + " --every 0.1 >" + answering + " 2>&1 & echo $! >" + answering + ".pid ) && ";
+  const Outcome asks = shard("2/2", answer, " --ask-keys");
+  EXPECT_EQ(asks.code, 0) << asks.out;
+  EXPECT_THAT(asks.out, HasSubstr("1 keys came"));
+  EXPECT_EQ(Shell("kill -TERM $(cat " + answering + ".pid)").code, 0);
+  const Outcome over = Shell("for i in $(seq 100); do grep -q 'answered in all' " + answering +
+                             " && break; sleep 0.1; done; cat " + answering);
+  EXPECT_THAT(over.out, HasSubstr("1 shards answered in all, 1 keys"));
+  EXPECT_TRUE(fs::is_empty(results / "keys"));
   for (const std::string& session : {first, second})
     for (const fs::path& folder : {results, scratch, there_})
       EXPECT_THAT(FilesWith(folder, KeyBytes(session)), IsEmpty()) << folder;
