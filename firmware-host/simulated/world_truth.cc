@@ -11,6 +11,21 @@ namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
+// `mixed` becomes 1 where a site of a quad sees another material than the quad's centre does, nothing being one: its
+// colours are those of two things.
+void MarkMixedQuads(const std::vector<SubjectPixel>& sites, int step, const Image<float>& material,
+                    Image<float>& mixed) {
+  Image<uint8_t> of_nothing(material.width(), material.height(), 1, static_cast<uint8_t>(step * step));
+  for (const SubjectPixel& site : sites) {
+    const int i = site.x / step, j = site.y / step;
+    if (!material.contains(i, j)) continue;
+    --of_nothing(i, j);
+    if (material(i, j) != static_cast<float>(site.material.kind)) mixed(i, j) = 1.0F;
+  }
+  for (size_t q = 0; q < mixed.size(); ++q)
+    if (material.pixels()[q] != 0.0F && of_nothing.pixels()[q] != 0) mixed.pixels()[q] = 1.0F;
+}
+
 }  // namespace
 
 Image<float> World::ToQuads(const Stage& stage, const std::vector<float>& per_pixel, double exposure_ms) const {
@@ -35,7 +50,7 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   TruthMap depth{"depth", Image<float>(width, height, 1, kNaN)}, normal{"normal", Image<float>(width, height, 3, kNaN)};
   TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
   TruthMap material{"material", Image<float>(width, height)}, part{"class", Image<float>(width, height)};
-  TruthMap layers{"layers", Image<float>(width, height, 2, kNaN)};
+  TruthMap layers{"layers", Image<float>(width, height, 2, kNaN)}, mixed{"mixed", Image<float>(width, height)};
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < width; ++i) {
@@ -55,7 +70,9 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
         layers.map(i, j, 1) = here.skin.scattering;
       }
   });
-  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers}) maps.push_back(std::move(*map));
+  MarkMixedQuads(stage.pixels, QuadStep(cfa), material.map, mixed.map);
+  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers, &mixed})
+    maps.push_back(std::move(*map));
 }
 
 Status World::AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,

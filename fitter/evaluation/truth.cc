@@ -27,7 +27,18 @@ Result<Image<float>> SceneTruth::Subsurface(const std::string& light, int projec
 }
 
 Result<Image<uint8_t>> SceneTruth::Skin() const {
-  constexpr float kSkin = 1.0F;  // docs/file-formats.md, "truth.seg"
+  SLX_ASSIGN_OR_RETURN(auto skin, SkinAtCentres());
+  if (skin.empty()) return skin;
+  const auto mixed = segment_.Read("mixed");
+  if (mixed.status().code() == StatusCode::kNotFound) return skin;  // of an older simulation
+  if (!mixed.ok()) return mixed.status();
+  for (size_t i = 0; i < skin.size(); ++i)
+    if (mixed->pixels()[i] != 0.0F) skin.pixels()[i] = 0;
+  return skin;
+}
+
+Result<Image<uint8_t>> SceneTruth::SkinAtCentres() const {
+  constexpr float kSkin = 1.0F;  // docs/simulated-rig.md, "truth.seg"
   auto material = segment_.Read("material");
   if (material.status().code() == StatusCode::kNotFound) return Image<uint8_t>();
   if (!material.ok()) return material.status();
@@ -37,7 +48,7 @@ Result<Image<uint8_t>> SceneTruth::Skin() const {
 }
 
 Result<Image<uint8_t>> SceneTruth::SkinOrStubble() const {
-  SLX_ASSIGN_OR_RETURN(auto skin, Skin());
+  SLX_ASSIGN_OR_RETURN(auto skin, SkinAtCentres());
   const auto part = segment_.Read("class");
   if (part.status().code() == StatusCode::kNotFound) return skin;
   if (!part.ok()) return part.status();

@@ -20,10 +20,11 @@ class SceneTruth {
   [[nodiscard]] Result<Image<float>> Normal() const { return segment_.Read("normal"); }
   // "stripe", "white" or "spot" light of a projector, digital numbers above black.
   [[nodiscard]] Result<Image<float>> Subsurface(const std::string& light, int projector) const;
-  // On quads: what is skin; what of the scene the projector's light reaches. empty where the truth, of an older
-  // simulation, does not say.
+  // On quads: what is skin at all sites of the quad; what of the scene the projector's light reaches. empty where the
+  // truth, of an older simulation, does not say.
   [[nodiscard]] Result<Image<uint8_t>> Skin() const;
-  // Skin, and skin between the hairs of a shaven beard, which no quad tells apart. Empty as above.
+  // Where a quad's centre sees skin, or skin between the hairs of a shaven beard, which no quad tells apart. Empty as
+  // above.
   [[nodiscard]] Result<Image<uint8_t>> SkinOrStubble() const;
   [[nodiscard]] Result<Image<uint8_t>> LitBy(int projector) const;
   // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
@@ -35,6 +36,8 @@ class SceneTruth {
  private:
   SceneTruth(db::TruthSegment segment, std::optional<RigCalibration> exact)
       : segment_(std::move(segment)), exact_(std::move(exact)) {}
+  [[nodiscard]] Result<Image<uint8_t>> SkinAtCentres() const;
+
   db::TruthSegment segment_;
   std::optional<RigCalibration> exact_;
 };

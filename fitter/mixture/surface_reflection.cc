@@ -16,8 +16,9 @@
 namespace stratalux::fit {
 namespace {
 
-// Beyond 45 degrees the gain is only a rough law, and the surface takes what it misses.
-constexpr double kLeastCos = 0.7;
+// Light that grazes tells the surface from the layers best, and the gain is only a rough law there, which the surface
+// takes for its own: by the training lights, left out in turn, 60 degrees (docs/math/surface.md).
+constexpr double kLeastCos = 0.5;
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
 constexpr int64_t kLeastProfiles = 100;

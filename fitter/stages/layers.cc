@@ -139,7 +139,7 @@ Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights,
     model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
     if (!model.reflection.Known())
       logger.Warning(label +
-                     ": too few pixels are lit from two directions within 45 degrees to tell how the very surface "
+                     ": too few pixels are lit from two directions within 60 degrees to tell how the very surface "
                      "reflects; of each light its own, as with --surface free");
   }
   if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);

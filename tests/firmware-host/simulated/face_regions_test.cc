@@ -316,5 +316,44 @@ TEST_F(RegionRig, TheTruthNamesClassThicknessAndScattering) {
   EXPECT_NEAR(scattering.at(SurfaceClass::kForehead), 0.8, 0.01);
 }
 
+// What the light says: no eye, brow or hair scatters, skin does in every colour.
+TEST_F(RegionRig, TheTruthNamesQuadsWhoseSitesSeeTwoThings) {
+  const auto rig = Make("scene.toml", "two");
+  ASSERT_TRUE(rig.ok()) << rig.status().message();
+  const auto truth = (*rig)->Truth(*BuildPlan({.projectors = 1, .projector_width = 256, .projector_height = 192}));
+  ASSERT_TRUE(truth.ok()) << truth.status().message();
+  auto map = [&](const std::string& name) -> const Image<float>& {
+    return std::find_if(truth->begin(), truth->end(), [&](const TruthMap& m) { return m.name == name; })->map;
+  };
+  const Image<float>&material = map("material"), &mixed = map("mixed"), &light = map("subsurface white 0"),
+        &direct = map("direct white 0");
+  ASSERT_EQ(mixed.width(), material.width());
+  int mixed_skin = 0, pure_skin = 0, scattering_in_part = 0;
+  for (int j = 0; j < material.height(); ++j)
+    for (int i = 0; i < material.width(); ++i) {
+      int scatter = 0, lit = 0;
+      for (int c = 0; c < 3; ++c) {
+        scatter += light(i, j, c) > 0.0F ? 1 : 0;
+        lit += direct(i, j, c) > 0.0F ? 1 : 0;
+      }
+      const bool skin = material(i, j) == static_cast<float>(MaterialKind::kSkin);
+      if (mixed(i, j) != 0.0F) {
+        mixed_skin += skin ? 1 : 0;
+        scattering_in_part += scatter > 0 && scatter < 3 ? 1 : 0;
+      } else if (skin) {
+        ++pure_skin;
+        if (lit == 3) {
+          EXPECT_EQ(scatter, 3) << i << ", " << j;
+        }
+      } else {
+        EXPECT_EQ(scatter, 0) << i << ", " << j;
+      }
+    }
+  EXPECT_GT(pure_skin, 1000);
+  EXPECT_GT(mixed_skin, 0);
+  EXPECT_LT(mixed_skin, pure_skin / 5);
+  EXPECT_GT(scattering_in_part, 0);
+}
+
 }  // namespace
 }  // namespace stratalux::rig

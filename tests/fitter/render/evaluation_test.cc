@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <limits>
 #include <numbers>
 
@@ -12,12 +11,10 @@
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/evaluation/predict.h"
-#include "fitter/evaluation/truth.h"
 #include "fitter/scattering/baselines.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
 #include "tests/fitter/render/lit_scene.h"
-#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -207,13 +204,6 @@ TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
   EXPECT_NEAR(e.depth_rms_mm, 0.2, 1e-3);
   EXPECT_NEAR(e.normal_median_deg, 3.0, 1e-3);
   EXPECT_EQ(e.pixels, 198);
-}
-
-TEST(SceneTruth, IsAbsentWhereTheSessionHasNone) {
-  const ScratchFolder folder;
-  const auto truth = SceneTruth::Open(folder.path());
-  ASSERT_TRUE(truth.ok());
-  EXPECT_FALSE(truth->has_value());
 }
 
 TEST(Metrics, WritesSchemaTwo) {
