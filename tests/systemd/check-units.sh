@@ -19,7 +19,7 @@ installed() {
 limit_of() {
   case "$1" in
     stratalux-kiosk|stratalux-safe) echo 15 ;;   # devices
-    stratalux-purge|stratalux-verify|stratalux-batch) echo 5 ;;  # neither devices nor network
+    stratalux-purge|stratalux-verify|stratalux-batch|stratalux-keys) echo 5 ;;  # neither devices nor network
     stratalux-pull|stratalux-submit) echo 15 ;;  # network
     stratalux-display) echo 75 ;;                # a browser, which has a sandbox of its own
     *) fail "$1.service has no limit of exposure in ${BASH_SOURCE[0]}" ;;
@@ -193,11 +193,14 @@ pull() {
   decoded || { cat "$scratch/said"; fail "what was pulled cannot be read by who has the key"; }
 }
 
-# The reader's private key is the batch's alone, which has no network; a machine without one begins its night all the same.
+# The reader's private key is that of the batch and of who answers a cluster's tasks alone, which have no network; a machine without one begins its night all the same.
 keys() {
   units=$source/systemd
   with=$(cd "$units" && grep -lE '^(LoadCredential|LoadCredentialEncrypted|SetCredential|ImportCredential)' ./*.service || true)
-  [ "$with" = ./stratalux-batch.service ] || fail "credentials are given to: $with"
+  [ "$with" = $'./stratalux-batch.service\n./stratalux-keys.service' ] || fail "credentials are given to: $with"
+  for unit in $with; do
+    grep -q '^PrivateNetwork=yes$' "$units/$unit" || fail "$unit has the reader's key and a network"
+  done
   # With a path, a file that is missing would fail the unit (systemd.exec).
   grep -q '^LoadCredential=reader.key$' "$units/stratalux-batch.service" || fail "the batch gets no reader.key"
   grep -q '^PrivateNetwork=yes$' "$units/stratalux-batch.service" || fail "who reads keys has a network"
