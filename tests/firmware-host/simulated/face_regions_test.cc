@@ -272,6 +272,17 @@ class RegionRig : public ::testing::Test {
     return SimulatedRig::Create(options, quiet);
   }
 
+  // Of the first scene, by name.
+  static std::map<std::string, Image<float>> Truth() {
+    const auto rig = Make("scene.toml", "two");
+    EXPECT_TRUE(rig.ok()) << rig.status().message();
+    auto maps = (*rig)->Truth(*BuildPlan({.projectors = 1, .projector_width = 256, .projector_height = 192}));
+    EXPECT_TRUE(maps.ok()) << maps.status().message();
+    std::map<std::string, Image<float>> truth;
+    for (TruthMap& map : *maps) truth[map.name] = std::move(map.map);
+    return truth;
+  }
+
  private:
   static inline std::optional<ScratchFolder> scratch_;
 };
@@ -290,14 +301,8 @@ TEST_F(RegionRig, ATableThatDoesNotKnowTheirScatteringIsRefused) {
 }
 
 TEST_F(RegionRig, TheTruthNamesClassThicknessAndScattering) {
-  const auto rig = Make("scene.toml", "two");
-  ASSERT_TRUE(rig.ok()) << rig.status().message();
-  const auto truth = (*rig)->Truth(*BuildPlan({.projectors = 1, .projector_width = 256, .projector_height = 192}));
-  ASSERT_TRUE(truth.ok()) << truth.status().message();
-  auto map = [&](const std::string& name) -> const Image<float>& {
-    return std::find_if(truth->begin(), truth->end(), [&](const TruthMap& m) { return m.name == name; })->map;
-  };
-  const Image<float>&surface = map("class"), &layers = map("layers"), &material = map("material");
+  const std::map<std::string, Image<float>> truth = Truth();
+  const Image<float>&surface = truth.at("class"), &layers = truth.at("layers"), &material = truth.at("material");
   ASSERT_EQ(surface.width(), material.width());
   ASSERT_EQ(layers.channels(), 2);
   std::map<SurfaceClass, double> scattering;
@@ -318,15 +323,9 @@ TEST_F(RegionRig, TheTruthNamesClassThicknessAndScattering) {
 
 // What the light says: no eye, brow or hair scatters, skin does in every colour.
 TEST_F(RegionRig, TheTruthNamesQuadsWhoseSitesSeeTwoThings) {
-  const auto rig = Make("scene.toml", "two");
-  ASSERT_TRUE(rig.ok()) << rig.status().message();
-  const auto truth = (*rig)->Truth(*BuildPlan({.projectors = 1, .projector_width = 256, .projector_height = 192}));
-  ASSERT_TRUE(truth.ok()) << truth.status().message();
-  auto map = [&](const std::string& name) -> const Image<float>& {
-    return std::find_if(truth->begin(), truth->end(), [&](const TruthMap& m) { return m.name == name; })->map;
-  };
-  const Image<float>&material = map("material"), &mixed = map("mixed"), &light = map("subsurface white 0"),
-        &direct = map("direct white 0");
+  const std::map<std::string, Image<float>> truth = Truth();
+  const Image<float>&material = truth.at("material"), &mixed = truth.at("mixed"),
+        &light = truth.at("subsurface white 0"), &direct = truth.at("direct white 0");
   ASSERT_EQ(mixed.width(), material.width());
   int mixed_skin = 0, pure_skin = 0, scattering_in_part = 0;
   for (int j = 0; j < material.height(); ++j)
