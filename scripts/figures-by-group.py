@@ -11,6 +11,7 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/groups                         # two of each group at 696x520
   scripts/figures-by-group.py --work /tmp/groups --size 348x260 --per-group 1 --json groups.json
   scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
+  scripts/figures-by-group.py --work /tmp/groups --geometry truth        # on the simulation's own surface
   scripts/figures-by-group.py --list                                     # who they are
 
 People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and
@@ -59,9 +60,10 @@ def choose(bin_folder, first, per_group):
     return chosen
 
 
-def metrics_of(store):
+def metrics_of(store, geometry):
     files = sorted(store.glob("sessions/*/fits/*/metrics.json"), key=os.path.getmtime)
-    return json.loads(files[-1].read_text()) if files else None
+    found = [json.loads(file.read_text()) for file in files]
+    return [m for m in found if any(c["geometry"] == geometry for c in m["coverage"])][-1]
 
 
 def judge(args, person):
@@ -75,7 +77,7 @@ def judge(args, person):
             scene = f"--simulate={file}"
         commands.append(["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]), "--size",
                          args.size])
-    commands.append(["stratalux-fit", "run", "latest"])
+    commands.append(["stratalux-fit", "run", "latest", "--geometry", args.geometry])
     log = args.work / f"person-{person['person']}.log"
     with open(log, "a") as out:
         for command in commands:
@@ -84,13 +86,13 @@ def judge(args, person):
                 print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
                       file=sys.stderr)
                 return False
-    metrics = metrics_of(store)
+    metrics = metrics_of(store, args.geometry)
     person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
-    covered = [c for c in metrics["coverage"] if c["geometry"] == "reconstructed"]
+    covered = [c for c in metrics["coverage"] if c["geometry"] == args.geometry]
     person["judged"] = sum(c["judged"] for c in covered) / sum(c["lit_skin"] for c in covered)
     person["nrmse"] = {}
     for p in metrics["prediction"]:
-        if p["part"] == "total" and p["direct"] == "predicted" and p["geometry"] == "reconstructed":
+        if p["part"] == "total" and p["direct"] == "predicted" and p["geometry"] == args.geometry:
             person["nrmse"].setdefault(p["model"], {}).setdefault(p["light"], []).append(p["nrmse_without_noise"])
     for lights in person["nrmse"].values():
         for light, values in lights.items():
@@ -153,6 +155,8 @@ def main():
     parser.add_argument("--per-group", type=int, default=2, help="people of each group (2)")
     parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
     parser.add_argument("--scattering", type=float, help="of all, in place of their own")
+    parser.add_argument("--geometry", choices=["reconstructed", "truth"], default="reconstructed",
+                        help="the surface that the fit stands on (reconstructed)")
     parser.add_argument("--list", action="store_true", help="only say who would be captured")
     parser.add_argument("--check", action="store_true", help="exit 1 where a group falls short")
     parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")

@@ -15,6 +15,7 @@
 
 #include "db/catalogue/session_store.h"
 #include "db/keys/held_keys.h"
+#include "db/keys/reader_key.h"
 #include "db/privacy/access_log.h"
 #include "fitter/apps/batch_flags.h"
 #include "fitter/batch/key_exchange.h"
@@ -37,7 +38,7 @@ struct ClusterFlags {
   BatchFlags batch;
   std::string shard, results, scratch, plan, engine, task, task_store;
   std::vector<std::string> directives;
-  double chunk_minutes = 60.0, every_s = 60.0, ask_minutes = 10.0, look_s = 1.0;
+  double chunk_minutes = 60.0, every_s = 60.0, ask_minutes = kAskMinutes, look_s = 1.0;
   int cpus = 2;
   bool close = false, again = false, dry_run = false, keys = false, ask_keys = false, answer = false;
 };
@@ -64,12 +65,12 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
     db::HoldKeys(keys);
   }
   const InterruptionAsks asks;
-  if (flags.ask_keys && KeysAreMissing(options.night.choice.run.store, plan, options.shard)) {
+  if (flags.ask_keys && KeysAreMissing(options.night.choice.run.store, options.results, plan, options.shard)) {
     using Minutes = std::chrono::duration<double, std::ratio<60>>;
     const auto keys = AskForKeys(options.results, plan, options.shard,
                                  std::chrono::round<std::chrono::milliseconds>(Minutes(flags.ask_minutes)),
                                  std::chrono::seconds(1), asks.fd(), logger);
-    if (!keys.ok() && keys.status().code() != StatusCode::kNotFound) return keys.status();
+    if (keys.status().code() == StatusCode::kTryAgain) return keys.status();
     if (!keys.ok()) logger.Warning(keys.status().message() + "; who needs one is not fitted");
     if (keys.ok()) db::HoldKeys(*keys);
     if (keys.ok()) logger.Info(Formatted("%zu keys came", keys->size()));
@@ -87,6 +88,21 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
   return Status::Ok();
 }
 
+// A store or key that cannot be read is said at once, not to the first task that asks.
+Status CheckAnswerer(const ClusterFlags& flags, Logger& logger) {
+  const fs::path store = flags.batch.fit.run.store;
+  SLX_RETURN_IF_ERROR(db::SessionStore::Open(store, db::AccessMode::kReadOnly).status());
+  const auto reader = db::ReaderKey::OfEnvironment();
+  if (!reader.ok() && reader.status().code() != StatusCode::kNotFound) return reader.status();
+  std::error_code error;
+  if (!reader.ok() && !fs::exists(store / "keys.sqlite", error))
+    return Status::NotFound(store.string() + " has no keys.sqlite, and " + reader.status().message() +
+                            ": there is no key to give");
+  if (ReadPlan(flags.results).status().code() == StatusCode::kNotFound)
+    logger.Info("no plan in " + flags.results + " yet; waiting for one");
+  return Status::Ok();
+}
+
 // Until the time of day, or until it is told to stop.
 Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
   if (!flags.shard.empty()) return Status::Usage("--answer is for every shard: without " + flags.shard);
@@ -94,19 +110,25 @@ Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
   if (!flags.batch.until.empty()) {
     SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until));
   }
+  SLX_RETURN_IF_ERROR(CheckAnswerer(flags, logger));
   const InterruptionAsks asks;
   const auto begun = std::chrono::steady_clock::now();
   std::set<std::string> told;
   KeyAnswers all;
+  Result<ShardPlan> plan = Status::NotFound("");
+  fs::file_time_type of_plan;
   logger.Info("answering who asks for keys in " + flags.results + " ...");
   while (true) {
     // The plan may come later, and another after it.
-    const auto plan = ReadPlan(flags.results);
-    if (!plan.ok() && plan.status().code() != StatusCode::kNotFound) return plan.status();
+    std::error_code error;
+    const auto now_of_plan = fs::last_write_time(fs::path(flags.results) / "plan.json", error);
+    if (error || !plan.ok() || now_of_plan != of_plan) plan = ReadPlan(flags.results);
+    of_plan = now_of_plan;
     KeyAnswers now;
-    if (plan.ok()) {
-      SLX_ASSIGN_OR_RETURN(now, AnswerAsks(flags.batch.fit.run.store, flags.results, *plan));
-    }
+    if (plan.ok())
+      now = AnswerAsks(flags.batch.fit.run.store, flags.results, *plan);
+    else if (plan.status().code() != StatusCode::kNotFound)
+      now.problems.push_back(plan.status().message());
     for (const std::string& problem : now.problems)
       if (told.insert(problem).second) logger.Warning(problem);
     if (now.answered > 0) logger.Info(Formatted("%d shards answered, %zu keys", now.answered, now.keys));
@@ -125,7 +147,6 @@ Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
 Status SendKeys(const ClusterFlags& flags, Logger& logger) {
   if (flags.answer) return AnswerKeys(flags, logger);
   if (flags.shard.empty()) return Status::Usage("whose keys? I/N names a share; --answer is for all who ask");
-  if (!flags.batch.until.empty()) return Status::Usage("--until: with --answer");
   const std::string& store = flags.batch.fit.run.store;
   SLX_RETURN_IF_ERROR(db::CheckKeyPipe(STDOUT_FILENO));
   SLX_ASSIGN_OR_RETURN(const Shard shard, ParseShard(flags.shard));
@@ -298,6 +319,7 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
                       "Ask in RESULTS for keys that are not here, and wait until `batch keys --answer` gives them");
   ask->excludes(from_pipe);
   shard->add_option("--ask-minutes", worked->ask_minutes, "With --ask-keys: wait so long, then go on without")
+      ->needs(ask)
       ->check(CLI::Range(0.0, 1e5))
       ->capture_default_str();
   AddWorkers(*shard, worked->batch);
@@ -316,10 +338,13 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys\n"
       "  stratalux-fit batch keys --answer --store store --results results --until 07:00");
   AddShare(*keys, *given);
-  keys->add_flag("--answer", given->answer,
-                 "Stay, and give each shard that asks (`batch shard --ask-keys`) the keys of its share, sealed to it");
-  keys->add_option("--until", given->batch.until, "With --answer: time of day; without it until told to stop");
+  auto* answer = keys->add_flag(
+      "--answer", given->answer,
+      "Stay, and give each shard that asks (`batch shard --ask-keys`) the keys of its share, sealed to it");
+  keys->add_option("--until", given->batch.until, "With --answer: time of day; without it until told to stop")
+      ->needs(answer);
   keys->add_option("--every", given->look_s, "With --answer: look so often, seconds")
+      ->needs(answer)
       ->check(CLI::Range(0.05, 3600.0))
       ->capture_default_str();
   OnCall(*keys, exit_code, [given](Logger& logger) { return SendKeys(*given, logger); });

@@ -2,21 +2,27 @@
 #include "fitter/batch/key_exchange.h"
 
 #include <algorithm>
-#include <optional>
+#include <cerrno>
+#include <cstring>
+#include <utility>
 
+#include <fcntl.h>
 #include <nlohmann/json.hpp>
 #include <poll.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/file_lock.h"
 #include "db/keys/reader_key.h"
 #include "db/keys/sealed_key.h"
 #include "db/privacy/access_log.h"
 #include "fitter/batch/shard_keys.h"
 #include "shared/base/formatted.h"
+#include "shared/base/json_nesting.h"
 #include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::fit {
 namespace {
@@ -26,13 +32,17 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kFolder = "keys";
 constexpr const char* kAskStart = "ask-";
+constexpr const char* kAskEnd = ".json";
 constexpr const char* kAnswerFile = "answer.json";
+constexpr const char* kLock = ".answer.lock";  // in RESULTS
+constexpr const char* kPublicStart = "x25519-";
+constexpr size_t kMostAskBytes = 4096;
 constexpr int kSchema = 1;
 
 std::string ToText(const Shard& shard) { return Formatted("%d/%d", shard.index, shard.count); }
 
 fs::path AskFile(const fs::path& results, const db::ReaderId& reader) {
-  return results / kFolder / (kAskStart + db::ToHex(reader) + ".json");
+  return results / kFolder / (kAskStart + db::ToHex(reader) + kAskEnd);
 }
 fs::path AnswerFolder(const fs::path& results, const db::ReaderId& reader) {
   return results / kFolder / db::ToHex(reader);
@@ -40,8 +50,8 @@ fs::path AnswerFolder(const fs::path& results, const db::ReaderId& reader) {
 
 // kNewerSchema, kIntegrity; what `read` throws, too.
 template <typename Read>
-Status ReadMessage(const fs::path& file, const Read& read) {
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+Status ParseMessage(const fs::path& file, const std::string& text, const Read& read) {
+  SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     const Json json = Json::parse(text);
     if (const auto schema = WholeAt<int64_t>(json, "schema"); schema != kSchema)
@@ -59,23 +69,54 @@ struct Ask {
   db::ReaderPublicKey reader;
 };
 
-// A file of this user's, which nobody else may change.
-Status CheckOwner(const fs::path& file) {
+bool IsGone(const fs::path& file) {
   struct stat info {};
-  if (lstat(file.c_str(), &info) != 0) return Status::NotFound(file.string() + " is gone");
-  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is no plain file: not answered");
-  if (info.st_uid != geteuid())
-    return Status::Usage(Formatted("%s is of the user %u, not of this program's: not answered", file.c_str(),
-                                   static_cast<unsigned>(info.st_uid)));
+  return lstat(file.c_str(), &info) != 0 && errno == ENOENT;
+}
+
+// Whose asks are answered: this program's user's, and for root, who may read every key, those of whoever owns RESULTS.
+uid_t AskersOf(const fs::path& results) {
+  struct stat info {};
+  return geteuid() == 0 && stat(results.c_str(), &info) == 0 ? info.st_uid : geteuid();
+}
+
+Status CheckOwner(const fs::path& path, const struct stat& info, uid_t asker) {
+  if (info.st_uid != asker && info.st_uid != geteuid())
+    return Status::Usage(Formatted("%s is of the user %u, not of %u: not answered", path.c_str(),
+                                   static_cast<unsigned>(info.st_uid), static_cast<unsigned>(asker)));
   if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0)
-    return Status::Usage(file.string() + ": others may write to it: not answered (chmod 0600)");
+    return Status::Usage(path.string() + ": others may write to it: not answered (chmod go-w)");
   return Status::Ok();
 }
 
+// Of the very file that was checked: a name may mean another one the next moment. kNotFound where it is gone.
+Result<std::string> ReadOwn(const fs::path& file, uid_t asker) {
+  const UniqueFd fd(open(file.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC));
+  if (fd.get() < 0 && errno == ENOENT) return Status::NotFound(file.string() + " is gone");
+  if (fd.get() < 0 && errno == ELOOP) return Status::Usage(file.string() + " is no plain file: not answered");
+  struct stat info {};
+  if (fd.get() < 0 || fstat(fd.get(), &info) != 0)
+    return Status::Failed("cannot open " + file.string() + ": " + std::strerror(errno));
+  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is no plain file: not answered");
+  SLX_RETURN_IF_ERROR(CheckOwner(file, info, asker));
+  std::string text(kMostAskBytes + 1, '\0');
+  size_t filled = 0;
+  while (filled < text.size()) {
+    const ssize_t got = read(fd.get(), text.data() + filled, text.size() - filled);
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
+    if (got == 0) break;
+    filled += static_cast<size_t>(got);
+  }
+  if (filled > kMostAskBytes) return Status::Usage(file.string() + " is too large for an ask: not answered");
+  text.resize(filled);
+  return text;
+}
+
 Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, const ShardPlan& plan) {
-  SLX_RETURN_IF_ERROR(CheckOwner(file));
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file, AskersOf(results)));
   std::string of_plan, shard, reader;
-  SLX_RETURN_IF_ERROR(ReadMessage(file, [&](const Json& json) {
+  SLX_RETURN_IF_ERROR(ParseMessage(file, text, [&](const Json& json) {
     json.at("plan").get_to(of_plan);
     json.at("shard").get_to(shard);
     json.at("reader").get_to(reader);
@@ -83,10 +124,19 @@ Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, const ShardPl
   if (of_plan != plan.id) return Status::Usage(file.string() + " asks for another plan than " + plan.id);
   Ask ask;
   SLX_ASSIGN_OR_RETURN(ask.shard, ParseShard(shard).WithContext(file.string()));
+  if (!reader.starts_with(kPublicStart))
+    return Status::Usage(file.string() + ": '" + reader + "' is no public key: not answered");
   SLX_ASSIGN_OR_RETURN(ask.reader, db::ParseReaderPublicKey(reader).WithContext(file.string()));
   if (AskFile(results, db::IdOf(ask.reader)) != file)
     return Status::Usage(file.string() + " names another key than its own: not answered");
   return ask;
+}
+
+// What lies in folders that are there alone: what goes meanwhile is not made again.
+Status MakeIn(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directory(folder, error);
+  return error ? Status::Failed("cannot make " + folder.string() + ": " + error.message()) : Status::Ok();
 }
 
 // The answer is whole once its own file is there.
@@ -95,16 +145,16 @@ Result<size_t> Answer(const fs::path& store, const fs::path& results, const Shar
   const db::ReaderId reader = db::IdOf(ask.reader);
   SLX_ASSIGN_OR_RETURN(const ShardKeys found, KeysOf(store, plan, ask.shard));
   const fs::path folder = AnswerFolder(results, reader);
+  SLX_RETURN_IF_ERROR(MakeIn(folder));
   for (size_t i = 0; i < found.keys.size(); ++i) {
     const std::string& session = found.sessions[i];
     SLX_RETURN_IF_ERROR(db::LogAccess(
         store.string(), "batch keys", session,
         "to shard " + ToText(ask.shard) + " of " + results.string() + ", which asked as " + db::ToHex(reader)));
-    SLX_RETURN_IF_ERROR(db::MakeFolder(folder / session));
+    SLX_RETURN_IF_ERROR(MakeIn(folder / session));
     SLX_RETURN_IF_ERROR(db::WriteSealedKey(folder / session, session, found.keys[i], ask.reader));
   }
   problems.insert(problems.end(), found.missing.begin(), found.missing.end());
-  SLX_RETURN_IF_ERROR(db::MakeFolder(folder));
   const Json answer = {{"schema", kSchema}, {"sessions", found.sessions}, {"missing", found.missing}};
   SLX_RETURN_IF_ERROR(
       db::ReplaceFile(folder / kAnswerFile, answer.dump(1, ' ', false, Json::error_handler_t::replace) + "\n"));
@@ -114,7 +164,8 @@ Result<size_t> Answer(const fs::path& store, const fs::path& results, const Shar
 Result<std::vector<db::SessionKey>> OpenAnswer(const fs::path& folder, const db::ReaderKey& own, const ShardPlan& plan,
                                                const Shard& shard, Logger& logger) {
   std::vector<std::string> sessions, missing;
-  SLX_RETURN_IF_ERROR(ReadMessage(folder / kAnswerFile, [&](const Json& json) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(folder / kAnswerFile));
+  SLX_RETURN_IF_ERROR(ParseMessage(folder / kAnswerFile, text, [&](const Json& json) {
     json.at("sessions").get_to(sessions);
     json.at("missing").get_to(missing);
   }));
@@ -125,9 +176,13 @@ Result<std::vector<db::SessionKey>> OpenAnswer(const fs::path& folder, const db:
       return Status::Integrity((folder / kAnswerFile).string() + ": '" + session + "' is none of shard " +
                                ToText(shard));
     const fs::path file = db::SealedKeyFile(folder / session, db::IdOf(own.public_key()));
-    SLX_ASSIGN_OR_RETURN(const auto header, db::ReadSealedKeyHeader(file));
-    SLX_ASSIGN_OR_RETURN(const auto key, db::OpenSealedKey(folder / session, session, header.key, own));
-    keys.push_back(key);
+    const auto header = db::ReadSealedKeyHeader(file);
+    const auto key = header.ok() ? db::OpenSealedKey(folder / session, session, header->key, own)
+                                 : Result<db::SessionKey>(header.status());
+    if (key.ok())
+      keys.push_back(*key);
+    else
+      logger.Warning(key.status().message());
   }
   for (const std::string& line : missing) logger.Warning(line);
   return keys;
@@ -158,13 +213,14 @@ Result<std::vector<db::SessionKey>> AskForKeys(const fs::path& results, const Sh
   const db::ReaderId reader = db::IdOf(own.public_key());
   const fs::path file = AskFile(results, reader), folder = AnswerFolder(results, reader);
   SLX_RETURN_IF_ERROR(db::MakeFolder(results / kFolder));
+  std::error_code error;
+  fs::permissions(results / kFolder, fs::perms::owner_all, error);  // of another user's, who answers or refuses
   const StandingAsk standing(file, folder);
   const Json ask = {
       {"schema", kSchema}, {"plan", plan.id}, {"shard", ToText(shard)}, {"reader", db::ToText(own.public_key())}};
   SLX_RETURN_IF_ERROR(db::ReplaceFile(file, ask.dump(1) + "\n"));
   logger.Info("asking for the keys of shard " + ToText(shard) + " as " + db::ToHex(reader) + " ...");
   const auto end = std::chrono::steady_clock::now() + wait;
-  std::error_code error;
   while (!fs::exists(folder / kAnswerFile, error)) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
     if (left.count() <= 0)
@@ -179,25 +235,54 @@ Result<std::vector<db::SessionKey>> AskForKeys(const fs::path& results, const Sh
   return OpenAnswer(folder, own, plan, shard, logger);
 }
 
-Result<KeyAnswers> AnswerAsks(const fs::path& store, const fs::path& results, const ShardPlan& plan) {
+KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const ShardPlan& plan) {
   KeyAnswers answers;
-  std::error_code error;
-  std::vector<fs::path> asks;
-  for (const auto& entry : fs::directory_iterator(results / kFolder, error)) {
-    const std::string name = entry.path().filename().string();
-    if (name.starts_with(kAskStart) && name.ends_with(".json")) asks.push_back(entry.path());
+  const auto refuse = [&answers](const std::string& why) { answers.problems.push_back(why); };
+  const fs::path keys = results / kFolder;
+  struct stat info {};
+  if (lstat(keys.c_str(), &info) != 0) {
+    if (errno != ENOENT) refuse("cannot look at " + keys.string() + ": " + std::strerror(errno));
+    return answers;
   }
-  std::sort(asks.begin(), asks.end());
-  for (const fs::path& file : asks) {
+  if (!S_ISDIR(info.st_mode)) {
+    refuse(keys.string() + " is no folder: nobody is answered");
+    return answers;
+  }
+  if (const Status own = CheckOwner(keys, info, AskersOf(results)); !own.ok()) {
+    refuse(own.message());
+    return answers;
+  }
+  const auto lock = db::FileLock::TryTake(results / kLock, "another program answers the asks of " + results.string());
+  if (!lock.ok()) {
+    refuse(lock.status().message());
+    return answers;
+  }
+  std::vector<std::string> readers;
+  std::error_code error;
+  for (auto entry = fs::directory_iterator(keys, error); !error && entry != fs::directory_iterator();
+       entry.increment(error)) {
+    const std::string name = entry->path().filename().string();
+    if (name.starts_with(kAskStart) && name.ends_with(kAskEnd))
+      readers.push_back(
+          name.substr(std::strlen(kAskStart), name.size() - std::strlen(kAskStart) - std::strlen(kAskEnd)));
+  }
+  if (error) refuse("cannot read " + keys.string() + ": " + error.message());
+  std::sort(readers.begin(), readers.end());
+  for (const std::string& reader : readers) {
+    const fs::path file = keys / (kAskStart + reader + kAskEnd), folder = keys / reader;
+    // Before the ask is read: who has read its answer removes the ask first.
+    if (fs::exists(folder / kAnswerFile, error)) continue;
     const auto ask = ReadAsk(results, file, plan);
-    if (!ask.ok()) {
-      if (ask.status().code() != StatusCode::kNotFound) answers.problems.push_back(ask.status().message());
-      continue;
+    if (ask.status().code() == StatusCode::kNotFound) continue;
+    const auto sent = ask.ok() ? Answer(store, results, plan, *ask, answers.problems) : Result<size_t>(ask.status());
+    if (ask.ok() && IsGone(file)) {
+      fs::remove_all(folder, error);  // it ended, and what was sealed to it opens for nobody
+    } else if (!sent.ok()) {
+      refuse(sent.status().message());
+    } else {
+      ++answers.answered;
+      answers.keys += *sent;
     }
-    if (fs::exists(AnswerFolder(results, db::IdOf(ask->reader)) / kAnswerFile, error)) continue;
-    SLX_ASSIGN_OR_RETURN(const size_t keys, Answer(store, results, plan, *ask, answers.problems));
-    ++answers.answered;
-    answers.keys += keys;
   }
   return answers;
 }

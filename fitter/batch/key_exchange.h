@@ -20,9 +20,12 @@
 
 namespace stratalux::fit {
 
-// Asks and waits, looking `every` so often; in the end removes the ask and its answer. Each key that the answer lacks
-// is a warning. kNotFound: nobody answered within `wait`; kTryAgain: `stop` became readable; kIntegrity: an answer that
-// does not open, or is another visitor's.
+// How long a task waits where nothing else is said.
+inline constexpr double kAskMinutes = 10.0;
+
+// Asks and waits, looking `every` so often; in the end removes the ask and its answer. Each key that the answer lacks,
+// or that does not open, is a warning. kNotFound: nobody answered within `wait`; kTryAgain: `stop` became readable;
+// kIntegrity: an answer for another share.
 [[nodiscard]] Result<std::vector<db::SessionKey>> AskForKeys(const std::filesystem::path& results,
                                                              const ShardPlan& plan, const Shard& shard,
                                                              std::chrono::milliseconds wait,
@@ -33,8 +36,9 @@ struct KeyAnswers {
   size_t keys = 0;                    // that went with them; each is logged before
   std::vector<std::string> problems;  // a line each: asks that are refused, keys that are not here
 };
-// One look: every ask that has no answer yet gets it. kFailed where nothing can be logged or written.
-[[nodiscard]] Result<KeyAnswers> AnswerAsks(const std::filesystem::path& store, const std::filesystem::path& results,
-                                            const ShardPlan& plan);
+// One look: every ask that has no answer yet gets it. What goes wrong with one is a problem, and the next look tries
+// again; an ask that goes meanwhile leaves nothing.
+[[nodiscard]] KeyAnswers AnswerAsks(const std::filesystem::path& store, const std::filesystem::path& results,
+                                    const ShardPlan& plan);
 
 }  // namespace stratalux::fit

@@ -5,6 +5,8 @@
 #include <map>
 #include <utility>
 
+#include <unistd.h>
+
 #include "db/base/durable_file.h"
 #include "db/base/file_lock.h"
 #include "db/catalogue/deletions.h"
@@ -240,8 +242,14 @@ Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& results,
                        Merger(store, results, std::move(plan), std::move(log), std::move(index), logger).Run(mode));
   if (mode == MergeMode::kKeep) return outcome;
   std::error_code error;
-  fs::remove_all(results, error);
-  if (error) return Status::Failed("cannot remove " + results.string() + ": " + error.message());
+  // Aside first, where that can be: who looks for a plan or an ask meanwhile finds none, not half of them.
+  fs::path aside = results;
+  if (!aside.has_filename()) aside = aside.parent_path();
+  aside += Formatted(".closed-%d", static_cast<int>(getpid()));
+  fs::rename(results, aside, error);
+  const fs::path old = error ? results : aside;
+  fs::remove_all(old, error);
+  if (error) return Status::Failed("cannot remove " + old.string() + ": " + error.message());
   return outcome;
 }
 

@@ -8,6 +8,7 @@
 #include "db/keys/sealed_key.h"
 #include "db/keys/session_key.h"
 #include "fitter/batch/night_choice.h"
+#include "fitter/batch/shard_manifest.h"
 
 namespace stratalux::fit {
 
@@ -38,10 +39,15 @@ Result<ShardKeys> KeysOf(const std::filesystem::path& store_folder, const ShardP
   return found;
 }
 
-bool KeysAreMissing(const std::filesystem::path& store_folder, const ShardPlan& plan, const Shard& shard) {
+bool KeysAreMissing(const std::filesystem::path& store_folder, const std::filesystem::path& results,
+                    const ShardPlan& plan, const Shard& shard) {
+  const auto manifest = ReadManifest(ManifestFile(results, shard), plan);
   const std::vector<size_t> places = VisitsOf(plan, shard);
   return std::any_of(places.begin(), places.end(), [&](size_t place) {
     const std::string& session = plan.visits[place].session;
+    const ShardVisit* ended = manifest.ok() ? manifest->Find(session) : nullptr;
+    if (ended != nullptr && (ended->end.kind == NightEventKind::kDone || ended->end.kind == NightEventKind::kDropped))
+      return false;
     for (const auto& file : db::ListSealedKeys(store_folder / "sessions" / session))
       if (const auto header = db::ReadSealedKeyHeader(file); header.ok())
         return !db::FindKeyOf(store_folder, session, header->key).ok();

@@ -21,7 +21,9 @@ struct ShardKeys {
 // Of the shard's visitors alone, as this program finds them in `store`; unencrypted ones have none.
 [[nodiscard]] Result<ShardKeys> KeysOf(const std::filesystem::path& store, const ShardPlan& plan, const Shard& shard);
 
-// Whether the keys of some of them, sealed to readers beside their sessions, are not to be had by this program.
-[[nodiscard]] bool KeysAreMissing(const std::filesystem::path& store, const ShardPlan& plan, const Shard& shard);
+// Whether the keys of some of them, sealed to readers beside their sessions, are not to be had by this program; of
+// those who are not fitted yet by the shard's manifest in `results`.
+[[nodiscard]] bool KeysAreMissing(const std::filesystem::path& store, const std::filesystem::path& results,
+                                  const ShardPlan& plan, const Shard& shard);
 
 }  // namespace stratalux::fit

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "fitter/batch/key_exchange.h"
 #include "fitter/batch/shard_manifest.h"
 #include "shared/base/formatted.h"
 #include "shared/base/json_number.h"
@@ -122,7 +123,8 @@ std::string SbatchScript(const ShardPlan& plan, const SlurmOptions& options, con
   std::vector<int> indices;
   for (const int shard : shards) indices.push_back(shard - 1 - before);
   const int64_t memory = MebibytesOf(plan);
-  const int minutes = static_cast<int>(std::ceil(2.0 * options.chunk_minutes)) + 10;
+  const double waits = options.ask_keys ? kAskMinutes : 0.0;
+  const int minutes = static_cast<int>(std::ceil(2.0 * options.chunk_minutes + waits)) + 10;
   std::string script = "#!/bin/bash\n#SBATCH --job-name=stratalux-" + plan.id.substr(0, 8) +
                        "\n#SBATCH --array=" + Ranges(indices) +
                        "\n#SBATCH --cpus-per-task=" + std::to_string(options.cpus) + "\n";

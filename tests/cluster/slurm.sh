@@ -10,7 +10,8 @@ source=$1 build=$2
 . "$(dirname "$0")/night-lib.sh"
 ! slurm_missing || exit 77
 scratch=$(mktemp -d)
-trap 'slurm_stop; rm -rf "$scratch"' EXIT
+answering=
+trap '[ -z "$answering" ] || kill "$answering" 2>/dev/null; slurm_stop; rm -rf "$scratch"' EXIT
 export PATH=$build/bin:$PATH TMPDIR=$scratch
 slurm_start "$build/tests/cluster/slurm"
 cd "$scratch"
@@ -105,7 +106,7 @@ kill_everything_once() {
 
 # Tasks see the sessions and no key; who answers stands where the store is.
 keys_by_asking() {
-  local answering part
+  local part
   small_store locked 1
   # shellcheck disable=SC2086
   stratalux-fit run latest --store locked $small_options >/dev/null 2>&1 || fail "a fit"
@@ -122,6 +123,7 @@ keys_by_asking() {
   slurm_drain 600
   kill -TERM $answering
   wait $answering || { cat answered; fail "batch keys --answer"; }
+  answering=
   stratalux-fit batch merge asked --store locked >merged 2>&1 || { cat merged asked/slurm/*.log; fail "merge"; }
   grep -q "1 fits entered" merged || { cat merged; fail "merge"; }
   all_fitted_once locked

@@ -151,8 +151,8 @@ TEST_F(EncryptedNight, OnOtherMachinesNeedsTheKeysOfTheShareAloneAndLeavesThemNo
   // Whose key is here asks nobody.
   EXPECT_THAT(shard("1/2", with_reader_, " --ask-keys").out, Not(HasSubstr("asking")));
   const std::string answering = (folder_ / "answering").string();
-  const std::string answer =
-      "( " + keys("--answer") + " --every 0.1 >" + answering + " 2>&1 & echo $! >" + answering + ".pid ) && ";
+  const std::string answer = "( timeout 300 env " + keys("--answer") + " --every 0.1 >" + answering +
+                             " 2>&1 & echo $! >" + answering + ".pid ) && ";
   const Outcome asks = shard("2/2", answer, " --ask-keys");
   EXPECT_EQ(asks.code, 0) << asks.out;
   EXPECT_THAT(asks.out, HasSubstr("1 keys came"));

@@ -13,10 +13,12 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "db/base/file_lock.h"
 #include "db/keys/reader_key.h"
 #include "db/keys/sealed_key.h"
 #include "db/privacy/access_log.h"
 #include "fitter/batch/shard_keys.h"
+#include "fitter/batch/shard_manifest.h"
 #include "shared/base/unique_fd.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/text_file.h"
@@ -74,16 +76,16 @@ class KeyExchange : public db::StoreTest {
         {"schema", 1}, {"plan", plan_.id}, {"shard", "1/2"}, {"reader", db::ToText(reader.public_key())}};
     ask.update(changed);
     fs::create_directories(results_ / "keys");
+    fs::permissions(results_ / "keys", fs::perms::owner_all);
     const fs::path file = results_ / "keys" / ("ask-" + db::ToHex(db::IdOf(reader.public_key())) + ".json");
     WriteText(file, ask.dump());
     fs::permissions(file, fs::perms::owner_read | fs::perms::owner_write);
     return file;
   }
   [[nodiscard]] std::vector<std::string> ProblemsOfALook() const {
-    const auto look = AnswerAsks(folder_, results_, plan_);
-    EXPECT_TRUE(look.ok()) << look.status().message();
-    EXPECT_EQ(look->answered, 0);
-    return look->problems;
+    const KeyAnswers look = AnswerAsks(folder_, results_, plan_);
+    EXPECT_EQ(look.answered, 0);
+    return look.problems.empty() ? std::vector<std::string>{""} : look.problems;
   }
   // Files of the results that hold the key's very bytes.
   [[nodiscard]] std::vector<fs::path> FilesWith(const db::SessionKey& key) const {
@@ -105,11 +107,10 @@ TEST_F(KeyExchange, GivesEachShardItsOwnKeysAndLeavesNothing) {
   std::set<db::KeyId> all;
   for (const Shard shard : {Shard{1, 2}, Shard{2, 2}}) {
     auto asked = Asked(shard);
-    const auto look = AnswerAsks(folder_, results_, plan_);
-    ASSERT_TRUE(look.ok()) << look.status().message();
-    EXPECT_EQ(look->answered, 1);
-    EXPECT_EQ(look->keys, 2U);
-    EXPECT_THAT(look->problems, IsEmpty());
+    const KeyAnswers look = AnswerAsks(folder_, results_, plan_);
+    EXPECT_EQ(look.answered, 1);
+    EXPECT_EQ(look.keys, 2U);
+    EXPECT_THAT(look.problems, IsEmpty());
     const auto keys = asked.get();
     ASSERT_TRUE(keys.ok()) << keys.status().message();
     const auto own = KeysOf(folder_, plan_, shard);
@@ -127,8 +128,7 @@ TEST_F(KeyExchange, GivesEachShardItsOwnKeysAndLeavesNothing) {
 TEST_F(KeyExchange, WhatLiesInTheFolderHoldsNoKeyAndEachIsLoggedBefore) {
   const db::ReaderKey reader = db::ReaderKey::Passing();
   AskBy(reader);
-  const auto look = AnswerAsks(folder_, results_, plan_);
-  ASSERT_TRUE(look.ok() && look->keys == 2U);
+  ASSERT_EQ(AnswerAsks(folder_, results_, plan_).keys, 2U);
   const auto own = KeysOf(folder_, plan_, {1, 2});
   for (const db::SessionKey& key : own->keys) EXPECT_THAT(FilesWith(key), IsEmpty());
   const std::string asked_as = db::ToHex(db::IdOf(reader.public_key()));
@@ -139,13 +139,13 @@ TEST_F(KeyExchange, WhatLiesInTheFolderHoldsNoKeyAndEachIsLoggedBefore) {
     EXPECT_THAT(log->front().detail, HasSubstr(asked_as));
   }
   // Answered once: a killed task's ask is no work for ever.
-  EXPECT_EQ(AnswerAsks(folder_, results_, plan_)->answered, 0);
+  EXPECT_EQ(AnswerAsks(folder_, results_, plan_).answered, 0);
 }
 
 TEST_F(KeyExchange, AnotherTasksAnswerOpensForNobodyElse) {
   const db::ReaderKey first = db::ReaderKey::Passing();
   AskBy(first);
-  ASSERT_EQ(AnswerAsks(folder_, results_, plan_)->answered, 1);
+  ASSERT_EQ(AnswerAsks(folder_, results_, plan_).answered, 1);
   auto asked = Asked({1, 2});
   // Somebody hands it what was sealed to the first.
   const fs::path theirs = results_ / "keys" / db::ToHex(db::IdOf(first.public_key()));
@@ -160,7 +160,60 @@ TEST_F(KeyExchange, AnotherTasksAnswerOpensForNobodyElse) {
       fs::rename(session.path() / ("key-" + theirs.filename().string() + ".sealed"),
                  session.path() / ("key-" + hex + ".sealed"));
   fs::rename(mine.string() + ".new", mine);
-  EXPECT_EQ(asked.get().status().code(), StatusCode::kIntegrity);
+  const auto keys = asked.get();
+  ASSERT_TRUE(keys.ok()) << keys.status().message();
+  EXPECT_THAT(*keys, IsEmpty()) << "each is named, and what the share has besides is fitted";
+}
+
+TEST_F(KeyExchange, OfAnAnswerWithADamagedKeyTheOthersAreTaken) {
+  auto asked = Asked({1, 2});
+  const std::string hex = AskFiles().front().stem().string().substr(std::strlen("ask-"));
+  const auto own = KeysOf(folder_, plan_, {1, 2});
+  // As an answerer writes it, and one of the two is cut.
+  const fs::path answer = results_ / "keys" / hex;
+  const db::ReaderPublicKey reader =
+      *db::ParseReaderPublicKey(nlohmann::json::parse(ReadText(AskFiles().front())).at("reader").get<std::string>());
+  for (size_t i = 0; i < 2; ++i) {
+    fs::create_directories(answer / own->sessions[i]);
+    ASSERT_TRUE(db::WriteSealedKey(answer / own->sessions[i], own->sessions[i], own->keys[i], reader).ok());
+  }
+  const fs::path cut = db::SealedKeyFile(answer / own->sessions[0], db::IdOf(reader));
+  fs::resize_file(cut, fs::file_size(cut) / 2);
+  WriteText(results_ / "answer",
+            nlohmann::json({{"schema", 1}, {"sessions", own->sessions}, {"missing", nlohmann::json::array()}}).dump());
+  fs::rename(results_ / "answer", answer / "answer.json");
+  const auto keys = asked.get();
+  ASSERT_TRUE(keys.ok()) << keys.status().message();
+  ASSERT_THAT(*keys, SizeIs(1));
+  EXPECT_EQ(keys->front().id, own->keys[1].id);
+}
+
+TEST_F(KeyExchange, OneAskThatCannotBeAnsweredKeepsNobodyElseWaiting) {
+  // Nothing can be sealed to a point of low order.
+  const std::string low = "x25519-" + std::string(64, '0');
+  const std::string hex = db::ToHex(db::IdOf(*db::ParseReaderPublicKey(low)));
+  fs::create_directories(results_ / "keys");
+  fs::permissions(results_ / "keys", fs::perms::owner_all);
+  const fs::path file = results_ / "keys" / ("ask-" + hex + ".json");
+  WriteText(file, nlohmann::json({{"schema", 1}, {"plan", plan_.id}, {"shard", "1/2"}, {"reader", low}}).dump());
+  fs::permissions(file, fs::perms::owner_read | fs::perms::owner_write);
+  auto asked = Asked({2, 2});
+  const KeyAnswers look = AnswerAsks(folder_, results_, plan_);
+  EXPECT_EQ(look.answered, 1);
+  EXPECT_THAT(look.problems, SizeIs(1));
+  EXPECT_THAT(*asked.get(), SizeIs(2));
+  EXPECT_FALSE(fs::exists(results_ / "keys" / hex / "answer.json")) << "the next look tries again";
+}
+
+TEST_F(KeyExchange, OneAnswersAtATime) {
+  const db::ReaderKey reader = db::ReaderKey::Passing();
+  AskBy(reader);
+  {
+    const auto other = db::FileLock::TryTake(results_ / ".answer.lock", "");
+    ASSERT_TRUE(other.ok());
+    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("another program answers"));
+  }
+  EXPECT_EQ(AnswerAsks(folder_, results_, plan_).answered, 1);
 }
 
 TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
@@ -186,6 +239,14 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
   fs::create_symlink(results_ / "elsewhere", file);
   EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("no plain file"));
   fs::remove(file);
+  AskBy(reader, {{"padding", std::string(5000, 'x')}});
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("too large"));
+  AskBy(reader, {{"reader", "/etc/passwd"}});
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("'/etc/passwd' is no public key"));
+  AskBy(reader);
+  fs::permissions(results_ / "keys", fs::perms::group_write, fs::perm_options::add);
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("others may write"));
+  fs::permissions(results_ / "keys", fs::perms::group_write, fs::perm_options::remove);
   if (geteuid() == 0) {
     AskBy(reader);
     ASSERT_EQ(chown(file.c_str(), 65534, 65534), 0);
@@ -196,24 +257,32 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
 TEST_F(KeyExchange, IsNeededWhereAnEncryptedVisitorsKeyIsNotHere) {
   const db::ReaderKey reader = db::ReaderKey::Passing();
   const auto own = KeysOf(folder_, plan_, {1, 2});
-  EXPECT_FALSE(KeysAreMissing(folder_, plan_, {1, 2}));
+  EXPECT_FALSE(KeysAreMissing(folder_, results_, plan_, {1, 2}));
   for (size_t i = 0; i < own->keys.size(); ++i)
     ASSERT_TRUE(
         db::WriteSealedKey(folder_ / "sessions" / own->sessions[i], own->sessions[i], own->keys[i], reader.public_key())
             .ok());
-  EXPECT_FALSE(KeysAreMissing(folder_, plan_, {1, 2})) << "the store has them";
+  EXPECT_FALSE(KeysAreMissing(folder_, results_, plan_, {1, 2})) << "the store has them";
   fs::remove(folder_ / "keys.sqlite");
-  EXPECT_TRUE(KeysAreMissing(folder_, plan_, {1, 2}));
-  EXPECT_FALSE(KeysAreMissing(folder_, plan_, {2, 2})) << "sealed to nobody: no answer would have them";
+  EXPECT_TRUE(KeysAreMissing(folder_, results_, plan_, {1, 2}));
+  EXPECT_FALSE(KeysAreMissing(folder_, results_, plan_, {2, 2})) << "sealed to nobody: no answer would have them";
+  ShardManifest fitted{plan_.id, {1, 2}, {}};
+  for (const std::string& session : own->sessions) {
+    NightEvent end;
+    end.kind = NightEventKind::kDone;
+    end.session = session;
+    fitted.Say({end, {}});
+  }
+  ASSERT_TRUE(WriteManifest(results_, fitted).ok());
+  EXPECT_FALSE(KeysAreMissing(folder_, results_, plan_, {1, 2})) << "who is fitted needs none";
 }
 
 TEST_F(KeyExchange, NamesWhoseKeyIsNotHere) {
   fs::remove(folder_ / "keys.sqlite");
   auto asked = Asked({1, 2});
-  const auto look = AnswerAsks(folder_, results_, plan_);
-  ASSERT_TRUE(look.ok()) << look.status().message();
-  EXPECT_EQ(look->keys, 0U);
-  EXPECT_THAT(look->problems, SizeIs(2));
+  const KeyAnswers look = AnswerAsks(folder_, results_, plan_);
+  EXPECT_EQ(look.keys, 0U);
+  EXPECT_THAT(look.problems, SizeIs(2));
   const auto keys = asked.get();
   ASSERT_TRUE(keys.ok()) << keys.status().message();
   EXPECT_THAT(*keys, IsEmpty());
@@ -226,7 +295,7 @@ TEST_F(KeyExchange, WithoutAnAnswerNoAskIsLeft) {
   const UniqueFd stop(eventfd(1, 0));
   EXPECT_EQ(Ask({1, 2}, kLong, stop.get()).status().code(), StatusCode::kTryAgain);
   EXPECT_THAT(AskFiles(), IsEmpty());
-  EXPECT_EQ(AnswerAsks(folder_, results_, plan_)->answered, 0) << "no ask stands";
+  EXPECT_EQ(AnswerAsks(folder_, results_, plan_).answered, 0) << "no ask stands";
 }
 
 TEST_F(KeyExchange, AnAnswerForAnotherShardIsRefused) {
