@@ -28,7 +28,7 @@ constexpr int kHole = 5;
 // What a pixel's gathering takes, in what its preparing takes.
 constexpr int64_t kGatherSteps = 8;
 // Of what the cache keeps: raised whenever the same input gives another result.
-constexpr int kCacheVersion = 1;
+constexpr int kCacheVersion = 2;
 // The compiler and how it was told to round.
 constexpr std::string_view kBuild = __VERSION__
 #ifdef __OPTIMIZE__

@@ -80,6 +80,9 @@ std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
       side = -1;
     }
   }
+  // A ray that comes in behind the surface's edge meets no surface there.
+  constexpr double kOnSurfaceMm = 1e-3;
+  if (at_high > kOnSurfaceMm) return std::nullopt;
   return ray.origin_mm + high * ray.direction;
 }
 

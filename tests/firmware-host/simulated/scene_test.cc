@@ -45,6 +45,15 @@ TEST(Scene, RaysEndOnTheSurfaceAndMeetNothingBefore) {
   }
 }
 
+TEST(Scene, ARayThatComesInBehindTheEdgeMeetsNothing) {
+  const Scene sphere = *Scene::Create("sphere", 1);  // its edge lies at z = 760
+  for (const double below : {0.01, 1.0, 12.7, 30.0})
+    for (const double y : {0.0, 40.0, 79.9})
+      EXPECT_FALSE(sphere.Intersect({{-200.0, y, 760.0 + below}, Eigen::Vector3d(1.0, 0.0, 1e-4).normalized()}))
+          << below << " mm behind it, y = " << y;
+  EXPECT_TRUE(sphere.Intersect({{-200.0, 0.0, 740.0}, Eigen::Vector3d(1.0, 0.0, 1e-4).normalized()}));
+}
+
 TEST(Scene, NormalsAreThoseOfTheShapes) {
   const Scene sphere = *Scene::Create("sphere", 1);
   const Scene plane = *Scene::Create("plane", 1);
