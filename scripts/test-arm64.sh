@@ -36,10 +36,12 @@ while [ $# -gt 0 ]; do
     *) select+=("$1"); shift ;;
   esac
 done
-# Left out: what needs a kernel or devices of its own, what is killed by the thousand; times and resident memory, which are
-# the emulator's; and what forks a program with threads, or meets its signals, at which qemu-user 7.2 itself fails.
-left_out='Crash|Kill|Mutant|Soak|LightOff|WithinASecond|MemoryIsFlat|Population.TheNumbersAreWhereTheFitEnds'
-left_out+='|LastResort|Logger.(AChildOfFork|WhatIsSaidStands|AForkAmid)'
+# Left out: what needs a kernel or devices of its own, what is killed by the thousand, the fuzzers' kept inputs; times, waits
+# for a face or a picture, and resident memory, which are the emulator's; and what forks a program with threads, or meets
+# its signals, at which qemu-user 7.2 itself fails.
+left_out='Crash|Kill|Mutant|Soak|LightOff|^fuzz|WithinASecond|MemoryIsFlat|Population.TheNumbersAreWhereTheFitEnds'
+left_out+='|LivePreviewTest|KioskTest.(AnIllLitFace|ACaptureThatWasNotBegun)'
+left_out+='|LastResort|Logger.(AChildOfFork|WhatIsSaidStands|AForkAmid)|KioskForgetting.AWholeSession'
 [ ${#select[@]} -gt 0 ] || select=(-L '^unit$' -E "$left_out")
 
 [ "$(id -u)" -eq 0 ] || skip "a root of Debian is mounted and entered, which needs root: sudo scripts/test-arm64.sh $release"
