@@ -57,7 +57,8 @@ class Export : public SmallFit {
     for (const Json& file : record.at("files")) {
       const fs::path path = out / file.at("name").get<std::string>();
       EXPECT_EQ(fs::file_size(path), file.at("bytes")) << where << ": " << path;
-      EXPECT_EQ(Shell("sha256sum < " + path.string()).out.substr(0, 64), file.at("sha256")) << where << ": " << path;
+      EXPECT_EQ(Shell("sha256sum < " + path.string()).out.substr(0, 64), file.at("sha256").get<std::string>())
+          << where << ": " << path;
     }
   }
   // `fault` as tests/db/crash/preload.cc reads it, on the folder of the files.
