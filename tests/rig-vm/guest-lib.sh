@@ -97,7 +97,17 @@ set_camera() {
   camera=$(v4l2_node vid-cap) screen=$(v4l2_node vid-out)
   # 30 frames a second: what the emulator can take.
   for node in "$camera" "$screen"; do v4l2-ctl -d "$node" --set-dv-bt-timings cvt,width=800,height=600,fps=30; done >/dev/null 2>&1
-  v4l2-ctl -d "$camera" -c loop_video=1,osd_text_mode=2,timestamp_source=1
+  v4l2-ctl -d "$camera" -c "$(looped),osd_text_mode=2,timestamp_source=1"
+}
+# What loops vivid's output to its input. Since Linux 6.11 a menu of the input names the output at the cable's other end, the
+# last entry here; before, a switch looped them.
+looped() {
+  v4l2-ctl -d "$camera" --list-ctrls-menus | awk '
+    / 0x[0-9a-f]+ \(/ {in_menu = 0}
+    $1 == "loop_video" {print "loop_video=1"; found = 1}
+    $1 ~ /^hdmi_.*is_connected_to$/ {name = $1; in_menu = 1}
+    in_menu && $1 ~ /^[0-9]+:$/ {last = $1 + 0}
+    END {if (!found && name) print name "=" last}'
 }
 v4l2_node() { echo /dev/"$(basename "$(dirname "$(grep -l "$1" /sys/class/video4linux/*/name)")")"; }
 
