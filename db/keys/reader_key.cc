@@ -25,10 +25,6 @@ constexpr const char* kCredential = "reader.key";
 static_assert(crypto_box_SECRETKEYBYTES == sizeof(SecretKey::bytes));
 static_assert(crypto_box_PUBLICKEYBYTES == sizeof(ReaderPublicKey::bytes));
 
-bool IsPublicKey(const std::string& text, ReaderPublicKey& key) {
-  return text.starts_with(kPublicStart) && FromHex(text.substr(std::string(kPublicStart).size()), key.bytes).ok();
-}
-
 }  // namespace
 
 ReaderId IdOf(const ReaderPublicKey& key) {
@@ -41,13 +37,19 @@ ReaderId IdOf(const ReaderPublicKey& key) {
 std::string ToHex(const ReaderId& id) { return ToHex(std::span<const uint8_t>(id.bytes)); }
 std::string ToText(const ReaderPublicKey& key) { return kPublicStart + ToHex(std::span<const uint8_t>(key.bytes)); }
 
-Result<ReaderPublicKey> ParseReaderPublicKey(const std::string& text) {
+std::optional<ReaderPublicKey> ReaderPublicKeyOf(const std::string& text) {
   ReaderPublicKey key;
-  if (IsPublicKey(text, key)) return key;
+  if (!text.starts_with(kPublicStart) || !FromHex(text.substr(std::string(kPublicStart).size()), key.bytes).ok())
+    return std::nullopt;
+  return key;
+}
+
+Result<ReaderPublicKey> ParseReaderPublicKey(const std::string& text) {
+  if (const auto key = ReaderPublicKeyOf(text)) return *key;
   const std::string wanted = "a reader's public key, which begins with x25519- (`stratalux-db key reader-public`)";
   const auto file = ReadFile(text);
   if (!file.ok()) return Status::Usage("'" + text + "' is neither " + wanted + " nor a file that holds one");
-  if (IsPublicKey(Unspaced(file->substr(0, file->find('\n'))), key)) return key;
+  if (const auto key = ReaderPublicKeyOf(Unspaced(file->substr(0, file->find('\n'))))) return *key;
   return Status::Usage(text + ": its first line is not " + wanted);
 }
 

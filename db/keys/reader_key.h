@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "db/keys/locked_bytes.h"
@@ -31,6 +32,8 @@ struct ReaderId {
 [[nodiscard]] std::string ToHex(const ReaderId& id);
 // "x25519-" and 64 hexadecimal digits: no key that signs passes for one to seal to.
 [[nodiscard]] std::string ToText(const ReaderPublicKey& key);
+// That alone: nullopt for any other text.
+[[nodiscard]] std::optional<ReaderPublicKey> ReaderPublicKeyOf(const std::string& text);
 // That, or a file whose first line is that.
 [[nodiscard]] Result<ReaderPublicKey> ParseReaderPublicKey(const std::string& text);
 

@@ -71,9 +71,12 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
                                  std::chrono::round<std::chrono::milliseconds>(Minutes(flags.ask_minutes)),
                                  std::chrono::seconds(1), asks.fd(), logger);
     if (keys.status().code() == StatusCode::kTryAgain) return keys.status();
-    if (!keys.ok()) logger.Warning(keys.status().message() + "; who needs one is not fitted");
-    if (keys.ok()) db::HoldKeys(*keys);
-    if (keys.ok()) logger.Info(Formatted("%zu keys came", keys->size()));
+    if (keys.ok()) {
+      db::HoldKeys(*keys);
+      logger.Info(Formatted("%zu keys came", keys->size()));
+    } else {
+      logger.Warning(keys.status().message() + "; who needs one is not fitted");
+    }
   }
   NightTeller teller(logger, flags.batch);
   const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };

@@ -35,7 +35,6 @@ constexpr const char* kAskStart = "ask-";
 constexpr const char* kAskEnd = ".json";
 constexpr const char* kAnswerFile = "answer.json";
 constexpr const char* kLock = ".answer.lock";  // in RESULTS
-constexpr const char* kPublicStart = "x25519-";
 constexpr size_t kMostAskBytes = 4096;
 constexpr int kSchema = 1;
 
@@ -113,8 +112,8 @@ Result<std::string> ReadOwn(const fs::path& file, uid_t asker) {
   return text;
 }
 
-Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, const ShardPlan& plan) {
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file, AskersOf(results)));
+Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, uid_t asker, const ShardPlan& plan) {
+  SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file, asker));
   std::string of_plan, shard, reader;
   SLX_RETURN_IF_ERROR(ParseMessage(file, text, [&](const Json& json) {
     json.at("plan").get_to(of_plan);
@@ -124,9 +123,9 @@ Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, const ShardPl
   if (of_plan != plan.id) return Status::Usage(file.string() + " asks for another plan than " + plan.id);
   Ask ask;
   SLX_ASSIGN_OR_RETURN(ask.shard, ParseShard(shard).WithContext(file.string()));
-  if (!reader.starts_with(kPublicStart))
-    return Status::Usage(file.string() + ": '" + reader + "' is no public key: not answered");
-  SLX_ASSIGN_OR_RETURN(ask.reader, db::ParseReaderPublicKey(reader).WithContext(file.string()));
+  const auto key = db::ReaderPublicKeyOf(reader);
+  if (!key) return Status::Usage(file.string() + ": '" + reader + "' is no public key: not answered");
+  ask.reader = *key;
   if (AskFile(results, db::IdOf(ask.reader)) != file)
     return Status::Usage(file.string() + " names another key than its own: not answered");
   return ask;
@@ -248,7 +247,8 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     refuse(keys.string() + " is no folder: nobody is answered");
     return answers;
   }
-  if (const Status own = CheckOwner(keys, info, AskersOf(results)); !own.ok()) {
+  const uid_t asker = AskersOf(results);
+  if (const Status own = CheckOwner(keys, info, asker); !own.ok()) {
     refuse(own.message());
     return answers;
   }
@@ -272,7 +272,7 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     const fs::path file = keys / (kAskStart + reader + kAskEnd), folder = keys / reader;
     // Before the ask is read: who has read its answer removes the ask first.
     if (fs::exists(folder / kAnswerFile, error)) continue;
-    const auto ask = ReadAsk(results, file, plan);
+    const auto ask = ReadAsk(results, file, asker, plan);
     if (ask.status().code() == StatusCode::kNotFound) continue;
     const auto sent = ask.ok() ? Answer(store, results, plan, *ask, answers.problems) : Result<size_t>(ask.status());
     if (ask.ok() && IsGone(file)) {
