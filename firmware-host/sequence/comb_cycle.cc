@@ -6,6 +6,8 @@
 #include <cmath>
 #include <map>
 
+#include "shared/base/median.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -13,6 +15,7 @@ constexpr size_t kFewestOfCycle = 300;  // of a cycle that is judged
 constexpr size_t kFewestInCell = 30;    // of a cell that a plane is laid through
 constexpr int kFewestFar = 8;           // frames
 constexpr double kClip = 4.0;           // standard deviations; edges and shadows must not speak for all
+constexpr double kBeyondOthers = 4.5;   // standard deviations of the frames' own unevenness
 constexpr double kBeyondNoise = 5.0;    // standard deviations; a session asks hundreds of lines
 
 // From the frame in which the line passes to `frame`, the short way round.
@@ -28,23 +31,49 @@ std::vector<size_t> KnownProbes(const CombCycle& cycle) {
   return known;
 }
 
-// Mean level by distance from the passage (ahead: 0 .. K - 1), weighed by contrast.
-std::vector<double> MeanPassage(const CombCycle& cycle, const std::vector<size_t>& known) {
-  std::vector<double> mean(cycle.frames), weight(cycle.frames);
-  for (int k = 0; k < cycle.frames; ++k)
-    for (const size_t i : known) {
-      const int ahead = (k - cycle.passed_in[i] + cycle.frames) % cycle.frames;
-      mean[ahead] += static_cast<double>(cycle.contrast[i]) * cycle.level[k][i];
-      weight[ahead] += cycle.contrast[i];
-    }
-  for (int o = 0; o < cycle.frames; ++o) mean[o] /= std::max(1e-9, weight[o]);
-  return mean;
+int Ahead(const CombCycle& cycle, int frame, size_t probe) {
+  return (frame - cycle.passed_in[probe] + cycle.frames) % cycle.frames;
 }
 
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+// Level by distance from the passage (ahead: 0 .. K - 1), weighed by contrast: its mean, and its variance among probes.
+struct Passage {
+  std::vector<double> mean, variance;
+};
+
+Passage MeanPassage(const CombCycle& cycle, const std::vector<size_t>& known) {
+  std::vector<double> weight(cycle.frames), sum(cycle.frames), squares(cycle.frames);
+  for (int k = 0; k < cycle.frames; ++k)
+    for (const size_t i : known) {
+      const int ahead = Ahead(cycle, k, i);
+      const double contrast = cycle.contrast[i], level = cycle.level[k][i];
+      weight[ahead] += contrast;
+      sum[ahead] += contrast * level;
+      squares[ahead] += contrast * level * level;
+    }
+  Passage passage;
+  for (int o = 0; o < cycle.frames; ++o) {
+    const double all = std::max(1e-9, weight[o]), mean = sum[o] / all;
+    passage.mean.push_back(mean);
+    passage.variance.push_back(std::max(0.0, squares[o] / all - mean * mean));
+  }
+  return passage;
+}
+
+// Light of each frame over what the passage says of its probes, each distance weighed.
+std::vector<double> LightOverMean(const CombCycle& cycle, const std::vector<size_t>& known,
+                                  const std::vector<double>& mean, const std::vector<double>& weight) {
+  std::vector<double> gain;
+  for (int k = 0; k < cycle.frames; ++k) {
+    double light = 0.0, expected = 0.0;
+    for (const size_t i : known) {
+      const int ahead = Ahead(cycle, k, i);
+      const double share = cycle.contrast[i] * weight[ahead];
+      light += share * cycle.level[k][i];
+      expected += share * mean[ahead];
+    }
+    gain.push_back(light / std::max(1e-9, expected));
+  }
+  return gain;
 }
 
 // Plane through values over the lattice, outliers left out.
@@ -169,18 +198,28 @@ Fit FitStretch(const std::vector<const Excess*>& probes, const MotionOptions& op
 std::vector<double> FrameGains(const CombCycle& cycle) {
   const std::vector<size_t> known = KnownProbes(cycle);
   if (known.size() < kFewestOfCycle) return {};
-  const std::vector<double> passage = MeanPassage(cycle, known);
-  std::vector<double> gain;
-  for (int k = 0; k < cycle.frames; ++k) {
-    double light = 0.0, expected = 0.0;
-    for (const size_t i : known) {
-      const int ahead = (k - cycle.passed_in[i] + cycle.frames) % cycle.frames;
-      light += static_cast<double>(cycle.contrast[i]) * cycle.level[k][i];
-      expected += cycle.contrast[i] * passage[ahead];
-    }
-    gain.push_back(light / std::max(1e-9, expected));
+  // The lamp scales all of a frame's light alike, but what a probe has under the line itself depends on its skin and on
+  // where in the line's step it lies: least squares, by how far probes agree at each distance.
+  const Passage passage = MeanPassage(cycle, known);
+  std::vector<double> weight;
+  for (int o = 0; o < cycle.frames; ++o)
+    weight.push_back(std::max(0.0, passage.mean[o]) / std::max(1e-9, passage.variance[o]));
+  return LightOverMean(cycle, known, passage.mean, weight);
+}
+
+std::vector<Blink> FindBlinks(const std::vector<double>& gain, double tolerance) {
+  const auto frames = static_cast<std::ptrdiff_t>(gain.size()), about = std::min<std::ptrdiff_t>(frames, 7);
+  std::vector<double> light, off;
+  for (std::ptrdiff_t k = 0; k < frames; ++k) {
+    const auto first = gain.begin() + std::clamp<std::ptrdiff_t>(k - about / 2, 0, frames - about);
+    light.push_back(gain[k] / std::max(1e-9, Median({first, first + about})));
+    off.push_back(std::abs(light.back() - 1.0));
   }
-  return gain;
+  const double limit = std::max(tolerance, kBeyondOthers * kMadToDeviation * Median(off));
+  std::vector<Blink> blinks;
+  for (int k = 0; k < static_cast<int>(frames); ++k)
+    if (off[k] > limit) blinks.push_back({k, light[k], limit});
+  return blinks;
 }
 
 std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<bool>& spoilt,
@@ -218,10 +257,11 @@ std::optional<CombMotion> FindMotion(const CombCycle& cycle, const std::vector<b
   return most;
 }
 
-std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::vector<double>& gain) {
+std::optional<MissingComb> FindMissingComb(const CombCycle& cycle) {
   const std::vector<size_t> known = KnownProbes(cycle);
   if (known.size() < kFewestOfCycle) return std::nullopt;
-  const double at_line = MeanPassage(cycle, known)[0];
+  const std::vector<double> passage = MeanPassage(cycle, known).mean,
+                            light = LightOverMean(cycle, known, passage, std::vector<double>(cycle.frames, 1.0));
   std::vector<double> sum(cycle.frames), weight(cycle.frames), variance(cycle.frames);
   for (const size_t i : known) {
     const double contrast = cycle.contrast[i];
@@ -240,7 +280,7 @@ std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::ve
     whole += sum[k];
     all += weight[k];
   }
-  const double mean = whole / std::max(1e-9, all), half_a_frame = 0.5 * at_line / mean;
+  const double mean = whole / std::max(1e-9, all), half_a_frame = 0.5 * passage[0] / mean;
   std::optional<MissingComb> missing;
   bool twice = false;
   for (int k = 0; k < cycle.frames; ++k) {
@@ -248,7 +288,7 @@ std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::ve
     const double here = sum[k] / weight[k] / mean;
     const double limit = std::max(half_a_frame, kBeyondNoise * std::sqrt(variance[k]) / weight[k] / mean);
     twice = twice || here > 1.0 + limit;
-    if (here < 1.0 - limit && std::abs(gain[k] - 1.0) < 0.5 && (!missing || here < missing->sum))
+    if (here < 1.0 - limit && std::abs(light[k] - 1.0) < 0.5 && (!missing || here < missing->sum))
       missing = MissingComb{k, here, limit};
   }
   return twice ? missing : std::nullopt;

@@ -30,9 +30,20 @@ struct CombCycle {
   int pitch = 1;                      // camera pixels from probe to probe
 };
 
-// Light of each frame over what the whole cycle's mean passage says of the probes that it meets; about 1, and on uneven
-// scenes a few per cent off, the same in each capture. Empty where too few probes are known.
+// The lamp in each frame: its light over what the whole cycle's mean passage says of the probes that it meets, the
+// distances from the line weighed by how far probes agree there. About 1, and on uneven scenes a few per cent off, the
+// same in each capture. A comb in another's place says nothing of the lamp. Empty where too few probes are known.
 [[nodiscard]] std::vector<double> FrameGains(const CombCycle& cycle);
+
+// Frames whose light differs from the middle of the seven about them (themselves among them; at an end of the cycle
+// they lie on one side) by more than `tolerance`, and by more than 4.5 standard deviations of what the cycle's frames
+// do anyway: on uneven skin those are a few per cent, and a session asks 256 frames.
+struct Blink {
+  int frame = 0;
+  double light = 1.0;  // over that of the frames about it
+  double limit = 0.0;  // of its deviation from 1
+};
+[[nodiscard]] std::vector<Blink> FindBlinks(const std::vector<double>& gain, double tolerance);
 
 struct MotionOptions {
   int near_frames = 9;              // to both sides of the passage; must hold what blur and footprint spread
@@ -60,12 +71,12 @@ struct CombMotion {
                                                    const MotionOptions& options);
 
 // The frame that shows another comb than its own: lines passed probes with no frame to show for it, and others twice.
-// `gain`: FrameGains. nullopt: none.
+// All of its light is there. nullopt: none.
 struct MissingComb {
   int frame = 0;
   double sum = 1.0;    // of the cycle at the probes that its line passes, over the mean of all
   double limit = 0.0;  // of its deviation from 1: half of what one frame gives, or what noise may do
 };
-[[nodiscard]] std::optional<MissingComb> FindMissingComb(const CombCycle& cycle, const std::vector<double>& gain);
+[[nodiscard]] std::optional<MissingComb> FindMissingComb(const CombCycle& cycle);
 
 }  // namespace stratalux::rig

@@ -9,16 +9,6 @@
 namespace stratalux::rig {
 namespace {
 
-// Of the gains within three frames, the frame itself left out.
-double GainBeside(const std::vector<double>& gain, int frame) {
-  std::vector<double> beside;
-  for (int k = std::max(0, frame - 3); k <= std::min(static_cast<int>(gain.size()) - 1, frame + 3); ++k)
-    if (k != frame) beside.push_back(gain[k]);
-  const auto middle = beside.begin() + static_cast<std::ptrdiff_t>(beside.size() / 2);
-  std::nth_element(beside.begin(), middle, beside.end());
-  return *middle;
-}
-
 bool Has(const std::vector<Finding>& findings, FindingKind kind) {
   return std::any_of(findings.begin(), findings.end(), [kind](const Finding& f) { return f.kind == kind; });
 }
@@ -133,13 +123,13 @@ void PatternWitness::CheckCycle(PatternAxis axis, std::vector<Finding>& findings
   const std::vector<double> gain = FrameGains(cycle);
   if (gain.empty()) return;
   // A comb in another's place lights other probes, so its light says nothing of the lamp.
-  const auto missing = FindMissingComb(cycle, gain);
+  const auto missing = FindMissingComb(cycle);
   if (missing) found(FindingKind::kMixedUp, missing->frame, missing->sum, missing->limit);
   std::vector<bool> spoilt(gain.size());
-  for (int k = 0; k < static_cast<int>(gain.size()); ++k) {
-    const double light = gain[k] / std::max(1e-9, GainBeside(gain, k));
-    spoilt[k] = std::abs(light - 1.0) > options_.blink_tolerance && !(missing && missing->frame == k);
-    if (spoilt[k]) found(FindingKind::kBlink, k, light, options_.blink_tolerance);
+  for (const Blink& blink : FindBlinks(gain, options_.blink_tolerance)) {
+    if (missing && missing->frame == blink.frame) continue;
+    spoilt[blink.frame] = true;
+    found(FindingKind::kBlink, blink.frame, blink.light, blink.limit);
   }
   if (missing) return;
   // Under a lamp that changed meanwhile, neighbours differ by when their line passed.
