@@ -9,6 +9,31 @@ function(stratalux_cold name)
   endif()
 endfunction()
 
+# What most sources read is read once, for those that are optimised and for the cold ones. Only where sources are compiled
+# several together: the other presets find an include that is missing.
+set(STRATALUX_HEADERS <algorithm> <array> <atomic> <chrono> <cmath> <condition_variable> <cstdint> <deque> <filesystem> <fstream>
+    <functional> <map> <memory> <mutex> <numeric> <optional> <random> <set> <span> <sstream> <string> <string_view> <thread>
+    <unordered_map> <utility> <variant> <vector> <Eigen/Core> <Eigen/Geometry>)
+# Once precompiled, GCC's own std::string is warned of by its analysis of flow (as with -Wno-restrict), by each version in
+# another way; the presets without still hear it of our lines.
+set(STRATALUX_PRECOMPILED_OPTIONS $<$<CXX_COMPILER_ID:GNU>:-Wno-array-bounds -Wno-maybe-uninitialized -Wno-stringop-overflow
+                                  -Wno-stringop-overread>)
+function(stratalux_precompile name headers)
+  if(CMAKE_UNITY_BUILD)
+    target_compile_options(${name} PRIVATE "${STRATALUX_PRECOMPILED_OPTIONS}")
+    target_precompile_headers(${name} REUSE_FROM ${headers})
+  endif()
+endfunction()
+if(CMAKE_UNITY_BUILD)
+  file(CONFIGURE OUTPUT "${CMAKE_BINARY_DIR}/generated/headers.cc" CONTENT "" @ONLY)
+  foreach(headers stratalux_headers stratalux_cold_headers)
+    add_library(${headers} OBJECT "${CMAKE_BINARY_DIR}/generated/headers.cc")
+    target_precompile_headers(${headers} PRIVATE ${STRATALUX_HEADERS})
+    target_link_libraries(${headers} PRIVATE Eigen3::Eigen)
+  endforeach()
+  stratalux_cold(stratalux_cold_headers)
+endif()
+
 # stratalux_library(NAME [COLD] SOURCES a.cc ... DEPS target ...): a static library, or an interface one without sources.
 function(stratalux_library name)
   cmake_parse_arguments(ARG "COLD" "" "SOURCES;DEPS;PRIVATE_DEPS" ${ARGN})
@@ -16,6 +41,9 @@ function(stratalux_library name)
     add_library(${name} STATIC ${ARG_SOURCES})
     if(ARG_COLD)
       stratalux_cold(${name})
+      stratalux_precompile(${name} stratalux_cold_headers)
+    else()
+      stratalux_precompile(${name} stratalux_headers)
     endif()
     target_link_libraries(${name} PUBLIC ${ARG_DEPS} PRIVATE ${ARG_PRIVATE_DEPS})
   else()
@@ -67,10 +95,7 @@ endfunction()
 # take most of the time that the whole build takes.
 function(stratalux_test_build name)
   target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
-  # Once precompiled, GCC's own std::string is warned of by its analysis of flow (as with -Wno-restrict), by each version in
-  # another way: these warnings stop no build, all others do.
-  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> -Wno-array-bounds -Wno-error=maybe-uninitialized
-                                         -Wno-error=stringop-overflow -Wno-error=stringop-overread)
+  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> "${STRATALUX_PRECOMPILED_OPTIONS}")
   target_link_libraries(${name} PRIVATE GTest::gtest GTest::gmock GTest::gtest_main)
   # Tests of a folder give the same names to what they make.
   set_target_properties(${name} PROPERTIES UNITY_BUILD OFF)
@@ -82,8 +107,8 @@ if(STRATALUX_BUILD_TESTS)
   # A program, since tests are: headers read with other flags could not be used.
   file(CONFIGURE OUTPUT "${CMAKE_BINARY_DIR}/generated/test_headers.cc" CONTENT "" @ONLY)
   add_executable(stratalux_test_headers "${CMAKE_BINARY_DIR}/generated/test_headers.cc")
-  target_precompile_headers(stratalux_test_headers PRIVATE <algorithm> <cmath> <filesystem> <fstream> <map> <string> <vector>
-                            <gmock/gmock.h> <gtest/gtest.h>)
+  target_precompile_headers(stratalux_test_headers PRIVATE ${STRATALUX_HEADERS} <gmock/gmock.h> <gtest/gtest.h>)
+  target_link_libraries(stratalux_test_headers PRIVATE Eigen3::Eigen)
   stratalux_test_build(stratalux_test_headers)
 endif()
 
