@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "db/base/memory_folder.h"
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
@@ -179,10 +180,8 @@ Status Forgetting::SetFoldersAside() {
 }
 
 Status Forgetting::RemoveFolder(const fs::path& folder) const {
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, FilesUnder(folder));
   std::error_code error;
-  std::vector<fs::path> files;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, error))
-    if (!entry.is_directory()) files.push_back(entry.path());
   for (const fs::path& file : files) {
     fs::remove(file, error);
     if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
@@ -198,8 +197,7 @@ Status Forgetting::RemoveFoldersAside() {
   const fs::path aside = ForgettingFolder(store_);
   std::error_code error;
   if (!fs::is_directory(fs::symlink_status(aside, error))) return Status::Ok();
-  std::vector<fs::path> folders;
-  for (const auto& entry : fs::directory_iterator(aside, error)) folders.push_back(entry.path());
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> folders, EntriesOf(aside));
   for (const fs::path& folder : folders) SLX_RETURN_IF_ERROR(RemoveFolder(folder));
   if (!folders.empty()) SLX_RETURN_IF_ERROR(SyncFolder(aside));
   fs::remove(aside, error);  // stays where another forgetting has just set something aside
@@ -230,12 +228,12 @@ Status Forgetting::RemoveRows(SessionIndex& index) {
 
 Status Forgetting::Compact(SessionIndex& index) {
   // Copies of the index from before a migration hold the rows as they were.
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store_, error)) {
-    const std::string name = entry.path().filename().string();
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> entries, EntriesOf(store_));
+  for (const fs::path& entry : entries) {
+    const std::string name = entry.filename().string();
     if (!name.starts_with("index-before-") || !name.ends_with(".sqlite")) continue;
-    SLX_ASSIGN_OR_RETURN(const bool holds, HoldsMarker(entry.path(), intents_));
-    if (holds) SLX_RETURN_IF_ERROR(WipeFile(entry.path()));
+    SLX_ASSIGN_OR_RETURN(const bool holds, HoldsMarker(entry, intents_));
+    if (holds) SLX_RETURN_IF_ERROR(WipeFile(entry));
   }
   return Checkpoint(index.connection());
 }
@@ -243,11 +241,10 @@ Status Forgetting::Compact(SessionIndex& index) {
 // What the fitter's nights say of them (fitter/batch/night_log.h): files of their own, and pages that name them among
 // others, which `stratalux-fit batch report` makes again.
 Status Forgetting::RemoveFromNights() {
-  std::error_code error;
-  std::vector<fs::path> files;
-  for (const auto& entry : fs::recursive_directory_iterator(store_ / "nights", error))
-    if (entry.is_regular_file()) files.push_back(entry.path());
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, FilesUnder(store_ / "nights"));
   for (const fs::path& file : files) {
+    std::error_code error;
+    if (!fs::is_regular_file(file, error)) continue;
     const std::string name = file.filename().string();
     bool theirs = std::any_of(intents_.begin(), intents_.end(),
                               [&name](const ForgetIntent& intent) { return name.starts_with(intent.session); });

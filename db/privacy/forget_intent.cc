@@ -8,6 +8,7 @@
 #include <sodium.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "db/care/incoming.h"
 #include "db/catalogue/deletions.h"
 #include "db/keys/rig_key.h"
@@ -37,11 +38,14 @@ int64_t AddHashesOf(const fs::path& segment, std::vector<uint64_t>& hashes) {
 }
 
 void MeasureFolder(const fs::path& folder, ForgetIntent& intent) {
-  std::error_code error;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, error)) {
-    if (!entry.is_regular_file(error)) continue;
+  const Result<std::vector<fs::path>> files = FilesUnder(folder);
+  if (!files.ok()) return;  // said by who removes it
+  for (const fs::path& file : *files) {
+    std::error_code error;
+    if (!fs::is_regular_file(file, error)) continue;
     ++intent.files;
-    intent.bytes += static_cast<int64_t>(entry.file_size(error));
+    const auto bytes = fs::file_size(file, error);
+    if (!error) intent.bytes += static_cast<int64_t>(bytes);
   }
 }
 
@@ -100,9 +104,9 @@ ForgetIntent CollectReturned(const fs::path& store, const std::string& id) {
   intent.began = WallNow();
   for (const fs::path& folder : {store / "sessions" / id, IncomingFolder(store, id), IncomingFits(store, id)}) {
     MeasureFolder(folder, intent);
-    std::error_code error;
-    for (const auto& entry : fs::directory_iterator(folder, error)) {
-      const fs::path& file = entry.path();
+    const Result<std::vector<fs::path>> files = EntriesOf(folder);
+    if (!files.ok()) continue;
+    for (const fs::path& file : *files) {
       if (file.extension() == ".seg" && file.filename() != "truth.seg")
         intent.frames += AddHashesOf(file, intent.hashes);
     }
@@ -230,14 +234,12 @@ Status WipeIntent(const fs::path& store, const std::string& session_id) {
 }
 
 Status TidyIntents(const fs::path& store) {
-  std::vector<fs::path> strays;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "ledger", error)) {
-    const fs::path extension = entry.path().extension();
-    if ((extension == ".new" || extension == kWiping) && entry.path().stem().extension() == kIntent)
-      strays.push_back(entry.path());
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, EntriesOf(store / "ledger"));
+  for (const fs::path& file : files) {
+    const fs::path extension = file.extension();
+    if ((extension == ".new" || extension == kWiping) && file.stem().extension() == kIntent)
+      SLX_RETURN_IF_ERROR(WipeFile(file));
   }
-  for (const fs::path& stray : strays) SLX_RETURN_IF_ERROR(WipeFile(stray));
   return Status::Ok();
 }
 
@@ -262,10 +264,10 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
 
 std::vector<std::string> UnfinishedForgets(const fs::path& store) {
   std::vector<std::string> ids;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(store / "ledger", error))
-    if (entry.path().extension() == kIntent) ids.push_back(entry.path().stem().string());
-  std::sort(ids.begin(), ids.end());
+  const Result<std::vector<fs::path>> files = EntriesOf(store / "ledger");
+  if (!files.ok()) return ids;
+  for (const fs::path& file : *files)
+    if (file.extension() == kIntent) ids.push_back(file.stem().string());
   return ids;
 }
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -12,6 +13,12 @@ namespace {
 namespace fs = std::filesystem;
 constexpr const char* kOpen = ".open";
 constexpr const char* kTorn = ".new";  // what ReplaceFile had not yet renamed
+
+constexpr const char* kLock = "kiosk.lock";
+
+std::string TakenText(const fs::path& store) {
+  return "another kiosk serves " + store.string() + "; one store, one kiosk";
+}
 
 fs::path Folder(const fs::path& store) { return store / "visits"; }
 fs::path NoteOf(const fs::path& store, const std::string& visit) { return Folder(store) / (visit + kOpen); }
@@ -35,9 +42,8 @@ Status CloseVisit(const fs::path& store, const std::string& visit) {
 
 Result<std::vector<OpenVisit>> OpenVisits(const fs::path& store) {
   std::vector<OpenVisit> visits;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(Folder(store), error)) {
-    const fs::path& file = entry.path();
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, EntriesOf(Folder(store)));
+  for (const fs::path& file : files) {
     if (file.extension() == kTorn && file.stem().extension() == kOpen) {
       visits.push_back({file.stem().stem().string(), ""});
     } else if (file.extension() == kOpen) {
@@ -47,8 +53,6 @@ Result<std::vector<OpenVisit>> OpenVisits(const fs::path& store) {
       visits.push_back({file.stem().string(), std::move(visitor)});
     }
   }
-  if (error && error != std::errc::no_such_file_or_directory)
-    return Status::Failed("cannot list " + Folder(store).string() + ": " + error.message());
   // A whole note and a torn one of a visit are one visit, the whole one's.
   std::sort(visits.begin(), visits.end(), [](const OpenVisit& a, const OpenVisit& b) {
     return a.visit != b.visit ? a.visit < b.visit : a.visitor > b.visitor;
@@ -57,6 +61,20 @@ Result<std::vector<OpenVisit>> OpenVisits(const fs::path& store) {
                            [](const OpenVisit& a, const OpenVisit& b) { return a.visit == b.visit; }),
                visits.end());
   return visits;
+}
+
+Result<FileLock> LockVisits(const fs::path& store) {
+  SLX_RETURN_IF_ERROR(MakeFolder(Folder(store)));
+  return FileLock::TryTake(Folder(store) / kLock, TakenText(store));
+}
+
+Status CheckVisitsAreFree(const fs::path& store) {
+  return FileLock::IsHeld(Folder(store) / kLock) ? Status(StatusCode::kBusy, TakenText(store)) : Status::Ok();
+}
+
+bool HasVisits(const fs::path& store) {
+  std::error_code error;
+  return fs::exists(Folder(store), error);
 }
 
 }  // namespace stratalux::db

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "db/base/file_lock.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
@@ -21,5 +22,12 @@ struct OpenVisit {
   std::string visit, visitor;  // `visitor` is empty where the note was torn: then no capture had begun
 };
 [[nodiscard]] Result<std::vector<OpenVisit>> OpenVisits(const std::filesystem::path& store);
+
+// Whose visits they are: held by a kiosk from its first note, or since it found one, until it ends, since it forgets
+// all notes that are not its own. Makes the folder. kBusy while another holds it.
+Result<FileLock> LockVisits(const std::filesystem::path& store);
+// Whether nobody holds it; writes nothing.
+Status CheckVisitsAreFree(const std::filesystem::path& store);
+[[nodiscard]] bool HasVisits(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

@@ -54,6 +54,8 @@ Result<KioskReport> RunWithPage(CaptureStation& station, const KioskOptions& opt
 Result<KioskReport> KioskUntilStopped(const CaptureJob& job, StopToken& stop, Logger& logger) {
   KioskOptions options;
   options.station = job.station;
+  // Who looks at the screen is told; the next visitor is served once it has come.
+  options.station.camera_at_start = CameraAtStart::kMayComeLater;
   options.timing = job.timing;
   options.state = StateFolder();
   bool& encrypt = options.station.config.store.encrypt.emplace(job.station.config.store.encrypt.value_or(true));

@@ -54,7 +54,10 @@ void RigEvents::Tell(RigSignal signal, SignalLevel level, MonotonicNs time) noex
   do {
     if ((word & 1U) == active) return;
   } while (!latch.word.compare_exchange_weak(word, (word ^ 1U) + 2));
-  if (signal == RigSignal::kCamera && active != 0) stop_.Request(StopReason::kCameraGone);
+  if (signal == RigSignal::kCamera && active != 0) {
+    ++camera_losses_;
+    stop_.Request(StopReason::kCameraGone);
+  }
   Wake();
 }
 

@@ -60,6 +60,8 @@ class RigEvents {
   [[nodiscard]] std::vector<RigEvent> Take();
   // As last told, whether taken or not.
   [[nodiscard]] bool IsActive(RigSignal signal) const noexcept;
+  // How often the camera went: who opened it anew before the last time has a dead one.
+  [[nodiscard]] int64_t camera_losses() const noexcept { return camera_losses_.load(); }
   // Events that others stood for.
   [[nodiscard]] int64_t merged() const noexcept { return merged_.load(); }
 
@@ -96,7 +98,7 @@ class RigEvents {
   std::array<Latch, kRigSignals> latches_;  // kStart's is not used
   std::atomic<uint64_t> presses_ = 0;       // kOccupied, and below it those nobody has read
   std::atomic<int64_t> press_ns_ = 0;       // the first of them
-  std::atomic<int64_t> merged_ = 0, dropped_starts_ = 0;
+  std::atomic<int64_t> merged_ = 0, dropped_starts_ = 0, camera_losses_ = 0;
   static_assert(std::atomic<uint64_t>::is_always_lock_free && std::atomic<int64_t>::is_always_lock_free,
                 "the light's guard takes no lock");
 };

@@ -2,6 +2,7 @@
 #include "firmware-host/kiosk/forget_search.h"
 
 #include <chrono>
+#include <exception>
 #include <string>
 #include <utility>
 
@@ -69,7 +70,12 @@ void ForgetSearch::Work() {
     if (ending_) return;
     db::ForgetProof proof = *std::exchange(waiting_, std::nullopt);
     lock.unlock();
-    Prove(std::move(proof));
+    try {
+      Prove(std::move(proof));
+    } catch (const std::exception& error) {
+      logger_.Error(std::string("a search for what was forgotten broke off: ") + error.what());
+      found_();
+    }
     // What was sought, a thousand words a visit, goes back to the machine: the program is to stay as large as it was.
     malloc_trim(0);
   }

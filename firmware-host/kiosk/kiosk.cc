@@ -5,6 +5,7 @@
 #include <cmath>
 #include <ctime>
 #include <filesystem>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -14,6 +15,7 @@
 
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
+#include "db/privacy/open_visits.h"
 #include "firmware-host/kiosk/rig_worker.h"
 #include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/kiosk/service_notice.h"
@@ -26,6 +28,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+constexpr int kReopenSeconds = 10;
 constexpr auto kHousekeeping = std::chrono::seconds(10);
 constexpr int kLookMs = 500;        // for the watchdog, the clock and an operator whose stop came behind another
 constexpr int kStoppedLookMs = 20;  // a token that is stopped stays readable: nothing wakes us for the operator
@@ -53,6 +56,8 @@ int SecondsOf(Deadline deadline, const KioskConfig& kiosk) {
       return kiosk.selfcheck_s;
     case Deadline::kCountdown:
       return 1;
+    case Deadline::kReopen:
+      return kReopenSeconds;
     case Deadline::kNone:
       return 0;
   }
@@ -109,6 +114,12 @@ class KioskLoop {
   void HearRig();
   void KeepHouse();
   void Feed(const VisitEvent& event);
+  // Lines once lost are opened by a start alone: the reset that the operator asks for is one.
+  [[nodiscard]] bool NeedsNewStart(const VisitEvent& event) const {
+    const auto* ordered = std::get_if<event::Operator>(&event);
+    return ordered != nullptr && ordered->command == OperatorCommand::kReset && state_.phase == Phase::kSafe &&
+           state_.lost.Has(Device::kLines);
+  }
 
   void Perform(const action::LightOff& /*action*/) { worker_.LightOff(); }
   void Perform(const action::StopCapture& action) {
@@ -162,6 +173,7 @@ class KioskLoop {
   Clock::time_point next_housekeeping_;
   std::chrono::nanoseconds clock_offset_ = ClockOffset();
   bool short_of_space_ = false;
+  bool new_start_ = false;
 };
 
 Result<KioskReport> KioskLoop::Run() {
@@ -177,7 +189,7 @@ Result<KioskReport> KioskLoop::Run() {
   front_.ServeWithdrawals([this](const std::string& visitor) { return worker_.Withdraw(visitor); });
   KeepHouse();
   notice_.Ready();
-  while (!Ended()) {
+  while (!Ended() && !new_start_) {
     Wait();
     Hear();
     // A work that never ends is the watchdog's: the machine has been safe since, and cannot go on.
@@ -186,6 +198,7 @@ Result<KioskReport> KioskLoop::Run() {
   }
   front_.ServeWithdrawals(nullptr);
   notice_.Stopping();
+  if (new_start_) return Status::Failed("the GPIO lines went; the kiosk ends, and opens them when it is started again");
   report_.begun = state_.visit;
   report_.owed = state_.closed_for.Has(Closure::kUnforgotten);
   return report_;
@@ -204,7 +217,10 @@ void KioskLoop::Hear() {
   HearRig();
   if (stop_.operator_asked() && !state_.closed_for.Has(Closure::kShutdown)) Feed(event::Shutdown{});
   for (const VisitEvent& event : front_.Take())
-    if (IsOfFront(event, kiosk_)) Feed(event);
+    if (IsOfFront(event, kiosk_)) {
+      new_start_ = new_start_ || NeedsNewStart(event);
+      Feed(event);
+    }
   for (const VisitEvent& event : worker_.Take()) {
     HearRig();
     Feed(event);
@@ -339,6 +355,9 @@ Result<VisitRules> RulesOf(const StationOptions& station) {
   rules.nearest_mm = static_cast<int>(kiosk.nearest_mm);
   rules.furthest_mm = static_cast<int>(kiosk.furthest_mm);
   rules.level_permille = Permille(kiosk.snr);
+  // A camera whose exposure cannot be set has no shorter one.
+  const bool fixed = !station.simulated && station.config.camera.exposure_control == ExposureControl::kNone;
+  if (fixed) rules.shortest_exposure_us = std::numeric_limits<int>::max();
   rules.most_saturated_permille = Permille(kiosk.most_saturated);
   rules.least_coverage_permille = Permille(kiosk.least_coverage);
   rules.paper_consent = !kiosk.paper_scope.empty();
@@ -366,6 +385,7 @@ Result<KioskReport> RunKiosk(CaptureStation& station, const KioskOptions& option
                              Logger& logger) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const VisitRules rules, RulesOf(options.station));
+  SLX_RETURN_IF_ERROR(db::CheckVisitsAreFree(options.station.config.store.folder));
   KioskLoop loop(station, options, rules, front, stop, logger);
   return loop.Run();
 }

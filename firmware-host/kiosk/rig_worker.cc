@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <exception>
 #include <optional>
 #include <random>
 #include <utility>
@@ -24,6 +25,16 @@ constexpr int kDistanceBits = 5;  // 32 stripes
 bool MakesLight(const VisitAction& job) {
   return std::holds_alternative<action::Preview>(job) || std::holds_alternative<action::CheckRig>(job) ||
          std::holds_alternative<action::StartCapture>(job);
+}
+
+// What the machine hears of a job that came to nothing.
+std::optional<VisitEvent> FailureOf(const VisitAction& job) {
+  if (std::holds_alternative<action::StartCapture>(job) || std::holds_alternative<action::Preview>(job))
+    return event::Failed{};
+  if (std::holds_alternative<action::CheckRig>(job)) return event::Checked{};
+  if (std::holds_alternative<action::Recover>(job)) return event::Recovered{};
+  if (std::holds_alternative<action::Discard>(job)) return event::DiscardFailed{};
+  return std::nullopt;
 }
 
 }  // namespace
@@ -62,10 +73,8 @@ void RigWorker::LightOff() {
   {
     const std::scoped_lock lock(mutex_);
     // What was not begun is answered, too.
-    for (const VisitAction& job : jobs_) {
-      if (std::holds_alternative<action::StartCapture>(job)) told_.push_back(event::Failed{});
-      if (std::holds_alternative<action::CheckRig>(job)) told_.push_back(event::Checked{});
-    }
+    for (const VisitAction& job : jobs_)
+      if (MakesLight(job) && !std::holds_alternative<action::Preview>(job)) told_.push_back(*FailureOf(job));
     std::erase_if(jobs_, MakesLight);
     cancelled_ = lighting_;
     if (lighting_) stop_.Request(StopReason::kVisitorLeft);
@@ -122,7 +131,13 @@ void RigWorker::Work() {
       lighting_ = MakesLight(job);
       cancelled_ = false;
     }
-    std::visit([this](const auto& one) { Do(one); }, job);
+    // Of the libraries' own: no job may take the program with it, which would find the same again at its next start.
+    try {
+      std::visit([this](const auto& one) { Do(one); }, job);
+    } catch (const std::exception& error) {
+      logger_.Error(ToString(job) + ": " + error.what());
+      if (const auto failed = FailureOf(job)) Tell(*failed);
+    }
     {
       const std::scoped_lock lock(mutex_);
       lighting_ = cancelled_ = false;
@@ -226,8 +241,11 @@ void RigWorker::Do(const action::CheckRig& /*job*/) {
 
 void RigWorker::Do(const action::Recover& /*job*/) {
   Status recovered;
-  if (station_.events().IsActive(RigSignal::kCamera) || stop_.reason() == StopReason::kCameraGone)
-    recovered = station_.ReopenCamera();
+  // Asked of how often it went: whether it is away now, or stopped us, does not tell what was pulled and plugged in
+  // while door or E-STOP had stopped us already.
+  const int64_t losses = station_.events().camera_losses();
+  if (losses != losses_mended_) recovered = station_.ReopenCamera();
+  if (recovered.ok()) losses_mended_ = losses;
   if (recovered.ok() && stop_.stopped()) recovered = station_.light().Reset();
   if (!recovered.ok()) logger_.Warning(recovered.message());
   Tell(event::Recovered{recovered.ok()});
@@ -303,20 +321,33 @@ void RigWorker::Do(const action::PrintTicket& job) {
   const VisitNames named = names();
   if (named.visit != job.visit) return;
   if (const Status kept = forgetting_.Keep(named.name); !kept.ok())
-    logger_.Error("a visit that has its ticket is forgotten at the next start: " + kept.message());
+    logger_.Error("a visit that has its ticket is forgotten at the next start, unless its note goes before: " +
+                  kept.message());
 }
 
 void RigWorker::Do(const action::Discard& job) {
   const VisitNames named = names();
-  Status forgotten;
-  if (named.visit == job.visit) forgotten = forgetting_.Begin(named.name, named.visitor);
-  if (forgotten.ok()) forgotten = forgetting_.ForgetUnkept();
+  Status noted, forgotten;
+  if (named.visit == job.visit) noted = forgetting_.Begin(named.name, named.visitor);
+  if (noted.ok()) {
+    forgotten = forgetting_.ForgetUnkept();
+  } else {
+    // A disk that is full or read-only takes no note; what is there may go all the same.
+    logger_.Warning("no note of a visit to be forgotten: " + noted.message());
+    forgotten = forgetting_.Withdraw(named.visitor);
+    if (forgotten.code() == StatusCode::kNotFound) forgotten = Status::Ok();
+  }
   if (!forgotten.ok()) logger_.Error("a visit could not be forgotten: " + forgotten.message());
   forgotten.ok() ? Tell(event::Discarded{}) : Tell(event::DiscardFailed{});
 }
 
 void RigWorker::ForgetWhatWasLeft() {
-  const Status forgotten = forgetting_.ForgetUnkept();
+  Status forgotten;
+  try {
+    forgotten = forgetting_.ForgetUnkept();
+  } catch (const std::exception& error) {
+    forgotten = Status::Failed(error.what());
+  }
   if (forgotten.ok()) return;
   logger_.Error("what was left without a ticket could not be forgotten: " + forgotten.message() +
                 "; the next discarding or start tries again");

@@ -59,10 +59,17 @@ VisitForgetting::VisitForgetting(std::string store, std::function<void(db::Forge
     : store_(std::move(store)), after_step_(std::move(after_step)), search_(search), logger_(logger) {}
 
 Status VisitForgetting::Begin(const std::string& visit, const std::string& visitor) {
+  kept_.erase(visit);
+  SLX_RETURN_IF_ERROR(Own());
   return db::NoteOpenVisit(store_, visit, visitor);
 }
 
-Status VisitForgetting::Keep(const std::string& visit) { return db::CloseVisit(store_, visit); }
+Status VisitForgetting::Keep(const std::string& visit) {
+  kept_.insert(visit);
+  SLX_RETURN_IF_ERROR(db::CloseVisit(store_, visit));
+  kept_.erase(visit);
+  return Status::Ok();
+}
 
 Status VisitForgetting::ForgetUnkept() {
   return WhileBusy([this] { return TryUnkept(); });
@@ -72,9 +79,22 @@ Status VisitForgetting::Withdraw(const std::string& visitor) {
   return WhileBusy([&] { return TryWithdraw(visitor); });
 }
 
+Status VisitForgetting::Own() {
+  if (alone_) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(alone_, db::LockVisits(store_));
+  return Status::Ok();
+}
+
 Status VisitForgetting::TryUnkept() {
   const auto turn = search_.Turn();
-  SLX_ASSIGN_OR_RETURN(const auto visits, db::OpenVisits(store_));
+  if (db::HasVisits(store_)) SLX_RETURN_IF_ERROR(Own());
+  SLX_ASSIGN_OR_RETURN(auto visits, db::OpenVisits(store_));
+  // Who holds a ticket is forgotten by nobody else's visit: their note, which could not be closed, is tried again.
+  std::erase_if(visits, [this](const db::OpenVisit& visit) {
+    if (!kept_.contains(visit.visit)) return false;
+    if (const Status kept = Keep(visit.visit); !kept.ok()) logger_.Error(kept.message());
+    return true;
+  });
   if (visits.empty() && db::UnfinishedForgets(store_).empty()) return Status::Ok();
   Result<db::ForgetRequest> request = RequestFor(store_, VisitorsOf(visits));
   // No capture came as far as making one.

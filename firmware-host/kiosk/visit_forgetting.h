@@ -3,8 +3,11 @@
 #pragma once
 
 #include <functional>
+#include <optional>
+#include <set>
 #include <string>
 
+#include "db/base/file_lock.h"
 #include "db/privacy/forget.h"
 #include "firmware-host/kiosk/forget_search.h"
 #include "shared/base/log.h"
@@ -32,12 +35,16 @@ class VisitForgetting {
 
  private:
   Status TryUnkept();
+  // That no other kiosk forgets what this one notes, nor this one what another noted.
+  Status Own();
   Status TryWithdraw(const std::string& visitor);
 
   const std::string store_;
   const std::function<void(db::ForgetStep)> after_step_;
   ForgetSearch& search_;
   Logger& logger_;
+  std::optional<db::FileLock> alone_;
+  std::set<std::string> kept_;  // visits whose note could not be closed
 };
 
 }  // namespace stratalux::rig

@@ -197,6 +197,8 @@ void Stepper::On(const event::Tick& tick) {
     case Phase::kForgetting:
     case Phase::kSelfcheck:
       return GoSafe(Word::kStuck);
+    case Phase::kClosed:
+      return Rest();
     default:
       return End(In(Phase::kThanks) ? Word::kNone : Word::kTimeOut);
   }
@@ -441,6 +443,8 @@ void Stepper::On(const event::Recovered& recovered) {
   const bool good = recovered.good && s_.interlock.empty() && s_.lost.empty();
   if (good) s_.closed_for.Remove(Closure::kDevice);
   if (!good) Do(action::TellOperator{In(Phase::kSafe) ? s_.safe_for : Word::kDevice});
+  // It is there and does not open: rights that come late, a driver that settles. Nothing else asks again.
+  if (!good && In(Phase::kClosed) && s_.lost.empty()) Enter(Phase::kClosed, Deadline::kReopen);
   if (!good || !leaves) return Show();
   s_.safe_for = Word::kNone;
   Rest();

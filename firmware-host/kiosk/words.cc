@@ -52,8 +52,9 @@ const char* ToString(Word word) {
 }
 
 const char* ToString(Deadline deadline) {
-  static constexpr std::array<const char*, kDeadlines> kNames = {
-      "none", "question", "consent", "position", "countdown", "capture", "gate", "thanks", "forgetting", "selfcheck"};
+  static constexpr std::array<const char*, kDeadlines> kNames = {"none",       "question",  "consent", "position",
+                                                                 "countdown",  "capture",   "gate",    "thanks",
+                                                                 "forgetting", "selfcheck", "reopen"};
   return NameIn(kNames, deadline);
 }
 

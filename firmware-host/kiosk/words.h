@@ -88,9 +88,10 @@ enum class Deadline : uint8_t {
   kGate,
   kThanks,
   kForgetting,
-  kSelfcheck
+  kSelfcheck,
+  kReopen  // until a camera that is there and did not open is tried again
 };
-inline constexpr int kDeadlines = 10;
+inline constexpr int kDeadlines = 11;
 
 enum class OperatorCommand : uint8_t { kClean, kOutOfOrder, kOpen, kSelfcheck, kReset };
 inline constexpr int kOperatorCommands = 5;

@@ -118,7 +118,8 @@ Result<std::unique_ptr<CaptureStation>> CaptureStation::Open(const StationOption
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_ASSIGN_OR_RETURN(const CapturePlan plan, BuildPlan(options.config.plan));
   SLX_RETURN_IF_ERROR(CheckMemories(options, plan));
-  SLX_ASSIGN_OR_RETURN(OpenedRig rig, OpenRig(options.config, options.simulated, stop, logger));
+  SLX_ASSIGN_OR_RETURN(OpenedRig rig,
+                       OpenRig(options.config, options.simulated, stop, logger, options.camera_at_start));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
   auto station = std::unique_ptr<CaptureStation>(new CaptureStation(options, std::move(rig), stop, logger));
   station->Rest();

@@ -27,6 +27,7 @@ namespace stratalux::rig {
 struct StationOptions {
   RigConfig config;  // store, devices, deadlines, queue; `plan` and `memory`: what the memories hold
   std::optional<SimulatedRigOptions> simulated;  // in place of the devices of `config`
+  CameraAtStart camera_at_start = CameraAtStart::kNeeded;
 
   // kUsage: no devices and no simulation, a camera of too few pixels to tell patterns apart.
   [[nodiscard]] Status Validate() const;

@@ -134,7 +134,7 @@ Status OpenedRig::ReopenCamera(const CameraWiring& wiring, Logger& logger) {
 }
 
 Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
-                          Logger& logger) {
+                          Logger& logger, CameraAtStart at_start) {
   SLX_ASSIGN_OR_RETURN(const MemoryLayout layout, LayOutMemories(config.plan, config.memory));
   OpenedRig rig;
   rig.events = std::make_unique<RigEvents>(stop);
@@ -175,7 +175,16 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<Simulated
   if (!config.gpio.door) logger.Warning("no door is wired ([gpio] door): light can go on while the box is open");
   if (const Status kept = KeepLights(StateFolder(), LightsOf(config)); !kept.ok())
     logger.Warning("`stratalux-rig safe` will need the configuration: " + kept.message());
-  SLX_ASSIGN_OR_RETURN(rig.camera, OpenCamera(config.camera, logger));
+  Result<std::unique_ptr<FrameSource>> camera = OpenCamera(config.camera, logger);
+  if (!camera.ok() && (at_start == CameraAtStart::kNeeded || camera.status().code() == StatusCode::kUsage))
+    return camera.status();
+  if (camera.ok()) {
+    rig.camera = std::move(camera).value();
+  } else {
+    logger.Warning("without a camera until it comes: " + camera.status().message());
+    rig.camera = std::make_unique<NoCamera>(config.camera.pace, camera.status());
+    rig.events->Tell(RigSignal::kCamera, SignalLevel::kActive, MonotonicNow());
+  }
   Result<std::unique_ptr<NodeWatch>> watch = WatchCamera(config.camera, *rig.events);
   if (!watch.ok()) logger.Warning("nobody sees the camera being unplugged: " + watch.status().message());
   if (watch.ok()) rig.camera_watch = std::move(watch).value();

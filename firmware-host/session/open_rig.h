@@ -40,10 +40,15 @@ struct OpenedRig {
   [[nodiscard]] std::function<void(std::chrono::nanoseconds)> wait() const;
 };
 
+// kMayComeLater: without a camera the rig opens all the same, each use says why there is none, and RigSignal::kCamera
+// says that it is away.
+enum class CameraAtStart : uint8_t { kNeeded, kMayComeLater };
+
 // `simulated` set: that rig. Else the configuration's devices. Their pattern memories hold what `config` lays out.
 // kUsage where the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name
 // the device.
 [[nodiscard]] Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated,
-                                        StopToken& stop, Logger& logger);
+                                        StopToken& stop, Logger& logger,
+                                        CameraAtStart at_start = CameraAtStart::kNeeded);
 
 }  // namespace stratalux::rig

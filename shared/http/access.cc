@@ -28,8 +28,8 @@ std::string Lower(std::string text) {
   return text;
 }
 
-// "127.0.0.1:8080" and "[::1]:8080" without the port; nullopt where the port is another.
-std::optional<std::string> HostOf(const std::string& authority, int port) {
+// "127.0.0.1:8080" and "[::1]:8080" without the port, and whether the port is `port`; nullopt where it is no number.
+std::optional<std::pair<std::string, bool>> HostOf(const std::string& authority, int port) {
   std::string host = Lower(authority), tail;
   const size_t bracket = host.rfind(']');
   const size_t colon = host.find(':', bracket == std::string::npos ? 0 : bracket);
@@ -37,8 +37,8 @@ std::optional<std::string> HostOf(const std::string& authority, int port) {
     tail = host.substr(colon + 1);
     host.resize(colon);
   }
-  if (tail != std::to_string(port) && !(tail.empty() && port == 80)) return std::nullopt;
-  return host;
+  if (tail.find_first_not_of("0123456789") != std::string::npos) return std::nullopt;
+  return std::pair{host, tail == std::to_string(port) || (tail.empty() && port == 80)};
 }
 
 bool IsAddress(const std::string& host) {
@@ -119,10 +119,12 @@ AccessGuard::AccessGuard(AccessOptions options, int port)
 std::optional<Response> AccessGuard::CheckHost(const Request& request) const {
   const auto found = request.headers.find("host");
   if (found == request.headers.end()) return Response::Text(400, "the request names no host");
-  const auto host = HostOf(found->second, port_);
+  const auto named = HostOf(found->second, port_);
+  const std::string host = named ? named->first : "";
+  if (named && named->second && (host == "localhost" || IsAddress(host))) return std::nullopt;
+  // By whatever port: that of a proxy in front is its own, and what must not be rebound is the name.
   const auto& names = options_.host_names;
-  if (host && (*host == "localhost" || IsAddress(*host) || std::find(names.begin(), names.end(), *host) != names.end()))
-    return std::nullopt;
+  if (std::find(names.begin(), names.end(), host) != names.end()) return std::nullopt;
   return Response::Text(421, "this server is not known by that name");
 }
 

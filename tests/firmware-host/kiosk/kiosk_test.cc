@@ -16,7 +16,9 @@
 
 #include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
+#include "db/privacy/open_visits.h"
 #include "db/privacy/ticket.h"
+#include "firmware-host/kiosk/findings_gate.h"
 #include "firmware-host/kiosk/rig_worker.h"
 #include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/session/state_file.h"
@@ -84,6 +86,57 @@ TEST_F(KioskTest, DoorAndPlugEndAVisitAndTheNextIsServed) {
 }
 
 // The pre-scans come first, so the exposure's number lies somewhere in the first capture.
+// Whoever mends the camera's cable opens the door first: that it went is told by a count, not by what stopped the rig.
+TEST_F(KioskTest, ACameraPluggedAgainBehindAnOpenDoorIsOpenedAnew) {
+  Open();
+  SimulatedRig& rig = *station_->rig().simulation;
+  bool mended = false;
+  on_show_ = [&](const action::Show& screen) {
+    if (screen.screen != Phase::kSafe || std::exchange(mended, true)) return;
+    rig.Happen(RigSignal::kCamera, SignalLevel::kActive);
+    rig.Happen(RigSignal::kCamera, SignalLevel::kRest);
+  };
+  const KioskReport report = Run({Manner::kOpensDoor, Manner::kVisit});
+  EXPECT_TRUE(mended);
+  EXPECT_EQ(report.tickets, 1);
+  CheckStore();
+}
+
+TEST_F(KioskTest, AStoreHasOneKiosk) {
+  Open();
+  const auto held = db::LockVisits(options_.station.config.store.folder);
+  ASSERT_TRUE(held.ok());
+  ScriptedFront front(*station_->rig().simulation, 1, [](int) { return Manner::kVisit; });
+  const auto report = RunKiosk(*station_, options_, front, stop_, logger_);
+  EXPECT_EQ(report.status().code(), StatusCode::kBusy);
+  EXPECT_THAT(report.status().message(), HasSubstr("another kiosk"));
+}
+
+// Nothing opens lines again but a start: the operator's reset ends the program with an error, and its service starts
+// it.
+TEST_F(KioskTest, AResetAfterTheLinesWentEndsForANewStart) {
+  Open();
+  SimulatedRig& rig = *station_->rig().simulation;
+  rig.Happen(RigSignal::kLines, SignalLevel::kActive);
+  ScriptedFront front(rig, 1, [](int) { return Manner::kVisit; });
+  const auto report = RunKiosk(*station_, options_, front, stop_, logger_);
+  EXPECT_EQ(report.status().code(), StatusCode::kFailed);
+  EXPECT_THAT(report.status().message(), HasSubstr("lines"));
+  EXPECT_TRUE(Dark());
+}
+
+TEST_F(KioskTest, ACameraOfOneExposureIsNotAskedForAShorterOne) {
+  options_.station.simulated.reset();
+  options_.station.config.camera.exposure_control = ExposureControl::kExposure;
+  ASSERT_TRUE(RulesOf(options_.station).ok());
+  CaptureFacts facts;
+  facts.saturated_permille = 1000;
+  const VisitSoFar before{.attempt = 1, .exposure_us = 16000};
+  EXPECT_EQ(JudgeCapture(facts, before, *RulesOf(options_.station)).verdict, Verdict::kRetakeShorter);
+  options_.station.config.camera.exposure_control = ExposureControl::kNone;
+  EXPECT_EQ(JudgeCapture(facts, before, *RulesOf(options_.station)).verdict, Verdict::kAccept);
+}
+
 TEST_F(KioskTest, WhoMovedIsOfferedARetakeAndBothAttemptsAreKept) {
   Simulate(options_.station, "sphere");
   options_.station.simulated->faults.script = {*ParseFault("subject_moved@150=3")};

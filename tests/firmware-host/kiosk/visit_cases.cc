@@ -78,7 +78,8 @@ void AddClosed(std::map<std::string, VisitState>& all) {
   VisitState away = At(Phase::kClosed);
   away.closed_for = {Closure::kDevice};
   away.word = Word::kDevice;
-  all["unplugged"] = all["reopening"] = away;
+  all["unplugged"] = all["reopening"] = all["unopened"] = away;
+  all["unopened"].armed = Deadline::kReopen;
   all["unplugged"].lost.Add(Device::kCamera);
   all["reopening"].work = VisitState::Work::kRecover;
   VisitState& unforgotten = all["unforgotten"] = AfterCapture(Phase::kClosed, Deadline::kNone, Word::kLeft);

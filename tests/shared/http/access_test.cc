@@ -61,6 +61,18 @@ TEST(AccessGuard, KnowsItsNamesAndAddressesAlone) {
         "localhost:8123, evil.example", "[::1]", "[::1:8123", "127.0.0.1:8123:8123", "kiosk.local.:8123"})
     EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {{"host", host}}))), 421) << host;
   EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {}))), 400);
+  // A proxy in front has a port of its own, and passes its name on.
+  for (const char* host : {"kiosk.local", "kiosk.local:443", "kiosk.local:8443"})
+    EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {{"host", host}}))), 200) << host;
+  for (const char* host : {"kiosk.local:443, evil.example", "kiosk.local:8123:8123", "kiosk.local.evil.example:443"})
+    EXPECT_EQ(StatusOf(guard.CheckHost(Asked(Method::kGet, {{"host", host}}))), 421) << host;
+}
+
+TEST(AccessGuard, TakesPostsOfItsOwnPagesThroughAProxy) {
+  const AccessGuard guard({.token = kToken, .host_names = {"kiosk.local"}}, kPort);
+  const Request post = Asked(Method::kPost, {{"host", "kiosk.local"}, {"origin", "https://kiosk.local"}});
+  EXPECT_EQ(StatusOf(guard.CheckHost(post)), 200);
+  EXPECT_EQ(StatusOf(guard.CheckOrigin(post)), 200);
 }
 
 TEST(AccessGuard, TakesPostsOfItsOwnPagesAlone) {
