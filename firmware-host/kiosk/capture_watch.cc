@@ -21,9 +21,10 @@ void CaptureWatch::OnStepDone(const PlanStep& /*step*/) {
   if (100 * done_ / steps_ != percent) progress_(done_, steps_);
 }
 
-// One that is shot again comes again: the last of each counts.
+// One that is shot again comes again; what it was refused for, another picture or the room's light, says nothing.
 void CaptureWatch::OnFrame(const FrameRecord& record, const Image<uint16_t>& pixels) {
   if (record.phase != CapturePhase::kReference || record.bracket != 0 || record.projector < 0) return;
+  if (record.level_check == LevelCheck::kFailed) return;
   Reference& reference = waiting_[record.projector];
   if (record.pattern.kind == PatternKind::kWhite) reference.white = pixels;
   if (record.pattern.kind == PatternKind::kBlack) reference.black = pixels;

@@ -3,11 +3,25 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <set>
 
 #include "firmware-host/sequence/pattern_witness.h"
 
 namespace stratalux::rig {
 namespace {
+
+// Standard deviation of all frames' light over all probes' contrast. One black is taken off every frame: in dim light
+// its noise, as many times over, is what the sum is uncertain by.
+double NoiseOfSum(const CombCycle& cycle) {
+  double variance = 0.0, contrast = 0.0;
+  for (size_t i = 0; i < cycle.contrast.size(); ++i) {
+    double of_probe = static_cast<double>(cycle.frames) * cycle.frames * cycle.black_variance[i];
+    for (const std::vector<float>& frame : cycle.variance) of_probe += frame[i];
+    variance += of_probe * cycle.contrast[i] * cycle.contrast[i];
+    contrast += cycle.contrast[i];
+  }
+  return std::sqrt(variance) / contrast;
+}
 
 bool Has(const std::vector<Finding>& findings, FindingKind kind) {
   return std::any_of(findings.begin(), findings.end(), [kind](const Finding& f) { return f.kind == kind; });
@@ -49,10 +63,11 @@ void PatternWitness::CheckWhites(std::vector<Finding>& findings) const {
 std::vector<int> PatternWitness::StepsOfCycle(PatternAxis axis) const {
   const PlanOptions& o = plan_.options;
   std::vector<int> steps;
+  std::set<int> shifts;  // of the nominal exposure, whichever bracket that is; the first of each
   for (int i : StepsOf(CapturePhase::kSweep)) {
     const PlanStep& step = plan_.steps[i];
-    if (step.pattern.axis == axis && step.bracket == 0 && step.exposure_ms == o.exposure_ms && Find(i) != nullptr)
-      steps.push_back(i);
+    if (step.pattern.axis != axis || step.exposure_ms != o.exposure_ms || Find(i) == nullptr) continue;
+    if (shifts.insert(step.pattern.shift).second) steps.push_back(i);
   }
   if (static_cast<int>(steps.size()) != o.comb_period / o.comb_step) return {};
   std::sort(steps.begin(), steps.end(),
@@ -113,13 +128,15 @@ void PatternWitness::CheckCycle(PatternAxis axis, std::vector<Finding>& findings
     contrast += cycle.contrast[j];
     for (const std::vector<float>& level : cycle.level) sum += static_cast<double>(cycle.contrast[j]) * level[j];
   }
-  const double whites = sum / contrast * plan_.options.comb_step / plan_.options.comb_width;
+  const double per_white = static_cast<double>(plan_.options.comb_step) / plan_.options.comb_width;
+  const double whites = sum / contrast * per_white;
   auto found = [&](FindingKind kind, int frame, double value, double limit) {
     findings.push_back(
         {.kind = kind, .projector = projector_, .step = frame < 0 ? -1 : steps[frame], .value = value, .limit = limit});
   };
-  if (std::abs(whites - 1.0) > options_.steady_tolerance && !Has(findings, FindingKind::kLamp))
-    found(FindingKind::kLamp, -1, whites, options_.steady_tolerance);
+  const double steady = options_.steady_tolerance + 4.0 * per_white * NoiseOfSum(cycle);
+  if (std::abs(whites - 1.0) > steady && !Has(findings, FindingKind::kLamp))
+    found(FindingKind::kLamp, -1, whites, steady);
   const std::vector<double> gain = FrameGains(cycle);
   if (gain.empty()) return;
   // A comb in another's place lights other probes, so its light says nothing of the lamp.

@@ -30,7 +30,13 @@ const say = text => { if (said.textContent !== text) said.textContent = text; };
 async function press(verb, more = {}) {
   if (!state) return;
   for (const button of document.querySelectorAll('[data-verb]')) button.disabled = true;
-  const answer = await post(`/visitor/${verb}`, {nonce: state.nonce, screen: state.screen, ...more});
+  const {nonce, screen: pressedOn} = state;
+  let answer = await post(`/visitor/${verb}`, {nonce, screen: pressedOn, ...more});
+  // A stop that nobody heard is said again for as long as this screen stands: the program may be at something else.
+  while (answer.status === 0 && verb === 'leave' && state?.nonce === nonce && state.screen === pressedOn) {
+    await new Promise(resolve => setTimeout(resolve, 300));
+    answer = await post('/visitor/leave', {nonce, screen: pressedOn});
+  }
   // What was pressed belonged to another visit or screen: the stream says what is now.
   if (answer.status === 403 || answer.status === 409) machine.open();
   for (const button of document.querySelectorAll('[data-verb]')) button.disabled = false;

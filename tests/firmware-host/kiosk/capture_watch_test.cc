@@ -68,6 +68,19 @@ TEST_F(CaptureWatchTest, CountsTheSaturatedOfTheBrightestProjector) {
   EXPECT_EQ(Facts().saturated_permille, 100);
 }
 
+// The room's light flashed over the first try: it was refused and shot again.
+TEST_F(CaptureWatchTest, ARefusedReferenceSaysNothing) {
+  FrameRecord refused = Reference(0, PatternKind::kWhite);
+  refused.level_check = LevelCheck::kFailed;
+  watch_.OnFrame(Reference(0, PatternKind::kBlack), kBlack);
+  watch_.OnFrame(refused, Lit(80, 240, 4095));
+  EXPECT_EQ(Facts().saturated_permille, 0);
+  EXPECT_EQ(Facts().coverage_permille, 0);
+  Shown(0, Lit(80, 160, 1000));
+  EXPECT_EQ(Facts().saturated_permille, 0);
+  EXPECT_EQ(Facts().coverage_permille, 500);
+}
+
 TEST_F(CaptureWatchTest, AnotherPhaseAndAnotherBracketAreNoReference) {
   FrameRecord white = Reference(0, PatternKind::kWhite);
   watch_.OnFrame(Reference(0, PatternKind::kBlack), kBlack);

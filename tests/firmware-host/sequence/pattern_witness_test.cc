@@ -26,7 +26,10 @@ PlanOptions OneProjector() {
 class WitnessTest : public ::testing::Test {
  protected:
   static constexpr int kSpread = 9;
-  WitnessTest() : plan_(*BuildPlan(OneProjector())), witness_(plan_, {}) { witness_.StartProjector(0); }
+  explicit WitnessTest(const PlanOptions& plan = OneProjector(), const WitnessOptions& options = {})
+      : plan_(*BuildPlan(plan)), witness_(plan_, options) {
+    witness_.StartProjector(0);
+  }
 
   Image<uint16_t> See(const Pattern& pattern, double lamp = 1.0) {
     Image<uint16_t> frame(320, 160);
@@ -41,7 +44,7 @@ class WitnessTest : public ::testing::Test {
               pattern.Intensity(std::clamp(column + (rows ? 0 : d), 0, 255), std::clamp(row + (rows ? d : 0), 0, 127)) /
               (2.0 * kSpread + 1.0);
         }
-        const double signal = lamp * 1200.0 * (0.5 * pattern.Intensity(column, row) + 0.5 * wide);
+        const double signal = lamp * white_dn_ * (0.5 * pattern.Intensity(column, row) + 0.5 * wide);
         const double noise = std::sqrt(signal / 4.0 + 9.0) * random_.Normal();
         frame(x, y) = static_cast<uint16_t>(std::clamp(std::round(64.0 + signal + noise), 0.0, 4095.0));
       }
@@ -66,6 +69,7 @@ class WitnessTest : public ::testing::Test {
 
   CapturePlan plan_;
   PatternWitness witness_;
+  double white_dn_ = 1200.0;
   Random random_{5};
 };
 
@@ -179,6 +183,53 @@ TEST_F(WitnessTest, ADimmerSweepDoesNotAddUp) {
   ASSERT_EQ(findings.size(), 1U);
   EXPECT_EQ(findings[0].kind, FindingKind::kLamp);
   EXPECT_NEAR(findings[0].value, 0.8, 0.02);
+}
+
+// The nominal exposure need not be the first of a comb's exposures.
+class NominalSecond : public WitnessTest {
+ protected:
+  NominalSecond() : WitnessTest(Plan()) {}
+  static PlanOptions Plan() {
+    PlanOptions options = OneProjector();
+    options.brackets = {0.5, 1.0};
+    return options;
+  }
+};
+
+TEST_F(NominalSecond, ADimmerSweepIsFound) {
+  for (const PlanStep& step : plan_.steps) {
+    const double lamp = step.phase == CapturePhase::kSweep ? 0.8 : 1.0;
+    if (step.projector == 0) Show(step, See(step.pattern, lamp * step.exposure_ms / plan_.options.exposure_ms));
+  }
+  const std::vector<Finding> findings = witness_.CheckProjector();
+  ASSERT_EQ(findings.size(), 1U);
+  EXPECT_EQ(findings[0].kind, FindingKind::kLamp);
+  EXPECT_NEAR(findings[0].value, 0.8, 0.02);
+}
+
+// Dark skin in faint light: the cycle takes the noise of one black off as often as it has frames.
+class FaintLight : public WitnessTest {
+ protected:
+  FaintLight() : WitnessTest(OneProjector(), Options()) {}
+  static WitnessOptions Options() {
+    WitnessOptions options;
+    options.min_contrast_dn = 10.0;
+    options.read_noise_dn = 3.0;
+    return options;
+  }
+};
+
+TEST_F(FaintLight, TheNoiseOfTheBlackIsNoLamp) {
+  int lamps = 0;
+  for (const double white_dn : {20.0, 30.0, 60.0})
+    for (int capture = 0; capture < 12; ++capture) {
+      white_dn_ = white_dn;
+      witness_.StartProjector(0);
+      for (const PlanStep& step : plan_.steps)
+        if (step.projector == 0) Show(step, See(step.pattern));
+      for (const Finding& finding : witness_.CheckProjector()) lamps += finding.kind == FindingKind::kLamp;
+    }
+  EXPECT_EQ(lamps, 0);
 }
 
 TEST_F(WitnessTest, ACombInAnothersPlaceIsMixedUpThoughTheMeanAddsUp) {
