@@ -171,6 +171,27 @@ unplugged() {
   need "was started anew" [ "$(main_pid)" = "$before" ]
   need "the store is not whole" store_is_whole
 }
+# What is away when the program starts comes later: nobody stands before a black screen.
+starts_without_a_camera() {
+  systemctl stop $kiosk
+  echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind
+  set_aside 0
+  rm -rf ${disk:?}/*
+  systemd-tmpfiles --create /usr/lib/tmpfiles.d/stratalux.conf
+  began=$(date +%s)
+  need "does not start" systemctl start $kiosk
+  before=$(main_pid)
+  need "not closed" soon shows closed
+  need "closed for something else" soon closed_for device
+  echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
+  set_camera
+  udevadm settle -t 60
+  kill -HUP "$(cat /run/rig/responder.pid)"
+  need "does not open when it comes" soon shows idle
+  begin_capture
+  need "the visit is not kept" soon of_kept 1
+  need "was started anew" [ "$(main_pid)" = "$before" ]
+}
 of_kept() { of_unit $kiosk StatusText | grep -q ", $1 visits kept"; }
 
 clock_jumps() {
@@ -329,6 +350,7 @@ ROWS
 # Minutes of an emulator's time: at night, or asked for by name.
 rows_of_the_night() {
   cat <<'ROWS'
+no camera at start;starts_without_a_camera
 next batch;next_batch
 a night of fits;night_of_fits
 ROWS
