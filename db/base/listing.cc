@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <system_error>
+#include <type_traits>
 
 namespace stratalux::db {
 namespace {

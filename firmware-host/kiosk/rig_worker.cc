@@ -241,11 +241,7 @@ void RigWorker::Do(const action::CheckRig& /*job*/) {
 
 void RigWorker::Do(const action::Recover& /*job*/) {
   Status recovered;
-  // Asked of how often it went: whether it is away now, or stopped us, does not tell what was pulled and plugged in
-  // while door or E-STOP had stopped us already.
-  const int64_t losses = station_.events().camera_losses();
-  if (losses != losses_mended_) recovered = station_.ReopenCamera();
-  if (recovered.ok()) losses_mended_ = losses;
+  if (station_.CameraWent()) recovered = station_.ReopenCamera();
   if (recovered.ok() && stop_.stopped()) recovered = station_.light().Reset();
   if (!recovered.ok()) logger_.Warning(recovered.message());
   Tell(event::Recovered{recovered.ok()});

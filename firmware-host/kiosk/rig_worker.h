@@ -96,7 +96,6 @@ class RigWorker {
   Logger& logger_;
   Foreground foreground_;  // of the last look that found one
   std::vector<Finding> prescan_;
-  int64_t losses_mended_ = 0;  // of the camera's, those that it was opened after
 
   mutable std::mutex mutex_;
   std::condition_variable changed_;

@@ -74,8 +74,7 @@ class LivePreview {
   // As an operator's reset of the kiosk.
   void Reset() {
     Status over;
-    if (station_.events().IsActive(RigSignal::kCamera) || stop_.reason() == StopReason::kCameraGone)
-      over = station_.ReopenCamera();
+    if (station_.CameraWent()) over = station_.ReopenCamera();
     if (over.ok() && stop_.stopped() && !stop_.operator_asked()) over = station_.light().Reset();
     if (!over.ok()) logger_.Warning("preview: " + over.message());
   }

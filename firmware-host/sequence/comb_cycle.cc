@@ -18,9 +18,10 @@ constexpr double kClip = 4.0;           // standard deviations; edges and shadow
 constexpr double kBeyondOthers = 4.5;   // standard deviations of the frames' own unevenness
 constexpr double kBeyondNoise = 5.0;    // standard deviations; a session asks hundreds of lines
 
-// From the frame in which the line passes to `frame`, the short way round.
+// From the frame in which the line passes to `frame`: onwards, and the short way round.
+int Ahead(int frame, int passed_in, int frames) { return (frame - passed_in + frames) % frames; }
 int Offset(int frame, int passed_in, int frames) {
-  const int ahead = ((frame - passed_in) % frames + frames) % frames;
+  const int ahead = Ahead(frame, passed_in, frames);
   return ahead < (frames + 1) / 2 ? ahead : ahead - frames;
 }
 
@@ -29,10 +30,6 @@ std::vector<size_t> KnownProbes(const CombCycle& cycle) {
   for (size_t i = 0; i < cycle.passed_in.size(); ++i)
     if (cycle.passed_in[i] >= 0) known.push_back(i);
   return known;
-}
-
-int Ahead(const CombCycle& cycle, int frame, size_t probe) {
-  return (frame - cycle.passed_in[probe] + cycle.frames) % cycle.frames;
 }
 
 // Level by distance from the passage (ahead: 0 .. K - 1), weighed by contrast: its mean, and its variance among probes.
@@ -44,7 +41,7 @@ Passage MeanPassage(const CombCycle& cycle, const std::vector<size_t>& known) {
   std::vector<double> weight(cycle.frames), sum(cycle.frames), squares(cycle.frames);
   for (int k = 0; k < cycle.frames; ++k)
     for (const size_t i : known) {
-      const int ahead = Ahead(cycle, k, i);
+      const int ahead = Ahead(k, cycle.passed_in[i], cycle.frames);
       const double contrast = cycle.contrast[i], level = cycle.level[k][i];
       weight[ahead] += contrast;
       sum[ahead] += contrast * level;
@@ -66,7 +63,7 @@ std::vector<double> LightOverMean(const CombCycle& cycle, const std::vector<size
   for (int k = 0; k < cycle.frames; ++k) {
     double light = 0.0, expected = 0.0;
     for (const size_t i : known) {
-      const int ahead = Ahead(cycle, k, i);
+      const int ahead = Ahead(k, cycle.passed_in[i], cycle.frames);
       const double share = cycle.contrast[i] * weight[ahead];
       light += share * cycle.level[k][i];
       expected += share * mean[ahead];

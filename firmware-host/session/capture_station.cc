@@ -295,7 +295,9 @@ CaptureReport CaptureStation::Record(const CapturePlan& plan, db::SessionWriter 
 }
 
 Status CaptureStation::ReopenCamera() {
+  const int64_t losses = events().camera_losses();  // it may go again while it is opened
   SLX_RETURN_IF_ERROR(rig_.ReopenCamera(options_.config.camera, logger_));
+  losses_mended_ = losses;
   return stop_.reason() == StopReason::kCameraGone ? light().Reset() : Status::Ok();
 }
 

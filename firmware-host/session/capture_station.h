@@ -91,6 +91,9 @@ class CaptureStation {
   // After the camera was unplugged and is back: the next capture has it, and where its going was what stopped the
   // station, the station goes on. kNotFound: it is away still. Not while a capture runs.
   Status ReopenCamera();
+  // Since it was opened last: what it was opened as is dead, whether it is back or not, and whatever stopped the
+  // station meanwhile.
+  [[nodiscard]] bool CameraWent() const { return events().camera_losses() != losses_mended_; }
 
   // Simulation: who sits before the rig from now on. kUsage on a real one.
   Status SetSubject(const SubjectOptions& subject);
@@ -142,6 +145,7 @@ class CaptureStation {
   StationOptions options_;
   OpenedRig rig_;
   RigDeadlines deadlines_;
+  int64_t losses_mended_ = 0;  // of the camera's, those that it was opened after
   StopToken& stop_;
   Logger& logger_;
   std::optional<db::SessionStore> store_;  // once a capture began

@@ -85,7 +85,6 @@ TEST_F(KioskTest, DoorAndPlugEndAVisitAndTheNextIsServed) {
   CheckStore();
 }
 
-// The pre-scans come first, so the exposure's number lies somewhere in the first capture.
 // Whoever mends the camera's cable opens the door first: that it went is told by a count, not by what stopped the rig.
 TEST_F(KioskTest, ACameraPluggedAgainBehindAnOpenDoorIsOpenedAnew) {
   Open();
@@ -137,6 +136,7 @@ TEST_F(KioskTest, ACameraOfOneExposureIsNotAskedForAShorterOne) {
   EXPECT_EQ(JudgeCapture(facts, before, *RulesOf(options_.station)).verdict, Verdict::kAccept);
 }
 
+// The pre-scans come first, so the exposure's number lies somewhere in the first capture.
 TEST_F(KioskTest, WhoMovedIsOfferedARetakeAndBothAttemptsAreKept) {
   Simulate(options_.station, "sphere");
   options_.station.simulated->faults.script = {*ParseFault("subject_moved@150=3")};

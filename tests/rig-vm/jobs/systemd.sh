@@ -64,11 +64,14 @@ begin_capture() {
   need "never lit" soon lit
 }
 # The kiosk on an empty disk, waiting for visitors.
-fresh_kiosk() {
+fresh_disk() {
   systemctl stop $kiosk
   set_aside 0
   rm -rf ${disk:?}/*
   systemd-tmpfiles --create /usr/lib/tmpfiles.d/stratalux.conf
+}
+fresh_kiosk() {
+  fresh_disk
   echo >$tracing/trace
   began=$(date +%s)
   need "does not start" systemctl start $kiosk
@@ -155,12 +158,8 @@ timers() {
   need "the kiosk was disturbed" restarted 0
 }
 
-unplugged() {
-  fresh_kiosk
-  before=$(main_pid)
-  echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind
-  need "not closed" soon shows closed
-  need "closed for something else" soon closed_for device
+# The camera comes back, under another number, and a visit is captured by the same program.
+comes_back() {
   echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
   set_camera
   udevadm settle -t 60
@@ -169,28 +168,26 @@ unplugged() {
   begin_capture
   need "the visit is not kept" soon of_kept 1
   need "was started anew" [ "$(main_pid)" = "$before" ]
+}
+unplugged() {
+  fresh_kiosk
+  before=$(main_pid)
+  echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind
+  need "not closed" soon shows closed
+  need "closed for something else" soon closed_for device
+  comes_back
   need "the store is not whole" store_is_whole
 }
 # What is away when the program starts comes later: nobody stands before a black screen.
 starts_without_a_camera() {
-  systemctl stop $kiosk
+  fresh_disk
   echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind
-  set_aside 0
-  rm -rf ${disk:?}/*
-  systemd-tmpfiles --create /usr/lib/tmpfiles.d/stratalux.conf
   began=$(date +%s)
   need "does not start" systemctl start $kiosk
   before=$(main_pid)
   need "not closed" soon shows closed
   need "closed for something else" soon closed_for device
-  echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
-  set_camera
-  udevadm settle -t 60
-  kill -HUP "$(cat /run/rig/responder.pid)"
-  need "does not open when it comes" soon shows idle
-  begin_capture
-  need "the visit is not kept" soon of_kept 1
-  need "was started anew" [ "$(main_pid)" = "$before" ]
+  comes_back
 }
 of_kept() { of_unit $kiosk StatusText | grep -q ", $1 visits kept"; }
 
