@@ -242,11 +242,14 @@ Response KioskPage::Impl::Withdraw(const Request& request) {
   const auto body = ObjectOf(request);
   const std::string ticket = body ? TextIn(*body, "ticket") : "";
   if (ticket.empty()) return Response::Text(400, "a withdrawal is a JSON object with ticket");
-  const Status status = input.withdraw(ticket);
-  logger.Info("kiosk: the operator at " + request.peer +
-              " withdraws by ticket: " + (status.ok() ? std::string("done") : status.message()));
-  if (status.ok()) return Empty(204);
-  return Response::Text(status.code() == StatusCode::kNotFound ? 404 : 409, status.message());
+  // It waits for whoever else writes into the store.
+  return Response::Later([this, ticket, peer = request.peer] {
+    const Status status = input.withdraw(ticket);
+    logger.Info("kiosk: the operator at " + peer +
+                " withdraws by ticket: " + (status.ok() ? std::string("done") : status.message()));
+    if (status.ok()) return Empty(204);
+    return Response::Text(status.code() == StatusCode::kNotFound ? 404 : 409, status.message());
+  });
 }
 
 bool KioskPage::Impl::NobodyIsServed() {

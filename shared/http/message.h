@@ -46,11 +46,15 @@ struct FileBody {
   uint64_t bytes = 0;
 };
 
+struct Response;
+// Makes an answer that takes long, on a thread beside the server's own (server.h); what it throws is answered by 500.
+using SlowAnswer = std::function<Response()>;
+
 struct Response {
   int status = 200;
   // Beside those that every answer carries (server.h); one of the same name replaces that.
   std::vector<std::pair<std::string, std::string>> headers;
-  std::variant<std::string, FileBody, Generator, std::shared_ptr<EventStream>> body;
+  std::variant<std::string, FileBody, Generator, std::shared_ptr<EventStream>, SlowAnswer> body;
 
   [[nodiscard]] static Response Of(std::string content_type, std::string bytes, int status = 200);
   // Plain text for a person: the reason of a refusal.
@@ -58,6 +62,8 @@ struct Response {
   // 303: look there, with GET. `place` is a path of this server.
   [[nodiscard]] static Response SeeOther(const std::string& place);
   [[nodiscard]] static Response Events(std::shared_ptr<EventStream> stream);
+  // Of this response nothing else counts; `answer` is not slow itself.
+  [[nodiscard]] static Response Later(SlowAnswer answer);
   Response& With(std::string name, std::string value);
 };
 

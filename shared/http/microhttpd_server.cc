@@ -20,6 +20,7 @@
 #include "shared/http/event_stream.h"
 #include "shared/http/listener.h"
 #include "shared/http/server.h"
+#include "shared/http/side_thread.h"
 #include "shared/http/target.h"
 
 namespace stratalux::http {
@@ -42,6 +43,7 @@ struct Exchange {
   bool begun = false, too_large = false;
   Request request;
   const Handler* handler = nullptr;
+  std::optional<Response> late;  // of a slow answer, when it is made
 };
 
 std::optional<Method> MethodOf(const std::string& name) {
@@ -153,6 +155,7 @@ struct Server::Impl {
   bool stopping = false;
   std::vector<std::weak_ptr<EventStream>> streams;
   std::thread timer;
+  SideThread side;
 
   Impl(ServerOptions o, Router r, Logger& l, int p)
       : options(std::move(o)),
@@ -160,7 +163,8 @@ struct Server::Impl {
         logger(l),
         port(p),
         guard(options.access, p),
-        watch(options.limits.idle, options.limits.answer) {}
+        watch(options.limits.idle, options.limits.answer),
+        side(static_cast<size_t>(options.limits.slow_answers)) {}
   ~Impl() { Stop(); }
 
   Status Start(UniqueFd socket);
@@ -171,7 +175,8 @@ struct Server::Impl {
   // The refusal of a request whose header has been read; nullopt: it may go on.
   std::optional<Response> Begin(Exchange& exchange, MHD_Connection* connection, const std::string& method);
   std::optional<Response> Admit(Exchange& exchange, std::optional<Method> method);
-  Response Call(const Exchange& exchange);
+  Response Call(const Exchange& exchange, const SlowAnswer& make);
+  MHD_Result AnswerLater(SlowAnswer make, Exchange& exchange, MHD_Connection* connection);
   MHD_Response* Make(Response& response, const Exchange& exchange, MHD_Connection* connection);
   MHD_Result Answer(Response response, const Exchange& exchange, MHD_Connection* connection);
   MHD_Result Handle(Exchange& exchange, MHD_Connection* connection, const char* method, const char* data, size_t* size);
@@ -235,6 +240,7 @@ void Server::Impl::Stop() {
   }
   wake.notify_all();
   // Nothing may sleep any more when the library stops.
+  side.Stop();
   for (const auto& stream : open)
     if (const auto held = stream.lock()) held->Close();
   if (timer.joinable()) timer.join();
@@ -306,10 +312,10 @@ std::optional<Response> Server::Impl::Admit(Exchange& exchange, std::optional<Me
   return std::nullopt;
 }
 
-Response Server::Impl::Call(const Exchange& exchange) {
+Response Server::Impl::Call(const Exchange& exchange, const SlowAnswer& make) {
   const std::string what = std::string(ToString(exchange.request.method)) + " " + PercentEncode(exchange.request.path);
   try {
-    return (*exchange.handler)(exchange.request);
+    return make();
   } catch (const std::exception& error) {
     logger.Error("http: " + what + ": " + error.what());
   } catch (...) {
@@ -318,10 +324,21 @@ Response Server::Impl::Call(const Exchange& exchange) {
   return Response::Text(500, "this failed; the program's log says why");
 }
 
+MHD_Result Server::Impl::AnswerLater(SlowAnswer make, Exchange& exchange, MHD_Connection* connection) {
+  // A connection that sleeps is neither read nor closed by the library, so that its exchange stays.
+  auto piece = [this, make = std::move(make), &exchange, connection](bool ending) {
+    exchange.late = ending ? Response::Text(503, "this server ends") : Call(exchange, make);
+    MHD_resume_connection(connection);
+  };
+  if (side.Add(std::move(piece), [connection] { MHD_suspend_connection(connection); })) return MHD_YES;
+  return Answer(Response::Text(503, "too much is under way; try again soon"), exchange, connection);
+}
+
 MHD_Response* Server::Impl::Make(Response& response, const Exchange& exchange, MHD_Connection* connection) {
   if (const auto* bytes = std::get_if<std::string>(&response.body)) return OfBytes(*bytes);
   if (const auto* file = std::get_if<FileBody>(&response.body)) return OfFile(*file);
   if (const auto* generator = std::get_if<Generator>(&response.body)) return OfGenerator(*generator);
+  if (std::holds_alternative<SlowAnswer>(response.body)) return nullptr;
   const auto& stream = std::get<std::shared_ptr<EventStream>>(response.body);
   Remember(stream);
   watch.Streams(connection);
@@ -368,9 +385,12 @@ MHD_Result Server::Impl::Handle(Exchange& exchange, MHD_Connection* connection, 
     *size = 0;
     return MHD_YES;
   }
+  if (exchange.late) return Answer(std::move(*exchange.late), exchange, connection);
   if (exchange.too_large) return Answer(Response::Text(413, "the request's body is too large"), exchange, connection);
   watch.Answers(connection);
-  return Answer(Call(exchange), exchange, connection);
+  Response response = Call(exchange, [&exchange] { return (*exchange.handler)(exchange.request); });
+  if (auto* make = std::get_if<SlowAnswer>(&response.body)) return AnswerLater(std::move(*make), exchange, connection);
+  return Answer(std::move(response), exchange, connection);
 }
 
 Status ServerOptions::Validate() const {
@@ -382,6 +402,7 @@ Status ServerOptions::Validate() const {
     return Status::Usage("header_bytes must be within 1 KiB .. 1 MiB");
   if (limits.idle.count() < 1 || limits.answer.count() < 1 || limits.keep_alive.count() < 1)
     return Status::Usage("the times of a server must be above 0");
+  if (limits.slow_answers < 0) return Status::Usage("slow_answers must be 0 or more");
   return Status::Ok();
 }
 

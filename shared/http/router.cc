@@ -82,6 +82,12 @@ Response Response::Events(std::shared_ptr<EventStream> stream) {
   response.body = std::move(stream);
   return std::move(response.With("Content-Type", "text/event-stream"));
 }
+
+Response Response::Later(SlowAnswer answer) {
+  Response response;
+  response.body = std::move(answer);
+  return response;
+}
 Response& Response::With(std::string name, std::string value) {
   headers.emplace_back(std::move(name), std::move(value));
   return *this;

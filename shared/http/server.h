@@ -4,9 +4,11 @@
 //
 // Each request passes in this order: size of its header (431) and body (413), form of its target (400), Host (421),
 // signing in, route (404, 405 with Allow), token (401, 429), origin (403), handler. A handler that throws is answered
-// by 500 and told in the log. Every answer carries Content-Security-Policy (own files alone, nothing inline, in no
-// frame), X-Content-Type-Options, Referrer-Policy, Cross-Origin-Resource-Policy and Cache-Control: no-store; but what
-// is no HTTP, or overflows all that is read of a header, is answered by the library alone, before any of this is known.
+// by 500 and told in the log. Slow answers (message.h) are made one after another on a thread of their own, while the
+// server's threads serve others; of those that wait already one too many is answered by 503. Every answer carries
+// Content-Security-Policy (own files alone, nothing inline, in no frame), X-Content-Type-Options, Referrer-Policy,
+// Cross-Origin-Resource-Policy and Cache-Control: no-store; but what is no HTTP, or overflows all that is read of a
+// header, is answered by the library alone, before any of this is known.
 #pragma once
 
 #include <chrono>
@@ -29,6 +31,7 @@ struct ServerLimits {
   std::chrono::seconds idle{10};
   std::chrono::seconds answer{300};              // for a whole answer, but a stream of events
   std::chrono::milliseconds keep_alive{15'000};  // comments in a stream of events
+  int slow_answers = 4;                          // that wait while another is made
 };
 
 struct ServerOptions {
@@ -57,7 +60,8 @@ class Server {
   [[nodiscard]] std::string url() const;  // "http://127.0.0.1:8080", "http://[::1]:8080"
   // Connections that are open.
   [[nodiscard]] int connections() const;
-  // Ends streams and connections, waits for handlers that run, joins the server's threads.
+  // Ends streams and connections, waits for handlers and the slow answer that run, answers those that wait by 503,
+  // joins the server's threads.
   void Stop();
 
  private:

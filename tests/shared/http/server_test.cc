@@ -44,6 +44,17 @@ class ServerTest : public ::testing::Test {
     router.Add(
         Method::kGet, "/throws", [](const Request&) -> Response { throw std::runtime_error("no luck"); }, open);
     router.Add(
+        Method::kPost, "/slow/{text}",
+        [this](const Request& r) {
+          return Response::Later([this, text = r.Wildcard("text")]() -> Response {
+            ++slow_begun_;
+            if (text == "throws") throw std::runtime_error("no luck");
+            for (int ms = 0; slow_waits_ && ms < 20'000; ++ms) std::this_thread::sleep_for(1ms);
+            return Response::Text(200, text);
+          });
+        },
+        open);
+    router.Add(
         Method::kGet, "/generator",
         [](const Request&) {
           Response response;
@@ -78,9 +89,23 @@ class ServerTest : public ::testing::Test {
     return "GET " + target + " HTTP/1.1\r\nHost: localhost:" + std::to_string(port) + "\r\n";
   }
 
+  // As our own pages ask.
+  const std::map<std::string, std::string> kOwn = {{"Sec-Fetch-Site", "same-origin"}};
+  static std::string SlowPost(int port, const std::string& text) {
+    return "POST /slow/" + text + " HTTP/1.1\r\nHost: localhost:" + std::to_string(port) +
+           "\r\nSec-Fetch-Site: same-origin\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+  }
+  void AwaitSlow() {
+    for (const auto start = Clock::now(); slow_begun_ < 1 && Clock::now() - start < 5s;)
+      std::this_thread::sleep_for(1ms);
+    ASSERT_GE(slow_begun_, 1);
+  }
+
   std::FILE* log_;
   Logger logger_;
   std::shared_ptr<EventStream> stream_;
+  std::atomic<bool> slow_waits_ = false;
+  std::atomic<int> slow_begun_ = 0;
 };
 
 TEST_F(ServerTest, AnswersWithItsHeadersAndDecodesOnce) {
@@ -163,6 +188,57 @@ TEST_F(ServerTest, AnExceptionEndsOneRequestAndIsToldInTheLog) {
   ASSERT_TRUE(logger_.Flush());
   EXPECT_THAT(TextOf(log_), HasSubstr("GET %2Fthrows: no luck"));
   EXPECT_EQ(Get(server.port(), "/").status, 200);
+}
+
+// One thread serves all; a slow answer must not have it.
+TEST_F(ServerTest, ServesOthersWhileASlowAnswerIsMade) {
+  slow_waits_ = true;
+  const Server server = Started({.limits = {.idle = 1s, .slow_answers = 2}});
+  std::vector<Client> clients;
+  for (const char* text : {"a", "b", "c"}) {
+    clients.emplace_back(server.port());
+    clients.back().Send(SlowPost(server.port(), text));
+    AwaitSlow();
+    // Whose one thread has read what came before.
+    for (int i = 0; i < 3; ++i) EXPECT_EQ(Get(server.port(), "/").status, 200);
+  }
+  EXPECT_EQ(Ask(server.port(), "POST", "/slow/d", kOwn).status, 503) << "two wait already";
+  // Longer than a connection may be idle.
+  const auto start = Clock::now();
+  while (Clock::now() - start < 1500ms) EXPECT_EQ(Get(server.port(), "/").status, 200);
+  slow_waits_ = false;
+  for (size_t i = 0; i < clients.size(); ++i) {
+    const Answer answer = ParseAnswer(clients[i].ReadAll());
+    EXPECT_EQ(answer.status, 200);
+    EXPECT_EQ(answer.body, std::string(1, static_cast<char>('a' + i)) + "\n");
+    EXPECT_EQ(answer.headers.count("content-security-policy"), 1U);
+  }
+  EXPECT_EQ(Ask(server.port(), "POST", "/slow/throws", kOwn).status, 500);
+}
+
+TEST_F(ServerTest, StopsWhileSlowAnswersWaitAndTheirReadersAreGone) {
+  for (const bool leave : {false, true}) {
+    slow_waits_ = true;
+    slow_begun_ = 0;
+    Server server = Started({.threads = 2});
+    std::vector<Client> clients;
+    for (int i = 0; i < 3; ++i) {
+      clients.emplace_back(server.port());
+      clients.back().Send(SlowPost(server.port(), "x"));
+    }
+    AwaitSlow();
+    std::this_thread::sleep_for(20ms);
+    if (leave) clients.clear();
+    std::thread ends([this] {
+      std::this_thread::sleep_for(100ms);
+      slow_waits_ = false;
+    });
+    server.Stop();
+    EXPECT_FALSE(slow_waits_) << "the one that ran was waited for";
+    EXPECT_EQ(slow_begun_, 1) << "those that waited are not begun any more";
+    ends.join();
+    for (Client& client : clients) EXPECT_TRUE(client.SeesEnd());
+  }
 }
 
 TEST_F(ServerTest, SaysThatThePortIsTaken) {
