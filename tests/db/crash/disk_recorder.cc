@@ -139,12 +139,12 @@ int SpaceRefusal() {
 
 }  // namespace
 
-void StartRecording(const fs::path& folder, const DiskFault& fault) {
+void StartRecording(const fs::path& folder, const DiskFault& fault, StartImage image) {
   auto* fresh = new Recording;
   fresh->root = fs::canonical(folder).string();
   fresh->fault = fault;
   fresh->names[""] = kRoot;
-  fresh->log.start = ReadImage(folder);
+  if (image == StartImage::kRead) fresh->log.start = ReadImage(folder);
   for (const auto& [path, bytes] : fresh->log.start)
     fresh->names[path.ends_with('/') ? path.substr(0, path.size() - 1) : path] = fresh->next++;
   fresh->log.inodes = fresh->names;

@@ -58,8 +58,11 @@ struct DiskFault {
   Extent extent = Extent::kOnce;
 };
 
+// kUnread: other programs write there, too; what lies there is written down when it is first met.
+enum class StartImage { kRead, kUnread };
 // Starts recording what happens below `folder`; one recording at a time. Syncs are noted but not waited for.
-void StartRecording(const std::filesystem::path& folder, const DiskFault& fault = {});
+void StartRecording(const std::filesystem::path& folder, const DiskFault& fault = {},
+                    StartImage image = StartImage::kRead);
 void Mark(int64_t promises);
 // No more calls fail; recording goes on.
 void RepairDisk();

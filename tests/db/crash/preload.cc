@@ -26,7 +26,7 @@ namespace {
                : kind == "interruption" ? DiskFault::Kind::kInterruption
                                         : DiskFault::Kind::kDeath;
   fault.extent = extent == "on" ? DiskFault::Extent::kFromThenOn : DiskFault::Extent::kOnce;
-  StartRecording(folder, fault);
+  StartRecording(folder, fault, StartImage::kUnread);
 }
 
 [[gnu::destructor]] void Count() {
