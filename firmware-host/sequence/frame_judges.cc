@@ -12,6 +12,7 @@ namespace stratalux::rig {
 namespace {
 
 constexpr int kFewestInBand = 40;  // lit probes; of fewer, no share is taken
+constexpr double kSigmas = 4.0;    // of noise, that a single limit leaves room for
 
 using PerBand = std::array<int, ProbeLattice::kBands>;
 
@@ -83,7 +84,7 @@ PatternWitness::Testimony PatternWitness::JudgeReference() {
       excess += black_.probes[i] - preroll_black_[i];
       contrast += white_.probes[i] - black_.probes[i];
     }
-    good = excess <= options_.dark_tolerance * contrast;
+    good = excess <= options_.dark_tolerance * contrast + kSigmas * MeanLevelSd() * contrast;
   }
   if (good && !preroll_white_.empty()) {
     PerBand off{}, all{};
@@ -162,13 +163,17 @@ PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) c
   return contrast > 10.0 * noise && rest < 0.2 * contrast ? Testimony::kConfirms : Testimony::kSilent;
 }
 
-bool PatternWitness::OneIsDimmer(std::span<const int> shifts) const {
+bool PatternWitness::OneIsDimmer(std::span<const int> shifts) {
   // Each shift gives the lit probes the same light, where they stand over several periods: the sum of all hides a lamp
   // that blinked in one of few.
   const Pattern& pattern = plan_.steps[shifts[0]].pattern;
   const PlanOptions& o = plan_.options;
   const int extent = pattern.axis == PatternAxis::kColumns ? o.projector_width : o.projector_height;
   if (extent < 6 * pattern.period || shifts.size() < 3) return false;
+  std::vector<double> expected;  // a narrow subject has more of one shift than of another
+  for (int step : shifts) expected.push_back(ExpectedLevel(plan_.steps[step].pattern));
+  const auto [least, most] = std::minmax_element(expected.begin(), expected.end());
+  if (*most > (1.0 + options_.steady_tolerance) * *least) return false;
   double all = 0.0;
   for (int step : shifts) all += MeanLevel(frames_.at(step).probes);
   for (int step : shifts) {
@@ -204,8 +209,9 @@ PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
   const double share = static_cast<double>(step.pattern.width) / step.pattern.period;
   const double mean = MeanLevel(Find(step.index)->probes) * plan_.options.exposure_ms / step.exposure_ms;
   // The black that MeanLevel takes off is that of the nominal exposure.
-  const double black = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0);
-  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black || mean < 0.25 * share - black)
+  const double room = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0) +
+                      kSigmas * MeanLevelSd() * plan_.options.exposure_ms / step.exposure_ms;
+  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + room || mean < 0.25 * share - room)
     return Testimony::kRefutes;
   if (!BrightAsTheExposure(step) || LightElsewhere(step, frame)) return Testimony::kRefutes;
   const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
@@ -311,28 +317,54 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
   return StillnessOf(white).rms > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
 }
 
+double PatternWitness::MeanLevelSd() const {
+  double variance = 0.0, contrast = 0.0;
+  for (int i : lit_) {
+    variance += 2.0 * VarianceDn(black_.probes[i]);
+    contrast += white_.probes[i] - black_.probes[i];
+  }
+  return std::sqrt(variance) / std::max(1e-9, contrast);
+}
+
 double PatternWitness::WholeLevel(const Frame& frame) const {
   return (frame.mean_dn - black_.mean_dn) / std::max(1e-9, white_.mean_dn - black_.mean_dn);
 }
 
+double PatternWitness::WholeLevelSd() const {
+  return std::sqrt(2.0 * VarianceDn(black_.mean_dn) / static_cast<double>(black_.pixels)) /
+         std::max(1e-9, white_.mean_dn - black_.mean_dn);
+}
+
 double PatternWitness::ExpectedLevel(const Pattern& pattern) {
   const Coordinates& at = Where();
-  if (at.column.empty() || at.row.empty())
-    return MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height);
+  const bool columns = at.column.size() == lit_.size(), rows = at.row.size() == lit_.size();
+  const bool known =
+      pattern.IsOneDimensional() ? (pattern.axis == PatternAxis::kColumns ? columns : rows) : columns && rows;
   double sum = 0.0, white = 0.0;
-  for (size_t k = 0; k < lit_.size(); ++k) {
-    if (at.column[k] < 0 || at.row[k] < 0) continue;
+  int bright = 0;
+  for (size_t k = 0; known && k < lit_.size(); ++k) {
+    const int column = columns ? at.column[k] : 0, row = rows ? at.row[k] : 0;
+    if (column < 0 || row < 0) continue;
     const double contrast = white_.probes[lit_[k]] - black_.probes[lit_[k]];
-    sum += contrast * pattern.Intensity(at.column[k], at.row[k]);
+    const double intensity = pattern.Intensity(column, row);
+    sum += contrast * intensity;
     white += contrast;
+    bright += intensity > 0.5;
   }
-  return sum / std::max(1e-9, white);
+  if (bright >= kFewestInBand) return sum / white;
+  return MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height);
+}
+
+double PatternWitness::ExpectedSpots() {
+  const std::vector<int> steps = StepsOf(CapturePhase::kSpot);
+  return steps.empty() ? 0.0 : ExpectedLevel(plan_.steps[steps.back()].pattern);
 }
 
 PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
-  // Spots light so little of the picture that only the mean of all pixels tells them from black.
-  double spots = 0.0;
-  for (int i : StepsOf(CapturePhase::kSpot)) spots = ExpectedLevel(plan_.steps[i].pattern);
+  // Spots light so little of the picture that only the mean of all pixels tells them from black, and in faint light not
+  // even that.
+  const double spots = ExpectedSpots(), room = kSigmas * WholeLevelSd();
+  spots_show_ = 0.3 * spots >= room;
   const Frame& frame = *Find(step.index);
   const double level = WholeLevel(frame);
   if (step.pattern.kind == PatternKind::kSpots) {
@@ -343,13 +375,17 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
     const double comb = static_cast<double>(o.comb_width) / o.comb_period;
     double highest = 0.25 + 0.5 * spots;
     if (comb >= 4.0 * share) highest = std::min(highest, std::sqrt(share * comb));
-    if (level <= 0.3 * spots || level >= highest) return Testimony::kRefutes;
+    if (level >= highest + (spots_show_ ? 0.0 : room)) return Testimony::kRefutes;
+    if (spots_show_ && level <= 0.3 * spots) return Testimony::kRefutes;
     std::vector<float> levels;  // rows of another picture can have the mean of spots
     const LevelsAt at = LevelsOf(step, levels);
-    return LightElsewhere(step, at) ? Testimony::kRefutes : Testimony::kConfirms;
+    if (LightElsewhere(step, at)) return Testimony::kRefutes;
+    return spots_show_ ? Testimony::kConfirms : Testimony::kSilent;
   }
-  if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance) return Testimony::kRefutes;
-  return spots == 0.0 || level < 0.3 * spots ? Testimony::kConfirms : Testimony::kRefutes;
+  if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance + kSigmas * MeanLevelSd()) return Testimony::kRefutes;
+  if (spots == 0.0) return Testimony::kConfirms;
+  if (level >= (spots_show_ ? 0.3 * spots : spots + room)) return Testimony::kRefutes;
+  return spots_show_ ? Testimony::kConfirms : Testimony::kSilent;
 }
 
 }  // namespace stratalux::rig

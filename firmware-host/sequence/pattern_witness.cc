@@ -24,6 +24,12 @@ bool SameFamily(const PlanStep& a, const PlanStep& b) {
   }
 }
 
+// What only the light of the whole picture tells from each other (JudgeLevel).
+bool IsSpotOrBlack(const PlanStep& step) {
+  return step.phase == CapturePhase::kSpot || step.phase == CapturePhase::kGuard ||
+         (step.phase == CapturePhase::kRepeat && step.pattern.kind != PatternKind::kComb);
+}
+
 }  // namespace
 
 PatternWitness::PatternWitness(const CapturePlan& plan, WitnessOptions options) : plan_(plan), options_(options) {}
@@ -46,6 +52,7 @@ void PatternWitness::StartProjector(int projector) {
   doubtful_.clear();
   lit_.clear();
   decoded_ = false;
+  spots_show_ = true;
 }
 
 std::vector<int> PatternWitness::GroupOf(const CapturePlan& plan, int step) {
@@ -64,7 +71,7 @@ std::vector<int> PatternWitness::OneLoadOf(const CapturePlan& plan, int step) {
 
 void PatternWitness::Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn) {
   if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
-  frames_[step.index] = {lattice_.Sample(pixels), mean_dn, load_, shots_++, Testimony::kSilent};
+  frames_[step.index] = {lattice_.Sample(pixels), mean_dn, pixels.size(), load_, shots_++, Testimony::kSilent};
   if (step.phase == CapturePhase::kCorrespondence) decoded_ = false;
 }
 
@@ -213,6 +220,7 @@ bool PatternWitness::CanSpeak(const PlanStep& step) const {
 }
 
 bool PatternWitness::IsSpokenFor(const PlanStep& step) const {
+  if (!spots_show_ && IsSpotOrBlack(step)) return false;
   return step.phase != CapturePhase::kPreroll && step.phase != CapturePhase::kRadiometry && !lit_.empty();
 }
 

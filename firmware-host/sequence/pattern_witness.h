@@ -14,7 +14,9 @@
 //                mean level is a comb's;
 //   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
 //   cycle        each probe's combs add up to its white (comb_cycle.h);
-//   spot, guard  the mean level is that of the spots, and that of black; nothing far from the spots is as bright.
+//   spot, guard  the mean level is that of the spots, and that of black; nothing far from the spots is as bright. Where
+//                all spots together are fainter than a picture's noise, frames of either are refuted by more light
+//                alone, and what is not refuted is not doubted.
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
@@ -80,7 +82,7 @@ class PatternWitness {
   // sweep, phases without patterns, and all while the reference lights nothing.
   [[nodiscard]] bool CanSpeak(const PlanStep& step) const;
   // Whether frames of other steps are to speak for the step's where its own check is silent. Not in phases without
-  // patterns, which nothing follows that speaks.
+  // patterns, which nothing follows that speaks, nor spots and guards in light so faint that none of them speaks.
   [[nodiscard]] bool IsSpokenFor(const PlanStep& step) const;
   // Nothing but the reference has been confirmed yet: when frames contradict it, it may be the reference that is wrong.
   [[nodiscard]] bool ReferenceStandsAlone() const;
@@ -112,8 +114,9 @@ class PatternWitness {
   struct Frame {
     Probes probes;
     double mean_dn = 0.0;  // of all pixels
-    int load = 0;          // of the memory
-    int64_t shot = 0;      // in the order of Add
+    size_t pixels = 0;
+    int load = 0;      // of the memory
+    int64_t shot = 0;  // in the order of Add
     Testimony testimony = Testimony::kSilent;
   };
   struct Coordinates {
@@ -137,7 +140,7 @@ class PatternWitness {
   // Whether the frames' mean lies at `mean` on the way from black to white.
   [[nodiscard]] bool AddsUp(std::span<const int> steps, double mean) const;
   // One of a sinusoid's shifts has another light than the others: the lamp blinked.
-  [[nodiscard]] bool OneIsDimmer(std::span<const int> shifts) const;
+  [[nodiscard]] bool OneIsDimmer(std::span<const int> shifts);
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
   // The lines stand elsewhere in some rows, as in a torn frame.
@@ -148,10 +151,15 @@ class PatternWitness {
   [[nodiscard]] bool LightElsewhere(const PlanStep& step, const LevelsAt& frame) const;
   [[nodiscard]] bool BrightAsTheExposure(const PlanStep& step) const;
   [[nodiscard]] double MeanLevel(const Probes& frame) const;
-  // Mean level of the pattern on the lit probes, by their coordinates (without these: of the whole picture).
+  // Of a black frame's MeanLevel, by the noise of it and of the reference's black.
+  [[nodiscard]] double MeanLevelSd() const;
+  // Mean level of the pattern on the lit probes, by their coordinates; of the whole picture where these are not known
+  // or few of them are bright.
   [[nodiscard]] double ExpectedLevel(const Pattern& pattern);
+  [[nodiscard]] double ExpectedSpots();  // 0: the plan has none
   // Of all pixels: mean level above black over that of white.
   [[nodiscard]] double WholeLevel(const Frame& frame) const;
+  [[nodiscard]] double WholeLevelSd() const;  // of a black frame
   // rms difference of a white from the reference after its mean, over W - B, beyond the noise; and what four standard
   // deviations of the noise make of that.
   struct Stillness {
@@ -187,6 +195,7 @@ class PatternWitness {
   std::vector<int> lit_;  // probe indices
   Frame white_, black_;
   bool decoded_ = false;
+  bool spots_show_ = true;  // above the noise of a whole picture; as the last spots or guard found
   Coordinates where_;
   std::vector<float> preroll_white_, preroll_black_;  // means of the markers, by probe; empty: none
   int preroll_whites_ = 0, preroll_blacks_ = 0;

@@ -45,7 +45,8 @@ class WitnessTest : public ::testing::Test {
               pattern.Intensity(std::clamp(column + (rows ? 0 : d), 0, 255), std::clamp(row + (rows ? d : 0), 0, 127)) /
               (2.0 * kSpread + 1.0);
         }
-        const double signal = lamp * white_dn_ * (0.5 * pattern.Intensity(column, row) + 0.5 * wide);
+        const bool subject = column >= first_column_ && column < first_column_ + subject_columns_;
+        const double signal = !subject ? 0.0 : lamp * white_dn_ * (0.5 * pattern.Intensity(column, row) + 0.5 * wide);
         const double noise = std::sqrt(signal / 4.0 + 9.0) * random_.Normal();
         frame(x, y) = static_cast<uint16_t>(std::clamp(std::round(64.0 + signal + noise), 0.0, 4095.0));
       }
@@ -83,6 +84,7 @@ class WitnessTest : public ::testing::Test {
   CapturePlan plan_;
   PatternWitness witness_;
   double white_dn_ = 1200.0;
+  int first_column_ = 0, subject_columns_ = 256;  // that the subject stands in
   Random random_{5};
 };
 
@@ -230,6 +232,55 @@ class FaintLight : public WitnessTest {
     return options;
   }
 };
+
+// Fewer photons than tell black from spots: neither is called wrong, nor doubted for want of a word; other pictures
+// are.
+TEST_F(FaintLight, SpotsAndGuardsThatDrownInNoiseAreNotRefuted) {
+  for (const double white_dn : {12.0, 20.0, 40.0})
+    for (int capture = 0; capture < 3; ++capture) {
+      white_dn_ = white_dn;
+      witness_.StartProjector(0);
+      for (const PlanStep& step : plan_.steps) {
+        if (step.projector != 0 || step.phase == CapturePhase::kSweep || step.phase == CapturePhase::kRepeat) continue;
+        Show(step, See(step.pattern));
+        if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+        const LevelCheck check = witness_.Check(step);
+        if (step.phase == CapturePhase::kReference || step.phase == CapturePhase::kSpot ||
+            step.phase == CapturePhase::kGuard) {
+          EXPECT_NE(check, LevelCheck::kFailed) << white_dn << " DN, " << step.pattern.ToString();
+        }
+      }
+      const PlanStep &guard = First(CapturePhase::kGuard), &spot = First(CapturePhase::kSpot);
+      witness_.EndLoad();
+      for (const int step : witness_.TakeDoubtful())
+        EXPECT_TRUE(step != guard.index && step != spot.index) << white_dn << " DN, " << step;
+      for (const PlanStep* step : {&guard, &spot})
+        for (const CapturePhase other : {CapturePhase::kReference, CapturePhase::kSeparation}) {
+          Show(*step, See(First(other).pattern));
+          EXPECT_EQ(witness_.Check(*step), LevelCheck::kFailed)
+              << white_dn << " DN, " << First(other).pattern.ToString();
+        }
+    }
+}
+
+// A subject narrower than a period has more of one shift than of another; that is no lamp.
+TEST_F(WitnessTest, ANarrowSubjectIsNoLampThatBlinked) {
+  for (const PlanStep& step : plan_.steps)
+    if (step.projector == 0 && step.phase == CapturePhase::kSeparation && step.pattern.axis == PatternAxis::kColumns &&
+        6 * step.pattern.period <= 256)
+      subject_columns_ = 2 * step.pattern.period / 3;
+  first_column_ = 100;
+  ASSERT_LT(subject_columns_, 256) << "no fine stripes in this plan";
+  for (const PlanStep& step : plan_.steps) {
+    if (step.projector != 0) continue;
+    if (step.phase != CapturePhase::kReference && step.phase != CapturePhase::kCorrespondence &&
+        step.phase != CapturePhase::kSeparation)
+      continue;
+    Show(step, See(step.pattern));
+    if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+    EXPECT_NE(witness_.Check(step), LevelCheck::kFailed) << step.pattern.ToString();
+  }
+}
 
 TEST_F(FaintLight, TheNoiseOfTheBlackIsNoLampAndALampIs) {
   int lamps = 0, dimmer = 0;
