@@ -237,13 +237,16 @@ Response KioskPage::Impl::Order(const Request& request) {
 
 Response KioskPage::Impl::Withdraw(const Request& request) {
   if (!input.withdraw) return Response::Text(501, "this kiosk does not forget by ticket; stratalux-db forget does");
-  if (!NobodyIsServed())
+  const auto busy = [] {
     return Response::Text(409, "a visit is under way; withdraw when it is over, or close the kiosk first");
+  };
+  if (!NobodyIsServed()) return busy();
   const auto body = ObjectOf(request);
   const std::string ticket = body ? TextIn(*body, "ticket") : "";
   if (ticket.empty()) return Response::Text(400, "a withdrawal is a JSON object with ticket");
-  // It waits for whoever else writes into the store.
-  return Response::Later([this, ticket, peer = request.peer] {
+  // It waits for whoever else writes into the store, and for withdrawals before it: somebody may have come meanwhile.
+  return Response::Later([this, ticket, busy, peer = request.peer] {
+    if (!NobodyIsServed()) return busy();
     const Status status = input.withdraw(ticket);
     logger.Info("kiosk: the operator at " + peer +
                 " withdraws by ticket: " + (status.ok() ? std::string("done") : status.message()));

@@ -12,6 +12,7 @@ namespace stratalux::rig {
 namespace {
 
 constexpr int kFewestInBand = 40;  // lit probes; of fewer, no share is taken
+constexpr int kFewestMet = 3;      // of them, by the spots
 constexpr double kSigmas = 4.0;    // of noise, that a single limit leaves room for
 
 using PerBand = std::array<int, ProbeLattice::kBands>;
@@ -171,7 +172,7 @@ bool PatternWitness::OneIsDimmer(std::span<const int> shifts) {
   const int extent = pattern.axis == PatternAxis::kColumns ? o.projector_width : o.projector_height;
   if (extent < 6 * pattern.period || shifts.size() < 3) return false;
   std::vector<double> expected;  // a narrow subject has more of one shift than of another
-  for (int step : shifts) expected.push_back(ExpectedLevel(plan_.steps[step].pattern));
+  for (int step : shifts) expected.push_back(ExpectedLevel(plan_.steps[step].pattern).level);
   const auto [least, most] = std::minmax_element(expected.begin(), expected.end());
   if (*most > (1.0 + options_.steady_tolerance) * *least) return false;
   double all = 0.0;
@@ -209,10 +210,10 @@ PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
   const double share = static_cast<double>(step.pattern.width) / step.pattern.period;
   const double mean = MeanLevel(Find(step.index)->probes) * plan_.options.exposure_ms / step.exposure_ms;
   // The black that MeanLevel takes off is that of the nominal exposure.
-  const double room = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0) +
-                      kSigmas * MeanLevelSd() * plan_.options.exposure_ms / step.exposure_ms;
-  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + room || mean < 0.25 * share - room)
-    return Testimony::kRefutes;
+  const double black = options_.dark_tolerance * std::abs(plan_.options.exposure_ms / step.exposure_ms - 1.0);
+  const double room = kSigmas * MeanLevelSd() * plan_.options.exposure_ms / step.exposure_ms;
+  if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black + room) return Testimony::kRefutes;
+  if (mean < std::max(0.05 * share, 0.25 * share - room) - black) return Testimony::kRefutes;
   if (!BrightAsTheExposure(step) || LightElsewhere(step, frame)) return Testimony::kRefutes;
   const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
   if (evidence < -options_.min_evidence || OtherCombInABand(step, frame)) return Testimony::kRefutes;
@@ -335,36 +336,57 @@ double PatternWitness::WholeLevelSd() const {
          std::max(1e-9, white_.mean_dn - black_.mean_dn);
 }
 
-double PatternWitness::ExpectedLevel(const Pattern& pattern) {
+PatternWitness::Expected PatternWitness::ExpectedLevel(const Pattern& pattern) {
   const Coordinates& at = Where();
   const bool columns = at.column.size() == lit_.size(), rows = at.row.size() == lit_.size();
-  const bool known =
-      pattern.IsOneDimensional() ? (pattern.axis == PatternAxis::kColumns ? columns : rows) : columns && rows;
+  const bool of_columns = pattern.axis == PatternAxis::kColumns;
+  const bool known = pattern.IsOneDimensional() ? (of_columns ? columns : rows) : columns && rows;
+  if (!known)
+    return {MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height),
+            static_cast<int>(lit_.size())};
   double sum = 0.0, white = 0.0;
-  int bright = 0;
-  for (size_t k = 0; known && k < lit_.size(); ++k) {
+  Expected expected;
+  for (size_t k = 0; k < lit_.size(); ++k) {
     const int column = columns ? at.column[k] : 0, row = rows ? at.row[k] : 0;
     if (column < 0 || row < 0) continue;
     const double contrast = white_.probes[lit_[k]] - black_.probes[lit_[k]];
     const double intensity = pattern.Intensity(column, row);
     sum += contrast * intensity;
     white += contrast;
-    bright += intensity > 0.5;
+    expected.bright += intensity > 0.5;
   }
-  if (bright >= kFewestInBand) return sum / white;
-  return MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height);
+  expected.level = sum / std::max(1e-9, white);
+  return expected;
 }
 
-double PatternWitness::ExpectedSpots() {
+PatternWitness::Spots PatternWitness::ExpectedSpots() {
   const std::vector<int> steps = StepsOf(CapturePhase::kSpot);
-  return steps.empty() ? 0.0 : ExpectedLevel(plan_.steps[steps.back()].pattern);
+  if (steps.empty()) return {};
+  const Pattern& spots = plan_.steps[steps.back()].pattern;
+  const Expected met = ExpectedLevel(spots);
+  if (met.bright >= kFewestInBand) return {met.level, true};
+  // By discs that more probes meet, and the share of these discs that is lit; but some spots must be met.
+  Pattern wide = spots;
+  wide.width = std::min(4 * spots.width, spots.period / 2);
+  const Expected around = ExpectedLevel(wide);
+  const int width = plan_.options.projector_width, height = plan_.options.projector_height;
+  const double share = MeanIntensity(spots, width, height);
+  if (met.bright < kFewestMet || around.bright < kFewestInBand) return {share, false};
+  return {around.level * share / MeanIntensity(wide, width, height), true};
+}
+
+double PatternWitness::DarkLimit() const {
+  const PlanOptions& o = plan_.options;
+  const double lines = static_cast<double>(o.comb_width) / o.comb_period;
+  return std::max(options_.dark_tolerance, std::min(options_.dark_tolerance + kSigmas * MeanLevelSd(), 0.8 * lines));
 }
 
 PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
   // Spots light so little of the picture that only the mean of all pixels tells them from black, and in faint light not
   // even that.
-  const double spots = ExpectedSpots(), room = kSigmas * WholeLevelSd();
-  spots_show_ = 0.3 * spots >= room;
+  const auto [spots, met] = ExpectedSpots();
+  const double room = kSigmas * WholeLevelSd();
+  spots_show_ = met && 0.3 * spots >= room;
   const Frame& frame = *Find(step.index);
   const double level = WholeLevel(frame);
   if (step.pattern.kind == PatternKind::kSpots) {
@@ -382,7 +404,7 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
     if (LightElsewhere(step, at)) return Testimony::kRefutes;
     return spots_show_ ? Testimony::kConfirms : Testimony::kSilent;
   }
-  if (std::abs(MeanLevel(frame.probes)) > options_.dark_tolerance + kSigmas * MeanLevelSd()) return Testimony::kRefutes;
+  if (std::abs(MeanLevel(frame.probes)) > DarkLimit()) return Testimony::kRefutes;
   if (spots == 0.0) return Testimony::kConfirms;
   if (level >= (spots_show_ ? 0.3 * spots : spots + room)) return Testimony::kRefutes;
   return spots_show_ ? Testimony::kConfirms : Testimony::kSilent;

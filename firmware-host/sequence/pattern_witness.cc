@@ -50,6 +50,7 @@ void PatternWitness::StartProjector(int projector) {
   ++load_;
   frames_.clear();
   doubtful_.clear();
+  contradicted_.clear();
   lit_.clear();
   decoded_ = false;
   spots_show_ = true;
@@ -85,7 +86,10 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
   for (int member : group)
     if (Find(member) == nullptr) return LevelCheck::kNotChecked;
   Testimony testimony = Judge(step, group);
-  for (int member : group) frames_.at(member).testimony = testimony;
+  for (int member : group) {
+    frames_.at(member).testimony = testimony;
+    if (testimony == Testimony::kRefutes) contradicted_.insert(frames_.at(member).load);
+  }
   if (step.phase == CapturePhase::kCorrespondence && testimony != Testimony::kRefutes &&
       JudgeOrder(step.pattern.axis, group) == Testimony::kRefutes)
     testimony = Testimony::kRefutes;
@@ -159,7 +163,9 @@ void PatternWitness::DoubtUnspokenFor() {
     const Frame& frame = frames_.at(it->second);
     if (frame.testimony == Testimony::kConfirms) spoken_for = frame.load;
     const bool unspoken_for = frame.testimony == Testimony::kSilent && frame.load != spoken_for;
-    if (unspoken_for && IsSpokenFor(plan_.steps[it->second])) doubtful_.push_back(it->second);
+    const PlanStep& step = plan_.steps[it->second];
+    const bool contradicted = IsSpotOrBlack(step) && contradicted_.contains(frame.load);
+    if (unspoken_for && (IsSpokenFor(step) || contradicted)) doubtful_.push_back(it->second);
   }
 }
 

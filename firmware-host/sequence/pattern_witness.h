@@ -15,8 +15,8 @@
 //   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
 //   cycle        each probe's combs add up to its white (comb_cycle.h);
 //   spot, guard  the mean level is that of the spots, and that of black; nothing far from the spots is as bright. Where
-//                all spots together are fainter than a picture's noise, frames of either are refuted by more light
-//                alone, and what is not refuted is not doubted.
+//                all spots together are fainter than a picture's noise, or hardly meet the subject, frames of either
+//                are refuted by more light alone, and doubted only where another frame of their load was refuted.
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
@@ -153,10 +153,22 @@ class PatternWitness {
   [[nodiscard]] double MeanLevel(const Probes& frame) const;
   // Of a black frame's MeanLevel, by the noise of it and of the reference's black.
   [[nodiscard]] double MeanLevelSd() const;
-  // Mean level of the pattern on the lit probes, by their coordinates; of the whole picture where these are not known
-  // or few of them are bright.
-  [[nodiscard]] double ExpectedLevel(const Pattern& pattern);
-  [[nodiscard]] double ExpectedSpots();  // 0: the plan has none
+  // Mean level of the pattern on the lit probes, by their coordinates (without these: of the whole picture), and how
+  // many of them it meets (without these: all).
+  struct Expected {
+    double level = 0.0;
+    int bright = 0;
+  };
+  [[nodiscard]] Expected ExpectedLevel(const Pattern& pattern);
+  // Of the plan's spots, 0 where it has none; not `met`: by their share of the projector's picture, since the subject
+  // meets too few of them.
+  struct Spots {
+    double level = 0.0;
+    bool met = true;
+  };
+  [[nodiscard]] Spots ExpectedSpots();
+  // The most that black may be above black: dark_tolerance and the noise, but less than any lines give.
+  [[nodiscard]] double DarkLimit() const;
   // Of all pixels: mean level above black over that of white.
   [[nodiscard]] double WholeLevel(const Frame& frame) const;
   [[nodiscard]] double WholeLevelSd() const;  // of a black frame
@@ -192,10 +204,11 @@ class PatternWitness {
   int64_t shots_ = 0;
   std::map<int, Frame> frames_;  // by step
   std::vector<int> doubtful_;
-  std::vector<int> lit_;  // probe indices
+  std::set<int> contradicted_;  // loads of which some frame was refuted
+  std::vector<int> lit_;        // probe indices
   Frame white_, black_;
   bool decoded_ = false;
-  bool spots_show_ = true;  // above the noise of a whole picture; as the last spots or guard found
+  bool spots_show_ = true;  // on the subject, above the noise of a whole picture; as the last spots or guard found
   Coordinates where_;
   std::vector<float> preroll_white_, preroll_black_;  // means of the markers, by probe; empty: none
   int preroll_whites_ = 0, preroll_blacks_ = 0;

@@ -43,7 +43,8 @@ struct Exchange {
   bool begun = false, too_large = false;
   Request request;
   const Handler* handler = nullptr;
-  std::optional<Response> late;  // of a slow answer, when it is made
+  bool sleeps = false;           // until its slow answer is made
+  std::optional<Response> late;  // that answer
 };
 
 std::optional<Method> MethodOf(const std::string& name) {
@@ -327,10 +328,17 @@ Response Server::Impl::Call(const Exchange& exchange, const SlowAnswer& make) {
 MHD_Result Server::Impl::AnswerLater(SlowAnswer make, Exchange& exchange, MHD_Connection* connection) {
   // A connection that sleeps is neither read nor closed by the library, so that its exchange stays.
   auto piece = [this, make = std::move(make), &exchange, connection](bool ending) {
-    exchange.late = ending ? Response::Text(503, "this server ends") : Call(exchange, make);
+    try {
+      exchange.late = ending ? Response::Text(503, "this server ends") : Call(exchange, make);
+    } catch (...) {  // no memory: nothing is answered
+    }
     MHD_resume_connection(connection);
   };
-  if (side.Add(std::move(piece), [connection] { MHD_suspend_connection(connection); })) return MHD_YES;
+  const auto sleep = [&exchange, connection] {
+    exchange.sleeps = true;
+    MHD_suspend_connection(connection);
+  };
+  if (side.Add(std::move(piece), sleep)) return MHD_YES;
   return Answer(Response::Text(503, "too much is under way; try again soon"), exchange, connection);
 }
 
@@ -385,7 +393,7 @@ MHD_Result Server::Impl::Handle(Exchange& exchange, MHD_Connection* connection, 
     *size = 0;
     return MHD_YES;
   }
-  if (exchange.late) return Answer(std::move(*exchange.late), exchange, connection);
+  if (exchange.sleeps) return exchange.late ? Answer(std::move(*exchange.late), exchange, connection) : MHD_NO;
   if (exchange.too_large) return Answer(Response::Text(413, "the request's body is too large"), exchange, connection);
   watch.Answers(connection);
   Response response = Call(exchange, [&exchange] { return (*exchange.handler)(exchange.request); });

@@ -60,8 +60,8 @@ class Server {
   [[nodiscard]] std::string url() const;  // "http://127.0.0.1:8080", "http://[::1]:8080"
   // Connections that are open.
   [[nodiscard]] int connections() const;
-  // Ends streams and connections, waits for handlers and the slow answer that run, answers those that wait by 503,
-  // joins the server's threads.
+  // Ends streams and connections, waits for handlers and the slow answer that run, begins none that waits, joins the
+  // server's threads.
   void Stop();
 
  private:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/http/side_thread.h"
 
+#include <system_error>
 #include <utility>
 
 namespace stratalux::http {
@@ -8,10 +9,14 @@ namespace stratalux::http {
 bool SideThread::Add(Piece piece, const std::function<void()>& before) {
   {
     const std::lock_guard lock(mutex_);
-    if (stopping_ || waiting_.size() >= most_waiting_) return false;
-    if (!thread_.joinable()) thread_ = std::thread([this] { Run(); });
-    before();
+    if (stopping_ || waiting_.size() + (runs_ ? 1 : 0) > most_waiting_) return false;
+    try {
+      if (!thread_.joinable()) thread_ = std::thread([this] { Run(); });
+    } catch (const std::system_error&) {
+      return false;
+    }
     waiting_.push_back(std::move(piece));
+    before();
   }
   wake_.notify_one();
   return true;
@@ -36,9 +41,11 @@ void SideThread::Run() {
     const Piece piece = std::exchange(waiting_.front(), nullptr);
     waiting_.pop_front();
     const bool stopping = stopping_;
+    runs_ = true;
     lock.unlock();
     piece(stopping);
     lock.lock();
+    runs_ = false;
   }
 }
 

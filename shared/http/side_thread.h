@@ -20,7 +20,8 @@ class SideThread {
   SideThread(const SideThread&) = delete;
   SideThread& operator=(const SideThread&) = delete;
 
-  // False, and `piece` is dropped, where too many wait or after Stop(). The thread starts with the first one.
+  // False, and `piece` is dropped, where too many wait behind another, where the system gives no thread, and after
+  // Stop(). The thread starts with the first one; a piece throws nothing.
   // `before` runs where the piece is taken, before the thread can begin with it.
   bool Add(Piece piece, const std::function<void()>& before);
   // Waits for the piece that runs, ends those that wait.
@@ -33,7 +34,7 @@ class SideThread {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<Piece> waiting_;
-  bool stopping_ = false;
+  bool stopping_ = false, runs_ = false;
   std::thread thread_;
 };
 

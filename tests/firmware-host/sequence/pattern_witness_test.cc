@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <set>
 
 #include <gtest/gtest.h>
 
@@ -61,6 +62,14 @@ class WitnessTest : public ::testing::Test {
       Show(step, See(step.pattern));
       if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
       ASSERT_NE(witness_.Check(step), LevelCheck::kFailed) << step.index << " " << step.pattern.ToString();
+    }
+  }
+  void ShowPhases(const std::set<CapturePhase>& phases) {
+    for (const PlanStep& step : plan_.steps) {
+      if (step.projector != 0 || !phases.contains(step.phase)) continue;
+      Show(step, See(step.pattern));
+      if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+      EXPECT_NE(witness_.Check(step), LevelCheck::kFailed) << step.index << " " << step.pattern.ToString();
     }
   }
   // Every step, under a lamp of its own, whatever is said of it; the reference is taken.
@@ -271,14 +280,32 @@ TEST_F(WitnessTest, ANarrowSubjectIsNoLampThatBlinked) {
       subject_columns_ = 2 * step.pattern.period / 3;
   first_column_ = 100;
   ASSERT_LT(subject_columns_, 256) << "no fine stripes in this plan";
-  for (const PlanStep& step : plan_.steps) {
-    if (step.projector != 0) continue;
-    if (step.phase != CapturePhase::kReference && step.phase != CapturePhase::kCorrespondence &&
-        step.phase != CapturePhase::kSeparation)
-      continue;
-    Show(step, See(step.pattern));
-    if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
-    EXPECT_NE(witness_.Check(step), LevelCheck::kFailed) << step.pattern.ToString();
+  ShowPhases({CapturePhase::kReference, CapturePhase::kCorrespondence, CapturePhase::kSeparation});
+}
+
+// No spot falls on it: frames of spots are black, and that is no fault.
+TEST_F(WitnessTest, ASubjectBetweenTheSpotsRefutesNone) {
+  first_column_ = 44;  // discs of radius 4 about 32 and 96
+  subject_columns_ = 44;
+  ShowPhases({CapturePhase::kReference, CapturePhase::kCorrespondence, CapturePhase::kSpot, CapturePhase::kGuard,
+              CapturePhase::kRepeat});
+}
+
+// What no check tells from black is doubted after all when its load was out of step elsewhere.
+TEST_F(FaintLight, SilentSpotsOfALoadThatWasRefutedAreDoubted) {
+  for (const bool refuted : {false, true}) {
+    white_dn_ = 20.0;
+    witness_.StartProjector(0);
+    ShowPhases({CapturePhase::kReference, CapturePhase::kCorrespondence});
+    witness_.EndLoad();
+    const PlanStep &spot = First(CapturePhase::kSpot), &guard = First(CapturePhase::kGuard);
+    Show(spot, See(spot.pattern));
+    EXPECT_EQ(witness_.Check(spot), LevelCheck::kNotChecked);
+    Show(guard, See(refuted ? First(CapturePhase::kReference).pattern : guard.pattern));
+    EXPECT_EQ(witness_.Check(guard), refuted ? LevelCheck::kFailed : LevelCheck::kNotChecked);
+    witness_.EndLoad();
+    const std::vector<int> doubtful = witness_.TakeDoubtful();
+    EXPECT_EQ(std::count(doubtful.begin(), doubtful.end(), spot.index), refuted ? 1 : 0);
   }
 }
 
