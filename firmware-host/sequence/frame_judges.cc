@@ -85,7 +85,7 @@ PatternWitness::Testimony PatternWitness::JudgeReference() {
       excess += black_.probes[i] - preroll_black_[i];
       contrast += white_.probes[i] - black_.probes[i];
     }
-    good = excess <= options_.dark_tolerance * contrast + kSigmas * MeanLevelSd() * contrast;
+    good = excess <= (options_.dark_tolerance + kSigmas * MeanLevelSd()) * contrast;
   }
   if (good && !preroll_white_.empty()) {
     PerBand off{}, all{};
@@ -338,16 +338,13 @@ double PatternWitness::WholeLevelSd() const {
 
 PatternWitness::Expected PatternWitness::ExpectedLevel(const Pattern& pattern) {
   const Coordinates& at = Where();
-  const bool columns = at.column.size() == lit_.size(), rows = at.row.size() == lit_.size();
-  const bool of_columns = pattern.axis == PatternAxis::kColumns;
-  const bool known = pattern.IsOneDimensional() ? (of_columns ? columns : rows) : columns && rows;
-  if (!known)
+  if (!at.Tell(pattern))
     return {MeanIntensity(pattern, plan_.options.projector_width, plan_.options.projector_height),
             static_cast<int>(lit_.size())};
   double sum = 0.0, white = 0.0;
   Expected expected;
   for (size_t k = 0; k < lit_.size(); ++k) {
-    const int column = columns ? at.column[k] : 0, row = rows ? at.row[k] : 0;
+    const int column = at.column.empty() ? 0 : at.column[k], row = at.row.empty() ? 0 : at.row[k];
     if (column < 0 || row < 0) continue;
     const double contrast = white_.probes[lit_[k]] - black_.probes[lit_[k]];
     const double intensity = pattern.Intensity(column, row);
@@ -359,20 +356,26 @@ PatternWitness::Expected PatternWitness::ExpectedLevel(const Pattern& pattern) {
   return expected;
 }
 
+std::optional<PatternWitness::SpotPatterns> PatternWitness::SpotsOf(const CapturePlan& plan) {
+  const auto step =
+      std::ranges::find(plan.steps, PatternKind::kSpots, [](const PlanStep& s) { return s.pattern.kind; });
+  if (step == plan.steps.end()) return {};
+  SpotPatterns of{.spots = step->pattern, .wide = step->pattern};
+  of.wide.width = std::min(4 * of.spots.width, of.spots.period / 2);
+  const int width = plan.options.projector_width, height = plan.options.projector_height;
+  of.share = MeanIntensity(of.spots, width, height);
+  of.wide_share = MeanIntensity(of.wide, width, height);
+  return of;
+}
+
 PatternWitness::Spots PatternWitness::ExpectedSpots() {
-  const std::vector<int> steps = StepsOf(CapturePhase::kSpot);
-  if (steps.empty()) return {};
-  const Pattern& spots = plan_.steps[steps.back()].pattern;
-  const Expected met = ExpectedLevel(spots);
+  if (!spots_) return {};
+  const Expected met = ExpectedLevel(spots_->spots);
   if (met.bright >= kFewestInBand) return {met.level, true};
-  // By discs that more probes meet, and the share of these discs that is lit; but some spots must be met.
-  Pattern wide = spots;
-  wide.width = std::min(4 * spots.width, spots.period / 2);
-  const Expected around = ExpectedLevel(wide);
-  const int width = plan_.options.projector_width, height = plan_.options.projector_height;
-  const double share = MeanIntensity(spots, width, height);
-  if (met.bright < kFewestMet || around.bright < kFewestInBand) return {share, false};
-  return {around.level * share / MeanIntensity(wide, width, height), true};
+  // By the wider discs, and the share of these that is lit; but some spots must be met.
+  const Expected around = ExpectedLevel(spots_->wide);
+  if (met.bright < kFewestMet || around.bright < kFewestInBand) return {spots_->share, false};
+  return {around.level * spots_->share / spots_->wide_share, true};
 }
 
 double PatternWitness::DarkLimit() const {
@@ -393,10 +396,9 @@ PatternWitness::Testimony PatternWitness::JudgeLevel(const PlanStep& step) {
     // Beside them in the memory stand white, black, sinusoids and, in some plans, combs: halfway to these, in ratios,
     // of the whole picture's light.
     const PlanOptions& o = plan_.options;
-    const double share = MeanIntensity(step.pattern, o.projector_width, o.projector_height);
     const double comb = static_cast<double>(o.comb_width) / o.comb_period;
     double highest = 0.25 + 0.5 * spots;
-    if (comb >= 4.0 * share) highest = std::min(highest, std::sqrt(share * comb));
+    if (comb >= 4.0 * spots_->share) highest = std::min(highest, std::sqrt(spots_->share * comb));
     if (level >= highest + (spots_show_ ? 0.0 : room)) return Testimony::kRefutes;
     if (spots_show_ && level <= 0.3 * spots) return Testimony::kRefutes;
     std::vector<float> levels;  // rows of another picture can have the mean of spots

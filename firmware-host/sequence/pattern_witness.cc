@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 namespace stratalux::rig {
 namespace {
@@ -32,7 +33,8 @@ bool IsSpotOrBlack(const PlanStep& step) {
 
 }  // namespace
 
-PatternWitness::PatternWitness(const CapturePlan& plan, WitnessOptions options) : plan_(plan), options_(options) {}
+PatternWitness::PatternWitness(const CapturePlan& plan, WitnessOptions options)
+    : plan_(plan), options_(std::move(options)), spots_(SpotsOf(plan)) {}
 
 void PatternWitness::AddPreroll(const PlanStep& step, const Image<uint16_t>& pixels) {
   if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
@@ -306,14 +308,15 @@ const PatternWitness::Coordinates& PatternWitness::Where() {
   return where_;
 }
 
+bool PatternWitness::Coordinates::Tell(const Pattern& pattern) const {
+  if (!pattern.IsOneDimensional()) return !column.empty() && !row.empty();
+  return pattern.axis == PatternAxis::kColumns ? !column.empty() : !row.empty();
+}
+
 LevelsAt PatternWitness::LevelsOf(const PlanStep& step, std::vector<float>& level) {
   const Coordinates& at = Where();
-  const bool columns = !at.column.empty(), rows = !at.row.empty();
-  const bool known = !step.pattern.IsOneDimensional()             ? columns && rows
-                     : step.pattern.axis == PatternAxis::kColumns ? columns
-                                                                  : rows;
   level.clear();
-  if (!known) return {};
+  if (!at.Tell(step.pattern)) return {};
   const Probes& frame = Find(step.index)->probes;
   for (int i : lit_)
     level.push_back(static_cast<float>(frame[i] - black_.probes[i]) /

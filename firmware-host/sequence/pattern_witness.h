@@ -121,6 +121,8 @@ class PatternWitness {
   };
   struct Coordinates {
     std::vector<int> column, row;  // of each lit probe; empty: not known
+
+    [[nodiscard]] bool Tell(const Pattern& pattern) const;  // what a probe gets of it
   };
 
   [[nodiscard]] const Frame* Find(int step) const;
@@ -196,8 +198,16 @@ class PatternWitness {
   // Of the present projector; of other phases than the sweep only those of the nominal exposure.
   [[nodiscard]] std::vector<int> StepsOf(CapturePhase phase) const;
 
+  // The plan's spots, discs around them that more probes meet, and what share of the projector's picture each lights.
+  struct SpotPatterns {
+    Pattern spots, wide;
+    double share = 0.0, wide_share = 0.0;
+  };
+  [[nodiscard]] static std::optional<SpotPatterns> SpotsOf(const CapturePlan& plan);
+
   const CapturePlan& plan_;
   WitnessOptions options_;
+  std::optional<SpotPatterns> spots_;  // none: a plan without spots
   ProbeLattice lattice_;
   int projector_ = -1;
   int load_ = 0;
