@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <ranges>
 #include <utility>
 
 #include "fitter/mixture/em_projection.h"
@@ -324,6 +325,21 @@ void EmBlock::Judge() {
   }
 }
 
+// Where the lanes stand without momentum is where they would end.
+void EmBlock::TellCosts() {
+  const auto told = [&](int i) { return step_[i] != kStay && lanes_[i].sweeps <= traced_sweeps_; };
+  const auto lanes = std::views::iota(0, kEmLanes);
+  if (std::ranges::none_of(lanes, told)) return;
+  const LaneRows at = at_, last = last_;
+  const LaneRow no_momentum{};
+  Advance(rows_, bounds_, step_.data(), no_momentum.data(), image_.data(), last_.data(), at_.data());
+  Sweep(false);
+  for (const int i : lanes)
+    if (told(i)) traced_(lanes_[i].profile, lanes_[i].sweeps, divergence_[i]);
+  at_ = at;
+  last_ = last;
+}
+
 // Of sample k's model, what no scale may change.
 double EmBlock::HeldSurface(const EmLight& light, int p, int k, int lane) const {
   if (!options_.scattering.reflection.Known()) return 0.0;
@@ -414,6 +430,7 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
     for (const EmLight& light : lights_) grid_components_ += int64_t{light.grid.cells} * rows_.layers * sweeping;
     if (sweeping > 0) {
       Judge();
+      TellCosts();
       Advance(rows_, bounds_, step_.data(), momentum_.data(), image_.data(), last_.data(), at_.data());
     }
     for (int lane = 0; lane < kEmLanes; ++lane) {

@@ -8,6 +8,7 @@
 #include <functional>
 #include <limits>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "fitter/mixture/em_light.h"
@@ -34,6 +35,12 @@ class EmBlock {
   // in that lane. They depend on nothing but the profile's own data and photons[trial].
   void Fit(std::span<const int64_t> profiles, std::span<const double> photons,
            const std::function<void(int lane, int64_t profile, size_t trial)>& done);
+
+  // Fit then also says what Cost would be if a sweep were the last, of the first `sweeps` of each profile.
+  void TraceCosts(int sweeps, std::function<void(int64_t profile, int sweep, double cost)> traced) {
+    traced_sweeps_ = sweeps;
+    traced_ = std::move(traced);
+  }
 
   // Divergence in photons of each of `profiles` from what the layers of each of `fits`, maps of the same profiles
   // fitted to other lights, say of these lights: the surface as its reflection is known, else, like the floor, as the
@@ -93,6 +100,7 @@ class EmBlock {
   void ShareBackground(float* parameters) const;
   void UpdateParameters();
   void Judge();
+  void TellCosts();
   void Finish(int lane);
   [[nodiscard]] double ScaleToWhite(int lane) const;
   [[nodiscard]] double HeldSurface(const EmLight& light, int p, int k, int lane) const;
@@ -100,7 +108,8 @@ class EmBlock {
   [[nodiscard]] float At(int row, int lane) const { return at_[size_t(row) * kEmLanes + lane]; }
 
   EmOptions options_;
-  int most_sweeps_ = 0;
+  int most_sweeps_ = 0, traced_sweeps_ = 0;
+  std::function<void(int64_t profile, int sweep, double cost)> traced_;
   std::span<const SrdBatch* const> batches_;
   std::span<const std::vector<uint8_t>> usable_;
   std::span<const LayerSet> start_;

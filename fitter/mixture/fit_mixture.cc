@@ -158,8 +158,10 @@ void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judge
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
                     const EmOptions& options, std::span<const LayerSet> start, std::span<const double> photons,
-                    const std::function<void(int64_t)>& progress, const Done& done, const MixtureMap* warm = nullptr) {
+                    const std::function<void(int64_t)>& progress, const Done& done, const MixtureMap* warm = nullptr,
+                    int traced = 0, const std::function<void(int64_t, int, double)>& trace = {}) {
   ForEachTask(lights, judged, channels, options, start, warm, [&](EmBlock& em, std::span<const int64_t> profiles) {
+    em.TraceCosts(traced, trace);
     em.Fit(profiles, photons, [&](int lane, int64_t profile, size_t trial) { done(em, lane, profile, trial); });
     if (progress) progress(static_cast<int64_t>(profiles.size()));
   });
@@ -293,7 +295,7 @@ Division Divide(std::span<const SrdBatch* const> lights, const Judgement& judged
 
 Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                  MixtureMap fit, int sweeps, const EmOptions& given, std::span<const LayerSet> start,
-                                 const std::function<void(int64_t)>& progress) {
+                                 const std::function<void(int64_t)>& progress, int traced) {
   EmOptions options = given;
   options.scattering = fit.scattering;
   options.prior.photons = fit.prior_photons;
@@ -304,12 +306,17 @@ Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const 
   Judgement judged = JudgeAll(lights);
   const Division parts = Divide(lights, judged, fit, places);
 
-  RefinedMap refined{std::move(fit), static_cast<int64_t>(parts.refined.size()),
-                     parts.kept,     static_cast<int64_t>(parts.added.size()),
-                     parts.unusable, {}};
+  RefinedMap refined{std::move(fit),
+                     static_cast<int64_t>(parts.refined.size()),
+                     parts.kept,
+                     static_cast<int64_t>(parts.added.size()),
+                     parts.unusable,
+                     {},
+                     {}};
   MixtureMap& map = refined.map;
   const auto profiles = static_cast<size_t>(map.profiles());
   refined.cost.assign(profiles, std::nanf(""));
+  refined.cost_after.assign(profiles * static_cast<size_t>(traced), std::nanf(""));
   for (auto* values : {&map.surface, &map.background})
     *values = WithFurtherLights(*values, profiles, map.training_projectors.size(), places);
   map.training_projectors = projectors;
@@ -324,8 +331,12 @@ Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const 
         [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
           TakeFit(em, lane, i, options, map);
           refined.cost[i] = static_cast<float>(em.Cost(lane));
+          for (int s = em.Sweeps(lane); s < traced; ++s) refined.cost_after[i * traced + s] = refined.cost[i];
         },
-        warm);
+        warm, traced,
+        [&](int64_t i, int swept, double cost) {
+          refined.cost_after[i * traced + swept - 1] = static_cast<float>(cost);
+        });
   };
   EmOptions few = options;
   few.refinement_iterations = sweeps;

@@ -35,17 +35,21 @@ struct RefinedMap {
   int64_t unusable = 0;
   // [profile] What EM lowers (EmBlock::Cost), in photons; NaN where it did not sweep.
   std::vector<float> cost;
+  // [profile][sweep - 1] The cost had that sweep been the last, of as many sweeps as were to be traced; of those that
+  // settled before, what they settled at.
+  std::vector<float> cost_after;
 };
 
 // Tied EM that goes on, in place, from `fit`, a map of the same profiles fitted to some of `projectors`, on all of
 // `lights`: `sweeps` at most of each profile that was fitted and that a further light reaches. A profile that none of
 // them reaches keeps what it has, bit for bit; one that only they reach is fitted as by FitMixture. What all profiles
 // share (scattering, N0) is that of `fit`. `start`: the centre of the prior, and where profiles start that are fitted
-// anew. kUsage where the lights of `fit` are not among `projectors`, in their order.
+// anew; a result of fewer sweeps is that of as many, so `traced` of them tell what fewer would have cost. kUsage where
+// the lights of `fit` are not among `projectors`, in their order.
 Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                  MixtureMap fit, int sweeps, const EmOptions& options,
                                  std::span<const LayerSet> start = {},
-                                 const std::function<void(int64_t)>& progress = {});
+                                 const std::function<void(int64_t)>& progress = {}, int traced = 0);
 
 // FitMixture of a row of pixels with each of `photons` (at least one) for options.prior.photons: the same bits. What
 // does not depend on the prior is worked out once. Divergences, sweeps and prior shares are not: they stay 0.

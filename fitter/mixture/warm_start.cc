@@ -83,22 +83,30 @@ MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
   return row;
 }
 
-// Mean difference over the profiles that `wanted` says.
-double MeanAbove(const std::vector<float>& cost, const std::vector<float>& referee, const std::vector<uint8_t>& wanted,
+// Mean of cost less the referee's over the profiles that `wanted` says: `sweeps` after the start of `traced`.
+double MeanAbove(const RefinedMap& traced, int sweeps, const RefinedMap& referee, const std::vector<uint8_t>& wanted,
                  int64_t count) {
+  const size_t all = traced.cost_after.size() / traced.cost.size();
   double sum = 0.0;
-  for (size_t i = 0; i < cost.size(); ++i)
-    if (wanted[i] != 0) sum += double(cost[i]) - double(referee[i]);
+  for (size_t i = 0; i < wanted.size(); ++i)
+    if (wanted[i] != 0)
+      sum += double(traced.cost_after[i * all + static_cast<size_t>(sweeps) - 1]) - double(referee.cost[i]);
   return sum / static_cast<double>(count);
 }
 
-int MedianOf(std::vector<uint16_t> sweeps, const std::vector<uint8_t>& wanted) {
+// Of the sweeps of those that are wanted, none of which makes more than `most`.
+int MedianSweeps(std::vector<uint16_t> sweeps, const std::vector<uint8_t>& wanted, int most = kRefereeSweeps) {
   size_t kept = 0;
   for (size_t i = 0; i < sweeps.size(); ++i)
     if (wanted[i] != 0) sweeps[kept++] = sweeps[i];
   const auto middle = sweeps.begin() + static_cast<int64_t>(kept / 2);
   std::nth_element(sweeps.begin(), middle, sweeps.begin() + static_cast<int64_t>(kept));
-  return *middle;
+  return std::min<int>(*middle, most);
+}
+
+EmOptions UntilTheySettle(EmOptions options) {
+  options.max_iterations = options.refinement_iterations = kRefereeSweeps;
+  return options;
 }
 
 }  // namespace
@@ -116,21 +124,17 @@ Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights, const 
   if (which.empty()) return choice;
   const SampledBatches sampled(lights, which);
   const MixtureMap none = UnfittedMap(static_cast<int>(std::ssize(which)) / channels, 1, channels, options);
-  const auto swept = [&](int sweeps) {
-    EmOptions few = options;
-    few.max_iterations = few.refinement_iterations = sweeps;
-    return RefineMixture(sampled.batches(), projectors, none, 0, few, start);
-  };
-  SLX_ASSIGN_OR_RETURN(const auto referee, swept(kRefereeSweeps));
+  const int most = std::max(options.refinement_iterations, 1);
+  SLX_ASSIGN_OR_RETURN(const auto referee, RefineMixture(sampled.batches(), projectors, none, 0,
+                                                         UntilTheySettle(options), start, {}, most));
   std::vector<uint8_t> wanted;
   for (const float cost : referee.cost) wanted.push_back(std::isfinite(cost) ? 1 : 0);
   choice.profiles = referee.added;
   if (choice.profiles == 0) return choice;
-  choice.referee_sweeps = MedianOf(referee.map.iterations, wanted);
-  for (int sweeps = 1; sweeps <= std::max(options.refinement_iterations, 1) && !choice.Reached(); ++sweeps) {
-    SLX_ASSIGN_OR_RETURN(const auto trial, swept(sweeps));
+  choice.referee_sweeps = MedianSweeps(referee.map.iterations, wanted);
+  for (int sweeps = 1; sweeps <= most && !choice.Reached(); ++sweeps) {
     choice.sweeps = sweeps;
-    choice.trials.push_back({sweeps, MeanAbove(trial.cost, referee.cost, wanted, choice.profiles)});
+    choice.trials.push_back({sweeps, MeanAbove(referee, sweeps, referee, wanted, choice.profiles)});
   }
   return choice;
 }
@@ -147,32 +151,25 @@ Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights
   of_fit.scattering = fit.scattering;
   of_fit.prior.photons = fit.prior_photons;
   const MixtureMap row = SampledRow(fit, which), none = UnfittedMap(row.width, 1, fit.channels, of_fit);
-  // Without a prior EM starts from widths spread over all scales, with its own number of sweeps.
-  EmOptions endless = options;
-  endless.max_iterations = endless.refinement_iterations = kRefereeSweeps;
   if (which.empty()) return choice;
-  SLX_ASSIGN_OR_RETURN(const auto referee, RefineMixture(sampled, projectors, none, 0, endless, start));
-  SLX_ASSIGN_OR_RETURN(const auto cold, RefineMixture(sampled, projectors, none, 0, options, start));
-
-  std::vector<uint8_t> wanted;
-  for (int sweeps = 1; sweeps <= std::max(options.refinement_iterations, 1); ++sweeps) {
-    SLX_ASSIGN_OR_RETURN(const auto warm, RefineMixture(sampled, projectors, row, sweeps, options, start));
-    if (wanted.empty()) {  // of the sampled, those that the further lights' samples reach
-      for (size_t i = 0; i < warm.cost.size(); ++i)
-        wanted.push_back(row.Fitted(static_cast<int64_t>(i)) && std::isfinite(warm.cost[i]) ? 1 : 0);
-      choice.profiles = warm.refined;
-      if (choice.profiles == 0) return choice;
-      choice.cold_sweeps = MedianOf(cold.map.iterations, wanted);
-      choice.cold_nats = MeanAbove(cold.cost, referee.cost, wanted, choice.profiles);
-      choice.referee_sweeps = MedianOf(referee.map.iterations, wanted);
-    }
+  const int most = std::max(options.refinement_iterations, 1);
+  // Without a prior EM starts from widths spread over all scales, with its own number of sweeps.
+  const int most_cold = start.empty() ? options.max_iterations : most;
+  SLX_ASSIGN_OR_RETURN(const auto referee, RefineMixture(sampled, projectors, none, 0, UntilTheySettle(options), start,
+                                                         {}, std::max(most, most_cold)));
+  SLX_ASSIGN_OR_RETURN(const auto warm, RefineMixture(sampled, projectors, row, most, options, start, {}, most));
+  std::vector<uint8_t> wanted;  // of the sampled, those that the further lights' samples reach
+  for (size_t i = 0; i < warm.cost.size(); ++i)
+    wanted.push_back(row.Fitted(static_cast<int64_t>(i)) && std::isfinite(warm.cost[i]) ? 1 : 0);
+  choice.profiles = warm.refined;
+  if (choice.profiles == 0) return choice;
+  choice.cold_sweeps = MedianSweeps(referee.map.iterations, wanted, most_cold);
+  choice.cold_nats = MeanAbove(referee, most_cold, referee, wanted, choice.profiles);
+  choice.referee_sweeps = MedianSweeps(referee.map.iterations, wanted);
+  for (int sweeps = 1; sweeps <= most && !choice.Reached(); ++sweeps) {
     choice.sweeps = sweeps;
-    EmOptions few = options;
-    few.max_iterations = few.refinement_iterations = sweeps;
-    SLX_ASSIGN_OR_RETURN(const auto as_cold, RefineMixture(sampled, projectors, none, 0, few, start));
-    choice.trials.push_back({sweeps, MeanAbove(warm.cost, referee.cost, wanted, choice.profiles),
-                             MeanAbove(as_cold.cost, referee.cost, wanted, choice.profiles)});
-    if (choice.Reached()) break;
+    choice.trials.push_back({sweeps, MeanAbove(warm, sweeps, referee, wanted, choice.profiles),
+                             MeanAbove(referee, sweeps, referee, wanted, choice.profiles)});
   }
   return choice;
 }

@@ -189,6 +189,38 @@ TEST(RefineMixture, WithoutPriorGoesOnFromTheFitToo) {
   for (int64_t i = 0; i < kProfiles; ++i) EXPECT_EQ(warm->map.iterations[i], 3);
 }
 
+// Traced sweeps cost what as many cost by themselves, bit for bit, of profiles that settle early, too, from layers and
+// from nothing; and whoever is traced ends where nobody looks.
+TEST(RefineMixture, TracedSweepsCostWhatAsManyCost) {
+  EmOptions options = WithPrior(300.0);
+  options.tolerance = 1e-3;  // some settle at the second look
+  const EmCases made = FourLights(4000.0, 82);
+  const std::vector<LayerSet> mean = MeanOf(made.lights(), options);
+  constexpr int kMost = 30, kTraced = 24;
+  for (const MixtureMap& start : {FitOfThree(made, options), UnfittedMap(kProfiles, 1, 1, options)}) {
+    const auto refine = [&](int sweeps, int traced) {
+      EmOptions few = options;
+      few.refinement_iterations = sweeps;
+      auto refined = RefineMixture(made.lights(), kAll, start, sweeps, few, mean, {}, traced);
+      EXPECT_TRUE(refined.ok()) << refined.status().message();
+      return *std::move(refined);
+    };
+    const RefinedMap traced = refine(kMost, kTraced), silent = refine(kMost, 0);
+    EXPECT_TRUE(silent.cost_after.empty());
+    ASSERT_EQ(traced.cost_after.size(), size_t{kProfiles} * kTraced);
+    EXPECT_EQ(traced.cost, silent.cost);
+    for (int64_t i = 0; i < kProfiles; ++i) ExpectSameProfile(traced.map, silent.map, i);
+    const auto [least, most] = std::ranges::minmax(traced.map.iterations);
+    EXPECT_LT(least, kTraced);
+    EXPECT_GT(most, kTraced);
+    for (int sweeps = 1; sweeps <= kTraced; ++sweeps) {
+      const RefinedMap few = refine(sweeps, 0);
+      for (size_t i = 0; i < kProfiles; ++i)
+        EXPECT_EQ(traced.cost_after[i * kTraced + static_cast<size_t>(sweeps) - 1], few.cost[i]) << i << ", " << sweeps;
+    }
+  }
+}
+
 // What the choice says of a start with so many sweeps holds for pixels that it has not seen.
 TEST(ChooseWarmSweeps, IsTheFewestThatTheRefereeCannotTellFromItsOwn) {
   const EmOptions options = WithPrior();
