@@ -12,7 +12,8 @@ source=$1 build=$2
 scratch=$(mktemp -d)
 answering=
 trap '[ -z "$answering" ] || kill "$answering" 2>/dev/null; slurm_stop; rm -rf "$scratch"' EXIT
-export PATH=$build/bin:$PATH TMPDIR=$scratch
+# More than there are: a stand-in only waits for its turn.
+export PATH=$build/bin:$PATH TMPDIR=$scratch SLURM_TEST_CPUS=8
 slurm_start "$build/tests/cluster/slurm"
 cd "$scratch"
 

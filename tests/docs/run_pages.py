@@ -96,7 +96,7 @@ def run(page, blocks, options, folder):
         STATE_DIRECTORY=str(folder / "state"),
         STRATALUX_STORE="store",
         STRATALUX_CACHE=str(folder.parent / "cache"),
-        STRATALUX_EXAMPLE_SIZE="348x260",
+        STRATALUX_EXAMPLE_SIZE="232x174",
         STRATALUX_EXAMPLE_PHOTONS="40000",
     )
     (folder / "state").mkdir()
