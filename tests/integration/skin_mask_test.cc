@@ -138,7 +138,8 @@ TEST_F(SkinOfAPerson, IsFoundInTheLightOfOneProjector) {
 }
 
 TEST_F(SkinOfAPerson, TakesTheMasksWordWhereThereIsNoTruth) {
-  const std::string options = " latest --pool 2 --prior 1000 --iterations 1 --layers 1 --json --store ";
+  const std::string options =
+      " latest --pool 2 --prior none --offset off --maps off --iterations 1 --layers 1 --json --store ";
   const auto metrics = [&](const std::string& store) {
     const Outcome run = Execute("stratalux-fit run" + options + store, Show::kStdout);
     EXPECT_EQ(run.code, 0);

@@ -46,7 +46,7 @@ timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi,tb-size=256 -machi
   -nodefaults -display none -no-reboot -serial "file:$out/console.log" \
   -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
   -append "console=ttyS0 quiet panic=-1 mitigations=off nokaslr random.trust_cpu=on tsc=reliable no_timer_check rig.job=$job \
-rig.faults=${STRATALUX_RIG_FAULTS:-3} rig.seed=${STRATALUX_SEED:-1} rig.patience=$patience $clock" \
+rig.faults=${STRATALUX_RIG_FAULTS:-2} rig.seed=${STRATALUX_SEED:-1} rig.patience=$patience $clock" \
   $(share root "$guest/rootfs" readonly=on) $(share source "$source_folder" readonly=on) \
   $(share build "$build" readonly=on) $(share share "$out") </dev/null || emulator=$?
 
