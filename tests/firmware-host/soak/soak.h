@@ -13,8 +13,8 @@
 namespace stratalux::rig {
 
 struct SoakOptions {
-  std::string scene = "head";
-  bool scattering = false;  // opaque skin is quick
+  std::string scene = "bald";  // to grow a head's hair takes longer than to capture it so small
+  bool scattering = false;     // opaque skin is quick
   int camera_width = 64, camera_height = 48;
   bool overlapped = false;  // the camera exposes while it reads out
   PlanOptions plan;         // SmallPlan()
