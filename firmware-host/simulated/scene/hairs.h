@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <vector>
 
 #include "shared/capture/surface_class.h"
 #include "shared/image/image.h"
@@ -28,7 +29,14 @@ class HairMap {
 
  private:
   void Draw(double x, double y, double angle_rad, double length_mm, const HairField& field);
-  Image<uint8_t> covered_;  // SurfaceClass; empty: no hair
+
+  // Of a hair's middle line.
+  struct Sample {
+    double x_mm, y_mm;
+    int64_t column, row;  // in 2^-32 of a cell
+  };
+  Image<uint8_t> covered_;      // SurfaceClass; empty: no hair
+  std::vector<Sample> middle_;  // of the hair being drawn
 };
 
 }  // namespace stratalux::rig
