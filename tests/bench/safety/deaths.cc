@@ -29,7 +29,6 @@ namespace stratalux::rig {
 namespace {
 
 using namespace std::chrono_literals;
-constexpr LightLease kLong = {.length = 1h, .longest = 2h};
 constexpr int kSignals[] = {SIGHUP,  SIGQUIT, SIGPIPE, SIGSEGV,   SIGBUS,  SIGFPE,  SIGILL, SIGABRT,
                             SIGSYS,  SIGTRAP, SIGXCPU, SIGXFSZ,   SIGALRM, SIGPROF, SIGIO,  SIGVTALRM,
                             SIGUSR1, SIGPWR,  SIGUSR2, SIGSTKFLT, SIGINT,  SIGTERM};
@@ -87,7 +86,7 @@ pid_t Live(const std::function<void()>& beside) {
   const rlimit no_core{0, 0};
   setrlimit(RLIMIT_CORE, &no_core);
   GuardedGpio rig(StopOfProcess());
-  if (!rig.guard->On(1, kLong).ok() || !rig.guard->On(0, kLong).ok()) _exit(99);
+  if (!rig.guard->On(1, kLongLease).ok() || !rig.guard->On(0, kLongLease).ok()) _exit(99);
   const sched_param ordinary{};
   sched_setscheduler(0, SCHED_OTHER, &ordinary);
   if (beside) std::thread(beside).detach();

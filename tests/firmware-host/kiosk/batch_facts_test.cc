@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "db/catalogue/job_store.h"
+#include "shared/units/time.h"
 #include "tests/db/index_rows.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/scratch_folder.h"
@@ -18,21 +19,19 @@ namespace {
 namespace fs = std::filesystem;
 using Here = TimerFacts::Here;
 
-constexpr int64_t kSecond = 1'000'000'000;
-
 TEST(TimerOf, ReadsWhatSystemctlPrintsOfATimer) {
   const std::string of_252 =
       "NextElapseUSecRealtime=Tue 2026-11-24 20:00:00 UTC\nLastTriggerUSec=Mon 2026-11-23 20:00:01 UTC\n"
       "Id=stratalux-batch.timer\nLoadState=loaded\nActiveState=active\n";
   const TimerFacts timer = TimerOf(of_252, kBatchTimer);
   EXPECT_EQ(timer.here, Here::kOn);
-  EXPECT_EQ(timer.next->ns, 1795550400 * kSecond);
-  EXPECT_EQ(timer.last->ns, 1795464001 * kSecond);
+  EXPECT_EQ(timer.next->ns, 1795550400 * kSecondNs);
+  EXPECT_EQ(timer.last->ns, 1795464001 * kSecondNs);
   const TimerFacts unix_times = TimerOf(
       "Id=stratalux-batch.timer\nLoadState=loaded\nActiveState=active\nNextElapseUSecRealtime=@1795550400\n"
       "LastTriggerUSec=\n",
       kBatchTimer);
-  EXPECT_EQ(unix_times.next->ns, 1795550400 * kSecond);
+  EXPECT_EQ(unix_times.next->ns, 1795550400 * kSecondNs);
   EXPECT_FALSE(unix_times.last) << "it has not gone off yet";
 }
 
@@ -84,7 +83,7 @@ TEST_F(AskTimerTest, AsksInUtcForTheTimerAlone) {
                                             "NextElapseUSecRealtime=Tue 2026-11-24 20:00:00 UTC\\n' \"$unit\"\n"),
                                     kBatchTimer);
   EXPECT_EQ(timer.here, Here::kOn);
-  EXPECT_EQ(timer.next->ns, 1795550400 * kSecond);
+  EXPECT_EQ(timer.next->ns, 1795550400 * kSecondNs);
 }
 
 TEST_F(AskTimerTest, ThatFailsOrIsNotThereIsUnknown) {
@@ -147,9 +146,9 @@ TEST_F(FitsOfTest, CountsTheJobsOfTheLastDay) {
   ASSERT_TRUE(jobs->Complete(lease()).ok());
   ASSERT_TRUE(jobs->Complete(lease()).ok());
   ASSERT_TRUE(jobs->Fail(lease(), "no light", std::nullopt).ok());
-  const WallNs evening{1'800'000'000'000'000'000 + 3600 * kSecond};
+  const WallNs evening{1'800'000'000'000'000'000 + 3600 * kSecondNs};
   EXPECT_EQ(*FitsOf(folder_, evening), (FitFacts{0, true, 2, 2, 1}));
-  EXPECT_EQ(*FitsOf(folder_, {evening.ns + 24 * 3600 * kSecond}), (FitFacts{0, true, 2, 0, 0}));
+  EXPECT_EQ(*FitsOf(folder_, {evening.ns + 24 * 3600 * kSecondNs}), (FitFacts{0, true, 2, 0, 0}));
 }
 
 TEST(FitsOfAStore, ThatIsNotThereAreNone) {

@@ -4,20 +4,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/firmware-host/kiosk/lit_rectangle.h"
+
 namespace stratalux::rig {
 namespace {
 
 using ::testing::ElementsAre;
 
-constexpr int kWidth = 320, kHeight = 240;
-
-Image<uint16_t> Lit(int left, int right, uint16_t level) {
-  Image<uint16_t> image(kWidth, kHeight, 1, uint16_t{64});
-  for (int y = 48; y < 216; ++y)
-    for (int x = left; x < right; ++x) image(x, y) = level;
-  return image;
-}
-const Image<uint16_t> kBlack(kWidth, kHeight, 1, uint16_t{64});
+Image<uint16_t> Lit(int left, int right, uint16_t level) { return LitRectangle(left, 48, right, 216, level); }
 
 FrameRecord Reference(int projector, PatternKind kind) {
   FrameRecord record;
@@ -29,14 +23,14 @@ FrameRecord Reference(int projector, PatternKind kind) {
 
 Foreground Before() {
   const Image<uint16_t> white = Lit(80, 240, 1000);
-  const std::vector<PreScan> scans = {{white, kBlack}};
+  const std::vector<PreScan> scans = {{white, kDarkPicture}};
   return *ForegroundOf(scans, 3.0);
 }
 
 class CaptureWatchTest : public ::testing::Test {
  protected:
   void Shown(int projector, const Image<uint16_t>& white) {
-    watch_.OnFrame(Reference(projector, PatternKind::kBlack), kBlack);
+    watch_.OnFrame(Reference(projector, PatternKind::kBlack), kDarkPicture);
     watch_.OnFrame(Reference(projector, PatternKind::kWhite), white);
   }
   [[nodiscard]] CaptureFacts Facts(const std::vector<FindingKind>& kinds = {},
@@ -72,7 +66,7 @@ TEST_F(CaptureWatchTest, CountsTheSaturatedOfTheBrightestProjector) {
 TEST_F(CaptureWatchTest, ARefusedReferenceSaysNothing) {
   FrameRecord refused = Reference(0, PatternKind::kWhite);
   refused.level_check = LevelCheck::kFailed;
-  watch_.OnFrame(Reference(0, PatternKind::kBlack), kBlack);
+  watch_.OnFrame(Reference(0, PatternKind::kBlack), kDarkPicture);
   watch_.OnFrame(refused, Lit(80, 240, 4095));
   EXPECT_EQ(Facts().saturated_permille, 0);
   EXPECT_EQ(Facts().coverage_permille, 0);
@@ -83,7 +77,7 @@ TEST_F(CaptureWatchTest, ARefusedReferenceSaysNothing) {
 
 TEST_F(CaptureWatchTest, AnotherPhaseAndAnotherBracketAreNoReference) {
   FrameRecord white = Reference(0, PatternKind::kWhite);
-  watch_.OnFrame(Reference(0, PatternKind::kBlack), kBlack);
+  watch_.OnFrame(Reference(0, PatternKind::kBlack), kDarkPicture);
   white.bracket = 1;
   watch_.OnFrame(white, Lit(80, 240, 4095));
   white.bracket = 0;

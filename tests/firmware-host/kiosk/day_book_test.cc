@@ -7,6 +7,8 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "shared/units/time.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -14,8 +16,6 @@ using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::Pair;
 using Json = nlohmann::json;
-
-constexpr int64_t kSecond = 1'000'000'000, kHour = 3600 * kSecond;
 
 // A wall clock in Tokyo, where a day begins at 15:00 UTC.
 class DayBookTest : public ::testing::Test {
@@ -26,8 +26,10 @@ class DayBookTest : public ::testing::Test {
     setenv("TZ", zone, 1);
     tzset();
   }
-  const WallNs evening_{1795532400 * kSecond};  // 2026-11-24T15:00:00Z: midnight that begins the 25th there
-  [[nodiscard]] WallNs At(double hours) const { return {evening_.ns + static_cast<int64_t>(hours * kHour)}; }
+  const WallNs evening_{1795532400 * kSecondNs};  // 2026-11-24T15:00:00Z: midnight that begins the 25th there
+  [[nodiscard]] WallNs At(double hours) const {
+    return {evening_.ns + static_cast<int64_t>(hours * (3600 * kSecondNs))};
+  }
 };
 
 TEST_F(DayBookTest, ADayIsThatOfTheComputersTimeZone) {

@@ -6,28 +6,18 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/firmware-host/kiosk/lit_rectangle.h"
 #include "tests/firmware-host/session/small_station.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
 
-constexpr int kWidth = 320, kHeight = 240;
-
-// White of a projector: `level` within the rectangle, dark elsewhere.
-Image<uint16_t> Rectangle(int left, int top, int right, int bottom, uint16_t level) {
-  Image<uint16_t> image(kWidth, kHeight, 1, uint16_t{64});
-  for (int y = top; y < bottom; ++y)
-    for (int x = left; x < right; ++x) image(x, y) = level;
-  return image;
-}
-const Image<uint16_t> kBlack(kWidth, kHeight, 1, uint16_t{64});
-
 TEST(FaceLook, TheBoxIsThatOfTheLargestPart) {
-  Image<uint16_t> white = Rectangle(80, 48, 240, 216, 1000);
+  Image<uint16_t> white = LitRectangle(80, 48, 240, 216, 1000);
   for (int y = 0; y < 40; ++y)
     for (int x = 280; x < 320; ++x) white(x, y) = 1000;  // something that shines in the corner
-  const std::vector<PreScan> scans = {{white, kBlack}};
+  const std::vector<PreScan> scans = {{white, kDarkPicture}};
   const auto foreground = ForegroundOf(scans, 3.0);
   ASSERT_TRUE(foreground);
   EXPECT_EQ(foreground->Count(), (160 / 8) * (168 / 8));
@@ -35,22 +25,22 @@ TEST(FaceLook, TheBoxIsThatOfTheLargestPart) {
 }
 
 TEST(FaceLook, WhatAnyProjectorLightsIsForeground) {
-  const Image<uint16_t> left = Rectangle(80, 48, 160, 216, 1000), right = Rectangle(160, 48, 240, 216, 300);
-  const std::vector<PreScan> scans = {{left, kBlack}, {right, kBlack}};
+  const Image<uint16_t> left = LitRectangle(80, 48, 160, 216, 1000), right = LitRectangle(160, 48, 240, 216, 300);
+  const std::vector<PreScan> scans = {{left, kDarkPicture}, {right, kDarkPicture}};
   EXPECT_EQ(BoxOf(*ForegroundOf(scans, 3.0)), (FaceBox{250, 200, 750, 900}));
 }
 
 TEST(FaceLook, NobodyIsNoFace) {
-  const std::vector<PreScan> scans = {{kBlack, kBlack}};
+  const std::vector<PreScan> scans = {{kDarkPicture, kDarkPicture}};
   EXPECT_FALSE(ForegroundOf(scans, 3.0));
-  const Image<uint16_t> speck = Rectangle(80, 48, 88, 56, 1000);
-  const std::vector<PreScan> little = {{speck, kBlack}};
+  const Image<uint16_t> speck = LitRectangle(80, 48, 88, 56, 1000);
+  const std::vector<PreScan> little = {{speck, kDarkPicture}};
   EXPECT_FALSE(ForegroundOf(little, 3.0));
 }
 
 TEST(FaceLook, CoverageIsTheShareOfWhatWasThere) {
-  const Image<uint16_t> before = Rectangle(80, 48, 240, 216, 1000), turned = Rectangle(80, 48, 160, 216, 1000);
-  const std::vector<PreScan> first = {{before, kBlack}}, then = {{turned, kBlack}};
+  const Image<uint16_t> before = LitRectangle(80, 48, 240, 216, 1000), turned = LitRectangle(80, 48, 160, 216, 1000);
+  const std::vector<PreScan> first = {{before, kDarkPicture}}, then = {{turned, kDarkPicture}};
   EXPECT_EQ(CoveragePermille(*ForegroundOf(first, 3.0), *ForegroundOf(then, 3.0)), 500);
   EXPECT_EQ(CoveragePermille(*ForegroundOf(then, 3.0), *ForegroundOf(first, 3.0)), 1000);
 }

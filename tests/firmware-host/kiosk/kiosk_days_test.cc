@@ -10,6 +10,8 @@
 #include <nlohmann/json.hpp>
 #include <sys/resource.h>
 
+#include "shared/units/time.h"
+#include "tests/firmware-host/kiosk/operator_token.h"
 #include "tests/firmware-host/kiosk/page_script.h"
 #include "tests/shared/http/http_client.h"
 #include "tests/support/scratch_folder.h"
@@ -23,8 +25,7 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using Json = nlohmann::json;
 
-constexpr int64_t kHour = 3'600'000'000'000;
-const std::string kOperator = "operator-0123456789abcdef";
+constexpr int64_t kHour = 3600 * kSecondNs;
 
 // As on a full disk: no file may grow.
 class FullDisk {
@@ -52,7 +53,7 @@ class KioskDays : public ScratchFolderTest {
   void Start() {
     kiosk_.reset();
     KioskPageOptions options;
-    options.operator_token = kOperator;
+    options.operator_token = kOperatorToken;
     options.systemctl.clear();
     options.state = folder_;
     options.wall = [this] { return WallNs{wall_.load()}; };
@@ -63,7 +64,7 @@ class KioskDays : public ScratchFolderTest {
   }
   [[nodiscard]] Json Status() const {
     const auto answer =
-        http::Get(kiosk_->page().port(), "/operator/status", {{"Authorization", "Bearer " + kOperator}});
+        http::Get(kiosk_->page().port(), "/operator/status", {{"Authorization", "Bearer " + kOperatorToken}});
     EXPECT_EQ(answer.status, 200);
     return Json::parse(answer.body);
   }

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "firmware-host/kiosk/page_state.h"
+#include "tests/firmware-host/kiosk/operator_token.h"
 #include "tests/firmware-host/kiosk/page_script.h"
 #include "tests/shared/http/http_client.h"
 #include "tests/support/scratch_folder.h"
@@ -21,8 +22,6 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using Json = nlohmann::json;
 
-const std::string kOperator = "operator-0123456789abcdef";
-
 // The data of the last event among what a stream has sent.
 Json LastState(const std::string& text) {
   const size_t at = text.rfind("data: ");
@@ -34,7 +33,7 @@ class KioskPageTest : public ::testing::Test {
  protected:
   void SetUp() override { Restart({}); }
   void Restart(KioskPageOptions options) {
-    options.operator_token = kOperator;
+    options.operator_token = kOperatorToken;
     options.systemctl.clear();  // not this machine's
     kiosk_.reset();
     auto kiosk = ScriptedKiosk::Start(options, logger_);
@@ -76,7 +75,7 @@ class KioskPageTest : public ::testing::Test {
     while (phase() == Phase::kCountdown) kiosk_->Happen("tick");
     ASSERT_TRUE(kiosk_->Happen(how)) << how;
   }
-  const std::map<std::string, std::string> keeper_ = {{"Authorization", "Bearer " + kOperator}};
+  const std::map<std::string, std::string> keeper_ = {{"Authorization", "Bearer " + kOperatorToken}};
 
   Logger logger_{LogLevel::kError};
   std::unique_ptr<ScriptedKiosk> kiosk_;
@@ -365,7 +364,7 @@ TEST(KioskPageOptions, AskForATokenWhereOthersReachThePage) {
   KioskPageOptions options;
   options.address = "192.168.7.2";
   EXPECT_THAT(options.Validate().message(), HasSubstr("needs a token"));
-  options.token = options.operator_token = kOperator;
+  options.token = options.operator_token = kOperatorToken;
   EXPECT_THAT(options.Validate().message(), HasSubstr("operator's token"));
   options.operator_token = "another-0123456789";
   EXPECT_TRUE(options.Validate().ok());

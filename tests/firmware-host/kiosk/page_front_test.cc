@@ -11,6 +11,7 @@
 #include "db/catalogue/session_store.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/kiosk.h"
+#include "tests/firmware-host/kiosk/operator_token.h"
 #include "tests/firmware-host/kiosk/small_kiosk.h"
 #include "tests/shared/http/http_client.h"
 #include "tests/support/scratch_folder.h"
@@ -19,13 +20,12 @@ namespace stratalux::rig {
 namespace {
 
 using Json = nlohmann::json;
-const std::string kOperator = "operator-0123456789abcdef";
 
 class PageFrontTest : public ScratchFolderTest {
  protected:
   void Start() {
     KioskPageOptions options;
-    options.operator_token = kOperator;
+    options.operator_token = kOperatorToken;
     options.store = folder_ / "store";
     auto front = PageFront::Start(options, logger_);
     ASSERT_TRUE(front.ok()) << front.status().message();
@@ -69,7 +69,7 @@ TEST_F(PageFrontTest, APressWakesTheLoopAndASecondIsABeat) {
   Start();
   pollfd readable{front_->fd(), POLLIN, 0};
   front_->Take();
-  EXPECT_EQ(Post("/operator/clean", {}, {{"Authorization", "Bearer " + kOperator}}), 202);
+  EXPECT_EQ(Post("/operator/clean", {}, {{"Authorization", "Bearer " + kOperatorToken}}), 202);
   ASSERT_EQ(poll(&readable, 1, 500), 1);
   const auto taken = front_->Take();
   ASSERT_EQ(taken.size(), 1U);
@@ -84,7 +84,7 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   auto station = CaptureStation::Open(options.station, stop, logger_);
   ASSERT_TRUE(station.ok()) << station.status().message();
   Start();
-  const std::map<std::string, std::string> keeper = {{"Authorization", "Bearer " + kOperator}};
+  const std::map<std::string, std::string> keeper = {{"Authorization", "Bearer " + kOperatorToken}};
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", "7K3QZ-M0P4T-3"}}, keeper), 409) << "no kiosk runs yet";
   std::thread loop([&] {
     const auto report = RunKiosk(**station, options, *front_, stop, logger_);

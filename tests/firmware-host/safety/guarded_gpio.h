@@ -2,6 +2,7 @@
 // Two projectors on scripted GPIO lines under a LightGuard, opened as the rig opens them.
 #pragma once
 
+#include <chrono>
 #include <memory>
 
 #include "firmware-host/gpio/gpio_lights.h"
@@ -12,6 +13,9 @@
 namespace stratalux::rig {
 
 enum ScriptedLine { kEnable0, kEnable1, kTrigger0, kTrigger1, kSync0, kSync1, kCamera, kEmergencyStop, kDoor };
+
+// Longer than any test holds a light.
+inline constexpr LightLease kLongLease = {.length = std::chrono::hours(1), .longest = std::chrono::hours(2)};
 
 struct GuardedGpio {
   // `stop` outlives it. The lines are as a new chip has them.

@@ -32,9 +32,7 @@ namespace stratalux::rig {
 namespace {
 
 using namespace std::chrono_literals;
-constexpr LightLease kLong = {.length = 1h, .longest = 2h};
-
-constexpr auto kAtLast = 60s;
+constexpr auto kLivesAtMost = 60s;
 constexpr int kFatal[] = {SIGHUP,  SIGQUIT, SIGPIPE, SIGSEGV, SIGBUS,  SIGFPE,    SIGILL,  SIGABRT, SIGSYS, SIGXCPU,
                           SIGXFSZ, SIGALRM, SIGUSR1, SIGUSR2, SIGTRAP, SIGVTALRM, SIGPROF, SIGIO,   SIGPWR, SIGSTKFLT};
 
@@ -49,14 +47,14 @@ int EndOf(const std::function<void(GuardedGpio&)>& life, const std::function<voi
     const rlimit no_core{0, 0};
     setrlimit(RLIMIT_CORE, &no_core);
     GuardedGpio rig(StopOfProcess());
-    if (!rig.guard->On(0, kLong).ok() || !rig.guard->On(1, kLong).ok()) _exit(99);
+    if (!rig.guard->On(0, kLongLease).ok() || !rig.guard->On(1, kLongLease).ok()) _exit(99);
     life(rig);
     _exit(0);
   }
   if (meanwhile) meanwhile(child);
   int status = 0;
   pid_t ended = 0;
-  for (const auto end = std::chrono::steady_clock::now() + kAtLast; ended == 0; usleep(50)) {
+  for (const auto end = std::chrono::steady_clock::now() + kLivesAtMost; ended == 0; usleep(50)) {
     ended = waitpid(child, &status, WNOHANG);
     if (ended == 0 && std::chrono::steady_clock::now() > end) kill(child, SIGKILL);
   }
@@ -119,7 +117,7 @@ TEST(LastResort, TheGuardMeetsTheFirstInterruptAndTheSecond) {
                   kill(getpid(), signal);
                   if (!GuardedGpio::DarkWithin(20s)) _exit(1);
                   if (StopOfProcess().reason() != StopReason::kOperator) _exit(2);
-                  if (!rig.guard->Reset().ok() || !rig.guard->On(0, kLong).ok()) _exit(3);
+                  if (!rig.guard->Reset().ok() || !rig.guard->On(0, kLongLease).ok()) _exit(3);
                   kill(getpid(), signal);
                 }).detach();
                 pthread_sigmask(SIG_UNBLOCK, &all, nullptr);
@@ -200,8 +198,8 @@ TEST(LastResort, TheFirstInterruptStopsAndTheSecondKills) {
                 raise(signal);
                 if (StopOfProcess().reason() != StopReason::kOperator) _exit(1);
                 if (!GuardedGpio::DarkWithin(20s)) _exit(2);
-                if (rig.guard->On(0, kLong).ok()) _exit(3);
-                if (!rig.guard->Reset().ok() || !rig.guard->On(0, kLong).ok()) _exit(4);
+                if (rig.guard->On(0, kLongLease).ok()) _exit(3);
+                if (!rig.guard->Reset().ok() || !rig.guard->On(0, kLongLease).ok()) _exit(4);
                 raise(signal);
                 pause();
               }),
@@ -259,7 +257,7 @@ TEST(LastResort, DeathsAtRandomMomentsLeaveNoLight) {
             while (true) pause();
           }).detach();
           for (int i = 0;; ++i) {
-            static_cast<void>(rig.guard->On(i % 2, kLong));
+            static_cast<void>(rig.guard->On(i % 2, kLongLease));
             static_cast<void>(rig.bank->TriggerProjector(-1));
             static_cast<void>(rig.guard->Renew());
             if (i % 5 == 0) static_cast<void>(rig.guard->AllOff());

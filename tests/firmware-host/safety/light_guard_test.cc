@@ -20,7 +20,6 @@ using namespace std::chrono_literals;
 using ::testing::HasSubstr;
 
 constexpr auto kAtLast = 20s;
-constexpr LightLease kLong = {.length = 1h, .longest = 2h};
 
 class LightGuardTest : public ::testing::Test {
  protected:
@@ -29,7 +28,7 @@ class LightGuardTest : public ::testing::Test {
   void ExpectHeldDark() {
     ExpectDark();
     for (int i = 0; i < 20; ++i) {
-      EXPECT_FALSE(rig_.guard->On(i % 2, kLong).ok());
+      EXPECT_FALSE(rig_.guard->On(i % 2, kLongLease).ok());
       EXPECT_FALSE(GuardedGpio::Lit(0) || GuardedGpio::Lit(1));
     }
   }
@@ -39,18 +38,18 @@ class LightGuardTest : public ::testing::Test {
 
 TEST_F(LightGuardTest, OpensDarkAndSwitchesEachLightByItsPolarity) {
   EXPECT_FALSE(GuardedGpio::Lit(0) || GuardedGpio::Lit(1));
-  ASSERT_TRUE(rig_.guard->On(1, kLong).ok());
+  ASSERT_TRUE(rig_.guard->On(1, kLongLease).ok());
   EXPECT_TRUE(GuardedGpio::Lit(1) && !GuardedGpio::Lit(0));
-  ASSERT_TRUE(rig_.guard->On(0, kLong).ok());
+  ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok());
   ASSERT_TRUE(rig_.guard->Off(1).ok());
   EXPECT_TRUE(GuardedGpio::Lit(0) && !GuardedGpio::Lit(1));
-  EXPECT_EQ(rig_.guard->On(2, kLong).code(), StatusCode::kUsage);
+  EXPECT_EQ(rig_.guard->On(2, kLongLease).code(), StatusCode::kUsage);
   rig_.guard.reset();
   EXPECT_FALSE(GuardedGpio::Lit(0)) << "the guard went and left light on";
 }
 
 TEST_F(LightGuardTest, TroubleOfAnotherLineKeepsNoLightOn) {
-  ASSERT_TRUE(rig_.guard->On(0, kLong).ok());
+  ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok());
   for (const ScriptedLine line : {kCamera, kTrigger0, kEnable1}) TheGpio().lines[line].refuse_writes.store(-1);
   EXPECT_FALSE(rig_.bank->TriggerCamera().ok());
   EXPECT_TRUE(rig_.guard->Off(0).ok());
@@ -61,7 +60,7 @@ TEST_F(LightGuardTest, TroubleOfAnotherLineKeepsNoLightOn) {
 
 TEST_F(LightGuardTest, ARefusedOffIsNamedAndTriedUntilItIsReadBack) {
   for (const bool reading : {false, true}) {
-    ASSERT_TRUE(rig_.guard->On(0, kLong).ok());
+    ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok());
     ScriptedGpio::Line& line = TheGpio().lines[kEnable0];
     (reading ? line.refuse_reads : line.refuse_writes).store(1000000);
     const Status off = rig_.guard->Off(0);
@@ -80,7 +79,7 @@ TEST_F(LightGuardTest, ARefusedOffIsNamedAndTriedUntilItIsReadBack) {
 TEST_F(LightGuardTest, EmergencyStopAndDoorTakeTheLightWithoutAnybodyAsking) {
   for (const bool held : {false, true})
     for (const ScriptedLine line : {kEmergencyStop, kDoor}) {
-      ASSERT_TRUE(rig_.guard->On(0, kLong).ok() && rig_.guard->On(1, kLong).ok());
+      ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok() && rig_.guard->On(1, kLongLease).ok());
       TheGpio().Raise(line, held);
       ExpectHeldDark();
       EXPECT_EQ(stop_.reason(), line == kDoor ? StopReason::kDoorOpen : StopReason::kEmergencyStop);
@@ -90,12 +89,12 @@ TEST_F(LightGuardTest, EmergencyStopAndDoorTakeTheLightWithoutAnybodyAsking) {
       TheGpio().lines[line].level.store(0);
       ASSERT_TRUE(rig_.guard->Reset().ok());
     }
-  ASSERT_TRUE(rig_.guard->On(0, kLong).ok());
+  ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok());
   EXPECT_TRUE(GuardedGpio::Lit(0));
 }
 
 TEST_F(LightGuardTest, AnInterlockThatCannotBeReadIsOpen) {
-  ASSERT_TRUE(rig_.guard->On(0, kLong).ok());
+  ASSERT_TRUE(rig_.guard->On(0, kLongLease).ok());
   TheGpio().lines[kDoor].refuse_reads.store(-1);
   ExpectHeldDark();
   EXPECT_EQ(stop_.reason(), StopReason::kLinesGone);
@@ -133,7 +132,7 @@ TEST_F(LightGuardTest, NothingLightsUpAfterAStop) {
     std::atomic<bool> ended = false;
     std::thread worker([&] {
       for (int i = 0; !ended.load(); ++i) {
-        static_cast<void>(rig_.guard->On(i % 2, kLong));
+        static_cast<void>(rig_.guard->On(i % 2, kLongLease));
         static_cast<void>(rig_.guard->Renew());
         if (i % 3 == 0) static_cast<void>(rig_.guard->Off(i % 2));
       }

@@ -10,11 +10,10 @@
 #include "shared/units/angle.h"
 #include "tests/firmware-host/simulated/brute_force_frames.h"
 #include "tests/firmware-host/simulated/flat_world.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 
 namespace stratalux::rig {
 namespace {
-
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 
 TEST(BruteForce, WhiteLightOnAPlaneIsTheLayeredMonteCarlos) {
   // The two Monte Carlos share no line: forward photons into a cone around the view against connected backward photons.
@@ -24,7 +23,7 @@ TEST(BruteForce, WhiteLightOnAPlaneIsTheLayeredMonteCarlos) {
     SubjectPixel pixel = world.Pixel();  // even coordinates: red
     if (colour == 2) pixel = world.Pixel(1, 1);
     ASSERT_EQ(CfaColour(Cfa::kRggb, pixel.x, pixel.y), colour);
-    const std::vector<ProjectedLight> lights = {{0, kWhite}};
+    const std::vector<ProjectedLight> lights = {{0, kWhitePattern}};
     const auto traced = TracePixel(world.scene(), world.rig(), pixel.x, pixel.y, lights, {.photons = 4000});
 
     MonteCarloOptions forward;
@@ -66,8 +65,8 @@ TEST(BruteForce, SurfaceOfTheRigIsThatOfThePhotons) {
       const std::vector<SubjectPixel> pixels = {pixel};
       std::vector<float> subsurface(1, 0.0F), direct(1, 0.0F);
       LightTransport(scene, world.table(), world.albedo(), world.rig(), 0, pixels, {})
-          .Render(kWhite, subsurface, direct);
-      const std::vector<ProjectedLight> lights = {{0, kWhite}};
+          .Render(kWhitePattern, subsurface, direct);
+      const std::vector<ProjectedLight> lights = {{0, kWhitePattern}};
       const auto traced = TracePixel(scene, world.rig(), pixel.x, pixel.y, lights, {.photons = 400});
       EXPECT_GT(traced[0].direct, 0.005 * world.Irradiance(pixel.point, 0));
       EXPECT_NEAR(direct[0] / traced[0].direct, 1.0, 0.003 + 4.0 * traced[0].direct_error / traced[0].direct)

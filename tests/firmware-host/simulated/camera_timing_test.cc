@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/simulated/simulated_rig.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 
 namespace stratalux::rig {
 namespace {
@@ -13,7 +14,6 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::nanoseconds;
 
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 constexpr double kExposureMs = 16.0;
 
 class CameraTiming : public ::testing::Test {
@@ -142,7 +142,7 @@ TEST_F(CameraTiming, AnExposureSeesWhatIsShownUntilItEnds) {
   Open();
   rig_->switches()[1]->Set(true);
   auto mean_of = [&](double step_at) {
-    EXPECT_TRUE(rig_->projectors()[1]->Load({{}, kWhite}).ok());
+    EXPECT_TRUE(rig_->projectors()[1]->Load({{}, kWhitePattern}).ok());
     EXPECT_TRUE(rig_->lines().TriggerProjector(1).ok());
     rig_->Sleep(milliseconds(100));
     const double begin = NowMs();
@@ -186,13 +186,13 @@ TEST_F(CameraTiming, AMemoryTakesItsTimeToWhatIsLoaded) {
   EXPECT_TRUE(rig_->projectors()[1]->Rest().ok());
   EXPECT_NEAR(NowMs() - before, 50.0, 1e-6);
   EXPECT_NEAR(load(0, 40), 0.0, 1e-6);
-  EXPECT_EQ(rig_->projectors()[1]->Load({kWhite}).code(), StatusCode::kUsage) << "it is filled once";
+  EXPECT_EQ(rig_->projectors()[1]->Load({kWhitePattern}).code(), StatusCode::kUsage) << "it is filled once";
   EXPECT_EQ(rig_->fillings(), 0);
 }
 
 TEST_F(CameraTiming, AMemoryCostsNothingUnlessItIsSaidTo) {
   Open();
-  EXPECT_TRUE(rig_->projectors()[1]->Load({kWhite}).ok());
+  EXPECT_TRUE(rig_->projectors()[1]->Load({kWhitePattern}).ok());
   EXPECT_EQ(NowMs(), 0.0);
   EXPECT_EQ(rig_->fillings(), 1);
 }

@@ -9,13 +9,11 @@
 #include "firmware-host/simulated/simulated_rig.h"
 #include "firmware-host/simulated/world.h"
 #include "shared/config/toml_reader.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 #include "tests/firmware-host/simulated/small_rig.h"
 
 namespace stratalux::rig {
 namespace {
-
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
-constexpr Pattern kBlack = {};
 
 MonotonicNs Ms(double ms) { return MonotonicNs{} + FromMilliseconds(ms); }
 
@@ -59,7 +57,8 @@ class SimulatedDevices : public ::testing::Test {
 };
 
 TEST_F(SimulatedDevices, SharesOfPicturesAddUpToTheWholeExposure) {
-  const std::vector<Shown> timeline = {{kBlack, Ms(0)}, {kWhite, Ms(10)}, {kBlack, Ms(13)}, {std::nullopt, Ms(20)}};
+  const std::vector<Shown> timeline = {
+      {kBlackPattern, Ms(0)}, {kWhitePattern, Ms(10)}, {kBlackPattern, Ms(13)}, {std::nullopt, Ms(20)}};
   for (const double lag : {0.0, 0.5, 4.0})
     for (double start = 0.0; start < 30.0; start += 1.7) {
       const auto shares = ShareOfPictures(timeline, Ms(start), 5.0, lag);
@@ -76,7 +75,7 @@ TEST_F(SimulatedDevices, SharesOfPicturesAddUpToTheWholeExposure) {
 
 // With time constant tau, light after a step to white at 0, over an exposure from a to b: b - a - tau (e^-a - e^-b).
 TEST_F(SimulatedDevices, LagIsAnExponential) {
-  const std::vector<Shown> timeline = {{kBlack, Ms(-1000)}, {kWhite, Ms(0)}};
+  const std::vector<Shown> timeline = {{kBlackPattern, Ms(-1000)}, {kWhitePattern, Ms(0)}};
   const double tau = 3.0;
   for (const double a : {0.0, 2.0, 7.5}) {
     const double b = a + 8.0;
@@ -88,9 +87,9 @@ TEST_F(SimulatedDevices, LagIsAnExponential) {
   options.devices.projector.lag_ms = tau;
   options.devices.projector.black_level = 0.0;
   const auto rig = Make(options);
-  ShowAndExpose(*rig, kBlack);
+  ShowAndExpose(*rig, kBlackPattern);
   rig->Sleep(std::chrono::seconds(1));
-  const double first = MeanOf(ShowAndExpose(*rig, kWhite));
+  const double first = MeanOf(ShowAndExpose(*rig, kWhitePattern));
   rig->Sleep(std::chrono::seconds(1));
   const double settled = MeanOf(Expose(*rig));
   const double a = 0.02, b = 16.02;
@@ -104,7 +103,7 @@ TEST_F(SimulatedDevices, GreyLevelsFollowTheResponseAndBitsDoNot) {
   const auto bent = Make(options);
   options.devices.projector.gamma = 1.0;
   const auto straight = Make(options);
-  EXPECT_EQ(MeanOf(ShowAndExpose(*bent, kWhite)), MeanOf(ShowAndExpose(*straight, kWhite)));
+  EXPECT_EQ(MeanOf(ShowAndExpose(*bent, kWhitePattern)), MeanOf(ShowAndExpose(*straight, kWhitePattern)));
   // The mean of (0.5 + 0.5 cos)^2.2 over a period, by quadrature.
   double expected = 0.0;
   for (int k = 0; k < 1000; ++k) expected += std::pow(0.5 + 0.5 * std::cos(2 * M_PI * k / 1000.0), 2.2) / 1000.0;
@@ -114,7 +113,7 @@ TEST_F(SimulatedDevices, GreyLevelsFollowTheResponseAndBitsDoNot) {
         ShowAndExpose(*bent, {.kind = PatternKind::kSinusoid, .period = 64, .shift = shift, .shifts = 8});
     for (size_t i = 0; i < sum.size(); ++i) sum.data()[i] += frame.data()[i] / 8.0F;
   }
-  EXPECT_NEAR(MeanOf(sum) / MeanOf(ShowAndExpose(*straight, kWhite)), expected, 0.004);
+  EXPECT_NEAR(MeanOf(sum) / MeanOf(ShowAndExpose(*straight, kWhitePattern)), expected, 0.004);
 }
 
 TEST_F(SimulatedDevices, BlurGrowsAwayFromFocus) {
@@ -127,7 +126,7 @@ TEST_F(SimulatedDevices, BlurGrowsAwayFromFocus) {
   auto width_of_line = [&](double focus_mm) {
     options.devices.projector.focus_mm = focus_mm;
     const auto rig = Make(options);
-    const Image<float> black = ShowAndExpose(*rig, kBlack);
+    const Image<float> black = ShowAndExpose(*rig, kBlackPattern);
     const Image<float> line =
         ShowAndExpose(*rig, {.kind = PatternKind::kComb, .period = 256, .width = 2, .shift = 128});
     const auto maps = *rig->Truth(*BuildPlan({.projector_width = 256, .projector_height = 192}));
@@ -156,7 +155,7 @@ TEST_F(SimulatedDevices, FlickerHasItsStatedSpreadAndFollowsTheSeed) {
   auto series = [&](uint64_t seed) {
     options.seed = seed;
     const auto rig = Make(options);
-    ShowAndExpose(*rig, kWhite);
+    ShowAndExpose(*rig, kWhitePattern);
     std::vector<double> means(80);
     for (double& m : means) m = MeanOf(Expose(*rig));
     return means;
@@ -174,7 +173,7 @@ TEST_F(SimulatedDevices, ALampDriftsWithTheClock) {
   SimulatedRigOptions options = SmallRig("white");
   options.devices.projector.drift_per_minute = -0.1;
   const auto rig = Make(options);
-  const double before = MeanOf(ShowAndExpose(*rig, kWhite));
+  const double before = MeanOf(ShowAndExpose(*rig, kWhitePattern));
   rig->Sleep(std::chrono::minutes(1));
   EXPECT_NEAR(MeanOf(Expose(*rig)) / before, 0.9, 0.002);
 }
@@ -185,7 +184,7 @@ TEST_F(SimulatedDevices, ARollingShutterSeesThePictureChangeRowByRow) {
   options.devices.camera.shutter = Shutter::kRolling;
   options.devices.camera.line_time_us = 100.0;
   const auto rig = Make(options);
-  ASSERT_TRUE(rig->projectors()[1]->Load({kWhite, kBlack}).ok());
+  ASSERT_TRUE(rig->projectors()[1]->Load({kWhitePattern, kBlackPattern}).ok());
   Step(*rig);
   const Image<float> white = Expose(*rig);
   // A new exposure; the picture turns black at its 8th millisecond.
@@ -194,8 +193,8 @@ TEST_F(SimulatedDevices, ARollingShutterSeesThePictureChangeRowByRow) {
   global.devices.camera.shutter = Shutter::kGlobal;
   World world(global, *Scene::Create("white", 1), *SkinTable::Load(SkinTable::DefaultPath()), Ms(0), logger_);
   World rolling(options, *Scene::Create("white", 1), *SkinTable::Load(SkinTable::DefaultPath()), Ms(0), logger_);
-  Exposure exposure{Ms(0), 10.0, 1.0, 0, {{{std::nullopt, Ms(-9)}}, {{kWhite, Ms(-9)}, {kBlack, Ms(8)}}}};
-  const Image<float> whole = *world.Light({Ms(0), 10.0, 1.0, 0, {{{std::nullopt, Ms(-9)}}, {{kWhite, Ms(-9)}}}});
+  Exposure exposure{Ms(0), 10.0, 1.0, 0, {{{std::nullopt, Ms(-9)}}, {{kWhitePattern, Ms(-9)}, {kBlackPattern, Ms(8)}}}};
+  const Image<float> whole = *world.Light({Ms(0), 10.0, 1.0, 0, {{{std::nullopt, Ms(-9)}}, {{kWhitePattern, Ms(-9)}}}});
   const Image<float> at_once = *world.Light(exposure), by_row = *rolling.Light(exposure);
   const double ambient = 0.1 * 10.0;
   for (const int y : {50, 65, 80}) {
@@ -210,7 +209,7 @@ TEST_F(SimulatedDevices, TimingJittersWithinItsSpread) {
   options.devices.timing.jitter_us = 50.0;
   options.devices.timing.sync_delay_ms = 2.0;
   const auto rig = Make(options);
-  ASSERT_TRUE(rig->projectors()[1]->Load(std::vector<Pattern>(200, kWhite)).ok());
+  ASSERT_TRUE(rig->projectors()[1]->Load(std::vector<Pattern>(200, kWhitePattern)).ok());
   std::vector<double> delays;
   for (int k = 0; k < 200; ++k) {
     const auto receipt = rig->lines().TriggerProjector(1);
@@ -229,7 +228,7 @@ TEST_F(SimulatedDevices, AStreamThatStallsShowsWhatIsOnByThen) {
   options.free_running = true;
   options.faults.script = {{.kind = FaultKind::kFrameLate, .at = 0}};
   const auto rig = Make(options);
-  ASSERT_TRUE(rig->projectors()[1]->Load({kWhite}).ok());
+  ASSERT_TRUE(rig->projectors()[1]->Load({kWhitePattern}).ok());
   rig->Sleep(std::chrono::milliseconds(5));  // into what would have been the exposure
   const auto pulse = rig->lines().TriggerProjector(1);
   auto frame = rig->camera().Wait(std::chrono::seconds(1));
@@ -238,7 +237,7 @@ TEST_F(SimulatedDevices, AStreamThatStallsShowsWhatIsOnByThen) {
   EXPECT_GE((*frame)->time, pulse->time + std::chrono::milliseconds(190));
   const ShownFrame shown = rig->ShownOf((*frame)->sequence);
   EXPECT_TRUE(shown.whole);
-  EXPECT_EQ(shown.pictures[1], kWhite);
+  EXPECT_EQ(shown.pictures[1], kWhitePattern);
 }
 
 TEST_F(SimulatedDevices, AnOldBufferThatComesAgainInPiecesLeavesTheFirstOneWhole) {

@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kTilt = 10.0;           // of the scene "plane", degrees
 constexpr double kHeightOnAxis = 700.0;  // its depth at x = 0, mm
-constexpr double kWhite = 3500.0 / 16.0 * 700.0 * 700.0;
+constexpr double kWhiteDnMm2PerMs = 3500.0 / 16.0 * 700.0 * 700.0;
 
 Scene UniformPlane(const SkinParameters& skin) {
   Scene scene = *Scene::Create("plane", 1);
@@ -54,7 +54,7 @@ FlatWorld::FlatWorld(const FlatWorldOptions& options)
   projector.camera_from_projector =
       LookAt(aim + options.light_mm * (std::cos(light) * normal_ + std::sin(light) * side), aim);
   projector.line_blur_px = options.line_blur_px;
-  projector.white_dn_mm2_per_ms = {kWhite, kWhite, kWhite};
+  projector.white_dn_mm2_per_ms = {kWhiteDnMm2PerMs, kWhiteDnMm2PerMs, kWhiteDnMm2PerMs};
   rig_.projectors.push_back(projector);
 }
 

@@ -13,11 +13,10 @@
 #include "firmware-host/simulated/table_tool/line_spread.h"
 #include "shared/units/angle.h"
 #include "tests/firmware-host/simulated/flat_world.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 
 namespace stratalux::rig {
 namespace {
-
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 
 Pattern Comb(int period, int width, int shift, PatternAxis axis = PatternAxis::kColumns) {
   return {.kind = PatternKind::kComb, .axis = axis, .period = period, .width = width, .shift = shift};
@@ -82,7 +81,7 @@ TEST(LightTransport, CombFramesOfOneCycleAddUpToTheWhiteFrame) {
     const FlatWorld world({.light_deg = 30.0, .projector_px = projector_px, .line_blur_px = 0.5});
     const std::vector<SubjectPixel> pixels = PixelBlock(world, 12, 3);
     const LightTransport transport = world.Transport(pixels);
-    const std::vector<float> white = Light(transport, pixels.size(), kWhite);
+    const std::vector<float> white = Light(transport, pixels.size(), kWhitePattern);
     for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
       std::vector<double> sum(pixels.size(), 0.0);
       for (int shift = 0; shift < 64; shift += 2) {
@@ -101,7 +100,7 @@ TEST(LightTransport, TwoDimensionalPatternsAddUpToTheWhiteFrame) {
   const FlatWorld world({.light_deg = 30.0, .projector_px = 42});
   const std::vector<SubjectPixel> pixels = PixelBlock(world, 6, 5);
   const LightTransport transport = world.Transport(pixels);
-  const std::vector<float> white = Light(transport, pixels.size(), kWhite);
+  const std::vector<float> white = Light(transport, pixels.size(), kWhitePattern);
   std::vector<double> sum(pixels.size(), 0.0);
   for (int shift = 0; shift < 4; ++shift) {  // each square is lit in two of the four
     const std::vector<float> frame =
@@ -123,7 +122,7 @@ TEST(LightTransport, WithoutScatteringFollowsLambertAndTheDistanceLaw) {
         FlatWorld world({.skin = k == 0 ? light : dark, .light_deg = angle, .light_mm = distance});
         world.rig().projectors[0].falloff = {-0.12, 0.02};
         pixels = PixelBlock(world, 5, 20);
-        white[k] = Light(world.Transport(pixels, {.scattering = false}), pixels.size(), kWhite);
+        white[k] = Light(world.Transport(pixels, {.scattering = false}), pixels.size(), kWhitePattern);
         albedo += (k == 0 ? 1.0 : -1.0) * world.albedo()(0, k == 0 ? light : dark);
         if (k == 0) continue;
         for (size_t i = 0; i < pixels.size(); ++i)
@@ -138,7 +137,7 @@ TEST(LightTransport, WithoutScatteringALineIsOneLineWide) {
   const std::vector<SubjectPixel> pixels = PixelBlock(world, 8);
   const LightTransport transport = world.Transport(pixels, {.scattering = false});
   const int columns = world.projector().model.width;
-  const std::vector<float> white = Light(transport, pixels.size(), kWhite);
+  const std::vector<float> white = Light(transport, pixels.size(), kWhitePattern);
   std::vector<double> sum(pixels.size()), moment(pixels.size()), second(pixels.size());
   for (int c = 0; c < columns; ++c) {
     const std::vector<float> line = Light(transport, pixels.size(), Comb(columns, 1, c));
@@ -172,7 +171,7 @@ TEST(LightTransport, WhiteFrameIsSmoothAndHasTheEnergyOfTheKernel) {
       const FlatWorld world({.light_deg = angle, .camera_width = camera_width});
       const std::vector<SubjectPixel> pixels = PixelBlock(world, camera_width > 500 ? 24 : 12);
       std::vector<float> subsurface(pixels.size(), 0.0F), direct(pixels.size(), 0.0F);
-      world.Transport(pixels).Render(kWhite, subsurface, direct);
+      world.Transport(pixels).Render(kWhitePattern, subsurface, direct);
       double mean = 0.0, squares = 0.0, worst = 0.0;
       for (size_t i = 0; i < pixels.size(); ++i) {
         const double analytic =
@@ -196,9 +195,9 @@ TEST(LightTransport, DistortionOfTheProjectorChangesNoIrradiance) {
   world.rig().projectors[0].model.distortion = {-20.0, 0.0, 0.0, 0.0, 0.0};
   std::vector<SubjectPixel> pixels;
   for (int k = -72; k <= 72; k += 24) pixels.push_back(world.Pixel(k));
-  const std::vector<float> white = Light(world.Transport(pixels), pixels.size(), kWhite);
+  const std::vector<float> white = Light(world.Transport(pixels), pixels.size(), kWhitePattern);
   FlatWorld straight({.light_deg = 20.0});
-  const std::vector<float> expected = Light(straight.Transport(pixels), pixels.size(), kWhite);
+  const std::vector<float> expected = Light(straight.Transport(pixels), pixels.size(), kWhitePattern);
   for (size_t i = 0; i < pixels.size(); ++i) EXPECT_NEAR(white[i] / expected[i], 1.0, 0.006) << i;
 }
 
@@ -381,7 +380,7 @@ TEST(LightTransport, TheNoseCastsAShadow) {
         {side * 835.0 * std::sin(RadFromDeg(60.0)), 0.0, 700.0 - 835.0 * std::cos(RadFromDeg(60.0))}, {0, 4, 700});
     const LightTransport transport(head, table, albedo, rig, p, pixels, {});
     std::vector<float> subsurface(pixels.size(), 0.0F), direct(pixels.size(), 0.0F);
-    transport.Render(kWhite, subsurface, direct);
+    transport.Render(kWhitePattern, subsurface, direct);
     const Eigen::Vector3d lamp = rig.projectors[p].CentreInCamera();
     int shadow = 0, lit = 0, near_side = 0;
     for (size_t i = 0; i < pixels.size(); ++i) {

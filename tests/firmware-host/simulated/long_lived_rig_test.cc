@@ -13,12 +13,12 @@
 
 #include "firmware-host/simulated/simulated_rig.h"
 #include "firmware-host/simulated/skin/skin_table.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 
 namespace stratalux::rig {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
 
 SimulatedRigOptions Small(const std::string& scene) {
   SimulatedRigOptions options;
@@ -71,7 +71,7 @@ TEST_F(LongLivedRig, AStopEndsThePreparationWithinASecond) {
       stopped = Clock::now();
       stop.Request(StopReason::kOperator);
     });
-    const auto frame = Shoot(*rig, kWhite);
+    const auto frame = Shoot(*rig, kWhitePattern);
     const auto ended = Clock::now();
     operator_thread.join();
     ASSERT_FALSE(frame.ok());
@@ -85,15 +85,15 @@ TEST_F(LongLivedRig, AStopEndsThePreparationWithinASecond) {
 
 TEST_F(LongLivedRig, AStopSpoilsNothing) {
   const SimulatedRigOptions options = Small("head");
-  const auto undisturbed = PixelsOf(*Open(options, logger_), kWhite);
+  const auto undisturbed = PixelsOf(*Open(options, logger_), kWhitePattern);
   SimulatedRigOptions stoppable = options;
   StopToken stop;
   stoppable.stop = &stop;
   const auto rig = Open(stoppable, logger_);
   stop.Request(StopReason::kVisitorLeft);
-  EXPECT_FALSE(Shoot(*rig, kWhite).ok());
+  EXPECT_FALSE(Shoot(*rig, kWhitePattern).ok());
   stop.Reset();
-  const auto later = PixelsOf(*rig, kWhite);
+  const auto later = PixelsOf(*rig, kWhitePattern);
   int most = 0;  // another frame's noise
   for (size_t i = 0; i < later.size(); ++i) most = std::max(most, std::abs(int(later[i]) - int(undisturbed[i])));
   EXPECT_LT(most, 500);
@@ -101,9 +101,9 @@ TEST_F(LongLivedRig, AStopSpoilsNothing) {
   silent.noise = silent_stoppable.noise = false;
   const auto quiet = Open(silent_stoppable, logger_);
   stop.Request(StopReason::kVisitorLeft);
-  EXPECT_FALSE(Shoot(*quiet, kWhite).ok());
+  EXPECT_FALSE(Shoot(*quiet, kWhitePattern).ok());
   stop.Reset();
-  EXPECT_EQ(PixelsOf(*quiet, kWhite), PixelsOf(*Open(silent, logger_), kWhite));
+  EXPECT_EQ(PixelsOf(*quiet, kWhitePattern), PixelsOf(*Open(silent, logger_), kWhitePattern));
 }
 
 TEST_F(LongLivedRig, ANewVisitorIsWhomANewRigWouldSee) {
@@ -113,7 +113,7 @@ TEST_F(LongLivedRig, ANewVisitorIsWhomANewRigWouldSee) {
   const auto rig = Open(options, logger_);
   const auto calibration = rig->calibration().ToJson();
   FrameSource* camera = &rig->camera();
-  PixelsOf(*rig, kWhite);
+  PixelsOf(*rig, kWhitePattern);
   MonotonicNs before = rig->clock().Now();
   for (const SubjectOptions& visitor : std::vector<SubjectOptions>{{.scene = "head", .seed = 2},
                                                                    {.scene = "plane", .seed = 5},
@@ -123,7 +123,8 @@ TEST_F(LongLivedRig, ANewVisitorIsWhomANewRigWouldSee) {
     SimulatedRigOptions fresh = options;
     fresh.scene = visitor.scene;
     fresh.seed = visitor.seed;
-    EXPECT_EQ(PixelsOf(*rig, kWhite), PixelsOf(*Open(fresh, logger_), kWhite)) << visitor.scene << visitor.seed;
+    EXPECT_EQ(PixelsOf(*rig, kWhitePattern), PixelsOf(*Open(fresh, logger_), kWhitePattern))
+        << visitor.scene << visitor.seed;
     EXPECT_GT(rig->clock().Now(), before) << "its clock goes on";
     before = rig->clock().Now();
   }
@@ -131,18 +132,18 @@ TEST_F(LongLivedRig, ANewVisitorIsWhomANewRigWouldSee) {
   EXPECT_EQ(rig->calibration().ToJson(), calibration);
   const Status nobody = rig->SetSubject({.scene = "ghost"});
   EXPECT_EQ(nobody.code(), StatusCode::kUsage);
-  EXPECT_TRUE(Shoot(*rig, kWhite).ok()) << "who sat there still sits";
+  EXPECT_TRUE(Shoot(*rig, kWhitePattern).ok()) << "who sat there still sits";
 }
 
 TEST_F(LongLivedRig, AVisitorsFaultsOfPlaceAreOverWhenTheNextSits) {
   SimulatedRigOptions options = Small("plane");
   options.faults.script = {{FaultKind::kSubjectMoved, 1}};
   const auto rig = Open(options, logger_);
-  PixelsOf(*rig, kWhite);
-  PixelsOf(*rig, kWhite);
+  PixelsOf(*rig, kWhitePattern);
+  PixelsOf(*rig, kWhitePattern);
   EXPECT_GT(rig->ShownOf(1).push_mm.norm(), 1.0);
   ASSERT_TRUE(rig->SetSubject({.scene = "plane"}).ok());
-  PixelsOf(*rig, kWhite);
+  PixelsOf(*rig, kWhitePattern);
   EXPECT_EQ(rig->ShownOf(2).push_mm.norm(), 0.0);
 }
 
@@ -150,13 +151,13 @@ TEST_F(LongLivedRig, TheTruthOfACaptureIsForgottenWhenTheNextBegins) {
   SimulatedRigOptions options = Small("plane");
   options.lens_covered = true;
   const auto rig = Open(options, logger_);
-  for (int k = 0; k < 3; ++k) ASSERT_TRUE(Shoot(*rig, kWhite).ok());
+  for (int k = 0; k < 3; ++k) ASSERT_TRUE(Shoot(*rig, kWhitePattern).ok());
   ASSERT_TRUE(rig->camera().Stop().ok());
   EXPECT_EQ(rig->ShownOf(0).exposure, 0);
   EXPECT_EQ(rig->ShownOf(2).exposure, 2);
   ASSERT_TRUE(rig->camera().Start().ok());
   EXPECT_EQ(rig->ShownOf(2).exposure, -1);
-  ASSERT_TRUE(Shoot(*rig, kWhite).ok());
+  ASSERT_TRUE(Shoot(*rig, kWhitePattern).ok());
   EXPECT_EQ(rig->ShownOf(3).exposure, 3);
 }
 

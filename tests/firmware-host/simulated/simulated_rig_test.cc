@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/simulated/skin/skin_table.h"
+#include "tests/firmware-host/simulated/plain_patterns.h"
 #include "tests/firmware-host/simulated/small_rig.h"
 
 namespace stratalux::rig {
@@ -43,12 +44,9 @@ class SimulatedRigTest : public ::testing::Test {
   Logger logger_{LogLevel::kWarning};
 };
 
-constexpr Pattern kWhite = {.kind = PatternKind::kWhite};
-constexpr Pattern kBlack = {.kind = PatternKind::kBlack};
-
 TEST_F(SimulatedRigTest, CombFramesOfOneCycleAddUpToTheWhiteFrameInDigitalNumbers) {
   const auto rig = Make(SmallRig("plane"));
-  const Image<uint16_t> black = Shoot(*rig, 1, {}), white = Shoot(*rig, 1, kWhite);
+  const Image<uint16_t> black = Shoot(*rig, 1, {}), white = Shoot(*rig, 1, kWhitePattern);
   constexpr int kPeriod = 32, kFrames = 16;
   for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
     std::vector<int> sum(white.size(), 0);
@@ -74,8 +72,9 @@ TEST_F(SimulatedRigTest, CombFramesOfOneCycleAddUpToTheWhiteFrameInDigitalNumber
 
 TEST_F(SimulatedRigTest, LightIsLinearInExposureAndSaturatesAtTheTop) {
   const auto rig = Make(SmallRig("sphere"));
-  const Image<uint16_t> once = Shoot(*rig, 0, kWhite, 1.0, 3.0), twice = Shoot(*rig, 0, kWhite, 1.0, 6.0),
-                        gained = Shoot(*rig, 0, kWhite, 2.0, 3.0), burnt = Shoot(*rig, 0, kWhite, 1.0, 3000.0);
+  const Image<uint16_t> once = Shoot(*rig, 0, kWhitePattern, 1.0, 3.0), twice = Shoot(*rig, 0, kWhitePattern, 1.0, 6.0),
+                        gained = Shoot(*rig, 0, kWhitePattern, 2.0, 3.0),
+                        burnt = Shoot(*rig, 0, kWhitePattern, 1.0, 3000.0);
   int top = 0;
   for (size_t i = 0; i < once.size(); ++i) {
     EXPECT_NEAR(twice.pixels()[i] - 64.0, 2.0 * (once.pixels()[i] - 64.0), 1.6);
@@ -94,8 +93,8 @@ TEST_F(SimulatedRigTest, ASlabOfWaxGlowsBesideALine) {
   for (const bool scattering : {false, true}) {
     options.scattering = scattering;
     const auto rig = Make(options);
-    const Image<uint16_t> lit = Shoot(*rig, 1, line, 1.0, 30.0), black = Shoot(*rig, 1, kBlack, 1.0, 30.0),
-                          full = Shoot(*rig, 1, kWhite, 1.0, 8.0);
+    const Image<uint16_t> lit = Shoot(*rig, 1, line, 1.0, 30.0), black = Shoot(*rig, 1, kBlackPattern, 1.0, 30.0),
+                          full = Shoot(*rig, 1, kWhitePattern, 1.0, 8.0);
     const int y = lit.height() / 2 / 2 * 2, middle = lit.width() / 4 * 2;
     int peak = middle;
     for (int x = middle - 30; x < middle + 30; x += 2)
@@ -129,7 +128,8 @@ TEST_F(SimulatedRigTest, NoiseKnowsTheAnalogueGain) {
   for (const double gain : {1.0, 2.0, 4.0}) {
     double ratio = 0.0, count = 0.0;
     for (int frame = 0; frame < 4; ++frame) {
-      const Image<uint16_t> mean = Shoot(*clean, 2, kWhite, gain, 4.0), noise = Shoot(*noisy, 2, kWhite, gain, 4.0);
+      const Image<uint16_t> mean = Shoot(*clean, 2, kWhitePattern, gain, 4.0),
+                            noise = Shoot(*noisy, 2, kWhitePattern, gain, 4.0);
       for (size_t i = 0; i < mean.size(); ++i) {
         const double signal = mean.pixels()[i] - camera.black_level_dn,
                      error = double(noise.pixels()[i]) - mean.pixels()[i];
@@ -163,9 +163,9 @@ TEST_F(SimulatedRigTest, SameSeedSameBitsWhateverTheThreads) {
 
 TEST_F(SimulatedRigTest, AnotherSeedIsAnotherFace) {
   SimulatedRigOptions options = SmallRig("head");
-  const Image<uint16_t> one = Shoot(*Make(options), 0, kWhite);
+  const Image<uint16_t> one = Shoot(*Make(options), 0, kWhitePattern);
   options.seed = 2;
-  const Image<uint16_t> other = Shoot(*Make(options), 0, kWhite);
+  const Image<uint16_t> other = Shoot(*Make(options), 0, kWhitePattern);
   int differ = 0, lit = 0;
   for (size_t i = 0; i < one.size(); ++i) {
     lit += one.pixels()[i] > 200 ? 1 : 0;

@@ -14,7 +14,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-VisitFigures Figures() {
+VisitFigures FiguresOfAVisit() {
   return {.fit_cpu_s = {100.0},
           .longest_stage_share = 0.3,
           .capture_s = 10.0,
@@ -47,7 +47,7 @@ TEST(Fleet, NobodyIsLostOrFittedTwice) {
   options.machine_days = 3.0;
   options.days = 12;
   for (options.seed = 1; options.seed <= 5; ++options.seed) {
-    const auto days = Simulate(Figures(), options);
+    const auto days = Simulate(FiguresOfAVisit(), options);
     ASSERT_EQ(days.size(), 12U);
     EXPECT_LE(Sum(days, &FleetDay::captured), Sum(days, &FleetDay::came));
     EXPECT_EQ(Sum(days, &FleetDay::captured), Sum(days, &FleetDay::pulled) + days.back().on_kiosks);
@@ -73,7 +73,7 @@ TEST(Fleet, VisitorsWaitBeforeAKioskAsTheQueueOfOneServerSays) {
   options.cores = 1;
   for (const double load : {0.3, 0.6, 0.8}) {
     options.visitors = load * 86400.0 / 60.0;
-    const auto days = Simulate(Figures(), options);
+    const auto days = Simulate(FiguresOfAVisit(), options);
     double wait = 0.0;
     for (const FleetDay& day : days) wait += day.mean_wait_s / static_cast<double>(days.size());
     const double expected = load * 60.0 / (2.0 * (1.0 - load));
@@ -89,7 +89,7 @@ TEST(Fleet, ANightTakesSoManyRoundsOfItsCores) {
   options.machines = 2;
   options.cores = 8;
   options.days = 3;
-  for (const FleetDay& day : Simulate(Figures(), options)) {
+  for (const FleetDay& day : Simulate(FiguresOfAVisit(), options)) {
     const double rounds = std::ceil(static_cast<double>(day.captured) / 16.0);
     ASSERT_TRUE(day.done_h);
     EXPECT_NEAR(*day.done_h, 20.0 + rounds * 100.0 / 3600.0, 1e-9);
@@ -106,14 +106,14 @@ TEST(Fleet, WhatANightCannotDoWaitsAndIsDoneLater) {
   options.machines = 1;
   options.cores = 1;  // 396 in a night of 11 hours
   options.days = 10;
-  const auto days = Simulate(Figures(), options);
+  const auto days = Simulate(FiguresOfAVisit(), options);
   const int64_t captured = Sum(days, &FleetDay::captured), fitted = Sum(days, &FleetDay::fitted);
   EXPECT_LE(fitted, 10 * 396);
   EXPECT_GE(captured, fitted);
   for (const FleetDay& day : days) EXPECT_EQ(day.done_h.has_value(), day.queue_left == 0);
   // A second core has air.
   options.cores = 2;
-  for (const FleetDay& day : Simulate(Figures(), options)) EXPECT_TRUE(day.done_h);
+  for (const FleetDay& day : Simulate(FiguresOfAVisit(), options)) EXPECT_TRUE(day.done_h);
 }
 
 // Each attempt dies with probability p: of attempts without end a visitor needs 1 / (1 - p).
@@ -126,7 +126,7 @@ TEST(Fleet, CrashesCostTheAttemptsThatTheyShould) {
   options.attempts = 100;
   options.crash_share = 0.25;
   options.days = 2;
-  const auto days = Simulate(Figures(), options);
+  const auto days = Simulate(FiguresOfAVisit(), options);
   const auto attempts = static_cast<double>(Sum(days, &FleetDay::attempts)),
              fitted = static_cast<double>(Sum(days, &FleetDay::fitted));
   EXPECT_NEAR(attempts / fitted, 1.0 / 0.75, 0.01);
@@ -140,7 +140,7 @@ TEST(Fleet, CrashesCostTheAttemptsThatTheyShould) {
   options.attempts = 3;
   options.crash_share = 0.0;
   options.hopeless_share = 0.1;
-  const auto aside = Simulate(Figures(), options);
+  const auto aside = Simulate(FiguresOfAVisit(), options);
   EXPECT_NEAR(
       static_cast<double>(Sum(aside, &FleetDay::set_aside)) / static_cast<double>(Sum(aside, &FleetDay::captured)), 0.1,
       0.01);
@@ -155,17 +155,17 @@ TEST(Fleet, PullsShareTheLine) {
   options.ingress_mbit = 100.0;
   options.days = 12;
   options.cores = 1;
-  const auto days = Simulate(Figures(), options);
+  const auto days = Simulate(FiguresOfAVisit(), options);
   // The first visitor comes at ten of the first day. What counts is whole: pulls under way count when they are over.
   const double seconds = 12 * 86400.0 - 10 * 3600.0 + 7 * 3600.0, bytes = 100.0e6 / 8.0 * seconds;
   const double pulled = static_cast<double>(Sum(days, &FleetDay::pulled)) * 5e8;
   EXPECT_LE(pulled, bytes);
   EXPECT_GE(pulled, 0.85 * bytes);
   EXPECT_GT(days.back().on_kiosks, 0);
-  EXPECT_GT(LoadOf(Figures(), options).ingress, 1.0);
+  EXPECT_GT(LoadOf(FiguresOfAVisit(), options).ingress, 1.0);
   // With ten times the line nobody is left behind, but who came within the last hour.
   options.ingress_mbit = 10'000.0;
-  for (const FleetDay& day : Simulate(Figures(), options)) EXPECT_EQ(day.on_kiosks, 0);
+  for (const FleetDay& day : Simulate(FiguresOfAVisit(), options)) EXPECT_EQ(day.on_kiosks, 0);
 }
 
 TEST(Fleet, FramesAreDroppedWhenTheirDaysAreOver) {
@@ -177,7 +177,7 @@ TEST(Fleet, FramesAreDroppedWhenTheirDaysAreOver) {
   options.days = 12;
   options.machines = 4;
   options.cores = 16;
-  const auto days = Simulate(Figures(), options);
+  const auto days = Simulate(FiguresOfAVisit(), options);
   double frames = 0.0;
   for (size_t day = 0; day < days.size(); ++day) {
     frames = 0.0;
@@ -197,7 +197,7 @@ TEST(Fleet, AKioskThatIsAwayDelaysOnlyItself) {
   options.away_share = 0.5;
   options.days = 30;
   int kept_back = 0, done = 0;
-  for (const FleetDay& day : Simulate(Figures(), options)) {
+  for (const FleetDay& day : Simulate(FiguresOfAVisit(), options)) {
     kept_back += day.on_kiosks > 0;
     done += day.done_h.has_value() || day.pulled == 0;
     EXPECT_EQ(day.queue_left, 0);
@@ -211,9 +211,9 @@ TEST(Fleet, TheSameSeedGivesTheSameDays) {
   options.crash_share = 0.1;
   options.machine_days = 2.0;
   options.days = 3;
-  const auto one = Simulate(Figures(), options), two = Simulate(Figures(), options);
+  const auto one = Simulate(FiguresOfAVisit(), options), two = Simulate(FiguresOfAVisit(), options);
   options.seed = 2;
-  const auto other = Simulate(Figures(), options);
+  const auto other = Simulate(FiguresOfAVisit(), options);
   ASSERT_EQ(one.size(), two.size());
   for (size_t i = 0; i < one.size(); ++i) {
     EXPECT_EQ(one[i].captured, two[i].captured);
@@ -226,7 +226,7 @@ TEST(Fleet, TheSameSeedGivesTheSameDays) {
 TEST(Fleet, WhatCannotBeIsRefusedByName) {
   FleetOptions options;
   const auto refused = [&](const char* name) {
-    const auto days = SimulateFleet(Figures(), options);
+    const auto days = SimulateFleet(FiguresOfAVisit(), options);
     EXPECT_FALSE(days.ok());
     EXPECT_THAT(days.status().message(), HasSubstr(name));
     options = {};
@@ -245,7 +245,7 @@ TEST(Fleet, WhatCannotBeIsRefusedByName) {
 }
 
 TEST(VisitFigures, AreReadAsTheyWereWritten) {
-  const VisitFigures figures = Figures();
+  const VisitFigures figures = FiguresOfAVisit();
   const auto read = ParseVisitFigures(ToJson(figures));
   ASSERT_TRUE(read.ok()) << read.status().message();
   EXPECT_EQ(read->fit_cpu_s, figures.fit_cpu_s);

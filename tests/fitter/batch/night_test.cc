@@ -24,7 +24,7 @@ namespace stratalux::fit {
 namespace {
 
 using std::chrono::milliseconds;
-using std::chrono::seconds;
+using namespace std::chrono_literals;
 using ::testing::HasSubstr;
 
 class NightTest : public db::StoreTest {
@@ -36,7 +36,7 @@ class NightTest : public db::StoreTest {
     options_.choice.run.store = folder_;
     options_.program = work_ / "worker";
     options_.memory_bytes = int64_t{1} << 30;
-    options_.back_off = seconds(0);
+    options_.back_off = 0s;
     options_.lease = milliseconds(2000);
   }
   void TearDown() override {
@@ -174,7 +174,7 @@ TEST_F(NightTest, WhatIsNoAccidentIsNotTriedAgain) {
 
 TEST_F(NightTest, WhoeverHangsIsEnded) {
   Visitors(2);
-  options_.visit_limit = seconds(1);
+  options_.visit_limit = 1s;
   options_.attempts = 1;
   Workers("[ $S != " + sessions_[0] + " ] || exec sleep 1000");
   const NightOutcome outcome = Run();
@@ -215,7 +215,7 @@ TEST_F(NightTest, WithoutHistoryTheFirstIsAloneThenAsManyAsTheMemoryHolds) {
 TEST_F(NightTest, NobodyIsBegunBehindTheDeadline) {
   Visitors(2);
   Workers("");
-  options_.deadline = std::chrono::steady_clock::now() - seconds(1);
+  options_.deadline = std::chrono::steady_clock::now() - 1s;
   const NightOutcome outcome = Run();
   EXPECT_EQ(outcome.fitted, 0);
   EXPECT_EQ(outcome.waiting, 2);
@@ -289,7 +289,7 @@ TEST_F(NightTest, AVisitorThatAnotherNightHasTakenOverIsLeftToIt) {
   const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
     if (event.kind == NightEventKind::kStarted) {
       std::this_thread::sleep_for(2 * options_.lease);
-      theirs = *other->Lease({"another night", {"fit"}, seconds(600)});
+      theirs = *other->Lease({"another night", {"fit"}, 600s});
     }
     if (event.kind == NightEventKind::kReleased) {
       EXPECT_TRUE(other->Complete(theirs->token).ok());

@@ -13,7 +13,7 @@
 namespace stratalux::fit {
 namespace {
 
-RigCalibration Rig() {
+RigCalibration VignettedRig() {
   RigCalibration rig;
   rig.camera.model = {348, 260, 812.0, 812.0, 175.0, 129.0, {}};
   rig.camera.vignetting = {-0.14, 0.015};
@@ -68,7 +68,7 @@ std::vector<FlatSample> ThreePoses(const RigCalibration& rig, double albedo) {
 }
 
 TEST(LightField, ThreePosesTellFalloffVignettingAndWhite) {
-  const RigCalibration truth = Rig();
+  const RigCalibration truth = VignettedRig();
   const auto field = FitLightField(ThreePoses(truth, 0.9), truth, 0.9, VignettingFit::kFree);
   ASSERT_TRUE(field.ok()) << field.status().message();
   RigCalibration found = truth;
@@ -88,7 +88,7 @@ TEST(LightField, ThreePosesTellFalloffVignettingAndWhite) {
 
 TEST(LightField, WithoutVignettingTheFalloffTakesItsPlace) {
   // What is left out goes somewhere: the model without a camera's vignetting blames the projectors.
-  RigCalibration truth = Rig(), blind = Rig();
+  RigCalibration truth = VignettedRig(), blind = VignettedRig();
   blind.camera.vignetting = {};
   const auto field = FitLightField(ThreePoses(truth, 1.0), blind, 1.0, VignettingFit::kKnown);
   ASSERT_TRUE(field.ok());
@@ -98,7 +98,7 @@ TEST(LightField, WithoutVignettingTheFalloffTakesItsPlace) {
 }
 
 TEST(LightField, RefusesATargetThatOneProjectorMisses) {
-  const RigCalibration rig = Rig();
+  const RigCalibration rig = VignettedRig();
   std::vector<FlatSample> samples = Target(rig, {0, 0, 700}, {0, 0, 0}, 0, 1.0);
   std::erase_if(samples, [](const FlatSample& s) { return s.projector == 2; });
   const auto field = FitLightField(samples, rig, 1.0, VignettingFit::kKnown);

@@ -13,7 +13,7 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kWidth = 480, kHeight = 400;
+constexpr int kDrawingWidth = 480, kDrawingHeight = 400;
 const BoardDescription kBoard{BoardKind::kChess, 8, 7, 10.0, 0.0};
 
 // Where a corner is drawn: a turned board, seen along its normal.
@@ -40,10 +40,10 @@ double Albedo(const Eigen::Vector2d& mm) {
 // Light of a pixel's box, with noise.
 Image<float> Draw(const Drawing& drawing, uint64_t seed) {
   constexpr int kSide = 5;
-  Image<float> image(kWidth, kHeight);
+  Image<float> image(kDrawingWidth, kDrawingHeight);
   Random random(seed);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
+  for (int y = 0; y < kDrawingHeight; ++y)
+    for (int x = 0; x < kDrawingWidth; ++x) {
       double sum = 0.0;
       for (int j = 0; j < kSide; ++j)
         for (int i = 0; i < kSide; ++i)
@@ -55,7 +55,7 @@ Image<float> Draw(const Drawing& drawing, uint64_t seed) {
 }
 
 ProjectorPictures Pictures(const Drawing& before, const Drawing& after) {
-  ProjectorPictures pictures{2, Draw(before, 1), Draw(after, 2), Image<uint8_t>(kWidth, kHeight)};
+  ProjectorPictures pictures{2, Draw(before, 1), Draw(after, 2), Image<uint8_t>(kDrawingWidth, kDrawingHeight)};
   for (size_t i = 0; i < pictures.saturated.size(); ++i)
     pictures.saturated.pixels()[i] = pictures.white_light.pixels()[i] > 3950.0F;
   return pictures;
@@ -80,15 +80,16 @@ Eigen::Vector2d ProjectorPixel(const Eigen::Vector2d& camera_px) {
 enum class Inverted { kNo, kColumns, kBoth };
 
 DecodedMap Decoded(Inverted inverted) {
-  DecodedMap map{Image<float>(kWidth, kHeight), Image<float>(kWidth, kHeight), Image<float>(kWidth, kHeight, 1, 0.29F),
-                 Image<float>(kWidth, kHeight, 1, 0.29F), Image<uint8_t>(kWidth, kHeight)};
+  DecodedMap map{Image<float>(kDrawingWidth, kDrawingHeight), Image<float>(kDrawingWidth, kDrawingHeight),
+                 Image<float>(kDrawingWidth, kDrawingHeight, 1, 0.29F),
+                 Image<float>(kDrawingWidth, kDrawingHeight, 1, 0.29F), Image<uint8_t>(kDrawingWidth, kDrawingHeight)};
   auto coded = [](double position, bool invert) {
     auto cell = static_cast<unsigned>(std::lround(position));
     if (invert) cell = BinaryFromGray(~GrayFromBinary(cell) & 0xFFU);
     return static_cast<float>(cell);
   };
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
+  for (int y = 0; y < kDrawingHeight; ++y)
+    for (int x = 0; x < kDrawingWidth; ++x) {
       const Eigen::Vector2d at = ProjectorPixel(Eigen::Vector2d(x, y));
       map.column(x, y) = coded(at.x(), inverted != Inverted::kNo);
       map.row(x, y) = coded(at.y(), inverted == Inverted::kBoth);
@@ -105,8 +106,9 @@ TEST(FindStillBoard, FindsCornersToATenthOfAPixel) {
 }
 
 TEST(FindStillBoard, SaysThatThereIsNoBoard) {
-  ProjectorPictures empty{0, Image<float>(kWidth, kHeight, 1, 900.0F), Image<float>(kWidth, kHeight, 1, 900.0F),
-                          Image<uint8_t>(kWidth, kHeight)};
+  ProjectorPictures empty{0, Image<float>(kDrawingWidth, kDrawingHeight, 1, 900.0F),
+                          Image<float>(kDrawingWidth, kDrawingHeight, 1, 900.0F),
+                          Image<uint8_t>(kDrawingWidth, kDrawingHeight)};
   const auto corners = FindStillBoard({empty}, kBoard);
   EXPECT_EQ(corners.status().code(), StatusCode::kNotFound);
   EXPECT_NE(corners.status().message().find("8x7 squares"), std::string::npos) << corners.status().message();

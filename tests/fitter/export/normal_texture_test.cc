@@ -23,19 +23,19 @@ using ::testing::Each;
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 
-constexpr int kWidth = 60, kHeight = 50;
+constexpr int kBumpyWidth = 60, kBumpyHeight = 50;
 
 // A bulge 600 mm before the camera, whose light tells of bumps of up to 20 degrees along x and y; of the left third it
 // tells nothing.
 ExportedSurface Bumpy() {
   ExportedSurface bumpy;
   SurfaceMap& s = bumpy.surface;
-  s.point_mm = s.normal = Image<float>(kWidth, kHeight, 3);
-  s.depth_sigma_mm = Image<float>(kWidth, kHeight, 1, 0.05F);
-  s.mask = Image<uint8_t>(kWidth, kHeight, 1, 1);
-  bumpy.own_normal = Image<float>(kWidth, kHeight, 3);
-  for (int j = 0; j < kHeight; ++j)
-    for (int i = 0; i < kWidth; ++i) {
+  s.point_mm = s.normal = Image<float>(kBumpyWidth, kBumpyHeight, 3);
+  s.depth_sigma_mm = Image<float>(kBumpyWidth, kBumpyHeight, 1, 0.05F);
+  s.mask = Image<uint8_t>(kBumpyWidth, kBumpyHeight, 1, 1);
+  bumpy.own_normal = Image<float>(kBumpyWidth, kBumpyHeight, 3);
+  for (int j = 0; j < kBumpyHeight; ++j)
+    for (int i = 0; i < kBumpyWidth; ++i) {
       const double x = i - 25.0, y = j - 20.0;
       const Eigen::Vector3f at(static_cast<float>(x), static_cast<float>(y),
                                static_cast<float>(600.0 + (x * x + 0.5 * y * y) / 80.0));
@@ -47,7 +47,7 @@ ExportedSurface Bumpy() {
       for (int c = 0; c < 3; ++c) {
         s.point_mm(i, j, c) = at[c];
         bumpy.own_normal(i, j, c) = own[c];
-        s.normal(i, j, c) = i < kWidth / 3 ? own[c] : fine[c];
+        s.normal(i, j, c) = i < kBumpyWidth / 3 ? own[c] : fine[c];
       }
     }
   return bumpy;
@@ -71,7 +71,7 @@ class NormalTextureFile : public ScratchFolderTest {
   [[nodiscard]] double WorstAngle_deg(const GlbRead& glb, const Image<uint16_t>& texture) const {
     double worst_rad = 0.0;
     for (size_t v = 0; v < glb.positions.size(); ++v) {
-      const int i = static_cast<int>(v) % kWidth, j = static_cast<int>(v) / kWidth;
+      const int i = static_cast<int>(v) % kBumpyWidth, j = static_cast<int>(v) / kBumpyWidth;
       const Eigen::Vector3d n = bumpy_.surface.Normal(i, j), expected(n.x(), -n.y(), -n.z());
       worst_rad = std::max(worst_rad, std::acos(std::clamp(expected.dot(ShadedNormal(glb, texture, v)), -1.0, 1.0)));
     }
@@ -93,8 +93,8 @@ TEST_F(NormalTextureFile, GivesThePhotometricNormalBackWithinItsBits) {
 TEST_F(NormalTextureFile, ItsCheckSeesAFlippedChannelAndAFlippedTangent) {
   for (const int channel : {0, 1}) {
     Image<uint16_t> flipped = texture_;
-    for (int j = 0; j < kHeight; ++j)
-      for (int i = 0; i < kWidth; ++i) flipped(i, j, channel) = 255 - texture_(i, j, channel);
+    for (int j = 0; j < kBumpyHeight; ++j)
+      for (int i = 0; i < kBumpyWidth; ++i) flipped(i, j, channel) = 255 - texture_(i, j, channel);
     EXPECT_GT(WorstAngle_deg(glb_, flipped), 20.0) << channel;
   }
   GlbRead flipped = glb_;
@@ -109,20 +109,20 @@ TEST_F(NormalTextureFile, ItsCheckSeesAFlippedChannelAndAFlippedTangent) {
 // Of viewers that make their own tangents: red leans along u, green up the picture, against v.
 TEST_F(NormalTextureFile, HasTangentsAlongUAndBitangentsUpThePicture) {
   for (size_t v = 0; v < glb_.positions.size(); ++v) {
-    const size_t i = v % kWidth, j = v / kWidth;
-    if (i + 1 == kWidth || j == 0) continue;
+    const size_t i = v % kBumpyWidth, j = v / kBumpyWidth;
+    if (i + 1 == kBumpyWidth || j == 0) continue;
     const auto& t = glb_.tangents[v];
     const Eigen::Vector3d tangent(t[0], t[1], t[2]), up = t[3] * VectorOf(glb_.normals[v]).cross(tangent);
     const Eigen::Vector3d along_u = VectorOf(glb_.positions[v + 1]) - VectorOf(glb_.positions[v]),
-                          against_v = VectorOf(glb_.positions[v - kWidth]) - VectorOf(glb_.positions[v]);
+                          against_v = VectorOf(glb_.positions[v - kBumpyWidth]) - VectorOf(glb_.positions[v]);
     EXPECT_GT(tangent.dot(along_u.normalized()), 0.99) << v;
     EXPECT_GT(up.dot(against_v.normalized()), 0.95) << v;
   }
 }
 
 TEST_F(NormalTextureFile, IsFlatWhereLightTellsNothing) {
-  for (int j = 0; j < kHeight; ++j)
-    for (int i = 0; i < kWidth / 3; ++i) {
+  for (int j = 0; j < kBumpyHeight; ++j)
+    for (int i = 0; i < kBumpyWidth / 3; ++i) {
       ASSERT_EQ(texture_(i, j, 0), 128) << i << " " << j;
       ASSERT_EQ(texture_(i, j, 1), 128) << i << " " << j;
       ASSERT_EQ(texture_(i, j, 2), 255) << i << " " << j;

@@ -11,8 +11,6 @@
 namespace stratalux::fit {
 namespace {
 
-const Surface kBall = Sphere({0, 0, 680}, 80.0);
-
 class GrayDecoder : public testing::Test {
  protected:
   [[nodiscard]] DecodeReport Decode(const Frames& frames, int period_px = kPeriodPx) const {

@@ -16,7 +16,7 @@ namespace stratalux::fit {
 namespace {
 
 constexpr double kAlbedo = 0.4;
-constexpr double kNoise = 0.01;  // of the albedo
+constexpr double kNoiseOfAlbedo = 0.01;
 constexpr int kPoints = 2000;
 const Eigen::Vector3d kView(0.0, 0.0, -1.0);
 
@@ -67,7 +67,7 @@ struct Rms {
   [[nodiscard]] double Value() const { return std::sqrt(sum / count); }
 };
 
-struct Errors {
+struct NormalErrors {
   Rms estimate, plain, normalised;  // rad, rad, over the stated sigma
   int not_from_light = 0;
   int wrong = 0;  // by more than 0.1 rad
@@ -75,8 +75,8 @@ struct Errors {
 
 // `spoil` changes the sources of a point after the light fell.
 template <typename Spoil>
-Errors ErrorsOf(int lights, double noise, uint64_t seed, const Spoil& spoil) {
-  Errors errors;
+NormalErrors ErrorsOf(int lights, double noise, uint64_t seed, const Spoil& spoil) {
+  NormalErrors errors;
   Random random(seed);
   for (int k = 0; k < kPoints; ++k) {
     std::vector<PointSource> sources = Ring(lights);
@@ -108,14 +108,15 @@ void EveryFifth(std::vector<PointSource>& sources, Random& random) {
 }
 
 TEST(ManyLights, LoseLittleAgainstLeastSquaresWhereLeastSquaresIsBest) {
-  const Errors errors = ErrorsOf(25, kNoise, 1, Nothing);
+  const NormalErrors errors = ErrorsOf(25, kNoiseOfAlbedo, 1, Nothing);
   EXPECT_EQ(errors.not_from_light, 0);
   EXPECT_LT(errors.estimate.Value(), 1.04 * errors.plain.Value());
   std::printf("25 lights: %.3f mrad, least squares %.3f\n", 1e3 * errors.estimate.Value(), 1e3 * errors.plain.Value());
 }
 
 TEST(ManyLights, RejectAFifthOfHighlightsAndShadows) {
-  const Errors clean = ErrorsOf(25, kNoise, 2, Nothing), spoilt = ErrorsOf(25, kNoise, 2, EveryFifth);
+  const NormalErrors clean = ErrorsOf(25, kNoiseOfAlbedo, 2, Nothing),
+                     spoilt = ErrorsOf(25, kNoiseOfAlbedo, 2, EveryFifth);
   EXPECT_EQ(spoilt.not_from_light, 0);
   EXPECT_LT(spoilt.estimate.Value(), 1.25 * clean.plain.Value());  // a fifth fewer lights alone: 1.12
   EXPECT_LT(spoilt.estimate.Value(), 0.05 * spoilt.plain.Value());
@@ -127,14 +128,16 @@ TEST(ManyLights, RejectOneOfSeven) {
   const auto highlight = [](std::vector<PointSource>& sources, Random& random) {
     sources[static_cast<size_t>(random.Uniform(0.0, 7.0))].intensity += 0.5 * kAlbedo;
   };
-  const Errors clean = ErrorsOf(7, kNoise, 3, Nothing), spoilt = ErrorsOf(7, kNoise, 3, highlight);
+  const NormalErrors clean = ErrorsOf(7, kNoiseOfAlbedo, 3, Nothing),
+                     spoilt = ErrorsOf(7, kNoiseOfAlbedo, 3, highlight);
   EXPECT_LT(spoilt.estimate.Value(), 1.35 * clean.plain.Value());
   EXPECT_LT(spoilt.not_from_light, kPoints / 100);
 }
 
 TEST(ManyLights, RejectTwoOfNine) {
   // Two outliers draw least squares over so few to themselves: an iteration from there fails for 5 % of these points.
-  const Errors clean = ErrorsOf(9, kNoise, 15, Nothing), spoilt = ErrorsOf(9, kNoise, 15, EveryFifth);
+  const NormalErrors clean = ErrorsOf(9, kNoiseOfAlbedo, 15, Nothing),
+                     spoilt = ErrorsOf(9, kNoiseOfAlbedo, 15, EveryFifth);
   EXPECT_LT(spoilt.wrong + spoilt.not_from_light, kPoints / 100);
   EXPECT_EQ(clean.wrong, 0);
   std::printf("9 lights, two spoilt: %d of %d points wrong, %d not from light alone\n", spoilt.wrong, kPoints,
@@ -143,12 +146,12 @@ TEST(ManyLights, RejectTwoOfNine) {
 
 TEST(ManyLights, StateTheirSigma) {
   for (const int lights : {3, 4, 5, 7, 25}) {
-    const Errors errors = ErrorsOf(lights, kNoise, 4, Nothing);
+    const NormalErrors errors = ErrorsOf(lights, kNoiseOfAlbedo, 4, Nothing);
     EXPECT_NEAR(errors.normalised.Value(), 1.0, 0.12) << lights;
     EXPECT_LT(errors.not_from_light, kPoints / 100) << lights;
     std::printf("%d lights: error over sigma %.3f\n", lights, errors.normalised.Value());
   }
-  const Errors spoilt = ErrorsOf(25, kNoise, 5, EveryFifth);
+  const NormalErrors spoilt = ErrorsOf(25, kNoiseOfAlbedo, 5, EveryFifth);
   EXPECT_NEAR(spoilt.normalised.Value(), 1.0, 0.12);
   std::printf("25 lights, a fifth spoilt: error over sigma %.3f\n", spoilt.normalised.Value());
 }
@@ -157,7 +160,7 @@ TEST(ManyLights, WidenTheSigmaWhereResidualsScatterMore) {
   const auto understated = [](std::vector<PointSource>& sources, Random& /*random*/) {
     for (PointSource& s : sources) s.variance /= 4.0;
   };
-  const Errors errors = ErrorsOf(25, kNoise, 6, understated);
+  const NormalErrors errors = ErrorsOf(25, kNoiseOfAlbedo, 6, understated);
   EXPECT_NEAR(errors.normalised.Value(), 1.0, 0.15);
   std::printf("25 lights, twice the stated noise: error over sigma %.3f\n", errors.normalised.Value());
 }
@@ -198,7 +201,7 @@ TEST(ManyLights, DoNotDependOnTheirOrder) {
   for (const int lights : {3, 4, 5, 25}) {
     Random random(9);
     std::vector<PointSource> sources = Ring(lights);
-    Light(sources, DirectionNearView(random, 0.3), kNoise * kAlbedo, random);
+    Light(sources, DirectionNearView(random, 0.3), kNoiseOfAlbedo * kAlbedo, random);
     if (lights > 3) sources[1].intensity = 0.0;
     const PointNormal found = EstimatePointNormal(sources, kView, kView, CapturedNoise());
     for (int shuffle = 0; shuffle < 10; ++shuffle) {
@@ -226,7 +229,7 @@ TEST(FewLights, TakeTheSurfaceAsPriorAndStateTheirSigma) {
       std::vector<PointSource> sources = Ring(3);
       sources.resize(static_cast<size_t>(lights));
       const Eigen::Vector3d normal = Tilted(random, options.surface_sigma_rad);
-      Light(sources, normal, kNoise * kAlbedo, random);
+      Light(sources, normal, kNoiseOfAlbedo * kAlbedo, random);
       const PointNormal found = EstimatePointNormal(sources, kView, kView, options);
       ASSERT_EQ(found.reason, PhotometricReason::kTooFewSources);
       error.Add((found.normal - normal).squaredNorm());

@@ -18,7 +18,6 @@
 namespace stratalux::fit {
 namespace {
 
-const Surface kBall = Sphere({0, 0, 680}, 80.0);
 constexpr int kBitsAlone = 0;  // period: no sinusoids
 constexpr double kGross_px = GrayWord::kNear + 0.5;
 

@@ -21,8 +21,6 @@
 namespace stratalux::fit {
 namespace {
 
-const Surface kBall = Sphere({0, 0, 680}, 80.0);
-
 // True coordinates plus Gaussian noise of known sigma, as a decoder would give them.
 std::vector<DecodedMap> NoisyMaps(const RigCalibration& rig, const Surface& surface, double sigma_px) {
   std::vector<DecodedMap> maps;

@@ -27,6 +27,8 @@ struct Hit {
 using Surface = std::function<std::optional<Hit>(const Eigen::Vector3d& ray)>;
 [[nodiscard]] Surface Sphere(const Eigen::Vector3d& centre, double radius_mm);
 [[nodiscard]] Surface Plane(const Eigen::Vector3d& point, const Eigen::Vector3d& normal);
+// As a head before the rig.
+inline const Surface kBall = Sphere({0, 0, 680}, 80.0);
 
 struct Shot {
   double albedo = 0.6;

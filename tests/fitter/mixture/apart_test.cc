@@ -13,15 +13,15 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kProfiles = 48;
+constexpr int kMixedProfiles = 48;
 
 bool StandsApart(int64_t profile) { return profile % 3 == 1; }
 
 // Of every third one a light is five times as strong: no law of skin explains it.
 EmCases Cases() {
-  EmCases made = MakeEmCases({.profiles = kProfiles}, {}, 11);
+  EmCases made = MakeEmCases({.profiles = kMixedProfiles}, {}, 11);
   for (SrdBatch& batch : made.batches)
-    for (int64_t i = 0; i < kProfiles; ++i)
+    for (int64_t i = 0; i < kMixedProfiles; ++i)
       for (float& y : batch.Samples(i))
         if (StandsApart(i) && &batch == &made.batches[0]) y *= 5.0F;
   return made;
@@ -30,7 +30,7 @@ EmCases Cases() {
 EmCases Marked() {
   EmCases made = Cases();
   for (SrdBatch& batch : made.batches)
-    for (int64_t i = 0; i < kProfiles; ++i) batch.apart.push_back(StandsApart(i) ? 1 : 0);
+    for (int64_t i = 0; i < kMixedProfiles; ++i) batch.apart.push_back(StandsApart(i) ? 1 : 0);
   return made;
 }
 
@@ -38,7 +38,7 @@ EmCases Marked() {
 EmCases Alone() {
   const EmCases all = Cases();
   std::vector<int64_t> which;
-  for (int64_t i = 0; i < kProfiles; ++i)
+  for (int64_t i = 0; i < kMixedProfiles; ++i)
     if (!StandsApart(i)) which.push_back(i);
   EmCases alone;
   for (const SrdBatch& batch : all.batches) alone.batches.push_back(ProfilesOf(batch, which));
@@ -72,17 +72,17 @@ TEST(ProfilesApart, HaveNoPartInTheMeanLayers) {
 TEST(ProfilesApart, AreFittedAsTheOthersAre) {
   const EmCases marked = Marked(), cases = Cases();
   const std::vector<int> projectors = {0, 1, 2};
-  const auto fit = FitMixture(marked.lights(), projectors, kProfiles, 1, 1, {}),
-             of_all = FitMixture(cases.lights(), projectors, kProfiles, 1, 1, {});
+  const auto fit = FitMixture(marked.lights(), projectors, kMixedProfiles, 1, 1, {}),
+             of_all = FitMixture(cases.lights(), projectors, kMixedProfiles, 1, 1, {});
   ASSERT_TRUE(fit.ok() && of_all.ok());
   EXPECT_EQ(fit->weight, of_all->weight);
-  for (int64_t i = 0; i < kProfiles; ++i) EXPECT_TRUE(fit->Fitted(i)) << i;
+  for (int64_t i = 0; i < kMixedProfiles; ++i) EXPECT_TRUE(fit->Fitted(i)) << i;
 }
 
 TEST(ProfilesApart, AreInNoSample) {
   const EmCases marked = Marked();
-  EXPECT_EQ(SampledPixels(marked.batches[0], 1, 1).profiles(), 2 * kProfiles / 3);
-  EXPECT_EQ(SampledPixels(Cases().batches[0], 1, 1).profiles(), kProfiles);
+  EXPECT_EQ(SampledPixels(marked.batches[0], 1, 1).profiles(), 2 * kMixedProfiles / 3);
+  EXPECT_EQ(SampledPixels(Cases().batches[0], 1, 1).profiles(), kMixedProfiles);
   const int64_t which[] = {3, 4};
   const SrdBatch part = ProfilesOf(marked.batches[0], which);
   EXPECT_TRUE(part.Shares(0));

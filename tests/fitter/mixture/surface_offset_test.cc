@@ -15,12 +15,12 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kSide = 24;
+constexpr int kFaceSide = 24;
 const std::vector<int> kProjectors = {0, 1, 2};
 // Differs from pixel to pixel.
 const std::vector<float> kDisplacement = [] {
   std::vector<float> of_pixels;
-  for (int i = 0; i < kSide * kSide; ++i) of_pixels.push_back(0.4F + 0.01F * static_cast<float>(i % 30));
+  for (int i = 0; i < kFaceSide * kFaceSide; ++i) of_pixels.push_back(0.4F + 0.01F * static_cast<float>(i % 30));
   return of_pixels;
 }();
 
@@ -33,20 +33,21 @@ struct Face {
     return list;
   }
   [[nodiscard]] SurfaceOffset Estimate() const {
-    const auto offset = EstimateOffset(lights(), kProjectors, kSide, 1, 5.0, kDisplacement, options);
+    const auto offset = EstimateOffset(lights(), kProjectors, kFaceSide, 1, 5.0, kDisplacement, options);
     EXPECT_TRUE(offset.ok()) << offset.status().message();
     return *offset;
   }
 };
 
-// kSide x kSide pixels of one skin, a fifth off in all layers, and its surface's light, read on a surface that lies
-// too deep by `depth` of kDisplacement.
+// kFaceSide x kFaceSide pixels of one skin, a fifth off in all layers, and its surface's light, read on a surface that
+// lies too deep by `depth` of kDisplacement.
 Face MakeFace(double depth, double peak_counts, uint64_t seed, std::vector<double> slopes = {-1.0, 0.0, 0.58}) {
   Face face;
   face.options.scattering.gain_model = false;
   face.options.scattering.reflection = {1.0, 0.35};
   EmCases made =
-      MakeEmCases({.profiles = kSide * kSide, .alike = kSide * kSide, .slopes = std::move(slopes)}, face.options, seed);
+      MakeEmCases({.profiles = kFaceSide * kFaceSide, .alike = kFaceSide * kFaceSide, .slopes = std::move(slopes)},
+                  face.options, seed);
   Random random(seed + 1);
   for (SrdBatch& b : made.batches) {
     for (int64_t i = 0; i < b.profiles(); ++i) {
@@ -108,7 +109,7 @@ TEST(SurfaceOffset, ADirectionBlindFitFindsAnother) {
 
 TEST(SurfaceOffset, IsNothingWhereOneProjectorAloneLights) {
   const Face face = MakeFace(0.2, 2000.0, 55);
-  const auto offset = EstimateOffset(face.lights(), {2, 2, 2}, kSide, 1, 5.0, kDisplacement, face.options);
+  const auto offset = EstimateOffset(face.lights(), {2, 2, 2}, kFaceSide, 1, 5.0, kDisplacement, face.options);
   ASSERT_TRUE(offset.ok());
   EXPECT_EQ(offset->pixels, 0);
   EXPECT_EQ(offset->code_depth_mm, 0.0);

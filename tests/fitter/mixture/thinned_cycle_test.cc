@@ -11,7 +11,7 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr int kProfiles = 64;
+constexpr int kThinnedProfiles = 64;
 enum class White { kNone, kKnown };
 
 EmOptions OptionsOf(int sweeps) {
@@ -46,14 +46,14 @@ std::vector<SrdBatch> ThinnedLights(int every, White white, double peak_counts, 
   std::vector<SrdBatch> lights;
   for (const double slope : {-1.0, 0.0, 0.58})
     lights.push_back(
-        Thinned(test::CombOf(test::FiveLayers(), slope, kProfiles, peak_counts, options, random), every, white));
+        Thinned(test::CombOf(test::FiveLayers(), slope, kThinnedProfiles, peak_counts, options, random), every, white));
   return lights;
 }
 
 MixtureMap Fit(const std::vector<SrdBatch>& batches, const EmOptions& options) {
   std::vector<const SrdBatch*> lights;
   for (const SrdBatch& b : batches) lights.push_back(&b);
-  const auto map = FitMixture(lights, {0, 1, 2}, kProfiles, 1, 1, options);
+  const auto map = FitMixture(lights, {0, 1, 2}, kThinnedProfiles, 1, 1, options);
   EXPECT_TRUE(map.ok()) << map.status().message();
   return *map;
 }
@@ -63,9 +63,9 @@ double TotalOf(const LayerSet& layers) { return std::accumulate(layers.weight.be
 // Mean over the profiles of the NRMSE of all samples of a light that no fit has seen.
 double UnseenError(const MixtureMap& map, const EmOptions& options) {
   Random random(2);
-  const SrdBatch unseen = test::CombOf(test::FiveLayers(), 1.0, kProfiles, 0.0, options, random);
+  const SrdBatch unseen = test::CombOf(test::FiveLayers(), 1.0, kThinnedProfiles, 0.0, options, random);
   double mean = 0.0;
-  for (int64_t i = 0; i < kProfiles; ++i) {
+  for (int64_t i = 0; i < kThinnedProfiles; ++i) {
     const auto truth = PredictSamples(test::FiveLayers(), unseen, i, options.scattering),
                found = PredictSamples(LayersOf(map, i), unseen, i, options.scattering);
     double error = 0.0, power = 0.0;
@@ -73,7 +73,7 @@ double UnseenError(const MixtureMap& map, const EmOptions& options) {
       error += std::pow(found[k] - truth[k], 2);
       power += std::pow(truth[k], 2);
     }
-    mean += std::sqrt(error / power) / kProfiles;
+    mean += std::sqrt(error / power) / kThinnedProfiles;
   }
   return mean;
 }
@@ -91,7 +91,7 @@ TEST(ThinnedCycle, TotalsAreThoseOfTheWhiteFrames) {
   const EmOptions options = OptionsOf(60);
   for (const int every : {4, 8}) {
     const MixtureMap map = Fit(ThinnedLights(every, White::kKnown, 4000, options), options);
-    for (int64_t i = 0; i < kProfiles; ++i)
+    for (int64_t i = 0; i < kThinnedProfiles; ++i)
       EXPECT_NEAR(TotalOf(LayersOf(map, i)) / TotalOf(test::FiveLayers()), 1.0, 0.02) << every << ", " << i;
   }
 }

@@ -12,7 +12,7 @@ namespace stratalux::fit {
 namespace {
 
 // 3 x 2 pixels, 3 colours, one layer.
-MixtureMap SmallMap() {
+MixtureMap OneLayerMap() {
   MixtureMap map;
   map.width = 3;
   map.height = 2;
@@ -31,7 +31,7 @@ TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
   const std::filesystem::path folder =
       std::filesystem::temp_directory_path() / ("saved_fit_test_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  MixtureMap map = SmallMap();
+  MixtureMap map = OneLayerMap();
   const Image<float> noise(3, 2, 3, 40.0F);
   ASSERT_TRUE(SaveLayers(folder, {map, 1, noise}).ok());
   const std::vector<std::string> shares = {"prior_share.R", "prior_share.G", "prior_share.B"};

@@ -46,7 +46,7 @@ void SetMaterial(SkinLight& light, int i, int j, const Material& material, const
   }
 }
 
-constexpr int kWidth = 80, kHeight = 60;
+constexpr int kFaceWidth = 80, kFaceHeight = 60;
 
 using Layout = std::function<bool(int i, int j)>;
 bool Nowhere(int /*i*/, int /*j*/) { return false; }
@@ -55,10 +55,10 @@ bool InPatch(int i, int j) { return i >= 10 && i < 34 && j >= 8 && j < 28; }
 // `other` where `is_other`, skin elsewhere.
 SkinLight Face(const Material& skin, const Material& other, const Layout& is_other, const Spread& spread = {},
                uint64_t seed = 5) {
-  SkinLight light = Blank(kWidth, kHeight, SkinReason::kNoSurface);
+  SkinLight light = Blank(kFaceWidth, kFaceHeight, SkinReason::kNoSurface);
   Random random(seed);
-  for (int j = 0; j < kHeight; ++j)
-    for (int i = 0; i < kWidth; ++i) SetMaterial(light, i, j, is_other(i, j) ? other : skin, spread, random);
+  for (int j = 0; j < kFaceHeight; ++j)
+    for (int i = 0; i < kFaceWidth; ++i) SetMaterial(light, i, j, is_other(i, j) ? other : skin, spread, random);
   return light;
 }
 
@@ -81,7 +81,7 @@ TEST(JudgeSkin, AFaceOfNothingElseIsAllSkin) {
   const SkinMask mask = Judge(Face(kSkinOfAFace, kHair, Nowhere));
   EXPECT_TRUE(mask.told);
   EXPECT_EQ(Wrong(mask, Nowhere), 0);
-  EXPECT_EQ(mask.skin_quads, kWidth * kHeight);
+  EXPECT_EQ(mask.skin_quads, kFaceWidth * kFaceHeight);
   EXPECT_EQ(mask.left_out(), 0);
   EXPECT_EQ(mask.colour, 0);
   EXPECT_NEAR(std::exp(mask.log_reflectance.centre), kSkinOfAFace.reflectance, 0.01);
@@ -104,7 +104,7 @@ TEST(JudgeSkin, DarkSkinIsSkin) {
 }
 
 TEST(JudgeSkin, HairOnTwoFifthsOfAFaceIsNotItsMajority) {
-  const auto upper = [](int /*i*/, int j) { return j < 2 * kHeight / 5; };
+  const auto upper = [](int /*i*/, int j) { return j < 2 * kFaceHeight / 5; };
   EXPECT_LE(Wrong(Judge(Face(kSkinOfAFace, kHair, upper)), upper), 4);
 }
 
@@ -115,7 +115,7 @@ TEST(JudgeSkin, NoiseAloneHasNoHair) {
   const SkinMask mask = Judge(Face(kSkinOfAFace, kHair, Nowhere, {1.5, 0.25}));
   EXPECT_TRUE(mask.told);
   EXPECT_GT(mask.log_reflectance.scale, 1.0);  // as noisy as it is
-  EXPECT_GE(mask.skin_quads, 99 * kWidth * kHeight / 100);
+  EXPECT_GE(mask.skin_quads, 99 * kFaceWidth * kFaceHeight / 100);
 }
 
 TEST(JudgeSkin, WhatWasNotMeasuredFollowsItsNeighbours) {
@@ -132,27 +132,27 @@ TEST(JudgeSkin, WhatWasNotMeasuredFollowsItsNeighbours) {
   EXPECT_LE(Wrong(mask, InPatch), 2);
   EXPECT_EQ(mask.counts[static_cast<size_t>(SkinReason::kUnlit)], 6);
   EXPECT_EQ(mask.counts[static_cast<size_t>(SkinReason::kNotPositive)], 6);
-  EXPECT_EQ(mask.surface_quads(), kWidth * kHeight);
+  EXPECT_EQ(mask.surface_quads(), kFaceWidth * kFaceHeight);
   for (const float p : mask.probability.pixels()) EXPECT_TRUE(p >= 0.0F && p <= 1.0F);
 }
 
 TEST(JudgeSkin, OffTheSurfaceThereIsNone) {
   SkinLight light = Face(kSkinOfAFace, kHair, InPatch);
-  for (int j = 0; j < kHeight; ++j) SetReason(light, 50, j, SkinReason::kNoSurface);
+  for (int j = 0; j < kFaceHeight; ++j) SetReason(light, 50, j, SkinReason::kNoSurface);
   const SkinMask mask = Judge(light);
   EXPECT_TRUE(std::isnan(mask.probability(50, 3)));
   EXPECT_EQ(mask.skin(50, 3), 0);
-  EXPECT_EQ(mask.surface_quads(), (kWidth - 1) * kHeight);
+  EXPECT_EQ(mask.surface_quads(), (kFaceWidth - 1) * kFaceHeight);
 }
 
 TEST(JudgeSkin, WithoutAMajorityAllOfTheSurfaceIsSkin) {
-  const SkinMask empty = Judge(Blank(kWidth, kHeight, SkinReason::kNoSurface));
+  const SkinMask empty = Judge(Blank(kFaceWidth, kFaceHeight, SkinReason::kNoSurface));
   EXPECT_FALSE(empty.told);
   EXPECT_EQ(empty.skin_quads, 0);
   EXPECT_EQ(empty.surface_quads(), 0);
-  const SkinMask unlit = Judge(Blank(kWidth, kHeight, SkinReason::kUnlit));
+  const SkinMask unlit = Judge(Blank(kFaceWidth, kFaceHeight, SkinReason::kUnlit));
   EXPECT_FALSE(unlit.told);
-  EXPECT_EQ(unlit.skin_quads, kWidth * kHeight);
+  EXPECT_EQ(unlit.skin_quads, kFaceWidth * kFaceHeight);
   // Images too small to have one.
   for (const int width : {1, 3}) {
     SkinLight tiny = Blank(width, 2, SkinReason::kNoSurface);
@@ -168,10 +168,10 @@ TEST(JudgeSkin, WithoutAMajorityAllOfTheSurfaceIsSkin) {
 
 TEST(JudgeSkin, AMonoCameraTellsAsWell) {
   const SkinLight colours = Face(kSkinOfAFace, kHair, InPatch);
-  SkinLight mono = Blank(kWidth, kHeight, SkinReason::kMeasured);
-  mono.reflectance = mono.share = Image<float>(kWidth, kHeight);
-  for (int j = 0; j < kHeight; ++j)
-    for (int i = 0; i < kWidth; ++i) {
+  SkinLight mono = Blank(kFaceWidth, kFaceHeight, SkinReason::kMeasured);
+  mono.reflectance = mono.share = Image<float>(kFaceWidth, kFaceHeight);
+  for (int j = 0; j < kFaceHeight; ++j)
+    for (int i = 0; i < kFaceWidth; ++i) {
       mono.reflectance(i, j) = colours.reflectance(i, j, 0);
       mono.share(i, j) = colours.share(i, j, 0);
     }

@@ -12,15 +12,11 @@
 
 #include "firmware-host/simulated/table_tool/people.h"
 #include "shared/base/random.h"
+#include "tests/firmware-host/simulated/skin/shipped_table.h"
 #include "tests/support/run_program.h"
 
 namespace stratalux::rig {
 namespace {
-
-const SkinTable& Shipped() {
-  static const SkinTable table = *SkinTable::Load(SkinTable::DefaultPath());
-  return table;
-}
 
 void ExpectQuantiles(const PeopleSummary& s, double most) {
   for (size_t c = 0; c < kSkinChannels; ++c)
@@ -30,18 +26,18 @@ void ExpectQuantiles(const PeopleSummary& s, double most) {
 }
 
 TEST(Population, TwoHundredPeopleAreAsLightAsTheMeasured) {
-  ExpectQuantiles(Summarise(DrawPeople(Shipped(), 0, 200, kPeopleSeed)), 0.03);
+  ExpectQuantiles(Summarise(DrawPeople(ShippedTable(), 0, 200, kPeopleSeed)), 0.03);
 }
 
 // Of the same sequence, and of other seeds; 200 people leave a little to chance.
 TEST(Population, SoAreTwoHundredOthers) {
   for (const auto& [first, seed] : {std::pair{200, 1}, {5000, 1}, {999800, 1}, {0, 2}, {0, 3}})
-    ExpectQuantiles(Summarise(DrawPeople(Shipped(), first, 200, seed)), 0.035);
+    ExpectQuantiles(Summarise(DrawPeople(ShippedTable(), first, 200, seed)), 0.035);
 }
 
 TEST(Population, ColoursGoTogetherAsMeasured) {
   for (const int first : {0, 200, 5000}) {
-    const PeopleSummary s = Summarise(DrawPeople(Shipped(), first, 200, kPeopleSeed));
+    const PeopleSummary s = Summarise(DrawPeople(ShippedTable(), first, 200, kPeopleSeed));
     for (size_t k = 0; k < 3; ++k) EXPECT_NEAR(s.log_correlation[k], kMeasuredLogCorrelation[k], 0.021) << k;
   }
 }
@@ -50,7 +46,7 @@ TEST(Population, ColoursGoTogetherAsMeasured) {
 TEST(Population, ScatteringIsThatOfLivingSkin) {
   const double formula = 4.6 * std::pow(475.0 / 500.0, -1.421), measured = 3.22 / formula;
   for (const int first : {0, 200, 5000}) {
-    const PeopleSummary s = Summarise(DrawPeople(Shipped(), first, 200, kPeopleSeed));
+    const PeopleSummary s = Summarise(DrawPeople(ShippedTable(), first, 200, kPeopleSeed));
     EXPECT_NEAR(s.scattering_median, measured, 0.02) << first;
     EXPECT_NEAR(s.scattering_sd / s.scattering_mean, 0.72 / 3.16, 0.03) << first;
   }
@@ -60,13 +56,13 @@ TEST(Population, ScatteringIsThatOfLivingSkin) {
 TEST(Population, LessThanAllOfItIsNotTheMeasured) {
   Population melanin_alone;
   melanin_alone.scattering_spread = melanin_alone.blood_spread = melanin_alone.epidermis_spread = 0.0;
-  const PeopleSummary alone = Summarise(DrawPeople(Shipped(), 0, 200, kPeopleSeed, melanin_alone));
+  const PeopleSummary alone = Summarise(DrawPeople(ShippedTable(), 0, 200, kPeopleSeed, melanin_alone));
   EXPECT_GT(alone.WorstQuantile(), 0.05);
   EXPECT_LT(alone.scattering_sd, 1e-6);
 
   Population samples;  // tissue samples' scattering
   samples.scattering_median = 1.0;
-  EXPECT_GT(Summarise(DrawPeople(Shipped(), 0, 200, kPeopleSeed, samples)).WorstQuantile(), 0.04);
+  EXPECT_GT(Summarise(DrawPeople(ShippedTable(), 0, 200, kPeopleSeed, samples)).WorstQuantile(), 0.04);
 
   std::vector<DrawnPerson> visitors;
   for (int seed = 0; seed < 200; ++seed) {
@@ -74,7 +70,7 @@ TEST(Population, LessThanAllOfItIsNotTheMeasured) {
     DrawnPerson visitor;
     visitor.skin.melanin = static_cast<float>(0.012 * std::pow(8.0, random.Uniform()));
     visitor.skin.blood = static_cast<float>(random.Uniform(0.003, 0.008));
-    visitor.reflectance = ReflectanceOf(Shipped(), visitor.skin);
+    visitor.reflectance = ReflectanceOf(ShippedTable(), visitor.skin);
     visitors.push_back(visitor);
   }
   const PeopleSummary before = Summarise(visitors);
@@ -84,8 +80,8 @@ TEST(Population, LessThanAllOfItIsNotTheMeasured) {
 }
 
 TEST(Population, APersonDoesNotHangOnTheOthers) {
-  const auto together = DrawPeople(Shipped(), 100, 60, kPeopleSeed);
-  const auto backwards = DrawPeople(Shipped(), 137, 1, kPeopleSeed);
+  const auto together = DrawPeople(ShippedTable(), 100, 60, kPeopleSeed);
+  const auto backwards = DrawPeople(ShippedTable(), 137, 1, kPeopleSeed);
   EXPECT_EQ(together[37].person, 137);
   for (const SkinParameters& skin : {together[37].skin, backwards[0].skin, Person(137)}) {
     EXPECT_EQ(skin.melanin, Person(137).melanin);
@@ -107,14 +103,14 @@ TEST(Population, EveryoneIsWithinTheTable) {
     ASSERT_LE(skin.blood, static_cast<float>(SkinGrid::kBlood.back())) << person;
     ASSERT_GE(skin.epidermis_mm, static_cast<float>(SkinGrid::kEpidermisMm.front())) << person;
     ASSERT_LE(skin.epidermis_mm, static_cast<float>(SkinGrid::kEpidermisMm.back())) << person;
-    ASSERT_TRUE(Shipped().CheckScattering(skin.scattering).ok()) << person;
+    ASSERT_TRUE(ShippedTable().CheckScattering(skin.scattering).ok()) << person;
   }
 }
 
 // A step of a tenth away from any fitted number, to either side, is worse over the people that were fitted.
 TEST(Population, TheNumbersAreWhereTheFitEnds) {
   const auto cost = [](const Population& population) {
-    return PeopleCost(Summarise(DrawPeople(Shipped(), 0, 400, kPeopleSeed, population)));
+    return PeopleCost(Summarise(DrawPeople(ShippedTable(), 0, 400, kPeopleSeed, population)));
   };
   const double shipped = cost({});
   for (double Population::*fitted :
@@ -153,7 +149,7 @@ TEST(PopulationCommand, CsvSaysEachPerson) {
     EXPECT_EQ(skin.blood, drawn.blood);
     EXPECT_EQ(skin.epidermis_mm, drawn.epidermis_mm);
     EXPECT_EQ(skin.scattering, drawn.scattering);
-    for (size_t c = 0; c < 3; ++c) EXPECT_NEAR(reflectance[c], ReflectanceOf(Shipped(), drawn)[c], 1e-6);
+    for (size_t c = 0; c < 3; ++c) EXPECT_NEAR(reflectance[c], ReflectanceOf(ShippedTable(), drawn)[c], 1e-6);
     ++rows;
   }
   EXPECT_EQ(rows, 7);
@@ -163,7 +159,7 @@ TEST(PopulationCommand, JsonHoldsWhatTheTextSays) {
   const auto json = nlohmann::json::parse(Command("--people 20 --json", 0));
   EXPECT_EQ(json["people"].size(), 20U);
   EXPECT_EQ(json["people"][3]["scattering"].get<float>(), Person(3).scattering);
-  const PeopleSummary summary = Summarise(DrawPeople(Shipped(), 0, 20, kPeopleSeed));
+  const PeopleSummary summary = Summarise(DrawPeople(ShippedTable(), 0, 20, kPeopleSeed));
   EXPECT_DOUBLE_EQ(json["summary"]["worst_quantile"].get<double>(), summary.WorstQuantile());
   char median[32];
   std::snprintf(median, sizeof median, "median %.3f", summary.scattering_median);

@@ -16,16 +16,12 @@
 
 #include "firmware-host/simulated/skin/skin_table_check.h"
 #include "shared/units/angle.h"
+#include "tests/firmware-host/simulated/skin/shipped_table.h"
 
 namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-
-const SkinTable& Shipped() {
-  static const SkinTable table = *SkinTable::Load(SkinTable::DefaultPath());
-  return table;
-}
 
 double Sin2(double deg) { return std::pow(std::sin(RadFromDeg(deg)), 2); }
 double RingAreaMm2(int ring) {
@@ -35,7 +31,7 @@ double RingAreaMm2(int ring) {
 double CellSum(size_t kernel, int first_ring = 0, int last_ring = G::kRadii - 1) {
   double sum = 0.0;
   for (int r = first_ring; r <= last_ring; ++r)
-    for (int psi = 0; psi < G::kPolar; ++psi) sum += Shipped().Cell(kernel, r, psi) * RingAreaMm2(r) / G::kPolar;
+    for (int psi = 0; psi < G::kPolar; ++psi) sum += ShippedTable().Cell(kernel, r, psi) * RingAreaMm2(r) / G::kPolar;
   return sum;
 }
 // Solid angle times cosine of an exit bin.
@@ -74,7 +70,7 @@ TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
   const int node = G::kNodes + G::NodeIndex(1, 2, 1);  // of the second scattering
   constexpr int64_t kPhotons = 200000;
   std::array<std::array<Estimate, G::kAzimuths>, G::kThetas> bins{};
-  Photons(kChannel, Shipped().NodeParameters(node), kIn, kPhotons, 77, [&](const EscapedPhoton& e) {
+  Photons(kChannel, ShippedTable().NodeParameters(node), kIn, kPhotons, 77, [&](const EscapedPhoton& e) {
     if (std::hypot(e.x_mm, e.y_mm) >= G::kMaxRadiusMm) return;
     const double theta = DegFromRad(std::acos(std::min(1.0, std::abs(double(e.uz)))));
     const double azimuth = DegFromRad(std::abs(std::atan2(e.uy, e.ux)));
@@ -87,7 +83,7 @@ TEST(SkinTable, CellsAreThoseOfMonteCarlo) {
     for (int az = 0; az < G::kAzimuths; ++az) {
       const double scale = 1.0 / (kPhotons * Projected(out, az));
       const double mean = bins[out][az].sum * scale, error = std::sqrt(bins[out][az].squares) * scale;
-      const double table = CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node));
+      const double table = CellSum(ShippedTable().KernelIndex(kChannel, kIn, out, az, node));
       // The table has 3 million photons of its own, both ways: a quarter of this error at most.
       const double sigmas = (table - mean) / (error * 1.03);
       chi2 += sigmas * sigmas;
@@ -101,7 +97,7 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
   const int node = 2 * G::kNodes + G::NodeIndex(1, 1, 2);  // of the samples' own
   constexpr int64_t kPhotons = 200000;
   std::array<Estimate, G::kRadii> rings{};
-  Photons(kChannel, Shipped().NodeParameters(node), kIn, kPhotons, 78, [&](const EscapedPhoton& e) {
+  Photons(kChannel, ShippedTable().NodeParameters(node), kIn, kPhotons, 78, [&](const EscapedPhoton& e) {
     if (1.0 - double(e.uz) * e.uz >= Sin2(85.0)) return;
     const double r = std::hypot(e.x_mm, e.y_mm);
     for (int k = 0; k < G::kRadii; ++k)
@@ -112,7 +108,7 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
     for (int out = 0; out < G::kThetas; ++out)
       for (int az = 0; az < G::kAzimuths; ++az)
         table += Projected(out, az) *
-                 CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node), first, first + kGroup - 1);
+                 CellSum(ShippedTable().KernelIndex(kChannel, kIn, out, az, node), first, first + kGroup - 1);
     for (int k = first; k < first + kGroup; ++k) {
       sum += rings[k].sum / kPhotons;
       squares += rings[k].squares / (double(kPhotons) * kPhotons);
@@ -122,7 +118,7 @@ TEST(SkinTable, RadialProfileIsThatOfMonteCarlo) {
 }
 
 TEST(SkinTable, RegeneratesItsCellsWithinTheirStandardErrors) {
-  const auto checks = RegenerateSkinCell(Shipped(), {2, 1, 3, 2, 2}, 150000, 5);
+  const auto checks = RegenerateSkinCell(ShippedTable(), {2, 1, 3, 2, 2}, 150000, 5);
   ASSERT_EQ(checks.size(), size_t{G::kNodes});
   for (size_t n = 0; n < checks.size(); ++n) {
     EXPECT_GT(checks[n].mean, 0.0);
@@ -146,12 +142,12 @@ TEST(SkinTable, AlbedoIsTheSumOfItsKernelsAndOfMonteCarlo) {
   // and at 30 mm, and so do the photons counted for them; Albedo goes on to 90 degrees.
   constexpr int kIn = 3, kChannel = 0;
   const int node = G::NodeIndex(1, 1, 1);
-  const SkinParameters skin = Shipped().NodeParameters(node);
+  const SkinParameters skin = ShippedTable().NodeParameters(node);
   double cells = 0.0;
   for (int out = 0; out < G::kThetas; ++out)
     for (int az = 0; az < G::kAzimuths; ++az)
-      cells += Projected(out, az) * CellSum(Shipped().KernelIndex(kChannel, kIn, out, az, node));
-  const double albedo = Shipped().Albedo(kChannel, skin, G::NodeThetaRad(kIn)) * BinOverNodeTransmittance(kIn);
+      cells += Projected(out, az) * CellSum(ShippedTable().KernelIndex(kChannel, kIn, out, az, node));
+  const double albedo = ShippedTable().Albedo(kChannel, skin, G::NodeThetaRad(kIn)) * BinOverNodeTransmittance(kIn);
   constexpr int64_t kPhotons = 150000;
   Estimate below_85, all;
   Photons(kChannel, skin, kIn, kPhotons, 79, [&](const EscapedPhoton& e) {
@@ -190,11 +186,11 @@ TEST(SkinKernel, InterpolationKeepsTheEnergyOfTheCells) {
       const int out = (in + 2) % G::kThetas, az = in;
       SkinKernel kernel;
       const int node = out % 3 * G::kNodes + G::NodeIndex(1, 2, in % 3);
-      Shipped().Interpolate(c, Shipped().NodeParameters(node),
-                            {static_cast<float>(G::NodeThetaRad(in)), static_cast<float>(G::NodeThetaRad(out)),
-                             static_cast<float>(az * M_PI / 4)},
-                            kernel);
-      const double cells = CellSum(Shipped().KernelIndex(c, in, out, az, node)) /
+      ShippedTable().Interpolate(c, ShippedTable().NodeParameters(node),
+                                 {static_cast<float>(G::NodeThetaRad(in)), static_cast<float>(G::NodeThetaRad(out)),
+                                  static_cast<float>(az * M_PI / 4)},
+                                 kernel);
+      const double cells = CellSum(ShippedTable().KernelIndex(c, in, out, az, node)) /
                            (BinOverNodeTransmittance(in) * BinOverNodeTransmittance(out));
       EXPECT_NEAR(PlaneIntegral(kernel) / cells, 1.0, 0.003) << c << ' ' << in << ' ' << out;
       EXPECT_NEAR(kernel.Integral() / cells, 1.0, 0.002) << c << ' ' << in << ' ' << out;
@@ -209,7 +205,7 @@ TEST(SkinKernel, ReadsNothingBehindItsLastRing) {
   };
   Guarded guarded{};
   guarded.behind.fill(std::numeric_limits<float>::quiet_NaN());
-  Shipped().Interpolate(0, {}, {}, guarded.kernel);
+  ShippedTable().Interpolate(0, {}, {}, guarded.kernel);
   constexpr auto kNearRim = static_cast<float>(0.999 * G::kMaxRadiusMm);
   const auto seam = static_cast<float>(M_PI / G::kPolar);
   const float x = kNearRim * std::cos(seam);
@@ -228,8 +224,8 @@ TEST(SkinKernel, IsReciprocal) {
   constexpr float kAzimuth = static_cast<float>(M_PI / 2);
   for (const auto& [in, out] : std::vector<std::pair<float, float>>{{0.1F, 0.15F}, {0.1F, 0.9F}, {0.5F, 1.1F}}) {
     SkinKernel there, back;
-    Shipped().Interpolate(1, {}, {in, out, kAzimuth}, there);
-    Shipped().Interpolate(1, {}, {out, in, kAzimuth}, back);
+    ShippedTable().Interpolate(1, {}, {in, out, kAzimuth}, there);
+    ShippedTable().Interpolate(1, {}, {out, in, kAzimuth}, back);
     EXPECT_NEAR(there.Integral() / back.Integral(), 1.0, 1e-4);
     for (const double r : {0.05, 0.5, 3.0})
       for (int k = 0; k < 16; ++k) {
@@ -243,8 +239,8 @@ TEST(SkinKernel, IsContinuousThroughTheNormal) {
   // A view a hair to either side of the normal is the same view.
   for (const float in : {0.0F, 0.8F}) {
     SkinKernel towards, away;
-    Shipped().Interpolate(0, {}, {in, 1e-4F, 0.0F}, towards);
-    Shipped().Interpolate(0, {}, {in, 1e-4F, std::numbers::pi_v<float>}, away);
+    ShippedTable().Interpolate(0, {}, {in, 1e-4F, 0.0F}, towards);
+    ShippedTable().Interpolate(0, {}, {in, 1e-4F, std::numbers::pi_v<float>}, away);
     double a = 0.0, b = 0.0;
     const double energy = PlaneIntegral(towards, &a) / PlaneIntegral(away, &b);
     EXPECT_NEAR(energy, 1.0, 1e-3);
@@ -259,20 +255,20 @@ TEST(SkinTable, MoreMelaninOrBloodReflectsLess) {
   for (int c = 0; c < kSkinChannels; ++c) {
     double last = 1.0;
     for (const float melanin : {0.005F, 0.02F, 0.05F, 0.15F, 0.3F}) {
-      const double albedo = Shipped().Albedo(c, {melanin, 0.004F}, 0.5);
+      const double albedo = ShippedTable().Albedo(c, {melanin, 0.004F}, 0.5);
       EXPECT_LT(albedo, last);
       EXPECT_GT(albedo, 0.0);
       last = albedo;
     }
     last = 1.0;
     for (const float blood : {0.0005F, 0.002F, 0.01F, 0.06F}) {
-      const double albedo = Shipped().Albedo(c, {0.03F, blood}, 0.5);
+      const double albedo = ShippedTable().Albedo(c, {0.03F, blood}, 0.5);
       EXPECT_LT(albedo, last);
       last = albedo;
     }
     last = 1.0;
     for (const float epidermis : {0.05F, 0.07F, 0.1F, 0.15F}) {
-      const double albedo = Shipped().Albedo(c, {0.03F, 0.004F, epidermis}, 0.5);
+      const double albedo = ShippedTable().Albedo(c, {0.03F, 0.004F, epidermis}, 0.5);
       EXPECT_LT(albedo, last) << "melanin absorbs more than a little blood";
       last = albedo;
     }
@@ -283,12 +279,12 @@ TEST(SkinTable, IsExactlyReciprocal) {
   for (int in = 0; in < G::kThetas; ++in)
     for (int out = 0; out < in; ++out)
       for (int az = 0; az < G::kAzimuths; ++az) {
-        const int node = (in * 7 + out * 3 + az) % Shipped().nodes();
-        const size_t there = Shipped().KernelIndex(2, in, out, az, node),
-                     back = Shipped().KernelIndex(2, out, in, az, node);
+        const int node = (in * 7 + out * 3 + az) % ShippedTable().nodes();
+        const size_t there = ShippedTable().KernelIndex(2, in, out, az, node),
+                     back = ShippedTable().KernelIndex(2, out, in, az, node);
         for (int r = 0; r < G::kRadii; ++r)
           for (int psi = 0; psi < G::kPolar; ++psi)
-            ASSERT_EQ(Shipped().Cell(there, r, psi), Shipped().Cell(back, r, G::ReciprocalPsi(az, psi)));
+            ASSERT_EQ(ShippedTable().Cell(there, r, psi), ShippedTable().Cell(back, r, G::ReciprocalPsi(az, psi)));
       }
 }
 
@@ -319,7 +315,7 @@ TEST(SkinTable, IsNearMonteCarloBetweenItsNodes) {
   InterpolationCheckOptions options;
   options.photons = 16000;
   options.theta_in_deg = {35.0, 55.0};
-  const auto samples = CheckInterpolation(Shipped(), options);
+  const auto samples = CheckInterpolation(ShippedTable(), options);
   ASSERT_EQ(samples.size(), size_t{3 * 2 * 5 * 3 * 2});
   for (const InterpolationSample& s : samples) {
     const double bound = s.skin.melanin < 0.16F ? 0.06 : 0.12;
@@ -435,12 +431,12 @@ TEST_F(SkinTableFile, IsReadAgainWhenItIsAnother) {
 }
 
 TEST_F(SkinTableFile, SavedAndLoadedIsTheSame) {
-  ASSERT_TRUE(Shipped().Save(path_, 1).ok());
+  ASSERT_TRUE(ShippedTable().Save(path_, 1).ok());
   const auto again = SkinTable::Load(path_);
   ASSERT_TRUE(again.ok()) << again.status().message();
-  EXPECT_EQ(again->manifest(), Shipped().manifest());
-  for (size_t kernel = 0; kernel < G::kDirections * Shipped().nodes(); kernel += 97)
-    for (int r = 0; r < G::kRadii; ++r) EXPECT_EQ(again->Cell(kernel, r, 3), Shipped().Cell(kernel, r, 3));
+  EXPECT_EQ(again->manifest(), ShippedTable().manifest());
+  for (size_t kernel = 0; kernel < G::kDirections * ShippedTable().nodes(); kernel += 97)
+    for (int r = 0; r < G::kRadii; ++r) EXPECT_EQ(again->Cell(kernel, r, 3), ShippedTable().Cell(kernel, r, 3));
 }
 
 // A small table with the axis, made once: noisy, but of the same photons as what it is held against.
@@ -495,7 +491,7 @@ TEST(SkinTableScattering, WeightsAddUpAndAreClampedOutside) {
   EXPECT_TRUE(WithScatterings().CheckScattering(0.5).ok());
   EXPECT_EQ(WithScatterings().CheckScattering(0.4).code(), StatusCode::kUsage);
   EXPECT_NE(WithScatterings().CheckScattering(1.1).message().find("0.5 .. 1;"), std::string::npos);
-  EXPECT_NE(Shipped().CheckScattering(0.4).message().find("generate --scattering"), std::string::npos);
+  EXPECT_NE(ShippedTable().CheckScattering(0.4).message().find("generate --scattering"), std::string::npos);
 }
 
 // The light that comes back, between the nodes, against fresh photons of that scattering; and that the axis matters.
@@ -505,7 +501,7 @@ TEST(SkinTableScattering, IsNearMonteCarloBetweenItsNodes) {
   options.theta_in_deg = {35.0};
   for (const double scattering : {0.62, 0.86}) {
     options.scattering = scattering;
-    const auto samples = CheckInterpolation(Shipped(), options);
+    const auto samples = CheckInterpolation(ShippedTable(), options);
     for (int c = 0; c < kSkinChannels; ++c) {
       const InterpolationSummary all = Summarise(samples, c, -1, 0.16);
       ASSERT_GT(all.samples, 20);
@@ -513,9 +509,9 @@ TEST(SkinTableScattering, IsNearMonteCarloBetweenItsNodes) {
     }
   }
   SkinParameters skin{0.01F, 0.004F};
-  const double samples_scattering = Shipped().Albedo(0, skin, 0.6);
+  const double samples_scattering = ShippedTable().Albedo(0, skin, 0.6);
   skin.scattering = 0.6F;
-  EXPECT_LT(Shipped().Albedo(0, skin, 0.6), 0.95 * samples_scattering) << "the axis tells nothing";
+  EXPECT_LT(ShippedTable().Albedo(0, skin, 0.6), 0.95 * samples_scattering) << "the axis tells nothing";
 }
 
 TEST_F(SkinTableFile, OneWithScatteringsIsSavedAndLoaded) {
