@@ -40,7 +40,7 @@ std::map<std::string, std::pair<ino_t, std::string>> FinishedIn(const fs::path& 
 }
 
 // How many artifacts a run says that it has made.
-int MadeIn(const std::string& log) {
+int ArtifactsMade(const std::string& log) {
   int made = 0;
   for (size_t at = log.find(" of processor), peak "); at != std::string::npos;
        at = log.find(" of processor), peak ", at + 1))
@@ -91,7 +91,7 @@ class RunKill : public SmallFit {
     Running run(RunArguments(store), store.parent_path() / "log", DiesAt(store, kNever));
     const Outcome outcome = run.Wait();
     EXPECT_EQ(outcome.code, 0) << where << ": " << outcome.out;
-    EXPECT_EQ(MadeIn(outcome.out), Artifacts(undisturbed_) - static_cast<int>(before.size())) << where;
+    EXPECT_EQ(ArtifactsMade(outcome.out), Artifacts(undisturbed_) - static_cast<int>(before.size())) << where;
     ExpectKept(store, before, where);
     ExpectAsUndisturbed(store, where);
   }
@@ -189,7 +189,7 @@ TEST_F(RunKill, SeveralRunsAtOnceShareTheirWork) {
     for (Running& run : runs) {
       const Outcome outcome = run.Wait();
       EXPECT_EQ(outcome.code, 0) << where << ": " << outcome.out;
-      made += MadeIn(outcome.out);
+      made += ArtifactsMade(outcome.out);
     }
     EXPECT_EQ(made, Artifacts(undisturbed_)) << where;
     ExpectAsUndisturbed(store, where);
@@ -208,7 +208,7 @@ TEST_F(RunKill, SeveralRunsAtOnceEnterOneFit) {
     for (Running& run : runs) {
       const Outcome outcome = run.Wait();
       EXPECT_EQ(outcome.code, 0) << where << ": " << outcome.out;
-      EXPECT_EQ(MadeIn(outcome.out), 0) << where;
+      EXPECT_EQ(ArtifactsMade(outcome.out), 0) << where;
     }
     ExpectAsUndisturbed(store, where);
     fs::remove_all(store.parent_path());

@@ -33,7 +33,7 @@ class SealedFileTest : public ScratchFolderTest {
 
   std::string Seal(const std::string& plain, const std::string& place = kPlace) {
     const fs::path from = folder_ / "plain", to = folder_ / "sealed";
-    WriteText(from, plain);
+    stratalux::WriteText(from, plain);
     fs::remove(to);
     EXPECT_EQ(seal_.Seal(from, place, to).message(), "");
     return ReadText(to);
@@ -41,7 +41,7 @@ class SealedFileTest : public ScratchFolderTest {
   // Status and plain bytes of opening `sealed` as a file at kPlace.
   std::pair<Status, std::string> Open(const std::string& sealed, FileSeal seal) {
     const fs::path file = folder_ / "stored", into = folder_ / "opened";
-    WriteText(file, sealed);
+    stratalux::WriteText(file, sealed);
     Status status = seal.Open(file, {kPlace}, into);
     std::string plain = fs::exists(into) ? ReadText(into) : "";
     fs::remove(into);
