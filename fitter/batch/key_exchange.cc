@@ -30,21 +30,21 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kFolder = "keys";
+constexpr const char* kKeysFolder = "keys";
 constexpr const char* kAskStart = "ask-";
 constexpr const char* kAskEnd = ".json";
 constexpr const char* kAnswerFile = "answer.json";
-constexpr const char* kLock = ".answer.lock";  // in RESULTS
+constexpr const char* kAnswerLock = ".answer.lock";  // in RESULTS
 constexpr size_t kMostAskBytes = 4096;
 constexpr int kSchema = 1;
 
 std::string ToText(const Shard& shard) { return Formatted("%d/%d", shard.index, shard.count); }
 
 fs::path AskFile(const fs::path& results, const db::ReaderId& reader) {
-  return results / kFolder / (kAskStart + db::ToHex(reader) + kAskEnd);
+  return results / kKeysFolder / (kAskStart + db::ToHex(reader) + kAskEnd);
 }
 fs::path AnswerFolder(const fs::path& results, const db::ReaderId& reader) {
-  return results / kFolder / db::ToHex(reader);
+  return results / kKeysFolder / db::ToHex(reader);
 }
 
 // kNewerSchema, kIntegrity; what `read` throws, too.
@@ -211,9 +211,9 @@ Result<std::vector<db::SessionKey>> AskForKeys(const fs::path& results, const Sh
   const db::ReaderKey own = db::ReaderKey::Passing();
   const db::ReaderId reader = db::IdOf(own.public_key());
   const fs::path file = AskFile(results, reader), folder = AnswerFolder(results, reader);
-  SLX_RETURN_IF_ERROR(db::MakeFolder(results / kFolder));
+  SLX_RETURN_IF_ERROR(db::MakeFolder(results / kKeysFolder));
   std::error_code error;
-  fs::permissions(results / kFolder, fs::perms::owner_all, error);  // of another user's, who answers or refuses
+  fs::permissions(results / kKeysFolder, fs::perms::owner_all, error);  // of another user's, who answers or refuses
   const StandingAsk standing(file, folder);
   const Json ask = {
       {"schema", kSchema}, {"plan", plan.id}, {"shard", ToText(shard)}, {"reader", db::ToText(own.public_key())}};
@@ -237,7 +237,7 @@ Result<std::vector<db::SessionKey>> AskForKeys(const fs::path& results, const Sh
 KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const ShardPlan& plan) {
   KeyAnswers answers;
   const auto refuse = [&answers](const std::string& why) { answers.problems.push_back(why); };
-  const fs::path keys = results / kFolder;
+  const fs::path keys = results / kKeysFolder;
   struct stat info {};
   if (lstat(keys.c_str(), &info) != 0) {
     if (errno != ENOENT) refuse("cannot look at " + keys.string() + ": " + std::strerror(errno));
@@ -252,7 +252,8 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     refuse(own.message());
     return answers;
   }
-  const auto lock = db::FileLock::TryTake(results / kLock, "another program answers the asks of " + results.string());
+  const auto lock =
+      db::FileLock::TryTake(results / kAnswerLock, "another program answers the asks of " + results.string());
   if (!lock.ok()) {
     refuse(lock.status().message());
     return answers;

@@ -27,7 +27,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kFolder = "nights";
+constexpr const char* kNightsFolder = "nights";
 constexpr const char* kNight = "night";  // of all
 constexpr const char* kEnding = ".jsonl";
 constexpr std::pair<NightEventKind, const char*> kKinds[] = {
@@ -108,7 +108,7 @@ Result<NightLog> NightLog::Begin(const fs::path& store) {
 }
 
 Result<NightLog> NightLog::Open(const fs::path& store, const std::string& name) {
-  NightLog log(store, store / kFolder / name);
+  NightLog log(store, store / kNightsFolder / name);
   SLX_RETURN_IF_ERROR(db::MakeFolder(log.folder_));
   return log;
 }
@@ -147,7 +147,7 @@ fs::path NightLog::WorkerLog(const std::string& session, int attempt) const {
 std::vector<std::string> Nights(const fs::path& store) {
   std::vector<std::string> names;
   std::error_code error;
-  for (fs::directory_iterator at(store / kFolder, error), end; !error && at != end; at.increment(error))
+  for (fs::directory_iterator at(store / kNightsFolder, error), end; !error && at != end; at.increment(error))
     if (fs::is_directory(at->path(), error)) names.push_back(at->path().filename().string());
   std::sort(names.begin(), names.end());
   return names;

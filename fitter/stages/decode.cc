@@ -8,7 +8,7 @@
 namespace stratalux::fit {
 namespace {
 
-const std::vector<std::string> kChannels = {"column", "row", "column_sigma", "row_sigma", "reason"};
+const std::vector<std::string> kCodeChannels = {"column", "row", "column_sigma", "row_sigma", "reason"};
 
 std::filesystem::path FileOf(const std::filesystem::path& folder, size_t projector) {
   return folder / ("decoded_" + std::to_string(projector) + ".exr");
@@ -151,7 +151,7 @@ Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face)
       site[3] = map.row_sigma.pixels()[i];
       site[4] = map.reason.pixels()[i];
     }
-    SLX_RETURN_IF_ERROR(WriteExr(FileOf(folder, p), all, kChannels));
+    SLX_RETURN_IF_ERROR(WriteExr(FileOf(folder, p), all, kCodeChannels));
   }
   return WriteJson(folder / "decode.json", {{"projectors", face.maps.size()}, {"counts", face.counts}});
 }
@@ -164,7 +164,7 @@ Result<DecodedFace> LoadDecoded(const std::filesystem::path& folder) {
     json.at("counts").get_to(face.counts);
   }));
   for (size_t p = 0; p < projectors; ++p) {
-    SLX_ASSIGN_OR_RETURN(const auto all, ReadExr(FileOf(folder, p), kChannels));
+    SLX_ASSIGN_OR_RETURN(const auto all, ReadExr(FileOf(folder, p), kCodeChannels));
     const Image<float> empty(all.width(), all.height());
     DecodedMap map{empty, empty, empty, empty, Image<uint8_t>(all.width(), all.height())};
     for (size_t i = 0; i < map.reason.size(); ++i) {

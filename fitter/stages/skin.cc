@@ -10,7 +10,7 @@
 namespace stratalux::fit {
 namespace {
 
-const std::vector<std::string> kChannels = {"probability", "skin", "reason"};
+const std::vector<std::string> kSkinChannels = {"probability", "skin", "reason"};
 
 nlohmann::ordered_json JsonOf(const SkinTrait& trait) { return {{"centre", trait.centre}, {"scale", trait.scale}}; }
 
@@ -72,7 +72,7 @@ Status SaveSkin(const std::filesystem::path& folder, const SkinMask& mask) {
       map(i, j, 1) = mask.skin(i, j);
       map(i, j, 2) = mask.reason(i, j);
     }
-  SLX_RETURN_IF_ERROR(WriteExr(folder / "skin.exr", map, kChannels));
+  SLX_RETURN_IF_ERROR(WriteExr(folder / "skin.exr", map, kSkinChannels));
   nlohmann::ordered_json counts;
   for (int r = 0; r < kSkinReasons; ++r) counts[ToString(static_cast<SkinReason>(r))] = mask.counts[r];
   return WriteJson(folder / "skin.json", {{"told", mask.told},
@@ -95,7 +95,7 @@ Result<SkinMask> LoadSkin(const std::filesystem::path& folder) {
     mask.log_reflectance = TraitOf(json.at("log_reflectance"));
     mask.share = TraitOf(json.at("share"));
   }));
-  SLX_ASSIGN_OR_RETURN(const auto map, ReadExr(folder / "skin.exr", kChannels));
+  SLX_ASSIGN_OR_RETURN(const auto map, ReadExr(folder / "skin.exr", kSkinChannels));
   mask.probability = Image<float>(map.width(), map.height());
   mask.skin = mask.reason = Image<uint8_t>(map.width(), map.height());
   for (int j = 0; j < map.height(); ++j)
