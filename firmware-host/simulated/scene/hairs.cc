@@ -41,7 +41,7 @@ void HairMap::Grow(const HairField& field, uint64_t seed, uint64_t stream,
     }
 }
 
-// A head has 40,000 hairs of some 2,700 samples. The cells are those of CellOf for each sample, which costs five times
+// A head has 40,000 hairs of some 2,700 samples. The cells are those of CellOf for each sample, which costs four times
 // as long.
 void HairMap::Draw(double x, double y, double angle_rad, double length_mm, const HairField& field) {
   constexpr double kStepMm = 0.5 * kHairCellMm;
