@@ -16,10 +16,9 @@ void Reorder(SrdBatch& batch, const std::vector<int>& order) {
     std::vector<float> before(batch.samples);
     for (int64_t i = begin; i < end; ++i) {
       if (batch.valid[i] == 0) continue;
-      for (const std::span<float> samples : {batch.Samples(i), batch.Variances(i)}) {
-        std::ranges::copy(samples, before.begin());
-        for (int k = 0; k < batch.samples; ++k) samples[k] = before[order[k]];
-      }
+      const std::span<float> samples = batch.Samples(i);
+      std::ranges::copy(samples, before.begin());
+      for (int k = 0; k < batch.samples; ++k) samples[k] = before[order[k]];
     }
   });
 }

@@ -3,7 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <span>
+#include <iterator>
+#include <optional>
 
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/evaluation/heldout_takes.h"
@@ -14,6 +15,7 @@
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/parallel.h"
+#include "shared/base/parallel_try.h"
 #include "shared/image/finite_at.h"
 
 namespace stratalux::fit {
@@ -31,11 +33,12 @@ Image<float> Difference(const Image<float>& a, const Image<float>& b) { return C
 // Quads that every model has fitted, in all colours.
 Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, int height) {
   Image<uint8_t> fitted(width, height, 1, 1);
-  for (const ComparedModel& model : models)
-    for (const auto& [light, prediction] : model.predictions)
-      for (int j = 0; j < height; ++j)
-        for (int i = 0; i < width; ++i)
-          if (!FiniteAt(prediction.surface, i, j)) fitted(i, j) = 0;
+  for (const ComparedModel& model : models) {
+    const Image<float>& any = model.prediction.subsurface.begin()->second;
+    for (int j = 0; j < height; ++j)
+      for (int i = 0; i < width; ++i)
+        if (!FiniteAt(any, i, j)) fitted(i, j) = 0;
+  }
   return fitted;
 }
 
@@ -142,11 +145,79 @@ std::vector<std::vector<ErrorSample>> SampleErrors(const CompareInput& in, const
   return samples;
 }
 
-// The images of a figure.
-struct Judged {
-  size_t figure = 0;
-  Image<float> real, estimate;
+// A light, as it was captured and as what is known of it beside the models.
+struct JudgedLight {
+  std::string name;
+  Target target;
+  Image<float> irradiance, direct;              // direct: separated, under the pattern
+  std::optional<Image<float>> true_subsurface;  // where there is truth
+  double noise_nrmse = 0.0, camera_noise_nrmse = 0.0;
+
+  // Less the model's own share of it.
+  [[nodiscard]] Image<float> Remaining(const Prediction& p) const {
+    return Difference(direct, p.DirectLight(name, irradiance));
+  }
+  [[nodiscard]] Image<float> Predicted(const Prediction& p) const {
+    return Sum(p.subsurface.at(name), p.SurfaceLight(name, irradiance));
+  }
 };
+
+Result<JudgedLight> ReadLight(const CompareInput& in, size_t light, const Image<float>& direct_reflectance,
+                              const Image<uint8_t>& mask) {
+  JudgedLight judged;
+  judged.name = in.view.lights[light];
+  SLX_ASSIGN_OR_RETURN(judged.target, ReadTarget(in, judged.name));
+  judged.irradiance = in.view.irradiance[light];
+  judged.direct = ReflectedLight(direct_reflectance, judged.irradiance);
+  judged.noise_nrmse = NoiseOfTakes(judged.target, mask);
+  judged.camera_noise_nrmse = NoiseFloor(judged.target.light, judged.target.variance, mask);
+  if (in.truth) {
+    SLX_ASSIGN_OR_RETURN(judged.true_subsurface, in.truth->Subsurface(judged.name, in.view.projector));
+  }
+  return judged;
+}
+
+// On all threads.
+template <typename Work>
+void ForEach(size_t count, const Work& work) {
+  ParallelFor(static_cast<int64_t>(count), 1, [&](int64_t begin, int64_t end) {
+    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i) work(i);
+  });
+}
+
+// A model's figures: of all of the light, by the separated surface and by its own, and of what came from below.
+std::vector<HeldOutFigure> FiguresOf(const CompareInput& in, const ComparedModel& model, const JudgedLight& light,
+                                     const Image<uint8_t>& mask) {
+  const Prediction& p = model.prediction;
+  const Image<float>&subsurface = p.subsurface.at(light.name), &captured = light.target.light;
+  std::vector<HeldOutFigure> figures;
+  const auto add = [&](const char* part, const char* with, const Image<float>& real, const Image<float>& estimate,
+                       bool noisy) {
+    figures.push_back({in.view.projector, light.name, model.name, part, with, in.geometry, in.pool, light.target.takes,
+                       CompareImages(real, estimate, mask), noisy ? light.noise_nrmse : 0.0,
+                       noisy ? light.camera_noise_nrmse : 0.0});
+  };
+  const Image<float> remaining = light.Remaining(p);
+  add("total", "separated", captured, Sum(subsurface, remaining), true);
+  add("total", "predicted", captured, light.Predicted(p), true);
+  if (light.true_subsurface)
+    add("subsurface", "truth", *light.true_subsurface, subsurface, false);
+  else
+    add("subsurface", "separated", Difference(captured, remaining), subsurface, true);
+  return figures;
+}
+
+// What the report shows, of the first model and of homogeneous layers.
+LightComparison PicturesOf(const JudgedLight& light, const std::vector<ComparedModel>& models) {
+  const Prediction& first = models.front().prediction;
+  LightComparison pictures{light.name, light.target.light, light.Remaining(first), first.subsurface.at(light.name), {},
+                           {}};
+  pictures.total = Sum(pictures.subsurface, pictures.direct);
+  for (const ComparedModel& model : models)
+    if (model.name == "homogeneous")
+      pictures.total_homogeneous = Sum(model.prediction.subsurface.at(light.name), light.Remaining(model.prediction));
+  return pictures;
+}
 
 }  // namespace
 
@@ -163,56 +234,30 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   comparison.errors = {in.view.projector, view.lights, in.separation.direct.channels(), {}};
   const Image<float> direct_reflectance =
       DirectReflectance({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface, in.separation);
-  for (size_t k = 0; k < view.lights.size(); ++k) {
-    const std::string& light = view.lights[k];
-    SLX_ASSIGN_OR_RETURN(const Target target, ReadTarget(in, light));
-    const Image<float> direct = ReflectedLight(direct_reflectance, view.irradiance[k]);
-    std::optional<Image<float>> true_subsurface;
-    if (in.truth) {
-      SLX_ASSIGN_OR_RETURN(true_subsurface, in.truth->Subsurface(light, in.view.projector));
-    }
-    const double noise = NoiseOfTakes(target, masks.judged),
-                 camera_noise = NoiseFloor(target.light, target.variance, masks.judged);
-    LightComparison picture{light, target.light, {}, {}, {}, {}};
-    std::vector<Judged> judged;
-    for (const ComparedModel& model : models) {
-      const Prediction& p = model.predictions.at(light);
-      auto add = [&](const char* part, const char* with, const Image<float>& real, Image<float> estimate,
-                     bool captured) {
-        judged.push_back({comparison.figures.size(), real, std::move(estimate)});
-        comparison.figures.push_back({in.view.projector,
-                                      light,
-                                      model.name,
-                                      part,
-                                      with,
-                                      in.geometry,
-                                      in.pool,
-                                      target.takes,
-                                      {},
-                                      captured ? noise : 0.0,
-                                      captured ? camera_noise : 0.0});
-      };
-      const Image<float> remaining = Difference(direct, p.direct_part), total = Sum(p.subsurface, remaining);
-      add("total", "separated", target.light, total, true);
-      add("total", "predicted", target.light, Sum(p.subsurface, p.surface), true);
-      if (true_subsurface)
-        add("subsurface", "truth", *true_subsurface, p.subsurface, false);
-      else
-        add("subsurface", "separated", Difference(target.light, remaining), p.subsurface, true);
-      if (model.name == "homogeneous") picture.total_homogeneous = total;
-      if (&model != &models[0]) continue;
-      picture.direct = remaining;
-      picture.subsurface = p.subsurface;
-      picture.total = total;
-      for (auto& colour : SampleErrors(in, target, Sum(p.subsurface, p.surface), masks, comparison.coverage.judged))
-        comparison.errors.samples.push_back(std::move(colour));
-      comparison.coverage.left_out_nrmse[light] = CompareImages(target.light, total, masks.left_out).nrmse;
-    }
-    ParallelFor(static_cast<int64_t>(judged.size()), 1, [&](int64_t begin, int64_t end) {
-      for (const Judged& one : std::span(judged).subspan(begin, end - begin))
-        comparison.figures[one.figure].error = CompareImages(one.real, one.estimate, masks.judged);
-    });
-    comparison.pictures.push_back(std::move(picture));
+  const size_t lights = view.lights.size();
+  std::vector<JudgedLight> judged(lights);  // frames and truth are thread-bound
+  for (size_t k = 0; k < lights; ++k) {
+    SLX_ASSIGN_OR_RETURN(judged[k], ReadLight(in, k, direct_reflectance, masks.judged));
+  }
+  std::vector<std::vector<HeldOutFigure>> figures(lights * models.size());
+  ForEach(figures.size(), [&](size_t i) {
+    figures[i] = FiguresOf(in, models[i % models.size()], judged[i / models.size()], masks.judged);
+  });
+  for (const auto& of_model : figures)
+    comparison.figures.insert(comparison.figures.end(), of_model.begin(), of_model.end());
+  comparison.pictures.resize(lights);
+  std::vector<std::vector<std::vector<ErrorSample>>> samples(lights);
+  std::vector<double> left_out(lights);
+  ForEach(lights, [&](size_t k) {
+    const JudgedLight& light = judged[k];
+    samples[k] =
+        SampleErrors(in, light.target, light.Predicted(models.front().prediction), masks, comparison.coverage.judged);
+    comparison.pictures[k] = PicturesOf(light, models);
+    left_out[k] = CompareImages(light.target.light, comparison.pictures[k].total, masks.left_out).nrmse;
+  });
+  for (size_t k = 0; k < lights; ++k) {
+    for (auto& colour : samples[k]) comparison.errors.samples.push_back(std::move(colour));
+    comparison.coverage.left_out_nrmse[view.lights[k]] = left_out[k];
   }
   return comparison;
 }
@@ -235,11 +280,14 @@ Status SaveComparison(const std::filesystem::path& folder, const Comparison& com
   for (const LightComparison& picture : comparison.pictures) {
     json["lights"].push_back(picture.light);
     json["channels"] = picture.measured.channels();
-    for (const auto& [name, member] : kPictures)
-      if (!(picture.*member).empty())
-        SLX_RETURN_IF_ERROR(
-            WriteExr(folder / (picture.light + name), picture.*member, Colours(picture.measured.channels())));
   }
+  SLX_RETURN_IF_ERROR(ParallelTry(comparison.pictures.size() * std::size(kPictures), [&](size_t k) {
+    const LightComparison& picture = comparison.pictures[k / std::size(kPictures)];
+    const auto& [name, member] = kPictures[k % std::size(kPictures)];
+    return (picture.*member).empty()
+               ? Status::Ok()
+               : WriteExr(folder / (picture.light + name), picture.*member, Colours(picture.measured.channels()));
+  }));
   return WriteJson(folder / "compare.json", json);
 }
 
@@ -255,12 +303,14 @@ Result<Comparison> LoadComparison(const std::filesystem::path& folder) {
   comparison.errors = {comparison.coverage.projector, {}, channels, {}};
   for (const LightComparison& picture : comparison.pictures) comparison.errors.lights.push_back(picture.light);
   SLX_RETURN_IF_ERROR(LoadErrors(folder, comparison.errors));
-  for (LightComparison& picture : comparison.pictures)
-    for (const auto& [name, member] : kPictures) {
-      const std::filesystem::path file = folder / (picture.light + name);
-      if (std::error_code error; !std::filesystem::exists(file, error)) continue;
-      SLX_ASSIGN_OR_RETURN(picture.*member, ReadExr(file, Colours(channels)));
-    }
+  SLX_RETURN_IF_ERROR(ParallelTry(comparison.pictures.size() * std::size(kPictures), [&](size_t k) -> Status {
+    LightComparison& picture = comparison.pictures[k / std::size(kPictures)];
+    const auto& [name, member] = kPictures[k % std::size(kPictures)];
+    const std::filesystem::path file = folder / (picture.light + name);
+    if (std::error_code error; !std::filesystem::exists(file, error)) return Status::Ok();
+    SLX_ASSIGN_OR_RETURN(picture.*member, ReadExr(file, Colours(channels)));
+    return Status::Ok();
+  }));
   return comparison;
 }
 

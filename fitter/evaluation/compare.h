@@ -18,11 +18,11 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 7;
+inline constexpr int kCompareVersion = 8;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
-  Predictions predictions;
+  Prediction prediction;
 };
 
 struct CompareInput {

@@ -23,45 +23,48 @@ constexpr std::array<PatternAxis, 2> kAxes = {PatternAxis::kColumns, PatternAxis
 // A quad under the light. Contrast is taken at the site of red: the amplitude is found site by site, so the blur of a
 // single site counts, also for the two greens.
 struct LitQuad {
-  std::array<SrdGeometry, 2> axes;   // columns, rows
-  std::array<double, 2> surface{};   // contrast of the very surface under the sinusoids of that axis
-  std::array<double, 3> white_dn{};  // E of each colour
+  std::array<SrdGeometry, 2> axes;  // columns, rows
+  std::array<double, 2> surface{};  // contrast of the very surface under the sinusoids of that axis
 };
+
+SrdGeometry GeometryOf(const HeldOutLight& light, const SurfaceMap& surface, int i, int j, int channel,
+                       PatternAxis axis) {
+  return ComputeSrdGeometry(light.rig, light.projector, surface.Point(i, j), surface.Normal(i, j),
+                            QuadCentre(light.rig.camera.cfa, i, j), channel, light.exposure_ms, axis);
+}
 
 std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surface, int i, int j) {
   if (surface.mask(i, j) == 0) return std::nullopt;
-  const Eigen::Vector3d point = surface.Point(i, j), normal = surface.Normal(i, j);
-  const Cfa cfa = light.rig.camera.cfa;
-  const auto geometry_of = [&](int channel, PatternAxis axis) {
-    return ComputeSrdGeometry(light.rig, light.projector, point, normal, QuadCentre(cfa, i, j), channel,
-                              light.exposure_ms, axis);
-  };
   LitQuad quad;
   for (size_t a = 0; a < 2; ++a) {
-    const SrdGeometry& g = quad.axes[a] = geometry_of(0, kAxes[a]);
+    const SrdGeometry& g = quad.axes[a] = GeometryOf(light, surface, i, j, 0, kAxes[a]);
     if (!(g.white_dn > 0.0)) return std::nullopt;
     const double wave = 2.0 * std::numbers::pi / (light.separation_period * g.mm_per_column);
     const double half_pixel = std::numbers::pi / light.separation_period;  // the projector's pixels are boxes
     quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
   }
-  for (int c = 0; c < QuadChannels(cfa); ++c) quad.white_dn[c] = geometry_of(c, PatternAxis::kColumns).white_dn;
   return quad;
 }
 
-// Light of a profile's layers that the sinusoids of axis `a` still resolve, as a share of the irradiance and seen with
-// the contrast of the very surface: sum w exp(-2 pi^2 sigma^2 / period^2).
-double ResolvedLayers(const LitQuad& quad, size_t a, double period, const RefractedDirections& directions,
-                      const MixtureMap& map, int64_t profile) {
-  const SrdGeometry& g = quad.axes[a];
-  const double wave = 2.0 * std::numbers::pi / (period * g.mm_per_column);
-  double narrow = 0.0;
+// Light of a profile's layers that the sinusoids still resolve, as a share of the irradiance and seen with the contrast
+// of the very surface: sum w exp(-2 pi^2 sigma^2 / period^2); both axes together.
+double ResolvedLayers(const LitQuad& quad, double period, const RefractedDirections& directions, const MixtureMap& map,
+                      int64_t profile) {
+  std::array<double, 2> half_wave2{};
+  for (size_t a = 0; a < 2; ++a)
+    half_wave2[a] = 0.5 * std::pow(2.0 * std::numbers::pi / (period * quad.axes[a].mm_per_column), 2);
+  std::array<double, 2> narrow{};
   for (int l = 0; l < map.layers; ++l) {
     const size_t at = static_cast<size_t>(profile) * map.layers + l;
-    const double sigma = map.sigma_mm[at];
-    narrow += map.weight[at] * DirectionalFactor(map.scattering.directional, directions, map.depth_mm[at], sigma) *
-              std::exp(-0.5 * wave * wave * sigma * sigma);
+    const double sigma = map.sigma_mm[at], weight = map.weight[at];
+    if (!(weight > 0.0)) continue;
+    const double light = weight * DirectionalFactor(map.scattering.directional, directions, map.depth_mm[at], sigma);
+    for (size_t a = 0; a < 2; ++a) narrow[a] += light * std::exp(-half_wave2[a] * sigma * sigma);
   }
-  return quad.surface[a] * narrow * AngularGain(map.scattering, g.cos_in);
+  double resolved = 0.0;
+  for (size_t a = 0; a < 2; ++a)
+    resolved += quad.surface[a] * narrow[a] * AngularGain(map.scattering, quad.axes[a].cos_in);
+  return resolved;
 }
 
 void ForEachQuad(const SurfaceMap& surface, const std::function<void(int i, int j)>& look) {
@@ -80,8 +83,9 @@ Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surf
     const auto quad = LookAt(light, surface, i, j);
     if (!quad) return;
     for (int c = 0; c < channels; ++c) {
-      const double scale = 2.0 / (quad->white_dn[c] * (quad->surface[0] + quad->surface[1]));
-      if (!(quad->white_dn[c] > 0.0)) continue;
+      const double white_dn = GeometryOf(light, surface, i, j, c, PatternAxis::kColumns).white_dn;
+      if (!(white_dn > 0.0)) continue;
+      const double scale = 2.0 / (white_dn * (quad->surface[0] + quad->surface[1]));
       direct(i, j, c) = static_cast<float>(separation.direct(i, j, c) * scale);
       variance(i, j, c) = static_cast<float>(separation.direct_variance(i, j, c) * scale * scale);
     }
@@ -89,8 +93,8 @@ Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surf
   return ShrinkNoise(direct, variance, kReach);
 }
 
-Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map, int pool) {
-  Image<float> part(surface.width(), surface.height(), map.channels, std::nanf(""));
+Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map, int pool) {
+  Image<float> share(surface.width(), surface.height(), map.channels, std::nanf(""));
   ForEachQuad(surface, [&](int i, int j) {
     const auto quad = LookAt(light, surface, i, j);
     if (!quad) return;
@@ -101,13 +105,11 @@ Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, co
     for (int c = 0; c < map.channels; ++c) {
       const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
       if (profile < 0 || !map.Fitted(profile)) continue;
-      double resolved = 0.0;
-      for (size_t a = 0; a < 2; ++a)
-        resolved += ResolvedLayers(*quad, a, light.separation_period, directions, map, profile);
-      part(i, j, c) = static_cast<float>(resolved / (quad->surface[0] + quad->surface[1]));
+      const double resolved = ResolvedLayers(*quad, light.separation_period, directions, map, profile);
+      share(i, j, c) = static_cast<float>(resolved / (quad->surface[0] + quad->surface[1]));
     }
   });
-  return part;
+  return share;
 }
 
 }  // namespace stratalux::fit

@@ -27,7 +27,7 @@ struct HeldOutLight {
 [[nodiscard]] Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface,
                                              const SeparationMap& separation);
 // The model's share of it, in the same unit; NaN where nothing was fitted.
-[[nodiscard]] Image<float> DirectPart(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,
-                                      int pool);
+[[nodiscard]] Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,
+                                       int pool);
 
 }  // namespace stratalux::fit

@@ -13,38 +13,72 @@ namespace {
 constexpr int kRadius = 5;  // 11 x 11 windows
 constexpr double kSigma = 1.5;
 
-// Wang et al. 2004, mean over windows wholly inside the mask; NaN when there is none.
-double StructuralSimilarity(ImageView<const float> a, ImageView<const float> b, const Image<uint8_t>& valid,
-                            int channel, double peak) {
-  std::array<double, 2 * kRadius + 1> g{};
+using Window = std::array<double, 2 * kRadius + 1>;
+
+Window GaussianWindow() {
+  Window g{};
   double norm = 0.0;
   for (int k = -kRadius; k <= kRadius; ++k) norm += g[k + kRadius] = std::exp(-0.5 * k * k / (kSigma * kSigma));
   for (double& v : g) v /= norm;
+  return g;
+}
+
+// Weighted sums over a window of a, b, their squares and their product, and how many of its pixels are valid.
+struct Moments {
+  double a = 0.0, b = 0.0, aa = 0.0, bb = 0.0, ab = 0.0;
+  int valid = 0;
+};
+
+// Along rows, of one channel: Gaussian windows fall apart into rows and columns.
+std::vector<Moments> RowMoments(ImageView<const float> a, ImageView<const float> b, const Image<uint8_t>& valid,
+                                int channel, int y, const Window& g) {
+  std::vector<Moments> row(static_cast<size_t>(a.width()));
+  for (int x = 0; x < a.width(); ++x) {
+    if (valid(x, y) == 0) continue;
+    const double p = a(x, y, channel), q = b(x, y, channel);
+    for (int at = std::max(0, x - kRadius); at <= std::min(a.width() - 1, x + kRadius); ++at) {
+      const double w = g[x - at + kRadius];
+      Moments& m = row[at];
+      m.a += w * p;
+      m.b += w * q;
+      m.aa += w * p * p;
+      m.bb += w * q * q;
+      m.ab += w * p * q;
+      ++m.valid;
+    }
+  }
+  return row;
+}
+
+// Wang et al. 2004, mean over windows wholly inside the mask; NaN when there is none.
+double StructuralSimilarity(ImageView<const float> a, ImageView<const float> b, const Image<uint8_t>& valid,
+                            int channel, double peak) {
+  constexpr int kSide = 2 * kRadius + 1;
+  const Window g = GaussianWindow();
   const double c1 = std::pow(0.01 * peak, 2), c2 = std::pow(0.03 * peak, 2);
   double sum = 0.0;
   int64_t count = 0;
-  for (int y = kRadius; y < a.height() - kRadius; ++y)
+  std::array<std::vector<Moments>, kSide> rows;  // the last so many, in turn
+  for (int y = 0; y < a.height(); ++y) {
+    rows[y % kSide] = RowMoments(a, b, valid, channel, y, g);
+    if (y < kSide - 1) continue;
     for (int x = kRadius; x < a.width() - kRadius; ++x) {
-      double ma = 0, mb = 0, aa = 0, bb = 0, ab = 0;
-      bool inside = true;
-      for (int j = -kRadius; j <= kRadius && inside; ++j)
-        for (int i = -kRadius; i <= kRadius; ++i) {
-          if (valid(x + i, y + j) == 0) {
-            inside = false;
-            break;
-          }
-          const double w = g[i + kRadius] * g[j + kRadius], p = a(x + i, y + j, channel), q = b(x + i, y + j, channel);
-          ma += w * p;
-          mb += w * q;
-          aa += w * p * p;
-          bb += w * q * q;
-          ab += w * p * q;
-        }
-      if (!inside) continue;
-      const double va = aa - ma * ma, vb = bb - mb * mb, cov = ab - ma * mb;
-      sum += (2 * ma * mb + c1) * (2 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
+      Moments m;
+      for (int j = 0; j < kSide; ++j) {
+        const Moments& row = rows[(y + 1 + j) % kSide][x];  // the oldest first
+        m.a += g[j] * row.a;
+        m.b += g[j] * row.b;
+        m.aa += g[j] * row.aa;
+        m.bb += g[j] * row.bb;
+        m.ab += g[j] * row.ab;
+        m.valid += row.valid;
+      }
+      if (m.valid < kSide * kSide) continue;
+      const double va = m.aa - m.a * m.a, vb = m.bb - m.b * m.b, cov = m.ab - m.a * m.b;
+      sum += (2 * m.a * m.b + c1) * (2 * cov + c2) / ((m.a * m.a + m.b * m.b + c1) * (va + vb + c2));
       ++count;
     }
+  }
   return count > 0 ? sum / static_cast<double>(count) : std::nan("");
 }
 

@@ -2,7 +2,9 @@
 #include "fitter/evaluation/predict.h"
 
 #include <array>
+#include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/export/exr_file.h"
@@ -10,6 +12,7 @@
 #include "fitter/render/surface_light.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 
@@ -19,20 +22,38 @@ std::vector<std::string> HeldOutLights(const PlanOptions& plan) {
   return lights;
 }
 
-Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
+namespace {
+
+// What was not fitted stays unknown.
+Image<float> OfIrradiance(const Image<float>& share, const Image<float>& irradiance, const Image<float>& subsurface) {
+  Image<float> light = ReflectedLight(share, irradiance);
+  for (size_t i = 0; i < light.size(); ++i)
+    if (std::isnan(subsurface.pixels()[i])) light.pixels()[i] = std::nanf("");
+  return light;
+}
+
+}  // namespace
+
+Image<float> Prediction::SurfaceLight(const std::string& light, const Image<float>& irradiance) const {
+  return OfIrradiance(reflectance, irradiance, subsurface.at(light));
+}
+
+Image<float> Prediction::DirectLight(const std::string& light, const Image<float>& irradiance) const {
+  return OfIrradiance(direct_share, irradiance, subsurface.at(light));
+}
+
+Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
   const SurfaceMap& surface = view.shape.surface;
-  const Image<float> reflectance = SurfaceReflectance(map, surface, view.lit.light, pool),
-                     part = DirectPart({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface,
-                                       map, pool);
+  Prediction prediction;
+  prediction.reflectance = SurfaceReflectance(map, surface, view.lit.light, pool);
+  prediction.direct_share =
+      DirectShare({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface, map, pool);
   std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, view.rig, view.lit, view.pyramids, {pool});
-  Predictions predictions;
   for (size_t k = 0; k < view.lights.size(); ++k) {
-    Prediction& p = predictions[view.lights[k]];
-    p = {std::move(subsurface[k]), ReflectedLight(reflectance, view.irradiance[k]),
-         ReflectedLight(part, view.irradiance[k])};
-    MarkUnfitted(map, surface, pool, std::array{&p.subsurface, &p.surface, &p.direct_part});
+    MarkUnfitted(map, surface, pool, std::array{&subsurface[k]});
+    prediction.subsurface[view.lights[k]] = std::move(subsurface[k]);
   }
-  return predictions;
+  return prediction;
 }
 
 std::vector<double> TotalWeights(const MixtureMap& map) {
@@ -43,55 +64,57 @@ std::vector<double> TotalWeights(const MixtureMap& map) {
   return totals;
 }
 
-Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, std::span<const double> of,
-                              std::span<const double> to, int pool) {
-  for (auto& [light, prediction] : predictions)
-    for (Image<float>* image : {&prediction.subsurface, &prediction.direct_part})
-      for (int j = 0; j < image->height(); ++j)
-        for (int i = 0; i < image->width(); ++i)
-          for (int c = 0; c < image->channels(); ++c) {
-            const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
-            if (profile >= 0 && of[profile] > 0.0)
-              (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (to[profile] / of[profile]));
-          }
-  return predictions;
+Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::span<const double> of,
+                            std::span<const double> to, int pool) {
+  std::vector<Image<float>*> images = {&prediction.direct_share};
+  for (auto& [light, image] : prediction.subsurface) images.push_back(&image);
+  for (Image<float>* image : images)
+    for (int j = 0; j < image->height(); ++j)
+      for (int i = 0; i < image->width(); ++i)
+        for (int c = 0; c < image->channels(); ++c) {
+          const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+          if (profile >= 0 && of[profile] > 0.0)
+            (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (to[profile] / of[profile]));
+        }
+  return prediction;
 }
 
 namespace {
 
-constexpr const char* kParts[] = {"_subsurface.exr", "_surface.exr", "_direct_part.exr"};
+constexpr const char *kSubsurface = "_subsurface.exr", *kReflectance = "reflectance.exr",
+                     *kDirectShare = "direct_share.exr";
 
 }  // namespace
 
-Status SavePredictions(const std::filesystem::path& folder, const Predictions& predictions) {
+Status SavePrediction(const std::filesystem::path& folder, const Prediction& prediction) {
   nlohmann::ordered_json lights = nlohmann::ordered_json::array();
-  int channels = 1;
-  for (const auto& [light, p] : predictions) {
+  const int channels = prediction.reflectance.channels();
+  std::vector<std::pair<std::string, const Image<float>*>> files = {{kReflectance, &prediction.reflectance},
+                                                                    {kDirectShare, &prediction.direct_share}};
+  for (const auto& [light, image] : prediction.subsurface) {
     lights.push_back(light);
-    channels = p.subsurface.channels();
-    const Image<float>* parts[] = {&p.subsurface, &p.surface, &p.direct_part};
-    for (int k = 0; k < 3; ++k)
-      SLX_RETURN_IF_ERROR(WriteExr(folder / (light + kParts[k]), *parts[k], Colours(channels)));
+    files.emplace_back(light + kSubsurface, &image);
   }
+  SLX_RETURN_IF_ERROR(ParallelTry(
+      files.size(), [&](size_t k) { return WriteExr(folder / files[k].first, *files[k].second, Colours(channels)); }));
   return WriteJson(folder / "predict.json", {{"lights", lights}, {"channels", channels}});
 }
 
-Result<Predictions> LoadPredictions(const std::filesystem::path& folder) {
+Result<Prediction> LoadPrediction(const std::filesystem::path& folder) {
   std::vector<std::string> lights;
   int channels = 1;
   SLX_RETURN_IF_ERROR(ReadJson(folder / "predict.json", [&](const nlohmann::json& json) {
     json.at("lights").get_to(lights);
     json.at("channels").get_to(channels);
   }));
-  Predictions predictions;
+  const std::vector<std::string> colours = Colours(channels);
+  Prediction prediction;
   for (const std::string& light : lights) {
-    Prediction& p = predictions[light];
-    Image<float>* parts[] = {&p.subsurface, &p.surface, &p.direct_part};
-    for (int k = 0; k < 3; ++k) {
-      SLX_ASSIGN_OR_RETURN(*parts[k], ReadExr(folder / (light + kParts[k]), Colours(channels)));
-    }
+    SLX_ASSIGN_OR_RETURN(prediction.subsurface[light], ReadExr(folder / (light + kSubsurface), colours));
   }
-  return predictions;
+  SLX_ASSIGN_OR_RETURN(prediction.reflectance, ReadExr(folder / kReflectance, colours));
+  SLX_ASSIGN_OR_RETURN(prediction.direct_share, ReadExr(folder / kDirectShare, colours));
+  return prediction;
 }
 
 }  // namespace stratalux::fit

@@ -14,33 +14,37 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 9;
+inline constexpr int kPredictVersion = 10;
 
-// Under one light; quads x colours, digital numbers above black; 0 outside the surface, NaN where that colour was not
-// fitted.
+// Quads x colours.
 struct Prediction {
-  Image<float> subsurface;
-  Image<float> surface;      // by the fit's own reflection of the very surface
-  Image<float> direct_part;  // of `subsurface`, what separation would call direct (direct_light.h)
+  // By light: digital numbers above black, 0 outside the surface, NaN where that colour was not fitted.
+  std::map<std::string, Image<float>> subsurface;
+  // Of any light's irradiance (HeldOutView); NaN where nothing was fitted.
+  Image<float> reflectance;   // by the fit's own reflection of the very surface
+  Image<float> direct_share;  // of `subsurface`, what separation would call direct (direct_light.h)
+
+  // Under `light`, whose irradiance that is, as `subsurface` under it.
+  [[nodiscard]] Image<float> SurfaceLight(const std::string& light, const Image<float>& irradiance) const;
+  [[nodiscard]] Image<float> DirectLight(const std::string& light, const Image<float>& irradiance) const;
 };
-using Predictions = std::map<std::string, Prediction>;  // by light
 
 // Lights that sessions of the plan hold: stripe, white and, where it has them, spot.
 [[nodiscard]] std::vector<std::string> HeldOutLights(const PlanOptions& plan);
 
-[[nodiscard]] Predictions Predict(const MixtureMap& map, int pool, const HeldOutView& view);
+[[nodiscard]] Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view);
 
 // Sum of the layers' weights of each profile.
 [[nodiscard]] std::vector<double> TotalWeights(const MixtureMap& map);
 
-// The predictions of layers that are those of `map` but for each profile's total weight, in which subsurface light is
-// linear: from the predictions of layers of total weights `of` to those of total weights `to`. (Layers themselves would
+// The prediction of layers that are those of `map` but for each profile's total weight, in which subsurface light is
+// linear: from the prediction of layers of total weights `of` to that of total weights `to`. (Layers themselves would
 // be most of the memory of a run.)
-[[nodiscard]] Predictions ScaledPredictions(Predictions predictions, const MixtureMap& map, std::span<const double> of,
-                                            std::span<const double> to, int pool);
+[[nodiscard]] Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::span<const double> of,
+                                          std::span<const double> to, int pool);
 
-// <light>_subsurface.exr, <light>_surface.exr, <light>_direct_part.exr, predict.json.
-Status SavePredictions(const std::filesystem::path& folder, const Predictions& predictions);
-[[nodiscard]] Result<Predictions> LoadPredictions(const std::filesystem::path& folder);
+// <light>_subsurface.exr, reflectance.exr, direct_share.exr, predict.json.
+Status SavePrediction(const std::filesystem::path& folder, const Prediction& prediction);
+[[nodiscard]] Result<Prediction> LoadPrediction(const std::filesystem::path& folder);
 
 }  // namespace stratalux::fit

@@ -8,6 +8,7 @@
 #include <span>
 
 #include "shared/base/formatted.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -27,12 +28,16 @@ uint8_t SrgbByte(double linear) {
 Image<uint8_t> ToSrgb(ImageView<const float> linear, double white) {
   Image<uint8_t> out(linear.width(), linear.height(), linear.channels());
   const int channels = linear.channels();
-  for (size_t first = 0; first < out.size(); first += channels) {
-    const std::span<const float> pixel(linear.data() + first, channels);
-    // Red and green without the blue would be another colour.
-    if (!(white > 0.0) || !std::all_of(pixel.begin(), pixel.end(), [](float v) { return std::isfinite(v); })) continue;
-    for (int c = 0; c < channels; ++c) out.pixels()[first + c] = SrgbByte(pixel[c] / white);
-  }
+  if (!(white > 0.0)) return out;
+  const size_t row = static_cast<size_t>(linear.width()) * channels;
+  ParallelFor(linear.height(), 16, [&](int64_t begin, int64_t end) {
+    for (size_t first = begin * row; first < end * row; first += channels) {
+      const std::span<const float> pixel(linear.data() + first, channels);
+      // Red and green without the blue would be another colour.
+      if (!std::all_of(pixel.begin(), pixel.end(), [](float v) { return std::isfinite(v); })) continue;
+      for (int c = 0; c < channels; ++c) out.pixels()[first + c] = SrgbByte(pixel[c] / white);
+    }
+  });
   return out;
 }
 

@@ -22,8 +22,8 @@ double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
   double photons = 0.0;
   for (const SrdBatch* b : lights) {
     if (!b->Shares(profile)) continue;
-    const auto y = b->Samples(profile), v = b->Variances(profile);
-    const double sum = std::accumulate(y.begin(), y.end(), 0.0), variance = std::accumulate(v.begin(), v.end(), 0.0);
+    const auto y = b->Samples(profile);
+    const double sum = std::accumulate(y.begin(), y.end(), 0.0), variance = b->VarianceOfSum(profile);
     if (std::isfinite(sum) && variance > 0.0) photons += sum * sum / variance;
   }
   return photons;

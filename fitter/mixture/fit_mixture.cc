@@ -9,6 +9,7 @@
 #include "fitter/mixture/em_block.h"
 #include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/line_response.h"
+#include "fitter/mixture/photon_noise.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
 
@@ -31,15 +32,20 @@ bool GeometryUsable(const SrdBatch& batch, int64_t i) {
 // A profile is usable when its samples are finite, not constant, and add up to light.
 FitReason Judge(const SrdBatch& batch, int64_t profile) {
   if (batch.valid[profile] == 0) return FitReason::kNoProjector;
-  const auto y = batch.Samples(profile), v = batch.Variances(profile);
+  const auto y = batch.Samples(profile);
   double sum = 0.0;
   float low = y[0], high = y[0];
   for (int k = 0; k < batch.samples; ++k) {
-    if (!Usable(y[k]) || !Usable(v[k]) || !(v[k] >= 0.0F)) return FitReason::kNotFinite;
+    if (!Usable(y[k])) return FitReason::kNotFinite;
     sum += y[k];
     low = std::min(low, y[k]);
     high = std::max(high, y[k]);
   }
+  for (const float noise : {batch.noise_floor[profile], batch.noise_slope[profile]})
+    if (!Usable(noise) || !(noise >= 0.0F)) return FitReason::kNotFinite;
+  const PhotonNoise photons = PhotonNoiseOf(batch, profile);
+  if (!Usable(static_cast<float>(photons.counts)) || !Usable(static_cast<float>(photons.read_shift)))
+    return FitReason::kNotFinite;
   if (!GeometryUsable(batch, profile)) return FitReason::kNotFinite;
   if (!(batch.cos_in[profile] > 1e-3F)) return FitReason::kNoProjector;  // from behind the horizon
   return sum > 0.0 && high > low && high > 1e-9F ? FitReason::kFitted : FitReason::kTooDark;
@@ -433,9 +439,13 @@ std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fit
 
 double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const SurfaceReflection& surface) {
   // Centre each profile's values over its lights, then one regression through the origin.
-  double xy = 0.0, xx = 0.0;
+  constexpr int64_t kRun = 4096;  // profiles whose sums are made together, on however many threads
   const int64_t profiles = lights.empty() ? 0 : lights[0]->profiles();
-  for (int64_t i = 0; i < profiles; ++i) {
+  struct Sums {
+    double xy = 0.0, xx = 0.0;
+  };
+  std::vector<Sums> runs(static_cast<size_t>((profiles + kRun - 1) / kRun));
+  const auto add = [&](int64_t i, Sums& sums) {
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
       if (batch->IsApart(i) || Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
@@ -446,7 +456,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
       x.push_back(GainPath(cos_in, eta));
       y.push_back(std::log(sum / AngularGain(cos_in, eta, 0.0)));
     }
-    if (x.size() < 2) continue;
+    if (x.size() < 2) return;
     double mx = 0.0, my = 0.0;
     for (size_t k = 0; k < x.size(); ++k) {
       mx += x[k] / static_cast<double>(x.size());
@@ -455,11 +465,20 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
     for (size_t k = 0; k < x.size(); ++k) {
       // Highlights and shadows are outliers: bounded influence.
       const double dy = std::clamp(y[k] - my, -0.3, 0.3);
-      xy += (x[k] - mx) * dy;
-      xx += (x[k] - mx) * (x[k] - mx);
+      sums.xy += (x[k] - mx) * dy;
+      sums.xx += (x[k] - mx) * (x[k] - mx);
     }
+  };
+  ParallelFor(static_cast<int64_t>(runs.size()), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t run = begin; run < end; ++run)
+      for (int64_t i = run * kRun; i < std::min((run + 1) * kRun, profiles); ++i) add(i, runs[run]);
+  });
+  Sums all;
+  for (const Sums& run : runs) {
+    all.xy += run.xy;
+    all.xx += run.xx;
   }
-  return xx > 1e-6 ? std::clamp(-xy / xx, 0.0, 3.0) : 0.0;
+  return all.xx > 1e-6 ? std::clamp(-all.xy / all.xx, 0.0, 3.0) : 0.0;
 }
 
 }  // namespace stratalux::fit

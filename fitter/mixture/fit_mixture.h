@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -70,9 +71,11 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
                                                                int channels, const EmOptions& options);
 
 // Samples that `layers` predict for profile `profile` of a light's batch (its y is not read): g sum_l w_l K(u - d_l s;
-// sigma_l), exact line response, wrapped with the comb. Surface and background terms are the caller's.
+// sigma_l), exact line response, wrapped with the comb; of samples farther than `reach_mm` from the line 0. Surface and
+// background terms are the caller's.
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
-                                                 const ScatteringModel& model);
+                                                 const ScatteringModel& model,
+                                                 double reach_mm = std::numeric_limits<double>::infinity());
 
 // The session's tau of the angular gain from white reflectances of the training lights, less what the surface reflects:
 // least squares of log(white_p - R_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not

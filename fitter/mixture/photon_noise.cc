@@ -6,12 +6,31 @@
 namespace stratalux::fit {
 
 PhotonNoise PhotonNoiseOf(const SrdBatch& batch, int64_t profile) {
-  const auto y = batch.Samples(profile), v = batch.Variances(profile);
-  const auto [low, high] = std::minmax_element(v.begin(), v.end());
-  const double at_low = y[low - v.begin()], dy = y[high - v.begin()] - at_low, dv = double(*high) - *low;
-  if (!(dy > 0.0) || !(dv > 0.0)) return {};
-  const double per_count = dv / dy;
-  return {1.0 / per_count, std::max(0.0, *low / per_count - std::max(0.0, at_low))};
+  const double slope = batch.noise_slope[profile], floor = batch.noise_floor[profile];
+  return slope > 0.0 ? PhotonNoise{1.0 / slope, floor / slope} : PhotonNoise{};
+}
+
+void NoiseLine::Add(float y, float variance) {
+  if (variance < least_) {
+    least_ = variance;
+    at_least_ = y;
+  }
+  if (variance >= most_) {
+    most_ = variance;
+    at_most_ = y;
+  }
+}
+
+float NoiseLine::Slope() const {
+  const double dy = double{at_most_} - at_least_, dv = double{most_} - least_;
+  return dy > 0.0 && dv > 0.0 ? static_cast<float>(dv / dy) : 0.0F;
+}
+
+float NoiseLine::Floor() const {
+  if (least_ > most_) return 0.0F;
+  const float slope = Slope();
+  if (slope == 0.0F) return 0.5F * (least_ + most_);
+  return std::max(0.0F, least_ - slope * std::max(0.0F, at_least_));
 }
 
 }  // namespace stratalux::fit

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Poisson-Gaussian noise of a profile, read off its variances: var(y) = (y + read_shift) / counts.
+// The Poisson-Gaussian noise of a profile: var(y) = (y + read_shift) / counts. A batch keeps it as two numbers a
+// profile, the floor read_shift / counts and the slope 1 / counts.
 #pragma once
+
+#include <limits>
 
 #include "fitter/mixture/srd_samples.h"
 
@@ -11,7 +14,20 @@ struct PhotonNoise {
   double read_shift = 0.0;  // sigma_read^2 in units of y
 };
 
-// {1, 0} where the variances do not rise with the samples.
+// {1, 0} where the noise does not rise with the samples.
 [[nodiscard]] PhotonNoise PhotonNoiseOf(const SrdBatch& batch, int64_t profile);
+
+// Floor and slope of samples whose variances are known: the line through the quietest and the loudest of them. Slope 0,
+// floor their mean, where the noise does not rise with the samples.
+class NoiseLine {
+ public:
+  void Add(float y, float variance);
+  [[nodiscard]] float Slope() const;
+  [[nodiscard]] float Floor() const;  // 0 without samples
+
+ private:
+  float least_ = std::numeric_limits<float>::infinity(), at_least_ = 0.0F;
+  float most_ = -std::numeric_limits<float>::infinity(), at_most_ = 0.0F;
+};
 
 }  // namespace stratalux::fit

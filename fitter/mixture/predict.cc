@@ -18,7 +18,7 @@ LineResponse WithLayer(LineResponse line, double sigma) {
 }  // namespace
 
 std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
-                                   const ScatteringModel& model) {
+                                   const ScatteringModel& model, double reach_mm) {
   const double step = batch.step_mm[profile], period = step * batch.samples;
   const LineResponse line = LineResponseOf(batch, profile, 1e-4);
   const double s = ShiftCoefficient(model, batch, profile), gain = AngularGain(model, batch.cos_in[profile]);
@@ -31,9 +31,11 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
     response.push_back(WithLayer(line, layers.sigma_mm[l]));
   }
   std::vector<double> y(batch.samples, 0.0);
-  for (int k = 0; k < batch.samples; ++k)
+  for (int k = 0; k < batch.samples; ++k) {
+    const double from_line = batch.first_u_mm[profile] + k * step;
+    if (std::abs(batch.wrapped ? std::remainder(from_line, period) : from_line) > reach_mm) continue;
     for (size_t l = 0; l < layers.weight.size(); ++l) {
-      const double u = batch.first_u_mm[profile] + k * step - layers.depth_mm[l] * s;
+      const double u = from_line - layers.depth_mm[l] * s;
       double sum = 0.0;
       if (batch.wrapped) {
         const double nearest = std::remainder(u, period);
@@ -43,6 +45,7 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
       }
       y[k] += weight[l] * sum;
     }
+  }
   return y;
 }
 

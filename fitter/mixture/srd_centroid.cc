@@ -41,7 +41,7 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
   layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
   layers.depth_mm.push_back(0.0);
   layers.sigma_mm.push_back(1e-3);
-  std::vector<double> predicted = PredictSamples(layers, heldout, profile, model);
+  std::vector<double> predicted = PredictSamples(layers, heldout, profile, model, reach_mm);
   for (double& y : predicted) y += floor;
   const auto y = heldout.Samples(profile);
   const double measured_at = Centroid({y.begin(), y.end()}, heldout, profile, reach_mm),

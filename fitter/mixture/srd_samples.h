@@ -26,14 +26,15 @@ struct SrdBatch {
   // Box that each sample averages over, as a share of the step: 0 for combs (a sample is a point in the line's
   // position), 1 for binned profiles (CSV).
   float sample_box = 0.0F;
-  // [row][K]; y may be negative (never clipped), variance is that of y by the camera's noise model.
-  std::vector<float> y, variance;
-  // Row of a profile in both, -1: it has none and is not valid. Empty: profile i has row i. Of a camera's pixels a
+  std::vector<float> y;  // [row][K]; may be negative (never clipped)
+  // Row of a profile, -1: it has none and is not valid. Empty: profile i has row i. Of a camera's pixels a
   // fifth shows lit face: the samples of the others would be most of the memory.
   std::vector<int32_t> row;
   // Response to all columns at once in units of the samples' sum, from the white frames, and its variance (0: unknown);
   // empty where there are none. It fixes the scale far better than the sum of dim samples does.
   std::vector<float> white, white_variance;
+  // [profile] by the camera's noise model: var(y) = noise_floor + noise_slope max(y, 0) (photon_noise.h).
+  std::vector<float> noise_floor, noise_slope;
   std::vector<float> first_u_mm;     // [profile]
   std::vector<float> step_mm;        // [profile]
   std::vector<float> line_width_mm;  // [profile]
@@ -56,21 +57,17 @@ struct SrdBatch {
     return valid[static_cast<size_t>(profile)] != 0 && !IsApart(profile);
   }
   [[nodiscard]] int64_t profiles() const { return static_cast<int64_t>(first_u_mm.size()); }
-  // Of a profile that has a row: its K samples, and their variances.
+  // Of a profile that has a row: its K samples.
   [[nodiscard]] std::span<const float> Samples(int64_t profile) const {
     return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
-  }
-  [[nodiscard]] std::span<const float> Variances(int64_t profile) const {
-    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
   }
   [[nodiscard]] std::span<float> Samples(int64_t profile) {
     return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
   }
-  [[nodiscard]] std::span<float> Variances(int64_t profile) {
-    return {variance.data() + FirstOf(profile), static_cast<size_t>(samples)};
-  }
+  // Of all of its samples together.
+  [[nodiscard]] double VarianceOfSum(int64_t profile) const;
   // Rows for the profiles for which `wanted` is not 0, in their order, and for no other; values are lost.
-  void AllotRows(std::span<const uint8_t> wanted, float value, float its_variance);
+  void AllotRows(std::span<const uint8_t> wanted, float value);
   // Drops the rows of profiles that are not valid.
   void KeepValidRows();
 

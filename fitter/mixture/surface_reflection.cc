@@ -22,6 +22,7 @@ constexpr double kLeastCos = 0.5;
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
 constexpr int64_t kLeastProfiles = 100;
+constexpr int64_t kMostPixels = 6000;
 constexpr double kClearly = 0.5, kTold = 0.5;  // a strength that much off must cost a standard deviation
 
 // pi f_r of strength 1; T: double, or Ceres' own for its derivatives.
@@ -144,7 +145,7 @@ WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t i) {
     return {batch.white[i] / whites, batch.white_variance[i] / (whites * whites)};
   WhiteReflectance sum;
   for (const float y : batch.Samples(i)) sum.value += y / whites;
-  for (const float v : batch.Variances(i)) sum.variance += v / (whites * whites);
+  sum.variance = batch.VarianceOfSum(i) / (whites * whites);
   return sum;
 }
 
@@ -155,8 +156,12 @@ SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lig
   double tau = 0.2, strength = 0.5, roughness = 0.3;
   std::vector<double> narrow(channels, 0.0);
   ceres::Problem problem;
+  int64_t lit = 0;  // pixels
+  for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
+    lit += std::ranges::any_of(lights, [i](const SrdBatch* batch) { return batch->Shares(i); }) ? 1 : 0;
+  const int64_t one_in = std::max<int64_t>(every, lit / kMostPixels);
   for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
-    if (i / channels % every != 0) continue;
+    if (i / channels % one_in != 0) continue;
     auto profile = ResidualsOf(lights, i, eta);
     const int count = static_cast<int>(profile->lights.size());
     if (count < 2) continue;

@@ -286,7 +286,8 @@ Result<std::optional<Evaluation>> EvaluationHeld(SessionGraph& graph, const RunO
   return none;
 }
 
-Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, SessionFrames& frames, Evaluation evaluation) {
+Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, SessionFrames& frames, Evaluation evaluation,
+                         KnownPictures& pictures) {
   StageGraph& stages = graph.stages();
   const std::map<std::string, std::string> keys = StagesOf(graph, options);
   Metrics metrics;
@@ -361,7 +362,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   }
   const auto write_report = [&](const fs::path& folder) -> Status {
     SLX_RETURN_IF_ERROR(MakeFolder(folder / "report"));
-    return WriteReport(folder, input, metrics);
+    return WriteReport(folder, input, metrics, pictures);
   };
   SLX_RETURN_IF_ERROR(stages.store().files().Write(partial, db::PlaceOfFit(metrics.fit), write_report));
   SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", metrics.ToJson()));

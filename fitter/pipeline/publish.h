@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "fitter/pipeline/session_graph.h"
+#include "fitter/report/html_report.h"
 
 namespace stratalux::fit {
 
@@ -43,8 +44,9 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 // `made` in the place of `place`, which may be there, in one step.
 Status PutInPlace(const std::filesystem::path& made, const std::filesystem::path& place);
 
-// Runs what is missing and enters the fit; its folder.
+// Runs what is missing and enters the fit; its folder. `pictures`: of the reports that this run wrote before.
 [[nodiscard]] Result<std::filesystem::path> Publish(SessionGraph& graph, const RunOptions& options,
-                                                    SessionFrames& frames, Evaluation evaluation);
+                                                    SessionFrames& frames, Evaluation evaluation,
+                                                    KnownPictures& pictures);
 
 }  // namespace stratalux::fit

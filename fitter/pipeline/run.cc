@@ -104,12 +104,13 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   outcome.was_complete = held && *held >= wanted;
   if (outcome.was_complete) return Status::Ok();
   SLX_RETURN_IF_ERROR(SayDrift(graph, options, logger));
+  KnownPictures pictures;
   // Stages run before what a report shows is read: both at once would be most of the memory.
   for (const Evaluation evaluation : StepsOf(options)) {
     if (held && *held >= evaluation) continue;
     for (const std::string& key : KeysOf(graph, options, evaluation, Projectors(frames)))
       SLX_RETURN_IF_ERROR(graph.stages().Need(key).status());
-    SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, evaluation));
+    SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, evaluation, pictures));
   }
   return Status::Ok();
 }

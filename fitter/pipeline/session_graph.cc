@@ -20,6 +20,7 @@
 #include "fitter/stages/normals.h"
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
+#include "shared/base/parallel.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::fit {
@@ -298,7 +299,8 @@ std::string SessionGraph::Offset(GeometrySource source, int heldout, FitKind kin
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds({srd, "", skin}, FitKind::kJudged, heldout));
-                SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, *face, heldout, fit, logger_, label));
+                SLX_ASSIGN_OR_RETURN(const SharedLight shared, Shared({srd, "", skin}, *srds, heldout));
+                SLX_ASSIGN_OR_RETURN(const auto offset, FindOffset(*srds, *face, heldout, fit, shared, logger_, label));
                 return SaveOffset(folder, offset);
               }});
 }
@@ -348,8 +350,13 @@ std::string SessionGraph::AddFit(const SrdKeys& from, int heldout, const FitOpti
          const SrdSet& srds = *read;
          FittedLayers layers;
          layers.pool = srds.pool;
-         SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
          SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(srds, heldout));
+         if (IsSpoilt(kind)) {
+           SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, logger_, label));
+         } else {
+           SLX_ASSIGN_OR_RETURN(const SharedLight shared, Shared(from, srds, heldout));
+           SLX_ASSIGN_OR_RETURN(layers.map, FitLayers(srds, heldout, fit, shared, logger_, label));
+         }
          layers.signal_to_noise = SignalToNoise(layers.map, lights.batches);
          SLX_RETURN_IF_ERROR(SaveLayers(folder, layers));
          SLX_RETURN_IF_ERROR(WriteLayerMaps(folder, SummariseLayers(layers.map)));
@@ -372,9 +379,11 @@ std::string SessionGraph::Maps() {
               "maps, all projectors",
               upstream,
               [=, this](const fs::path& folder) -> Status {
+                auto kept = judged_layers_.Take(fit);
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
-                SLX_ASSIGN_OR_RETURN(auto layers, stages_.Load(fit, LoadLayers));
+                SLX_ASSIGN_OR_RETURN(auto layers,
+                                     kept ? Result<FittedLayers>(*std::move(kept)) : stages_.Load(fit, LoadLayers));
                 SLX_ASSIGN_OR_RETURN(const auto refined, RefineLayers(*srds, options_.heldout, std::move(layers),
                                                                       options_.fit, logger_, "maps, all projectors"));
                 return SaveMaps(folder, refined);
@@ -458,6 +467,27 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
   SLX_RETURN_IF_ERROR(srds_.Of(of, load).status());
   if (!spoilt) srds_.Get()->MoveTo(offset ? &*offset : nullptr);
   return &srds_.Get()->set();
+}
+
+// All fits but those of spoilt data ask of the same lights. Those that every run asks of, all and all but the held-out
+// one, are looked at side by side.
+Result<SharedLight> SessionGraph::Shared(const SrdKeys& keys, const SrdSet& srds, int heldout) {
+  const auto key_of = [&](int left_out) { return keys.srd + " " + keys.skin + " " + std::to_string(left_out); };
+  std::vector<int> wanted;
+  for (const int left_out : {heldout, kNoneHeldOut, options_.heldout})
+    if (!shared_.contains(key_of(left_out)) && std::ranges::count(wanted, left_out) == 0) wanted.push_back(left_out);
+  if (!shared_.contains(key_of(heldout))) {
+    std::vector<SharedLight> found(wanted.size());
+    std::vector<TrainingLights> lights;
+    for (const int left_out : wanted) {
+      SLX_ASSIGN_OR_RETURN(lights.emplace_back(), TrainingLightsOf(srds, left_out));
+    }
+    ParallelFor(static_cast<int64_t>(wanted.size()), 1, [&](int64_t begin, int64_t end) {
+      for (int64_t k = begin; k < end; ++k) found[k] = FindSharedLight(options_.fit, lights[k].batches, srds.channels);
+    });
+    for (size_t k = 0; k < wanted.size(); ++k) shared_[key_of(wanted[k])] = found[k];
+  }
+  return shared_.at(key_of(heldout));
 }
 
 Result<const HeldOutView*> SessionGraph::View(const std::string& shape, int heldout) {

@@ -106,11 +106,13 @@ class SessionGraph {
     return {Srd(source), Offset(source, heldout, kind), Skin()};
   }
   Result<const SrdSet*> Srds(const SrdKeys& keys, FitKind kind, int heldout);
+  // Of the training lights of these SRDs, found once.
+  Result<SharedLight> Shared(const SrdKeys& keys, const SrdSet& srds, int heldout);
   // Of a shape; SRDs make room for it.
   Result<const HeldOutView*> View(const std::string& shape, int heldout);
-  Status KeepPredictions(const std::string& predict, const std::filesystem::path& folder, Predictions predictions);
-  // Those kept, or read; they are kept no longer.
-  Result<Predictions> TakePredictions(const std::string& predict);
+  Status KeepPrediction(const std::string& predict, const std::filesystem::path& folder, Prediction prediction);
+  // The one kept, or read; it is kept no longer.
+  Result<Prediction> TakePrediction(const std::string& predict);
   Kept<FittedLayers>& KeptLayers(const std::string& fit) { return fit == judged_fit_ ? judged_layers_ : layers_; }
   Result<const SkinMask*> Mask(const std::string& skin) {
     return mask_.Of(skin, [&] { return stages_.Load(skin, LoadSkin); });
@@ -141,7 +143,8 @@ class SessionGraph {
   Kept<HeldOutView> view_;
   std::string judged_fit_;  // the fit that the session's report shows
   Kept<FittedLayers> judged_layers_, layers_;
-  std::map<std::string, Predictions> predictions_;  // until they are compared
+  std::map<std::string, SharedLight> shared_;
+  std::map<std::string, Prediction> predictions_;  // until they are compared
 };
 
 }  // namespace stratalux::fit

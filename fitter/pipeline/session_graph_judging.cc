@@ -9,6 +9,7 @@
 #include "fitter/pipeline/session_graph.h"
 #include "fitter/scattering/baselines.h"
 #include "fitter/stages/layers.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -20,16 +21,16 @@ bool IsBaseline(const std::string& model) { return model == "homogeneous" || mod
 
 }  // namespace
 
-Status SessionGraph::KeepPredictions(const std::string& predict, const fs::path& folder, Predictions predictions) {
-  SLX_RETURN_IF_ERROR(SavePredictions(folder, predictions));
-  predictions_[predict] = std::move(predictions);
+Status SessionGraph::KeepPrediction(const std::string& predict, const fs::path& folder, Prediction prediction) {
+  SLX_RETURN_IF_ERROR(SavePrediction(folder, prediction));
+  predictions_[predict] = std::move(prediction);
   return Status::Ok();
 }
 
-Result<Predictions> SessionGraph::TakePredictions(const std::string& predict) {
+Result<Prediction> SessionGraph::TakePrediction(const std::string& predict) {
   auto kept = predictions_.extract(predict);
   if (kept) return std::move(kept.mapped());
-  return stages_.Load(predict, LoadPredictions);
+  return stages_.Load(predict, LoadPrediction);
 }
 
 Result<std::vector<uint8_t>> SessionGraph::Apart(const std::string& skin, const FittedLayers& layers) {
@@ -40,10 +41,12 @@ Result<std::vector<uint8_t>> SessionGraph::Apart(const std::string& skin, const 
 Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const SrdKeys& keys, int heldout) {
   SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(keys, FitKind::kJudged, heldout));
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
-  std::vector<Dipole> dipoles;
-  for (int c = 0; c < fit.channels; ++c)
-    dipoles.push_back(FitDipole(lights.batches, c, fit.channels, fit.scattering.eta,
-                                MeanSurfaceReflectance(fit, c, lights.batches.front()->apart)));
+  std::vector<Dipole> dipoles(static_cast<size_t>(fit.channels));
+  ParallelFor(fit.channels, 1, [&](int64_t begin, int64_t end) {
+    for (int c = static_cast<int>(begin); c < end; ++c)
+      dipoles[c] = FitDipole(lights.batches, c, fit.channels, fit.scattering.eta,
+                             MeanSurfaceReflectance(fit, c, lights.batches.front()->apart));
+  });
   srds_.Drop();
   return DipoleMap(fit, dipoles);
 }
@@ -79,8 +82,8 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
                   SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, from, heldout));
                 }
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                return KeepPredictions(key, folder,
-                                       fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
+                return KeepPrediction(key, folder,
+                                      fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
               }});
 }
 
@@ -97,14 +100,14 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
               {fit, predicted, skin},
               [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
-                SLX_ASSIGN_OR_RETURN(auto predictions, TakePredictions(predicted));
-                predictions_[predicted] = predictions;
+                SLX_ASSIGN_OR_RETURN(auto prediction, TakePrediction(predicted));
+                predictions_[predicted] = prediction;
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* fitted, Layers(fit));
                 SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
                 const std::vector<double> of = TotalWeights(Homogeneous(fitted->map, apart)),
                                           to = TotalWeights(HomogeneousLocalAlbedo(fitted->map, apart));
-                return KeepPredictions(key, folder,
-                                       ScaledPredictions(std::move(predictions), fitted->map, of, to, fitted->pool));
+                return KeepPrediction(key, folder,
+                                      ScaledPrediction(std::move(prediction), fitted->map, of, to, fitted->pool));
               }});
 }
 
@@ -151,7 +154,7 @@ std::string SessionGraph::Compare(const std::vector<std::string>& models, Geomet
                 SLX_ASSIGN_OR_RETURN(const SkinMask* mask, Mask(skin));
                 std::vector<ComparedModel> compared;
                 for (size_t m = 0; m < models.size(); ++m) {
-                  SLX_ASSIGN_OR_RETURN(auto taken, TakePredictions(predictions[m]));
+                  SLX_ASSIGN_OR_RETURN(auto taken, TakePrediction(predictions[m]));
                   compared.push_back({models[m], std::move(taken)});
                 }
                 const CompareInput input{

@@ -36,12 +36,10 @@ SrdBatch BatchOf(const LineProfile& profile, double shift) {
   b.wrapped = false;
   b.sample_box = 1.0F;
   b.y.assign(profile.samples, 0.0F);
-  b.variance.assign(profile.samples, 1.0F);
   const double counts = 1e4 * profile.step_mm / profile.slit_mm;
-  for (size_t k = 0; k < profile.radiance.size(); ++k) {
-    b.y[k] = static_cast<float>(profile.radiance[k]);
-    b.variance[k] = static_cast<float>((std::max(profile.radiance[k], 0.0) + shift) / counts);
-  }
+  for (size_t k = 0; k < profile.radiance.size(); ++k) b.y[k] = static_cast<float>(profile.radiance[k]);
+  b.noise_floor = {static_cast<float>(shift / counts)};
+  b.noise_slope = {static_cast<float>(1.0 / counts)};
   b.first_u_mm = {static_cast<float>(profile.first_u_mm)};
   b.step_mm = {static_cast<float>(profile.step_mm)};
   b.line_width_mm = {static_cast<float>(profile.slit_mm)};

@@ -38,32 +38,43 @@ struct TangentPlane {
   std::array<float, 3> origin_mm{}, normal{}, p{}, q{};
 };
 
-// Blocks of a window in a tangent plane, rows padded like those of LitPlanes. Blocks that face away have no flux, but
-// their spread: parts of them may face the plane.
+struct BlockPlace {
+  int x = 0, y = 0;
+  [[nodiscard]] friend bool operator==(const BlockPlace&, const BlockPlace&) = default;
+};
+
+// Blocks of a window in a tangent plane, rows padded like those of LitPlanes. Blocks that face away, and those that
+// spread too wide, have no flux.
 struct SeenBlocks {
   BlockWindow window;
   int stride = 0;
   std::vector<float> p, q;  // mm from the plane's origin
   std::vector<float> flux;
-  std::vector<float> spread_mm2;  // 0 where no light falls
-  float widest_mm2 = 0.0F;        // the largest of these
-  bool dark = true;               // no light falls anywhere
+  bool dark = true;  // no light falls anywhere
+
+  // Blocks with light that spread wider than was asked for, row by row, whether they face the plane or not: parts of
+  // them may.
+  std::vector<BlockPlace> wide;
+  // What they were opened into (AddPart, EndParts), padded by parts without flux.
+  std::vector<float> part_p, part_q, part_flux;
 
   [[nodiscard]] std::size_t At(int x, int y) const {
     return static_cast<std::size_t>(y - window.y0) * stride + static_cast<std::size_t>(x - window.x0);
   }
+  void AddPart(float p_mm, float q_mm, float part);
+  void EndParts();
 };
 
-// `seen`'s memory is kept from call to call.
-void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const TangentPlane& plane, SeenBlocks& seen);
+// Without parts, to begin with. `seen`'s memory is kept from call to call.
+void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const TangentPlane& plane, float max_spread_mm2,
+               SeenBlocks& seen);
 
 struct GatherTarget {
   float p_mm = 0.0F, q_mm = 0.0F;
-  float half_inverse2 = 0.0F;   // 1 / 2 sigma^2
-  float max_spread_mm2 = 0.0F;  // blocks that spread wider are left out
+  float half_inverse2 = 0.0F;  // 1 / 2 sigma^2
 };
 
-// Sum over blocks of a window, which `seen` must hold, of flux exp(-|offset|^2 / 2 sigma^2).
+// Sum over blocks of a window, which `seen` must hold, and over all of its parts, of flux exp(-|offset|^2 / 2 sigma^2).
 [[nodiscard]] float GatherBlocks(const SeenBlocks& seen, const BlockWindow& window, const GatherTarget& target);
 
 }  // namespace stratalux::fit

@@ -4,13 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
-#include <optional>
 #include <vector>
 
 #include "fitter/mixture/scattering_model.h"
 #include "fitter/render/receiver.h"
-#include "fitter/render/wide_blocks.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
 
@@ -23,71 +22,88 @@ constexpr double kMaxSpread = 0.3;     // of sigma^2; the widest block on skin t
 
 // A layer of one colour at one of its sites, as it gathers from a level of the pyramid of any pattern.
 struct WideLayer {
-  int channel = 0, level = 0;
+  int channel = 0;
   BlockWindow window;
-  Eigen::Vector3f centre;
   GatherTarget target;
   double factor = 0.0;  // of the Gaussian sum
+};
+// Those of one level: all that they gather from, and how wide a block may spread for the narrowest of them.
+struct LevelLayers {
+  std::vector<WideLayer> layers;
+  BlockWindow window;
+  float max_spread_mm2 = 0.0F;
+
+  void Clear() {
+    layers.clear();
+    window = {};
+    max_spread_mm2 = std::numeric_limits<float>::infinity();
+  }
 };
 // The same, where it reads the pattern itself.
 struct ReadLayer {
   int channel = 0;
   NarrowLayer pixels;
-  double factor = 0.0;
+  double factor = 0.0;  // of the light read
 };
 
-// Blocks of a level within reach of `at`, a pixel of the light.
-BlockWindow WindowOf(const Receiver& r, const LitPlanes& blocks, int level, const Eigen::Vector2d& at, double sigma) {
-  const int block = 1 << level;
-  const double reach = kReachSigmas * sigma;
-  const double half_x = Extent(r.normal, r.column_per_mm, reach) / block + 1.0,
-               half_y = Extent(r.normal, r.row_per_mm, reach) / block + 1.0;
-  const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
-  return {std::max(0, static_cast<int>(std::ceil(bx - half_x))),
-          std::min(blocks.width - 1, static_cast<int>(std::floor(bx + half_x))),
-          std::max(0, static_cast<int>(std::ceil(by - half_y))),
-          std::min(blocks.height - 1, static_cast<int>(std::floor(by + half_y)))};
-}
+// Blocks of a level within reach of a pixel of the light.
+class BlockReach {
+ public:
+  explicit BlockReach(const Receiver& r) : x_(r.normal, r.column_per_mm), y_(r.normal, r.row_per_mm) {}
 
-// Blocks across an edge of depth, or grazed by the light: their mean is no place on the skin, so their parts take their
-// place.
-struct OpenedBlocks {
-  const LitPyramid& light;
-  const WideLayer& layer;
-  Eigen::Vector3f normal;
-
-  [[nodiscard]] float Sum(std::span<const BlockPlace> wide) const {
-    float sum = 0.0F;
-    for (const auto& [x, y] : wide) sum += PartsOf(layer.level, x, y);
-    return sum;
+  [[nodiscard]] BlockWindow Of(const LitPlanes& blocks, int level, const Eigen::Vector2d& at, double sigma) const {
+    const int block = 1 << level;
+    const double reach = kReachSigmas * sigma;
+    const double half_x = x_.Within(reach) / block + 1.0, half_y = y_.Within(reach) / block + 1.0;
+    const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
+    return {std::max(0, static_cast<int>(std::ceil(bx - half_x))),
+            std::min(blocks.width - 1, static_cast<int>(std::floor(bx + half_x))),
+            std::max(0, static_cast<int>(std::ceil(by - half_y))),
+            std::min(blocks.height - 1, static_cast<int>(std::floor(by + half_y)))};
   }
 
  private:
-  [[nodiscard]] float PartsOf(int level, int x, int y) const {
-    const LitPlanes& parts = light.levels[level - 1];
-    float sum = 0.0F;
-    for (int j = 2 * y; j < std::min(2 * y + 2, parts.height); ++j)
-      for (int i = 2 * x; i < std::min(2 * x + 2, parts.width); ++i) sum += Of(level - 1, i, j);
-    return sum;
-  }
-  [[nodiscard]] float Of(int level, int x, int y) const {
-    const LitPlanes& blocks = light.levels[level];
-    const size_t at = static_cast<size_t>(y) * blocks.stride + x;
-    const float flux = blocks.flux[at];
-    if (flux == 0.0F) return 0.0F;
-    if (blocks.spread_mm2[at] > layer.target.max_spread_mm2) return PartsOf(level, x, y);
-    if (normal.dot(Eigen::Vector3f(blocks.nx[at], blocks.ny[at], blocks.nz[at])) < 0.0F) return 0.0F;
-    const Eigen::Vector3f offset = Eigen::Vector3f(blocks.x[at], blocks.y[at], blocks.z[at]) - layer.centre;
-    const float along = offset.dot(normal);
-    const float exponent = layer.target.half_inverse2 * (offset.squaredNorm() - along * along);
-    return exponent < 13.0F ? flux * std::exp(-exponent) : 0.0F;
-  }
+  PixelExtent x_, y_;
 };
 
-// Blocks of one level and pattern as a quad sees them, and those of them that a layer opens.
-struct Seen {
-  SeenBlocks blocks;
-  std::vector<BlockPlace> wide;
+// Blocks across an edge of depth, or grazed by the light: their mean is no place on the skin, so their parts take their
+// place.
+class BlockOpener {
+ public:
+  BlockOpener(const LitPyramid& light, const TangentPlane& plane, float max_spread_mm2, SeenBlocks& seen)
+      : light_(light),
+        origin_(plane.origin_mm.data()),
+        normal_(plane.normal.data()),
+        p_(plane.p.data()),
+        q_(plane.q.data()),
+        max_spread_mm2_(max_spread_mm2),
+        seen_(seen) {}
+
+  void Open(int level) {
+    for (const auto& [x, y] : seen_.wide) AddPartsOf(level, x, y);
+    seen_.EndParts();
+  }
+
+ private:
+  void AddPartsOf(int level, int x, int y) {
+    const LitPlanes& parts = light_.levels[level - 1];
+    for (int j = 2 * y; j < std::min(2 * y + 2, parts.height); ++j)
+      for (int i = 2 * x; i < std::min(2 * x + 2, parts.width); ++i) Add(level - 1, i, j);
+  }
+  void Add(int level, int x, int y) {
+    const LitPlanes& blocks = light_.levels[level];
+    const size_t at = static_cast<size_t>(y) * blocks.stride + x;
+    if (blocks.flux[at] == 0.0F) return;
+    if (blocks.spread_mm2[at] > max_spread_mm2_) return AddPartsOf(level, x, y);
+    if (normal_.dot(Eigen::Vector3f(blocks.nx[at], blocks.ny[at], blocks.nz[at])) < 0.0F) return;
+    const Eigen::Vector3f offset = Eigen::Vector3f(blocks.x[at], blocks.y[at], blocks.z[at]) - origin_;
+    seen_.AddPart(p_.dot(offset), q_.dot(offset), blocks.flux[at]);
+  }
+
+  const LitPyramid& light_;
+  const Eigen::Vector3f origin_, normal_, p_, q_;
+  const float max_spread_mm2_;
+  SeenBlocks& seen_;
 };
 
 // All layers of a quad, whichever pattern lights it: where they gather, and by how much. Its light under a pattern is a
@@ -100,9 +116,9 @@ class QuadLayers {
   }
 
   void Begin(const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
-    wide_.clear();
+    levels_.resize(any_.levels.size());
+    for (LevelLayers& level : levels_) level.Clear();
     narrow_.clear();
-    windows_.assign(any_.levels.size(), {});
     origin_ = point;
     normal_ = normal;
     axes_ = {normal.unitOrthogonal(), normal.cross(normal.unitOrthogonal())};
@@ -110,31 +126,28 @@ class QuadLayers {
 
   // The layers of `profile` at a site; `share`: of the colour's light.
   void Add(const Receiver& r, int64_t profile, int channel, double share) {
+    const BlockReach reach(r);
     for (int l = 0; l < map_.layers; ++l) {
       const size_t at = static_cast<size_t>(profile) * map_.layers + l;
-      if (map_.weight[at] > 0.0F) AddLayer(r, at, channel, share * r.gain * map_.weight[at]);
+      if (map_.weight[at] > 0.0F) AddLayer(r, reach, at, channel, share * r.gain * map_.weight[at]);
     }
   }
 
   // Light of the quad's layers under a pattern, by colour.
-  [[nodiscard]] std::array<double, 3> Under(const LitPyramid& light, Seen& seen) const {
+  [[nodiscard]] std::array<double, 3> Under(const LitPyramid& light, SeenBlocks& seen) const {
     std::array<double, 3> sums{};
-    for (size_t level = 0; level < windows_.size(); ++level) {
+    const TangentPlane plane = Plane();
+    for (size_t level = 0; level < levels_.size(); ++level) {
+      const LevelLayers& of = levels_[level];
       const BlockWindow& lit = light.levels[level].lit;  // little of the skin, under a stripe or a spot
-      const BlockWindow all = windows_[level].Within(lit);
+      const BlockWindow all = of.window.Within(lit);
       if (all.Empty()) continue;
-      SeeBlocks(light.levels[level], all, Plane(), seen.blocks);
-      if (seen.blocks.dark) continue;
-      for (const WideLayer& layer : wide_) {
-        if (layer.level != static_cast<int>(level)) continue;
+      SeeBlocks(light.levels[level], all, plane, of.max_spread_mm2, seen);
+      if (seen.dark) continue;
+      BlockOpener(light, plane, of.max_spread_mm2, seen).Open(static_cast<int>(level));
+      for (const WideLayer& layer : of.layers) {
         const BlockWindow window = layer.window.Within(lit);
-        if (window.Empty()) continue;
-        float sum = GatherBlocks(seen.blocks, window, layer.target);
-        if (seen.blocks.widest_mm2 > layer.target.max_spread_mm2) {
-          FindWideBlocks(seen.blocks, window, layer.target.max_spread_mm2, seen.wide);
-          sum += OpenedBlocks{light, layer, normal_.cast<float>()}.Sum(seen.wide);
-        }
-        sums[layer.channel] += layer.factor * sum;
+        if (!window.Empty()) sums[layer.channel] += layer.factor * GatherBlocks(seen, window, layer.target);
       }
     }
     for (const ReadLayer& layer : narrow_)
@@ -143,33 +156,32 @@ class QuadLayers {
   }
 
  private:
-  void AddLayer(const Receiver& r, size_t at, int channel, double weight) {
+  void AddLayer(const Receiver& r, const BlockReach& reach, size_t at, int channel, double weight) {
     const double depth = map_.depth_mm[at], width = map_.sigma_mm[at], own2 = width * width + r.footprint2;
     // A block's own extent, h^2 / 12, is part of the width.
     const int coarsest = static_cast<int>(any_.levels.size()) - 1;
     int level = 0;
     while (level < coarsest && r.pitch_mm * (2 << level) < kBlockSigmas * std::sqrt(own2)) ++level;
     const double h = r.pitch_mm * (1 << level);
-    const Eigen::Vector3d centre = r.point + depth * r.shift;
     const auto pixel = lit_.light.model.Project(r.point_in_light + depth * r.shift_in_light);
     if (!pixel) return;
+    const Eigen::Vector3d centre = r.point + depth * r.shift;
     const double variance = own2 + h * h / 12.0,
                  factor = weight * DirectionalFactor(map_.scattering.directional, r.directions, depth, width);
     if (variance < r.narrowest2) {
       narrow_.push_back({channel, NarrowLayer(r, lit_, centre, *pixel, own2, channel), factor});
       return;
     }
-    WideLayer layer;
-    layer.channel = channel;
-    layer.level = level;
-    layer.window = WindowOf(r, any_.levels[level], level, *pixel, std::sqrt(variance));
-    layer.centre = centre.cast<float>();
+    LevelLayers& of = levels_[level];
+    const BlockWindow window = reach.Of(any_.levels[level], level, *pixel, std::sqrt(variance));
+    of.window = of.window.With(window);
+    of.max_spread_mm2 = std::min(of.max_spread_mm2, static_cast<float>(kMaxSpread * variance));
     const Eigen::Vector3d offset = centre - origin_;
-    layer.target = {static_cast<float>(offset.dot(axes_[0])), static_cast<float>(offset.dot(axes_[1])),
-                    static_cast<float>(0.5 / variance), static_cast<float>(kMaxSpread * variance)};
-    layer.factor = factor * share_[channel] / (2.0 * std::numbers::pi * variance);
-    windows_[level] = windows_[level].With(layer.window);
-    wide_.push_back(layer);
+    of.layers.push_back({channel,
+                         window,
+                         {static_cast<float>(offset.dot(axes_[0])), static_cast<float>(offset.dot(axes_[1])),
+                          static_cast<float>(0.5 / variance)},
+                         factor * share_[channel] / (2.0 * std::numbers::pi * variance)});
   }
 
   [[nodiscard]] TangentPlane Plane() const {
@@ -185,9 +197,8 @@ class QuadLayers {
   std::array<double, 3> share_{};  // flux of a colour over that of the planes
   Eigen::Vector3d origin_, normal_;
   std::array<Eigen::Vector3d, 2> axes_;
-  std::vector<WideLayer> wide_;
+  std::vector<LevelLayers> levels_;
   std::vector<ReadLayer> narrow_;
-  std::vector<BlockWindow> windows_;  // by level: all that its layers gather from
 };
 
 // Gaussian weight of a lit sample for a layer; offset projected on the tangent plane.
@@ -233,7 +244,7 @@ std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceM
   for (int c = 0; c < map.channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
   ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
     QuadLayers layers(map, lit, lights.front());
-    Seen seen;
+    SeenBlocks seen;
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
         if (surface.mask(i, j) == 0) continue;

@@ -59,13 +59,16 @@ std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const Surface
   return r;
 }
 
+PixelExtent::PixelExtent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm)
+    : along_normal_(std::abs(normal.dot(pixels_per_mm))) {
+  in_plane_ = std::sqrt(std::max(0.0, pixels_per_mm.squaredNorm() - along_normal_ * along_normal_));
+}
+
 // Offsets along the normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by
 // the face's relief.
-double Extent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm, double reach_mm) {
-  const double along = normal.dot(pixels_per_mm);
+double PixelExtent::Within(double reach_mm) const {
   const double off_plane_mm = std::min(0.5 * reach_mm * reach_mm / kSharpestRadiusMm, kReliefMm);
-  return std::sqrt(std::max(0.0, pixels_per_mm.squaredNorm() - along * along)) * reach_mm +
-         std::abs(along) * off_plane_mm;
+  return in_plane_ * reach_mm + along_normal_ * off_plane_mm;
 }
 
 bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point) {

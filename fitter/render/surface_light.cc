@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "fitter/render/receiver.h"
 #include "shared/base/parallel.h"
@@ -37,29 +38,39 @@ std::vector<Eigen::Vector2d> LitFootprint(const SurfaceMap& surface, const RigCa
   return reached;
 }
 
+float ReflectanceAt(const ScatteringModel& model, const SurfaceMap& surface, const ProjectorCalibration& light, int i,
+                    int j) {
+  const Eigen::Vector3d point = surface.Point(i, j);
+  const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(), -point.normalized(),
+                                                surface.Normal(i, j));
+  return static_cast<float>(ReflectanceOf(model.reflection, angles, model.eta));
+}
+
 }  // namespace
 
 Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, const ProjectorCalibration& light,
                                 int pool) {
   Image<float> reflectance(surface.width(), surface.height(), map.channels, std::nanf(""));
   const size_t lights = map.training_projectors.size();
-  for (int j = 0; j < reflectance.height(); ++j)
-    for (int i = 0; i < reflectance.width(); ++i)
-      for (int c = 0; c < map.channels; ++c) {
-        const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
-        if (profile < 0 || !map.Fitted(profile)) continue;
-        if (map.scattering.reflection.Known()) {
-          const Eigen::Vector3d point = surface.Point(i, j);
-          const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(),
-                                                        -point.normalized(), surface.Normal(i, j));
-          reflectance(i, j, c) =
-              static_cast<float>(ReflectanceOf(map.scattering.reflection, angles, map.scattering.eta));
-          continue;
+  const bool known = map.scattering.reflection.Known();
+  ParallelFor(reflectance.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < reflectance.width(); ++i) {
+        std::optional<float> of_any_colour;
+        for (int c = 0; c < map.channels; ++c) {
+          const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+          if (profile < 0 || !map.Fitted(profile)) continue;
+          if (known) {
+            if (!of_any_colour) of_any_colour = ReflectanceAt(map.scattering, surface, light, i, j);
+            reflectance(i, j, c) = *of_any_colour;
+            continue;
+          }
+          float sum = 0.0F;
+          for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
+          reflectance(i, j, c) = sum / static_cast<float>(lights);
         }
-        float sum = 0.0F;
-        for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
-        reflectance(i, j, c) = sum / static_cast<float>(lights);
       }
+  });
   return reflectance;
 }
 

@@ -5,10 +5,13 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 
+#include "db/base/own_hash.h"
 #include "fitter/export/pictures.h"
 #include "fitter/report/svg_drawing.h"
-#include "shared/base/parallel.h"
+#include "shared/base/formatted.h"
+#include "shared/base/parallel_try.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
@@ -156,27 +159,33 @@ std::string TableHtml(const ReportTable& table) {
 
 }  // namespace
 
-Result<ReportPictures> EncodePictures(const Report& report) {
+Result<std::vector<uint8_t>> KnownPictures::AsPng(const Image<uint8_t>& pixels) {
+  const std::string key = Formatted("%dx%dx%d ", pixels.width(), pixels.height(), pixels.channels()) +
+                          db::HashHex(std::as_const(pixels).pixels());
+  {
+    const std::lock_guard lock(mutex_);
+    if (const auto found = by_pixels_.find(key); found != by_pixels_.end()) return found->second;
+  }
+  SLX_ASSIGN_OR_RETURN(auto png, EncodePng8(pixels));
+  const std::lock_guard lock(mutex_);
+  return by_pixels_[key] = std::move(png);
+}
+
+Result<ReportPictures> EncodePictures(const Report& report, KnownPictures& known) {
   std::vector<const ReportImage*> images;
   for (const ReportSection& section : report.sections)
     for (const ReportImage& image : section.images) images.push_back(&image);
   ReportPictures pictures(images.size());
-  std::vector<Status> failed(images.size());
-  ParallelFor(static_cast<int64_t>(images.size()), 1, [&](int64_t begin, int64_t end) {
-    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i) {
-      auto png = EncodePng8(images[i]->pixels);
-      if (png.ok())
-        pictures[i] = std::move(*png);
-      else
-        failed[i] = png.status();
-    }
-  });
-  for (const Status& status : failed) SLX_RETURN_IF_ERROR(status);
+  SLX_RETURN_IF_ERROR(ParallelTry(images.size(), [&](size_t i) -> Status {
+    SLX_ASSIGN_OR_RETURN(pictures[i], known.AsPng(images[i]->pixels));
+    return Status::Ok();
+  }));
   return pictures;
 }
 
 Result<std::string> RenderHtml(const Report& report) {
-  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report));
+  KnownPictures none;
+  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report, none));
   return RenderHtml(report, pictures);
 }
 

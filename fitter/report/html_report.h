@@ -4,6 +4,8 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <vector>
@@ -68,9 +70,19 @@ struct Report {
   std::optional<ReportBanner> banner{};
 };
 
+// Pictures that were encoded before: a report that is written again shows most of them again. Thread-safe.
+class KnownPictures {
+ public:
+  [[nodiscard]] Result<std::vector<uint8_t>> AsPng(const Image<uint8_t>& pixels);
+
+ private:
+  std::mutex mutex_;
+  std::map<std::string, std::vector<uint8_t>> by_pixels_;  // by size and XXH3-128
+};
+
 // The images of all sections, in their order, as PNG files.
 using ReportPictures = std::vector<std::vector<uint8_t>>;
-[[nodiscard]] Result<ReportPictures> EncodePictures(const Report& report);
+[[nodiscard]] Result<ReportPictures> EncodePictures(const Report& report, KnownPictures& known);
 
 [[nodiscard]] Result<std::string> RenderHtml(const Report& report);
 // With its pictures, encoded before.

@@ -467,7 +467,8 @@ Status SavePictures(const std::filesystem::path& folder, const ReportPictures& p
 
 int64_t ProfileToShow(const MixtureMap& map) { return ChosenProfile(map); }
 
-Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, const Metrics& metrics) {
+Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, const Metrics& metrics,
+                   KnownPictures& known) {
   SLX_ASSIGN_OR_RETURN(const auto lit,
                        Captured(in, in.heldout, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
   Image<float> face = lit;
@@ -505,7 +506,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   }
   report.sections.push_back(LayerPictures(in.shown));
   report.sections.push_back(Figures(metrics));
-  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report));
+  SLX_ASSIGN_OR_RETURN(const ReportPictures pictures, EncodePictures(report, known));
   SLX_RETURN_IF_ERROR(WriteText(folder / "report" / "index.html", RenderHtml(report, pictures)));
   return SavePictures(folder / "report", pictures);
 }

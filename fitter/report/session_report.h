@@ -7,6 +7,7 @@
 
 #include "fitter/evaluation/compare.h"
 #include "fitter/evaluation/metrics.h"
+#include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
 #include "fitter/separation/separation_map.h"
 #include "fitter/session/session_frames.h"
@@ -35,6 +36,7 @@ struct ReportInput {
 [[nodiscard]] int64_t ProfileToShow(const MixtureMap& map);
 
 // Writes report/index.html and its pictures into `folder`, where report/ is.
-Status WriteReport(const std::filesystem::path& folder, const ReportInput& input, const Metrics& metrics);
+Status WriteReport(const std::filesystem::path& folder, const ReportInput& input, const Metrics& metrics,
+                   KnownPictures& pictures);
 
 }  // namespace stratalux::fit

@@ -149,10 +149,11 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
       width += b->line_width_mm[i];
       blur += std::sqrt(b->blur_mm[i] * b->blur_mm[i] + SampleSitesOf(*b, i).VarianceMm2());
       n += 1.0;
-      const double period = double(b->step_mm[i]) * b->samples;
+      const double step = b->step_mm[i], period = step * b->samples,
+                   first = std::remainder(double(b->first_u_mm[i]), period);
       const auto y = b->Samples(i);
       for (int k = 0; k < b->samples; ++k) {
-        const double u = std::remainder(double(b->first_u_mm[i]) + k * double(b->step_mm[i]), period);
+        const double from_line = first + k * step, u = from_line > 0.5 * period ? from_line - period : from_line;
         const long bin = std::lround(u / mean.step) + kHalf;
         if (bin < 0 || bin > 2 * kHalf) continue;
         mean.u[bin] += u;
@@ -270,13 +271,14 @@ Result<MixtureMap> DipoleMap(const MixtureMap& map, std::span<const Dipole> dipo
   b.valid.assign(colours, 1);
   for (auto* v : {&b.blur_mm, &b.slope_in, &b.slope_out, &b.slope_in_across, &b.slope_out_across})
     v->assign(colours, 0.0F);
+  b.noise_floor.assign(colours, 1e-12F);
+  b.noise_slope.assign(colours, 1e-4F);
   b.cos_in.assign(colours, 1.0F);
   b.cos_out = b.cos_in;
   for (const Dipole& dipole : dipoles)
     for (int k = 0; k < b.samples; ++k) {
       const double y = 0.05 * dipole.LineSpread(double(b.first_u_mm[0]) + k * double(kStep));
       b.y.push_back(static_cast<float>(y));
-      b.variance.push_back(static_cast<float>(1e-4 * y + 1e-12));
     }
   EmOptions options;
   options.layers = map.layers;

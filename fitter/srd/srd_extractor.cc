@@ -92,14 +92,17 @@ void SrdExtractor::Prepare() {
   batch_.samples = scatter ? cycle_.frames() / 4 * 2 + 1 : cycle_.frames();
   batch_.wrapped = !scatter;
   for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
-                  &batch_.first_u_mm, &batch_.pair_mm, &white_dn_})
+                  &batch_.first_u_mm, &batch_.pair_mm, &batch_.noise_floor, &batch_.noise_slope, &white_dn_})
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);
   batch_.pool = options_.pool;
   if (batch_.pool > 1)
     for (auto* v : {&batch_.quad_x_mm, &batch_.quad_y_mm}) v->assign(profiles, 0.0F);
-  if (scatter) along_.assign(profiles, Eigen::Vector3f::Zero());
+  if (scatter)
+    along_.assign(profiles, Eigen::Vector3f::Zero());
+  else
+    noise_.assign(profiles, {});
   if (scatter || options_.distance == SrdDistance::kSurface) column_.assign(profiles, 0.0F);
   batch_.valid.assign(profiles, 0);
   reason_.assign(profiles, static_cast<uint8_t>(SrdReason::kNoSurface));
@@ -121,7 +124,7 @@ void SrdExtractor::Prepare() {
   });
   std::vector<uint8_t> shown(reason_.size());
   for (size_t i = 0; i < shown.size(); ++i) shown[i] = Valid(static_cast<int64_t>(i)) ? 1 : 0;
-  batch_.AllotRows(shown, 0.0F, 1.0F);
+  batch_.AllotRows(shown, 0.0F);
 }
 
 void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
@@ -164,8 +167,15 @@ void SrdExtractor::AddFrames(std::span<const CombFrame> frames) {
   for (const CombFrame& frame : frames) Scatter(frame);
 }
 
+void SrdExtractor::SetNoise(int64_t profile, const NoiseLine& noise) {
+  batch_.noise_floor[profile] = noise.Floor();
+  batch_.noise_slope[profile] = noise.Slope();
+}
+
 SrdBatch SrdExtractor::Take() {
   if (options_.reading == SrdReading::kGather) {
+    for (int64_t i = 0; i < batch_.profiles(); ++i)
+      if (Valid(i)) SetNoise(i, noise_[i]);
     FillMissingFrame();
     CheckEnergy();
     if (options_.distance == SrdDistance::kSurface) ResampleAlongSurface();
@@ -191,12 +201,10 @@ void SrdExtractor::FillMissingFrame() {
         Reject(i, SrdReason::kSaturated);
         continue;
       }
-      const auto y = batch_.Samples(i), variance = batch_.Variances(i);
+      const auto y = batch_.Samples(i);
       double others = 0.0;
       for (int j = 0; j < samples; ++j) others += j == k ? 0.0 : y[j];
       y[k] = static_cast<float>(batch_.white[i] - others);
-      // As if measured: EM knows one noise model a profile, and this sample must not decide it.
-      variance[k] = 0.5F * (variance[(k + 1) % samples] + variance[(k + samples - 1) % samples]);
     }
   });
 }
@@ -205,9 +213,8 @@ void SrdExtractor::RejectTooDark() {
   ParallelFor(batch_.profiles(), 4096, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
-      double sum = 0.0, variance = 0.0;
+      double sum = 0.0, variance = batch_.VarianceOfSum(i);
       for (const float y : batch_.Samples(i)) sum += y;
-      for (const float v : batch_.Variances(i)) variance += v;
       // Between the lines of a thinned cycle it is dark; white frames light all of it.
       if (!cycle_.LightsAllAlike() && !batch_.white.empty() && batch_.white_variance[i] > 0.0F) {
         sum = batch_.white[i];

@@ -115,8 +115,9 @@ void SrdExtractor::Gather(std::span<const CombFrame> frames) {
             continue;
           }
           const float per_white = 1.0F / white_dn_[profile];
-          batch_.Samples(profile)[frame.k] = row.signal[i] * per_white;
-          batch_.Variances(profile)[frame.k] = row.variance[i] * per_white * per_white;
+          const float sample = row.signal[i] * per_white;
+          batch_.Samples(profile)[frame.k] = sample;
+          noise_[profile].Add(sample, row.variance[i] * per_white * per_white);
         }
       }
   });
@@ -161,7 +162,7 @@ void SrdExtractor::CheckEnergy() {
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
       for (const float y : batch_.Samples(i)) sums[i] += y;
-      for (const float v : batch_.Variances(i)) variances[i] += v;
+      variances[i] = static_cast<float>(batch_.VarianceOfSum(i));
     }
   });
   auto checked = [&](int64_t i) { return Valid(i) && batch_.white_variance[i] > 0.0F && batch_.white[i] > 0.0F; };

@@ -76,7 +76,7 @@ void SrdExtractor::ResampleAlongSurface() {
   std::vector<float> new_first(batch_.first_u_mm), new_step(batch_.step_mm);
   ParallelFor(batch_.profiles(), 1024, [&](int64_t begin, int64_t end) {
     std::vector<double> u(samples + 1);
-    std::vector<float> y(samples), variance(samples);
+    std::vector<float> y(samples);
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
       // Samples in the order of their column: number `first` is the leftmost of the period around the pixel.
@@ -90,7 +90,7 @@ void SrdExtractor::ResampleAlongSurface() {
       for (int k = left - 1; k >= 0; --k) u[k] = ArcTo(i, column_[i] + offset + (first + k) * step, from);
       const double length = u[samples] - u[0];
       if (!(length > 0.0) || !std::is_sorted(u.begin(), u.end())) continue;  // folded: stays on the tangent plane
-      const auto old_y = batch_.Samples(i), old_variance = batch_.Variances(i);
+      const auto old_y = batch_.Samples(i);
       double before = 0.0, after = 0.0;
       int k = 0;
       for (int j = 0; j < samples; ++j) {
@@ -98,13 +98,10 @@ void SrdExtractor::ResampleAlongSurface() {
         while (k + 1 < samples && u[k + 1] <= wanted) ++k;
         const double at = first + k + (wanted - u[k]) / std::max(u[k + 1] - u[k], 1e-9);
         y[j] = CyclicCubic(old_y.data(), samples, at);
-        const int nearest = static_cast<int>(std::lround(at));
-        variance[j] = old_variance[(nearest % samples + samples) % samples];
         before += old_y[j];
         after += y[j];
       }
       std::ranges::copy(y, old_y.begin());
-      std::ranges::copy(variance, old_variance.begin());
       new_first[i] = static_cast<float>(u[0]);
       new_step[i] = static_cast<float>(length / samples);
       if (batch_.white.empty() || !(before > 0.0)) continue;

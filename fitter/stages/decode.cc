@@ -4,6 +4,7 @@
 #include "fitter/export/exr_file.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 namespace {
@@ -140,7 +141,7 @@ Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger) {
 }
 
 Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face) {
-  for (size_t p = 0; p < face.maps.size(); ++p) {
+  SLX_RETURN_IF_ERROR(ParallelTry(face.maps.size(), [&](size_t p) {
     const DecodedMap& map = face.maps[p];
     Image<float> all(map.reason.width(), map.reason.height(), 5);
     for (size_t i = 0; i < map.reason.size(); ++i) {
@@ -151,8 +152,8 @@ Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face)
       site[3] = map.row_sigma.pixels()[i];
       site[4] = map.reason.pixels()[i];
     }
-    SLX_RETURN_IF_ERROR(WriteExr(FileOf(folder, p), all, kCodeChannels));
-  }
+    return WriteExr(FileOf(folder, p), all, kCodeChannels);
+  }));
   return WriteJson(folder / "decode.json", {{"projectors", face.maps.size()}, {"counts", face.counts}});
 }
 

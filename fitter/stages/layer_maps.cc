@@ -2,13 +2,14 @@
 #include "fitter/stages/layer_maps.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/standard_errors.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 namespace {
@@ -105,7 +106,7 @@ Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* cons
       for (const SrdBatch* batch : lights) {
         if (batch->valid[i] == 0) continue;
         for (const float y : batch->Samples(i)) sum += y;
-        for (const float v : batch->Variances(i)) variance += v;
+        variance += batch->VarianceOfSum(i);
       }
       ratio.pixels()[i] = variance > 0.0 ? static_cast<float>(std::max(sum, 0.0) / std::sqrt(variance)) : 0.0F;
     }
@@ -139,13 +140,16 @@ Status WriteStandardErrors(const std::filesystem::path& folder, const StandardEr
 
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps) {
   const int channels = maps.total_weight.channels();
-  for (const auto& [name, image] : {std::pair("total_weight", &maps.total_weight),
-                                    {"absorption", &maps.absorption},
-                                    {"mean_depth_mm", &maps.mean_depth_mm},
-                                    {"effective_width_mm", &maps.effective_width_mm}})
-    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), *image, Names("", channels)));
-  return WriteTogether(folder / "depth_bands.exr",
-                       {{"shallow.", &maps.shallow}, {"middle.", &maps.middle}, {"deep.", &maps.deep}});
+  const std::array<std::pair<const char*, const Image<float>*>, 4> each = {
+      {{"total_weight.exr", &maps.total_weight},
+       {"absorption.exr", &maps.absorption},
+       {"mean_depth_mm.exr", &maps.mean_depth_mm},
+       {"effective_width_mm.exr", &maps.effective_width_mm}}};
+  return ParallelTry(each.size() + 1, [&](size_t k) {
+    if (k < each.size()) return WriteExr(folder / each[k].first, *each[k].second, Names("", channels));
+    return WriteTogether(folder / "depth_bands.exr",
+                         {{"shallow.", &maps.shallow}, {"middle.", &maps.middle}, {"deep.", &maps.deep}});
+  });
 }
 
 }  // namespace stratalux::fit

@@ -130,19 +130,25 @@ Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
   return lights;
 }
 
-Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights, const SrdSet& srds, Logger& logger,
-                                const std::string& label) {
+SharedLight FindSharedLight(const FitOptions& options, const Lights& lights, int channels) {
+  const ScatteringModel& model = options.em.scattering;
+  SharedLight shared;
+  if (options.em.surface_term && options.choose.reflection)
+    shared.reflection = EstimateSurfaceReflection(lights, channels, model.eta);
+  shared.tau = model.gain_model ? EstimateTau(lights, model.eta, shared.reflection) : model.tau;
+  return shared;
+}
+
+Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights, const SrdSet& srds,
+                                const SharedLight& shared, Logger& logger, const std::string& label) {
   EmOptions em = OnThinnedCycles(OnPools(options.em, srds.pool), srds);
   ScatteringModel& model = em.scattering;
-  model.reflection = {};
-  if (em.surface_term && options.choose.reflection) {
-    model.reflection = EstimateSurfaceReflection(lights, srds.channels, model.eta);
-    if (!model.reflection.Known())
-      logger.Warning(label +
-                     ": too few pixels are lit from two directions within 60 degrees to tell how the very surface "
-                     "reflects; of each light its own, as with --surface free");
-  }
-  if (model.gain_model) model.tau = EstimateTau(lights, model.eta, model.reflection);
+  model.reflection = shared.reflection;
+  model.tau = shared.tau;
+  if (em.surface_term && options.choose.reflection && !model.reflection.Known())
+    logger.Warning(label +
+                   ": too few pixels are lit from two directions within 60 degrees to tell how the very surface "
+                   "reflects; of each light its own, as with --surface free");
   logger.Info(label + ": " + Describe(model));
   if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
     SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));
@@ -156,8 +162,14 @@ Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights,
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                              const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
+  return FitLayers(srds, heldout, options, FindSharedLight(options, training.batches, srds.channels), logger, label);
+}
+
+Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, const SharedLight& shared,
+                             Logger& logger, const std::string& label) {
+  SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   const auto& [lights, projectors] = training;
-  SLX_ASSIGN_OR_RETURN(EmOptions em, SharedOptions(options, lights, srds, logger, label));
+  SLX_ASSIGN_OR_RETURN(EmOptions em, SharedOptions(options, lights, srds, shared, logger, label));
   std::vector<LayerSet> start;
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights

@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kFitVersion = 8;
+inline constexpr int kFitVersion = 9;
 
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {
@@ -47,13 +47,26 @@ struct TrainingLights {
 // kUsage when none is left.
 [[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
+// What white light alone says of all pixels together: how the very surface reflects, and tau of the gain. Of one set of
+// training lights it is the same wherever the surface is placed, and for fits that are blind to direction.
+struct SharedLight {
+  SurfaceReflection reflection;  // not Known(): not asked for, or not told
+  double tau = 0.0;
+};
+[[nodiscard]] SharedLight FindSharedLight(const FitOptions& options, const std::vector<const SrdBatch*>& lights,
+                                          int channels);
+
 // What EM is told but for the prior, with all that the profiles of the session share, chosen on `lights`.
 [[nodiscard]] Result<EmOptions> SharedOptions(const FitOptions& options, const std::vector<const SrdBatch*>& lights,
-                                              const SrdSet& srds, Logger& logger, const std::string& label);
+                                              const SrdSet& srds, const SharedLight& shared, Logger& logger,
+                                              const std::string& label);
 
-// EM on the training lights, tied or free. First, as `options` ask for it: the reflection of the very surface, tau,
+// EM on the training lights, tied or free, by what FindSharedLight found on them. First, as `options` ask for it:
 // directional weights, the prior with the mean layers that it is centred on; from these, of a tied fit, the number of
 // sweeps, at most em.refinement_iterations.
+[[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options,
+                                           const SharedLight& shared, Logger& logger, const std::string& label);
+// The same, by what it finds itself.
 [[nodiscard]] Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                                            const std::string& label);
 

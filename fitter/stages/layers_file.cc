@@ -2,7 +2,9 @@
 #include "fitter/stages/layers_file.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -10,6 +12,7 @@
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 namespace {
@@ -57,14 +60,13 @@ std::vector<std::string> AllQualityChannels(int channels) {
 
 }  // namespace
 
-Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layers) {
-  const MixtureMap& map = layers.map;
-  for (const auto& [name, values] :
-       {std::pair("weight", &map.weight), {"depth_mm", &map.depth_mm}, {"sigma_mm", &map.sigma_mm}}) {
-    Image<float> image(map.width, map.height, map.channels * map.layers);
-    std::copy(values->begin(), values->end(), image.data());  // [pixel][colour][layer] is the image's own order
-    SLX_RETURN_IF_ERROR(WriteExr(folder / LayersFile(name), image, LayerChannels(map.channels, map.layers)));
-  }
+namespace {
+
+using LayerField = std::pair<const char*, std::vector<float> MixtureMap::*>;
+constexpr std::array<LayerField, 3> kLayerFields = {
+    {{"weight", &MixtureMap::weight}, {"depth_mm", &MixtureMap::depth_mm}, {"sigma_mm", &MixtureMap::sigma_mm}}};
+
+Image<float> FloorOf(const MixtureMap& map) {
   const int lights = static_cast<int>(map.training_projectors.size());
   Image<float> floor(map.width, map.height, 2 * map.channels * lights);
   for (int64_t i = 0; i < map.profiles(); ++i)
@@ -72,7 +74,11 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
       floor.data()[2 * (i * lights + p)] = map.surface[i * lights + p];
       floor.data()[2 * (i * lights + p) + 1] = map.background[i * lights + p];
     }
-  SLX_RETURN_IF_ERROR(WriteExr(folder / "floor.exr", floor, FloorChannels(map.channels, map.training_projectors)));
+  return floor;
+}
+
+Image<float> QualityOf(const FittedLayers& layers) {
+  const MixtureMap& map = layers.map;
   const int colours = map.channels;
   Image<float> quality(map.width, map.height, 5 * colours);
   for (int64_t i = 0; i < map.profiles(); ++i) {
@@ -84,7 +90,23 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
     values[3 * colours + colour] = layers.signal_to_noise.pixels()[i];
     values[4 * colours + colour] = map.prior_share.empty() ? 0.0F : map.prior_share[i];
   }
-  SLX_RETURN_IF_ERROR(WriteExr(folder / "quality.exr", quality, AllQualityChannels(colours)));
+  return quality;
+}
+
+}  // namespace
+
+Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layers) {
+  const MixtureMap& map = layers.map;
+  SLX_RETURN_IF_ERROR(ParallelTry(kLayerFields.size() + 2, [&](size_t k) {
+    if (k == kLayerFields.size())
+      return WriteExr(folder / "floor.exr", FloorOf(map), FloorChannels(map.channels, map.training_projectors));
+    if (k > kLayerFields.size())
+      return WriteExr(folder / "quality.exr", QualityOf(layers), AllQualityChannels(map.channels));
+    const auto& [name, field] = kLayerFields[k];
+    // [pixel][colour][layer] is an image's own order.
+    const ImageView<const float> image((map.*field).data(), map.width, map.height, map.channels * map.layers);
+    return WriteExr(folder / LayersFile(name), image, LayerChannels(map.channels, map.layers));
+  }));
   const ScatteringModel& model = map.scattering;
   const Json json = {{"schema", 1},
                      {"layers", map.layers},
@@ -172,16 +194,20 @@ Result<FittedLayers> LoadLayers(const std::filesystem::path& folder) {
   FittedLayers layers;
   SLX_RETURN_IF_ERROR(ReadDescription(folder, layers));
   MixtureMap& map = layers.map;
-  const auto layer_channels = LayerChannels(map.channels, map.layers);
-  for (const auto& [name, values] :
-       {std::pair("weight", &map.weight), {"depth_mm", &map.depth_mm}, {"sigma_mm", &map.sigma_mm}}) {
-    SLX_ASSIGN_OR_RETURN(const auto image, ReadExr(folder / LayersFile(name), layer_channels));
-    map.width = image.width();
-    map.height = image.height();
-    values->assign(image.pixels().begin(), image.pixels().end());
-  }
-  SLX_ASSIGN_OR_RETURN(const auto floor,
-                       ReadExr(folder / "floor.exr", FloorChannels(map.channels, map.training_projectors)));
+  std::array<Image<float>, kLayerFields.size()> fields;
+  Image<float> floor;
+  SLX_RETURN_IF_ERROR(ParallelTry(kLayerFields.size() + 1, [&](size_t k) -> Status {
+    if (k == kLayerFields.size()) {
+      SLX_ASSIGN_OR_RETURN(floor, ReadExr(folder / "floor.exr", FloorChannels(map.channels, map.training_projectors)));
+      return Status::Ok();
+    }
+    SLX_ASSIGN_OR_RETURN(fields[k],
+                         ReadExr(folder / LayersFile(kLayerFields[k].first), LayerChannels(map.channels, map.layers)));
+    return Status::Ok();
+  }));
+  map.width = fields[0].width();
+  map.height = fields[0].height();
+  for (size_t k = 0; k < fields.size(); ++k) map.*kLayerFields[k].second = std::move(fields[k]).TakePixels();
   const size_t values = static_cast<size_t>(map.profiles()) * static_cast<size_t>(map.layers);
   if (map.depth_mm.size() != values || map.sigma_mm.size() != values || map.weight.size() != values ||
       floor.width() != map.width || floor.height() != map.height)

@@ -54,9 +54,9 @@ std::vector<float> Pooled(const Image<float>& map, int pool) {
 }  // namespace
 
 Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout, const FitOptions& options,
-                              Logger& logger, const std::string& label) {
+                              const SharedLight& shared, Logger& logger, const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
-  SLX_ASSIGN_OR_RETURN(const EmOptions em, SharedOptions(options, training.batches, srds, logger, label));
+  SLX_ASSIGN_OR_RETURN(const EmOptions em, SharedOptions(options, training.batches, srds, shared, logger, label));
   FaceOffset offset;
   offset.displacement = CodeDisplacement(shape.surface, shape.code_weights, shape.record, em.scattering);
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 2, kPlacedShapeVersion = 3;
+inline constexpr int kOffsetVersion = 3, kPlacedShapeVersion = 4;
 
 struct FaceOffset {
   SurfaceOffset found;
@@ -28,10 +28,11 @@ struct FaceOffset {
 };
 
 // By all lights but those of `heldout` (kNoneHeldOut: by all), of the surface that `srds` were read on; the codes that
-// it was made of are those of all projectors. What the pixels share is chosen as FitLayers does. kUsage where no light
-// is left.
+// it was made of are those of all projectors. What the pixels share is chosen as FitLayers does, by what
+// FindSharedLight found on these lights. kUsage where no light is left.
 [[nodiscard]] Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout,
-                                            const FitOptions& options, Logger& logger, const std::string& label);
+                                            const FitOptions& options, const SharedLight& shared, Logger& logger,
+                                            const std::string& label);
 
 // All sweeps of a session, as read on the reconstructed surface or on one that an offset places.
 class PlacedSrds {

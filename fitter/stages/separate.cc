@@ -5,6 +5,7 @@
 #include "fitter/separation/separate.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 namespace {
@@ -60,7 +61,7 @@ Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames) {
 }
 
 Status SaveSeparation(const std::filesystem::path& folder, const std::vector<SeparationMap>& maps) {
-  for (size_t p = 0; p < maps.size(); ++p) {
+  const Status written = ParallelTry(maps.size(), [&](size_t p) -> Status {
     const SeparationMap& map = maps[p];
     const std::string number = std::to_string(p) + ".exr";
     const int channels = map.direct.channels(), all = 2 * channels + 1;
@@ -74,8 +75,9 @@ Status SaveSeparation(const std::filesystem::path& folder, const std::vector<Sep
       }
       detail.data()[i * all + 2 * channels] = map.reason.pixels()[i];
     }
-    SLX_RETURN_IF_ERROR(WriteExr(folder / ("separation_" + number), detail, DetailChannels(channels)));
-  }
+    return WriteExr(folder / ("separation_" + number), detail, DetailChannels(channels));
+  });
+  SLX_RETURN_IF_ERROR(written);
   return WriteJson(folder / "separate.json",
                    {{"projectors", maps.size()}, {"channels", maps.empty() ? 0 : maps[0].direct.channels()}});
 }
@@ -88,7 +90,7 @@ Result<std::vector<SeparationMap>> LoadSeparation(const std::filesystem::path& f
     json.at("channels").get_to(channels);
   }));
   std::vector<SeparationMap> maps(projectors);
-  for (size_t p = 0; p < projectors; ++p) {
+  SLX_RETURN_IF_ERROR(ParallelTry(projectors, [&](size_t p) -> Status {
     SeparationMap& map = maps[p];
     const std::string number = std::to_string(p) + ".exr";
     SLX_ASSIGN_OR_RETURN(map.direct, ReadExr(folder / ("direct_" + number), Colours(channels)));
@@ -106,7 +108,8 @@ Result<std::vector<SeparationMap>> LoadSeparation(const std::filesystem::path& f
       }
       map.reason.pixels()[i] = static_cast<uint8_t>(detail.data()[i * all + 2 * channels]);
     }
-  }
+    return Status::Ok();
+  }));
   return maps;
 }
 

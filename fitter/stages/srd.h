@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 1;
+inline constexpr int kSrdVersion = 2;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {

@@ -3,12 +3,11 @@
 
 #include <algorithm>
 #include <array>
-#include <functional>
 #include <utility>
 
 #include "fitter/export/npy_file.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_try.h"
 
 namespace stratalux::fit {
 namespace {
@@ -16,11 +15,12 @@ namespace {
 namespace fs = std::filesystem;
 using Member = std::vector<float> SrdBatch::*;
 
-// A row a profile: of K samples each, or of one value.
-constexpr std::array<std::pair<const char*, Member>, 2> kSamples = {
-    {{"y", &SrdBatch::y}, {"variance", &SrdBatch::variance}}};
-constexpr std::array<std::pair<const char*, Member>, 15> kValues = {
-    {{"white", &SrdBatch::white},
+// A row a profile: K samples (kSamples), or one value.
+constexpr const char* kSamples = "y";
+constexpr std::array<std::pair<const char*, Member>, 17> kValues = {
+    {{"noise_floor", &SrdBatch::noise_floor},
+     {"noise_slope", &SrdBatch::noise_slope},
+     {"white", &SrdBatch::white},
      {"white_variance", &SrdBatch::white_variance},
      {"first_u_mm", &SrdBatch::first_u_mm},
      {"step_mm", &SrdBatch::step_mm},
@@ -80,8 +80,7 @@ Status SaveBatch(const fs::path& folder, const SrdBatch& batch) {
   std::vector<int32_t> rows = which;
   for (int32_t& row : rows)
     if (!batch.row.empty()) row = batch.row[static_cast<size_t>(row)];
-  for (const auto& [name, member] : kSamples)
-    SLX_RETURN_IF_ERROR(WriteNpy(ArrayOf(folder, name), Pick(batch.*member, rows, batch.samples), batch.samples));
+  SLX_RETURN_IF_ERROR(WriteNpy(ArrayOf(folder, kSamples), Pick(batch.y, rows, batch.samples), batch.samples));
   for (const auto& [name, member] : kValues)
     if (!(batch.*member).empty()) SLX_RETURN_IF_ERROR(WriteNpy(ArrayOf(folder, name), Pick(batch.*member, which, 1)));
   return WriteJson(folder / "sweep.json", {{"profiles", batch.profiles()},
@@ -135,12 +134,10 @@ Result<SrdBatch> LoadBatch(const fs::path& folder) {
     batch.valid[static_cast<size_t>(i)] = 1;
     batch.row[static_cast<size_t>(i)] = rows++;
   }
-  for (const auto& [name, member] : kSamples) {
-    const fs::path file = ArrayOf(folder, name);
-    SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(file));
-    if ((batch.*member).size() != sweep.which.size() * static_cast<size_t>(batch.samples))
-      return Status::Integrity(file.string() + " does not belong to its profiles");
-  }
+  const fs::path samples = ArrayOf(folder, kSamples);
+  SLX_ASSIGN_OR_RETURN(batch.y, ReadNpyFloats(samples));
+  if (batch.y.size() != sweep.which.size() * static_cast<size_t>(batch.samples))
+    return Status::Integrity(samples.string() + " does not belong to its profiles");
   for (const auto& [name, member] : kValues)
     if (std::error_code error; fs::exists(ArrayOf(folder, name), error))
       SLX_RETURN_IF_ERROR(Spread(ArrayOf(folder, name), sweep.which, sweep.profiles, batch.*member));
@@ -154,11 +151,10 @@ Result<SrdBatch> LoadProfile(const fs::path& folder, int64_t profile) {
   const bool valid = found != sweep.which.end() && *found == profile;
   const int64_t at = found - sweep.which.begin();
   batch.valid = {static_cast<uint8_t>(valid ? 1 : 0)};
-  batch.AllotRows(batch.valid, 0.0F, 1.0F);
-  for (const auto& [name, member] : kSamples)
-    if (valid) {
-      SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(ArrayOf(folder, name), at * batch.samples, batch.samples));
-    }
+  batch.AllotRows(batch.valid, 0.0F);
+  if (valid) {
+    SLX_ASSIGN_OR_RETURN(batch.y, ReadNpyFloats(ArrayOf(folder, kSamples), at * batch.samples, batch.samples));
+  }
   for (const auto& [name, member] : kValues) {
     if (std::error_code error; !fs::exists(ArrayOf(folder, name), error)) continue;
     batch.*member = {0.0F};
@@ -197,22 +193,12 @@ std::vector<fs::path> FoldersOf(const fs::path& folder, size_t columns, size_t r
   return folders;
 }
 
-// On all threads; the first failure by the order of the sweeps.
-Status ForEachSweep(const std::vector<fs::path>& folders, const std::function<Status(size_t)>& work) {
-  std::vector<Status> done(folders.size());
-  ParallelFor(static_cast<int64_t>(folders.size()), 1, [&](int64_t begin, int64_t end) {
-    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k) done[k] = work(k);
-  });
-  for (const Status& status : done) SLX_RETURN_IF_ERROR(status);
-  return Status::Ok();
-}
-
 }  // namespace
 
 Status SaveSrds(const fs::path& folder, const ExtractedSrds& srds) {
   const SrdSet& set = srds.set;
   const std::vector<fs::path> folders = FoldersOf(folder, set.batches.size(), set.row_batches.size());
-  SLX_RETURN_IF_ERROR(ForEachSweep(folders, [&](size_t k) {
+  SLX_RETURN_IF_ERROR(ParallelTry(folders.size(), [&](size_t k) {
     const size_t columns = set.batches.size();
     return SaveBatch(folders[k], k < columns ? set.batches[k] : set.row_batches[k - columns]);
   }));
@@ -231,7 +217,7 @@ Result<ExtractedSrds> LoadSrds(const fs::path& folder) {
   SLX_ASSIGN_OR_RETURN(SavedSet saved, OpenSet(folder));
   const std::vector<fs::path> folders = FoldersOf(folder, saved.columns, saved.rows);
   std::vector<SrdBatch> batches(folders.size());
-  SLX_RETURN_IF_ERROR(ForEachSweep(folders, [&](size_t k) -> Status {
+  SLX_RETURN_IF_ERROR(ParallelTry(folders.size(), [&](size_t k) -> Status {
     SLX_ASSIGN_OR_RETURN(batches[k], LoadBatch(folders[k]));
     return Status::Ok();
   }));

@@ -64,6 +64,8 @@ class Image {
   [[nodiscard]] size_t size() const { return pixels_.size(); }
   [[nodiscard]] T* data() { return pixels_.data(); }
   [[nodiscard]] const T* data() const { return pixels_.data(); }
+  // Its pixels without it, row by row.
+  [[nodiscard]] std::vector<T> TakePixels() && { return std::move(pixels_); }
   [[nodiscard]] std::span<T> pixels() { return pixels_; }
   [[nodiscard]] std::span<const T> pixels() const { return pixels_; }
   [[nodiscard]] T* row(int y) { return data() + static_cast<size_t>(y) * width_ * channels_; }

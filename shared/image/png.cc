@@ -37,6 +37,7 @@ Result<std::vector<uint8_t>> Encode(const void* pixels, int width, int height, i
   PngImage png;
   png.image.width = static_cast<png_uint_32>(width);
   png.image.height = static_cast<png_uint_32>(height);
+  png.image.flags = PNG_IMAGE_FLAG_FAST;  // a report of a face is 4 % larger and encoded in a third of the time
   png.image.format = (channels >= 3 ? PNG_FORMAT_FLAG_COLOR : 0U) | (alpha ? PNG_FORMAT_FLAG_ALPHA : 0U) | linear_flag;
   // Asked for the size it needs, libpng would compress all of it for the answer.
   png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(png.image);

@@ -173,13 +173,15 @@ Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, H
         return noisy.Artifact(stage + record->identity.inputs.at("shape"));
     return fs::path();
   }());
-  const auto predictions = LoadPredictions(holdouts.at(projector).predict);
+  const auto predicted = LoadPrediction(holdouts.at(projector).predict);
   const auto frames = SessionFrames::Open(quiet.store, "latest");
   const auto target = ReadHeldOutTarget(*frames, projector, light);
   const auto lit = truth.LitBy(projector);
-  EXPECT_TRUE(shape.ok() && predictions.ok() && target.ok() && lit.ok());
-  Image<float> prediction = predictions->at(light).subsurface;
-  for (size_t i = 0; i < prediction.size(); ++i) prediction.pixels()[i] += predictions->at(light).surface.pixels()[i];
+  EXPECT_TRUE(shape.ok() && predicted.ok() && target.ok() && lit.ok());
+  const HeldOutView view = ViewOf(*shape, *frames->plan(), projector, {light});
+  Image<float> prediction = predicted->SurfaceLight(light, view.irradiance.front());
+  const auto subsurface = predicted->subsurface.at(light).pixels();
+  for (size_t i = 0; i < prediction.size(); ++i) prediction.pixels()[i] += subsurface[i];
   const ErrorCauseMaps causes(shape->surface, shape->record.projectors[projector].CentreInCamera(), prediction);
   for (int c = 0; c < prediction.channels(); ++c) {
     std::vector<ErrorSample> samples;

@@ -114,7 +114,7 @@ std::vector<double> ErrorsOf(const std::vector<const MixtureMap*>& maps, const F
     const HeldOutView view = ViewOf(shape, plan, p, lights);
     const auto lit = truth.LitBy(p);
     EXPECT_TRUE(lit.ok());
-    std::vector<Predictions> predicted;
+    std::vector<Prediction> predicted;
     for (const MixtureMap* map : maps) predicted.push_back(Predict(*map, pool, view));
     for (const std::string& light : lights) {
       const auto real = truth.Subsurface(light, p);
@@ -123,13 +123,13 @@ std::vector<double> ErrorsOf(const std::vector<const MixtureMap*>& maps, const F
       for (int j = 0; j < mask.height(); ++j)
         for (int i = 0; i < mask.width(); ++i) {
           bool wanted = mask(i, j) != 0 && (*skin)(i, j) != 0 && (*lit)(i, j) != 0;
-          for (const Predictions& of : predicted)
+          for (const Prediction& of : predicted)
             for (int c = 0; c < real->channels(); ++c)
-              wanted = wanted && std::isfinite(of.at(light).subsurface(i, j, c));
+              wanted = wanted && std::isfinite(of.subsurface.at(light)(i, j, c));
           mask(i, j) = wanted ? 1 : 0;
         }
       for (size_t m = 0; m < maps.size(); ++m)
-        errors[m] += CompareImages(real->view(), predicted[m].at(light).subsurface.view(), mask.view()).nrmse /
+        errors[m] += CompareImages(real->view(), predicted[m].subsurface.at(light).view(), mask.view()).nrmse /
                      static_cast<double>(kProjectors * lights.size());
     }
   }

@@ -21,8 +21,9 @@ fit::SrdBatch AsPeersTakeThem(fit::SrdBatch b) {
     const size_t profile = i / b.samples;
     const double u = double(b.first_u_mm[profile]) + static_cast<double>(i % b.samples) * double(b.step_mm[profile]);
     b.y[i] = std::abs(u) < kFarthestMm ? std::max(b.y[i], 0.0F) : 0.0F;
-    b.variance[i] = b.y[i] / static_cast<float>(kPeerPhotons);
   }
+  std::fill(b.noise_floor.begin(), b.noise_floor.end(), 0.0F);
+  std::fill(b.noise_slope.begin(), b.noise_slope.end(), 1.0F / static_cast<float>(kPeerPhotons));
   return b;
 }
 

@@ -78,9 +78,9 @@ TEST(ChoosePrior, BindsPixelsThatAreAlikeMoreThanThoseThatAreNot) {
 
 TEST(ChoosePrior, TriesWeakPriorsOnlyWhereOneMayBeTheBest) {
   const EmOptions options;
-  // Enough photons to tell how much alike the pixels are.
+  // Enough photons to tell how much alike the pixels are; of this skin's, alike, a strong one is the best.
   const auto choose = [&](int alike) {
-    const EmCases made = MakeEmCases({.profiles = kProfiles, .peak_counts = 1e4, .alike = alike}, options, 46);
+    const EmCases made = MakeEmCases({.profiles = kProfiles, .peak_counts = 2e4, .alike = alike}, options, 50);
     auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
     EXPECT_TRUE(choice.ok() && !choice->trials.empty());
     return *std::move(choice);

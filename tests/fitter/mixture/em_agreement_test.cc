@@ -117,7 +117,7 @@ EmCases Pick(const EmCases& all, const std::vector<int64_t>& from) {
 
 TEST(EmBlock, AProfilesResultDoesNotDependOnItsCompany) {
   EmOptions options;
-  options.tolerance = 3e-4;  // some lanes settle early and make room
+  options.tolerance = 1e-3;  // some lanes settle early and make room
   options.max_iterations = 40;
   const EmCases all = MakeEmCases({.profiles = 40, .peak_counts = 500}, options, 16);
   const MixtureMap together = Fit(all.lights(), options);

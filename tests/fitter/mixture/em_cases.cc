@@ -35,7 +35,8 @@ SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
   b.pool = cases.pool;
   const auto n = static_cast<size_t>(cases.profiles);
   b.y.assign(n * b.samples, 0.0F);
-  b.variance.assign(n * b.samples, 1e-6F);
+  b.noise_floor.assign(n, 1e-6F);
+  b.noise_slope.assign(n, 0.0F);
   b.valid.assign(n, 1);
   for (auto* v : {&b.slope_in_across, &b.slope_out_across}) v->assign(n, 0.0F);
   for (size_t i = 0; i < n; ++i) {
@@ -81,8 +82,9 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
       for (int k = 0; k < b.samples; ++k) {
         const double variance = (y[k] + 2e-5) / counts;
         b.y[i * b.samples + k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
-        b.variance[i * b.samples + k] = static_cast<float>(variance);
       }
+      b.noise_floor[i] = static_cast<float>(2e-5 / counts);
+      b.noise_slope[i] = static_cast<float>(1.0 / counts);
     }
     made.batches.push_back(std::move(b));
   }

@@ -26,7 +26,8 @@ SrdBatch Geometry(double slope, int64_t profiles, double width_mm = 0.58) {
   b.samples = 64;
   b.wrapped = true;
   b.y.assign(profiles * 64, 0.0F);
-  b.variance.assign(profiles * 64, 1e-6F);
+  b.noise_floor.assign(profiles, 1e-6F);
+  b.noise_slope.assign(profiles, 0.0F);
   b.slope_in.assign(profiles, static_cast<float>(slope));
   for (auto* v : {&b.slope_out, &b.slope_in_across, &b.slope_out_across}) v->assign(profiles, 0.0F);
   b.cos_in.assign(profiles, static_cast<float>(1.0 / std::hypot(1.0, slope)));
@@ -48,8 +49,10 @@ void FillSamples(SrdBatch& b, const LayerSet& layers, const EmOptions& options, 
     for (int k = 0; k < b.samples; ++k) {
       const double noise = peak_counts > 0.0 ? random.Normal() * std::sqrt(y[k] / counts) : 0.0;
       b.y[i * b.samples + k] = static_cast<float>(y[k] + noise);
-      if (peak_counts > 0.0) b.variance[i * b.samples + k] = static_cast<float>(std::max(y[k], 1e-5) / counts);
     }
+    if (!(peak_counts > 0.0)) continue;
+    b.noise_floor[i] = static_cast<float>(1e-5 / counts);
+    b.noise_slope[i] = static_cast<float>(1.0 / counts);
   }
 }
 
@@ -292,10 +295,10 @@ TEST(FitMixture, SurvivesAnyNumbers) {
       b.quad_x_mm.assign(300, 0.4F);
       b.pair_mm.assign(300, 0.2F);
       auto* const fields = &b;
-      for (auto* values :
-           {&fields->y, &fields->variance, &fields->white, &fields->white_variance, &fields->first_u_mm,
-            &fields->line_width_mm, &fields->blur_mm, &fields->quad_x_mm, &fields->pair_mm, &fields->slope_in,
-            &fields->slope_out, &fields->cos_in, &fields->slope_in_across, &fields->slope_out_across})
+      for (auto* values : {&fields->y, &fields->noise_floor, &fields->noise_slope, &fields->white,
+                           &fields->white_variance, &fields->first_u_mm, &fields->line_width_mm, &fields->blur_mm,
+                           &fields->quad_x_mm, &fields->pair_mm, &fields->slope_in, &fields->slope_out, &fields->cos_in,
+                           &fields->slope_in_across, &fields->slope_out_across})
         for (int n = 0; n < 40; ++n)
           (*values)[static_cast<size_t>(random.Uniform() * static_cast<double>(values->size()))] =
               kOdd[static_cast<size_t>(random.Uniform() * std::size(kOdd))];

@@ -38,8 +38,9 @@ inline SrdBatch CombOf(const LayerSet& layers, double slope, int64_t profiles, d
     for (int k = 0; k < b.samples; ++k) {
       const double noise = peak_counts > 0.0 ? random.Normal() * std::sqrt(y[k] / counts) : 0.0;
       b.y[i * b.samples + k] = static_cast<float>(y[k] + noise);
-      b.variance.push_back(static_cast<float>(std::max(y[k], 1e-5) / counts));
     }
+    b.noise_floor.push_back(static_cast<float>(1e-5 / counts));
+    b.noise_slope.push_back(static_cast<float>(1.0 / counts));
   }
   return b;
 }

@@ -61,8 +61,9 @@ Face MakeFace(double depth, double peak_counts, uint64_t seed, std::vector<doubl
       for (int k = 0; k < b.samples; ++k) {
         const double variance = (y[k] + 2e-5) / counts;
         b.Samples(i)[k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
-        b.Variances(i)[k] = static_cast<float>(variance);
       }
+      b.noise_floor[i] = static_cast<float>(2e-5 / counts);
+      b.noise_slope[i] = static_cast<float>(1.0 / counts);
     }
     MoveSurface(b, 1, kDisplacement, depth);
     face.batches.push_back(std::move(b));

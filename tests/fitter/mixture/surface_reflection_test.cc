@@ -117,7 +117,8 @@ struct Sphere {
     b.white.push_back(static_cast<float>(2.0 * white));
     b.white_variance.push_back(static_cast<float>(std::pow(2.0 * noise * white, 2) + 1e-10));
     b.y.insert(b.y.end(), 3, static_cast<float>(2.0 * white / 3.0));
-    b.variance.insert(b.variance.end(), 3, 1e-6F);
+    b.noise_floor.push_back(1e-6F);
+    b.noise_slope.push_back(0.0F);
   }
 };
 

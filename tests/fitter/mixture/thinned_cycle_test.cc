@@ -26,12 +26,8 @@ SrdBatch Thinned(const SrdBatch& whole, int every, White white) {
   SrdBatch b = whole;
   b.samples = whole.samples / every;
   b.y.clear();
-  b.variance.clear();
   for (int64_t i = 0; i < whole.profiles(); ++i) {
-    for (int k = 0; k < b.samples; ++k) {
-      b.y.push_back(whole.Samples(i)[k * every]);
-      b.variance.push_back(whole.Variances(i)[k * every]);
-    }
+    for (int k = 0; k < b.samples; ++k) b.y.push_back(whole.Samples(i)[k * every]);
     b.step_mm[i] *= static_cast<float>(every);
     if (white == White::kNone) continue;
     const auto y = whole.Samples(i);

@@ -16,7 +16,8 @@ SrdBatch Light(double slope, const LayerSet& layers, const EmOptions& options, u
   SrdBatch b;
   b.samples = 64;
   b.y.assign(kProfiles * 64, 0.0F);
-  b.variance.assign(kProfiles * 64, 0.0F);
+  b.noise_floor.assign(kProfiles, 0.0F);
+  b.noise_slope.assign(kProfiles, static_cast<float>(0.1 / 4000.0));
   b.slope_in.assign(kProfiles, static_cast<float>(slope));
   for (auto* v : {&b.slope_out, &b.slope_in_across, &b.slope_out_across}) v->assign(kProfiles, 0.0F);
   b.cos_in.assign(kProfiles, static_cast<float>(1.0 / std::hypot(1.0, slope)));
@@ -32,7 +33,6 @@ SrdBatch Light(double slope, const LayerSet& layers, const EmOptions& options, u
     for (int k = 0; k < 64; ++k) {
       const double variance = std::max(y[k], 1e-5) * 0.1 / 4000.0;
       b.y[i * 64 + k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
-      b.variance[i * 64 + k] = static_cast<float>(variance);
     }
   }
   return b;

@@ -260,7 +260,8 @@ void ExpectSame(const Training& a, const Training& b) {
     EXPECT_GT(std::count(x.valid.begin(), x.valid.end(), 1), 1000) << "too little to say anything";
     EXPECT_TRUE(Same(x.valid, y.valid)) << p;
     EXPECT_TRUE(Same(x.y, y.y)) << p;
-    EXPECT_TRUE(Same(x.variance, y.variance)) << p;
+    EXPECT_TRUE(Same(x.noise_floor, y.noise_floor)) << p;
+    EXPECT_TRUE(Same(x.noise_slope, y.noise_slope)) << p;
     EXPECT_TRUE(Same(x.white, y.white)) << p;
     EXPECT_TRUE(Same(a.separation[p].direct, b.separation[p].direct)) << p;
     EXPECT_TRUE(Same(a.black[p], b.black[p])) << p;

@@ -20,10 +20,9 @@ ExtractedSrds SmallSrds() {
   batch.pool = 2;
   batch.valid = {1, 0, 1};
   batch.y = {1.0F, 2.0F, 99.0F, 99.0F, 5.0F, 6.0F};
-  batch.variance = {0.1F, 0.2F, 99.0F, 99.0F, 0.5F, 0.6F};
-  for (auto* v : {&batch.first_u_mm, &batch.step_mm, &batch.line_width_mm, &batch.blur_mm, &batch.quad_x_mm,
-                  &batch.quad_y_mm, &batch.pair_mm, &batch.slope_in, &batch.slope_out, &batch.cos_in, &batch.cos_out,
-                  &batch.slope_in_across, &batch.slope_out_across})
+  for (auto* v : {&batch.noise_floor, &batch.noise_slope, &batch.first_u_mm, &batch.step_mm, &batch.line_width_mm,
+                  &batch.blur_mm, &batch.quad_x_mm, &batch.quad_y_mm, &batch.pair_mm, &batch.slope_in, &batch.slope_out,
+                  &batch.cos_in, &batch.cos_out, &batch.slope_in_across, &batch.slope_out_across})
     *v = {0.25F, 99.0F, 0.75F};
   ExtractedSrds srds;
   srds.set = {2, 3, 1, 1, {batch}, {}};
@@ -45,7 +44,8 @@ TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
   EXPECT_EQ(back.valid, batch.valid);
   EXPECT_EQ(back.row, (std::vector<int32_t>{0, -1, 1}));
   EXPECT_EQ(back.y, (std::vector<float>{1.0F, 2.0F, 5.0F, 6.0F}));
-  EXPECT_EQ(back.Variances(2)[1], 0.6F);
+  EXPECT_EQ(back.noise_floor, (std::vector<float>{0.25F, 0.0F, 0.75F}));
+  EXPECT_EQ(back.noise_slope, back.noise_floor);
   EXPECT_EQ(back.slope_out_across, (std::vector<float>{0.25F, 0.0F, 0.75F}));
   EXPECT_TRUE(back.white.empty());
   EXPECT_EQ(back.pool, 2);
@@ -71,8 +71,9 @@ TEST_F(SrdFile, AProfileByItselfIsThatOfAll) {
     EXPECT_EQ(one.wrapped, expected.wrapped);
     EXPECT_EQ(one.valid, expected.valid);
     EXPECT_EQ(one.row, expected.row);
-    for (const auto field : {&SrdBatch::y, &SrdBatch::variance, &SrdBatch::white, &SrdBatch::first_u_mm,
-                             &SrdBatch::step_mm, &SrdBatch::cos_out, &SrdBatch::slope_out_across})
+    for (const auto field :
+         {&SrdBatch::y, &SrdBatch::noise_floor, &SrdBatch::noise_slope, &SrdBatch::white, &SrdBatch::first_u_mm,
+          &SrdBatch::step_mm, &SrdBatch::cos_out, &SrdBatch::slope_out_across})
       EXPECT_EQ(one.*field, expected.*field) << profile;
   }
   const auto none = LoadProfileSrds(folder_, -1);

@@ -69,6 +69,8 @@ SrdBatch CombOver(const Dipole& dipole, int channels, double surface = 0.0) {
     b.step_mm.push_back(kStep);
     b.line_width_mm.push_back(kStep);
     b.blur_mm.push_back(0.2F);
+    b.noise_floor.push_back(1e-8F);
+    b.noise_slope.push_back(0.0F);
     b.valid.push_back(1);
     for (int k = 0; k < b.samples; ++k) {
       const double u = b.first_u_mm.back() + k * double(kStep);
@@ -84,7 +86,6 @@ SrdBatch CombOver(const Dipole& dipole, int channels, double surface = 0.0) {
         if (std::abs(u + 0.2 * g) < 0.5 * kStep)
           hit += 0.01 * std::exp(-0.5 * g * g) / std::sqrt(2.0 * std::numbers::pi);
       b.y.push_back(static_cast<float>(y / norm + surface * hit));
-      b.variance.push_back(1e-8F);
     }
   }
   return b;

@@ -265,7 +265,7 @@ TEST(Metrics, WritesSchemaTwo) {
   EXPECT_EQ(json["truth"]["depth_bias_mm"], -0.2);
 }
 
-TEST(ScaledPredictions, AreThoseOfTheScaledLayers) {
+TEST(ScaledPrediction, IsThatOfTheScaledLayers) {
   // Light is linear in the weights: mean layers with each pixel's own albedo need no rendering of their own.
   const LitScene scene = MakeScene(FaceLike(), {-350.0, 0.0, 150.0}, Cfa::kRggb);
   MixtureMap skin = VaryingSkin(scene, SkinLayers());
@@ -277,28 +277,27 @@ TEST(ScaledPredictions, AreThoseOfTheScaledLayers) {
   const PlanOptions plan;
   const std::vector<std::string> lights = {"stripe", "white"};
   const HeldOutView view = ViewOf(shape, plan, 0, lights);
-  const Predictions rendered = Predict(own_albedo, 1, view),
-                    scaled = ScaledPredictions(Predict(mean, 1, view), skin, TotalWeights(mean),
-                                               TotalWeights(own_albedo), 1);
-  ASSERT_EQ(scaled.size(), 2U);
-  for (const std::string& light : lights) {
-    const Prediction &expected = rendered.at(light), &found = scaled.at(light);
-    const auto near = [](const Image<float>& a, const Image<float>& b) {
-      float most = 0.0F;
-      for (float v : b.pixels()) most = std::fmax(most, v);  // of those that are known
-      for (size_t i = 0; i < a.size(); ++i) {
-        ASSERT_EQ(std::isnan(a.pixels()[i]), std::isnan(b.pixels()[i]));
-        if (std::isfinite(b.pixels()[i])) {
-          ASSERT_NEAR(a.pixels()[i], b.pixels()[i], 1e-6F * most);
-        }
+  const Prediction expected = Predict(own_albedo, 1, view),
+                   found =
+                       ScaledPrediction(Predict(mean, 1, view), skin, TotalWeights(mean), TotalWeights(own_albedo), 1);
+  const auto near = [](const Image<float>& a, const Image<float>& b) {
+    float most = 0.0F;
+    for (float v : b.pixels()) most = std::fmax(most, v);  // of those that are known
+    for (size_t i = 0; i < a.size(); ++i) {
+      ASSERT_EQ(std::isnan(a.pixels()[i]), std::isnan(b.pixels()[i]));
+      if (std::isfinite(b.pixels()[i])) {
+        ASSERT_NEAR(a.pixels()[i], b.pixels()[i], 1e-6F * most);
       }
-    };
-    EXPECT_TRUE(std::ranges::any_of(found.subsurface.pixels(), [](float v) { return v > 1.0F; }));
-    EXPECT_TRUE(std::ranges::any_of(found.direct_part.pixels(), [](float v) { return v > 1.0F; }));
-    near(found.subsurface, expected.subsurface);
-    near(found.direct_part, expected.direct_part);
-    near(found.surface, expected.surface);
+    }
+  };
+  ASSERT_EQ(found.subsurface.size(), 2U);
+  for (const std::string& light : lights) {
+    EXPECT_TRUE(std::ranges::any_of(found.subsurface.at(light).pixels(), [](float v) { return v > 1.0F; }));
+    near(found.subsurface.at(light), expected.subsurface.at(light));
   }
+  EXPECT_TRUE(std::ranges::any_of(found.direct_share.pixels(), [](float v) { return v > 0.01F; }));
+  near(found.direct_share, expected.direct_share);
+  near(found.reflectance, expected.reflectance);
 }
 
 TEST(Predict, WhatWasNotFittedIsUnknownInThatColourAlone) {
@@ -309,16 +308,22 @@ TEST(Predict, WhatWasNotFittedIsUnknownInThatColourAlone) {
   shape.record = scene.rig;
   shape.surface = scene.surface;
   ASSERT_NE(scene.surface.mask(20, 18), 0);
-  for (const auto& [light, p] : Predict(skin, 1, ViewOf(shape, PlanOptions(), 0, {"stripe", "white"})))
-    for (const Image<float>* image : {&p.subsurface, &p.surface, &p.direct_part})
-      for (int j = 0; j < image->height(); ++j)
-        for (int i = 0; i < image->width(); ++i)
-          for (int c = 0; c < image->channels(); ++c) {
+  const HeldOutView view = ViewOf(shape, PlanOptions(), 0, {"stripe", "white"});
+  const Prediction p = Predict(skin, 1, view);
+  for (size_t k = 0; k < view.lights.size(); ++k) {
+    const std::string& light = view.lights[k];
+    const Image<float>& irradiance = view.irradiance[k];
+    for (const Image<float>& image :
+         {p.subsurface.at(light), p.SurfaceLight(light, irradiance), p.DirectLight(light, irradiance)})
+      for (int j = 0; j < image.height(); ++j)
+        for (int i = 0; i < image.width(); ++i)
+          for (int c = 0; c < image.channels(); ++c) {
             const int64_t profile = skin.ProfileOfQuad(i, j, c, 1);
             const bool fitted = profile >= 0 && skin.Fitted(profile);
-            ASSERT_EQ(std::isfinite((*image)(i, j, c)), fitted || scene.surface.mask(i, j) == 0)
+            ASSERT_EQ(std::isfinite(image(i, j, c)), fitted || scene.surface.mask(i, j) == 0)
                 << light << " " << i << " " << j << " " << c;
           }
+  }
 }
 
 }  // namespace

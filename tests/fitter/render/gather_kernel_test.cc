@@ -3,10 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <gtest/gtest.h>
 
-#include "fitter/render/wide_blocks.h"
 #include "shared/base/random.h"
 #include "tests/fitter/mixture/simd_targets.h"
 
@@ -42,8 +42,10 @@ LitPlanes Blocks(uint64_t seed) {
 // A place of the skin: normal (0, 0.6, -0.8), its plane's origin off the Gaussian's centre.
 const TangentPlane kPlane = {{8.0F, 1.0F, 500.1F}, {0.0F, 0.6F, -0.8F}, {1.0F, 0.0F, 0.0F}, {0.0F, 0.8F, 0.6F}};
 
+constexpr float kNoLimit = std::numeric_limits<float>::infinity();
+
 // The blocks of a window in plain double precision.
-double Reference(const LitPlanes& planes, const BlockWindow& window, const GatherTarget& target) {
+double Reference(const LitPlanes& planes, const BlockWindow& window, float max_spread_mm2, const GatherTarget& target) {
   double sum = 0.0;
   for (int y = window.y0; y <= window.y1; ++y)
     for (int x = window.x0; x <= window.x1; ++x) {
@@ -55,7 +57,7 @@ double Reference(const LitPlanes& planes, const BlockWindow& window, const Gathe
         p += d[k] * kPlane.p[k];
         q += d[k] * kPlane.q[k];
       }
-      if (planes.spread_mm2[at] > target.max_spread_mm2 || planes.nz[at] * kPlane.normal[2] < 0.0F) continue;
+      if (planes.spread_mm2[at] > max_spread_mm2 || planes.nz[at] * kPlane.normal[2] < 0.0F) continue;
       sum += planes.flux[at] * std::exp(-target.half_inverse2 * (p * p + q * q));
     }
   return sum;
@@ -67,13 +69,13 @@ TEST(GatherBlocks, IsThePlainSumOnEveryInstructionSet) {
   const LitPlanes planes = Blocks(1);
   for (const float spread : {0.6F, 1.0F})
     for (const float sigma : {0.1F, 0.4F, 3.0F}) {
-      const GatherTarget target{1.1F, -0.4F, 0.5F / (sigma * sigma), spread};
+      const GatherTarget target{1.1F, -0.4F, 0.5F / (sigma * sigma)};
       for (const BlockWindow& window : {kAll, BlockWindow{30, 30, 2, 2}, {13, 47, 1, 6}, {60, kWidth - 1, 0, 8}}) {
-        const double reference = Reference(planes, window, target);
+        const double reference = Reference(planes, window, spread, target);
         ForEachSimdTarget([&](const char* name) {
           for (const BlockWindow& seen_window : {window, kAll}) {
             SeenBlocks seen;
-            SeeBlocks(planes, seen_window, kPlane, seen);
+            SeeBlocks(planes, seen_window, kPlane, spread, seen);
             // Positions near 500 mm are known to 3e-5 mm.
             const double tolerance = (3e-6 + 1e-4 / sigma * 0.1) * reference + 1e-30;
             EXPECT_NEAR(GatherBlocks(seen, window, target), reference, tolerance)
@@ -100,10 +102,9 @@ TEST(GatherBlocks, TakesItsExponentialToTheBoundInTheCode) {
     double worst = 0.0;
     for (int k = 0; k <= 2000; ++k) {
       planes.x[0] = static_cast<float>(k) / 256.0F;  // squares are exact
-      SeeBlocks(planes, {0, 0, 0, 0}, plane, seen);
+      SeeBlocks(planes, {0, 0, 0, 0}, plane, kNoLimit, seen);
       const double x = double{planes.x[0]};
-      const double exact = std::exp(-0.5 * x * x),
-                   gathered = GatherBlocks(seen, {0, 0, 0, 0}, {0.0F, 0.0F, 0.5F, 1.0F});
+      const double exact = std::exp(-0.5 * x * x), gathered = GatherBlocks(seen, {0, 0, 0, 0}, {0.0F, 0.0F, 0.5F});
       // The slope log2(e) / 2 is rounded as well: half a unit in the last place of the exponent.
       worst = std::max(worst, std::abs(gathered / exact - 1.0) - 6e-8 * 0.5 * x * x);
     }
@@ -115,31 +116,49 @@ TEST(GatherBlocks, TakesItsExponentialToTheBoundInTheCode) {
 TEST(GatherBlocks, VanishesFarAwayAndKnowsNoOverflow) {
   const LitPlanes planes = Blocks(2);
   SeenBlocks seen;
-  SeeBlocks(planes, kAll, kPlane, seen);
-  EXPECT_LT(GatherBlocks(seen, kAll, {1e4F, 0.0F, 5.0F, 2.0F}), 1e-30F);
+  SeeBlocks(planes, kAll, kPlane, kNoLimit, seen);
+  EXPECT_LT(GatherBlocks(seen, kAll, {1e4F, 0.0F, 5.0F}), 1e-30F);
 }
 
-TEST(SeeBlocks, KnowsTheWidestBlockAndWhetherAnythingIsLit) {
+TEST(GatherBlocks, TakesPartsAsItTakesBlocks) {
+  // However many parts there are, and though blocks' parts lie in no window.
+  const LitPlanes planes = Blocks(4);
+  const GatherTarget target{1.1F, -0.4F, 0.3F};
+  ForEachSimdTarget([&](const char* name) {
+    for (const int parts : {1, 15, 16, 17, 40}) {
+      SeenBlocks seen;
+      SeeBlocks(planes, kAll, kPlane, 0.5F, seen);
+      double expected = Reference(planes, kAll, 0.5F, target);
+      Random random(static_cast<uint64_t>(parts));
+      for (int k = 0; k < parts; ++k) {
+        const auto p = static_cast<float>(random.Uniform(-3.0, 3.0)), q = static_cast<float>(random.Uniform(-3.0, 3.0)),
+                   flux = static_cast<float>(random.Uniform(0.5, 2.0));
+        seen.AddPart(p, q, flux);
+        expected += flux * std::exp(-0.3 * (std::pow(p - 1.1, 2) + std::pow(q + 0.4, 2)));
+      }
+      seen.EndParts();
+      EXPECT_NEAR(GatherBlocks(seen, kAll, target), expected, 2e-5 * expected) << name << ", " << parts << " parts";
+      SeeBlocks(planes, kAll, kPlane, 0.5F, seen);
+      EXPECT_TRUE(seen.part_flux.empty());  // another look
+    }
+  });
+}
+
+TEST(SeeBlocks, KnowsWhetherAnythingIsLit) {
   LitPlanes planes = Blocks(3);
   SeenBlocks seen;
   const BlockWindow window = {10, 40, 2, 7};
-  float widest = 0.0F;
-  for (int y = window.y0; y <= window.y1; ++y)
-    for (int x = window.x0; x <= window.x1; ++x) {
-      const size_t at = static_cast<size_t>(y) * planes.stride + x;
-      if (planes.flux[at] > 0.0F) widest = std::max(widest, planes.spread_mm2[at]);
-    }
-  SeeBlocks(planes, window, kPlane, seen);
-  EXPECT_EQ(seen.widest_mm2, widest);
-  EXPECT_FALSE(seen.dark);
+  for (const float limit : {0.0F, kNoLimit}) {  // 0: every block is left to its parts, and still there is light
+    SeeBlocks(planes, window, kPlane, limit, seen);
+    EXPECT_FALSE(seen.dark);
+  }
   for (int y = window.y0; y <= window.y1; ++y)
     for (int x = window.x0; x <= window.x1; ++x) planes.flux[static_cast<size_t>(y) * planes.stride + x] = 0.0F;
-  SeeBlocks(planes, window, kPlane, seen);
+  SeeBlocks(planes, window, kPlane, kNoLimit, seen);
   EXPECT_TRUE(seen.dark);
-  EXPECT_EQ(seen.widest_mm2, 0.0F);
 }
 
-TEST(FindWideBlocks, FindsThemInTheirOrderOnEveryInstructionSet) {
+TEST(SeeBlocks, ListsWideBlocksInTheirOrderOnEveryInstructionSet) {
   const LitPlanes planes = Blocks(2);
   for (const float limit : {0.0F, 0.6F, 0.99F, 1.0F})
     for (const BlockWindow& window : {kAll, BlockWindow{30, 30, 2, 2}, {13, 47, 1, 6}, {60, kWidth - 1, 0, 8}}) {
@@ -150,13 +169,10 @@ TEST(FindWideBlocks, FindsThemInTheirOrderOnEveryInstructionSet) {
           if (planes.flux[at] > 0.0F && planes.spread_mm2[at] > limit) expected.push_back({x, y});
         }
       ForEachSimdTarget([&](const char* name) {
-        for (const BlockWindow& seen_window : {window, kAll}) {
-          SeenBlocks seen;
-          SeeBlocks(planes, seen_window, kPlane, seen);
-          std::vector<BlockPlace> wide(3);
-          FindWideBlocks(seen, window, limit, wide);
-          EXPECT_EQ(wide, expected) << name << ", limit " << limit << ", from column " << window.x0;
-        }
+        SeenBlocks seen;
+        seen.wide.resize(3);
+        SeeBlocks(planes, window, kPlane, limit, seen);
+        EXPECT_EQ(seen.wide, expected) << name << ", limit " << limit << ", from column " << window.x0;
       });
     }
 }

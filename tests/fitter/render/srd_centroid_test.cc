@@ -27,7 +27,8 @@ SrdBatch Batch() {
   b.blur_mm.assign(kProfiles, 0.1F);
   b.valid.assign(kProfiles, 1);
   b.y.assign(kProfiles * 64, 0.0F);
-  b.variance.assign(kProfiles * 64, 1e-6F);
+  b.noise_floor.assign(kProfiles, 1e-6F);
+  b.noise_slope.assign(kProfiles, 0.0F);
   return b;
 }
 

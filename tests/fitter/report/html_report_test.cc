@@ -120,6 +120,29 @@ TEST(RenderHtml, PlotsOnlyFinitePointsInsideTheFrame) {
   EXPECT_EQ(circles, 3);  // four samples, one of them not a number
 }
 
+TEST(KnownPictures, AreThoseOfTheSamePixelsAlone) {
+  KnownPictures known;
+  Report report = Sample();
+  const auto first = EncodePictures(report, known);
+  ASSERT_TRUE(first.ok());
+  report.sections[0].images[0].caption = "the same pixels";
+  const auto again = EncodePictures(report, known);
+  ASSERT_TRUE(again.ok());
+  EXPECT_EQ(*again, *first);
+  Image<uint8_t>& pixels = report.sections[0].images[0].pixels;
+  const Image<uint8_t> before = pixels;
+  pixels.pixels()[0] ^= 1;  // one bit of one pixel
+  const auto changed = EncodePictures(report, known);
+  ASSERT_TRUE(changed.ok());
+  EXPECT_NE((*changed)[0], (*first)[0]);
+  // As many values in another shape.
+  pixels = Image<uint8_t>(before.height(), before.width(), before.channels());
+  std::ranges::copy(before.pixels(), pixels.pixels().begin());
+  const auto turned = EncodePictures(report, known);
+  ASSERT_TRUE(turned.ok());
+  EXPECT_NE((*turned)[0], (*first)[0]);
+}
+
 TEST(RenderHtml, RefusesAPictureThatIsNoPicture) {
   Report report = Sample();
   report.sections[0].images[0].pixels = Image<uint8_t>(4, 4, 5);

@@ -137,18 +137,13 @@ TEST(SrdExtractor, PoolingKeepsCentroidAndBlurOfASite) {
   const SrdBatch fine = Extract(rig, plane, Cycle(), {});
   const SrdBatch pooled = Extract(rig, plane, Cycle(), {.pool = 2});
   ASSERT_EQ(pooled.profiles() * 4, fine.profiles());
-  const auto total_variance = [](const SrdBatch& b, int64_t profile) {
-    double sum = 0.0;
-    for (int k = 0; k < b.samples; ++k) sum += b.Variances(profile)[k];
-    return sum;
-  };
   const int width = kWidth / 4;
   for (int64_t i = 0; i < pooled.profiles(); i += 5) {
     const int64_t x = i / 3 % width, y = i / 3 / width, c = i % 3;
     const int64_t twin = (2 * y * 2 * width + 2 * x) * 3 + c;
     EXPECT_NEAR(Centroid(pooled, i), 0.0, 0.015);
     EXPECT_NEAR(pooled.blur_mm[i] / fine.blur_mm[twin], 1.0, 0.01);
-    EXPECT_NEAR(total_variance(pooled, i) / total_variance(fine, twin), 0.25, 0.02);
+    EXPECT_NEAR(pooled.VarianceOfSum(i) / fine.VarianceOfSum(twin), 0.25, 0.02);
   }
 }
 
