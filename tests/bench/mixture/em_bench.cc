@@ -214,8 +214,8 @@ EmCases FullSize() {
     };
     repeat(b.y, b.samples);
     repeat(b.valid, 1);
-    for (auto* v : {&b.noise_floor, &b.noise_slope, &b.first_u_mm, &b.step_mm, &b.line_width_mm, &b.blur_mm, &b.slope_in, &b.slope_out, &b.cos_in,
-                    &b.cos_out, &b.slope_in_across, &b.slope_out_across})
+    for (auto* v : {&b.noise_floor, &b.noise_slope, &b.first_u_mm, &b.step_mm, &b.line_width_mm, &b.blur_mm,
+                    &b.slope_in, &b.slope_out, &b.cos_in, &b.cos_out, &b.slope_in_across, &b.slope_out_across})
       repeat(*v, 1);
   }
   return cases;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "fitter/mixture/photon_noise.h"
 #include "fitter/mixture/srd_samples.h"
 
 #include <algorithm>
@@ -7,6 +6,8 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+
+#include "fitter/mixture/photon_noise.h"
 
 namespace stratalux::fit {
 namespace {
