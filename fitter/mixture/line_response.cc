@@ -6,38 +6,15 @@
 #include <numbers>
 #include <vector>
 
+#include "fitter/mixture/normal_table.h"
+
 namespace stratalux::fit {
 namespace {
 
 double NormalDistribution(double x) { return 0.5 * std::erfc(-x / std::numbers::sqrt2); }
 
-constexpr double kEnd =
-    7.0;  // of the normal distribution function and its antiderivatives: beyond they are 0 or polynomials, to 1e-13
+constexpr double kEnd = 7.0;  // beyond, responses are 0 to 1e-13
 
-// First antiderivative of the normal distribution function: cubic Hermite interpolation of a table, since every profile
-// asks for some two hundred values. Error below 1e-11.
-double Ramp(double x) {
-  constexpr double kPerUnit = 128.0;
-  constexpr int kIntervals = static_cast<int>(2 * kEnd * kPerUnit);
-  struct Node {
-    double value, slope;  // slope: per interval
-  };
-  static const std::vector<Node> table = [] {
-    std::vector<Node> nodes;
-    for (int i = 0; i <= kIntervals; ++i) {
-      const double at = i / kPerUnit - kEnd, phi = NormalDistribution(at);
-      nodes.push_back({at * phi + std::exp(-0.5 * at * at) / std::sqrt(2 * std::numbers::pi), phi / kPerUnit});
-    }
-    return nodes;
-  }();
-  const double place = (x + kEnd) * kPerUnit;
-  if (!(place > 0.0)) return 0.0;
-  if (place >= kIntervals) return x;
-  const int i = static_cast<int>(place);
-  const double t = place - i, rise = table[i + 1].value - table[i].value;
-  const double c = table[i].slope - rise, d = rise - table[i + 1].slope;
-  return table[i].value + t * (rise + (1.0 - t) * (c * (1.0 - t) + d * t));
-}
 // Second antiderivative.
 double Bowl(double x) {
   return 0.5 * ((x * x + 1.0) * NormalDistribution(x) + x * std::exp(-0.5 * x * x) / std::sqrt(2 * std::numbers::pi));
@@ -70,7 +47,7 @@ std::vector<double> LineResponse::OnCells(double first_mm, int count) const {
     double before = 0.0;
     for (int i = 0; i <= count; ++i) {
       const double edge = first_mm + site_mm + (i - 0.5) * cell_mm;
-      const double here = s * (Ramp((edge + w) / s) - Ramp((edge - w) / s));
+      const double here = s * (NormalRamp((edge + w) / s) - NormalRamp((edge - w) / s));
       if (i > 0) response[i - 1] += share * (here - before) / cell_mm;
       before = here;
     }
@@ -83,7 +60,7 @@ double LineResponse::OfOneSite(double t_mm) const {
   const double s = std::max(blur_mm, 1e-3 * cell_mm);
   const double w = 0.5 * line_width_mm, c = 0.5 * cell_mm, b = 0.5 * sample_box_mm;
   if (std::abs(t_mm) >= w + c + b + kEnd * s) return 0.0;
-  auto ramp = [&](double t) { return s * Ramp(t / s); };
+  auto ramp = [&](double t) { return s * NormalRamp(t / s); };
   auto bowl = [&](double t) { return s * s * Bowl(t / s); };
   if (b <= 0.0) return (ramp(t_mm + w + c) - ramp(t_mm + w - c) - ramp(t_mm - w + c) + ramp(t_mm - w - c)) / cell_mm;
   double sum = 0.0;

@@ -3,8 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "fitter/mixture/normal_table.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -82,7 +82,8 @@ bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vec
 NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
   const int reach = static_cast<int>(std::ceil(4.0 * sigma + 0.5));
   first = static_cast<int>(std::lround(mean)) - reach;
-  auto below = [&](double x) { return 0.5 * std::erfc((mean - x) / (sigma * std::numbers::sqrt2)); };
+  const double inverse = 1.0 / sigma;
+  auto below = [&](double x) { return NormalBelow((x - mean) * inverse); };
   share.reserve(static_cast<size_t>(2 * reach + 1));
   double last = below(first - 0.5);
   for (int k = 0; k <= 2 * reach; ++k) {

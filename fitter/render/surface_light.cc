@@ -28,9 +28,15 @@ std::vector<Eigen::Vector2d> LitFootprint(const SurfaceMap& surface, const RigCa
   const Eigen::Vector3d n = surface.Normal(i, j);
   const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
   const double half = channel == 1 && rig.camera.cfa != Cfa::kMono ? 0.66 : 0.33;
+  // Rays through neighbouring pixels differ by the same steps, to 1e-7 of a pixel.
+  const auto through = [&](double dx, double dy) -> Eigen::Vector3d {
+    const Eigen::Vector3d ray = rig.camera.model.Unproject(site + half * Eigen::Vector2d(dx, dy));
+    return ray / ray.z();
+  };
+  const Eigen::Vector3d centre = through(0, 0), step_x = through(1, 0) - centre, step_y = through(0, 1) - centre;
   std::vector<Eigen::Vector2d> reached;
   for (int k = 0; k < 9; ++k) {
-    const Eigen::Vector3d ray = rig.camera.model.Unproject(site + half * Eigen::Vector2d(k % 3 - 1, k / 3 - 1));
+    const Eigen::Vector3d ray = centre + (k % 3 - 1) * step_x + (k / 3 - 1) * step_y;
     const Eigen::Vector3d point = ray * (n.dot(surface.Point(i, j)) / n.dot(ray));
     const auto at = lit.light.ProjectFromCamera(point);
     if (at && lit.light.model.Contains(*at) && !InShadow(lit, *at, point)) reached.push_back(*at);

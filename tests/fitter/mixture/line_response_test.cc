@@ -3,14 +3,25 @@
 #include "fitter/mixture/line_response.h"
 
 #include <cmath>
+#include <numbers>
 
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/normal_table.h"
 #include "tests/fitter/mixture/known_lights.h"
 
 namespace stratalux::fit {
 namespace {
+
+TEST(NormalTable, IsTheNormalDistributionAndItsAntiderivative) {
+  for (double x = -9.0; x <= 9.0; x += 0.0137) {
+    const double below = 0.5 * std::erfc(-x / std::numbers::sqrt2),
+                 density = std::exp(-0.5 * x * x) / std::sqrt(2 * std::numbers::pi);
+    ASSERT_NEAR(NormalBelow(x), below, 1e-10) << x;
+    ASSERT_NEAR(NormalRamp(x), x * below + density, 1e-11) << x;
+  }
+}
 
 constexpr double kLineMm = 0.58, kBlurMm = 0.15, kCellMm = 0.145;
 
