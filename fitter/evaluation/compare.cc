@@ -30,11 +30,11 @@ Image<float> Combine(const Image<float>& a, const Image<float>& b, Operation ope
 Image<float> Sum(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::plus<>()); }
 Image<float> Difference(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::minus<>()); }
 
-// Quads that every model has fitted, in all colours.
-Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, int width, int height) {
+// Quads that every model has fitted, in all colours: the same under any light.
+Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, const std::string& light, int width, int height) {
   Image<uint8_t> fitted(width, height, 1, 1);
   for (const ComparedModel& model : models) {
-    const Image<float>& any = model.prediction.subsurface.begin()->second;
+    const Image<float>& any = model.prediction.subsurface.at(light);
     for (int j = 0; j < height; ++j)
       for (int i = 0; i < width; ++i)
         if (!FiniteAt(any, i, j)) fitted(i, j) = 0;
@@ -226,7 +226,7 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   const SurfaceMap& surface = view.shape.surface;
   Comparison comparison;
   SLX_ASSIGN_OR_RETURN(const auto skin, ReadSkin(in));
-  const Image<uint8_t> fitted = FittedByAll(models, surface.width(), surface.height());
+  const Image<uint8_t> fitted = FittedByAll(models, view.lights.front(), surface.width(), surface.height());
   const Masks masks = MakeMasks(in, fitted, skin, comparison.coverage);
   comparison.coverage.skin_by = skin.is_true() ? "truth" : in.skin.told ? "mask" : "none";
   comparison.coverage.projector = in.view.projector;

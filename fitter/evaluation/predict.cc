@@ -35,11 +35,13 @@ Image<float> OfIrradiance(const Image<float>& share, const Image<float>& irradia
 }  // namespace
 
 Image<float> Prediction::SurfaceLight(const std::string& light, const Image<float>& irradiance) const {
-  return OfIrradiance(reflectance, irradiance, subsurface.at(light));
+  const auto own = own_irradiance.find(light);
+  return OfIrradiance(reflectance, own == own_irradiance.end() ? irradiance : own->second, subsurface.at(light));
 }
 
 Image<float> Prediction::DirectLight(const std::string& light, const Image<float>& irradiance) const {
-  return OfIrradiance(direct_share, irradiance, subsurface.at(light));
+  const auto own = own_irradiance.find(light);
+  return OfIrradiance(direct_share, own == own_irradiance.end() ? irradiance : own->second, subsurface.at(light));
 }
 
 Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
@@ -81,8 +83,8 @@ Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::s
 
 namespace {
 
-constexpr const char *kSubsurface = "_subsurface.exr", *kReflectance = "reflectance.exr",
-                     *kDirectShare = "direct_share.exr";
+constexpr const char *kSubsurface = "_subsurface.exr", *kIrradiance = "_irradiance.exr",
+                     *kReflectance = "reflectance.exr", *kDirectShare = "direct_share.exr";
 
 }  // namespace
 
@@ -95,6 +97,7 @@ Status SavePrediction(const std::filesystem::path& folder, const Prediction& pre
     lights.push_back(light);
     files.emplace_back(light + kSubsurface, &image);
   }
+  for (const auto& [light, image] : prediction.own_irradiance) files.emplace_back(light + kIrradiance, &image);
   SLX_RETURN_IF_ERROR(ParallelTry(
       files.size(), [&](size_t k) { return WriteExr(folder / files[k].first, *files[k].second, Colours(channels)); }));
   return WriteJson(folder / "predict.json", {{"lights", lights}, {"channels", channels}});
@@ -111,6 +114,9 @@ Result<Prediction> LoadPrediction(const std::filesystem::path& folder) {
   Prediction prediction;
   for (const std::string& light : lights) {
     SLX_ASSIGN_OR_RETURN(prediction.subsurface[light], ReadExr(folder / (light + kSubsurface), colours));
+    const std::filesystem::path own = folder / (light + kIrradiance);
+    if (std::error_code error; !std::filesystem::exists(own, error)) continue;
+    SLX_ASSIGN_OR_RETURN(prediction.own_irradiance[light], ReadExr(own, colours));
   }
   SLX_ASSIGN_OR_RETURN(prediction.reflectance, ReadExr(folder / kReflectance, colours));
   SLX_ASSIGN_OR_RETURN(prediction.direct_share, ReadExr(folder / kDirectShare, colours));

@@ -20,11 +20,13 @@ inline constexpr int kPredictVersion = 10;
 struct Prediction {
   // By light: digital numbers above black, 0 outside the surface, NaN where that colour was not fitted.
   std::map<std::string, Image<float>> subsurface;
-  // Of any light's irradiance (HeldOutView); NaN where nothing was fitted.
+  // Of any light's irradiance on the surface that it was predicted on; NaN where nothing was fitted.
   Image<float> reflectance;   // by the fit's own reflection of the very surface
   Image<float> direct_share;  // of `subsurface`, what separation would call direct (direct_light.h)
+  // By light (HeldOutView), where that is another surface than the one that is judged; empty: it is that one.
+  std::map<std::string, Image<float>> own_irradiance;
 
-  // Under `light`, whose irradiance that is, as `subsurface` under it.
+  // Under `light`, whose irradiance on the judged surface that is, as `subsurface` under it.
   [[nodiscard]] Image<float> SurfaceLight(const std::string& light, const Image<float>& irradiance) const;
   [[nodiscard]] Image<float> DirectLight(const std::string& light, const Image<float>& irradiance) const;
 };
@@ -43,7 +45,8 @@ struct Prediction {
 [[nodiscard]] Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::span<const double> of,
                                           std::span<const double> to, int pool);
 
-// <light>_subsurface.exr, reflectance.exr, direct_share.exr, predict.json.
+// <light>_subsurface.exr, reflectance.exr, direct_share.exr, of one with an irradiance of its own
+// <light>_irradiance.exr; predict.json.
 Status SavePrediction(const std::filesystem::path& folder, const Prediction& prediction);
 [[nodiscard]] Result<Prediction> LoadPrediction(const std::filesystem::path& folder);
 

@@ -11,6 +11,8 @@ PhotonNoise PhotonNoiseOf(const SrdBatch& batch, int64_t profile) {
 }
 
 void NoiseLine::Add(float y, float variance) {
+  sum_ += variance;
+  ++added_;
   if (variance < least_) {
     least_ = variance;
     at_least_ = y;
@@ -25,6 +27,8 @@ float NoiseLine::Slope() const {
   const double dy = double{at_most_} - at_least_, dv = double{most_} - least_;
   return dy > 0.0 && dv > 0.0 ? static_cast<float>(dv / dy) : 0.0F;
 }
+
+double NoiseLine::Sum(int samples) const { return added_ > 0 ? sum_ * samples / added_ : 0.0; }
 
 float NoiseLine::Floor() const {
   if (least_ > most_) return 0.0F;

@@ -24,9 +24,13 @@ class NoiseLine {
   void Add(float y, float variance);
   [[nodiscard]] float Slope() const;
   [[nodiscard]] float Floor() const;  // 0 without samples
+  // Of the variances of `samples` samples, as many as were added or some more.
+  [[nodiscard]] double Sum(int samples) const;
 
  private:
   float least_ = std::numeric_limits<float>::infinity(), at_least_ = 0.0F;
+  double sum_ = 0.0;
+  int added_ = 0;
   float most_ = -std::numeric_limits<float>::infinity(), at_most_ = 0.0F;
 };
 

@@ -64,7 +64,7 @@ struct SrdBatch {
   [[nodiscard]] std::span<float> Samples(int64_t profile) {
     return {y.data() + FirstOf(profile), static_cast<size_t>(samples)};
   }
-  // Of all of its samples together.
+  // Of all of its samples together, by that line: of brackets some samples of which saturated up to a third too much.
   [[nodiscard]] double VarianceOfSum(int64_t profile) const;
   // Rows for the profiles for which `wanted` is not 0, in their order, and for no other; values are lost.
   void AllotRows(std::span<const uint8_t> wanted, float value);

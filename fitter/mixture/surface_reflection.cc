@@ -159,7 +159,7 @@ SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lig
   int64_t lit = 0;  // pixels
   for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
     lit += std::ranges::any_of(lights, [i](const SrdBatch* batch) { return batch->Shares(i); }) ? 1 : 0;
-  const int64_t one_in = std::max<int64_t>(every, lit / kMostPixels);
+  const int64_t one_in = std::max<int64_t>(every, (lit + kMostPixels - 1) / kMostPixels);
   for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
     if (i / channels % one_in != 0) continue;
     auto profile = ResidualsOf(lights, i, eta);

@@ -41,8 +41,8 @@ struct WhiteReflectance {
 };
 [[nodiscard]] WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t profile);
 
-// Robust least squares over the lights of one pixel in `every`, or of one in so many that 6,000 are left, W_pc a
-// profile's own, the rest the session's:
+// Robust least squares over the lights of one pixel in `every`, or of one in so many that 6,000 at most are left, W_pc
+// a profile's own, the rest the session's:
 //   y_pc = W_c g_p(tau) (1 - n_c + n_c few_p) + strength R_p(roughness).
 // n_c few_p: the share of light that scattered a few times only, with the phase function of directional_weights.h; left
 // out, it would pass for surface. Unknown where fewer than a hundred profiles are lit from two directions, and where

@@ -32,7 +32,7 @@ class Kept {
     key_ = key;
   }
   // What is kept of `key`, no longer kept.
-  std::optional<T> Take(const std::string& key) {
+  [[nodiscard]] std::optional<T> Take(const std::string& key) {
     if (!value_ || key != key_) return std::nullopt;
     return std::exchange(value_, std::nullopt);
   }

@@ -469,12 +469,15 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
   return &srds_.Get()->set();
 }
 
-// All fits but those of spoilt data ask of the same lights. Those that every run asks of, all and all but the held-out
-// one, are looked at side by side.
+// All fits but those of spoilt data ask of the same lights. Where a surface is placed, all lights and all but the
+// held-out one are asked of: side by side.
 Result<SharedLight> SessionGraph::Shared(const SrdKeys& keys, const SrdSet& srds, int heldout) {
   const auto key_of = [&](int left_out) { return keys.srd + " " + keys.skin + " " + std::to_string(left_out); };
   std::vector<int> wanted;
-  for (const int left_out : {heldout, kNoneHeldOut, options_.heldout})
+  const bool placed = keys.srd == Srd(options_.geometry) && !Offset(options_.geometry, kNoneHeldOut).empty();
+  std::vector<int> asked = {heldout};
+  if (placed) asked.insert(asked.end(), {kNoneHeldOut, options_.heldout});
+  for (const int left_out : asked)
     if (!shared_.contains(key_of(left_out)) && std::ranges::count(wanted, left_out) == 0) wanted.push_back(left_out);
   if (!shared_.contains(key_of(heldout))) {
     std::vector<SharedLight> found(wanted.size());

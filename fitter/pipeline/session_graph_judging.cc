@@ -53,7 +53,8 @@ Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const Srd
 
 std::string SessionGraph::Predict(const std::string& model, GeometrySource source, int heldout) {
   if (model == "homogeneous_local_albedo") return PredictLocalAlbedo(source, heldout);
-  const std::string fit = FitOf(model, source, heldout), shape = PlacedShape(source, heldout, KindOf(model));
+  const std::string fit = FitOf(model, source, heldout), shape = PlacedShape(source, heldout, KindOf(model)),
+                    judged = PlacedShape(source, heldout);
   const SrdKeys from = SrdsOf(source, heldout);
   SortedJson options = {
       {"projector", heldout}, {"lights", HeldOutLights(plan_)}, {"plan", SortedJson::parse(PlanOptionsToJson(plan_))}};
@@ -82,8 +83,11 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
                   SLX_ASSIGN_OR_RETURN(baseline, DipoleBaseline(fitted->map, from, heldout));
                 }
                 SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
-                return KeepPrediction(key, folder,
-                                      fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view));
+                Prediction prediction = fit::Predict(baseline ? *baseline : fitted->map, fitted->pool, *view);
+                if (shape != judged)
+                  for (size_t k = 0; k < view->lights.size(); ++k)
+                    prediction.own_irradiance[view->lights[k]] = view->irradiance[k];
+                return KeepPrediction(key, folder, std::move(prediction));
               }});
 }
 

@@ -40,7 +40,7 @@ HWY_INLINE V PowerOfTwo(V square, V slope, V most) {
 // a . b
 HWY_INLINE V Dot(V ax, V ay, V az, V bx, V by, V bz) { return hn::MulAdd(az, bz, hn::MulAdd(ax, bx, hn::Mul(ay, by))); }
 
-// Adds the places of those of `lanes` blocks from (x, y) on that are set.
+// Adds the places of those of a vector's blocks, from (x, y) on, that are set.
 HWY_INLINE void AddPlaces(hn::Mask<D> of, int x, int y, std::vector<BlockPlace>& places) {
   std::array<uint8_t, 8> bytes{};
   hn::StoreMaskBits(D(), of, bytes.data());

@@ -39,7 +39,7 @@ struct LevelLayers {
     max_spread_mm2 = std::numeric_limits<float>::infinity();
   }
 };
-// The same, where it reads the pattern itself.
+// A layer where it reads the pattern itself.
 struct ReadLayer {
   int channel = 0;
   NarrowLayer pixels;

@@ -28,7 +28,7 @@ std::vector<Eigen::Vector2d> LitFootprint(const SurfaceMap& surface, const RigCa
   const Eigen::Vector3d n = surface.Normal(i, j);
   const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
   const double half = channel == 1 && rig.camera.cfa != Cfa::kMono ? 0.66 : 0.33;
-  // Rays through neighbouring pixels differ by the same steps, to 1e-7 of a pixel.
+  // Rays through neighbouring pixels differ by the same steps, to some 1e-5 of a pixel.
   const auto through = [&](double dx, double dy) -> Eigen::Vector3d {
     const Eigen::Vector3d ray = rig.camera.model.Unproject(site + half * Eigen::Vector2d(dx, dy));
     return ray / ray.z();

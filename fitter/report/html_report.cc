@@ -166,7 +166,7 @@ Result<std::vector<uint8_t>> KnownPictures::AsPng(const Image<uint8_t>& pixels) 
     const std::lock_guard lock(mutex_);
     if (const auto found = by_pixels_.find(key); found != by_pixels_.end()) return found->second;
   }
-  SLX_ASSIGN_OR_RETURN(auto png, EncodePng8(pixels));
+  SLX_ASSIGN_OR_RETURN(auto png, EncodePng8(pixels, PngEffort::kFast));
   const std::lock_guard lock(mutex_);
   return by_pixels_[key] = std::move(png);
 }

@@ -74,6 +74,7 @@ struct Report {
 class KnownPictures {
  public:
   [[nodiscard]] Result<std::vector<uint8_t>> AsPng(const Image<uint8_t>& pixels);
+  [[nodiscard]] size_t size() const { return by_pixels_.size(); }  // nobody else asking meanwhile
 
  private:
   std::mutex mutex_;

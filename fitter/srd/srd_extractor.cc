@@ -99,10 +99,8 @@ void SrdExtractor::Prepare() {
   batch_.pool = options_.pool;
   if (batch_.pool > 1)
     for (auto* v : {&batch_.quad_x_mm, &batch_.quad_y_mm}) v->assign(profiles, 0.0F);
-  if (scatter)
-    along_.assign(profiles, Eigen::Vector3f::Zero());
-  else
-    noise_.assign(profiles, {});
+  if (scatter) along_.assign(profiles, Eigen::Vector3f::Zero());
+  noise_.assign(profiles, {});
   if (scatter || options_.distance == SrdDistance::kSurface) column_.assign(profiles, 0.0F);
   batch_.valid.assign(profiles, 0);
   reason_.assign(profiles, static_cast<uint8_t>(SrdReason::kNoSurface));
@@ -167,15 +165,17 @@ void SrdExtractor::AddFrames(std::span<const CombFrame> frames) {
   for (const CombFrame& frame : frames) Scatter(frame);
 }
 
-void SrdExtractor::SetNoise(int64_t profile, const NoiseLine& noise) {
-  batch_.noise_floor[profile] = noise.Floor();
-  batch_.noise_slope[profile] = noise.Slope();
+void SrdExtractor::SetNoise() {
+  for (int64_t i = 0; i < batch_.profiles(); ++i) {
+    if (!Valid(i)) continue;
+    batch_.noise_floor[i] = noise_[i].Floor();
+    batch_.noise_slope[i] = noise_[i].Slope();
+  }
 }
 
 SrdBatch SrdExtractor::Take() {
+  SetNoise();
   if (options_.reading == SrdReading::kGather) {
-    for (int64_t i = 0; i < batch_.profiles(); ++i)
-      if (Valid(i)) SetNoise(i, noise_[i]);
     FillMissingFrame();
     CheckEnergy();
     if (options_.distance == SrdDistance::kSurface) ResampleAlongSurface();
@@ -213,7 +213,7 @@ void SrdExtractor::RejectTooDark() {
   ParallelFor(batch_.profiles(), 4096, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
-      double sum = 0.0, variance = batch_.VarianceOfSum(i);
+      double sum = 0.0, variance = VarianceOfSum(i);
       for (const float y : batch_.Samples(i)) sum += y;
       // Between the lines of a thinned cycle it is dark; white frames light all of it.
       if (!cycle_.LightsAllAlike() && !batch_.white.empty() && batch_.white_variance[i] > 0.0F) {

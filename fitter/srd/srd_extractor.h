@@ -138,7 +138,9 @@ class SrdExtractor {
   void MeasureAlongSurface();
   void MergeRow(const CombFrame& frame, int y, Row& row) const;
   void Gather(std::span<const CombFrame> frames);
-  void SetNoise(int64_t profile, const NoiseLine& noise);
+  void SetNoise();
+  // Of its samples together.
+  [[nodiscard]] double VarianceOfSum(int64_t profile) const { return noise_[profile].Sum(batch_.samples); }
   void Scatter(const CombFrame& frame);
   [[nodiscard]] SrdReason ReadBesideLine(int64_t profile, ImageView<const float> signal,
                                          ImageView<const float> variance);
@@ -163,7 +165,7 @@ class SrdExtractor {
   Image<uint8_t> lit_;  // pooled
   SrdBatch batch_;
   std::vector<float> white_dn_;
-  std::vector<NoiseLine> noise_;  // gather: of each profile's samples so far
+  std::vector<NoiseLine> noise_;  // of each profile's samples so far
   std::vector<uint8_t> reason_;
   std::vector<uint8_t> seen_;           // [k]
   std::vector<Eigen::Vector3f> along_;  // scatter: e of each profile

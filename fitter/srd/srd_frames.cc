@@ -162,7 +162,7 @@ void SrdExtractor::CheckEnergy() {
     for (int64_t i = begin; i < end; ++i) {
       if (!Valid(i)) continue;
       for (const float y : batch_.Samples(i)) sums[i] += y;
-      variances[i] = static_cast<float>(batch_.VarianceOfSum(i));
+      variances[i] = static_cast<float>(VarianceOfSum(i));
     }
   });
   auto checked = [&](int64_t i) { return Valid(i) && batch_.white_variance[i] > 0.0F && batch_.white[i] > 0.0F; };

@@ -63,7 +63,7 @@ SrdReason SrdExtractor::ReadBesideLine(int64_t profile, ImageView<const float> s
   const auto home = rig_.camera.model.Project(point);
   if (!home) return SrdReason::kCutOff;
   const float per_white = 1.0F / white_dn_[profile];
-  NoiseLine noise;
+  NoiseLine& noise = noise_[profile];
   for (int k = 0; k < batch_.samples; ++k) {
     // u = (line - pixel) - (sample - pixel), so samples come from +e to -e.
     const double along = (batch_.samples / 2 - k) * static_cast<double>(batch_.step_mm[profile]);
@@ -81,7 +81,6 @@ SrdReason SrdExtractor::ReadBesideLine(int64_t profile, ImageView<const float> s
     batch_.Samples(profile)[k] = value * per_white;
     noise.Add(value * per_white, variance(i, j, c) * per_white * per_white);
   }
-  SetNoise(profile, noise);
   return SrdReason::kValid;
 }
 

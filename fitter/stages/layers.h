@@ -48,7 +48,8 @@ struct TrainingLights {
 [[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
 // What white light alone says of all pixels together: how the very surface reflects, and tau of the gain. Of one set of
-// training lights it is the same wherever the surface is placed, and for fits that are blind to direction.
+// training lights it is the same wherever the surface is placed (it reads no first_u_mm), and for fits that are blind
+// to direction.
 struct SharedLight {
   SurfaceReflection reflection;  // not Known(): not asked for, or not told
   double tau = 0.0;

@@ -60,6 +60,17 @@ SweepFigure FigureOf(const nlohmann::json& json) {
 
 fs::path ArrayOf(const fs::path& folder, const char* name) { return folder / (std::string(name) + ".npy"); }
 
+// White frames were not captured, quads not pooled; all others must be there.
+constexpr std::array<const char*, 4> kOptional = {"white", "white_variance", "quad_x_mm", "quad_y_mm"};
+
+Result<bool> IsThere(const fs::path& folder, const char* name) {
+  std::error_code error;
+  if (fs::exists(ArrayOf(folder, name), error)) return true;
+  for (const char* optional : kOptional)
+    if (std::string(optional) == name) return false;
+  return Status::Integrity(ArrayOf(folder, name).string() + " is missing");
+}
+
 // Rows of the valid profiles, `columns` values each.
 std::vector<float> Pick(const std::vector<float>& values, std::span<const int32_t> which, int64_t columns) {
   std::vector<float> rows;
@@ -138,9 +149,10 @@ Result<SrdBatch> LoadBatch(const fs::path& folder) {
   SLX_ASSIGN_OR_RETURN(batch.y, ReadNpyFloats(samples));
   if (batch.y.size() != sweep.which.size() * static_cast<size_t>(batch.samples))
     return Status::Integrity(samples.string() + " does not belong to its profiles");
-  for (const auto& [name, member] : kValues)
-    if (std::error_code error; fs::exists(ArrayOf(folder, name), error))
-      SLX_RETURN_IF_ERROR(Spread(ArrayOf(folder, name), sweep.which, sweep.profiles, batch.*member));
+  for (const auto& [name, member] : kValues) {
+    SLX_ASSIGN_OR_RETURN(const bool there, IsThere(folder, name));
+    if (there) SLX_RETURN_IF_ERROR(Spread(ArrayOf(folder, name), sweep.which, sweep.profiles, batch.*member));
+  }
   return std::move(batch);
 }
 
@@ -156,7 +168,8 @@ Result<SrdBatch> LoadProfile(const fs::path& folder, int64_t profile) {
     SLX_ASSIGN_OR_RETURN(batch.y, ReadNpyFloats(ArrayOf(folder, kSamples), at * batch.samples, batch.samples));
   }
   for (const auto& [name, member] : kValues) {
-    if (std::error_code error; !fs::exists(ArrayOf(folder, name), error)) continue;
+    SLX_ASSIGN_OR_RETURN(const bool there, IsThere(folder, name));
+    if (!there) continue;
     batch.*member = {0.0F};
     if (valid) {
       SLX_ASSIGN_OR_RETURN(batch.*member, ReadNpyFloats(ArrayOf(folder, name), at, 1));

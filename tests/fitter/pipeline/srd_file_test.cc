@@ -81,6 +81,18 @@ TEST_F(SrdFile, AProfileByItselfIsThatOfAll) {
   EXPECT_TRUE(none->batches.empty());
 }
 
+TEST_F(SrdFile, AnArrayThatIsMissingIsNamed) {
+  for (const char* name : {"noise_floor.npy", "noise_slope.npy", "cos_in.npy"}) {
+    std::filesystem::remove_all(folder_ / "columns_0");
+    ASSERT_TRUE(SaveSrds(folder_, SmallSrds()).ok());
+    std::filesystem::remove(folder_ / "columns_0" / name);
+    for (const Status& status : {LoadSrds(folder_).status(), LoadProfileSrds(folder_, 2).status()}) {
+      EXPECT_EQ(status.code(), StatusCode::kIntegrity) << name;
+      EXPECT_NE(status.message().find(name), std::string::npos) << status.message();
+    }
+  }
+}
+
 TEST_F(SrdFile, AnArrayThatIsCutShortIsNamed) {
   ASSERT_TRUE(SaveSrds(folder_, SmallSrds()).ok());
   const auto samples = folder_ / "columns_0" / "y.npy";

@@ -15,6 +15,7 @@
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
 #include "tests/fitter/render/lit_scene.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -298,6 +299,37 @@ TEST(ScaledPrediction, IsThatOfTheScaledLayers) {
   EXPECT_TRUE(std::ranges::any_of(found.direct_share.pixels(), [](float v) { return v > 0.01F; }));
   near(found.direct_share, expected.direct_share);
   near(found.reflectance, expected.reflectance);
+}
+
+TEST(Prediction, OfAnotherSurfaceKeepsTheLightThatFallsOnThatOne) {
+  const LitScene scene = MakeScene(FaceLike(), {-350.0, 0.0, 150.0}, Cfa::kRggb);
+  FaceShape shape;
+  shape.record = scene.rig;
+  shape.surface = scene.surface;
+  const HeldOutView judged = ViewOf(shape, PlanOptions(), 0, {"stripe"});
+  for (int j = 0; j < shape.surface.height(); ++j)
+    for (int i = 0; i < shape.surface.width(); ++i) shape.surface.point_mm(i, j, 2) += 0.3F;
+  const HeldOutView placed = ViewOf(shape, PlanOptions(), 0, {"stripe"});
+  Prediction p = Predict(VaryingSkin(scene, SkinLayers()), 1, placed);
+  const Image<float> elsewhere = p.DirectLight("stripe", judged.irradiance[0]);
+  p.own_irradiance["stripe"] = placed.irradiance[0];
+  const ScratchFolder scratch;
+  ASSERT_TRUE(SavePrediction(scratch.path(), p).ok());
+  const auto read = LoadPrediction(scratch.path());
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  const auto same = [](const Image<float>& a, const Image<float>& b) {
+    return a.size() == b.size() && std::ranges::equal(a.pixels(), b.pixels(), [](float x, float y) {
+             return x == y || (std::isnan(x) && std::isnan(y));
+           });
+  };
+  EXPECT_TRUE(same(read->subsurface.at("stripe"), p.subsurface.at("stripe")));
+  EXPECT_TRUE(same(read->reflectance, p.reflectance));
+  EXPECT_TRUE(same(read->direct_share, p.direct_share));
+  for (const Image<float>& light :
+       {read->DirectLight("stripe", judged.irradiance[0]), p.DirectLight("stripe", judged.irradiance[0])}) {
+    EXPECT_TRUE(same(light, p.DirectLight("stripe", placed.irradiance[0])));
+    EXPECT_FALSE(same(light, elsewhere));
+  }
 }
 
 TEST(Predict, WhatWasNotFittedIsUnknownInThatColourAlone) {

@@ -129,12 +129,14 @@ TEST(KnownPictures, AreThoseOfTheSamePixelsAlone) {
   const auto again = EncodePictures(report, known);
   ASSERT_TRUE(again.ok());
   EXPECT_EQ(*again, *first);
+  EXPECT_EQ(known.size(), 2U);  // nothing was encoded again
   Image<uint8_t>& pixels = report.sections[0].images[0].pixels;
   const Image<uint8_t> before = pixels;
   pixels.pixels()[0] ^= 1;  // one bit of one pixel
   const auto changed = EncodePictures(report, known);
   ASSERT_TRUE(changed.ok());
   EXPECT_NE((*changed)[0], (*first)[0]);
+  EXPECT_EQ(known.size(), 3U);
   // As many values in another shape.
   pixels = Image<uint8_t>(before.height(), before.width(), before.channels());
   std::ranges::copy(before.pixels(), pixels.pixels().begin());
