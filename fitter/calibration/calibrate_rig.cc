@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include "fitter/calibration/initial_rig.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
@@ -84,18 +84,15 @@ HeldOutPose Failed(const CalibrationObservations& observations, size_t k) {
 std::vector<HeldOutPose> HoldOut(const CalibrationObservations& observations, const BundleReport& all,
                                  const BundleOptions& options) {
   std::vector<HeldOutPose> held_out(observations.poses.size());
-  ParallelFor(static_cast<int64_t>(held_out.size()), 1, [&](int64_t begin, int64_t end) {
-    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k) {
-      CalibrationObservations others = observations;
-      Bundle start = all.bundle;
-      others.poses.erase(others.poses.begin() + static_cast<std::ptrdiff_t>(k));
-      start.camera_from_board.erase(start.camera_from_board.begin() + static_cast<std::ptrdiff_t>(k));
-      const auto without = AdjustBundle(others, start, options);
-      std::optional<HeldOutPose> pose;
-      if (without.ok())
-        pose = FitPose(without->bundle.rig, options.sigma_px, observations.board, observations.poses[k]);
-      held_out[k] = pose ? *pose : Failed(observations, k);
-    }
+  ParallelEach(held_out.size(), [&](size_t k) {
+    CalibrationObservations others = observations;
+    Bundle start = all.bundle;
+    others.poses.erase(others.poses.begin() + static_cast<std::ptrdiff_t>(k));
+    start.camera_from_board.erase(start.camera_from_board.begin() + static_cast<std::ptrdiff_t>(k));
+    const auto without = AdjustBundle(others, start, options);
+    std::optional<HeldOutPose> pose;
+    if (without.ok()) pose = FitPose(without->bundle.rig, options.sigma_px, observations.board, observations.poses[k]);
+    held_out[k] = pose ? *pose : Failed(observations, k);
   });
   return held_out;
 }

@@ -14,8 +14,7 @@
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 #include "shared/image/finite_at.h"
 
 namespace stratalux::fit {
@@ -149,16 +148,17 @@ std::vector<std::vector<ErrorSample>> SampleErrors(const CompareInput& in, const
 struct JudgedLight {
   std::string name;
   Target target;
-  Image<float> irradiance, direct;              // direct: separated, under the pattern
+  const Image<float>* irradiance = nullptr;     // of the view
+  Image<float> direct;                          // separated, under the pattern
   std::optional<Image<float>> true_subsurface;  // where there is truth
   double noise_nrmse = 0.0, camera_noise_nrmse = 0.0;
 
   // Less the model's own share of it.
   [[nodiscard]] Image<float> Remaining(const Prediction& p) const {
-    return Difference(direct, p.DirectLight(name, irradiance));
+    return Difference(direct, p.DirectLight(name, *irradiance));
   }
   [[nodiscard]] Image<float> Predicted(const Prediction& p) const {
-    return Sum(p.subsurface.at(name), p.SurfaceLight(name, irradiance));
+    return Sum(p.subsurface.at(name), p.SurfaceLight(name, *irradiance));
   }
 };
 
@@ -167,22 +167,14 @@ Result<JudgedLight> ReadLight(const CompareInput& in, size_t light, const Image<
   JudgedLight judged;
   judged.name = in.view.lights[light];
   SLX_ASSIGN_OR_RETURN(judged.target, ReadTarget(in, judged.name));
-  judged.irradiance = in.view.irradiance[light];
-  judged.direct = ReflectedLight(direct_reflectance, judged.irradiance);
+  judged.irradiance = &in.view.irradiance[light];
+  judged.direct = ReflectedLight(direct_reflectance, *judged.irradiance);
   judged.noise_nrmse = NoiseOfTakes(judged.target, mask);
   judged.camera_noise_nrmse = NoiseFloor(judged.target.light, judged.target.variance, mask);
   if (in.truth) {
     SLX_ASSIGN_OR_RETURN(judged.true_subsurface, in.truth->Subsurface(judged.name, in.view.projector));
   }
   return judged;
-}
-
-// On all threads.
-template <typename Work>
-void ForEach(size_t count, const Work& work) {
-  ParallelFor(static_cast<int64_t>(count), 1, [&](int64_t begin, int64_t end) {
-    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i) work(i);
-  });
 }
 
 // A model's figures: of all of the light, by the separated surface and by its own, and of what came from below.
@@ -240,7 +232,7 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
     SLX_ASSIGN_OR_RETURN(judged[k], ReadLight(in, k, direct_reflectance, masks.judged));
   }
   std::vector<std::vector<HeldOutFigure>> figures(lights * models.size());
-  ForEach(figures.size(), [&](size_t i) {
+  ParallelEach(figures.size(), [&](size_t i) {
     figures[i] = FiguresOf(in, models[i % models.size()], judged[i / models.size()], masks.judged);
   });
   for (const auto& of_model : figures)
@@ -248,7 +240,7 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   comparison.pictures.resize(lights);
   std::vector<std::vector<std::vector<ErrorSample>>> samples(lights);
   std::vector<double> left_out(lights);
-  ForEach(lights, [&](size_t k) {
+  ParallelEach(lights, [&](size_t k) {
     const JudgedLight& light = judged[k];
     samples[k] =
         SampleErrors(in, light.target, light.Predicted(models.front().prediction), masks, comparison.coverage.judged);

@@ -5,7 +5,7 @@
 #include "fitter/render/surface_light.h"
 #include "fitter/render/surface_rim.h"
 #include "fitter/sensor/linear_frame.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 
@@ -21,10 +21,8 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   const double open = 1.0 - held_out.black_level;  // a frame minus its black frame
   view.lit = BuildLitSurface(WithRim(view.shape.surface), held_out, plan.exposure_ms);
   view.pyramids.resize(lights.size());
-  ParallelFor(static_cast<int64_t>(lights.size()), 1, [&](int64_t begin, int64_t end) {
-    for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k)
-      view.pyramids[k] = LightWith(view.lit, HeldOutPattern(lights[k], plan), open);
-  });
+  ParallelEach(lights.size(),
+               [&](size_t k) { view.pyramids[k] = LightWith(view.lit, HeldOutPattern(lights[k], plan), open); });
   std::vector<const Image<float>*> patterns;
   for (const LitPyramid& pyramid : view.pyramids) patterns.push_back(&pyramid.pattern);
   view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, patterns);

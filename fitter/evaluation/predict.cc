@@ -12,7 +12,7 @@
 #include "fitter/render/surface_light.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 
@@ -24,24 +24,25 @@ std::vector<std::string> HeldOutLights(const PlanOptions& plan) {
 
 namespace {
 
-// What was not fitted stays unknown.
-Image<float> OfIrradiance(const Image<float>& share, const Image<float>& irradiance, const Image<float>& subsurface) {
-  Image<float> light = ReflectedLight(share, irradiance);
-  for (size_t i = 0; i < light.size(); ++i)
-    if (std::isnan(subsurface.pixels()[i])) light.pixels()[i] = std::nanf("");
-  return light;
+// A share of what falls on the prediction's surface; what was not fitted stays unknown.
+Image<float> ShareUnder(const Prediction& p, const Image<float>& share, const std::string& light,
+                        const Image<float>& on_judged) {
+  const auto own = p.own_irradiance.find(light);
+  Image<float> image = ReflectedLight(share, own == p.own_irradiance.end() ? on_judged : own->second);
+  const Image<float>& subsurface = p.subsurface.at(light);
+  for (size_t i = 0; i < image.size(); ++i)
+    if (std::isnan(subsurface.pixels()[i])) image.pixels()[i] = std::nanf("");
+  return image;
 }
 
 }  // namespace
 
 Image<float> Prediction::SurfaceLight(const std::string& light, const Image<float>& irradiance) const {
-  const auto own = own_irradiance.find(light);
-  return OfIrradiance(reflectance, own == own_irradiance.end() ? irradiance : own->second, subsurface.at(light));
+  return ShareUnder(*this, reflectance, light, irradiance);
 }
 
 Image<float> Prediction::DirectLight(const std::string& light, const Image<float>& irradiance) const {
-  const auto own = own_irradiance.find(light);
-  return OfIrradiance(direct_share, own == own_irradiance.end() ? irradiance : own->second, subsurface.at(light));
+  return ShareUnder(*this, direct_share, light, irradiance);
 }
 
 Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view) {

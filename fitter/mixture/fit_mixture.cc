@@ -11,7 +11,7 @@
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/photon_noise.h"
 #include "shared/base/check.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -151,11 +151,9 @@ void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judge
                  const EmOptions& options, std::span<const LayerSet> start, const MixtureMap* warm, const Work& work) {
   std::vector<int64_t> order;
   const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
-  ParallelFor(static_cast<int64_t>(tasks.size()), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t t = begin; t < end; ++t) {
-      EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start, warm);
-      work(em, tasks[t].profiles);
-    }
+  ParallelEach(tasks.size(), [&](size_t t) {
+    EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start, warm);
+    work(em, tasks[t].profiles);
   });
 }
 
@@ -469,9 +467,9 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
       sums.xx += (x[k] - mx) * (x[k] - mx);
     }
   };
-  ParallelFor(static_cast<int64_t>(runs.size()), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t run = begin; run < end; ++run)
-      for (int64_t i = run * kRun; i < std::min((run + 1) * kRun, profiles); ++i) add(i, runs[run]);
+  ParallelEach(runs.size(), [&](size_t run) {
+    const int64_t first = static_cast<int64_t>(run) * kRun;
+    for (int64_t i = first; i < std::min(first + kRun, profiles); ++i) add(i, runs[run]);
   });
   Sums all;
   for (const Sums& run : runs) {

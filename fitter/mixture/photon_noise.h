@@ -29,9 +29,9 @@ class NoiseLine {
 
  private:
   float least_ = std::numeric_limits<float>::infinity(), at_least_ = 0.0F;
+  float most_ = -std::numeric_limits<float>::infinity(), at_most_ = 0.0F;
   double sum_ = 0.0;
   int added_ = 0;
-  float most_ = -std::numeric_limits<float>::infinity(), at_most_ = 0.0F;
 };
 
 }  // namespace stratalux::fit

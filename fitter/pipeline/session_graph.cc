@@ -2,6 +2,8 @@
 #include "fitter/pipeline/session_graph.h"
 
 #include <algorithm>
+#include <set>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -20,7 +22,7 @@
 #include "fitter/stages/normals.h"
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 #include "shared/capture/plan.h"
 
 namespace stratalux::fit {
@@ -473,23 +475,20 @@ Result<const SrdSet*> SessionGraph::Srds(const SrdKeys& keys, FitKind kind, int 
 // held-out one are asked of: side by side.
 Result<SharedLight> SessionGraph::Shared(const SrdKeys& keys, const SrdSet& srds, int heldout) {
   const auto key_of = [&](int left_out) { return keys.srd + " " + keys.skin + " " + std::to_string(left_out); };
-  std::vector<int> wanted;
-  const bool placed = keys.srd == Srd(options_.geometry) && !Offset(options_.geometry, kNoneHeldOut).empty();
-  std::vector<int> asked = {heldout};
-  if (placed) asked.insert(asked.end(), {kNoneHeldOut, options_.heldout});
-  for (const int left_out : asked)
-    if (!shared_.contains(key_of(left_out)) && std::ranges::count(wanted, left_out) == 0) wanted.push_back(left_out);
-  if (!shared_.contains(key_of(heldout))) {
-    std::vector<SharedLight> found(wanted.size());
-    std::vector<TrainingLights> lights;
-    for (const int left_out : wanted) {
-      SLX_ASSIGN_OR_RETURN(lights.emplace_back(), TrainingLightsOf(srds, left_out));
-    }
-    ParallelFor(static_cast<int64_t>(wanted.size()), 1, [&](int64_t begin, int64_t end) {
-      for (int64_t k = begin; k < end; ++k) found[k] = FindSharedLight(options_.fit, lights[k].batches, srds.channels);
-    });
-    for (size_t k = 0; k < wanted.size(); ++k) shared_[key_of(wanted[k])] = found[k];
+  if (const auto known = shared_.find(key_of(heldout)); known != shared_.end()) return known->second;
+  std::set<int> asked = {heldout};
+  if (keys.srd == Srd(options_.geometry) && !Offset(options_.geometry, kNoneHeldOut).empty())
+    asked.insert({kNoneHeldOut, options_.heldout});
+  std::vector<std::pair<std::string, TrainingLights>> missing;
+  for (const int left_out : asked) {
+    if (shared_.contains(key_of(left_out))) continue;
+    SLX_ASSIGN_OR_RETURN(auto lights, TrainingLightsOf(srds, left_out));
+    missing.emplace_back(key_of(left_out), std::move(lights));
   }
+  std::vector<SharedLight> found(missing.size());
+  ParallelEach(missing.size(),
+               [&](size_t k) { found[k] = FindSharedLight(options_.fit, missing[k].second.batches, srds.channels); });
+  for (size_t k = 0; k < missing.size(); ++k) shared_[missing[k].first] = found[k];
   return shared_.at(key_of(heldout));
 }
 

@@ -9,7 +9,7 @@
 #include "fitter/pipeline/session_graph.h"
 #include "fitter/scattering/baselines.h"
 #include "fitter/stages/layers.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -42,10 +42,10 @@ Result<MixtureMap> SessionGraph::DipoleBaseline(const MixtureMap& fit, const Srd
   SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(keys, FitKind::kJudged, heldout));
   SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, heldout));
   std::vector<Dipole> dipoles(static_cast<size_t>(fit.channels));
-  ParallelFor(fit.channels, 1, [&](int64_t begin, int64_t end) {
-    for (int c = static_cast<int>(begin); c < end; ++c)
-      dipoles[c] = FitDipole(lights.batches, c, fit.channels, fit.scattering.eta,
-                             MeanSurfaceReflectance(fit, c, lights.batches.front()->apart));
+  ParallelEach(dipoles.size(), [&](size_t c) {
+    const int colour = static_cast<int>(c);
+    dipoles[c] = FitDipole(lights.batches, colour, fit.channels, fit.scattering.eta,
+                           MeanSurfaceReflectance(fit, colour, lights.batches.front()->apart));
   });
   srds_.Drop();
   return DipoleMap(fit, dipoles);

@@ -11,7 +11,7 @@
 #include "fitter/export/pictures.h"
 #include "fitter/report/svg_drawing.h"
 #include "shared/base/formatted.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 #include "shared/image/png.h"
 
 namespace stratalux::fit {

@@ -9,7 +9,7 @@
 #include "db/base/own_hash.h"
 #include "db/catalogue/pixel_digest.h"
 #include "fitter/sensor/dark_frame.h"
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -134,9 +134,7 @@ Result<std::vector<Image<uint16_t>>> SessionFrames::ReadAll(std::span<const db::
         failed[i] = frame.status();
     }
   };
-  ParallelFor(static_cast<int64_t>(threads), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t reader = begin; reader < end; ++reader) read_with(reader == 0 ? store_ : readers_[reader - 1]);
-  });
+  ParallelEach(threads, [&](size_t reader) { read_with(reader == 0 ? store_ : readers_[reader - 1]); });
   for (const Status& status : failed) SLX_RETURN_IF_ERROR(status);
   for (size_t i = 0; lineariser_ && i < rows.size(); ++i)
     lineariser_->Apply(frames[i], rows[i]->record.crop_x, rows[i]->record.crop_y);

@@ -4,7 +4,7 @@
 #include "fitter/export/exr_file.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {

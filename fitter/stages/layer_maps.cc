@@ -9,7 +9,7 @@
 #include "fitter/export/exr_file.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/standard_errors.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {

@@ -12,7 +12,7 @@
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -57,10 +57,6 @@ std::vector<std::string> AllQualityChannels(int channels) {
     for (const std::string& colour : Colours(channels)) names.push_back(what + colour);
   return names;
 }
-
-}  // namespace
-
-namespace {
 
 using LayerField = std::pair<const char*, std::vector<float> MixtureMap::*>;
 constexpr std::array<LayerField, 3> kLayerFields = {

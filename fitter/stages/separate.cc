@@ -5,7 +5,7 @@
 #include "fitter/separation/separate.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -61,7 +61,7 @@ Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames) {
 }
 
 Status SaveSeparation(const std::filesystem::path& folder, const std::vector<SeparationMap>& maps) {
-  const Status written = ParallelTry(maps.size(), [&](size_t p) -> Status {
+  const auto write = [&](size_t p) -> Status {
     const SeparationMap& map = maps[p];
     const std::string number = std::to_string(p) + ".exr";
     const int channels = map.direct.channels(), all = 2 * channels + 1;
@@ -76,8 +76,8 @@ Status SaveSeparation(const std::filesystem::path& folder, const std::vector<Sep
       detail.data()[i * all + 2 * channels] = map.reason.pixels()[i];
     }
     return WriteExr(folder / ("separation_" + number), detail, DetailChannels(channels));
-  });
-  SLX_RETURN_IF_ERROR(written);
+  };
+  SLX_RETURN_IF_ERROR(ParallelTry(maps.size(), write));
   return WriteJson(folder / "separate.json",
                    {{"projectors", maps.size()}, {"channels", maps.empty() ? 0 : maps[0].direct.channels()}});
 }

@@ -7,7 +7,7 @@
 
 #include "fitter/export/npy_file.h"
 #include "fitter/stages/stage_json.h"
-#include "shared/base/parallel_try.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
