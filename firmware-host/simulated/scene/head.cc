@@ -102,6 +102,7 @@ void Head::AddWrinkles() {
 
 double Head::Height(double x, double y) const {
   const double u = x / features_.radius_x_mm, v = y / features_.radius_y_mm;
+  if (std::abs(u) >= 1.0 || std::abs(v) >= 1.0) return kNaN;
   // A superellipse keeps the forehead and cheeks fuller than an ellipsoid.
   const double q = 1.0 - std::pow(u * u, 1.15) - std::pow(v * v, 1.25);
   if (!(q > 0.0)) return kNaN;

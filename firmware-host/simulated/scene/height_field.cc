@@ -11,6 +11,33 @@ namespace {
 
 constexpr double kExtentMm = 170.0;  // half-size of the tabulated square
 constexpr double kCellMm = 0.5;
+constexpr int kSquareCells = 16;
+constexpr double kSquareMm = kSquareCells * kCellMm;
+constexpr double kInFrontMm = 2.0;  // the table cuts off what stands out between its samples
+
+// Of a square and the eight around it; one square more on each side than the table has.
+Image<float> NearestOf(const Image<float>& table) {
+  const int squares = (table.width() - 1 + kSquareCells - 1) / kSquareCells;
+  Image<float> least(squares + 2, squares + 2, 1, std::numeric_limits<float>::infinity());
+  for (int j = 0; j < table.height(); ++j)
+    for (int i = 0; i < table.width(); ++i) {
+      if (std::isnan(table(i, j))) continue;
+      float& square = least(i / kSquareCells + 1, j / kSquareCells + 1);
+      square = std::min(square, table(i, j));
+    }
+  Image<float> nearest = least;
+  for (int j = 0; j < least.height(); ++j)
+    for (int i = 0; i < least.width(); ++i)
+      for (int v = std::max(0, j - 1); v <= std::min(least.height() - 1, j + 1); ++v)
+        for (int u = std::max(0, i - 1); u <= std::min(least.width() - 1, i + 1); ++u)
+          nearest(i, j) = std::min(nearest(i, j), least(u, v));
+  return nearest;
+}
+
+// How far along a ray the squares around a point bound what lies ahead; a cell reaches into the next square.
+double ReachMm(const Eigen::Vector3d& direction) {
+  return (kSquareMm - kCellMm) / std::hypot(direction.x(), direction.y());
+}
 
 }  // namespace
 
@@ -22,6 +49,7 @@ void HeightField::Tabulate() {
       for (int i = 0; i < size; ++i)
         table_(i, j) = static_cast<float>(Height(-kExtentMm + i * kCellMm, -kExtentMm + j * kCellMm));
   });
+  nearest_ = NearestOf(table_);
 }
 
 double HeightField::Tabulated(double x, double y) const {
@@ -34,15 +62,30 @@ double HeightField::Tabulated(double x, double y) const {
          a * b * table_(i + 1, j + 1);
 }
 
+double HeightField::FreeMm(const Eigen::Vector3d& point, double rise, double reach_mm) const {
+  const double u = (point.x() + kExtentMm) / kSquareMm + 1.0, v = (point.y() + kExtentMm) / kSquareMm + 1.0;
+  if (!(u >= 0.0 && v >= 0.0 && u < nearest_.width() && v < nearest_.height())) return reach_mm;
+  const double ahead_mm = nearest_(static_cast<int>(u), static_cast<int>(v)) - kInFrontMm - point.z();
+  if (ahead_mm <= 0.0) return 0.0;
+  return rise > 0.0 ? std::min(reach_mm, ahead_mm / rise) : reach_mm;
+}
+
 std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
   constexpr double kNear = 560.0, kFar = 800.0;  // the subject lies between these depths
+  constexpr double kLeapMm = 2.0;
   if (ray.direction.z() <= 0.0) return std::nullopt;
   double t = std::max(0.0, (kNear - ray.origin_mm.z()) / ray.direction.z());
   const double t_end = (kFar - ray.origin_mm.z()) / ray.direction.z();
+  const double reach_mm = ReachMm(ray.direction);
   double before = t;
-  // March: the gap to the surface, over the steepest slope that matters, bounds the step.
+  // Leap, then march: the gap to the surface, over the steepest slope that matters, bounds the step.
   while (t < t_end) {
     const Eigen::Vector3d p = ray.origin_mm + t * ray.direction;
+    if (const double free_mm = FreeMm(p, ray.direction.z(), reach_mm); free_mm > kLeapMm) {
+      before = t;
+      t += free_mm;
+      continue;
+    }
     const double gap = Tabulated(p.x(), p.y()) - p.z();
     if (gap <= 0.0) break;
     before = t;
@@ -89,9 +132,13 @@ std::optional<Eigen::Vector3d> HeightField::Intersect(const Ray3& ray) const {
 bool HeightField::Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const {
   constexpr double kStep = 1.0, kSkip = 1.5, kSlack = 0.05;  // near its ends a line touches the surface anyway
   const Eigen::Vector3d line = to - from;
-  const double length = line.norm();
+  const double length = line.norm(), rise = line.z() / length, reach_mm = ReachMm(line / length);
   for (double s = kSkip; s < length - kSkip; s += kStep) {
     const Eigen::Vector3d p = from + line * (s / length);
+    if (const double free_mm = FreeMm(p, rise, reach_mm); free_mm > kStep) {
+      s += kStep * std::floor(std::min(free_mm, length) / kStep) - kStep;
+      continue;
+    }
     // The table cuts corners where the surface is steep.
     if (p.z() > Tabulated(p.x(), p.y()) + kSlack && p.z() > Height(p.x(), p.y()) + kSlack) return true;
   }

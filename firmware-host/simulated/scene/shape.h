@@ -32,8 +32,8 @@ class Shape {
   [[nodiscard]] virtual std::vector<std::string> Remarks() const { return {}; }
 };
 
-// A curved surface, between 560 and 800 mm from the camera and within 170 mm of its axis: rays are marched through a
-// table of h and end by bisection on h itself.
+// A curved surface, between 560 and 800 mm from the camera and within 170 mm of its axis: rays leap to where it can
+// be, are marched through a table of h and end by regula falsi on h itself.
 class HeightField : public Shape {
  public:
   [[nodiscard]] std::optional<Eigen::Vector3d> Intersect(const Ray3& ray) const override;
@@ -46,7 +46,12 @@ class HeightField : public Shape {
 
  private:
   [[nodiscard]] double Tabulated(double x, double y) const;
+  // How far a ray that passes `point` and goes away from the camera by `rise` mm a mm stays in front of all of the
+  // table, `reach_mm` at most; 0 near it.
+  [[nodiscard]] double FreeMm(const Eigen::Vector3d& point, double rise, double reach_mm) const;
+
   Image<float> table_;
+  Image<float> nearest_;  // a square of the table each: the least depth in it and in the eight around it, or infinity
 };
 
 }  // namespace stratalux::rig

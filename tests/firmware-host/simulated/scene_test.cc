@@ -45,6 +45,56 @@ TEST(Scene, RaysEndOnTheSurfaceAndMeetNothingBefore) {
   }
 }
 
+TEST(Scene, ARayThatMeetsNothingPassesInFrontOfAllThatItPasses) {
+  for (const char* name : {"head", "sphere"}) {
+    const Scene scene = *Scene::Create(name, 4);
+    Random random(12);
+    int misses = 0;
+    for (int k = 0; k < 1500; ++k) {
+      const Eigen::Vector3d origin(random.Uniform(-450, 450), random.Uniform(-300, 300), random.Uniform(0, 20));
+      const Eigen::Vector3d target(random.Uniform(-160, 160), random.Uniform(-160, 160), 720.0);
+      const Eigen::Vector3d direction = (target - origin).normalized();
+      if (scene.Intersect({origin, direction})) continue;
+      ++misses;
+      double before = std::nan("");
+      for (double s = (560.0 - origin.z()) / direction.z(); s < (800.0 - origin.z()) / direction.z(); s += 0.25) {
+        const Eigen::Vector3d p = origin + s * direction;
+        const double depth = p.z() - scene.Height(p.x(), p.y());
+        // The table that rays are marched through ends up to a cell before the surface does.
+        const bool is_rim = std::isnan(scene.Height(p.x() - 1, p.y()) + scene.Height(p.x() + 1, p.y()) +
+                                       scene.Height(p.x(), p.y() - 1) + scene.Height(p.x(), p.y() + 1));
+        ASSERT_FALSE(before < -0.05 && depth > 0.05 && !is_rim) << name << ": goes in at " << p.transpose();
+        before = depth;
+      }
+    }
+    EXPECT_GT(misses, 100) << name;
+  }
+}
+
+TEST(Scene, PointsAreHiddenFromEachOtherByWhatStandsBetween) {
+  const Scene head = *Scene::Create("head", 4);
+  Random random(13);
+  int hidden = 0, seen = 0;
+  for (int k = 0; k < 2000; ++k) {
+    Eigen::Vector3d ends[2];
+    for (Eigen::Vector3d& end : ends) {
+      end = {random.Uniform(-70, 70), random.Uniform(-100, 100), 0.0};
+      end.z() = head.Height(end.x(), end.y());
+    }
+    const double length = (ends[1] - ends[0]).norm();
+    double deepest = -1e9;  // beneath the surface, away from the ends
+    for (double s = 2.0; s < length - 2.0; s += 0.25) {
+      const Eigen::Vector3d p = ends[0] + (ends[1] - ends[0]) * (s / length);
+      deepest = std::max(deepest, p.z() - head.Height(p.x(), p.y()));
+    }
+    if (std::abs(deepest) < 1.0) continue;
+    EXPECT_EQ(head.Hides(ends[0], ends[1]), deepest > 0.0) << ends[0].transpose() << " to " << ends[1].transpose();
+    ++(deepest > 0.0 ? hidden : seen);
+  }
+  EXPECT_GT(hidden, 100);
+  EXPECT_GT(seen, 20);
+}
+
 TEST(Scene, ARayThatComesInBehindTheEdgeMeetsNothing) {
   const Scene sphere = *Scene::Create("sphere", 1);  // its edge lies at z = 760
   for (const double below : {0.01, 1.0, 12.7, 30.0})
