@@ -129,10 +129,19 @@ function(stratalux_tests name)
                        ENVIRONMENT "STRATALUX_CACHE=" ENVIRONMENT_MODIFICATION "STATE_DIRECTORY=set:/nonexistent")
 endfunction()
 
-# stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds): the whole number of a law whose sample runs
-# with the other tests. Only `ctest -C night` (scripts/test.sh --night) runs it.
+# stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds [COST seconds] [THREADS n]): the whole number
+# of a law whose sample runs with the other tests. Only `ctest -C night` (scripts/test.sh --night) runs it, with one place
+# more than there are cores, for the parts of one thread wait more than they compute. COST: how long it takes, for ctest
+# begins with the longest. THREADS: how many of the places it takes.
 function(stratalux_night part)
-  cmake_parse_arguments(ARG "" "TIMEOUT" "COMMAND;ENVIRONMENT" ${ARGN})
+  cmake_parse_arguments(ARG "" "TIMEOUT;COST;THREADS" "COMMAND;ENVIRONMENT" ${ARGN})
+  if(NOT ARG_COST)
+    set(ARG_COST 100)
+  endif()
+  if(NOT ARG_THREADS)
+    set(ARG_THREADS 1)
+  endif()
   add_test(NAME night.${part} CONFIGURATIONS night COMMAND ${ARG_COMMAND})
-  set_tests_properties(night.${part} PROPERTIES LABELS night TIMEOUT ${ARG_TIMEOUT} ENVIRONMENT "${ARG_ENVIRONMENT}")
+  set_tests_properties(night.${part} PROPERTIES LABELS night TIMEOUT ${ARG_TIMEOUT} ENVIRONMENT "${ARG_ENVIRONMENT}" COST ${ARG_COST}
+                       PROCESSORS ${ARG_THREADS})
 endfunction()

@@ -9,14 +9,14 @@ usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy
   --unit, --integration, --style   only these tests (ctest labels)
   --asan                           with address and undefined-behaviour sanitizers
   --tidy                           clang-tidy over the whole tree instead of tests
-  --night [PART ...|all]           the whole numbers behind the tests' samples (docs/night.md): every part but three of the
-                                   four that build the tree anew and take turns, or those named, or all;
+  --night [PART ...|turn|all]      the whole numbers behind the tests' samples (docs/night.md): every part but the four that
+                                   build the tree anew, or those named; turn: one of those four, the day's; all: all.
                                    STRATALUX_SEED=N chooses the draws; without it the date
   --no-install                     do not look for missing Debian packages
 HELP
 }
 root=$(cd "$(dirname "$0")/.." && pwd)
-install=1 preset=release tidy=0 jobs=$(nproc) select=() night=0 parts=()
+install=1 preset=release tidy=0 jobs='' select=() night=0 parts=()
 while [ $# -gt 0 ]; do
   case "$1" in
     --unit|--integration|--style) select+=(-L "${1#--}"); shift ;;
@@ -31,28 +31,30 @@ while [ $# -gt 0 ]; do
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
 done
+# At night some parts wait more than they compute.
+cores=${jobs:-$(nproc)} jobs=${jobs:-$(($(nproc) + night))}
 [ $install -eq 0 ] || "$root/scripts/install-deps.sh"
 cd "$root"
 cmake --preset "$preset"
 if [ $tidy -eq 1 ]; then
   command -v clang-tidy >/dev/null || { echo "error: clang-tidy is not installed (apt-get install clang-tidy)" >&2; exit 1; }
-  git ls-files '*.cc' | xargs -r -P "$jobs" -n 4 clang-tidy -quiet -p "build/$preset"
+  git ls-files '*.cc' | xargs -r -P "$cores" -n 4 clang-tidy -quiet -p "build/$preset"
   exit 0
 fi
-cmake --build --preset "$preset" -j "$jobs"
+cmake --build --preset "$preset" -j "$cores"
 if [ $night -eq 1 ]; then
   export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
   echo "seed $STRATALUX_SEED" >&2
   known=$(ctest --test-dir "build/$preset" -C night -L night -N | sed -n 's/.*: night\.//p')
+  builds=(fuzz sanitizers debian-13 packages-13)
   if [ ${#parts[@]} -eq 0 ]; then
-    turns=(fuzz sanitizers debian-13 packages-13)
-    turn=$((10#$(date +%j) % ${#turns[@]}))
-    echo "tonight's turn: ${turns[turn]}" >&2
-    unset 'turns[turn]'
-    select+=(-E "^night\.($(IFS='|'; echo "${turns[*]}"))\$")
+    select+=(-E "^night\.($(IFS='|'; echo "${builds[*]}"))\$")
   elif [ "${parts[*]}" = all ]; then
     parts=()
   fi
+  for i in "${!parts[@]}"; do
+    [ "${parts[i]}" != turn ] || parts[i]=${builds[10#$(date +%j) % ${#builds[@]}]}
+  done
   for part in "${parts[@]}"; do
     grep -qx "$part" <<<"$known" || { echo "error: no part '$part' of the night; parts: $(tr '\n' ' ' <<<"$known")" >&2; exit 2; }
   done
