@@ -168,26 +168,4 @@ MaskOverlap CompareMasks(ImageView<const uint8_t> reference, ImageView<const uin
   return overlap;
 }
 
-SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
-                            ImageView<const float> true_normal) {
-  std::vector<double> depth, angle;
-  for (int j = 0; j < surface.height(); ++j)
-    for (int i = 0; i < surface.width(); ++i) {
-      if (surface.mask(i, j) == 0 || !std::isfinite(true_depth(i, j))) continue;
-      depth.push_back(double(surface.point_mm(i, j, 2)) - true_depth(i, j));
-      const Eigen::Vector3d n(true_normal(i, j, 0), true_normal(i, j, 1), true_normal(i, j, 2));
-      angle.push_back(DegFromRad(std::acos(std::clamp(n.dot(surface.Normal(i, j)), -1.0, 1.0))));
-    }
-  SurfaceError result;
-  result.pixels = static_cast<int64_t>(depth.size());
-  if (depth.empty()) return result;
-  for (double d : depth) result.depth_bias_mm += d / static_cast<double>(depth.size());
-  double squares = 0.0;
-  for (double d : depth) squares += std::pow(d - result.depth_bias_mm, 2);
-  result.depth_rms_mm = std::sqrt(squares / static_cast<double>(depth.size()));
-  std::nth_element(angle.begin(), angle.begin() + static_cast<int64_t>(angle.size() / 2), angle.end());
-  result.normal_median_deg = angle[angle.size() / 2];
-  return result;
-}
-
 }  // namespace stratalux::fit

@@ -5,7 +5,6 @@
 #include <array>
 #include <cstdint>
 
-#include "fitter/reconstruction/surface_map.h"
 #include "shared/image/image.h"
 
 namespace stratalux::fit {
@@ -37,16 +36,5 @@ struct MaskOverlap {
 };
 [[nodiscard]] MaskOverlap CompareMasks(ImageView<const uint8_t> reference, ImageView<const uint8_t> estimate,
                                        ImageView<const uint8_t> where);
-
-struct SurfaceError {
-  double depth_rms_mm = 0.0;  // after removing the bias
-  double depth_bias_mm = 0.0;
-  double normal_median_deg = 0.0;
-  int64_t pixels = 0;
-};
-
-// Against true depth (z, mm) and normals on the same quads; NaN where the truth is unknown.
-[[nodiscard]] SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
-                                          ImageView<const float> true_normal);
 
 }  // namespace stratalux::fit

@@ -12,10 +12,15 @@ namespace stratalux::fit {
 namespace {
 
 nlohmann::ordered_json JsonOf(const SurfaceError& error) {
-  return {{"depth_rms_mm", error.depth_rms_mm},
-          {"depth_bias_mm", error.depth_bias_mm},
-          {"normal_median_deg", error.normal_median_deg},
-          {"pixels", error.pixels}};
+  nlohmann::ordered_json json = {{"depth_rms_mm", error.depth_rms_mm},
+                                 {"depth_bias_mm", error.depth_bias_mm},
+                                 {"normal_median_deg", error.normal_median_deg},
+                                 {"pixels", error.pixels},
+                                 {"columns", nlohmann::ordered_json::array()}};
+  for (const ColumnError& c : error.columns)
+    json["columns"].push_back(
+        {{"projector", c.projector}, {"mean_px", c.mean_px}, {"rms_px", c.rms_px}, {"quads", c.quads}});
+  return json;
 }
 
 nlohmann::ordered_json JsonOf(const SkinFigure& skin) {

@@ -9,6 +9,7 @@
 
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/interval_figures.h"
+#include "fitter/evaluation/surface_error.h"
 #include "fitter/mixture/srd_centroid.h"
 #include "fitter/mixture/surface_offset.h"
 #include "fitter/reconstruction/drift.h"

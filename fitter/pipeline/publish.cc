@@ -99,7 +99,15 @@ Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const Sess
   SLX_ASSIGN_OR_RETURN(const auto depth, truth->Depth());
   SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
   SLX_ASSIGN_OR_RETURN(const FaceShape made, graph.stages().Load(shape, LoadShape));
-  return std::optional(CompareSurface(made.surface, depth, normal));
+  SurfaceError error = CompareSurface(made.surface, depth, normal);
+  SLX_ASSIGN_OR_RETURN(const SurfaceMap surface, truth->Surface(made.record));
+  for (int p = 0; p < static_cast<int>(made.record.projectors.size()); ++p) {
+    SLX_ASSIGN_OR_RETURN(const auto lit, truth->LitBy(p));
+    if (lit.empty()) continue;  // of an older simulation
+    error.columns.push_back(
+        CompareColumns(made.surface, made.record, surface, truth->exact_calibration().value_or(made.record), p, lit));
+  }
+  return std::optional(std::move(error));
 }
 
 // Of quads of the surface that the mask was made of.

@@ -11,6 +11,7 @@
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/evaluation/predict.h"
+#include "fitter/evaluation/surface_error.h"
 #include "fitter/scattering/baselines.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
@@ -205,6 +206,41 @@ TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
   EXPECT_NEAR(e.depth_rms_mm, 0.2, 1e-3);
   EXPECT_NEAR(e.normal_median_deg, 3.0, 1e-3);
   EXPECT_EQ(e.pixels, 198);
+}
+
+// Of a projector 100 mm to the left, 1,200 px of focal length: column = 1200 * 100 / z + 500.
+TEST(CompareColumns, SaysHowFarFromTheTrueColumnASurfaceIsSeen) {
+  RigCalibration rig;
+  for (int p = 0; p < 2; ++p) {
+    ProjectorCalibration projector;
+    projector.model = {1024, 768, 1200, 1200, 500.0, 384.0, {}};
+    projector.camera_from_projector.translation_mm.x() = p == 0 ? 0.0 : -100.0;
+    rig.projectors.push_back(projector);
+  }
+  SurfaceMap truth = Plane(), surface = Plane();
+  for (int j = 0; j < 10; ++j)
+    for (int i = 0; i < 20; ++i) {
+      truth.point_mm(i, j, 2) = 598.0F;
+      surface.point_mm(i, j, 2) += j % 2 == 0 ? 0.3F : -0.3F;
+    }
+  Image<uint8_t> lit(20, 10, 1, 1);
+  // Not known, not lit, not true: none of the three counts.
+  surface.point_mm(3, 2, 2) = 700.0F;
+  surface.mask(3, 2) = 0;
+  surface.point_mm(4, 2, 2) = 700.0F;
+  lit(4, 2) = 0;
+  surface.point_mm(5, 2, 2) = 700.0F;
+  truth.mask(5, 2) = 0;
+  const ColumnError e = CompareColumns(surface, rig, truth, rig, 1, lit);
+  EXPECT_EQ(e.projector, 1);
+  EXPECT_EQ(e.quads, 197);
+  EXPECT_NEAR(e.mean_px, 1200.0 * 100.0 * (1.0 / 600.0 - 1.0 / 598.0), 0.002);
+  EXPECT_NEAR(e.rms_px, 1200.0 * 100.0 * 0.3 / (600.0 * 600.0), 0.001);
+  EXPECT_EQ(CompareColumns(surface, rig, truth, rig, 0, lit).mean_px, 0.0);  // it looks along the camera's view
+  // The true rig stands a tenth of a column elsewhere.
+  RigCalibration moved = rig;
+  moved.projectors[1].model.cx -= 0.1;
+  EXPECT_NEAR(CompareColumns(surface, rig, truth, moved, 1, lit).mean_px, e.mean_px + 0.1, 1e-4);
 }
 
 TEST(Metrics, WritesSchemaTwo) {
