@@ -129,19 +129,24 @@ function(stratalux_tests name)
                        ENVIRONMENT "STRATALUX_CACHE=" ENVIRONMENT_MODIFICATION "STATE_DIRECTORY=set:/nonexistent")
 endfunction()
 
-# stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds [COST seconds] [THREADS n]): the whole number
+# stratalux_night(PART COMMAND program ... ENVIRONMENT A=1 ... TIMEOUT seconds [COST seconds] [THREADS n] [TURN name]): the whole number
 # of a law whose sample runs with the other tests. Only `ctest -C night` (scripts/test.sh --night) runs it, with one place
 # more than there are cores, for the parts of one thread wait more than they compute. COST: how long it takes, for ctest
-# begins with the longest. THREADS: how many of the places it takes.
+# begins with the longest. THREADS: how many of the places it takes. TURN: the turn that it belongs to; each night runs
+# one of them, and what has none.
 function(stratalux_night part)
-  cmake_parse_arguments(ARG "" "TIMEOUT;COST;THREADS" "COMMAND;ENVIRONMENT" ${ARGN})
+  cmake_parse_arguments(ARG "" "TIMEOUT;COST;THREADS;TURN" "COMMAND;ENVIRONMENT" ${ARGN})
   if(NOT ARG_COST)
     set(ARG_COST 100)
   endif()
   if(NOT ARG_THREADS)
     set(ARG_THREADS 1)
   endif()
+  set(labels night)
+  if(ARG_TURN)
+    list(APPEND labels turn.${ARG_TURN})
+  endif()
   add_test(NAME night.${part} CONFIGURATIONS night COMMAND ${ARG_COMMAND})
-  set_tests_properties(night.${part} PROPERTIES LABELS night TIMEOUT ${ARG_TIMEOUT} ENVIRONMENT "${ARG_ENVIRONMENT}" COST ${ARG_COST}
+  set_tests_properties(night.${part} PROPERTIES LABELS "${labels}" TIMEOUT ${ARG_TIMEOUT} ENVIRONMENT "${ARG_ENVIRONMENT}" COST ${ARG_COST}
                        PROCESSORS ${ARG_THREADS})
 endfunction()

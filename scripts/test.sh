@@ -9,9 +9,9 @@ usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy
   --unit, --integration, --style   only these tests (ctest labels)
   --asan                           with address and undefined-behaviour sanitizers
   --tidy                           clang-tidy over the whole tree instead of tests
-  --night [PART ...|turn|all]      the whole numbers behind the tests' samples (docs/night.md): every part but the four that
-                                   build the tree anew, or those named; turn: one of those four, the day's; all: all.
-                                   STRATALUX_SEED=N chooses the draws; without it the date
+  --night [PART|TURN ...|all]      the whole numbers behind the tests' samples (docs/night.md): every part but those that take
+                                   turns, and the day's turn; or those named, or all. STRATALUX_SEED=N chooses the draws;
+                                   without it the date
   --no-install                     do not look for missing Debian packages
 HELP
 }
@@ -45,20 +45,28 @@ cmake --build --preset "$preset" -j "$cores"
 if [ $night -eq 1 ]; then
   export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
   echo "seed $STRATALUX_SEED" >&2
-  known=$(ctest --test-dir "build/$preset" -C night -L night -N | sed -n 's/.*: night\.//p')
-  builds=(fuzz sanitizers debian-13 packages-13)
+  # parts_of [LABEL]: the night's parts, a line each.
+  parts_of() { ctest --test-dir "build/$preset" -C night -L "^night\$" ${1:+-L "^$1\$"} -N | sed -n 's/.*: night\.//p'; }
+  turns=$(ctest --test-dir "build/$preset" -C night -L night --print-labels | sed -n 's/^ *turn\.//p')
   if [ ${#parts[@]} -eq 0 ]; then
-    select+=(-E "^night\.($(IFS='|'; echo "${builds[*]}"))\$")
-  elif [ "${parts[*]}" = all ]; then
-    parts=()
+    mapfile -t turn_names <<<"$turns"
+    turn=${turn_names[10#$(date +%j) % ${#turn_names[@]}]}
+    echo "tonight's turn: $turn" >&2
+    select+=(-LE "^turn\.($(grep -vx "$turn" <<<"$turns" | paste -sd '|'))\$")
+  elif [ "${parts[*]}" != all ]; then
+    named=()
+    for part in "${parts[@]}"; do
+      if grep -qx -- "$part" <<<"$turns"; then
+        mapfile -t -O ${#named[@]} named < <(parts_of "turn\.$part")
+      elif parts_of | grep -qx -- "$part"; then
+        named+=("$part")
+      else
+        echo "error: no part '$part' of the night; parts: $(parts_of | tr '\n' ' '); turns: $(tr '\n' ' ' <<<"$turns")" >&2
+        exit 2
+      fi
+    done
+    select+=(-R "^night\.($(IFS='|'; echo "${named[*]}"))\$")
   fi
-  for i in "${!parts[@]}"; do
-    [ "${parts[i]}" != turn ] || parts[i]=${builds[10#$(date +%j) % ${#builds[@]}]}
-  done
-  for part in "${parts[@]}"; do
-    grep -qx "$part" <<<"$known" || { echo "error: no part '$part' of the night; parts: $(tr '\n' ' ' <<<"$known")" >&2; exit 2; }
-  done
-  [ ${#parts[@]} -eq 0 ] || select+=(-R "^night\.($(IFS='|'; echo "${parts[*]}"))\$")
   # Small stores by the thousand, every write synced: in memory, where there is room and nobody said where else.
   if [ -z "${TMPDIR:-}" ] && [ "$(df --output=avail -B 1G /dev/shm 2>/dev/null | tail -n 1)" -ge 4 ]; then
     TMPDIR=$(mktemp -d /dev/shm/stratalux-night.XXXXXX)

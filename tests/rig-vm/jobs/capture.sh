@@ -12,12 +12,13 @@ short_plan=/tmp/short.toml  # references, codes and guards: what a fault needs t
 sed 's/^kind = "visitor"/kind = "calibration"/' "$plan" >$short_plan
 
 # capture NAME PLAN WANTED FAULT...: WANTED lists the session's allowed ends; a fault must leave a sign. `control`, if
-# set, is given to vivid just before the capture. A capture that was to get past its pre-roll and did not, because the
-# emulator stalled and lost frames, met no fault and shows nothing: it is taken again, twice at most, and its row says so.
+# set, is given to vivid just before the capture; `always`, if set, before each try. A capture whose camera lost a frame
+# because the emulator stalled, before its pre-roll was past or where there was to be no fault, shows nothing: it is taken
+# again, twice at most, and its row says so.
 capture() {
   local tries=1 row
   until capture_once "$tries" "$@"; do
-    case "$reason" in "pre-roll: no unbroken marker code"*) [ "$tries" -lt 3 ] ;; *) false ;; esac || {
+    { stalled "$@" && [ "$tries" -lt 3 ]; } || {
       failures=$((failures + 1))
       break
     }
@@ -27,9 +28,13 @@ capture() {
   [ "$tries" -eq 1 ] || row="$row | try $tries"
   echo "$row" >>$cases
 }
-# One try; leaves `row` and `reason`, fails where the verdict does.
+stalled() {
+  case "$reason" in "pre-roll: no unbroken marker code"*) return 0 ;; esac
+  [ $# -eq 3 ] && [ -z "$control" ] && [ "$detected" = "sequence gap: 1" ]
+}
+# One try; leaves `row`, `detected` and `reason`, fails where the verdict does.
 capture_once() {
-  local name="$2" config="$3" wanted="$4" out="/share/$2${1#1}" responder subject ended judged detected verdict
+  local name="$2" config="$3" wanted="$4" out="/share/$2${1#1}" responder subject ended judged verdict
   shift 4
   rm -rf "$out"
   mkdir "$out"
@@ -39,7 +44,7 @@ capture_once() {
     kill -0 $responder 2>/dev/null || break
     sleep 0.2
   done
-  [ -z "$control" ] || v4l2-ctl -d "$camera" -c "$control"
+  [ -z "$always$control" ] || v4l2-ctl -d "$camera" -c "$always$control"
   # One pose of a board: the guided series would ask for an answer.
   subject="--pose 0"
   [ "$config" = $short_plan ] || subject="--visitor loop-1 --consent-scope fit --consent-text test --consent-language en"
@@ -95,8 +100,9 @@ capture "none, 204 frames" "$plan" "complete"
   failures=$((failures + 1))
 }
 # A wrap of the numbers is no fault: they go on.
-v4l2-ctl -d "$camera" -c wrap_sequence_number=1
+always=wrap_sequence_number=1
 capture "sequence wraps" $short_plan "complete"
+always=
 faults | sample "$(option faults)" "$(option seed)" >/tmp/faults
 while IFS=';' read -r name which wanted control fault; do
   load_camera
