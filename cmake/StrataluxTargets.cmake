@@ -54,6 +54,8 @@ endfunction()
 
 # What `cmake --install` installs; `cmake --build --preset release --target programs` builds no test.
 add_custom_target(programs)
+# The tests of label unit.
+add_custom_target(unit_tests)
 
 # stratalux_manual(PROGRAM PACKAGE): its manual page and completions, which it makes of its own table of options.
 include(GNUInstallDirs)
@@ -124,6 +126,9 @@ function(stratalux_tests name)
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
   stratalux_test_build(${name})
+  if(ARG_LABEL STREQUAL unit)
+    add_dependencies(unit_tests ${name})
+  endif()
   # No test may pass because an earlier program computed or learnt it.
   gtest_discover_tests(${name} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${ARG_TIMEOUT}
                        ENVIRONMENT "STRATALUX_CACHE=" ENVIRONMENT_MODIFICATION "STATE_DIRECTORY=set:/nonexistent")

@@ -12,11 +12,12 @@ usage: scripts/test.sh [--unit|--integration|--style|--label L] [--asan] [--tidy
   --night [PART|TURN ...|all]      the whole numbers behind the tests' samples (docs/night.md): every part but those that take
                                    turns, and the day's turn; or those named, or all. STRATALUX_SEED=N chooses the draws;
                                    without it the date
+  --list                           with --night: say which parts would run, of the tree as it is built
   --no-install                     do not look for missing Debian packages
 HELP
 }
 root=$(cd "$(dirname "$0")/.." && pwd)
-install=1 preset=release tidy=0 jobs='' select=() night=0 parts=()
+install=1 preset=release tidy=0 list=0 jobs='' select=() night=0 parts=()
 while [ $# -gt 0 ]; do
   case "$1" in
     --unit|--integration|--style) select+=(-L "${1#--}"); shift ;;
@@ -24,6 +25,7 @@ while [ $# -gt 0 ]; do
     --asan) preset=asan; shift ;;
     --tidy) tidy=1; shift ;;
     --no-install) install=0; shift ;;
+    --list) list=1; shift ;;
     -j) jobs=${2:?-j needs a number}; shift 2 ;;
     -R) select+=(-R "${2:?-R needs a regular expression}"); shift 2 ;;
     --night) night=1; shift; while [ $# -gt 0 ] && [ "${1#-}" = "$1" ]; do parts+=("$1"); shift; done ;;
@@ -31,22 +33,24 @@ while [ $# -gt 0 ]; do
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
 done
+[ $list -eq 0 ] || [ $night -eq 1 ] || { echo "error: --list speaks of --night" >&2; exit 2; }
 # At night some parts wait more than they compute.
 cores=${jobs:-$(nproc)} jobs=${jobs:-$(($(nproc) + night))}
-[ $install -eq 0 ] || "$root/scripts/install-deps.sh"
+[ $install -eq 0 ] || [ $list -eq 1 ] || "$root/scripts/install-deps.sh"
 cd "$root"
-cmake --preset "$preset"
+[ $list -eq 1 ] || cmake --preset "$preset"
 if [ $tidy -eq 1 ]; then
   command -v clang-tidy >/dev/null || { echo "error: clang-tidy is not installed (apt-get install clang-tidy)" >&2; exit 1; }
   git ls-files '*.cc' | xargs -r -P "$cores" -n 4 clang-tidy -quiet -p "build/$preset"
   exit 0
 fi
-cmake --build --preset "$preset" -j "$cores"
+[ $list -eq 1 ] || cmake --build --preset "$preset" -j "$cores"
 if [ $night -eq 1 ]; then
   export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
   echo "seed $STRATALUX_SEED" >&2
   # parts_of [LABEL]: the night's parts, a line each.
   parts_of() { ctest --test-dir "build/$preset" -C night -L "^night\$" ${1:+-L "^$1\$"} -N | sed -n 's/.*: night\.//p'; }
+  known=$(parts_of)
   turns=$(ctest --test-dir "build/$preset" -C night -L night --print-labels | sed -n 's/^ *turn\.//p')
   if [ ${#parts[@]} -eq 0 ]; then
     mapfile -t turn_names <<<"$turns"
@@ -58,14 +62,18 @@ if [ $night -eq 1 ]; then
     for part in "${parts[@]}"; do
       if grep -qx -- "$part" <<<"$turns"; then
         mapfile -t -O ${#named[@]} named < <(parts_of "turn\.$part")
-      elif parts_of | grep -qx -- "$part"; then
+      elif grep -qx -- "$part" <<<"$known"; then
         named+=("$part")
       else
-        echo "error: no part '$part' of the night; parts: $(parts_of | tr '\n' ' '); turns: $(tr '\n' ' ' <<<"$turns")" >&2
+        echo "error: no part '$part' of the night; parts: $(tr '\n' ' ' <<<"$known"); turns: $(tr '\n' ' ' <<<"$turns")" >&2
         exit 2
       fi
     done
     select+=(-R "^night\.($(IFS='|'; echo "${named[*]}"))\$")
+  fi
+  if [ $list -eq 1 ]; then
+    ctest --test-dir "build/$preset" -C night -L "^night\$" "${select[@]}" -N | sed -n 's/.*: night\.//p'
+    exit 0
   fi
   # Small stores by the thousand, every write synced: in memory, where there is room and nobody said where else.
   if [ -z "${TMPDIR:-}" ] && [ "$(df --output=avail -B 1G /dev/shm 2>/dev/null | tail -n 1)" -ge 4 ]; then
@@ -74,7 +82,7 @@ if [ $night -eq 1 ]; then
     trap 'rm -rf "$TMPDIR"' EXIT
   fi
   status=0
-  ctest --test-dir "build/$preset" -C night -L night --output-on-failure -V -j "$jobs" "${select[@]}" || status=$?
+  ctest --test-dir "build/$preset" -C night -L "^night\$" --output-on-failure -V -j "$jobs" "${select[@]}" || status=$?
   exit $status
 fi
 rm -f "build/$preset"/rig-vm/*/cases

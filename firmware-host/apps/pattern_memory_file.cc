@@ -32,7 +32,9 @@ std::vector<uint8_t> PackPatterns(const std::vector<Pattern>& patterns, int plan
         for (int x = 0; x < width; ++x) {
           const long level = planes == 1 ? std::lround(picture(x, y)) : std::lround(255.0F * picture(x, y));
           const bool lit = ((level >> (planes - 1 - plane)) & 1) != 0;
-          if (lit) out[static_cast<size_t>(y) * row_bytes + static_cast<size_t>(x / 8)] |= 0x80U >> (x % 8);
+          if (!lit) continue;
+          uint8_t& byte = out[static_cast<size_t>(y) * row_bytes + static_cast<size_t>(x / 8)];
+          byte = static_cast<uint8_t>(byte | 0x80U >> (x % 8));
         }
     }
   }

@@ -8,7 +8,7 @@ root=$(cd "$(dirname "$0")/../.." && pwd)
 cd "$root"
 jobs=${STRATALUX_JOBS:-$(nproc)}
 cmake --preset asan >/dev/null
-cmake --build --preset asan -j "$jobs"
+cmake --build --preset asan -j "$jobs" --target programs unit_tests
 failed=0
 ctest --test-dir build/asan -L '^unit$' -j "$jobs" --output-on-failure ${1:+-R "$1"} || failed=1
 
