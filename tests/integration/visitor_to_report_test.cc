@@ -87,6 +87,14 @@ TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
   int width = 0, height = 0;
   ASSERT_EQ(std::sscanf(Size().c_str(), "%dx%d", &width, &height), 2);
   EXPECT_GT(metrics_["truth"]["pixels"].get<double>(), 0.062 * width * height);
+  // What that is in columns: at most 2.1 a millimetre, for a projector that looks across the view at 32 degrees.
+  const Json& columns = metrics_["truth"]["columns"];
+  ASSERT_EQ(columns.size(), 4U);
+  for (const Json& column : columns) {
+    EXPECT_LT(std::abs(column["mean_px"].get<double>()), 2.1 * Bound(0.04, 0.06)) << column;
+    EXPECT_LT(column["rms_px"].get<double>(), 2.1 * metrics_["truth"]["depth_rms_mm"].get<double>()) << column;
+    EXPECT_GT(column["quads"], 0.5 * metrics_["truth"]["pixels"].get<double>()) << column;
+  }
 }
 
 // Scattering displaces the codes; the sweeps of the training lights tell by how much, and what light from other
