@@ -139,10 +139,9 @@ Status AddOffset(SessionGraph& graph, const SessionFrames& frames, GeometrySourc
 }
 
 // The projectors that --full-evaluation holds out, and the surface that it does so on.
-std::vector<std::pair<GeometrySource, int>> FullViews(const SessionGraph& graph, const RunOptions& options,
-                                                      int projectors) {
+std::vector<std::pair<GeometrySource, int>> FullViews(const SessionGraph& graph, const RunOptions& options) {
   std::vector<std::pair<GeometrySource, int>> views;
-  for (int p = 0; p < projectors; ++p)
+  for (int p = 0; p < graph.projectors(); ++p)
     if (p != options.heldout) views.emplace_back(options.geometry, p);
   if (graph.has_truth() && options.geometry == GeometrySource::kReconstructed)
     views.emplace_back(GeometrySource::kTruth, options.heldout);
@@ -157,13 +156,13 @@ std::string Ablations(SessionGraph& graph, const RunOptions& options) {
 
 // Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
 // the reconstruction's.
-Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames, int projectors,
-                     Metrics& metrics, std::vector<HeldOutErrors>& errors) {
+Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames, Metrics& metrics,
+                     std::vector<HeldOutErrors>& errors) {
   SLX_ASSIGN_OR_RETURN(const auto compared, graph.stages().Load(Ablations(graph, options), LoadComparison));
   metrics.ablations = compared.figures;
   SLX_RETURN_IF_ERROR(
       AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kDirectionBlindPlaced, metrics));
-  for (const auto& [source, projector] : FullViews(graph, options, projectors)) {
+  for (const auto& [source, projector] : FullViews(graph, options)) {
     const auto models = ModelsOf(graph, Evaluation::kFull, source, projector);
     SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr,
                                       source == options.geometry ? &errors : nullptr));
@@ -193,8 +192,8 @@ Status NothingFitted(const SessionFrames& frames, const FitSummary& summary) {
                         "): is the face in the picture, lit and in focus? (`stratalux-fit separate` shows it)");
 }
 
-std::string EvaluationKey(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
-  return db::HashHex(nlohmann::json(KeysOf(graph, options, evaluation, projectors)).dump());
+std::string EvaluationKey(SessionGraph& graph, const RunOptions& options, Evaluation evaluation) {
+  return db::HashHex(nlohmann::json(KeysOf(graph, options, evaluation)).dump());
 }
 
 }  // namespace
@@ -239,7 +238,7 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
   return db::HashHex(nlohmann::json(StagesOf(graph, options)).dump()).substr(0, 16);
 }
 
-std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation, int projectors) {
+std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation) {
   std::vector<std::string> keys = {graph.Normals(), graph.Skin(), graph.PlacedShape(options.geometry, kNoneHeldOut)};
   if (options.MakesMaps()) keys.push_back(graph.Maps());
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
@@ -249,8 +248,7 @@ std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, 
   keys.push_back(compare(options.geometry, options.heldout));
   if (evaluation != Evaluation::kFull) return keys;
   keys.push_back(Ablations(graph, options));
-  for (const auto& [source, projector] : FullViews(graph, options, projectors))
-    keys.push_back(compare(source, projector));
+  for (const auto& [source, projector] : FullViews(graph, options)) keys.push_back(compare(source, projector));
   return keys;
 }
 
@@ -288,7 +286,7 @@ Result<std::optional<Evaluation>> EvaluationHeld(SessionGraph& graph, const RunO
   const std::string held = json.is_object() ? json.value("evaluation", "") : "";
   for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, Evaluation::kFull}) {
     if (held != ToString(evaluation)) continue;
-    const std::string today = EvaluationKey(graph, options, evaluation, frames.plan()->projectors);
+    const std::string today = EvaluationKey(graph, options, evaluation);
     return json.value("evaluation_key", "") == today ? std::optional(evaluation) : none;
   }
   return none;
@@ -340,7 +338,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons, &errors));
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
   if (evaluation == Evaluation::kFull) {
-    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, projectors, metrics, errors));
+    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, metrics, errors));
   }
   metrics.intervals = FindIntervals(errors);
 
@@ -349,7 +347,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   metrics.program_version = kVersion;
   metrics.options_json = options.ToJson();
   metrics.evaluation = ToString(evaluation);
-  metrics.evaluation_key = EvaluationKey(graph, options, evaluation, projectors);
+  metrics.evaluation_key = EvaluationKey(graph, options, evaluation);
   metrics.drift = shape->drift;
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())

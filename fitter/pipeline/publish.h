@@ -24,10 +24,8 @@ enum class Evaluation { kFirst, kHeldOut, kFull };
 [[nodiscard]] std::vector<std::string> ModelsOf(SessionGraph& graph, Evaluation evaluation, GeometrySource source,
                                                 int heldout);
 
-// Keys of the stages that a fit with that evaluation asks for, of a rig with so many projectors; not those that only an
-// earlier evaluation asks for.
-[[nodiscard]] std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation,
-                                              int projectors);
+// Keys of the stages that a fit with that evaluation asks for; not those that only an earlier evaluation asks for.
+[[nodiscard]] std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation);
 
 // Of all that makes the fit, whatever is compared with it: 16 hex digits.
 [[nodiscard]] std::string FitIdOf(SessionGraph& graph, const RunOptions& options);

@@ -5,34 +5,12 @@
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/shortfall.h"
 #include "db/privacy/access_log.h"
+#include "fitter/pipeline/fittable.h"
 #include "fitter/session/choose_session.h"
 #include "fitter/stages/stage_json.h"
 
 namespace stratalux::fit {
 namespace {
-
-int Projectors(const SessionFrames& frames) { return static_cast<int>(frames.calibration()->projectors.size()); }
-
-Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
-  const std::string where = "session " + frames.info().id;
-  if (!frames.plan() || frames.info().kind != SessionKind::kVisitor)
-    return Status::Usage(where + " is no visitor's capture: only `decode` can work on it");
-  if (!frames.calibration()) return Status::Usage(where + " names no calibration");
-  if (frames.info().status == SessionStatus::kFailed || frames.info().status == SessionStatus::kRecording)
-    return Status::Failed(where + " is " + ToString(frames.info().status) + ": capture the visitor again");
-  const int projectors = Projectors(frames);
-  if (projectors != frames.plan()->projectors)
-    return Status::Usage(where + ": its calibration has " + std::to_string(projectors) + " projectors, its plan " +
-                         std::to_string(frames.plan()->projectors));
-  if (options.heldout >= projectors)
-    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
-                         std::to_string(projectors - 1));
-  if (projectors < 2 && options.until >= Stage::kFit)
-    return Status::Usage(where +
-                         " has one projector only: the layers are fitted on all projectors but the held-out one, so "
-                         "two are needed at least (`stratalux-fit srd` works with one)");
-  return Status::Ok();
-}
 
 Evaluation EvaluationOf(const RunOptions& options) {
   return options.full_evaluation ? Evaluation::kFull : Evaluation::kHeldOut;
@@ -65,11 +43,11 @@ std::string KeyOf(SessionGraph& graph, const RunOptions& options) {
 }
 
 // Keys of all that a run asks for, in their order.
-std::vector<std::string> WantedKeys(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames) {
+std::vector<std::string> WantedKeys(SessionGraph& graph, const RunOptions& options) {
   if (options.until != Stage::kReport) return {KeyOf(graph, options)};
   std::vector<std::string> keys;
   for (const Evaluation evaluation : StepsOf(options))
-    for (std::string& key : KeysOf(graph, options, evaluation, Projectors(frames))) keys.push_back(std::move(key));
+    for (std::string& key : KeysOf(graph, options, evaluation)) keys.push_back(std::move(key));
   return keys;
 }
 
@@ -97,7 +75,7 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   const Evaluation wanted = EvaluationOf(options);
   // Figures list the stages in this order, whichever of them this run makes.
   for (const Evaluation evaluation : {Evaluation::kFirst, Evaluation::kHeldOut, wanted})
-    (void)KeysOf(graph, options, evaluation, Projectors(frames));
+    (void)KeysOf(graph, options, evaluation);
   SLX_RETURN_IF_ERROR(SettleFits(graph, frames, outcome.fit));
   SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(graph, options, frames, outcome.fit));
   outcome.folder = frames.store().FitFolder(outcome.session, outcome.fit);
@@ -108,7 +86,7 @@ Status RunStages(SessionGraph& graph, const RunOptions& options, SessionFrames& 
   // Stages run before what a report shows is read: both at once would be most of the memory.
   for (const Evaluation evaluation : StepsOf(options)) {
     if (held && *held >= evaluation) continue;
-    for (const std::string& key : KeysOf(graph, options, evaluation, Projectors(frames)))
+    for (const std::string& key : KeysOf(graph, options, evaluation))
       SLX_RETURN_IF_ERROR(graph.stages().Need(key).status());
     SLX_ASSIGN_OR_RETURN(outcome.folder, Publish(graph, options, frames, evaluation, pictures));
   }
@@ -149,7 +127,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   if (outcome.thin) logger.Info(Describe(*outcome.thin));
   outcome.fit = FitIdOf(*graph, options);
   if (options.dry_run) {
-    outcome.plan = graph->stages().Plan(WantedKeys(*graph, options, frames));
+    outcome.plan = graph->stages().Plan(WantedKeys(*graph, options));
     SLX_ASSIGN_OR_RETURN(const auto held, EvaluationHeld(*graph, options, frames, outcome.fit));
     outcome.was_complete = options.until == Stage::kReport && held && *held >= EvaluationOf(options);
     const FrameRecord& first = frames.rows().front().record;  // of a session that is fittable there is one

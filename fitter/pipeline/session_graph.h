@@ -34,6 +34,9 @@ namespace stratalux::fit {
 // What a fit is made of data for: itself, a baseline, an ablation.
 enum class FitKind { kJudged, kDirectionBlind, kDirectionBlindPlaced, kProjectorsPermuted, kCombFramesShuffled };
 [[nodiscard]] const char* ToString(FitKind kind);  // none for the judged fit itself
+// Whether it is fitted to spoilt data, and the seed by which combs are shuffled.
+[[nodiscard]] bool IsSpoilt(FitKind kind);
+inline constexpr uint64_t kShuffleSeed = 1;
 
 class SessionGraph {
  public:
@@ -72,6 +75,7 @@ class SessionGraph {
   // The surface that skin is told on: the reconstructed one, whichever the fits stand on, and nothing of the truth
   // enters; of a thinned visit on the true surface, which may have no codes, the true one.
   [[nodiscard]] GeometrySource SkinSource() const { return thin_ ? options_.geometry : GeometrySource::kReconstructed; }
+  [[nodiscard]] int projectors() const { return static_cast<int>(record_.projectors.size()); }
   [[nodiscard]] bool has_truth() const { return !truth_hash_.empty(); }
   // What stages and the report read of artifacts, by key. The last of each kind stays in memory for whoever asks next,
   // until a fit needs the room: pointers are valid until another key of that kind is asked for, or a stage is made.
