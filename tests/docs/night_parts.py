@@ -3,7 +3,7 @@
 """docs/night.md against the night that scripts/test.sh runs: the same parts, the same turns; each night what takes no
 turn and one turn; all of the parts within as many nights as there are turns.
 
-  tests/docs/night_parts.py SOURCE
+  tests/docs/night_parts.py SOURCE BUILD        BUILD: of a preset that scripts/test.sh knows; else exit 77
 """
 import pathlib
 import re
@@ -11,13 +11,23 @@ import subprocess
 import sys
 
 
-def listed(source, *parts):
-    done = subprocess.run([source / "scripts/test.sh", "--night", *parts, "--list"], check=True, capture_output=True, text=True)
-    return set(done.stdout.split())
+PRESETS = {"release": [], "asan": ["--asan"]}
 
 
 def main():
-    source = pathlib.Path(sys.argv[1])
+    source, build = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
+    if build.parent != source / "build" or build.name not in PRESETS:
+        print(f"skipped: scripts/test.sh knows nothing of {build}")
+        return 77
+
+    def ask(*parts):
+        return subprocess.run([source / "scripts/test.sh", *PRESETS[build.name], "--night", *parts, "--list"],
+                              capture_output=True, text=True)
+
+    def listed(*parts):
+        done = ask(*parts)
+        done.check_returncode()
+        return set(done.stdout.split())
     page = (source / "docs/night.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     said, turns = set(), {}
@@ -32,19 +42,18 @@ def main():
     def hold(what, is_so):
         if not is_so:
             faults.append(what)
-    everything = listed(source, "all")
+    everything = listed("all")
     hold(f"docs/night.md names {sorted(said)}, ctest has {sorted(everything)}", said == everything)
     in_turns = set()
     for turn, names in turns.items():
-        hold(f"turn {turn}: docs/night.md says {sorted(names)}, it runs {sorted(listed(source, turn))}",
-             listed(source, turn) == names)
+        hold(f"turn {turn}: docs/night.md says {sorted(names)}, it runs {sorted(listed(turn))}",
+             listed(turn) == names)
         in_turns |= names
-    tonight = listed(source)
+    tonight = listed()
     always = everything - in_turns
     hold(f"what takes no turn is left out tonight: {sorted(always - tonight)}", always <= tonight)
     hold(f"tonight is no turn whole and alone: {sorted(tonight - always)}", tonight - always in turns.values())
-    hold("a part that nobody knows is taken", subprocess.run([source / "scripts/test.sh", "--night", "nobody", "--list"],
-                                                           capture_output=True).returncode == 2)
+    hold("a part that nobody knows is taken", ask("nobody").returncode == 2)
     for fault in faults:
         print(f"error: {fault}", file=sys.stderr)
     print(f"{len(everything)} parts, {len(always)} of them every night, {len(turns)} turns")

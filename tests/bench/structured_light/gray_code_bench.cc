@@ -206,7 +206,8 @@ int Main(const std::string& store, const std::string& selector) {
     const Columns bits = Ours(codes, noise, Sinusoids::kLeft);
     Print("Gray codes alone", bits, truth, bits.seconds);
     Print("Gray codes and sinusoids", Ours(codes, noise, Sinusoids::kRead), truth, bits.seconds);
-    for (const PeerLimits& limits : {PeerLimits{5, 40}, PeerLimits{5, 8}, PeerLimits{2, 8}, PeerLimits{0, 4}}) {
+    for (const PeerLimits& limits :
+         {PeerLimits{5, 40}, PeerLimits{5, 8}, PeerLimits{2, 8}, PeerLimits{0, 4}, PeerLimits{0, 1}}) {
       const std::string name = "GrayCodePattern, white " + std::to_string(limits.white) + ", black " +
                                std::to_string(limits.black) + (limits.black == 40 ? " (its own)" : "");
       Print(name.c_str(), Peer(codes, noise, limits), truth, bits.seconds);
