@@ -167,7 +167,7 @@ Result<std::shared_ptr<const SkinTable::Contents>> SkinTable::Read(const std::st
   const char* hashed = version == kOldest ? packed : body;
   if (XXH3_64bits(hashed, static_cast<size_t>(bytes.data() + bytes.size() - hashed)) != header[2])
     return Status::Integrity("skin table " + path + ": hash mismatch");
-  std::memcpy(scatterings.data(), body, axis);
+  if (axis > 0) std::memcpy(scatterings.data(), body, axis);
   // Wax has one node and no axis; before there was an axis, skin scattered as tissue samples do.
   if (version == kOldest && header[0] != kStored) scatterings = {1.0};
   if (!scatterings.empty()) SLX_RETURN_IF_ERROR(CheckScatterings(scatterings).WithContext("skin table " + path));

@@ -13,6 +13,7 @@
 #include "db/catalogue/consent.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/run_program.h"
+#include "tests/support/sanitized.h"
 #include "tests/support/text_file.h"
 
 namespace stratalux::db {
@@ -253,6 +254,7 @@ class KilledVerbs : public StoreTest, public ::testing::WithParamInterface<Verb>
 };
 
 TEST_P(KilledVerbs, EndWhereTheUndisturbedOnesDo) {
+  if (kUnderAddressSanitizer) GTEST_SKIP() << "AddressSanitizer wants to be loaded before the fault layer";
   const Verb& verb = GetParam();
   Fresh(verb);
   const Outcome undisturbed = DoArmed(verb, int64_t{1} << 40);

@@ -66,7 +66,7 @@ TEST_F(RetentionTest, SessionsThatShowNobodyAreNeverDue) {
   info.kind = SessionKind::kCalibration;
   info.retention = Retention::kShort;
   Store(info);
-  EXPECT_THAT(DueAfter(100000), IsEmpty());
+  EXPECT_THAT(DueAfter(80000), IsEmpty());
 }
 
 TEST_F(RetentionTest, AWithdrawnConsentIsDueAtOnceWhateverTheClass) {

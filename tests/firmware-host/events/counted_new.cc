@@ -8,6 +8,7 @@ namespace {
 thread_local int64_t allocations = 0;
 }  // namespace
 
+#if !defined(__SANITIZE_ADDRESS__)  // it has its own
 void* operator new(size_t size) {
   ++allocations;
   void* memory = std::malloc(size);
@@ -16,6 +17,7 @@ void* operator new(size_t size) {
 }
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, size_t) noexcept { std::free(memory); }
+#endif
 
 namespace stratalux::rig {
 

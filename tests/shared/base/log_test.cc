@@ -20,6 +20,7 @@
 
 #include "shared/base/log_queue.h"
 #include "shared/base/unique_fd.h"
+#include "tests/support/sanitized.h"
 #include "tests/support/text_of.h"
 
 namespace stratalux {
@@ -112,11 +113,8 @@ class Cookie {
 #endif
 // Where another thread allocates while a child is made: AddressSanitizer's allocator (GCC 12) leaves its lock taken in
 // the child. glibc's does not.
-#if defined(__SANITIZE_ADDRESS__)
-#define SKIP_WITHOUT_A_HEAP_IN_A_CHILD() GTEST_SKIP() << "AddressSanitizer's heap may be locked in a child of fork()"
-#else
-#define SKIP_WITHOUT_A_HEAP_IN_A_CHILD() static_cast<void>(0)
-#endif
+#define SKIP_WITHOUT_A_HEAP_IN_A_CHILD() \
+  if (kUnderAddressSanitizer) GTEST_SKIP() << "AddressSanitizer's heap may be locked in a child of fork()"
 
 // What `life` returned in a process of its own; -1 if it was killed, as by the alarm of one that hangs.
 int InChild(const std::function<int()>& life) {
