@@ -133,14 +133,15 @@ bool HeightField::Hides(const Eigen::Vector3d& from, const Eigen::Vector3d& to) 
   constexpr double kStep = 1.0, kSkip = 1.5, kSlack = 0.05;  // near its ends a line touches the surface anyway
   const Eigen::Vector3d line = to - from;
   const double length = line.norm(), rise = line.z() / length, reach_mm = ReachMm(line / length);
-  for (double s = kSkip; s < length - kSkip; s += kStep) {
+  for (double s = kSkip; s < length - kSkip;) {
     const Eigen::Vector3d p = from + line * (s / length);
     if (const double free_mm = FreeMm(p, rise, reach_mm); free_mm > kStep) {
-      s += kStep * std::floor(std::min(free_mm, length) / kStep) - kStep;
+      s += kStep * std::floor(free_mm / kStep);
       continue;
     }
     // The table cuts corners where the surface is steep.
     if (p.z() > Tabulated(p.x(), p.y()) + kSlack && p.z() > Height(p.x(), p.y()) + kSlack) return true;
+    s += kStep;
   }
   return false;
 }

@@ -10,6 +10,13 @@
 namespace stratalux::rig {
 namespace {
 
+// From where projectors stand to somewhere at `target_z_mm`, at most `half` beside the axis.
+Ray3 RandomRay(Random& random, const Eigen::Vector2d& half, double target_z_mm) {
+  const Eigen::Vector3d origin(random.Uniform(-450, 450), random.Uniform(-300, 300), random.Uniform(0, 20));
+  const Eigen::Vector3d target(random.Uniform(-half.x(), half.x()), random.Uniform(-half.y(), half.y()), target_z_mm);
+  return {origin, (target - origin).normalized()};
+}
+
 TEST(Scene, RefusesAnUnknownNameAndListsTheKnownOnes) {
   const auto scene = Scene::Create("torus", 1);
   ASSERT_FALSE(scene.ok());
@@ -24,9 +31,7 @@ TEST(Scene, RaysEndOnTheSurfaceAndMeetNothingBefore) {
     Random random(11);
     int hits = 0;
     for (int k = 0; k < 300; ++k) {
-      const Eigen::Vector3d origin(random.Uniform(-450, 450), random.Uniform(-300, 300), random.Uniform(0, 20));
-      const Eigen::Vector3d target(random.Uniform(-60, 60), random.Uniform(-80, 80), 700.0);
-      const Eigen::Vector3d direction = (target - origin).normalized();
+      const auto [origin, direction] = RandomRay(random, {60, 80}, 700.0);
       const auto hit = scene.Intersect({origin, direction});
       if (!hit) continue;
       ++hits;
@@ -51,9 +56,7 @@ TEST(Scene, ARayThatMeetsNothingPassesInFrontOfAllThatItPasses) {
     Random random(12);
     int misses = 0;
     for (int k = 0; k < 1500; ++k) {
-      const Eigen::Vector3d origin(random.Uniform(-450, 450), random.Uniform(-300, 300), random.Uniform(0, 20));
-      const Eigen::Vector3d target(random.Uniform(-160, 160), random.Uniform(-160, 160), 720.0);
-      const Eigen::Vector3d direction = (target - origin).normalized();
+      const auto [origin, direction] = RandomRay(random, {160, 160}, 720.0);
       if (scene.Intersect({origin, direction})) continue;
       ++misses;
       double before = std::nan("");
