@@ -31,15 +31,14 @@ std::optional<double> ColumnOf(const ProjectorCalibration& projector, const Eige
 
 }  // namespace
 
-SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
-                            ImageView<const float> true_normal) {
+SurfaceError CompareSurface(const SurfaceMap& surface, const SurfaceMap& truth) {
+  SLX_CHECK(surface.mask.size() == truth.mask.size());
   std::vector<double> depth, angle;
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i) {
-      if (surface.mask(i, j) == 0 || !std::isfinite(true_depth(i, j))) continue;
-      depth.push_back(double(surface.point_mm(i, j, 2)) - true_depth(i, j));
-      const Eigen::Vector3d n(true_normal(i, j, 0), true_normal(i, j, 1), true_normal(i, j, 2));
-      angle.push_back(DegFromRad(std::acos(std::clamp(n.dot(surface.Normal(i, j)), -1.0, 1.0))));
+      if (surface.mask(i, j) == 0 || truth.mask(i, j) == 0) continue;
+      depth.push_back(double(surface.point_mm(i, j, 2)) - truth.point_mm(i, j, 2));
+      angle.push_back(DegFromRad(std::acos(std::clamp(truth.Normal(i, j).dot(surface.Normal(i, j)), -1.0, 1.0))));
     }
   SurfaceError result;
   result.pixels = static_cast<int64_t>(depth.size());
@@ -52,19 +51,27 @@ SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> tr
   return result;
 }
 
-ColumnError CompareColumns(const SurfaceMap& surface, const RigCalibration& rig, const SurfaceMap& truth,
-                           const RigCalibration& true_rig, int projector, ImageView<const uint8_t> lit) {
-  SLX_CHECK(surface.mask.size() == truth.mask.size() && surface.mask.size() == lit.size());
+ColumnError CompareColumns(const SurfaceMap& surface, const RigCalibration& rig, const TrueSurface& truth,
+                           int projector) {
+  const Image<uint8_t>& lit = truth.lit_by[projector];
+  SLX_CHECK(surface.mask.size() == truth.surface.mask.size() && surface.mask.size() == lit.size());
   std::vector<double> errors;
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i) {
-      if (surface.mask(i, j) == 0 || truth.mask(i, j) == 0 || lit(i, j) == 0) continue;
+      if (surface.mask(i, j) == 0 || truth.surface.mask(i, j) == 0 || lit(i, j) == 0) continue;
       const auto column = ColumnOf(rig.projectors[projector], surface.Point(i, j)),
-                 true_column = ColumnOf(true_rig.projectors[projector], truth.Point(i, j));
+                 true_column = ColumnOf(truth.rig.projectors[projector], truth.surface.Point(i, j));
       if (column && true_column) errors.push_back(*column - *true_column);
     }
   const MeanAndRms of_columns = Of(errors);
   return {projector, of_columns.mean, of_columns.rms, static_cast<int64_t>(errors.size())};
+}
+
+SurfaceError CompareWithTruth(const SurfaceMap& surface, const RigCalibration& rig, const TrueSurface& truth) {
+  SurfaceError error = CompareSurface(surface, truth.surface);
+  for (int p = 0; p < static_cast<int>(truth.lit_by.size()); ++p)
+    if (!truth.lit_by[p].empty()) error.columns.push_back(CompareColumns(surface, rig, truth, p));
+  return error;
 }
 
 }  // namespace stratalux::fit

@@ -28,12 +28,22 @@ struct SurfaceError {
   std::vector<ColumnError> columns{};  // by projector, of those that light any of it
 };
 
-// Against true depth (z, mm) and normals; NaN where the truth is unknown. Without columns.
-[[nodiscard]] SurfaceError CompareSurface(const SurfaceMap& surface, ImageView<const float> true_depth,
-                                          ImageView<const float> true_normal);
+// The true surface and the rig that it stands in.
+struct TrueSurface {
+  SurfaceMap surface;
+  RigCalibration rig;
+  std::vector<Image<uint8_t>> lit_by;  // by projector, what its light reaches; empty where an older simulation does not say
+};
 
-// Of quads that are known to both and that projector p lights (`lit`). Each surface stands in its own rig.
-[[nodiscard]] ColumnError CompareColumns(const SurfaceMap& surface, const RigCalibration& rig, const SurfaceMap& truth,
-                                         const RigCalibration& true_rig, int projector, ImageView<const uint8_t> lit);
+// Of quads that are known to both. Without columns.
+[[nodiscard]] SurfaceError CompareSurface(const SurfaceMap& surface, const SurfaceMap& truth);
+
+// Of quads that are known to both and that the projector lights by the truth. Each surface stands in its own rig.
+[[nodiscard]] ColumnError CompareColumns(const SurfaceMap& surface, const RigCalibration& rig, const TrueSurface& truth,
+                                         int projector);
+
+// Both, with the columns of all projectors whose light the truth knows.
+[[nodiscard]] SurfaceError CompareWithTruth(const SurfaceMap& surface, const RigCalibration& rig,
+                                            const TrueSurface& truth);
 
 }  // namespace stratalux::fit

@@ -86,4 +86,15 @@ Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& calibration) const 
   return s;
 }
 
+Result<TrueSurface> SceneTruth::SurfaceInItsRig(const RigCalibration& calibration) const {
+  TrueSurface truth;
+  SLX_ASSIGN_OR_RETURN(truth.surface, Surface(calibration));
+  truth.rig = exact_ ? *exact_ : calibration;
+  for (int p = 0; p < static_cast<int>(truth.rig.projectors.size()); ++p) {
+    SLX_ASSIGN_OR_RETURN(auto lit, LitBy(p));
+    truth.lit_by.push_back(std::move(lit));
+  }
+  return truth;
+}
+
 }  // namespace stratalux::fit

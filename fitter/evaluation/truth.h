@@ -7,6 +7,7 @@
 #include <string>
 
 #include "db/segment/truth_segment.h"
+#include "fitter/evaluation/surface_error.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "shared/capture/rig_calibration.h"
 
@@ -32,6 +33,8 @@ class SceneTruth {
   [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;
   // The exact record where the session names another one: that of the rig that the true surface stands in.
   [[nodiscard]] const std::optional<RigCalibration>& exact_calibration() const { return exact_; }
+  // The same with the rig that it stands in and what each projector of it reaches.
+  [[nodiscard]] Result<TrueSurface> SurfaceInItsRig(const RigCalibration& rig) const;
 
  private:
   SceneTruth(db::TruthSegment segment, std::optional<RigCalibration> exact)

@@ -91,23 +91,19 @@ Status AddCentroid(SessionGraph& graph, GeometrySource source, int heldout, Metr
   return Status::Ok();
 }
 
-// Nothing without a truth.
-Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const SessionFrames& frames,
-                                                 const std::string& shape) {
+// Of the simulation, on the rays and in the rig of its frames; nullopt of a real capture.
+Result<std::optional<TrueSurface>> ReadTruth(const SessionFrames& frames, const RigCalibration& rig) {
   SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
+  if (!truth) return std::optional<TrueSurface>();
+  SLX_ASSIGN_OR_RETURN(auto surface, truth->SurfaceInItsRig(rig));
+  return std::optional(std::move(surface));
+}
+
+Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const std::optional<TrueSurface>& truth,
+                                                 const std::string& shape) {
   if (!truth) return std::optional<SurfaceError>();
-  SLX_ASSIGN_OR_RETURN(const auto depth, truth->Depth());
-  SLX_ASSIGN_OR_RETURN(const auto normal, truth->Normal());
   SLX_ASSIGN_OR_RETURN(const FaceShape made, graph.stages().Load(shape, LoadShape));
-  SurfaceError error = CompareSurface(made.surface, depth, normal);
-  SLX_ASSIGN_OR_RETURN(const SurfaceMap surface, truth->Surface(made.record));
-  for (int p = 0; p < static_cast<int>(made.record.projectors.size()); ++p) {
-    SLX_ASSIGN_OR_RETURN(const auto lit, truth->LitBy(p));
-    if (lit.empty()) continue;  // of an older simulation
-    error.columns.push_back(
-        CompareColumns(made.surface, made.record, surface, truth->exact_calibration().value_or(made.record), p, lit));
-  }
-  return std::optional(std::move(error));
+  return std::optional(CompareWithTruth(made.surface, made.record, *truth));
 }
 
 // Of quads of the surface that the mask was made of.
@@ -125,15 +121,15 @@ Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames
 }
 
 // Of the surface that fits without `heldout` (none: the fit's files) stand on; nothing where it was not moved.
-Status AddOffset(SessionGraph& graph, const SessionFrames& frames, GeometrySource source, std::optional<int> heldout,
-                 FitKind kind, Metrics& metrics) {
+Status AddOffset(SessionGraph& graph, const std::optional<TrueSurface>& truth, GeometrySource source,
+                 std::optional<int> heldout, FitKind kind, Metrics& metrics) {
   const int projector = heldout.value_or(kNoneHeldOut);
   const std::string key = graph.Offset(source, projector, kind);
   if (key.empty()) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(const auto offset, graph.stages().Load(key, LoadOffset));
   OffsetFigure figure{heldout, kind == FitKind::kJudged ? graph.JudgedModel() : "direction_blind_placed", offset.found,
                       std::nullopt};
-  SLX_ASSIGN_OR_RETURN(figure.truth, AgainstTruth(graph, frames, graph.PlacedShape(source, projector, kind)));
+  SLX_ASSIGN_OR_RETURN(figure.truth, AgainstTruth(graph, truth, graph.PlacedShape(source, projector, kind)));
   metrics.offsets.push_back(figure);
   return Status::Ok();
 }
@@ -156,19 +152,19 @@ std::string Ablations(SessionGraph& graph, const RunOptions& options) {
 
 // Every projector held out in turn; ablations; and the same on the true surface: what of the error is the model's, not
 // the reconstruction's.
-Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const SessionFrames& frames, Metrics& metrics,
-                     std::vector<HeldOutErrors>& errors) {
+Status EvaluateFully(SessionGraph& graph, const RunOptions& options, const std::optional<TrueSurface>& truth,
+                     Metrics& metrics, std::vector<HeldOutErrors>& errors) {
   SLX_ASSIGN_OR_RETURN(const auto compared, graph.stages().Load(Ablations(graph, options), LoadComparison));
   metrics.ablations = compared.figures;
   SLX_RETURN_IF_ERROR(
-      AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kDirectionBlindPlaced, metrics));
+      AddOffset(graph, truth, options.geometry, options.heldout, FitKind::kDirectionBlindPlaced, metrics));
   for (const auto& [source, projector] : FullViews(graph, options)) {
     const auto models = ModelsOf(graph, Evaluation::kFull, source, projector);
     SLX_RETURN_IF_ERROR(AddComparison(graph, graph.Compare(models, source, projector), metrics, nullptr,
                                       source == options.geometry ? &errors : nullptr));
     SLX_RETURN_IF_ERROR(AddCentroid(graph, source, projector, metrics));
     for (const FitKind kind : {FitKind::kJudged, FitKind::kDirectionBlindPlaced})
-      SLX_RETURN_IF_ERROR(AddOffset(graph, frames, source, projector, kind, metrics));
+      SLX_RETURN_IF_ERROR(AddOffset(graph, truth, source, projector, kind, metrics));
   }
   return Status::Ok();
 }
@@ -300,17 +296,18 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_ASSIGN_OR_RETURN(metrics.summary, stages.Load(keys.at("fit"), LoadSummary));
   if (metrics.summary.pixels == 0) return NothingFitted(frames, metrics.summary);
 
-  SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, options.heldout, FitKind::kJudged, metrics));
-  SLX_RETURN_IF_ERROR(AddOffset(graph, frames, options.geometry, std::nullopt, FitKind::kJudged, metrics));
+  SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
+  SLX_ASSIGN_OR_RETURN(const auto truth, ReadTruth(frames, shape->record));
+  SLX_RETURN_IF_ERROR(AddOffset(graph, truth, options.geometry, options.heldout, FitKind::kJudged, metrics));
+  SLX_RETURN_IF_ERROR(AddOffset(graph, truth, options.geometry, std::nullopt, FitKind::kJudged, metrics));
   if (metrics.offsets.empty()) {
-    SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(graph, frames, keys.at("shape")));
+    SLX_ASSIGN_OR_RETURN(metrics.truth, AgainstTruth(graph, truth, keys.at("shape")));
   } else {
     metrics.truth = metrics.offsets.back().truth;  // by all projectors: the fit's surface
-    SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, frames, graph.Shape(options.geometry)));
+    SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, truth, graph.Shape(options.geometry)));
   }
   SLX_ASSIGN_OR_RETURN(const SkinMask skin, stages.Load(keys.at("skin"), LoadSkin));
   SLX_ASSIGN_OR_RETURN(metrics.skin, SkinFigureOf(graph, frames, skin));
-  SLX_ASSIGN_OR_RETURN(const FaceShape* shape, graph.Face(keys.at("shape")));
   const int projectors = static_cast<int>(shape->record.projectors.size());
   SLX_ASSIGN_OR_RETURN(const auto* separation, graph.Separation(keys.at("separate")));
   SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, graph.Layers(keys.at("fit")));
@@ -338,7 +335,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_RETURN_IF_ERROR(AddComparison(graph, compare, metrics, &input.comparisons, &errors));
   SLX_RETURN_IF_ERROR(AddCentroid(graph, options.geometry, options.heldout, metrics));
   if (evaluation == Evaluation::kFull) {
-    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, frames, metrics, errors));
+    SLX_RETURN_IF_ERROR(EvaluateFully(graph, options, truth, metrics, errors));
   }
   metrics.intervals = FindIntervals(errors);
 

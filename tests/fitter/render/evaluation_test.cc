@@ -189,19 +189,18 @@ SurfaceMap Plane() {
 }
 
 TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
-  SurfaceMap surface = Plane();
-  Image<float> depth(20, 10), normal(20, 10, 3);
+  SurfaceMap surface = Plane(), truth = Plane();
   const double tilt = RadFromDeg(3.0);
   for (int j = 0; j < 10; ++j)
     for (int i = 0; i < 20; ++i) {
-      depth(i, j) = 599.5F;
+      truth.point_mm(i, j, 2) = 599.5F;
       surface.point_mm(i, j, 2) += i % 2 == 0 ? 0.2F : -0.2F;
-      normal(i, j, 0) = static_cast<float>(std::sin(tilt));
-      normal(i, j, 2) = static_cast<float>(-std::cos(tilt));
+      truth.normal(i, j, 0) = static_cast<float>(std::sin(tilt));
+      truth.normal(i, j, 2) = static_cast<float>(-std::cos(tilt));
     }
   surface.mask(0, 0) = 0;
-  depth(1, 0) = std::nanf("");
-  const SurfaceError e = CompareSurface(surface, depth, normal);
+  truth.mask(1, 0) = 0;
+  const SurfaceError e = CompareSurface(surface, truth);
   EXPECT_NEAR(e.depth_bias_mm, 0.5, 1e-3);
   EXPECT_NEAR(e.depth_rms_mm, 0.2, 1e-3);
   EXPECT_NEAR(e.normal_median_deg, 3.0, 1e-3);
@@ -217,30 +216,36 @@ TEST(CompareColumns, SaysHowFarFromTheTrueColumnASurfaceIsSeen) {
     projector.camera_from_projector.translation_mm.x() = p == 0 ? 0.0 : -100.0;
     rig.projectors.push_back(projector);
   }
-  SurfaceMap truth = Plane(), surface = Plane();
+  SurfaceMap surface = Plane();
+  const Image<uint8_t> all(20, 10, 1, 1);
+  TrueSurface truth{Plane(), rig, {all, all}};
   for (int j = 0; j < 10; ++j)
     for (int i = 0; i < 20; ++i) {
-      truth.point_mm(i, j, 2) = 598.0F;
+      truth.surface.point_mm(i, j, 2) = 598.0F;
       surface.point_mm(i, j, 2) += j % 2 == 0 ? 0.3F : -0.3F;
     }
-  Image<uint8_t> lit(20, 10, 1, 1);
   // Not known, not lit, not true: none of the three counts.
   surface.point_mm(3, 2, 2) = 700.0F;
   surface.mask(3, 2) = 0;
   surface.point_mm(4, 2, 2) = 700.0F;
-  lit(4, 2) = 0;
+  truth.lit_by[1](4, 2) = 0;
   surface.point_mm(5, 2, 2) = 700.0F;
-  truth.mask(5, 2) = 0;
-  const ColumnError e = CompareColumns(surface, rig, truth, rig, 1, lit);
+  truth.surface.mask(5, 2) = 0;
+  const ColumnError e = CompareColumns(surface, rig, truth, 1);
   EXPECT_EQ(e.projector, 1);
   EXPECT_EQ(e.quads, 197);
   EXPECT_NEAR(e.mean_px, 1200.0 * 100.0 * (1.0 / 600.0 - 1.0 / 598.0), 0.002);
   EXPECT_NEAR(e.rms_px, 1200.0 * 100.0 * 0.3 / (600.0 * 600.0), 0.001);
-  EXPECT_EQ(CompareColumns(surface, rig, truth, rig, 0, lit).mean_px, 0.0);  // it looks along the camera's view
+  EXPECT_EQ(CompareColumns(surface, rig, truth, 0).mean_px, 0.0);  // it looks along the camera's view
   // The true rig stands a tenth of a column elsewhere.
-  RigCalibration moved = rig;
-  moved.projectors[1].model.cx -= 0.1;
-  EXPECT_NEAR(CompareColumns(surface, rig, truth, moved, 1, lit).mean_px, e.mean_px + 0.1, 1e-4);
+  truth.rig.projectors[1].model.cx -= 0.1;
+  EXPECT_NEAR(CompareColumns(surface, rig, truth, 1).mean_px, e.mean_px + 0.1, 1e-4);
+  // Of light that the truth does not tell there are no columns.
+  truth.lit_by[0] = {};
+  const SurfaceError both = CompareWithTruth(surface, rig, truth);
+  ASSERT_EQ(both.columns.size(), 1U);
+  EXPECT_EQ(both.columns[0].projector, 1);
+  EXPECT_EQ(both.pixels, 198);
 }
 
 TEST(Metrics, WritesSchemaTwo) {
