@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fitter/evaluation/metrics_json.h"
+#include "fitter/stages/reflection_json.h"
 
 namespace stratalux::fit {
 namespace {
@@ -163,9 +164,7 @@ std::string Metrics::ToJson() const {
   json["fit"] = {{"divergence", summary.divergence},
                  {"iterations_median", summary.iterations_median},
                  {"tau", summary.tau},
-                 {"surface", summary.reflection.Known() ? Json{{"strength", summary.reflection.strength},
-                                                               {"roughness", summary.reflection.roughness}}
-                                                        : Json()},
+                 {"surface", ReflectionJson(summary.reflection)},
                  {"wide_weight_fraction", summary.wide_weight_fraction},
                  {"pixels", summary.pixels},
                  {"prior_photons", summary.prior_photons},

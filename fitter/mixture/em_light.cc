@@ -41,9 +41,7 @@ void LoadSamples(const ScatteringModel& model, const SrdBatch& batch, int64_t pr
   light.s[lane] = static_cast<float>(ShiftCoefficient(model, batch, profile));
   light.gain[lane] = static_cast<float>(AngularGain(model, batch.cos_in[profile]));
   light.reflected[lane] =
-      model.reflection.Known()
-          ? static_cast<float>(ReflectanceOf(model.reflection, ReflectionAngles::Of(batch, profile), model.eta))
-          : -1.0F;
+      model.reflection.Known() ? static_cast<float>(ReflectedBy(model.reflection, batch, profile, model.eta)) : -1.0F;
   if (!model.directional.Off()) {
     const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
     light.extra_path[lane] = static_cast<float>(directions.ExtraPath());

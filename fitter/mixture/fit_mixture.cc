@@ -447,8 +447,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
       if (batch->IsApart(i) || Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
-      const double sum =
-          WhiteReflectanceOf(*batch, i).value - ReflectanceOf(surface, ReflectionAngles::Of(*batch, i), eta);
+      const double sum = WhiteReflectanceOf(*batch, i).value - ReflectedBy(surface, *batch, i, eta);
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];
       x.push_back(GainPath(cos_in, eta));
@@ -476,7 +475,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
     all.xy += run.xy;
     all.xx += run.xx;
   }
-  return all.xx > 1e-6 ? std::clamp(-all.xy / all.xx, 0.0, 3.0) : 0.0;
+  return all.xx > 1e-6 ? std::clamp(-all.xy / all.xx, -1.0, 3.0) : 0.0;
 }
 
 }  // namespace stratalux::fit

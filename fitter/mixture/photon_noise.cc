@@ -24,7 +24,7 @@ void NoiseLine::Add(float y, float variance) {
 }
 
 float NoiseLine::Slope() const {
-  const double dy = double{at_most_} - at_least_, dv = double{most_} - least_;
+  const double dy = double{at_most_} - std::max(0.0F, at_least_), dv = double{most_} - least_;
   return dy > 0.0 && dv > 0.0 ? static_cast<float>(dv / dy) : 0.0F;
 }
 

@@ -27,7 +27,7 @@ ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOpti
   light.s = ShiftCoefficient(model, batch, profile);
   light.directions = DirectionsOf(batch, profile, model.eta);
   if (model.reflection.Known())
-    light.reflected = ReflectanceOf(model.reflection, ReflectionAngles::Of(batch, profile), model.eta);
+    light.reflected = ReflectedBy(model.reflection, batch, profile, model.eta);
   if (model.gain_model) {
     light.fresnel = AngularGain(batch.cos_in[profile], model.eta, 0.0);
     light.gain_path = GainPath(batch.cos_in[profile], model.eta);

@@ -3,22 +3,40 @@
 // of one pixel (model section 7), but it is colourless and follows the directions of lamp and eye in a way that light
 // from the layers does not: the training lights of a whole session tell it.
 //
-// Torrance & Sparrow facets, slopes distributed after GGX [Walter et al. 2007], Schlick's Fresnel term; one roughness
-// and one strength for the session (skin: Weyrich et al. 2006).
+// Torrance & Sparrow facets, Schlick's Fresnel term. How many of them tilt how far follows GGX [Walter et al. 2007] of
+// one strength and roughness (skin: Weyrich et al. 2006) times a curve that the session's own light draws, since no
+// analytic distribution is that of skin; beside them fine hairs (docs/math/surface.md).
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <span>
 
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
 
+// Tilts of a facet against the skin, degrees, that SurfaceReflection::over_ggx stands at.
+inline constexpr std::array<double, 10> kFacetTiltsDeg = {0, 5, 10, 15, 20, 26, 33, 42, 55, 75};
+using FacetCurve = std::array<double, kFacetTiltsDeg.size()>;
+
 struct SurfaceReflection {
   double strength = -1.0;  // of the Fresnel reflection of a bare surface of index eta; negative: unknown
   double roughness = 0.3;  // alpha of GGX
+  // As many times more facets tilt so far than GGX says: linear between kFacetTiltsDeg, beyond them as at the last.
+  FacetCurve over_ggx = Ones();
+  // Of hairs above the skin, thin and lying anyhow: their reflectance times both cosines, a quarter of their
+  // optical depth where they scatter alike into all directions (Koenderink & Pont 2003).
+  double hairs = 0.0;
 
   [[nodiscard]] bool Known() const { return strength >= 0.0; }
+
+ private:
+  static constexpr FacetCurve Ones() {
+    FacetCurve ones{};
+    ones.fill(1.0);
+    return ones;
+  }
 };
 
 // Cosines at a point between its normal, the directions to lamp and eye, and the bisector of those two.
@@ -34,6 +52,9 @@ struct ReflectionAngles {
 // pi f_r, the reflectance unit of model section 6; 0 behind the horizon and where the surface is unknown.
 [[nodiscard]] double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta);
 
+// The same of a profile under its light.
+[[nodiscard]] double ReflectedBy(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile, double eta);
+
 // Response to all columns of a comb at once, as reflectance: of the white frames, else the cycle's (or window's) sum;
 // and its variance.
 struct WhiteReflectance {
@@ -45,8 +66,9 @@ struct WhiteReflectance {
 // a profile's own, the rest the session's:
 //   y_pc = W_c g_p(tau) (1 - n_c + n_c few_p) + strength R_p(roughness).
 // n_c few_p: the share of light that scattered a few times only, with the phase function of directional_weights.h; left
-// out, it would pass for surface. Unknown where fewer than a hundred profiles are lit from two directions, and where
-// those do not tell the strength. The same bits always.
+// out, it would pass for surface. First strength and roughness of GGX, by light within 60 degrees of the normal; then,
+// by all light, the curve over it and the hairs, where they explain that light clearly better. Unknown where fewer than
+// a hundred profiles are lit from two directions, and where those do not tell the strength. The same bits always.
 [[nodiscard]] SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, int channels,
                                                           double eta, int every = 8);
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include "fitter/stages/reflection_json.h"
 #include "fitter/stages/stage_json.h"
 
 namespace stratalux::fit {
@@ -74,8 +75,7 @@ Status SaveSummary(const std::filesystem::path& folder, const FitSummary& s) {
                    {{"divergence", s.divergence},
                     {"iterations_median", s.iterations_median},
                     {"tau", s.tau},
-                    {"surface_strength", s.reflection.strength},
-                    {"surface_roughness", s.reflection.roughness},
+                    {"surface", ReflectionJson(s.reflection)},
                     {"wide_weight_fraction", s.wide_weight_fraction},
                     {"pixels", s.pixels},
                     {"prior_photons", s.prior_photons},
@@ -91,8 +91,7 @@ Result<FitSummary> LoadSummary(const std::filesystem::path& folder) {
     json.at("divergence").get_to(s.divergence);
     json.at("iterations_median").get_to(s.iterations_median);
     json.at("tau").get_to(s.tau);
-    json.at("surface_strength").get_to(s.reflection.strength);
-    json.at("surface_roughness").get_to(s.reflection.roughness);
+    s.reflection = ReflectionFrom(json.at("surface"));
     json.at("wide_weight_fraction").get_to(s.wide_weight_fraction);
     json.at("pixels").get_to(s.pixels);
     json.at("prior_photons").get_to(s.prior_photons);

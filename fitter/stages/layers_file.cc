@@ -10,6 +10,7 @@
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/colours.h"
+#include "fitter/stages/reflection_json.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
 #include "shared/base/parallel_each.h"
@@ -58,6 +59,9 @@ std::vector<std::string> AllQualityChannels(int channels) {
   return names;
 }
 
+// 2: the surface has a curve over GGX and hairs, which a reader of schema 1 would leave out.
+constexpr int kLayersSchema = 2;
+
 using LayerField = std::pair<const char*, std::vector<float> MixtureMap::*>;
 constexpr std::array<LayerField, 3> kLayerFields = {
     {{"weight", &MixtureMap::weight}, {"depth_mm", &MixtureMap::depth_mm}, {"sigma_mm", &MixtureMap::sigma_mm}}};
@@ -104,7 +108,7 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
     return WriteExr(folder / LayersFile(name), image, LayerChannels(map.channels, map.layers));
   }));
   const ScatteringModel& model = map.scattering;
-  const Json json = {{"schema", 1},
+  const Json json = {{"schema", kLayersSchema},
                      {"layers", map.layers},
                      {"channels", map.channels},
                      {"pool", layers.pool},
@@ -116,9 +120,7 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
                       {{"kappa_per_mm", model.directional.kappa_per_mm},
                        {"phase_slope", model.directional.phase_slope},
                        {"sigma_0_mm", model.directional.sigma_0_mm}}},
-                     {"surface", model.reflection.Known() ? Json{{"strength", model.reflection.strength},
-                                                                 {"roughness", model.reflection.roughness}}
-                                                          : Json()},
+                     {"surface", ReflectionJson(model.reflection)},
                      {"training_projectors", map.training_projectors},
                      {"prior_photons", map.prior_photons}};
   return WriteJson(folder / "layers.json", json);
@@ -135,7 +137,7 @@ Status ReadDescription(const std::filesystem::path& folder, FittedLayers& layers
   int schema = 0;
   std::string law;
   SLX_RETURN_IF_ERROR(ReadJson(description, [&](const nlohmann::json& json) {
-    if (json.at("schema").get_to(schema) > 1) return;
+    if (json.at("schema").get_to(schema) > kLayersSchema) return;
     json.at("layers").get_to(map.layers);
     json.at("channels").get_to(map.channels);
     json.at("pool").get_to(layers.pool);
@@ -147,14 +149,13 @@ Status ReadDescription(const std::filesystem::path& folder, FittedLayers& layers
       const auto& d = json.at("directional");
       model.directional = {d.at("kappa_per_mm"), d.at("phase_slope"), d.at("sigma_0_mm")};
     }
-    if (json.contains("surface") && !json.at("surface").is_null())
-      model.reflection = {json.at("surface").at("strength"), json.at("surface").at("roughness")};
+    if (json.contains("surface")) model.reflection = ReflectionFrom(json.at("surface"));
     json.at("training_projectors").get_to(map.training_projectors);
     map.prior_photons = json.value("prior_photons", 0.0);
   }));
-  if (schema > 1)
-    return Status(StatusCode::kNewerSchema,
-                  description.string() + ": schema " + std::to_string(schema) + ", this program reads up to 1");
+  if (schema > kLayersSchema)
+    return Status(StatusCode::kNewerSchema, description.string() + ": schema " + std::to_string(schema) +
+                                                ", this program reads up to " + std::to_string(kLayersSchema));
   SLX_ASSIGN_OR_RETURN(model.shift_law, ParseShiftLaw(law).WithContext(description.string()));
   if (map.layers < 1 || map.layers > 32 || (map.channels != 1 && map.channels != 3) || layers.pool < 1 ||
       layers.pool > 16 || map.training_projectors.empty())

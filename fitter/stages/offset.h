@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 3, kPlacedShapeVersion = 4;
+inline constexpr int kOffsetVersion = 4, kPlacedShapeVersion = 4;
 
 struct FaceOffset {
   SurfaceOffset found;

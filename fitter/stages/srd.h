@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 2;
+inline constexpr int kSrdVersion = 3;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {

@@ -70,6 +70,14 @@ TEST(NoiseLine, IsTheCamerasLawWhicheverSampleComesFirst) {
   }
 }
 
+// Below black there is no light, and no more noise than at it: a dim sample's sign must not tilt the line.
+TEST(NoiseLine, OfASampleBelowZeroIsThatOfNoLight) {
+  NoiseLine line;
+  for (const float y : {-0.3F, 0.5F, 2.0F}) line.Add(y, 0.02F + 0.5F * std::max(y, 0.0F));
+  EXPECT_NEAR(line.Slope(), 0.5, 1e-6);
+  EXPECT_NEAR(line.Floor(), 0.02, 1e-6);
+}
+
 TEST(NoiseLine, KnowsNoSlopeWhereNoiseDoesNotRise) {
   NoiseLine none, constant, falling;
   EXPECT_EQ(none.Floor(), 0.0F);

@@ -15,6 +15,7 @@
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/random.h"
+#include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
@@ -62,12 +63,52 @@ TEST(SurfaceReflection, IsNothingBehindTheHorizon) {
   EXPECT_EQ(Reflectance(0.3, Direction(1.7, 0.0), Eigen::Vector3d::UnitZ()), 0.0);
 }
 
+TEST(SurfaceReflection, FollowsTheCurveBetweenItsNodes) {
+  SurfaceReflection drawn{1.0, 0.35};
+  drawn.over_ggx[1] = 2.0;  // of facets that tilt by 5 degrees
+  drawn.over_ggx.back() = 0.5;
+  const auto over_ggx = [&](double tilt_deg) {
+    const Eigen::Vector3d half = Direction(RadFromDeg(tilt_deg), 0.0);  // lamp and eye stand there
+    return ReflectanceOf(drawn, ReflectionAngles::Between(half, half, Eigen::Vector3d::UnitZ()), kEta) /
+           Reflectance(0.35, half, half);
+  };
+  EXPECT_NEAR(over_ggx(0.0), 1.0, 1e-12);
+  EXPECT_NEAR(over_ggx(2.0), 1.4, 1e-9);
+  EXPECT_NEAR(over_ggx(5.0), 2.0, 1e-9);
+  EXPECT_NEAR(over_ggx(7.5), 1.5, 1e-9);
+  EXPECT_NEAR(over_ggx(65.0), 0.75, 1e-9);
+  EXPECT_NEAR(over_ggx(75.0), 0.5, 1e-9);
+  EXPECT_NEAR(over_ggx(88.0), 0.5, 1e-9);
+}
+
+TEST(SurfaceReflection, OfHairsGoesAsBothCosinesInverseAndIsHeldAtTheHorizon) {
+  const SurfaceReflection hairs{.strength = 0.0, .hairs = 0.002};
+  const auto of = [&](double lamp, double eye) {
+    return ReflectanceOf(
+        hairs, ReflectionAngles::Between(Direction(lamp, 0.3), Direction(eye, 2.0), Eigen::Vector3d::UnitZ()), kEta);
+  };
+  EXPECT_NEAR(of(0.0, 0.0), 0.002, 1e-12);
+  EXPECT_NEAR(of(1.0, 0.7), 0.002 / (std::cos(1.0) * std::cos(0.7)), 1e-12);
+  EXPECT_EQ(of(1.5, 0.0), of(1.52, 0.0));
+}
+
 // White frames of a sphere's front seen from afar, three colours: layers of any albedo, gain, few events, surface.
+// Facets in two Beckmann lobes that mask each other as grooves do, and hairs: nothing that GGX is, as skin is nothing.
+double GroovedSkin(const ReflectionAngles& a) {
+  const double cos2 = a.normal_half * a.normal_half, tan2 = (1.0 - cos2) / cos2;
+  const auto lobe = [&](double slope) { return std::exp(-tan2 / (slope * slope)) / (slope * slope * cos2 * cos2); };
+  const double facets = 0.35 * lobe(0.17) + 0.65 * lobe(0.4);
+  const double grooves = std::min(1.0, 2.0 * a.normal_half * std::min(a.normal_in, a.normal_out) / a.half_in);
+  const double fresnel = kFresnel + (1.0 - kFresnel) * std::pow(1.0 - a.half_in, 5);
+  return (1.2 * facets * grooves * fresnel / 4.0 + 0.003) / (a.normal_in * a.normal_out);
+}
+
 struct Sphere {
   double strength = 1.0, roughness = 0.35, tau = 0.2;
   std::array<double, 3> few = {0.1, 0.15, 0.2};
   double noise = 0.0;     // of each light, relative
   double shadowed = 0.0;  // share of the lights that something else halves
+  bool grooved = false;   // GroovedSkin in place of GGX
 
   [[nodiscard]] std::vector<SrdBatch> Lights(const std::vector<Eigen::Vector3d>& lamps) const {
     Random random(7);
@@ -84,6 +125,10 @@ struct Sphere {
           AddProfile({x, y, std::sqrt(1.0 - x * x - y * y)}, lamps[p], c, albedo[3 * k + c], random, lights[p]);
       }
     return lights;
+  }
+
+  [[nodiscard]] double Reflected(const ReflectionAngles& angles) const {
+    return grooved ? GroovedSkin(angles) : ReflectanceOf({strength, roughness}, angles, kEta);
   }
 
  private:
@@ -110,7 +155,7 @@ struct Sphere {
       const RefractedDirections d = DirectionsOf(lamp, eye, normal, kEta);
       const double events = d.sec_in * d.sec_out * std::exp(1.15 * (1.0 + d.cos_scatter));
       white = albedo * AngularGain(normal.dot(lamp), kEta, tau) * (1.0 + few[c] * (events - 1.0)) +
-              ReflectanceOf({strength, roughness}, ReflectionAngles::Between(lamp, eye, normal), kEta);
+              Reflected(ReflectionAngles::Between(lamp, eye, normal));
       white *= 1.0 + noise * random.Normal();
       if (random.Uniform() < shadowed) white *= 0.5;
     }
@@ -146,8 +191,45 @@ TEST_P(EstimateSurfaceReflectionTest, FindsStrengthAndRoughness) {
 INSTANTIATE_TEST_SUITE_P(Spheres, EstimateSurfaceReflectionTest,
                          testing::Values(Sphere{}, Sphere{0.5, 0.25, 0.0, {0.0, 0.0, 0.0}},
                                          Sphere{1.6, 0.45, 0.5, {0.3, 0.2, 0.1}},
+                                         Sphere{1.0, 0.35, -0.2, {0.1, 0.15, 0.2}},
                                          Sphere{1.0, 0.35, 0.2, {0.1, 0.15, 0.2}, 0.02},
                                          Sphere{1.0, 0.35, 0.2, {0.1, 0.15, 0.2}, 0.02, 0.05}));
+
+// Relative error (rms) of what is found, under lamps that it was not found by; as it is found, and by its GGX alone.
+struct ErrorElsewhere {
+  double curve = 0.0, ggx = 0.0;
+};
+ErrorElsewhere ErrorUnderOtherLamps(const Sphere& sphere, const SurfaceReflection& found) {
+  const SurfaceReflection ggx{found.strength, found.roughness};
+  Random random(5);
+  double curve = 0.0, alone = 0.0, square = 0.0;
+  for (int k = 0; k < 20000; ++k) {
+    const Eigen::Vector3d normal = Direction(random.Uniform(), 6.28 * random.Uniform()), eye(0.0, 0.0, 1.0),
+                          lamp = Direction(0.6, 6.28 * random.Uniform());
+    const ReflectionAngles angles = ReflectionAngles::Between(lamp, eye, normal);
+    if (!(angles.normal_in > 0.3)) continue;
+    const double truth = sphere.Reflected(angles);
+    curve += std::pow(ReflectanceOf(found, angles, kEta) - truth, 2);
+    alone += std::pow(ReflectanceOf(ggx, angles, kEta) - truth, 2);
+    square += truth * truth;
+  }
+  return {std::sqrt(curve / square), std::sqrt(alone / square)};
+}
+
+TEST(EstimateSurfaceReflection, DrawsWhatNoGgxIs) {
+  const Sphere skin{.noise = 0.02, .grooved = true};
+  const ErrorElsewhere error = ErrorUnderOtherLamps(skin, Estimate(skin.Lights(ThreeLamps())));
+  EXPECT_LT(error.curve, 0.04);
+  EXPECT_GT(error.ggx, 3.0 * error.curve);
+}
+
+TEST(EstimateSurfaceReflection, OfGgxDrawsNothing) {
+  const Sphere skin{.noise = 0.02};
+  const SurfaceReflection found = Estimate(skin.Lights(ThreeLamps()));
+  EXPECT_EQ(found.over_ggx, SurfaceReflection{}.over_ggx);
+  EXPECT_EQ(found.hairs, 0.0);
+  EXPECT_LT(ErrorUnderOtherLamps(skin, found).curve, 0.05);
+}
 
 TEST(EstimateSurfaceReflection, OfAMattSphereIsNearNothing) {
   Sphere matt;

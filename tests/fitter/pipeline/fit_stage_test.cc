@@ -24,6 +24,8 @@ TEST(SharedLight, IsTheSameWhereverTheSurfaceIsPlacedAndForFitsThatAreBlind) {
   EXPECT_EQ(after.tau, before.tau);
   EXPECT_EQ(after.reflection.strength, before.reflection.strength);
   EXPECT_EQ(after.reflection.roughness, before.reflection.roughness);
+  EXPECT_EQ(after.reflection.over_ggx, before.reflection.over_ggx);
+  EXPECT_EQ(after.reflection.hairs, before.reflection.hairs);
   lights[1].y[7] *= 1.5F;  // and it does look at the light
   EXPECT_NE(FindSharedLight(options, pointers, 1).tau, before.tau);
 }

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <fstream>
 
 #include <gtest/gtest.h>
 #include <unistd.h>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/reflection_json.h"
 #include "shared/base/random.h"
+#include "shared/base/read_file.h"
 
 namespace stratalux::fit {
 namespace {
@@ -71,6 +74,8 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
                     .tau = random.Uniform(),
                     .directional = {random.Uniform(), random.Uniform(), random.Uniform()},
                     .reflection = {random.Uniform(0.5, 2.0), random.Uniform(0.1, 0.5)}};
+  for (double& times : map.scattering.reflection.over_ggx) times = random.Uniform(0.0, 3.0);
+  map.scattering.reflection.hairs = random.Uniform(0.0, 0.01);
   map.prior_photons = 1000.0 / 7.0;
   const auto profiles = static_cast<size_t>(map.profiles());
   const auto fill = [&](std::vector<float>& values, size_t count) {
@@ -112,6 +117,34 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
   EXPECT_EQ(is.directional.sigma_0_mm, was.directional.sigma_0_mm);
   EXPECT_EQ(is.reflection.strength, was.reflection.strength);
   EXPECT_EQ(is.reflection.roughness, was.reflection.roughness);
+  EXPECT_EQ(is.reflection.over_ggx, was.reflection.over_ggx);
+  EXPECT_EQ(is.reflection.hairs, was.reflection.hairs);
+}
+
+// What an older program would read as another surface it must not read at all.
+TEST(SavedFit, OfANewerSchemaIsRefused) {
+  const std::filesystem::path folder =
+      std::filesystem::temp_directory_path() / ("saved_fit_schema_test_" + std::to_string(getpid()));
+  std::filesystem::create_directories(folder);
+  ASSERT_TRUE(SaveLayers(folder, {OneLayerMap(), 1, Image<float>(3, 2, 3, 40.0F)}).ok());
+  EXPECT_TRUE(LoadLayers(folder).ok());
+  auto text = ReadFile(folder / "layers.json");
+  ASSERT_TRUE(text.ok());
+  const std::string schema = "\"schema\": 2";
+  ASSERT_NE(text->find(schema), std::string::npos);
+  text->replace(text->find(schema), schema.size(), "\"schema\": 3");
+  std::ofstream(folder / "layers.json") << *text;
+  EXPECT_EQ(LoadLayers(folder).status().code(), StatusCode::kNewerSchema);
+  std::filesystem::remove_all(folder);
+}
+
+TEST(ReflectionJson, OfAProgramThatKnewNeitherCurveNorHairsIsGgxAlone) {
+  const SurfaceReflection read = ReflectionFrom(nlohmann::json::parse(R"({"strength": 1.25, "roughness": 0.3})"));
+  EXPECT_EQ(read.strength, 1.25);
+  EXPECT_EQ(read.roughness, 0.3);
+  EXPECT_EQ(read.over_ggx, SurfaceReflection{}.over_ggx);
+  EXPECT_EQ(read.hairs, 0.0);
+  EXPECT_FALSE(ReflectionFrom(nlohmann::json(ReflectionJson({}))).Known());
 }
 
 }  // namespace
