@@ -25,8 +25,8 @@ constexpr double kLeastCosOfCurve = 0.2;  // a curve of its own takes nothing of
 // Where the light does not tell the curve, it is GGX: standard deviation from 1. What (2) leaves is common to
 // neighbours and to lights, so that of the profiles' number that share counts as independent.
 constexpr double kCurvePrior = 0.5, kIndependent = 1e-3;
-// Of the cost: less is what the gain leaves on a surface that is GGX (docs/math/surface.md).
-constexpr double kWorthwhileCurve = 0.1;
+// Of the cost, a profile: less is what the gain leaves on a surface that is GGX (docs/math/surface.md).
+constexpr double kWorthwhileCurve = 0.03;
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kOutlier = 2.0;      // standard deviations, of Cauchy's loss
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
@@ -271,7 +271,7 @@ SurfaceReflection EstimateCurve(std::span<const SrdBatch* const> lights, int cha
   const auto straight = Solve(problem);
   problem.SetParameterBlockVariable(curve.data());
   const auto curved = Solve(problem);
-  if (!straight || !curved || *curved > (1.0 - kWorthwhileCurve) * *straight) return ggx;
+  if (!straight || !curved || *straight - *curved < kWorthwhileCurve * problem.NumResidualBlocks()) return ggx;
   SurfaceReflection found = ggx;
   std::copy_n(curve.begin(), found.over_ggx.size(), found.over_ggx.begin());
   found.hairs = curve.back();
