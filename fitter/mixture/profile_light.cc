@@ -26,8 +26,7 @@ ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOpti
   const ScatteringModel& model = options.scattering;
   light.s = ShiftCoefficient(model, batch, profile);
   light.directions = DirectionsOf(batch, profile, model.eta);
-  if (model.reflection.Known())
-    light.reflected = ReflectedBy(model.reflection, batch, profile, model.eta);
+  if (model.reflection.Known()) light.reflected = ReflectedBy(model.reflection, batch, profile, model.eta);
   if (model.gain_model) {
     light.fresnel = AngularGain(batch.cos_in[profile], model.eta, 0.0);
     light.gain_path = GainPath(batch.cos_in[profile], model.eta);

@@ -36,8 +36,7 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
     floor += map.background[profile * lights + p] / static_cast<double>(lights);
     surface += map.surface[profile * lights + p] / static_cast<double>(lights);
   }
-  if (model.reflection.Known())
-    surface = ReflectedBy(model.reflection, heldout, profile, model.eta);
+  if (model.reflection.Known()) surface = ReflectedBy(model.reflection, heldout, profile, model.eta);
   layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
   layers.depth_mm.push_back(0.0);
   layers.sigma_mm.push_back(1e-3);
