@@ -32,8 +32,8 @@ struct SurfaceError {
 struct TrueSurface {
   SurfaceMap surface;
   RigCalibration rig;
-  std::vector<Image<uint8_t>>
-      lit_by;  // by projector, what its light reaches; empty where an older simulation does not say
+  // By projector, what its light reaches; empty where an older simulation does not say.
+  std::vector<Image<uint8_t>> lit_by;
 };
 
 // Of quads that are known to both. Without columns.

@@ -78,7 +78,8 @@ struct Shown {
   ReflectionAngles angles;
 };
 
-// What the lights of a profile leave, its own W taken out (variable projection). `reflected(s)`: of the surface.
+// What the lights of a profile leave, its own W taken out (variable projection). `reflected(p)`: of light p by the
+// surface.
 template <typename T, typename Reflected>
 void ProfileResiduals(const std::vector<Shown>& lights, const T& tau, const T& narrow, const Reflected& reflected,
                       T* residuals) {
@@ -88,7 +89,7 @@ void ProfileResiduals(const std::vector<Shown>& lights, const T& tau, const T& n
   for (size_t p = 0; p < lights.size(); ++p) {
     const Shown& s = lights[p];
     gain.push_back(s.fresnel * exp(-tau * s.path) * (1.0 + narrow * (s.few - 1.0)) / s.sigma);
-    residuals[p] = (s.reflectance - reflected(s)) / s.sigma;
+    residuals[p] = (s.reflectance - reflected(p)) / s.sigma;
     along += gain[p] * residuals[p];
     square += gain[p] * gain[p];
   }
@@ -103,9 +104,8 @@ struct GgxResiduals {
 
   template <typename T>
   bool operator()(const T* tau, const T* narrow, const T* strength, const T* roughness, T* residuals) const {
-    ProfileResiduals(
-        lights, *tau, *narrow, [&](const Shown& s) -> T { return *strength * Facets(*roughness, s.angles, eta); },
-        residuals);
+    const auto reflected = [&](size_t p) -> T { return *strength * Facets(*roughness, lights[p].angles, eta); };
+    ProfileResiduals(lights, *tau, *narrow, reflected, residuals);
     return true;
   }
 };
@@ -129,9 +129,8 @@ struct CurveResiduals {
 
   template <typename T>
   bool operator()(const T* tau, const T* narrow, const T* curve, T* residuals) const {
-    const auto reflected = [&](const Shown& s) -> T {
-      const Known& k = known[static_cast<size_t>(&s - lights.data())];
-      return k.ggx * OnCurve(curve, k.nodes) + k.hairs * curve[kParameters - 1];
+    const auto reflected = [&](size_t p) -> T {
+      return known[p].ggx * OnCurve(curve, known[p].nodes) + known[p].hairs * curve[kParameters - 1];
     };
     ProfileResiduals(lights, *tau, *narrow, reflected, residuals);
     return true;
@@ -300,7 +299,6 @@ double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& a
 }
 
 double ReflectedBy(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile, double eta) {
-  if (!surface.Known()) return 0.0;
   return ReflectanceOf(surface, ReflectionAngles::Of(batch, profile), eta);
 }
 

@@ -223,7 +223,7 @@ TEST_F(Intervals, HoldTheTruthOfPeople) {
       std::printf(", all %.3f of %lld\n", all.share(), static_cast<long long>(all.all));
       EXPECT_GT(all.all, 500) << light;
       EXPECT_GT(all.share(), 0.91) << light;
-      EXPECT_LT(all.share(), 0.995) << light;  // of some 1,000 spots; they are held more often than stated
+      EXPECT_LT(all.share(), 0.985) << light;
     }
     for (const Json& c : noisy_.metrics["intervals"]["covered"])
       std::printf("  stated, projector %d, %s: %.3f, half-width %.3f\n", c["projector"].get<int>(),

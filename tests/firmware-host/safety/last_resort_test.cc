@@ -178,7 +178,7 @@ const std::vector<std::pair<const char*, std::pair<int, void (*)()>>> kOwnFaults
 };
 
 TEST(LastResort, AFaultIsAnsweredByTheThreadThatMadeIt) {
-  if (kUnderAddressSanitizer) GTEST_SKIP() << "AddressSanitizer answers faults itself";
+  if (kUnderAddressSanitizer) GTEST_SKIP() << "sanitizers end the process before the fault's own signal does";
   for (const auto& [name, fault] : kOwnFaults) {
     EXPECT_EQ(EndOf([&fault](GuardedGpio&) { std::thread(fault.second).join(); }), fault.first) << name;
     EXPECT_TRUE(GuardedGpio::ReadBackDark()) << name;

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <fstream>
+#include <string>
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/layers_file.h"
 #include "fitter/stages/reflection_json.h"
 #include "shared/base/random.h"
-#include "shared/base/read_file.h"
+#include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::fit {
 namespace {
@@ -31,19 +31,17 @@ MixtureMap OneLayerMap() {
 }
 
 TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
-  const std::filesystem::path folder =
-      std::filesystem::temp_directory_path() / ("saved_fit_test_" + std::to_string(getpid()));
-  std::filesystem::create_directories(folder);
+  const ScratchFolder folder;
   MixtureMap map = OneLayerMap();
   const Image<float> noise(3, 2, 3, 40.0F);
-  ASSERT_TRUE(SaveLayers(folder, {map, 1, noise}).ok());
+  ASSERT_TRUE(SaveLayers(folder.path(), {map, 1, noise}).ok());
   const std::vector<std::string> shares = {"prior_share.R", "prior_share.G", "prior_share.B"};
   const auto none = ReadExr(folder / "quality.exr", shares);
   ASSERT_TRUE(none.ok()) << none.status().message();
   for (float share : none->pixels()) EXPECT_EQ(share, 0.0F);
 
   for (int64_t i = 0; i < map.profiles(); ++i) map.prior_share.push_back(0.05F * static_cast<float>(i));
-  ASSERT_TRUE(SaveLayers(folder, {map, 1, noise}).ok());
+  ASSERT_TRUE(SaveLayers(folder.path(), {map, 1, noise}).ok());
   const auto quality = ReadExr(folder / "quality.exr", shares);
   const auto older = ReadExr(folder / "quality.exr", {"divergence.R", "signal_to_noise.G"});
   ASSERT_TRUE(quality.ok() && older.ok());
@@ -53,14 +51,11 @@ TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
       EXPECT_EQ((*older)(x, y, 0), map.divergence[map.ProfileIndex(x, y, 0)]);
       EXPECT_EQ((*older)(x, y, 1), 40.0F);
     }
-  std::filesystem::remove_all(folder);
 }
 
 // A run goes on with the layers that it has made, another one with those that it reads: both must come to the same.
 TEST(SavedFit, WhatIsReadIsWhatWasMade) {
-  const std::filesystem::path folder =
-      std::filesystem::temp_directory_path() / ("saved_fit_test_" + std::to_string(getpid()));
-  std::filesystem::create_directories(folder);
+  const ScratchFolder folder;
   Random random(5);
   MixtureMap map;
   map.width = 5;
@@ -90,10 +85,9 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
   }
   Image<float> noise(5, 3, 3);
   for (float& v : noise.pixels()) v = static_cast<float>(100.0 * random.Uniform());
-  ASSERT_TRUE(SaveLayers(folder, {map, 2, noise}).ok());
-  const auto read = LoadLayers(folder);
+  ASSERT_TRUE(SaveLayers(folder.path(), {map, 2, noise}).ok());
+  const auto read = LoadLayers(folder.path());
   ASSERT_TRUE(read.ok()) << read.status().message();
-  std::filesystem::remove_all(folder);
   const MixtureMap& back = read->map;
   EXPECT_EQ(read->pool, 2);
   EXPECT_TRUE(std::ranges::equal(read->signal_to_noise.pixels(), noise.pixels()));
@@ -123,19 +117,15 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
 
 // What an older program would read as another surface it must not read at all.
 TEST(SavedFit, OfANewerSchemaIsRefused) {
-  const std::filesystem::path folder =
-      std::filesystem::temp_directory_path() / ("saved_fit_schema_test_" + std::to_string(getpid()));
-  std::filesystem::create_directories(folder);
-  ASSERT_TRUE(SaveLayers(folder, {OneLayerMap(), 1, Image<float>(3, 2, 3, 40.0F)}).ok());
-  EXPECT_TRUE(LoadLayers(folder).ok());
-  auto text = ReadFile(folder / "layers.json");
-  ASSERT_TRUE(text.ok());
+  const ScratchFolder folder;
+  ASSERT_TRUE(SaveLayers(folder.path(), {OneLayerMap(), 1, Image<float>(3, 2, 3, 40.0F)}).ok());
+  EXPECT_TRUE(LoadLayers(folder.path()).ok());
+  std::string text = ReadText(folder / "layers.json");
   const std::string schema = "\"schema\": 2";
-  ASSERT_NE(text->find(schema), std::string::npos);
-  text->replace(text->find(schema), schema.size(), "\"schema\": 3");
-  std::ofstream(folder / "layers.json") << *text;
-  EXPECT_EQ(LoadLayers(folder).status().code(), StatusCode::kNewerSchema);
-  std::filesystem::remove_all(folder);
+  ASSERT_NE(text.find(schema), std::string::npos);
+  text.replace(text.find(schema), schema.size(), "\"schema\": 3");
+  WriteText(folder / "layers.json", text);
+  EXPECT_EQ(LoadLayers(folder.path()).status().code(), StatusCode::kNewerSchema);
 }
 
 TEST(ReflectionJson, OfAProgramThatKnewNeitherCurveNorHairsIsGgxAlone) {
