@@ -36,7 +36,7 @@ std::optional<Finding> PatternWitness::CheckWhite(const PlanStep& step) const {
   finding.value = MeanLevel(white->probes);
   finding.limit = options_.steady_tolerance;
   if (std::abs(finding.value - 1.0) > finding.limit) return finding;
-  const Stillness stillness = StillnessOf(white->probes);
+  const Stillness stillness = StillnessOf(white->probes, white_.probes);
   finding.kind = FindingKind::kMoved;
   finding.value = stillness.rms;
   finding.limit = std::hypot(options_.moved_tolerance, stillness.noise);

@@ -74,6 +74,7 @@ PatternWitness::Testimony PatternWitness::JudgeReference() {
   if (white == nullptr || black == nullptr) return Testimony::kRefutes;
   white_ = *white;
   black_ = *black;
+  white_now_ = white_.probes;
   for (size_t i = 0; i < white_.probes.size(); ++i)
     if (white_.probes[i] - black_.probes[i] >= options_.min_contrast_dn && white_.probes[i] < options_.saturation_dn)
       lit_.push_back(static_cast<int>(i));
@@ -109,7 +110,7 @@ bool PatternWitness::WithinReference(const PlanStep& step) const {
   // Bands of few probes are no evidence; elsewhere light where white gives none is a picture out of place.
   PerBand off{}, all{};
   for (size_t i = 0; i < frame.size(); ++i) {
-    const double white = white_.probes[i], black = black_.probes[i], level = frame[i];
+    const double white = white_now_[i], black = black_.probes[i], level = frame[i];
     const int band = lattice_.BandOf(static_cast<int>(i));
     ++all[band];
     if (white >= options_.saturation_dn || (level <= white && level >= black)) continue;
@@ -131,7 +132,7 @@ bool PatternWitness::AddsUp(std::span<const int> steps, double mean) const {
   for (int i : lit_) {
     double sum = 0.0;
     for (const Probes* frame : frames) sum += (*frame)[i];
-    const double white = white_.probes[i], black = black_.probes[i];
+    const double white = white_now_[i], black = black_.probes[i];
     const double variance = (1.0 + scale) * (VarianceDn(white) + VarianceDn(black));
     const int band = lattice_.BandOf(i);
     ++all[band];
@@ -151,7 +152,7 @@ PatternWitness::Testimony PatternWitness::JudgeGray(std::span<const int> pair) c
   const Probes& inverse = frames_.at(pair[1]).probes;
   double rest = 0.0, contrast = 0.0, noise = 0.0;
   for (int i : lit_) {
-    const double white = white_.probes[i], black = black_.probes[i];
+    const double white = white_now_[i], black = black_.probes[i];
     const double sum = double(bit[i]) + inverse[i] - white - black, difference = double(bit[i]) - inverse[i];
     const double two = VarianceDn(bit[i]) + VarianceDn(inverse[i]);
     const double four = two + VarianceDn(white) + VarianceDn(black);
@@ -188,9 +189,7 @@ bool PatternWitness::OneIsDimmer(std::span<const int> shifts) {
 PatternWitness::Testimony PatternWitness::JudgeShifts(const PlanStep& step, std::span<const int> group) {
   const bool whole =
       step.pattern.kind == PatternKind::kSinusoid && static_cast<int>(group.size()) == step.pattern.shifts;
-  const auto& means = options_.sinusoid_mean;
-  const double mean = step.projector < static_cast<int>(means.size()) ? means[step.projector] : 0.5;
-  if (whole && (!AddsUp(group, mean) || OneIsDimmer(group))) return Testimony::kRefutes;
+  if (whole && (!AddsUp(group, SinusoidMean(step.projector)) || OneIsDimmer(group))) return Testimony::kRefutes;
   Testimony testimony = Testimony::kConfirms;
   std::vector<float> level;
   for (int member : group) {
@@ -286,13 +285,13 @@ bool PatternWitness::BrightAsTheExposure(const PlanStep& step) const {
          (level > 0.0 && expected > 0.0 && std::abs(std::log(level / expected)) < 0.5 * std::abs(std::log(ratio)));
 }
 
-PatternWitness::Stillness PatternWitness::StillnessOf(const Probes& white) const {
+PatternWitness::Stillness PatternWitness::StillnessOf(const Probes& white, const Probes& of) const {
   const double mean = MeanLevel(white);
   double rest = 0.0, contrast = 0.0, squares = 0.0;
   for (int i : lit_) {
-    const double reference = mean * (white_.probes[i] - black_.probes[i]);
+    const double reference = mean * (of[i] - black_.probes[i]);
     const double difference = white[i] - black_.probes[i] - reference;
-    const double noise = VarianceDn(white[i]) + mean * mean * VarianceDn(white_.probes[i]) +
+    const double noise = VarianceDn(white[i]) + mean * mean * VarianceDn(of[i]) +
                          (1.0 - mean) * (1.0 - mean) * VarianceDn(black_.probes[i]);
     rest += difference * difference - noise;
     squares += 2.0 * noise * noise;  // of a normal deviation's square
@@ -308,14 +307,35 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
   if (std::abs(mean - 1.0) > options_.steady_tolerance) return Testimony::kRefutes;
   PerBand off{}, all{};
   for (int i : lit_) {
-    const double reference = mean * (white_.probes[i] - black_.probes[i]);
-    const double limit = options_.sum_tolerance * reference + 4.0 * std::sqrt(2.0 * VarianceDn(white_.probes[i]));
+    const double reference = mean * (white_now_[i] - black_.probes[i]);
+    const double limit = options_.sum_tolerance * reference + 4.0 * std::sqrt(2.0 * VarianceDn(white_now_[i]));
     const int band = lattice_.BandOf(i);
     ++all[band];
     off[band] += std::abs(white[i] - black_.probes[i] - reference) > limit;
   }
-  if (AnyBandOff(off, all, options_.max_off_fraction)) return Testimony::kRefutes;
-  return StillnessOf(white).rms > options_.still_tolerance ? Testimony::kRefutes : Testimony::kConfirms;
+  return AnyBandOff(off, all, options_.max_off_fraction) ? Testimony::kRefutes : Testimony::kConfirms;
+}
+
+double PatternWitness::SinusoidMean(int projector) const {
+  const auto& means = options_.sinusoid_mean;
+  return projector < static_cast<int>(means.size()) ? means[projector] : 0.5;
+}
+
+void PatternWitness::Follow(const PlanStep& step, std::span<const int> group) {
+  const Pattern& pattern = step.pattern;
+  const bool pair = step.phase == CapturePhase::kCorrespondence && group.size() == 2;
+  const bool sinusoids = step.phase == CapturePhase::kSeparation && pattern.kind == PatternKind::kSinusoid &&
+                         static_cast<int>(group.size()) == pattern.shifts;
+  if (step.phase == CapturePhase::kMotion) white_now_ = Find(step.index)->probes;
+  if (!pair && !sinusoids) return;
+  // sum / N = mean W + (1 - mean) B.
+  const double mean = pair ? 0.5 : SinusoidMean(step.projector);
+  for (size_t i = 0; i < white_now_.size(); ++i) {
+    double sum = 0.0;
+    for (const int member : group) sum += frames_.at(member).probes[i];
+    const double white = (sum / static_cast<double>(group.size()) - (1.0 - mean) * black_.probes[i]) / mean;
+    white_now_[i] = static_cast<Probes::value_type>(std::clamp(std::round(white), 0.0, 65535.0));
+  }
 }
 
 double PatternWitness::MeanLevelSd() const {

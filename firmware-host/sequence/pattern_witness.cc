@@ -95,6 +95,7 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
   if (step.phase == CapturePhase::kCorrespondence && testimony != Testimony::kRefutes &&
       JudgeOrder(step.pattern.axis, group) == Testimony::kRefutes)
     testimony = Testimony::kRefutes;
+  if (testimony != Testimony::kRefutes && CanSpeak(step)) Follow(step, group);
   switch (testimony) {
     case Testimony::kConfirms:
       return LevelCheck::kPassed;

@@ -12,12 +12,16 @@
 //   checkerboard each frame agrees best with its own shift;
 //   comb         the frame agrees best with its own shift among all of the cycle, and no band of rows with another; its
 //                mean level is a comb's;
-//   motion       n = 1, probe by probe (the visitor held still, the lamp is steady);
+//   motion       n = 1, probe by probe (no jump, the lamp is steady);
 //   cycle        each probe's combs add up to its white (comb_cycle.h);
 //   spot, guard  the mean level is that of the spots, and that of black; nothing far from the spots is as bright. Where
 //                all spots together are fainter than a picture's noise, or hardly meet the subject, frames of either
 //                are refuted by more light alone, and doubted only where another frame of their load was refuted.
 // Agreement (pattern_score.h) needs the projector coordinates of the probes, decoded from the Gray codes.
+//
+// A head that sways is no wrong picture: the white that sums and levels are held against follows what adds up to it,
+// every pair of a code, every set of sinusoids, every white (Follow). Whether the visitor moved since the reference is
+// another question (CheckWhite, CheckProjector).
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
 // memory that is out of step stays so until it is loaded anew, hence a silent frame is trusted when the next frame of
@@ -132,6 +136,11 @@ class PatternWitness {
   [[nodiscard]] Testimony JudgeShifts(const PlanStep& step, std::span<const int> group);
   [[nodiscard]] Testimony JudgeComb(const PlanStep& step);
   [[nodiscard]] Testimony JudgeWhite(const PlanStep& step) const;
+  // Takes what a group that was not refuted adds up to for the white. What of it is wrong (max_off_fraction at most)
+  // counts as off in the next one.
+  void Follow(const PlanStep& step, std::span<const int> group);
+  // Of the light of a sinusoid's shifts, on the way from black to white.
+  [[nodiscard]] double SinusoidMean(int projector) const;
   [[nodiscard]] Testimony JudgeLevel(const PlanStep& step);
   // The silent ones of loads that ended before a frame spoke for them.
   void DoubtUnspokenFor();
@@ -174,12 +183,12 @@ class PatternWitness {
   // Of all pixels: mean level above black over that of white.
   [[nodiscard]] double WholeLevel(const Frame& frame) const;
   [[nodiscard]] double WholeLevelSd() const;  // of a black frame
-  // rms difference of a white from the reference after its mean, over W - B, beyond the noise; and what four standard
+  // rms difference of a white from `reference` after its mean, over W - B, beyond the noise; and what four standard
   // deviations of the noise make of that.
   struct Stillness {
     double rms = 0.0, noise = 0.0;
   };
-  [[nodiscard]] Stillness StillnessOf(const Probes& white) const;
+  [[nodiscard]] Stillness StillnessOf(const Probes& white, const Probes& reference) const;
   void CheckWhites(std::vector<Finding>& findings) const;
   // Light and motion of the axis' comb cycle, as far as the plan has it.
   void CheckCycle(PatternAxis axis, std::vector<Finding>& findings);
@@ -217,6 +226,7 @@ class PatternWitness {
   std::set<int> contradicted_;  // loads of which some frame was refuted
   std::vector<int> lit_;        // probe indices
   Frame white_, black_;
+  Probes white_now_;  // as the head stands by now (Follow); of the reference's frame at first
   bool decoded_ = false;
   bool spots_show_ = true;  // on the subject, above the noise of a whole picture; as the last spots or guard found
   Coordinates where_;

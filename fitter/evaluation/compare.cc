@@ -51,10 +51,13 @@ struct JudgedSkin {
 
 Result<JudgedSkin> ReadSkin(const CompareInput& in) {
   JudgedSkin truth;
-  if (!in.truth) return JudgedSkin{in.skin.skin, {}};
+  const JudgedSkin by_mask{OnView(in.view, in.skin.skin), {}};
+  if (!in.truth) return by_mask;
   SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
   SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.view.projector));
-  if (truth.skin.empty() || truth.lit.empty()) return JudgedSkin{in.skin.skin, {}};  // of an older simulation
+  if (truth.skin.empty() || truth.lit.empty()) return by_mask;  // of an older simulation
+  truth.skin = OnView(in.view, truth.skin);
+  truth.lit = OnView(in.view, truth.lit);
   const auto skin = truth.skin.pixels();
   if (std::none_of(skin.begin(), skin.end(), [](uint8_t s) { return s != 0; })) std::fill(skin.begin(), skin.end(), 1);
   return truth;
@@ -171,7 +174,7 @@ Result<JudgedLight> ReadLight(const CompareInput& in, size_t light, const Image<
   judged.direct = ReflectedLight(direct_reflectance, *judged.irradiance);
   judged.noise_nrmse = NoiseOfTakes(judged.target, mask);
   judged.camera_noise_nrmse = NoiseFloor(judged.target.light, judged.target.variance, mask);
-  if (in.truth) {
+  if (in.truth && in.view.home.empty()) {  // it is that of the head where it was at first
     SLX_ASSIGN_OR_RETURN(judged.true_subsurface, in.truth->Subsurface(judged.name, in.view.projector));
   }
   return judged;

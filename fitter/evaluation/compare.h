@@ -18,7 +18,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 8;
+inline constexpr int kCompareVersion = 9;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
@@ -30,7 +30,7 @@ struct CompareInput {
   const HeldOutView& view;
   const SeparationMap& separation;  // of the projector
   const std::optional<SceneTruth>& truth;
-  const SkinMask& skin;  // what is judged where the truth does not say what is skin
+  const SkinMask& skin;  // on the shape's quads: what is judged where the truth does not say what is skin
   int pool = 1;
   std::string geometry;  // reconstructed | truth
 };

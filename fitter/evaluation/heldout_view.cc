@@ -2,6 +2,7 @@
 #include "fitter/evaluation/heldout_view.h"
 
 #include "fitter/evaluation/heldout_takes.h"
+#include "fitter/motion/carried.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/render/surface_rim.h"
 #include "fitter/sensor/linear_frame.h"
@@ -9,11 +10,24 @@
 
 namespace stratalux::fit {
 
+namespace {
+
+void MoveTo(const Rigid3& pose, HeldOutView& view) {
+  auto moved = MoveSurface(view.shape.surface, view.rig.camera, [&](const Eigen::Vector3d&) { return pose; });
+  view.shape.surface = std::move(moved.surface);
+  for (Image<uint8_t>& lit : view.shape.lit) lit = Carried(lit, moved.home);
+  view.home = std::move(moved.home);
+}
+
+}  // namespace
+
 HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, const std::vector<std::string>& lights) {
   HeldOutView view;
   view.shape = std::move(shape);
   view.rig = LinearRig(view.shape.record);
   view.projector = projector;
+  if (const FaceMotion& motion = view.shape.motion; motion.moved())
+    MoveTo(motion.head.At(motion.projectors[static_cast<size_t>(projector)].sweep_s), view);
   view.exposure_ms = plan.exposure_ms;
   view.separation_period = double(plan.separation_period);
   view.lights = lights;
@@ -27,6 +41,14 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   for (const LitPyramid& pyramid : view.pyramids) patterns.push_back(&pyramid.pattern);
   view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, patterns);
   return view;
+}
+
+Image<uint8_t> OnView(const HeldOutView& view, const Image<uint8_t>& mask) {
+  return view.home.empty() ? mask : Carried(mask, view.home);
+}
+
+std::vector<int64_t> ProfilesOnView(const HeldOutView& view, int pool, int channels) {
+  return view.home.empty() ? std::vector<int64_t>() : CarriedProfiles(view.home, pool, channels);
 }
 
 }  // namespace stratalux::fit

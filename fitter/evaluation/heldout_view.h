@@ -13,7 +13,8 @@
 namespace stratalux::fit {
 
 struct HeldOutView {
-  FaceShape shape;
+  FaceShape shape;     // surface and what is lit, as they were while the projector shone
+  Image<float> home;   // MovedSurface::home; empty: as the shape that it was made of
   RigCalibration rig;  // the record's, linear (LinearRig)
   int projector = 0;
   double exposure_ms = 0.0, separation_period = 8.0;  // of the plan
@@ -23,8 +24,14 @@ struct HeldOutView {
   std::vector<Image<float>> irradiance;  // SurfaceIrradiance under each of them
 };
 
-// `projector`: of shape.record; `lights`: names that HeldOutPattern knows.
+// Of a head that moved: on the quads of the projector's own moment, where its frames were captured. `projector`: of
+// shape.record; `lights`: names that HeldOutPattern knows.
 [[nodiscard]] HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector,
                                  const std::vector<std::string>& lights);
+
+// Of a mask on the shape's quads, on the view's.
+[[nodiscard]] Image<uint8_t> OnView(const HeldOutView& view, const Image<uint8_t>& mask);
+// By profile of the view: which one of the shape's it is, -1: none; empty: its own.
+[[nodiscard]] std::vector<int64_t> ProfilesOnView(const HeldOutView& view, int pool, int channels);
 
 }  // namespace stratalux::fit

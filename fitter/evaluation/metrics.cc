@@ -8,6 +8,7 @@
 
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/stages/reflection_json.h"
+#include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
@@ -185,6 +186,20 @@ std::string Metrics::ToJson() const {
                               {"seconds", s.seconds},
                               {"cpu_seconds", s.cpu_seconds},
                               {"peak_rss_bytes", s.peak_rss_bytes}});
+  json["motion"] = {{"known", !motion.poses.empty()},
+                    {"moved", motion.moved},
+                    {"largest_mm", motion.largest_mm},
+                    {"sigma_mm", motion.sigma_mm},
+                    {"detail_before", motion.detail_before},
+                    {"detail_after", motion.detail_after},
+                    {"poses", Json::array()}};
+  for (const HeadPose& pose : motion.poses) {
+    const Eigen::Vector3d &shift = pose.motion.shift_mm, &turn = pose.motion.turn_rad;
+    json["motion"]["poses"].push_back(
+        {{"seconds", pose.seconds},
+         {"shift_mm", {shift.x(), shift.y(), shift.z()}},
+         {"turn_deg", {DegFromRad(turn.x()), DegFromRad(turn.y()), DegFromRad(turn.z())}}});
+  }
   json["drift"] = {{"warning", drift.warning}, {"projectors", Json::array()}};
   for (const ProjectorDrift& d : drift.projectors)
     json["drift"]["projectors"].push_back({{"projector", d.projector},

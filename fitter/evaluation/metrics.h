@@ -12,6 +12,7 @@
 #include "fitter/evaluation/surface_error.h"
 #include "fitter/mixture/srd_centroid.h"
 #include "fitter/mixture/surface_offset.h"
+#include "fitter/motion/head_motion.h"
 #include "fitter/reconstruction/drift.h"
 #include "fitter/stages/fit_summary.h"
 #include "fitter/stages/srd.h"
@@ -99,6 +100,7 @@ struct Metrics {
   std::vector<SweepFigure> sweeps;
   std::vector<StageFigure> stages;
   DriftReport drift;  // of the rig since its calibration
+  HeadMotion motion;  // of the visitor during the capture
   std::vector<OffsetFigure> offsets;
   SkinFigure skin;
   std::optional<SurfaceError> truth;     // of the fit's surface; only in simulation

@@ -45,7 +45,10 @@ Image<float> Prediction::DirectLight(const std::string& light, const Image<float
   return ShareUnder(*this, direct_share, light, irradiance);
 }
 
-Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view) {
+Prediction Predict(const MixtureMap& of_shape, int pool, const HeldOutView& view) {
+  const auto on_view = ProfilesOnView(view, pool, of_shape.channels);
+  const MixtureMap carried = on_view.empty() ? MixtureMap() : ProfilesOf(of_shape, on_view);
+  const MixtureMap& map = on_view.empty() ? of_shape : carried;
   const SurfaceMap& surface = view.shape.surface;
   Prediction prediction;
   prediction.reflectance = SurfaceReflectance(map, surface, view.lit.light, pool);
@@ -68,14 +71,15 @@ std::vector<double> TotalWeights(const MixtureMap& map) {
 }
 
 Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::span<const double> of,
-                            std::span<const double> to, int pool) {
+                            std::span<const double> to, int pool, std::span<const int64_t> on_view) {
   std::vector<Image<float>*> images = {&prediction.direct_share};
   for (auto& [light, image] : prediction.subsurface) images.push_back(&image);
   for (Image<float>* image : images)
     for (int j = 0; j < image->height(); ++j)
       for (int i = 0; i < image->width(); ++i)
         for (int c = 0; c < image->channels(); ++c) {
-          const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+          int64_t profile = map.ProfileOfQuad(i, j, c, pool);
+          if (profile >= 0 && !on_view.empty()) profile = on_view[static_cast<size_t>(profile)];
           if (profile >= 0 && of[profile] > 0.0)
             (*image)(i, j, c) = static_cast<float>((*image)(i, j, c) * (to[profile] / of[profile]));
         }

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 10;
+inline constexpr int kPredictVersion = 11;
 
 // Quads x colours.
 struct Prediction {
@@ -34,6 +34,7 @@ struct Prediction {
 // Lights that sessions of the plan hold: stripe, white and, where it has them, spot.
 [[nodiscard]] std::vector<std::string> HeldOutLights(const PlanOptions& plan);
 
+// `map`: on the quads of the shape that the view was made of.
 [[nodiscard]] Prediction Predict(const MixtureMap& map, int pool, const HeldOutView& view);
 
 // Sum of the layers' weights of each profile.
@@ -41,9 +42,9 @@ struct Prediction {
 
 // The prediction of layers that are those of `map` but for each profile's total weight, in which subsurface light is
 // linear: from the prediction of layers of total weights `of` to that of total weights `to`. (Layers themselves would
-// be most of the memory of a run.)
+// be most of the memory of a run.) `on_view`: ProfilesOnView of the view that was predicted on.
 [[nodiscard]] Prediction ScaledPrediction(Prediction prediction, const MixtureMap& map, std::span<const double> of,
-                                          std::span<const double> to, int pool);
+                                          std::span<const double> to, int pool, std::span<const int64_t> on_view = {});
 
 // <light>_subsurface.exr, reflectance.exr, direct_share.exr, of one with an irradiance of its own
 // <light>_irradiance.exr; predict.json.

@@ -11,6 +11,27 @@ const char* ToString(FitReason reason) {
   return kNames[static_cast<int>(reason)];
 }
 
+MixtureMap ProfilesOf(const MixtureMap& map, std::span<const int64_t> which) {
+  MixtureMap part = map;
+  const auto copy = [&](auto field, size_t each) {
+    const auto& from = map.*field;
+    auto& to = part.*field;
+    for (size_t k = 0; k < which.size() && !from.empty(); ++k)
+      if (which[k] >= 0)
+        std::copy_n(from.begin() + which[k] * static_cast<int64_t>(each), each,
+                    to.begin() + static_cast<int64_t>(k * each));
+  };
+  const auto layers = static_cast<size_t>(map.layers);
+  for (const auto field : {&MixtureMap::weight, &MixtureMap::depth_mm, &MixtureMap::sigma_mm}) copy(field, layers);
+  for (const auto field : {&MixtureMap::surface, &MixtureMap::background}) copy(field, map.training_projectors.size());
+  for (const auto field : {&MixtureMap::divergence, &MixtureMap::prior_share}) copy(field, 1);
+  copy(&MixtureMap::iterations, 1);
+  copy(&MixtureMap::reason, 1);
+  for (size_t k = 0; k < which.size(); ++k)
+    if (which[k] < 0) part.reason[k] = static_cast<uint8_t>(FitReason::kOutsideMask);
+  return part;
+}
+
 LayerSet LayersOf(const MixtureMap& map, int64_t profile) {
   LayerSet set;
   for (int l = 0; l < map.layers; ++l) {

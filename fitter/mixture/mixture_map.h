@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "fitter/mixture/layer_set.h"
@@ -49,6 +50,9 @@ struct MixtureMap {
     return r == FitReason::kFitted || r == FitReason::kDepthNotEstimable;
   }
 };
+
+// The same pixels with other profiles: `which` one of `map`'s each takes; -1: none, outside the mask.
+[[nodiscard]] MixtureMap ProfilesOf(const MixtureMap& map, std::span<const int64_t> which);
 
 [[nodiscard]] LayerSet LayersOf(const MixtureMap& map, int64_t profile);
 

@@ -3,38 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
-#include "shared/base/parallel.h"
+#include "fitter/image/gaussian_blur.h"
 
 namespace stratalux::fit {
-namespace {
-
-std::vector<float> GaussianTaps(double sigma) {
-  const int reach = static_cast<int>(std::ceil(3.0 * sigma));
-  std::vector<float> taps(static_cast<size_t>(2 * reach + 1));
-  for (int k = -reach; k <= reach; ++k)
-    taps[static_cast<size_t>(k + reach)] = static_cast<float>(std::exp(-0.5 * k * k / (sigma * sigma)));
-  return taps;
-}
-
-// Convolution along x (dx = 1) or y (dy = 1); outside the image is zero.
-Image<float> Convolve(const Image<float>& in, const std::vector<float>& taps, int dx, int dy) {
-  Image<float> out(in.width(), in.height(), in.channels());
-  const int reach = static_cast<int>(taps.size() / 2);
-  ParallelFor(in.height(), 8, [&](int64_t begin, int64_t end) {
-    for (int y = static_cast<int>(begin); y < static_cast<int>(end); ++y)
-      for (int x = 0; x < in.width(); ++x)
-        for (int k = -reach; k <= reach; ++k) {
-          if (!in.contains(x + k * dx, y + k * dy)) continue;
-          const float weight = taps[static_cast<size_t>(k + reach)];
-          for (int c = 0; c < in.channels(); ++c) out(x, y, c) += weight * in(x + k * dx, y + k * dy, c);
-        }
-  });
-  return out;
-}
-
-}  // namespace
 
 Status FuseOptions::Validate() const {
   if (sigma_quads > 0.0 && sigma_quads < 1000.0) return Status::Ok();
@@ -66,8 +38,7 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
       difference(i, j, 5) = static_cast<float>(freedom) * photometric.scatter(i, j);
       difference(i, j, 6) = static_cast<float>(freedom);
     }
-  const std::vector<float> taps = GaussianTaps(options.sigma_quads);
-  const Image<float> smooth = Convolve(Convolve(difference, taps, 1, 0), taps, 0, 1);
+  const Image<float> smooth = GaussianBlur(difference, options.sigma_quads);
 
   Image<float> energy(width, height);  // |D - G D|^2
   for (int j = 0; j < height; ++j)
@@ -78,7 +49,7 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
         energy(i, j) += difference(i, j, k) * difference(i, j, k);
       }
     }
-  const Image<float> local_energy = Convolve(Convolve(energy, taps, 1, 0), taps, 0, 1);
+  const Image<float> local_energy = GaussianBlur(energy, options.sigma_quads);
 
   Image<float> fused = surface.normal;
   for (int j = 0; j < height; ++j)

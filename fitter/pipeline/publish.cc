@@ -346,6 +346,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   metrics.evaluation = ToString(evaluation);
   metrics.evaluation_key = EvaluationKey(graph, options, evaluation);
   metrics.drift = shape->drift;
+  metrics.motion = shape->motion.head;
   for (const auto& [stage, key] : keys) metrics.artifacts[stage] = stages.Node(key).identity.FolderName();
   for (const auto& [label, record] : graph.Records())
     metrics.stages.push_back({label, record.seconds, record.cpu_seconds, record.peak_rss_bytes});

@@ -182,18 +182,24 @@ std::string SessionGraph::Shape(GeometrySource source) {
                 }});
   }
   const std::string decoded = Decode(), separate = Separate();
-  return Add(
-      {{"shape", kShapeVersion, "{}", {{"decode", decoded}, {"separate", separate}, {"record", record_hash_}}, ""},
-       "shape",
-       {decoded, separate},
-       [=, this](const fs::path& folder) -> Status {
-         const auto load = [&] { return stages_.Load(decoded, LoadDecoded); };
-         SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
-         SLX_ASSIGN_OR_RETURN(const auto* separation, Separation(separate));
-         SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructShape(face->maps, *separation, LinearRig(record_), record_));
-         decoded_.Drop();  // nobody else reads it
-         return SaveShape(folder, shape);
-       }});
+  return Add({{"shape",
+               kShapeVersion,
+               "{}",
+               {{"decode", decoded}, {"separate", separate}, {"frames", frames_hash_}, {"record", record_hash_}},
+               ""},
+              "shape",
+              {decoded, separate},
+              [=, this](const fs::path& folder) -> Status {
+                const auto load = [&] { return stages_.Load(decoded, LoadDecoded); };
+                SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
+                SLX_ASSIGN_OR_RETURN(const auto* separation, Separation(separate));
+                SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
+                SLX_ASSIGN_OR_RETURN(const auto shape,
+                                     ReconstructMovingShape(*frames, face->maps, *separation, record_));
+                logger_.Info(Describe(shape.motion));
+                decoded_.Drop();  // nobody else reads it
+                return SaveShape(folder, shape);
+              }});
 }
 
 std::string SessionGraph::Separate() { return SeparateBy(frames_hash_, false); }
@@ -225,9 +231,10 @@ std::string SessionGraph::Normals() {
               [=, this](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
-                SLX_ASSIGN_OR_RETURN(
-                    const auto normals,
-                    EstimateFaceNormals(*maps, face->surface, LinearRig(face->record), plan_.exposure_ms));
+                const LightsOnShape lights = LightsOn(*face, *maps);
+                SLX_ASSIGN_OR_RETURN(const auto normals,
+                                     EstimateFaceNormals(lights.carried.empty() ? *maps : lights.carried, face->surface,
+                                                         lights.rig, plan_.exposure_ms));
                 return SaveNormals(folder, normals);
               }});
 }
@@ -244,8 +251,10 @@ std::string SessionGraph::Skin() {
               [=, this](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const auto* maps, Separation(separate));
+                const LightsOnShape lights = LightsOn(*face, *maps);
                 SLX_ASSIGN_OR_RETURN(const auto skin,
-                                     JudgeFaceSkin(*face, *maps, LinearRig(face->record), plan_.exposure_ms));
+                                     JudgeFaceSkin(*face, lights.carried.empty() ? *maps : lights.carried, lights.rig,
+                                                   plan_.exposure_ms));
                 logger_.Info("skin: " + Describe(skin));
                 return SaveSkin(folder, skin);
               }});
@@ -260,8 +269,7 @@ std::string SessionGraph::Srd(GeometrySource source) {
                 SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(face->record));
                 ExtractedSrds srds;
-                SLX_ASSIGN_OR_RETURN(
-                    srds.set, ExtractSrds(*frames, face->surface, face->lit, options_.srd, logger_, srds.figures));
+                SLX_ASSIGN_OR_RETURN(srds.set, ExtractSrds(*frames, *face, options_.srd, logger_, srds.figures));
                 return SaveSrds(folder, srds);
               }});
 }

@@ -94,7 +94,7 @@ std::string SessionGraph::Predict(const std::string& model, GeometrySource sourc
 // Its layers are the homogeneous ones but for each pixel's total weight, in which light is linear: nothing is rendered.
 std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout) {
   const std::string fit = Fit(source, heldout, FitKind::kJudged), predicted = Predict("homogeneous", source, heldout),
-                    skin = Skin();
+                    skin = Skin(), shape = PlacedShape(source, heldout);
   const db::ArtifactIdentity identity = {"predict",
                                          kPredictVersion,
                                          SortedJson({{"baseline", "homogeneous_local_albedo"}}).dump(),
@@ -102,7 +102,7 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
                                          isa_};
   return Add({identity,
               LabelOf("predict, homogeneous_local_albedo", source, heldout),
-              {fit, predicted, skin},
+              {fit, predicted, skin, shape},
               [=, this, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(auto prediction, TakePrediction(predicted));
                 predictions_[predicted] = prediction;
@@ -110,8 +110,10 @@ std::string SessionGraph::PredictLocalAlbedo(GeometrySource source, int heldout)
                 SLX_ASSIGN_OR_RETURN(const auto apart, Apart(skin, *fitted));
                 const std::vector<double> of = TotalWeights(Homogeneous(fitted->map, apart)),
                                           to = TotalWeights(HomogeneousLocalAlbedo(fitted->map, apart));
-                return KeepPrediction(key, folder,
-                                      ScaledPrediction(std::move(prediction), fitted->map, of, to, fitted->pool));
+                SLX_ASSIGN_OR_RETURN(const HeldOutView* view, View(shape, heldout));
+                const auto on_view = ProfilesOnView(*view, fitted->pool, fitted->map.channels);
+                return KeepPrediction(
+                    key, folder, ScaledPrediction(std::move(prediction), fitted->map, of, to, fitted->pool, on_view));
               }});
 }
 

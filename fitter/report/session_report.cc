@@ -15,6 +15,7 @@
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
 #include "shared/image/png.h"
+#include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
@@ -265,6 +266,39 @@ ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& d
   return section;
 }
 
+// How the visitor moved, and what of it is left.
+ReportSection MotionSection(const HeadMotion& motion) {
+  ReportSection section{"Motion of the head", "", {}, {}, {}};
+  if (motion.poses.empty()) {
+    section.text = "Nothing is known of it: that takes two white frames of a projector.";
+    return section;
+  }
+  section.text =
+      Formatted("Moved by %.3f mm at most (root mean square over the face; noise of the white frames: %.3f mm)%s.",
+                motion.largest_mm, motion.sigma_mm,
+                motion.moved ? ": codes, lights and SRDs are those of the moment of the first white frame"
+                             : ", which is not told from a head that held still: nothing is moved");
+  section.text += Formatted(
+      " Detail of the white frames differs by %.2f %% as they are, by %.2f %% after the motion that was found.",
+      100.0 * motion.detail_before, 100.0 * motion.detail_after);
+  const char* const kAxes[] = {"x (right)", "y (down)", "z (away)"};
+  ReportPlot shift{"Shift of the middle of the face since the first white frame", "s", "mm", {}},
+      turn{"Turn about it", "s", "degrees", {}};
+  for (int axis = 0; axis < 3; ++axis) {
+    ReportSeries mm{kAxes[axis], {}, {}, false}, degrees{kAxes[axis], {}, {}, false};
+    for (const HeadPose& pose : motion.poses) {
+      mm.x.push_back(pose.seconds);
+      mm.y.push_back(pose.motion.shift_mm[axis]);
+      degrees.x.push_back(pose.seconds);
+      degrees.y.push_back(DegFromRad(pose.motion.turn_rad[axis]));
+    }
+    shift.series.push_back(mm);
+    turn.series.push_back(degrees);
+  }
+  section.plots = {shift, turn};
+  return section;
+}
+
 Status SavePictures(const std::filesystem::path& folder, const ReportPictures& pictures) {
   int number = 0;
   for (const auto& picture : pictures)
@@ -299,6 +333,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   report.sections.push_back(Shape(in));
   if (!metrics.offsets.empty()) report.sections.back().tables.push_back(PlacementTable(metrics));
   report.sections.push_back(CalibrationSection(*in.frames.calibration(), metrics.drift));
+  report.sections.push_back(MotionSection(metrics.motion));
   report.sections.push_back(DirectAndGlobal(in, white));
   report.sections.push_back(Skin(in, lit, white, metrics.skin));
   report.sections.push_back(SrdOfPixel(in));

@@ -8,6 +8,7 @@
 #include "fitter/export/ply_file.h"
 #include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/smooth_surface.h"
+#include "fitter/sensor/linear_frame.h"
 #include "fitter/stages/lit_quads.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/read_file.h"
@@ -85,6 +86,30 @@ Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, std::spa
   return shape;
 }
 
+Result<FaceShape> ReconstructMovingShape(const SessionFrames& frames, std::span<const DecodedMap> decoded,
+                                         std::span<const SeparationMap> separation, const RigCalibration& record) {
+  const RigCalibration rig = LinearRig(record);
+  SLX_ASSIGN_OR_RETURN(FaceShape as_if_still, ReconstructShape(decoded, separation, rig, record));
+  SLX_ASSIGN_OR_RETURN(FaceMotion motion, FindMotion(frames, decoded, as_if_still.surface, as_if_still.lit));
+  if (!motion.moved()) {
+    as_if_still.motion = std::move(motion);
+    return as_if_still;
+  }
+  const auto codes = AtReference(decoded, as_if_still.surface, rig, motion);
+  const auto lights = AtReference(separation, as_if_still.surface, rig, motion);
+  auto shape = ReconstructShape(codes, lights, RigAt(rig, motion, &ProjectorMoments::codes_s), record);
+  if (shape.ok()) shape->motion = std::move(motion);
+  return shape;
+}
+
+LightsOnShape LightsOn(const FaceShape& shape, std::span<const SeparationMap> separation) {
+  LightsOnShape lights{{}, LinearRig(shape.record)};
+  if (!shape.motion.moved()) return lights;
+  lights.carried = AtReference(separation, shape.surface, lights.rig, shape.motion);
+  lights.rig = RigAt(lights.rig, shape.motion, &ProjectorMoments::separation_s);
+  return lights;
+}
+
 Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape) {
   const SurfaceMap& surface = shape.surface;
   SLX_RETURN_IF_ERROR(WriteExr(folder / "position.exr", surface.point_mm, {"X", "Y", "Z"}));
@@ -104,6 +129,7 @@ Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape) {
   SLX_RETURN_IF_ERROR(WriteExr(folder / "masks.exr", masks, MaskChannels(projectors)));
   SLX_RETURN_IF_ERROR(WritePly(folder / "mesh.ply", MeshFromSurface(surface)));
   SLX_RETURN_IF_ERROR(WriteText(folder / "rig.json", shape.record.ToJson()));
+  SLX_RETURN_IF_ERROR(SaveMotion(folder, shape.motion));
   return WriteJson(folder / "shape.json", JsonOf(shape));
 }
 
@@ -112,6 +138,7 @@ Result<FaceShape> LoadShape(const std::filesystem::path& folder) {
   SLX_RETURN_IF_ERROR(ReadJson(folder / "shape.json", [&](const nlohmann::json& json) { FromJson(json, shape); }));
   SLX_ASSIGN_OR_RETURN(const std::string record, ReadFile(folder / "rig.json"));
   SLX_ASSIGN_OR_RETURN(shape.record, RigCalibration::FromJson(record).WithContext((folder / "rig.json").string()));
+  SLX_ASSIGN_OR_RETURN(shape.motion, LoadMotion(folder));
   SLX_ASSIGN_OR_RETURN(shape.surface.point_mm, ReadExr(folder / "position.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.normal, ReadExr(folder / "normal_surface.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.depth_sigma_mm, ReadExr(folder / "depth_sigma.exr", {"Y"}));

@@ -9,11 +9,12 @@
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/reconstruction/triangulate.h"
 #include "fitter/stages/lit_quads.h"
+#include "fitter/stages/motion.h"
 #include "shared/capture/rig_calibration.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 6;
+inline constexpr int kShapeVersion = 7;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it
@@ -25,6 +26,8 @@ struct FaceShape {
   TriangulationCounts triangulation;
   int64_t unsmoothed = 0;  // quads dropped by SmoothSurface
   DriftReport drift;
+  // The surface is that of its reference time.
+  FaceMotion motion;
 };
 
 // `rig`: what the frames were decoded by (SessionFrames::calibration()); `record`: that it was made from. `separation`:
@@ -34,7 +37,21 @@ struct FaceShape {
                                                  std::span<const SeparationMap> separation, const RigCalibration& rig,
                                                  const RigCalibration& record);
 
-// position.exr, depth_sigma.exr, disagreement.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, shape.json.
+// The same of a head that may have moved: where the whites say so, codes and lights are carried to the reference time
+// and the surface is reconstructed once more. `frames`: that the maps were made of.
+[[nodiscard]] Result<FaceShape> ReconstructMovingShape(const SessionFrames& frames, std::span<const DecodedMap> decoded,
+                                                       std::span<const SeparationMap> separation,
+                                                       const RigCalibration& record);
+
+// The lights of each projector on the shape's quads, and the rig that they come from: as captured where nothing moved.
+struct LightsOnShape {
+  std::vector<SeparationMap> carried;  // empty: as captured
+  RigCalibration rig;                  // linear
+};
+[[nodiscard]] LightsOnShape LightsOn(const FaceShape& shape, std::span<const SeparationMap> separation);
+
+// position.exr, depth_sigma.exr, disagreement.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, motion.json,
+// shape.json.
 Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape);
 [[nodiscard]] Result<FaceShape> LoadShape(const std::filesystem::path& folder);
 

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <map>
 
+#include "fitter/motion/carried.h"
+#include "fitter/motion/moved_surface.h"
 #include "shared/base/formatted.h"
 #include "shared/geometry/quad.h"
 
@@ -106,8 +108,69 @@ double QuadsPerStep(const SrdBatch& batch, const SurfaceMap& surface, const RigC
   return ratios[ratios.size() / 2];
 }
 
-Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, const Image<uint8_t>& lit,
-                              const SrdOptions& options, Logger& logger, SrdSet& set, SweepFigure& figure) {
+// The surface while the sweep passed over it, and whose profiles are whose.
+struct SweptSurface {
+  SurfaceMap surface;
+  Image<uint8_t> lit;
+  std::vector<int64_t> profiles;  // of the shape's own pixels: which of these; -1: none
+};
+
+// Poses of the head at the cycle's positions; where a frame is missing, as at the one before.
+std::vector<Rigid3> PosesOf(const Sweep& sweep, const FaceMotion& motion) {
+  std::vector<Rigid3> poses;
+  double seconds = motion.projectors[static_cast<size_t>(sweep.projector)].sweep_s;
+  for (int k = 0; k < sweep.cycle.frames(); ++k) {
+    if (const db::FrameRow* row = sweep.Find(k, 0); row != nullptr)
+      seconds = motion.SecondsOf(row->record.trigger_time);
+    poses.push_back(motion.head.At(seconds));
+  }
+  return poses;
+}
+
+SweptSurface SweptSurfaceOf(const Sweep& sweep, const FaceShape& shape, const SrdOptions& options, int channels) {
+  const RigCalibration& rig = *sweep.frames.calibration();
+  const auto p = static_cast<size_t>(sweep.projector);
+  const CombCycle& cycle = sweep.cycle;
+  const std::vector<Rigid3> poses = PosesOf(sweep, shape.motion);
+  const Rigid3 middle = shape.motion.head.At(shape.motion.projectors[p].sweep_s);
+  const ProjectorCalibration& projector = rig.projectors[p];
+  const Rigid3 projector_from_camera = projector.camera_from_projector.Inverse();
+  // Line k lies over columns [k step, k step + width): its middle passes a point whose column that is.
+  const PoseOf when_lit = [&](const Eigen::Vector3d& point) {
+    const auto at = projector.model.Project(projector_from_camera * (middle * point));
+    if (!at) return middle;
+    const double column = cycle.axis == PatternAxis::kColumns ? at->x() : at->y();
+    const auto k = static_cast<int64_t>(std::floor((column + 0.5 - 0.5 * (cycle.width - cycle.step)) / cycle.step));
+    const int64_t frames = cycle.frames();
+    return poses[static_cast<size_t>(((k % frames) + frames) % frames)];
+  };
+  auto moved = MoveSurface(shape.surface, rig.camera, when_lit);
+  SweptSurface swept{{}, Carried(shape.lit[p], moved.home), {}};
+  swept.surface = std::move(moved.surface);
+  swept.profiles = CarriedProfiles(PlacesNow(shape.surface, rig.camera, when_lit), options.pool, channels);
+  const Image<uint8_t> known = PoolSurface(shape.surface, options.pool).mask;
+  for (size_t i = 0; i < swept.profiles.size(); ++i)
+    if (known.pixels()[i / static_cast<size_t>(channels)] == 0) swept.profiles[i] = -1;
+  return swept;
+}
+
+// On the shape's own pixels; those that come from nowhere are not valid.
+SrdBatch OnShape(const SrdBatch& batch, std::vector<int64_t> profiles) {
+  std::vector<uint8_t> from_nowhere(profiles.size());
+  for (size_t i = 0; i < profiles.size(); ++i)
+    if (profiles[i] < 0) {
+      from_nowhere[i] = 1;
+      profiles[i] = static_cast<int64_t>(i);
+    }
+  SrdBatch carried = ProfilesOf(batch, profiles);
+  for (size_t i = 0; i < profiles.size(); ++i)
+    if (from_nowhere[i] != 0) carried.valid[i] = 0;
+  carried.KeepValidRows();
+  return carried;
+}
+
+Result<SrdBatch> ExtractSweep(const Sweep& sweep, const FaceShape& shape, const SrdOptions& options, Logger& logger,
+                              SrdSet& set, SweepFigure& figure) {
   const PlanOptions& plan = *sweep.frames.plan();
   const int p = sweep.projector;
   figure.projector = p;
@@ -120,6 +183,11 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
                    std::to_string(sweep.cycle.frames()) + " frames of the sweep are missing (`stratalux-db show`); " +
                    (left_out ? "it is left out of the fit. Capture the visitor again with nothing moving"
                              : "taken from the white frames, less all others"));
+  SweptSurface swept;
+  const bool moved = shape.motion.moved();
+  if (moved) swept = SweptSurfaceOf(sweep, shape, options, set.channels);
+  const SurfaceMap& surface = moved ? swept.surface : shape.surface;
+  const Image<uint8_t>& lit = moved ? swept.lit : shape.lit[static_cast<size_t>(p)];
   // A projector that is left out has profiles, none of them lit.
   const Image<uint8_t> nothing(lit.width(), lit.height());
   SrdExtractor extractor(surface, left_out ? nothing : lit, *sweep.frames.calibration(), p, sweep.cycle, options);
@@ -158,7 +226,7 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const SurfaceMap& surface, con
           p, quads));
     }
   }
-  return batch;
+  return moved ? OnShape(batch, std::move(swept.profiles)) : std::move(batch);
 }
 
 }  // namespace
@@ -171,9 +239,8 @@ Status CheckReading(int width, int step, const SrdOptions& options) {
                        " wide: reading 'scatter' and distance 'surface' need all of them (--frames)");
 }
 
-Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                           const std::vector<Image<uint8_t>>& lit, const SrdOptions& options, Logger& logger,
-                           std::vector<SweepFigure>& figures) {
+Result<SrdSet> ExtractSrds(const SessionFrames& frames, const FaceShape& shape, const SrdOptions& options,
+                           Logger& logger, std::vector<SweepFigure>& figures) {
   SLX_RETURN_IF_ERROR(options.Validate());
   const PlanOptions& plan = *frames.plan();
   SrdSet set;
@@ -188,7 +255,7 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surfac
     SLX_RETURN_IF_ERROR(CheckReading(cycle.width, cycle.step, options));
     for (int p = 0; p < static_cast<int>(frames.calibration()->projectors.size()); ++p) {
       SweepFigure figure;
-      SLX_ASSIGN_OR_RETURN(auto batch, ExtractSweep({frames, p, cycle}, surface, lit[p], options, logger, set, figure));
+      SLX_ASSIGN_OR_RETURN(auto batch, ExtractSweep({frames, p, cycle}, shape, options, logger, set, figure));
       any = any || figure.profiles_by_reason.contains(ToString(SrdReason::kValid));
       (axis == PatternAxis::kColumns ? set.batches : set.row_batches).push_back(std::move(batch));
       figures.push_back(figure);

@@ -7,14 +7,14 @@
 #include <vector>
 
 #include "fitter/mixture/srd_samples.h"
-#include "fitter/reconstruction/surface_map.h"
 #include "fitter/session/session_frames.h"
 #include "fitter/srd/srd_extractor.h"
+#include "fitter/stages/shape.h"
 #include "shared/base/log.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 3;
+inline constexpr int kSrdVersion = 4;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {
@@ -37,10 +37,10 @@ struct SrdSet {
 };
 
 // All sweeps of a session. Frames that the capture lost: one of a cycle is made up for by the white frames, with more
-// the projector is left out (no profile valid), both with a warning; kFailed when no projector is left. `figures`: one
-// a sweep.
-[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const SurfaceMap& surface,
-                                         const std::vector<Image<uint8_t>>& lit, const SrdOptions& options,
+// the projector is left out (no profile valid), both with a warning; kFailed when no projector is left. Of a head that
+// moved each quad's geometry is that of the moment at which a line passed over it, and profiles are those of the
+// shape's quads. `figures`: one a sweep.
+[[nodiscard]] Result<SrdSet> ExtractSrds(const SessionFrames& frames, const FaceShape& shape, const SrdOptions& options,
                                          Logger& logger, std::vector<SweepFigure>& figures);
 
 // Whether samples can be read so from combs of lines `width` columns wide that move by `step`: kUsage for 'scatter' and

@@ -157,6 +157,7 @@ Status ReadPose(TomlTable& t, PoseDescription& pose) {
 
 Status ReadMotion(TomlTable t, MotionDescription& motion) {
   SLX_RETURN_IF_ERROR(GetVector(t, "drift_mm_per_s", motion.drift_mm_per_s, 100.0));
+  SLX_RETURN_IF_ERROR(GetVector(t, "turn_deg_per_s", motion.turn_deg_per_s, 45.0));
   t.Get("drift_start_s", motion.drift_start_s, 0.0, 3600.0);
   t.Get("step_mm", motion.step_mm, 0.01, 10.0);
   t.Get("blink_at_s", motion.blink_at_s, 0.0, 3600.0);

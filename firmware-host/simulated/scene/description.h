@@ -109,8 +109,10 @@ struct PoseDescription {
 
 struct MotionDescription {
   std::array<double, 3> drift_mm_per_s{};
+  std::array<double, 3> turn_deg_per_s{};  // meanwhile, about x, y, z through the pivot, as a pose's rotation
   double drift_start_s = 0.0;
-  double step_mm = 0.1;            // the drift goes in steps: each costs a new light transport
+  // It goes in steps, a turn measured kTurnLeverMm from the pivot: each costs a new light transport.
+  double step_mm = 0.1;
   std::vector<double> blink_at_s;  // closes open eyes
   double blink_s = 0.15;
 };

@@ -17,14 +17,18 @@ namespace {
 
 const Eigen::Vector3d kPivotMm(0.0, 0.0, 700.0);
 
-Rigid3 PoseOf(const PoseDescription& pose, const Eigen::Vector3d& offset_mm) {
-  auto turn = [&](int axis) {
-    return Eigen::AngleAxisd(RadFromDeg(pose.rotation_deg[axis]), Eigen::Vector3d::Unit(axis));
-  };
+constexpr double kTurnLeverMm = 100.0;  // half a head's height: how far from the pivot a turn counts as a drift
+
+Eigen::Quaterniond TurnOf(const Eigen::Vector3d& deg) {
+  auto turn = [&](int axis) { return Eigen::AngleAxisd(RadFromDeg(deg[axis]), Eigen::Vector3d::Unit(axis)); };
+  return turn(2) * turn(1) * turn(0);
+}
+
+Rigid3 PoseOf(const PoseDescription& pose, const SubjectState& state) {
   Rigid3 rig_from_shape;
-  rig_from_shape.rotation = turn(2) * turn(1) * turn(0);
-  const Eigen::Vector3d position(pose.position_mm[0], pose.position_mm[1], pose.position_mm[2]);
-  rig_from_shape.translation_mm = kPivotMm + position + offset_mm - rig_from_shape.rotation * kPivotMm;
+  rig_from_shape.rotation = TurnOf(state.turned_deg) * TurnOf(Eigen::Vector3d(pose.rotation_deg.data()));
+  const Eigen::Vector3d position(pose.position_mm.data());
+  rig_from_shape.translation_mm = kPivotMm + position + state.offset_mm - rig_from_shape.rotation * kPivotMm;
   return rig_from_shape;
 }
 
@@ -75,9 +79,13 @@ SubjectState Scene::StateAt(double seconds) const {
   const MotionDescription& motion = description_.motion;
   SubjectState state;
   const double moving = seconds - motion.drift_start_s;
-  const Eigen::Vector3d drift(motion.drift_mm_per_s[0], motion.drift_mm_per_s[1], motion.drift_mm_per_s[2]);
-  if (moving > 0.0 && drift.norm() > 0.0)
-    state.offset_mm = drift.normalized() * (motion.step_mm * std::floor(moving * drift.norm() / motion.step_mm));
+  const Eigen::Vector3d drift(motion.drift_mm_per_s.data()), turn(motion.turn_deg_per_s.data());
+  const double mm_per_s = std::max(drift.norm(), RadFromDeg(turn.norm()) * kTurnLeverMm);
+  if (moving > 0.0 && mm_per_s > 0.0) {
+    const double stepped_s = std::floor(moving * mm_per_s / motion.step_mm) * motion.step_mm / mm_per_s;
+    state.offset_mm = stepped_s * drift;
+    state.turned_deg = stepped_s * turn;
+  }
   for (const double at : motion.blink_at_s)
     if (seconds >= at && seconds < at + motion.blink_s) state.lids = EyeLids::kClosed;
   return state;
@@ -87,9 +95,10 @@ Scene Scene::In(const SubjectState& state) const {
   Scene scene = *this;
   scene.state_ = state;
   const bool turned = description_.pose.rotation_deg != std::array<double, 3>{};
-  const bool moved = description_.pose.position_mm != std::array<double, 3>{} || !state.offset_mm.isZero(0.0);
+  const bool moved = description_.pose.position_mm != std::array<double, 3>{} || !state.offset_mm.isZero(0.0) ||
+                     !state.turned_deg.isZero(0.0);
   scene.resting_ = !turned && !moved;
-  scene.rig_from_shape_ = PoseOf(description_.pose, state.offset_mm);
+  scene.rig_from_shape_ = PoseOf(description_.pose, state);
   scene.shape_from_rig_ = scene.rig_from_shape_.Inverse();
   return scene;
 }

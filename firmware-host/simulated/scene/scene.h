@@ -20,11 +20,12 @@ namespace stratalux::rig {
 
 // What changes while a subject is captured.
 struct SubjectState {
-  Eigen::Vector3d offset_mm = Eigen::Vector3d::Zero();  // from the described pose, in whole steps of the motion
+  // From the described pose, in whole steps of the motion.
+  Eigen::Vector3d offset_mm = Eigen::Vector3d::Zero(), turned_deg = Eigen::Vector3d::Zero();
   EyeLids lids = EyeLids::kAsDescribed;
 
   friend bool operator==(const SubjectState& a, const SubjectState& b) {
-    return a.offset_mm == b.offset_mm && a.lids == b.lids;
+    return a.offset_mm == b.offset_mm && a.turned_deg == b.turned_deg && a.lids == b.lids;
   }
 };
 

@@ -230,7 +230,7 @@ Training TrainingOf(const SessionFrames& frames, Logger& logger) {
   EXPECT_TRUE(normals.ok()) << normals.status().message();
   training.normals = *std::move(normals);
   std::vector<SweepFigure> figures;
-  auto srds = ExtractSrds(frames, training.face.surface, training.face.lit, {}, logger, figures);
+  auto srds = ExtractSrds(frames, training.face, {}, logger, figures);
   EXPECT_TRUE(srds.ok()) << srds.status().message();
   training.srds = *std::move(srds);
   for (int p = 0; p < 4; ++p) {

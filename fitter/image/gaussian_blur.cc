@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fitter/image/gaussian_blur.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "shared/base/parallel.h"
+
+namespace stratalux::fit {
+namespace {
+
+std::vector<float> Taps(double sigma) {
+  const int reach = std::max(1, static_cast<int>(std::ceil(3.0 * sigma)));
+  std::vector<float> taps(static_cast<size_t>(2 * reach + 1));
+  double sum = 0.0;
+  for (int k = -reach; k <= reach; ++k) {
+    const double tap = std::exp(-0.5 * k * k / (sigma * sigma));
+    taps[static_cast<size_t>(k + reach)] = static_cast<float>(tap);
+    sum += tap;
+  }
+  for (float& tap : taps) tap = static_cast<float>(tap / sum);
+  return taps;
+}
+
+// Along x, transposed: twice it is the convolution along both.
+Image<float> AlongRows(const Image<float>& in, const std::vector<float>& taps) {
+  const int reach = static_cast<int>(taps.size() / 2), width = in.width(), channels = in.channels();
+  Image<float> out(in.height(), width, channels);
+  ParallelFor(in.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int y = static_cast<int>(begin); y < static_cast<int>(end); ++y)
+      for (int x = 0; x < width; ++x)
+        for (int k = std::max(-reach, -x); k <= std::min(reach, width - 1 - x); ++k)
+          for (int c = 0; c < channels; ++c) out(y, x, c) += taps[static_cast<size_t>(k + reach)] * in(x + k, y, c);
+  });
+  return out;
+}
+
+}  // namespace
+
+Image<float> GaussianBlur(const Image<float>& image, double sigma_px) {
+  const std::vector<float> taps = Taps(sigma_px);
+  return AlongRows(AlongRows(image, taps), taps);
+}
+
+}  // namespace stratalux::fit
