@@ -84,6 +84,11 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
                   "scattering hides from the codes; off: taken as it is")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
+  verb.add_option("--motion", f.motion,
+                  "on: how the head moved is found from white frames and codes, and made up for; off: taken to have "
+                  "held still")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
   verb.add_option(
           "--maps", f.maps,
           "on: maps/, too: the layers refined by the projector that is left out, for pictures and exports; off. "
@@ -113,6 +118,7 @@ Result<RunOptions> RunOptionsOf(const FitFlags& flags) {
   run.fit.em.background_term = flags.background == "on";
   run.fit.choose.directions = flags.directional == "on";
   run.offset = flags.offset == "on";
+  run.motion = flags.motion == "on";
   run.maps = flags.maps == "on";
   run.geometry = flags.geometry == "truth" ? GeometrySource::kTruth : GeometrySource::kReconstructed;
   return run;

@@ -67,7 +67,7 @@ std::optional<RigidFlow> FindDepthFlow(const RangeMap& a, const RangeMap& b, con
       if (surface.mask(i, j) == 0 || !std::isfinite(a.range_mm(i, j)) || !std::isfinite(b.range_mm(i, j))) continue;
       const Eigen::Vector3d point = surface.Point(i, j), normal = surface.Normal(i, j);
       const double facing = normal.dot(point.normalized());
-      if (!(facing < -0.3)) continue;  // beyond some 70 degrees a ray's range says little
+      if (!(facing < -0.5)) continue;  // beyond 60 degrees a millimetre across is no small part of a slope
       Difference difference;
       difference.slope << (point - pivot).cross(normal) / facing, normal / facing;
       difference.mm = double{b.range_mm(i, j)} - double{a.range_mm(i, j)};

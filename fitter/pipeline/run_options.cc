@@ -57,6 +57,7 @@ std::string RunOptions::ToJson() const {
                                  {"distance", fit::ToString(srd.distance)},
                                  {"full_evaluation", full_evaluation},
                                  {"offset", offset},
+                                 {"motion", motion},
                                  {"maps", MakesMaps()},
                                  {"standard_errors", standard_errors},
                                  {"geometry", fit::ToString(geometry)}};

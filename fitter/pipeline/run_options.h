@@ -25,6 +25,7 @@ struct RunOptions {
   SrdOptions srd;                // pool: quads per side of that fit's profiles
   bool full_evaluation = false;  // every projector held out in turn; ablations, true geometry
   bool offset = true;            // of the reconstructed surface along the view, found and put right
+  bool motion = true;            // of the head, found and made up for
   bool maps = true;              // from all projectors, too; not of a free fit: MakesMaps()
   bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
   GeometrySource geometry = GeometrySource::kReconstructed;

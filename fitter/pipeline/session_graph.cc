@@ -184,7 +184,7 @@ std::string SessionGraph::Shape(GeometrySource source) {
   const std::string decoded = Decode(), separate = Separate();
   return Add({{"shape",
                kShapeVersion,
-               "{}",
+               SortedJson({{"motion", options_.motion}}).dump(),
                {{"decode", decoded}, {"separate", separate}, {"frames", frames_hash_}, {"record", record_hash_}},
                ""},
               "shape",
@@ -194,9 +194,9 @@ std::string SessionGraph::Shape(GeometrySource source) {
                 SLX_ASSIGN_OR_RETURN(const DecodedFace* face, decoded_.Of(decoded, load));
                 SLX_ASSIGN_OR_RETURN(const auto* separation, Separation(separate));
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, Frames(record_));
-                SLX_ASSIGN_OR_RETURN(const auto shape,
-                                     ReconstructMovingShape(*frames, face->maps, *separation, record_));
-                logger_.Info(Describe(shape.motion));
+                SLX_ASSIGN_OR_RETURN(const auto shape, ReconstructMovingShape(*frames, face->maps, *separation, record_,
+                                                                              options_.motion));
+                if (options_.motion) logger_.Info(Describe(shape.motion));
                 decoded_.Drop();  // nobody else reads it
                 return SaveShape(folder, shape);
               }});

@@ -87,9 +87,11 @@ Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, std::spa
 }
 
 Result<FaceShape> ReconstructMovingShape(const SessionFrames& frames, std::span<const DecodedMap> decoded,
-                                         std::span<const SeparationMap> separation, const RigCalibration& record) {
+                                         std::span<const SeparationMap> separation, const RigCalibration& record,
+                                         bool find_motion) {
   const RigCalibration rig = LinearRig(record);
   SLX_ASSIGN_OR_RETURN(FaceShape as_if_still, ReconstructShape(decoded, separation, rig, record));
+  if (!find_motion) return as_if_still;
   SLX_ASSIGN_OR_RETURN(FaceMotion motion, FindMotion(frames, decoded, as_if_still.surface, as_if_still.lit));
   if (!motion.moved()) {
     as_if_still.motion = std::move(motion);

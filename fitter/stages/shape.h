@@ -38,10 +38,11 @@ struct FaceShape {
                                                  const RigCalibration& record);
 
 // The same of a head that may have moved: where the whites say so, codes and lights are carried to the reference time
-// and the surface is reconstructed once more. `frames`: that the maps were made of.
+// and the surface is reconstructed once more. `frames`: that the maps were made of; `find_motion` false: it is taken to
+// have held still.
 [[nodiscard]] Result<FaceShape> ReconstructMovingShape(const SessionFrames& frames, std::span<const DecodedMap> decoded,
                                                        std::span<const SeparationMap> separation,
-                                                       const RigCalibration& record);
+                                                       const RigCalibration& record, bool find_motion);
 
 // The lights of each projector on the shape's quads, and the rig that they come from: as captured where nothing moved.
 struct LightsOnShape {

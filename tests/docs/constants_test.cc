@@ -354,8 +354,9 @@ TEST(Constants, DefaultsAreThoseThatTheCompilerHas) {
 
 TEST(Constants, NoneOfTheStagesIsMissing) {
   int sources = 0;
-  for (const char* folder : {"evaluation", "mixture", "photometric", "profiles", "reconstruction", "render",
-                             "scattering", "sensor", "separation", "skin", "srd", "stages", "structured_light"})
+  for (const char* folder :
+       {"evaluation", "image", "mixture", "motion", "photometric", "profiles", "reconstruction", "render", "scattering",
+        "sensor", "separation", "skin", "srd", "stages", "structured_light"})
     for (const auto& entry :
          std::filesystem::directory_iterator(std::string(STRATALUX_SOURCE_DIR) + "/fitter/" + folder)) {
       if (entry.path().extension() != ".h" && entry.path().extension() != ".cc") continue;

@@ -212,6 +212,17 @@ TEST_F(SceneFile, DriftGoesInStepsOfTheStatedLength) {
   EXPECT_EQ(moved.Skin({10.6, 20.8, 0}).blood, face.Skin({10.0, 20.0, 0}).blood);
 }
 
+TEST_F(SceneFile, ATurnGoesInStepsMeasuredAtAHundredMillimetres) {
+  const Scene face = Make("[motion]\nturn_deg_per_s = [0.0, 0.573, 0.0]\nstep_mm = 0.5\n");  // 1 mm/s at 100 mm
+  EXPECT_EQ(face.StateAt(0.49), SubjectState{});
+  EXPECT_NEAR(face.StateAt(1.2).turned_deg.y(), 0.573, 1e-3);
+  EXPECT_TRUE(face.StateAt(1.2).offset_mm.isZero(0.0));
+  const Scene turned = face.In(face.StateAt(10.01));  // 5.73 degrees about the middle
+  const Eigen::Vector3d nose(0.0, 10.0, face.Height(0.0, 10.0)), pivot(0.0, 0.0, 700.0);
+  const Eigen::Vector3d there = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()) * (nose - pivot) + pivot;
+  EXPECT_NEAR(turned.Height(there.x(), there.y()), there.z(), 0.05);
+}
+
 TEST_F(SceneFile, WrinklesAreGroovesOfTheStatedDepth) {
   const Scene smooth = Make("[subject]\nseed = 6\n"), old = Make("[subject]\nseed = 6\n[head]\nwrinkles_mm = 0.8\n");
   double deepest = 0.0;

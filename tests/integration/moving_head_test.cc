@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: Apache-2.0
+// A visitor who sways during the capture: each frame is still proven, the fitter finds how the head moved, and the
+// surface is as good as of one who held still (docs/math/motion.md).
+//   STRATALUX_VISITOR_SIZE=696x520 STRATALUX_SEED=2001 moving_head_test     prints the figures of another visitor
+#include <Eigen/Geometry>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+
+#include "fitter/evaluation/surface_error.h"
+#include "fitter/evaluation/truth.h"
+#include "fitter/stages/shape.h"
+#include "shared/units/angle.h"
+#include "tests/support/run_program.h"
+#include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
+
+namespace stratalux::fit {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+std::string Given(const char* variable, const char* otherwise) {
+  const char* text = std::getenv(variable);
+  return text != nullptr ? text : otherwise;
+}
+
+// From about the first white frame on; a millimetre and half a degree in ten seconds, by day four tenths of that. Each
+// step costs a light transport, and is a jump: of more than these, edges in the picture give other patterns away.
+struct Sway {
+  double mm_per_s = 0.0, deg_per_s = 0.0, step_mm = 0.0;
+};
+const Sway kSway = std::getenv("STRATALUX_VISITOR_SIZE") != nullptr ? Sway{0.06, 0.05, 0.02} : Sway{0.025, 0.02, 0.02};
+
+class MovingHead : public ScratchFolderTest {
+ protected:
+  void SetUp() override {
+    ScratchFolderTest::SetUp();
+    const std::string at = " --store " + store_, number = Given("STRATALUX_SEED", "2001");
+    WriteText(folder_ / "scene.toml",
+              "[subject]\nseed = " + number + "\n[skin]\nperson = " + number +
+                  "\n[motion]\ndrift_start_s = 1.0\nstep_mm = " + std::to_string(kSway.step_mm) +
+                  "\ndrift_mm_per_s = [" + std::to_string(kSway.mm_per_s) + ", " + std::to_string(kSway.mm_per_s) +
+                  ", " + std::to_string(kSway.mm_per_s) + "]\nturn_deg_per_s = [" + std::to_string(kSway.deg_per_s) +
+                  ", " + std::to_string(kSway.deg_per_s) +
+                  ", 0]\n[timing]\nreadout_ms = 8.0\noverlapped_readout = true\nmin_frame_period_ms = 16.667\n");
+    ASSERT_EQ(Execute("stratalux-db init" + at).code, 0);
+    capture_ =
+        Execute("stratalux-rig capture --simulate=" + (folder_ / "scene.toml").string() + " --exposure auto --seed " +
+                number + " --size " + Given("STRATALUX_VISITOR_SIZE", "348x260") + at);
+    for (const auto& entry : fs::directory_iterator(store_ + "/sessions")) session_ = entry.path();
+  }
+
+  FaceShape Reconstruct(const std::string& options) {
+    const Outcome made = Execute("stratalux-fit reconstruct latest " + options + " --store " + store_);
+    EXPECT_EQ(made.code, 0) << made.out;
+    said_ = made.out;
+    // The newest of the two.
+    fs::path folder;
+    for (const auto& entry : fs::directory_iterator(session_ / "artifacts"))
+      if (entry.path().filename().string().starts_with("shape-") &&
+          (folder.empty() || fs::last_write_time(entry.path()) > fs::last_write_time(folder)))
+        folder = entry.path();
+    auto shape = LoadShape(folder);
+    EXPECT_TRUE(shape.ok()) << shape.status().message();
+    return shape.ok() ? *std::move(shape) : FaceShape();
+  }
+
+  [[nodiscard]] SurfaceError Error(const FaceShape& shape) const {
+    const auto truth = SceneTruth::Open(session_);
+    const auto surface = (*truth)->SurfaceInItsRig(shape.record);
+    EXPECT_TRUE(surface.ok());
+    return CompareWithTruth(shape.surface, shape.record, *surface);
+  }
+
+  const std::string store_ = (folder_ / "store").string();
+  fs::path session_;
+  Outcome capture_;
+  std::string said_;
+};
+
+// What the scene moves the point by between the reference time and `seconds` after it.
+Eigen::Vector3d TrueMotion(const Eigen::Vector3d& point, double seconds) {
+  const Eigen::Vector3d pivot(0.0, 0.0, 700.0), turn = RadFromDeg(kSway.deg_per_s) * seconds * Eigen::Vector3d(1, 1, 0);
+  const Eigen::Vector3d arm = point - pivot;
+  return Eigen::AngleAxisd(turn.norm(), turn.normalized()) * arm - arm +
+         kSway.mm_per_s * seconds * Eigen::Vector3d::Ones();
+}
+
+TEST_F(MovingHead, IsProvenFoundAndMadeUpFor) {
+  EXPECT_EQ(capture_.code, 3) << "degraded: the visitor moved";
+  EXPECT_THAT(capture_.out, HasSubstr("the visitor moved"));
+  EXPECT_THAT(capture_.out, Not(HasSubstr("the level check failed"))) << "a sway makes no frame another one";
+  EXPECT_THAT(capture_.out, Not(HasSubstr("no proven frame")));
+
+  const FaceShape carried = Reconstruct("");
+  EXPECT_THAT(said_, HasSubstr("the head moved by"));
+  const HeadMotion& head = carried.motion.head;
+  ASSERT_TRUE(head.moved);
+  EXPECT_LT(head.detail_after, head.detail_before);
+  double worst = 0.0;
+  for (const HeadPose& pose : head.poses)
+    for (const Eigen::Vector3d& arm :
+         {Eigen::Vector3d(0, 0, 0), Eigen::Vector3d(40, 0, 10), Eigen::Vector3d(0, 60, 0)}) {
+      const Eigen::Vector3d point = head.pivot + arm;
+      const Eigen::Vector3d found = pose.motion.About(head.pivot) * point - point;
+      worst = std::max(worst, (found - TrueMotion(point, pose.seconds)).norm());
+    }
+  const Eigen::Vector3d whole = TrueMotion(head.pivot, head.poses.back().seconds);
+  std::printf("moved %.2f mm, found to %.3f mm at the worst of poses and three points\n", whole.norm(), worst);
+  EXPECT_LT(worst, 0.15);
+  EXPECT_GT(whole.norm(), 0.4);
+
+  const FaceShape as_captured = Reconstruct("--motion off");
+  EXPECT_FALSE(as_captured.motion.moved());
+  const SurfaceError with = Error(carried), without = Error(as_captured);
+  std::printf("depth rms %.3f, bias %.3f, projectors apart %.2f px; as if still %.3f, %.3f, %.2f\n", with.depth_rms_mm,
+              with.depth_bias_mm, carried.drift.projectors[3].shift_px, without.depth_rms_mm, without.depth_bias_mm,
+              as_captured.drift.projectors[3].shift_px);
+  EXPECT_LT(with.depth_rms_mm, without.depth_rms_mm - 0.02);
+  EXPECT_LT(with.depth_bias_mm, without.depth_bias_mm - 0.05) << "both hold by how much scattering displaces codes";
+  for (const ProjectorDrift& drift : carried.drift.projectors) EXPECT_LT(drift.shift_px, 0.1) << drift.projector;
+  EXPECT_GT(as_captured.drift.projectors[3].shift_px, 0.1) << "what is left where nothing is made up for";
+}
+
+}  // namespace
+}  // namespace stratalux::fit
