@@ -88,8 +88,8 @@ one_way() {
 }
 one_way shared base units geometry image transport pattern capture config http manual
 one_way db base keys segment ledger catalogue care privacy transfer interchange apps
-one_way fitter export sensor structured_light mixture reconstruction separation skin photometric srd scattering render profiles session stages calibration evaluation report pipeline batch apps
-hits=$(ls -d fitter/*/ 2>/dev/null | grep -vE '/(export|sensor|structured_light|mixture|reconstruction|separation|skin|photometric|srd|scattering|render|profiles|session|stages|calibration|evaluation|report|pipeline|batch|apps)/$')
+one_way fitter image export sensor structured_light mixture reconstruction separation motion skin photometric srd scattering render profiles session stages calibration evaluation report pipeline batch apps
+hits=$(ls -d fitter/*/ 2>/dev/null | grep -vE '/(image|export|sensor|structured_light|mixture|reconstruction|separation|motion|skin|photometric|srd|scattering|render|profiles|session|stages|calibration|evaluation|report|pipeline|batch|apps)/$')
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a folder of fitter that has no place among the others|'; bad=1; }
 hits=$(ls db/*.h db/*.cc 2>/dev/null)
 [ -n "$hits" ] && { echo "$hits" | sed 's|$|   <- a file of db has a room|'; bad=1; }

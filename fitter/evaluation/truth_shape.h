@@ -8,7 +8,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kTruthShapeVersion = 6;
+inline constexpr int kTruthShapeVersion = 7;
 
 // `reconstructed`: of the same session; which quads a projector lights stays as its codes say. `record`: the session's.
 [[nodiscard]] Result<FaceShape> TruthShape(const SceneTruth& truth, const FaceShape& reconstructed,

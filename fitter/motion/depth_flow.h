@@ -20,9 +20,11 @@ struct RangeMap {
 struct DepthFlowOptions {
   // What calibration and light that scattered leave between two projectors, beyond noise: of the shift along the view
   // and the turns that change depth.
-  double model_sigma_mm = 0.05, model_sigma_rad = 0.0005;
+  double model_sigma_mm = 0.05;
+  double model_sigma_rad = 0.0005;
   // Across the view, and about it, a face slides along itself: that is left to the whites.
-  double model_sigma_across_mm = 0.5, model_sigma_roll_rad = 0.01;
+  double model_sigma_across_mm = 0.5;
+  double model_sigma_roll_rad = 0.01;
   double robust_scale = 4.685;  // Tukey's
   int least_quads = 400;
 };

@@ -59,7 +59,8 @@ struct MotionOptions {
   // is above 60 once in 10^9 visits.
   double least_chi_squared = 60.0;
   // Prior of the track: speeds change by so much in the square root of a second, and are so large.
-  double speed_change_mm = 0.3, speed_mm = 1.0;
+  double speed_change_mm = 0.3;
+  double speed_mm = 1.0;
   double lever_mm = 100.0;  // at which a turn goes as far as a shift
   [[nodiscard]] Status Validate() const;
 };

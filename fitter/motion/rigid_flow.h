@@ -27,10 +27,13 @@ struct FlowOptions {
   double fine_quads = 1.0;    // standard deviation of the Gaussian that takes noise off
   double coarse_quads = 8.0;  // of the one that is taken for what the model of the light lacks
   // Prior: in any direction a head sways by some millimetres. It decides what the pictures leave open.
-  double prior_shift_mm = 2.0, prior_turn_rad = 0.02;
+  double prior_shift_mm = 2.0;
+  double prior_turn_rad = 0.02;
   // What the model of the light leaves, beyond noise. Towards the camera the picture hardly changes, by a
   // five-thousandth a fifth of a millimetre: that is left to the codes.
-  double model_sigma_mm = 0.01, model_sigma_depth_mm = 0.5, model_sigma_rad = 0.0003;
+  double model_sigma_mm = 0.01;
+  double model_sigma_depth_mm = 0.5;
+  double model_sigma_rad = 0.0003;
   double robust_scale = 4.685;  // Tukey's, in robust standard deviations of the residual
   int iterations = 12;
   int least_quads = 400;         // fewer say nothing

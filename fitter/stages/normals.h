@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 4;
+inline constexpr int kNormalsVersion = 5;
 
 struct FaceNormals {
   PhotometricMap photometric;

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 4, kPlacedShapeVersion = 4;
+inline constexpr int kOffsetVersion = 4, kPlacedShapeVersion = 5;
 
 struct FaceOffset {
   SurfaceOffset found;
