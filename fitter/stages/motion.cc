@@ -165,6 +165,8 @@ Status SaveMotion(const std::filesystem::path& folder, const FaceMotion& motion)
 
 Result<FaceMotion> LoadMotion(const std::filesystem::path& folder) {
   FaceMotion motion;
+  // A fit of before is read for ever: nothing was asked of its head.
+  if (std::error_code error; !std::filesystem::exists(folder / "motion.json", error)) return motion;
   SLX_RETURN_IF_ERROR(ReadJson(folder / "motion.json", [&](const nlohmann::json& json) {
     HeadMotion& head = motion.head;
     json.at("moved").get_to(head.moved);

@@ -50,7 +50,7 @@ struct FaceMotion {
 // For people: by how much it moved.
 [[nodiscard]] std::string Describe(const FaceMotion& motion);
 
-// motion.json.
+// motion.json; without it (a fit of an earlier version) nothing is known.
 Status SaveMotion(const std::filesystem::path& folder, const FaceMotion& motion);
 [[nodiscard]] Result<FaceMotion> LoadMotion(const std::filesystem::path& folder);
 

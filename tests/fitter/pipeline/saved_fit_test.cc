@@ -6,6 +6,7 @@
 
 #include "fitter/export/exr_file.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/motion.h"
 #include "fitter/stages/reflection_json.h"
 #include "shared/base/random.h"
 #include "tests/support/scratch_folder.h"
@@ -51,6 +52,30 @@ TEST(SavedFit, QualitySaysThePriorsShareAndKeepsWhatOlderReadersNeed) {
       EXPECT_EQ((*older)(x, y, 0), map.divergence[map.ProfileIndex(x, y, 0)]);
       EXPECT_EQ((*older)(x, y, 1), 40.0F);
     }
+}
+
+TEST(SavedFit, OfAHeadThatMovedKnowsHowAndOneOfBeforeNothing) {
+  const ScratchFolder folder;
+  const auto before = LoadMotion(folder.path());
+  ASSERT_TRUE(before.ok()) << before.status().message();
+  EXPECT_FALSE(before->moved());
+  EXPECT_TRUE(before->head.poses.empty());
+  FaceMotion motion;
+  motion.reference.ns = 123456789012;
+  motion.projectors = {{0.5, 0.75, 1.5}, {3.0, 3.25, 4.0}};
+  motion.head.pivot = {1.0, 2.0, 700.0};
+  motion.head.moved = true;
+  motion.head.largest_mm = 0.5;
+  motion.head.poses = {{0.0, {}}, {2.0, {{0.001, 0.002, -0.003}, {0.25, -0.5, 0.125}}}};
+  ASSERT_TRUE(SaveMotion(folder.path(), motion).ok());
+  const auto back = LoadMotion(folder.path());
+  ASSERT_TRUE(back.ok()) << back.status().message();
+  EXPECT_EQ(back->reference, motion.reference);
+  EXPECT_EQ(back->projectors[1].sweep_s, 4.0);
+  const Eigen::Vector3d point(30.0, -20.0, 680.0);
+  EXPECT_EQ(back->head.At(1.3) * point, motion.head.At(1.3) * point);
+  WriteText(folder.path() / "motion.json", R"({"moved": "perhaps"})");
+  EXPECT_EQ(LoadMotion(folder.path()).status().code(), StatusCode::kIntegrity);
 }
 
 // A run goes on with the layers that it has made, another one with those that it reads: both must come to the same.
