@@ -54,8 +54,8 @@ struct WitnessOptions {
   double max_off_fraction = 0.06;  // of a band's probes that break an identity
   double sum_tolerance = 0.03;     // of W - B, for one probe, beyond its noise
   double steady_tolerance = 0.08;  // mean n of motion frames and of the comb cycle
-  double still_tolerance = 0.03;   // rms difference of a white from the reference, after its mean, over W - B
-  double moved_tolerance = 0.006;  // the same of a visitor who held still; between the two no frame is shot again
+  double still_tolerance = 0.03;   // rms of what the projectors' whites leave of the pre-roll's, over that: a move
+  double moved_tolerance = 0.006;  // rms difference of a white from the reference, after its mean, over W - B: a move
   double blink_tolerance = 0.15;   // of one comb's light, against the combs beside it
   double dark_tolerance = 0.01;    // mean n of guard frames
   double min_evidence = 5.0;       // standard deviations by which the planned shift must beat all others, or be beaten
