@@ -47,13 +47,6 @@ std::optional<At> Between(const SurfaceMap& surface, const Eigen::Vector2d& at) 
 
 }  // namespace
 
-bool MovedSurface::HomeOf(int i, int j, int& x, int& y) const {
-  if (surface.mask(i, j) == 0) return false;
-  x = static_cast<int>(std::lround(home(i, j, 0)));
-  y = static_cast<int>(std::lround(home(i, j, 1)));
-  return true;
-}
-
 MovedSurface MoveSurface(const SurfaceMap& reference, const CameraCalibration& camera, const PoseOf& pose) {
   const int width = reference.width(), height = reference.height();
   const float nan = std::nanf("");

@@ -19,9 +19,6 @@ struct MovedSurface {
   SurfaceMap surface;
   // W x H x 2: where on the surface of the reference time, in quads, that quad lies; NaN outside the mask.
   Image<float> home;
-
-  // The nearest quad of the reference; false where there is none.
-  [[nodiscard]] bool HomeOf(int i, int j, int& x, int& y) const;
 };
 
 // Points on the rays through the quads' centres. Less than a millimetre comes into view at the edges: quads whose home

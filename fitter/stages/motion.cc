@@ -72,6 +72,13 @@ std::vector<CodesFlow> CodesFlowsOf(std::span<const DecodedMap> decoded, const R
   return flows;
 }
 
+// Where the surface's quads were at a moment.
+Image<float> PlacesAt(const FaceMotion& motion, double seconds, const SurfaceMap& surface,
+                      const CameraCalibration& camera) {
+  const Rigid3 pose = motion.head.At(seconds);
+  return PlacesNow(surface, camera, [&](const Eigen::Vector3d&) { return pose; });
+}
+
 std::vector<double> Numbers(const SmallMotion& motion) {
   const auto v = motion.Vector();
   return {v.data(), v.data() + v.size()};
@@ -118,22 +125,17 @@ RigCalibration RigAt(const RigCalibration& rig, const FaceMotion& motion, double
 std::vector<DecodedMap> AtReference(std::span<const DecodedMap> decoded, const SurfaceMap& surface,
                                     const RigCalibration& rig, const FaceMotion& motion) {
   std::vector<DecodedMap> carried;
-  for (size_t p = 0; p < decoded.size(); ++p) {
-    const Rigid3 pose = motion.head.At(motion.projectors[p].codes_s);
-    const auto places = PlacesNow(surface, rig.camera, [&](const Eigen::Vector3d&) { return pose; });
-    carried.push_back(Carried(decoded[p], places, rig.camera.cfa));
-  }
+  for (size_t p = 0; p < decoded.size(); ++p)
+    carried.push_back(
+        Carried(decoded[p], PlacesAt(motion, motion.projectors[p].codes_s, surface, rig.camera), rig.camera.cfa));
   return carried;
 }
 
 std::vector<SeparationMap> AtReference(std::span<const SeparationMap> separation, const SurfaceMap& surface,
                                        const RigCalibration& rig, const FaceMotion& motion) {
   std::vector<SeparationMap> carried;
-  for (size_t p = 0; p < separation.size(); ++p) {
-    const Rigid3 pose = motion.head.At(motion.projectors[p].separation_s);
-    const auto places = PlacesNow(surface, rig.camera, [&](const Eigen::Vector3d&) { return pose; });
-    carried.push_back(Carried(separation[p], places));
-  }
+  for (size_t p = 0; p < separation.size(); ++p)
+    carried.push_back(Carried(separation[p], PlacesAt(motion, motion.projectors[p].separation_s, surface, rig.camera)));
   return carried;
 }
 
