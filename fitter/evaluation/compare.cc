@@ -51,11 +51,11 @@ struct JudgedSkin {
 
 Result<JudgedSkin> ReadSkin(const CompareInput& in) {
   JudgedSkin truth;
-  const JudgedSkin by_mask{OnView(in.view, in.skin.skin), {}};
-  if (!in.truth) return by_mask;
+  const auto by_mask = [&] { return JudgedSkin{OnView(in.view, in.skin.skin), {}}; };
+  if (!in.truth) return by_mask();
   SLX_ASSIGN_OR_RETURN(truth.skin, in.truth->Skin());
   SLX_ASSIGN_OR_RETURN(truth.lit, in.truth->LitBy(in.view.projector));
-  if (truth.skin.empty() || truth.lit.empty()) return by_mask;  // of an older simulation
+  if (truth.skin.empty() || truth.lit.empty()) return by_mask();  // of an older simulation
   truth.skin = OnView(in.view, truth.skin);
   truth.lit = OnView(in.view, truth.lit);
   const auto skin = truth.skin.pixels();

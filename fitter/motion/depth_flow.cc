@@ -12,9 +12,6 @@
 namespace stratalux::fit {
 namespace {
 
-using Vector6 = Eigen::Matrix<double, 6, 1>;
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
-
 struct Difference {
   Vector6 slope;  // d range / d motion
   double mm = 0.0, sigma_mm = 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // How a head moved between the codes of two projectors: each of them measures its depth alone, at its own moment
-// (docs/math/motion.md, eq. 4).
+// (docs/math/motion.md, eq. 3).
 #pragma once
 
 #include "fitter/motion/rigid_flow.h"

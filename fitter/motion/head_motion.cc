@@ -9,9 +9,6 @@
 namespace stratalux::fit {
 namespace {
 
-using Vector6 = Eigen::Matrix<double, 6, 1>;
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
-
 // E |displacement|^2 of the surface's quads is motion^T Spread motion, and trace(Spread C) where the motion has mean 0
 // and covariance C.
 Matrix6 SpreadOf(const SurfaceMap& surface, const Eigen::Vector3d& pivot) {
@@ -103,15 +100,6 @@ void AddPrior(const MotionOptions& options, Track& track) {
 }
 
 }  // namespace
-
-Status MotionOptions::Validate() const {
-  SLX_RETURN_IF_ERROR(flow.Validate());
-  if (!(least_mm >= 0.0) || !(least_chi_squared >= 0.0))
-    return Status::Usage("motion: least_mm and least_chi_squared must not be negative");
-  return speed_change_mm > 0.0 && speed_mm > 0.0 && lever_mm > 0.0
-             ? Status::Ok()
-             : Status::Usage("motion: speed_change_mm, speed_mm and lever_mm must be positive");
-}
 
 Rigid3 HeadMotion::At(double seconds) const {
   if (!moved || poses.empty()) return {};

@@ -50,8 +50,6 @@ struct CodesFlow {
 };
 
 struct MotionOptions {
-  FlowOptions flow;
-  DepthFlowOptions codes;
   // Less is not told from a head that held still: a tenth of a column of the projector, a fifth of what triangulation
   // leaves.
   double least_mm = 0.03;
@@ -62,7 +60,6 @@ struct MotionOptions {
   double speed_change_mm = 0.3;
   double speed_mm = 1.0;
   double lever_mm = 100.0;  // at which a turn goes as far as a shift
-  [[nodiscard]] Status Validate() const;
 };
 
 // The track that agrees best with all of them: shifts across the view are the whites' word, depth the codes'; between,

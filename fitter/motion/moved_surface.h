@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The surface at another moment than the reference's, on the camera's own quads, and which of its quads is which
-// (docs/math/motion.md, eq. 5).
+// (docs/math/motion.md, "Carried").
 #pragma once
 
 #include <functional>

@@ -16,9 +16,6 @@
 namespace stratalux::fit {
 namespace {
 
-using Vector6 = Eigen::Matrix<double, 6, 1>;
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
-
 struct Seen {
   int x = 0, y = 0;
   Eigen::Vector3d point, normal;
@@ -184,6 +181,14 @@ std::vector<double> ResidualsOf(const Scene& scene, const Level& level, const Ri
   return ValuesOf(level, detail);
 }
 
+// Its information, along each component.
+Vector6 PriorOf(const FlowOptions& options) {
+  Vector6 prior;
+  prior << Eigen::Vector3d::Constant(std::pow(options.prior_turn_rad, -2)),
+      Eigen::Vector3d::Constant(std::pow(options.prior_shift_mm, -2));
+  return prior;
+}
+
 struct Solved {
   Vector6 motion;
   Matrix6 information;  // of the data, of unit variance
@@ -195,9 +200,7 @@ struct Solved {
 // detail's width makes one of 4 pi sigma^2.
 Solved Solve(const Scene& scene, const Level& level, const Vector6& guess, const FlowOptions& options) {
   const double alike = 4.0 * std::numbers::pi * options.fine_quads * options.fine_quads;
-  Vector6 prior;
-  prior << Eigen::Vector3d::Constant(std::pow(options.prior_turn_rad, -2)),
-      Eigen::Vector3d::Constant(std::pow(options.prior_shift_mm, -2));
+  const Vector6 prior = PriorOf(options);
   Solved solved{guess, Matrix6::Zero(), 0, 0.0};
   for (int iteration = 0; iteration < options.iterations; ++iteration) {
     const auto residuals = ResidualsOf(scene, level, SmallMotion::From(solved.motion).About(scene.pivot), options);
@@ -263,15 +266,12 @@ std::optional<RigidFlow> FindRigidFlow(const Image<float>& from, const Image<flo
   if (static_cast<int>(fine.seen.size()) < options.least_quads) return std::nullopt;
   const Solved solved = Solve(scene, fine, motion, options);
   if (solved.quads < options.least_quads || !solved.motion.allFinite()) return std::nullopt;
-  Vector6 prior;
-  prior << Eigen::Vector3d::Constant(std::pow(options.prior_turn_rad, -2)),
-      Eigen::Vector3d::Constant(std::pow(options.prior_shift_mm, -2));
   Vector6 model;
   model << Eigen::Vector3d::Constant(options.model_sigma_rad), options.model_sigma_mm, options.model_sigma_mm,
       options.model_sigma_depth_mm;
   RigidFlow flow;
   flow.motion = SmallMotion::From(solved.motion);
-  flow.covariance = Matrix6(solved.information + Matrix6(prior.asDiagonal())).inverse();
+  flow.covariance = Matrix6(solved.information + Matrix6(PriorOf(options).asDiagonal())).inverse();
   flow.chi_squared = solved.motion.dot(Vector6(solved.information * solved.motion));
   flow.covariance += Matrix6(model.cwiseAbs2().asDiagonal());
   flow.quads = solved.quads;

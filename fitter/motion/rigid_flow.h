@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How a head moved between two pictures under the same light (docs/math/motion.md, eq. 1 to 3).
+// How a head moved between two pictures under the same light (docs/math/motion.md, eq. 1 and 2).
 #pragma once
 
 #include <Eigen/Core>
@@ -13,14 +13,18 @@
 
 namespace stratalux::fit {
 
+// Turn (rad), then shift (mm).
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
+
 // A small rigid motion about a pivot: x -> pivot + R(turn) (x - pivot) + shift, camera frame.
 struct SmallMotion {
   Eigen::Vector3d turn_rad = Eigen::Vector3d::Zero();
   Eigen::Vector3d shift_mm = Eigen::Vector3d::Zero();
 
   [[nodiscard]] Rigid3 About(const Eigen::Vector3d& pivot) const;
-  [[nodiscard]] Eigen::Matrix<double, 6, 1> Vector() const;
-  static SmallMotion From(const Eigen::Matrix<double, 6, 1>& v) { return {v.head<3>(), v.tail<3>()}; }
+  [[nodiscard]] Vector6 Vector() const;
+  static SmallMotion From(const Vector6& v) { return {v.head<3>(), v.tail<3>()}; }
 };
 
 struct FlowOptions {
@@ -43,8 +47,8 @@ struct FlowOptions {
 
 struct RigidFlow {
   SmallMotion motion;
-  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Identity();  // turn (rad), shift (mm)
-  int64_t quads = 0;                                                                 // compared
+  Matrix6 covariance = Matrix6::Identity();
+  int64_t quads = 0;  // compared
   // Of the logarithm of the light's detail, robust standard deviation: as it is left, and as it would be of a head that
   // did not move.
   double residual = 0.0, residual_still = 0.0;

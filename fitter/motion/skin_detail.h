@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a camera's picture of skin is compared by (docs/math/motion.md, "Detail").
+// What a camera's picture of skin is compared by (docs/math/motion.md, eq. 1).
 #pragma once
 
 #include "shared/image/image.h"
