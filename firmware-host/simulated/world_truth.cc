@@ -2,6 +2,7 @@
 // Truth maps of the simulated world: names and shapes in docs/simulated-rig.md.
 #include <limits>
 
+#include "firmware-host/simulated/truth_normals.h"
 #include "firmware-host/simulated/world.h"
 #include "shared/base/parallel.h"
 #include "shared/geometry/quad.h"
@@ -51,6 +52,9 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   TruthMap mask{"mask", Image<float>(width, height)}, optics{"optics", Image<float>(width, height, 2, kNaN)};
   TruthMap material{"material", Image<float>(width, height)}, part{"class", Image<float>(width, height)};
   TruthMap layers{"layers", Image<float>(width, height, 2, kNaN)}, mixed{"mixed", Image<float>(width, height)};
+  TruthMap spread{"spread", Image<float>(width, height, QuadChannels(cfa), kNaN)};
+  SeenSurface seen{Image<float>(width, height, 3, kNaN), {}, Image<Material>(width, height)};
+  for (Material& nothing : seen.material.pixels()) nothing.kind = MaterialKind::kNone;
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < width; ++i) {
@@ -63,15 +67,21 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
         part.map(i, j) = static_cast<float>(here.part);
         depth.map(i, j) = static_cast<float>(hit->z());
         for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
+        for (int k = 0; k < 3; ++k) seen.point_mm(i, j, k) = static_cast<float>((*hit)[k]);
+        seen.material(i, j) = here;
         if (here.kind != MaterialKind::kSkin) continue;
         optics.map(i, j, 0) = here.skin.melanin;
         optics.map(i, j, 1) = here.skin.blood;
         layers.map(i, j, 0) = here.skin.epidermis_mm;
         layers.map(i, j, 1) = here.skin.scattering;
+        for (int c = 0; c < spread.map.channels(); ++c)
+          spread.map(i, j, c) = static_cast<float>(table_.EffectiveWidthMm(c, here.skin));
       }
   });
   MarkMixedQuads(stage.pixels, QuadStep(cfa), material.map, mixed.map);
-  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers, &mixed})
+  seen.normal = normal.map;
+  maps.push_back({"diffuse normal", DiffuseNormals(seen, table_, camera, cfa)});
+  for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers, &mixed, &spread})
     maps.push_back(std::move(*map));
 }
 

@@ -25,6 +25,24 @@ nlohmann::ordered_json JsonOf(const SurfaceError& error) {
   return json;
 }
 
+nlohmann::ordered_json JsonOf(const AngleError& error) {
+  return {{"median_deg", error.median_deg}, {"rms_deg", error.rms_deg}, {"quads", error.quads}};
+}
+
+nlohmann::ordered_json JsonOf(const NormalFigures& normals) {
+  nlohmann::ordered_json json = {{"specular", JsonOf(normals.specular)},
+                                 {"surface", JsonOf(normals.surface)},
+                                 {"photometric", JsonOf(normals.photometric)},
+                                 {"diffuse", nlohmann::ordered_json::array()}};
+  for (const NormalFigures::Diffuse& d : normals.diffuse)
+    json["diffuse"].push_back({{"colour", d.colour},
+                               {"filtered", JsonOf(d.filtered)},
+                               {"unfiltered", JsonOf(d.unfiltered)},
+                               {"width_mm", d.width_mm},
+                               {"true_width_mm", d.true_width_mm}});
+  return json;
+}
+
 nlohmann::ordered_json JsonOf(const SkinFigure& skin) {
   nlohmann::ordered_json json = {{"surface", skin.surface},
                                  {"skin", skin.skin},
@@ -222,6 +240,7 @@ std::string Metrics::ToJson() const {
   }
   json["skin"] = JsonOf(skin);
   if (truth) json["truth"] = JsonOf(*truth);
+  if (normals) json["normals"] = JsonOf(*normals);
   if (unplaced) json["unplaced"] = JsonOf(*unplaced);
   return json.dump(1) + "\n";
 }

@@ -9,6 +9,7 @@
 
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/interval_figures.h"
+#include "fitter/evaluation/normal_error.h"
 #include "fitter/evaluation/surface_error.h"
 #include "fitter/mixture/srd_centroid.h"
 #include "fitter/mixture/surface_offset.h"
@@ -105,6 +106,7 @@ struct Metrics {
   SkinFigure skin;
   std::optional<SurfaceError> truth;     // of the fit's surface; only in simulation
   std::optional<SurfaceError> unplaced;  // the same before it was placed
+  std::optional<NormalFigures> normals;  // the same of its normals
 
   [[nodiscard]] std::string ToJson() const;
 };

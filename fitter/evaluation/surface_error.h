@@ -34,6 +34,10 @@ struct TrueSurface {
   RigCalibration rig;
   // By projector, what its light reaches; empty where an older simulation does not say.
   std::vector<Image<uint8_t>> lit_by;
+  // Empty as lit_by, of older simulations.
+  Image<uint8_t> skin = {};          // quads of skin alone
+  Image<float> spread_mm = {};       // W x H x C (SceneTruth::Spread)
+  Image<float> diffuse_normal = {};  // W x H x 3C (SceneTruth::DiffuseNormal)
 };
 
 // Of quads that are known to both. Without columns.

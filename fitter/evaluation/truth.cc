@@ -69,6 +69,16 @@ Result<Image<uint8_t>> SceneTruth::LitBy(int projector) const {
   return lit;
 }
 
+Result<Image<float>> SceneTruth::ReadIfThere(const std::string& name) const {
+  auto map = segment_.Read(name);
+  if (map.status().code() == StatusCode::kNotFound) return Image<float>();
+  return map;
+}
+
+Result<Image<float>> SceneTruth::Spread() const { return ReadIfThere("spread"); }
+
+Result<Image<float>> SceneTruth::DiffuseNormal() const { return ReadIfThere("diffuse normal"); }
+
 Result<SurfaceMap> SceneTruth::Surface(const RigCalibration& calibration) const {
   const RigCalibration& rig = exact_ ? *exact_ : calibration;
   SLX_ASSIGN_OR_RETURN(const auto depth, Depth());
@@ -94,6 +104,9 @@ Result<TrueSurface> SceneTruth::SurfaceInItsRig(const RigCalibration& calibratio
     SLX_ASSIGN_OR_RETURN(auto lit, LitBy(p));
     truth.lit_by.push_back(std::move(lit));
   }
+  SLX_ASSIGN_OR_RETURN(truth.skin, Skin());
+  SLX_ASSIGN_OR_RETURN(truth.spread_mm, Spread());
+  SLX_ASSIGN_OR_RETURN(truth.diffuse_normal, DiffuseNormal());
   return truth;
 }
 

@@ -28,6 +28,11 @@ class SceneTruth {
   // above.
   [[nodiscard]] Result<Image<uint8_t>> SkinOrStubble() const;
   [[nodiscard]] Result<Image<uint8_t>> LitBy(int projector) const;
+  // By colour, mm: the standard deviation of one coordinate of where light leaves the skin that came and leaves along
+  // its normal; NaN off the skin. Empty as above.
+  [[nodiscard]] Result<Image<float>> Spread() const;
+  // x y z of each colour: what light that scattered follows, by the simulation's own skin. Empty as above.
+  [[nodiscard]] Result<Image<float>> DiffuseNormal() const;
   // The true surface, for the runs that separate errors of the geometry from those of the model. Of sessions that name
   // another calibration than the exact one, on the rays of the exact one, which lies beside the truth.
   [[nodiscard]] Result<SurfaceMap> Surface(const RigCalibration& rig) const;
@@ -40,6 +45,8 @@ class SceneTruth {
   SceneTruth(db::TruthSegment segment, std::optional<RigCalibration> exact)
       : segment_(std::move(segment)), exact_(std::move(exact)) {}
   [[nodiscard]] Result<Image<uint8_t>> SkinAtCentres() const;
+  // Empty where there is none of the name.
+  [[nodiscard]] Result<Image<float>> ReadIfThere(const std::string& name) const;
 
   db::TruthSegment segment_;
   std::optional<RigCalibration> exact_;

@@ -135,6 +135,16 @@ Result<Json> MaterialOf(Buffer& buffer, Json& json, const GlbMaterial& material)
     SLX_ASSIGN_OR_RETURN(const int index, AddTexture(buffer, json, material.normals));
     made["normalTexture"] = {{"index", index}};
   }
+  if (material.coat) {
+    // Whoever knows no coat sees a base that mirrors, with the base's normals.
+    SLX_ASSIGN_OR_RETURN(const int index, AddTexture(buffer, json, material.coat->normals));
+    made["extensions"] = {{"KHR_materials_clearcoat",
+                           {{"clearcoatFactor", std::clamp(material.coat->strength, 0.0, 1.0)},
+                            {"clearcoatRoughnessFactor", std::clamp(material.roughness, 0.0, 1.0)},
+                            {"clearcoatNormalTexture", {{"index", index}}}}},
+                          {"KHR_materials_specular", {{"specularFactor", 0.0}}}};
+    json["extensionsUsed"] = {"KHR_materials_clearcoat", "KHR_materials_specular"};
+  }
   made["doubleSided"] = true;
   return made;
 }

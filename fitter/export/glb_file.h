@@ -8,6 +8,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 
 #include "fitter/export/origin.h"
 #include "fitter/export/triangle_mesh.h"
@@ -23,6 +24,13 @@ struct GlbMaterial {
       {};                                 // RGB or RGBA, sRGB-coded, over texture_uv; empty: none, the material is grey
   double roughness = 1.0;                 // glTF's, the square root of GGX's alpha
   ImageView<const uint8_t> normals = {};  // RGB of NormalTexture, over texture_uv; empty: none
+  // A clear coat (KHR_materials_clearcoat) by normals of its own, on a base that then does not mirror
+  // (KHR_materials_specular): light that scattered follows `normals`, light of the very surface those of the coat.
+  struct Coat {
+    double strength = 1.0;  // of a bare surface of index 1.5, glTF's coat; 1 at most
+    ImageView<const uint8_t> normals = {};
+  };
+  std::optional<Coat> coat = {};
 };
 
 // POSITION with its bounds, NORMAL, 32-bit indices; with a picture TEXCOORD_0 and that as an embedded PNG; with

@@ -16,8 +16,10 @@
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/recorded_files.h"
 #include "fitter/evaluation/compare.h"
+#include "fitter/image/on_quads.h"
 #include "fitter/pipeline/interruption.h"
 #include "fitter/report/session_report.h"
+#include "fitter/stages/diffuse_normals.h"
 #include "fitter/stages/offset.h"
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
@@ -44,6 +46,7 @@ std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOption
                                              {"fit", graph.Fit(options.geometry, options.heldout, FitKind::kJudged)}};
   if (const std::string offset = graph.Offset(options.geometry, kNoneHeldOut); !offset.empty()) keys["offset"] = offset;
   if (options.MakesMaps()) keys["maps"] = graph.Maps();
+  keys["diffuse_normals"] = graph.DiffuseNormals();
   if (options.standard_errors) keys["standard_errors"] = graph.StandardErrors();
   return keys;
 }
@@ -237,6 +240,7 @@ std::string FitIdOf(SessionGraph& graph, const RunOptions& options) {
 std::vector<std::string> KeysOf(SessionGraph& graph, const RunOptions& options, Evaluation evaluation) {
   std::vector<std::string> keys = {graph.Normals(), graph.Skin(), graph.PlacedShape(options.geometry, kNoneHeldOut)};
   if (options.MakesMaps()) keys.push_back(graph.Maps());
+  keys.push_back(graph.DiffuseNormals());
   if (options.standard_errors) keys.push_back(graph.StandardErrors());
   const auto compare = [&](GeometrySource source, int heldout) {
     return graph.Compare(ModelsOf(graph, evaluation, source, heldout), source, heldout);
@@ -313,6 +317,15 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, graph.Layers(keys.at("fit")));
   const auto load_normals = [&](const fs::path& folder) { return LoadNormals(folder, layers->map.channels); };
   SLX_ASSIGN_OR_RETURN(const auto normals, stages.Load(keys.at("normals"), load_normals));
+  const auto load_diffuse = [&](const fs::path& folder) { return LoadDiffuseNormals(folder, layers->map.channels); };
+  SLX_ASSIGN_OR_RETURN(const auto diffuse, stages.Load(keys.at("diffuse_normals"), load_diffuse));
+  if (truth) {
+    SLX_ASSIGN_OR_RETURN(const auto width_mm, graph.ShownWidths());
+    const SurfaceMap& surface = shape->surface;
+    metrics.normals = CompareNormalsWithTruth({normals.fused, surface.normal, normals.photometric.normal, diffuse,
+                                               OnQuads(width_mm, options.srd.pool, surface.width(), surface.height())},
+                                              *truth);
+  }
   SLX_ASSIGN_OR_RETURN(auto shown, LayersToShow(stages, keys, *layers, projectors));
   const int64_t chosen = ProfileToShow(layers->map);
   const auto load_profile = [&](const fs::path& folder) { return LoadProfileSrds(folder, chosen); };
@@ -326,9 +339,9 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
                                          static_cast<int>(pixel / layers->map.width) * layers->pool);
     for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1}, 1.0);
   }
-  ReportInput input{
-      frames, *shape,         *separation, normals, skin, *layers, std::move(shown), chosen, std::move(srds.batches),
-      {},     options.heldout};
+  ReportInput input{frames, *shape,         *separation,      normals, diffuse,
+                    skin,   *layers,        std::move(shown), chosen,  std::move(srds.batches),
+                    {},     options.heldout};
   const std::string compare =
       graph.Compare(ModelsOf(graph, evaluation, options.geometry, options.heldout), options.geometry, options.heldout);
   std::vector<HeldOutErrors> errors;

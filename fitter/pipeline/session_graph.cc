@@ -9,9 +9,12 @@
 #include "db/base/own_hash.h"
 #include "db/catalogue/fit_reader.h"
 #include "fitter/evaluation/truth_shape.h"
+#include "fitter/export/exr_file.h"
 #include "fitter/mixture/em_kernel.h"
 #include "fitter/sensor/linear_frame.h"
+#include "fitter/stages/colours.h"
 #include "fitter/stages/decode.h"
+#include "fitter/stages/diffuse_normals.h"
 #include "fitter/stages/fit_summary.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers.h"
@@ -21,6 +24,7 @@
 #include "fitter/stages/separate.h"
 #include "fitter/stages/srd_file.h"
 #include "shared/capture/plan.h"
+#include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
 namespace {
@@ -407,6 +411,40 @@ std::string SessionGraph::StandardErrors() {
                 Progress progress(logger_, "standard errors", layers->map.profiles());
                 return WriteStandardErrors(folder, FindStandardErrors(layers->map, lights.batches, options_.fit.em,
                                                                       [&](int64_t done) { progress.Advance(done); }));
+              }});
+}
+
+std::string SessionGraph::ShownFit() {
+  return options_.MakesMaps() ? Maps() : Fit(options_.geometry, options_.heldout, FitKind::kJudged);
+}
+
+Result<Image<float>> SessionGraph::ShownWidths() {
+  const auto load = [this](const fs::path& folder) {
+    return ReadExr((options_.MakesMaps() ? folder / kMapsFolder : folder) / kEffectiveWidthFile,
+                   Colours(QuadChannels(record_.camera.cfa)));
+  };
+  return stages_.Load(ShownFit(), load);
+}
+
+std::string SessionGraph::DiffuseNormals() {
+  const std::string shape = PlacedShape(options_.geometry, kNoneHeldOut), normals = Normals(), layers = ShownFit();
+  return Add({{"diffuse_normals",
+               kDiffuseNormalsVersion,
+               "{}",
+               {{"shape", shape}, {"normals", normals}, {"layers", layers}},
+               ""},
+              "diffuse normals",
+              {shape, normals, layers},
+              [=, this](const fs::path& folder) -> Status {
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                const int colours = QuadChannels(record_.camera.cfa);
+                const auto load = [&](const fs::path& from) { return LoadNormals(from, colours); };
+                SLX_ASSIGN_OR_RETURN(const auto specular, stages_.Load(normals, load));
+                MakeRoomForAFit();
+                SLX_ASSIGN_OR_RETURN(const auto shown,
+                                     stages_.Load(layers, options_.MakesMaps() ? LoadMaps : LoadLayers));
+                SLX_ASSIGN_OR_RETURN(const auto diffuse, FilterNormals(*face, specular.fused, shown));
+                return SaveDiffuseNormals(folder, diffuse);
               }});
 }
 

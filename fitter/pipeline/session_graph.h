@@ -6,6 +6,7 @@
 //                     \-> skin (+ shape), which offset and fit pool what all pixels share over, and by which
 //                         comparisons judge where no truth of a simulation tells what is skin
 //                                      |      \      \-> placed_shape, which predictions and comparisons stand on
+//                                      |       \-> diffuse_normals, of maps (or fit), normals and placed_shape
 //                                      \-> (truth_shape, of the truth of a simulation, in its place: without offset)
 #pragma once
 
@@ -62,6 +63,10 @@ class SessionGraph {
   // Of the judged fit: its layers, refined by all projectors.
   std::string Maps();
   std::string StandardErrors();
+  // Of the placed surface, by the layers that are shown: of all projectors where they are made, else the judged fit's.
+  std::string DiffuseNormals();
+  // Of the layers that are shown, as the artifact has it: W x H x C, a value for a profile of `fit.pool` quads a side.
+  Result<Image<float>> ShownWidths();
   // Of a model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
   std::string Predict(const std::string& model, GeometrySource source, int heldout);
   std::string Compare(const std::vector<std::string>& models, GeometrySource source, int heldout);
@@ -94,6 +99,7 @@ class SessionGraph {
   [[nodiscard]] FitOptions FitOptionsOf(FitKind kind) const;
   // The fit that a model is, or is derived from.
   [[nodiscard]] static FitKind KindOf(const std::string& model);
+  std::string ShownFit();
   std::string FitOf(const std::string& model, GeometrySource source, int heldout);
   // The session's frames as `record` reads them, and the dark frames that stages have asked of them: those that a fit
   // may read; all, for what judges it.

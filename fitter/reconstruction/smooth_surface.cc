@@ -97,6 +97,7 @@ Matrix6 Moments(const Eigen::ArrayXd& w, const Column& x, const Column& y, Eigen
 struct LocalFit {
   Vector6 coefficients = Vector6::Zero();
   Eigen::Vector3d sigmas = Eigen::Vector3d::Zero();  // of the constant and the linear terms
+  double smoothing_quads = 0.0;                      // of the slopes, SurfaceMap
 };
 
 class Smoother {
@@ -127,6 +128,7 @@ class Smoother {
       out.point_mm(i, j, k) = static_cast<float>(point[k]);
       out.normal(i, j, k) = static_cast<float>(normal[k]);
     }
+    out.smoothing_quads(i, j) = static_cast<float>(fit->smoothing_quads);
     const double noise_mm = noise_sigma_mm_(i, j), all_mm = rough_.depth_sigma_mm(i, j);
     const double common_mm = std::sqrt(std::max(all_mm * all_mm - noise_mm * noise_mm, 0.0));
     out.depth_sigma_mm(i, j) = static_cast<float>(std::hypot(fit->sigmas[0] * point.norm(), common_mm));
@@ -205,6 +207,8 @@ class Smoother {
       right << wx.sum(), (wx * x).sum(), (wx * y).sum(), (wx * x * x).sum(), (wx * x * y).sum(), (wx * y * y).sum();
       fit.coefficients = solver.solve(right.cwiseQuotient(scale)).cwiseQuotient(scale);
       if (round + 1 < kRounds) continue;
+      const auto r2 = ColumnOf(samples.radius, count).square();
+      fit.smoothing_quads = 0.5 * std::sqrt((w * r2 * r2).sum() / (w * r2).sum());
       w *= w * ColumnOf(samples.noise, count);
       const Matrix6 spread = Moments(w, x, y, wx, wy).cwiseProduct(unscaled);
       for (int k = 0; k < 3; ++k) {
@@ -243,6 +247,7 @@ Result<SurfaceMap> SmoothSurface(const SurfaceMap& rough, ImageView<const float>
   if (noise_sigma_mm.width() != rough.width() || noise_sigma_mm.height() != rough.height())
     return Status::Usage("smooth: the deviations are of another surface");
   SurfaceMap out = rough;
+  out.smoothing_quads = Image<float>(rough.width(), rough.height(), 1, std::nanf(""));
   const Smoother smoother(rough, noise_sigma_mm, rig, options);
   std::atomic<int64_t> count = 0;
   ParallelFor(rough.height(), 4, [&](int64_t begin, int64_t end) {

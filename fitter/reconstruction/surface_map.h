@@ -15,6 +15,9 @@ struct SurfaceMap {
   Image<float> normal;          // W x H x 3, unit, out of the skin (towards the camera); NaN outside the mask
   Image<float> depth_sigma_mm;  // W x H, standard deviation along the camera ray
   Image<uint8_t> mask;          // W x H, 1 = surface known
+  // W x H, quads: its normals are those of the skin blurred by a Gaussian of this standard deviation (SmoothSurface);
+  // empty: by none that is known.
+  Image<float> smoothing_quads = {};
 
   [[nodiscard]] int width() const { return mask.width(); }
   [[nodiscard]] int height() const { return mask.height(); }

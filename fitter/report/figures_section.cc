@@ -125,6 +125,28 @@ std::vector<ReportTable> IntervalTables(const Metrics& m) {
   return tables;
 }
 
+// Each diffuse normal, and the specular one in its place: what filtering is worth.
+ReportTable NormalTable(const NormalFigures& n) {
+  ReportTable table{
+      "Normals against the simulated truth, on skin: the specular ones against the true surface's, the diffuse ones "
+      "against those filtered by how far the true skin spreads light",
+      {"normal", "median deg", "rms deg", "quads", "layers' width mm", "true width mm"},
+      {}};
+  const auto add = [&](const std::string& name, const AngleError& e, const std::string& width = "",
+                       const std::string& true_width = "") {
+    table.rows.push_back(
+        {name, Fixed(e.median_deg, 2), Fixed(e.rms_deg, 2), std::to_string(e.quads), width, true_width});
+  };
+  add("specular", n.specular);
+  add("of the surface, without photometric detail", n.surface);
+  add("photometric, of light alone", n.photometric);
+  for (const NormalFigures::Diffuse& d : n.diffuse) {
+    add("diffuse, " + d.colour, d.filtered, Fixed(d.width_mm, 2), Fixed(d.true_width_mm, 2));
+    add("specular in its place, " + d.colour, d.unfiltered);
+  }
+  return table;
+}
+
 ReportTable SweepTable(const Metrics& m) {
   ReportTable table{
       "Sweeps: profiles by what became of them, and whether the frames of a cycle add up to the white ones",
@@ -182,6 +204,7 @@ ReportSection FiguresSection(const Metrics& m) {
       columns.rows.push_back({std::to_string(c.projector), Fixed(c.mean_px), Fixed(c.rms_px), std::to_string(c.quads)});
     if (!columns.rows.empty()) section.tables.push_back(columns);
   }
+  if (m.normals) section.tables.push_back(NormalTable(*m.normals));
   ReportTable fit{"Fit",
                   {"profiles", "prior, photons", "weaker profiles", "median divergence", "median sweeps", "tau",
                    "surface over Fresnel's", "its roughness", "weight in layers wider than a line"},

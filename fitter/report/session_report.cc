@@ -12,6 +12,7 @@
 #include "fitter/report/layer_pictures.h"
 #include "fitter/report/page_text.h"
 #include "fitter/session/quad_signal.h"
+#include "fitter/stages/diffuse_normals.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
 #include "shared/image/png.h"
@@ -63,7 +64,9 @@ ReportSection Shape(const ReportInput& in) {
   const Image<float> depth = Channel(in.shape.surface.point_mm, 2);
   ReportSection section{
       "Shape",
-      "Depth from all projectors together; normals of the surface, of photometric stereo, and both fused.",
+      "Depth from all projectors together; normals of the surface, of photometric stereo, and two for rendering: the "
+      "specular normal, the surface's with photometric detail, by which the very surface mirrors, and the diffuse one, "
+      "filtered by how far the layers spread light, which light that scattered follows.",
       {},
       {},
       {}};
@@ -80,7 +83,9 @@ ReportSection Shape(const ReportInput& in) {
                               ToColourScale(disagreement, 0.0, most)});
   section.images.push_back({"normals of the surface", NormalColours(in.shape.surface.normal)});
   section.images.push_back({"normals, photometric", NormalColours(in.normals.photometric.normal)});
-  section.images.push_back({"normals, fused", NormalColours(in.normals.fused)});
+  section.images.push_back({"specular normals", NormalColours(in.normals.fused)});
+  section.images.push_back({"diffuse normals" + std::string(in.diffuse_normals.channels() > 3 ? ", green light" : ""),
+                            NormalColours(OneDiffuseNormal(in.diffuse_normals))});
   return section;
 }
 

@@ -23,6 +23,7 @@ struct ReportInput {
   const FaceShape& shape;
   const std::vector<SeparationMap>& separation;
   const FaceNormals& normals;
+  const Image<float>& diffuse_normals;  // W x H x 3C
   const SkinMask& skin;
   const FittedLayers& layers;         // of the fit: what SRDs are held against
   ShownLayers shown;                  // what the maps show: of all projectors, where they were made

@@ -144,7 +144,7 @@ Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps
       {{"total_weight.exr", &maps.total_weight},
        {"absorption.exr", &maps.absorption},
        {"mean_depth_mm.exr", &maps.mean_depth_mm},
-       {"effective_width_mm.exr", &maps.effective_width_mm}}};
+       {kEffectiveWidthFile, &maps.effective_width_mm}}};
   return ParallelTry(each.size() + 1, [&](size_t k) {
     if (k < each.size()) return WriteExr(folder / each[k].first, *each[k].second, Names("", channels));
     return WriteTogether(folder / "depth_bands.exr",

@@ -48,6 +48,7 @@ struct StandardErrorMaps {
 // standard_errors.exr: total_weight.R, mean_depth_mm.R, effective_width_mm.R ...
 Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
 
+inline constexpr const char* kEffectiveWidthFile = "effective_width_mm.exr";
 // total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps);
 

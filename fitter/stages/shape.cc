@@ -16,6 +16,8 @@
 namespace stratalux::fit {
 namespace {
 
+constexpr const char* kSmoothingFile = "smoothing.exr";
+
 std::vector<std::string> MaskChannels(size_t projectors) {
   std::vector<std::string> names = {"surface"};
   for (const char* of : {"lit", "codes"})
@@ -118,6 +120,9 @@ Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape) {
   SLX_RETURN_IF_ERROR(WriteExr(folder / "depth_sigma.exr", surface.depth_sigma_mm, {"Y"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "disagreement.exr", shape.disagreement_mm, {"Y"}));
   SLX_RETURN_IF_ERROR(WriteExr(folder / "normal_surface.exr", surface.normal, {"X", "Y", "Z"}));
+  if (!surface.smoothing_quads.empty()) {
+    SLX_RETURN_IF_ERROR(WriteExr(folder / kSmoothingFile, surface.smoothing_quads, {"Y"}));
+  }
   const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   Image<float> masks(surface.width(), surface.height(), static_cast<int>(channels));
   for (size_t i = 0; i < surface.mask.size(); ++i) {
@@ -145,12 +150,17 @@ Result<FaceShape> LoadShape(const std::filesystem::path& folder) {
   SLX_ASSIGN_OR_RETURN(shape.surface.normal, ReadExr(folder / "normal_surface.exr", {"X", "Y", "Z"}));
   SLX_ASSIGN_OR_RETURN(shape.surface.depth_sigma_mm, ReadExr(folder / "depth_sigma.exr", {"Y"}));
   SLX_ASSIGN_OR_RETURN(shape.disagreement_mm, ReadExr(folder / "disagreement.exr", {"Y"}));
+  // The truth is not smoothed, and older programs did not say.
+  if (auto smoothing = ReadExr(folder / kSmoothingFile, {"Y"}); smoothing.ok())
+    shape.surface.smoothing_quads = std::move(*smoothing);
+  else if (smoothing.status().code() != StatusCode::kNotFound)
+    return smoothing.status();
   const size_t projectors = shape.lit.size(), channels = 1 + 2 * projectors;
   SLX_ASSIGN_OR_RETURN(const auto masks, ReadExr(folder / "masks.exr", MaskChannels(projectors)));
   const int width = masks.width(), height = masks.height();
   const auto same = [&](const Image<float>& map) { return map.width() == width && map.height() == height; };
   if (!same(shape.surface.point_mm) || !same(shape.surface.normal) || !same(shape.surface.depth_sigma_mm) ||
-      !same(shape.disagreement_mm))
+      !same(shape.disagreement_mm) || (!shape.surface.smoothing_quads.empty() && !same(shape.surface.smoothing_quads)))
     return Status::Integrity(folder.string() + ": its maps differ in size");
   shape.surface.mask = Image<uint8_t>(width, height);
   for (auto& lit : shape.lit) lit = Image<uint8_t>(width, height);

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 7;
+inline constexpr int kShapeVersion = 8;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it
@@ -51,8 +51,8 @@ struct LightsOnShape {
 };
 [[nodiscard]] LightsOnShape LightsOn(const FaceShape& shape, std::span<const SeparationMap> separation);
 
-// position.exr, depth_sigma.exr, disagreement.exr, normal_surface.exr, masks.exr, mesh.ply, rig.json, motion.json,
-// shape.json.
+// position.exr, depth_sigma.exr, disagreement.exr, normal_surface.exr, smoothing.exr, masks.exr, mesh.ply, rig.json,
+// motion.json, shape.json.
 Status SaveShape(const std::filesystem::path& folder, const FaceShape& shape);
 [[nodiscard]] Result<FaceShape> LoadShape(const std::filesystem::path& folder);
 

@@ -14,10 +14,13 @@
 #include "fitter/export/pictures.h"
 #include "fitter/export/ply_file.h"
 #include "fitter/export/tiff_maps.h"
+#include "fitter/image/on_quads.h"
+#include "fitter/reconstruction/mesh.h"
 #include "fitter/reconstruction/point_cloud.h"
-#include "fitter/stages/detailed_mesh.h"
+#include "fitter/stages/diffuse_normals.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers_file.h"
+#include "fitter/stages/mesh_normals.h"
 #include "fitter/stages/shape.h"
 #include "fitter/stages/skin.h"
 #include "shared/image/finite_at.h"
@@ -44,15 +47,6 @@ std::span<const char* const> FilesOf(ExportFormat format) {
   return {};
 }
 
-// A quad each, of maps with a value for `pool` x `pool` quads; NaN behind their last.
-Image<float> OnQuads(ImageView<const float> pooled, int pool, int width, int height) {
-  Image<float> quads(width, height, pooled.channels(), std::nanf(""));
-  for (int j = 0; j < std::min(height, pooled.height() * pool); ++j)
-    for (int i = 0; i < std::min(width, pooled.width() * pool); ++i)
-      for (int c = 0; c < pooled.channels(); ++c) quads(i, j, c) = pooled(i / pool, j / pool, c);
-  return quads;
-}
-
 // Where photometric stereo adds none, the surface's own stay.
 Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to) {
   SLX_ASSIGN_OR_RETURN(const auto fused, ReadExr(folder / "normal_fused.exr", {"X", "Y", "Z"}));
@@ -73,6 +67,20 @@ Status TakeFusedNormals(const std::filesystem::path& folder, ExportedSurface& to
         surface.normal(i, j, c) = fused(i, j, c);
   return Status::Ok();
 }
+
+// A fit of a program before that stage has none.
+Status TakeDiffuseNormals(const std::filesystem::path& folder, int colours, ExportedSurface& to) {
+  auto diffuse = LoadDiffuseNormals(folder, colours);
+  if (diffuse.status().code() == StatusCode::kNotFound) return Status::Ok();
+  if (!diffuse.ok()) return diffuse.status();
+  if (diffuse->width() != to.surface.width() || diffuse->height() != to.surface.height())
+    return Status::Integrity(folder.string() + ": its diffuse normals and its surface differ in size; fit again");
+  to.diffuse_normal = std::move(*diffuse);
+  return Status::Ok();
+}
+
+// What mirrors of a surface of that index along its normal [M 6, Fresnel].
+double MirroredAlongNormal(double eta) { return std::pow((eta - 1.0) / (eta + 1.0), 2); }
 
 // A fit of a program before the skin stage has none.
 Status TakeSkin(const std::filesystem::path& folder, ExportedSurface& to) {
@@ -161,9 +169,10 @@ class Writer {
   Writer(const ExportedSurface& exported, const std::filesystem::path& folder)
       : exported_(exported), folder_(folder), picture_(AlbedoPicture(exported.albedo)) {
     const SurfaceMap& surface = exported.surface;
-    auto [mesh, finer] = MeshWithDetail(surface, exported.own_normal);
-    mesh_ = std::move(mesh);
-    finer_normals_ = std::move(finer);
+    SurfaceMap own = surface;
+    if (!exported.own_normal.empty()) own.normal = exported.own_normal;
+    mesh_ = MeshFromSurface(own);
+    finer_normals_ = NormalsOnMesh(mesh_, surface, surface.normal);
     mesh_.colours = ColoursAt(surface, picture_);
     report_.points = static_cast<int64_t>(mesh_.positions_mm.size());
     skin_ = SkinAt(exported);
@@ -184,7 +193,7 @@ class Writer {
     if (name == kTiffs[2]) return WriteSkinTiff(file, SkinMap(exported_), exported_.origin);
     if (name == kExrs[2]) return WriteExr(file, SkinMap(exported_), {"skin"});
     if (name == kExrs[0]) return WriteExr(file, Masked(surface, surface.point_mm, 2, 1), {"Z"});
-    return WriteExr(file, Masked(surface, surface.normal, 0, 3), {"X", "Y", "Z"});
+    return WriteNormalExr(file);
   }
   [[nodiscard]] const SurfaceExportReport& report() const { return report_; }
 
@@ -200,9 +209,30 @@ class Writer {
       return WriteGlb(file, mesh_, {colour, exported_.roughness}, exported_.origin);
     Mesh mesh = mesh_;
     mesh.tangents = TangentsOf(mesh);
-    const Image<uint8_t> normals =
-        NormalTexture(mesh, finer_normals_, exported_.surface.width(), exported_.surface.height());
-    return WriteGlb(file, mesh, {colour, exported_.roughness, normals}, exported_.origin);
+    const SurfaceMap& surface = exported_.surface;
+    const Image<uint8_t> specular = NormalTexture(mesh, finer_normals_, surface.width(), surface.height());
+    if (exported_.diffuse_normal.empty() || exported_.coat <= 0.0)
+      return WriteGlb(file, mesh, {colour, exported_.roughness, specular}, exported_.origin);
+    const auto scattered = NormalsOnMesh(mesh, surface, OneDiffuseNormal(exported_.diffuse_normal));
+    const Image<uint8_t> diffuse = NormalTexture(mesh, scattered, surface.width(), surface.height());
+    return WriteGlb(file, mesh, {colour, exported_.roughness, diffuse, GlbMaterial::Coat{exported_.coat, specular}},
+                    exported_.origin);
+  }
+  // The surface's, and behind them the diffuse ones of each colour.
+  Status WriteNormalExr(const std::filesystem::path& file) const {
+    const SurfaceMap& surface = exported_.surface;
+    const Image<float>& diffuse = exported_.diffuse_normal;
+    const int more = diffuse.empty() ? 0 : diffuse.channels();
+    Image<float> both(surface.width(), surface.height(), 3 + more, std::nanf(""));
+    for (int j = 0; j < surface.height(); ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        for (int c = 0; c < 3; ++c) both(i, j, c) = surface.normal(i, j, c);
+        for (int c = 0; c < more; ++c) both(i, j, 3 + c) = diffuse(i, j, c);
+      }
+    std::vector<std::string> names = {"X", "Y", "Z"};
+    for (const std::string& name : DiffuseNormalNames(more / 3)) names.push_back(name);
+    return WriteExr(file, both, names);
   }
   Status WriteCloud(const std::filesystem::path& file) const {
     PointCloud cloud = CloudFromSurface(exported_.surface, exported_.camera, exported_.normal_sigma_rad);
@@ -262,7 +292,12 @@ Result<ExportedSurface> LoadFittedSurface(const std::filesystem::path& folder) {
   exported.albedo =
       OnQuads(SummariseLayers(fit.map).total_weight, fit.pool, exported.surface.width(), exported.surface.height());
   const SurfaceReflection& reflection = fit.map.scattering.reflection;
-  if (reflection.Known()) exported.roughness = std::sqrt(reflection.roughness);
+  if (reflection.Known()) {
+    constexpr double kCoatEta = 1.5;  // of glTF's clear coat
+    exported.roughness = std::sqrt(reflection.roughness);
+    exported.coat = reflection.strength * MirroredAlongNormal(fit.map.scattering.eta) / MirroredAlongNormal(kCoatEta);
+  }
+  SLX_RETURN_IF_ERROR(TakeDiffuseNormals(folder, fit.map.channels, exported));
   return exported;
 }
 

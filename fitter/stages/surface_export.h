@@ -36,7 +36,9 @@ struct ExportedSurface {
   Image<uint8_t> skin;  // W x H, 1: skin
   // Whether the skin stage told; else all of the surface counts as skin, as there.
   bool skin_told = false;
-  double roughness = 1.0;  // glTF's, of the session's surface reflection
+  Image<float> diffuse_normal = {};  // W x H x 3C (fitter/photometric/diffuse_normals.h); empty: not known
+  double roughness = 1.0;            // glTF's, of the session's surface reflection
+  double coat = 0.0;                 // its strength, over that of glTF's clear coat; 0: not known
   ExportOrigin origin;
 };
 

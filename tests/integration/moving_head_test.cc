@@ -3,6 +3,7 @@
 // surface is as good as of one who held still (docs/math/motion.md).
 //   STRATALUX_VISITOR_SIZE=696x520 STRATALUX_SEED=2001 moving_head_test     prints the figures of another visitor
 #include <Eigen/Geometry>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -41,7 +42,9 @@ class MovingHead : public ScratchFolderTest {
  protected:
   void SetUp() override {
     ScratchFolderTest::SetUp();
-    const std::string at = " --store " + store_, number = Given("STRATALUX_SEED", "2001");
+    constexpr uint64_t kPeople = 1'000'000;  // of the population; a night's seed is its date
+    const std::string at = " --store " + store_,
+                      number = std::to_string(std::stoull(Given("STRATALUX_SEED", "2001")) % kPeople);
     WriteText(folder_ / "scene.toml",
               "[subject]\nseed = " + number + "\n[skin]\nperson = " + number +
                   "\n[motion]\ndrift_start_s = 1.0\nstep_mm = " + std::to_string(kSway.step_mm) +

@@ -97,6 +97,22 @@ TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
   }
 }
 
+// Filtering is worth what the ablation beside it says: the specular normal in the diffuse one's place.
+TEST_F(Visitor, TwoNormalsAgreeWithTheSimulatedTruth) {
+  const Json& normals = metrics_["normals"];
+  EXPECT_LT(normals["specular"]["median_deg"].get<double>(), 1.5);
+  EXPECT_GT(normals["photometric"]["median_deg"].get<double>(), normals["specular"]["median_deg"].get<double>());
+  ASSERT_EQ(normals["diffuse"].size(), 3U);
+  for (const Json& colour : normals["diffuse"]) {
+    const double median = colour["filtered"]["median_deg"];
+    EXPECT_LT(median, 0.5) << colour;
+    EXPECT_LT(median, colour["unfiltered"]["median_deg"].get<double>()) << colour;
+    EXPECT_GT(colour["filtered"]["quads"], 0.5 * metrics_["truth"]["pixels"].get<double>()) << colour;
+    EXPECT_NEAR(colour["width_mm"].get<double>() / colour["true_width_mm"].get<double>(), 1.0, 0.4) << colour;
+  }
+  EXPECT_TRUE(fs::exists(fit_ / "normal_diffuse.exr"));
+}
+
 // Scattering displaces the codes; the sweeps of the training lights tell by how much, and what light from other
 // directions does is seen again.
 TEST_F(Visitor, SurfaceLiesWhereTheSweepsSay) {

@@ -444,6 +444,13 @@ double SkinTable::Albedo(int channel, const SkinParameters& parameters, double t
   return albedo;
 }
 
+double SkinTable::EffectiveWidthMm(int channel, const SkinParameters& parameters) const {
+  static const SkinKernel::RadialWeights kSquares = SkinKernel::WeightsOf([](double r) { return r * r; });
+  SkinKernel kernel;
+  Interpolate(channel, parameters, {}, kernel);
+  return std::sqrt(0.5 * kernel.Integral(kSquares) / kernel.Integral());
+}
+
 std::vector<std::string> SkinTable::DefaultPlaces(const std::string& file) {
   namespace fs = std::filesystem;
   if (const char* path = std::getenv("STRATALUX_SKIN_TABLE")) {

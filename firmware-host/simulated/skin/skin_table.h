@@ -132,6 +132,9 @@ class SkinTable {
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.
   [[nodiscard]] double Albedo(int channel, const SkinParameters& parameters, double theta_in_rad) const;
+  // How far light spreads that comes and leaves along the normal: the standard deviation of one coordinate of where it
+  // leaves, sqrt(<r^2> / 2), within the table's radii.
+  [[nodiscard]] double EffectiveWidthMm(int channel, const SkinParameters& parameters) const;
   // Kernels a direction: one each node of skin, scattering by scattering, or one where the tissue has no parameters
   // (wax).
   [[nodiscard]] int nodes() const { return contents_->nodes; }

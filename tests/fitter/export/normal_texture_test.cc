@@ -9,7 +9,7 @@
 
 #include <gmock/gmock.h>
 
-#include "fitter/stages/detailed_mesh.h"
+#include "fitter/stages/mesh_normals.h"
 #include "fitter/stages/surface_export.h"
 #include "shared/image/png.h"
 #include "tests/fitter/export/read_export.h"

@@ -15,6 +15,7 @@
 #include "fitter/reconstruction/smooth_surface.h"
 #include "fitter/reconstruction/triangulate.h"
 #include "shared/base/random.h"
+#include "shared/geometry/quad.h"
 #include "tests/fitter/geometry/synthetic_rig.h"
 #include "tests/support/scratch_folder.h"
 
@@ -302,6 +303,44 @@ TEST(SmoothSurface, KeepsADepthStep) {
       if (corner) continue;
       ASSERT_NEAR(smooth->point_mm(i, j, 2), i < 60 ? 600.0 : 630.0, 0.01);
     }
+}
+
+// Of waves that run across and down, a window leaves of each slope what a Gaussian of the stated width does.
+TEST(SmoothSurface, SaysByHowMuchItsNormalsAreBlurred) {
+  const RigCalibration rig = SyntheticRig();
+  for (const double radius : {2.0, 4.0}) {
+    const double wave_quads = 5.0 * radius;
+    const double per_unit = 2.0 * M_PI * rig.camera.model.fx / QuadStep(rig.camera.cfa) / wave_quads;
+    const auto waves = [&](const Eigen::Vector3d& ray) {
+      const Eigen::Vector3d at = ray / ray.z();
+      return std::optional(
+          Hit{at * (600.0 + 0.05 * (std::sin(per_unit * at.x()) + std::sin(per_unit * at.y()))), {0, 0, -1}});
+    };
+    SurfaceMap rough = TrueSurface(rig, waves);
+    for (float& sigma : rough.depth_sigma_mm.pixels()) sigma = 0.1F;
+    const auto smooth = SmoothSurface(rough, rough.depth_sigma_mm, rig,
+                                      {.min_radius_quads = radius, .max_radius_quads = radius, .robust_scale = 1e3});
+    ASSERT_TRUE(smooth.ok());
+    double product = 0.0, squares = 0.0, smoothing = 0.0;
+    int quads = 0;
+    for (int j = 20; j < rough.height() - 20; ++j)
+      for (int i = 20; i < rough.width() - 20; ++i) {
+        const Eigen::Vector3d at = rough.Point(i, j) / rough.point_mm(i, j, 2), n = smooth->Normal(i, j);
+        // dz/dx of the wave, and of the normal found, but for what z = 600 is seen under.
+        for (int k = 0; k < 2; ++k) {
+          const double slope = 0.05 * per_unit * std::cos(per_unit * at[k]) / 600.0;
+          product += slope * -(n[k] / n.z());
+          squares += slope * slope;
+        }
+        smoothing += smooth->smoothing_quads(i, j);
+        ++quads;
+      }
+    smoothing /= quads;
+    const double left = std::exp(-2.0 * std::pow(M_PI * smoothing / wave_quads, 2));
+    std::printf("radius %.0f: blurred by %.2f quads, %.3f of slopes left\n", radius, smoothing, product / squares);
+    EXPECT_NEAR(product / squares, left, 0.02) << radius;
+    EXPECT_LT(left, 0.93) << "there is something to see";
+  }
 }
 
 // Waves of eight quads and a calm side: a wide window flattens the one, a narrow one leaves noise on the other.

@@ -10,6 +10,7 @@
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/metrics.h"
 #include "fitter/evaluation/metrics_json.h"
+#include "fitter/evaluation/normal_error.h"
 #include "fitter/evaluation/predict.h"
 #include "fitter/evaluation/surface_error.h"
 #include "fitter/scattering/baselines.h"
@@ -205,6 +206,68 @@ TEST(CompareSurface, SeparatesBiasFromScatterAndMeasuresTilt) {
   EXPECT_NEAR(e.depth_rms_mm, 0.2, 1e-3);
   EXPECT_NEAR(e.normal_median_deg, 3.0, 1e-3);
   EXPECT_EQ(e.pixels, 198);
+}
+
+TEST(CompareNormals, TellsSmallAnglesOfWhatIsAskedFor) {
+  Image<float> found(20, 10, 3), truth(20, 10, 3);
+  Image<uint8_t> quads(20, 10, 1, 1);
+  const double small = RadFromDeg(0.01), large = RadFromDeg(4.0);
+  for (int j = 0; j < 10; ++j)
+    for (int i = 0; i < 20; ++i) {
+      truth(i, j, 2) = -1.0F;
+      const double tilt = j < 7 ? small : large;
+      found(i, j, 1) = static_cast<float>(std::sin(tilt));
+      found(i, j, 2) = static_cast<float>(-std::cos(tilt));
+    }
+  found(3, 3, 1) = std::nanf("");
+  truth(4, 3, 0) = std::nanf("");
+  const AngleError all = CompareNormals(found, truth, quads);
+  EXPECT_NEAR(all.median_deg, 0.01, 1e-4);
+  EXPECT_NEAR(all.rms_deg, 4.0 * std::sqrt(60.0 / 198.0), 1e-3);
+  EXPECT_EQ(all.quads, 198);
+  for (int i = 0; i < 20; ++i)
+    for (int j = 0; j < 7; ++j) quads(i, j) = 0;
+  EXPECT_NEAR(CompareNormals(found, truth, quads).median_deg, 4.0, 1e-3);
+  EXPECT_EQ(CompareNormals(found, truth, Image<uint8_t>(20, 10)).quads, 0);
+}
+
+TEST(CompareNormals, HoldsEachNormalAgainstItsOwnTruth) {
+  TrueSurface truth;
+  truth.surface = Plane();
+  truth.skin = Image<uint8_t>(20, 10, 1, 1);
+  truth.skin(0, 0) = 0;
+  truth.spread_mm = Image<float>(20, 10, 3, 1.5F);
+  truth.diffuse_normal = Image<float>(20, 10, 9);
+  Image<float> specular(20, 10, 3), diffuse(20, 10, 9);
+  const auto tilted = [](Image<float>& normals, int i, int j, int colour, double deg) {
+    normals(i, j, 3 * colour) = static_cast<float>(std::sin(RadFromDeg(deg)));
+    normals(i, j, 3 * colour + 2) = static_cast<float>(-std::cos(RadFromDeg(deg)));
+  };
+  for (int j = 0; j < 10; ++j)
+    for (int i = 0; i < 20; ++i) {
+      tilted(specular, i, j, 0, 5.0);
+      for (int c = 0; c < 3; ++c) {
+        tilted(truth.diffuse_normal, i, j, c, 2.0 + c);
+        tilted(diffuse, i, j, c, 2.25 + c);
+      }
+    }
+  const Image<float>& straight = truth.surface.normal;
+  const Image<float> width_mm(20, 10, 3, 1.25F);
+  const FoundNormals found{specular, straight, straight, diffuse, width_mm};
+  const NormalFigures figures = CompareNormalsWithTruth(found, truth);
+  EXPECT_NEAR(figures.specular.median_deg, 5.0, 1e-3);
+  EXPECT_EQ(figures.specular.quads, 199) << "skin";
+  EXPECT_EQ(figures.surface.median_deg, 0.0);
+  ASSERT_EQ(figures.diffuse.size(), 3U);
+  for (int c = 0; c < 3; ++c) {
+    EXPECT_EQ(figures.diffuse[c].colour, std::string(1, "RGB"[c]));
+    EXPECT_NEAR(figures.diffuse[c].filtered.median_deg, 0.25, 1e-3);
+    EXPECT_NEAR(figures.diffuse[c].unfiltered.median_deg, 3.0 - c, 1e-3);
+    EXPECT_EQ(figures.diffuse[c].width_mm, 1.25);
+    EXPECT_EQ(figures.diffuse[c].true_width_mm, 1.5);
+  }
+  truth.diffuse_normal = {};  // of an older simulation
+  EXPECT_TRUE(CompareNormalsWithTruth(found, truth).diffuse.empty());
 }
 
 // Of a projector 100 mm to the left, 1,200 px of focal length: column = 1200 * 100 / z + 500.

@@ -549,6 +549,7 @@ TEST(WaxTable, IsTheMonteCarloOfItsSlab) {
     run.max_radius_mm = 40.0;
     std::mutex mutex;
     Estimate all, near;
+    double squares_mm2 = 0.0;  // across the plane of incidence
     TraceLayeredTissue(WaxSlab(c), run, [&](int64_t, std::span<const EscapedPhoton> list) {
       const std::lock_guard lock(mutex);
       for (const EscapedPhoton& e : list) {
@@ -556,8 +557,11 @@ TEST(WaxTable, IsTheMonteCarloOfItsSlab) {
         if (r >= G::kMaxRadiusMm) continue;
         all.Add(e.weight);
         if (r < 2.0) near.Add(e.weight);
+        squares_mm2 += e.weight * e.y_mm * e.y_mm;
       }
     });
+    EXPECT_NEAR(table.EffectiveWidthMm(c, {}), std::sqrt(squares_mm2 / all.sum), 0.05 * table.EffectiveWidthMm(c, {}))
+        << c;
     const double photons = static_cast<double>(run.photons);
     const double albedo = table.Albedo(c, {}, M_PI / 6.0);
     EXPECT_NEAR(albedo, all.sum / photons, 4.0 * std::sqrt(all.squares) / photons + 0.01 * albedo) << c;
