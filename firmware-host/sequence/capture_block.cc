@@ -7,10 +7,14 @@
 
 namespace stratalux::rig {
 
-Status CaptureRun::ShootBlock(const std::vector<int>& block) {
-  if (block.empty()) return Status::Ok();
+Result<CaptureRun::BlockEnd> CaptureRun::ShootBlock(const std::vector<int>& block) {
+  if (block.empty()) return BlockEnd::kDone;
   pending_.insert(block.begin(), block.end());
   while (true) {
+    if (!exposed_ && asking_) {
+      SLX_ASSIGN_OR_RETURN(const bool jumped, AskReference());
+      if (jumped) return BlockEnd::kMoved;
+    }
     if (!exposed_) AskWitness(block.back());
     const int next = NextStep();
     if (exposed_ && (next == kNoStep || next != memory_at_ || !MayOverlap(next))) {
@@ -23,7 +27,7 @@ Status CaptureRun::ShootBlock(const std::vector<int>& block) {
     }
     if (next == kNoStep) {
       RetakeDoubtful(witness_.TakeDoubtful());
-      if (pending_.empty()) return Status::Ok();
+      if (pending_.empty()) return BlockEnd::kDone;
       continue;
     }
     if (next != memory_at_) SLX_RETURN_IF_ERROR(LoadFrom(next));
@@ -167,10 +171,13 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   NoteFault(last.index, ShotFault::kWrongLevel);
   wrong_level_.insert(group.begin(), group.end());
   LoseMemory();
-  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); }))
-    return last.phase == CapturePhase::kReference && last.bracket == 0
-               ? EndWithoutReference(last, "its frames do not show it at any try")
-               : TellWhite(last);
+  if (!std::all_of(group.begin(), group.end(), [this](int step) { return RetriesLeft(step); })) {
+    if (last.phase == CapturePhase::kReference && last.bracket == 0)
+      return EndWithoutReference(last, "its frames do not show it at any try");
+    if (!MayHaveJumped(last)) return TellWhite(last);
+    asking_ = last.index;
+    return Status::Ok();
+  }
   if (RetakeReference(group)) return Status::Ok();
   logger_.Warning(Describe(last.index) + ": the frame does not show the pattern; shot again");
   for (int step : group) Retake(step, ShotFault::kWrongLevel);

@@ -7,9 +7,9 @@ namespace stratalux::rig {
 
 const char* ToString(ShotFault fault) {
   static constexpr std::array<const char*, kShotFaultCount> kNames = {
-      "none",          "missing sync",  "extra sync",         "lost frame",
-      "sequence gap",  "doubled frame", "frame out of order", "late frame",
-      "corrupt frame", "wrong level",   "repeated rows",      "wrong exposure"};
+      "none",          "missing sync",       "extra sync",   "lost frame",    "sequence gap",
+      "doubled frame", "frame out of order", "late frame",   "corrupt frame", "wrong level",
+      "repeated rows", "wrong exposure",     "subject moved"};
   return kNames[static_cast<size_t>(fault)];
 }
 

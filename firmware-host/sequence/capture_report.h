@@ -26,8 +26,9 @@ enum class ShotFault {
   kWrongLevel,     // the frame does not show the planned pattern (pattern_witness.h)
   kRepeatedRows,   // rows of an earlier frame, bit by bit: a frozen buffer or a torn transfer (row_memory.h)
   kWrongExposure,  // the camera reports another exposure or gain than was set
+  kSubjectMoved,   // the subject jumped: once a jump, for all shots of its projector
 };
-inline constexpr int kShotFaultCount = 12;
+inline constexpr int kShotFaultCount = 13;
 
 [[nodiscard]] const char* ToString(ShotFault fault);
 

@@ -212,8 +212,15 @@ Status CaptureRun::RunProjector(int projector) {
     const CapturePhase phase = plan_.steps[step].phase;
     return phase == CapturePhase::kSweep || phase == CapturePhase::kMotion;
   });
-  SLX_RETURN_IF_ERROR(ShootBlock({steps.begin(), sweep}));
-  SLX_RETURN_IF_ERROR(ShootBlock({sweep, steps.end()}));
+  projector_begun_ = devices_.light.Now();
+  for (bool done = false; !done;) {
+    SLX_ASSIGN_OR_RETURN(BlockEnd end, ShootBlock({steps.begin(), sweep}));
+    if (end == BlockEnd::kDone) {
+      SLX_ASSIGN_OR_RETURN(end, ShootBlock({sweep, steps.end()}));
+    }
+    done = end == BlockEnd::kDone;
+    if (!done) SLX_RETURN_IF_ERROR(StartAgain(projector));
+  }
   RefuteUnborneCodes(steps);
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   for (Finding& finding : witness_.CheckProjector()) SLX_RETURN_IF_ERROR(Add(std::move(finding)));

@@ -36,7 +36,9 @@ class CaptureRun {
   Status RunProjector(int projector);
   // Shoots the steps (whole groups, ascending); a spoilt one again before the next, those that came into doubt at the
   // end.
-  Status ShootBlock(const std::vector<int>& block);
+  // kMoved: the subject jumped, and all of the projector's steps are to be shot again (StartAgain).
+  enum class BlockEnd { kDone, kMoved };
+  Result<BlockEnd> ShootBlock(const std::vector<int>& block);
   // What goes on show next: where the memory stands if that step is pending, else the first that is; kNoStep: none.
   [[nodiscard]] int NextStep() const;
   // A frame that says nothing needs one behind it that does: only then is it known that the memory was in step.
@@ -54,6 +56,15 @@ class CaptureRun {
   [[nodiscard]] bool LacksCode(const PlanStep& step) const;
   // What is refuted before anything was confirmed speaks against the reference.
   bool RetakeReference(const std::vector<int>& refuted);
+  // Whether a group that failed at its last try is worth a look at the reference: it showed the same at the try before.
+  [[nodiscard]] bool MayHaveJumped(const PlanStep& last_of_group) const;
+  // Shoots the reference again, one by one, in answer to `asking_`. True: the subject jumped, which is among the
+  // findings. It says nothing where a shot of it is spoilt.
+  Result<bool> AskReference();
+  // Of the reference's steps; empty where one is spoilt.
+  Result<std::vector<Shot>> ShootReferenceAgain(const std::vector<int>& reference);
+  // As if nothing of the projector had been shot, but that retries go on counting.
+  Status StartAgain(int projector);
   // A SYNC edge nobody asked for: the projector moved on while the last frame was exposed.
   Status SpoilLast(ShotFault fault);
   // A shot that does not count: its step is shot again, or given up once it has had its retries.
@@ -87,8 +98,9 @@ class CaptureRun {
   Status TellWhite(const PlanStep& white);
   [[nodiscard]] Status WhyDark(const Status& light) const;
   [[nodiscard]] bool RetriesLeft(int step) const {
-    const auto found = retries_.find(step);
-    return found == retries_.end() || found->second < options_.max_retries;
+    const auto found = retries_.find(step), from = retries_from_.find(step);
+    const int before = from == retries_from_.end() ? 0 : from->second;
+    return found == retries_.end() || found->second - before < options_.max_retries;
   }
   [[nodiscard]] bool AnyPending(const std::vector<int>& group) const;
   // Brings the projector's memory to where `step` comes next, in the dark.
@@ -121,15 +133,20 @@ class CaptureRun {
   std::optional<int> last_kept_;         // step of the last good frame of the projector
   LevelCheck last_verdict_ = LevelCheck::kNotChecked;
   std::map<int, std::vector<Shot>> held_;  // shots of groups that are not whole yet, by the group's first step
-  std::map<int, int> retries_;             // by step
+  std::map<int, int> retries_;             // by step, of those that were begun
+  std::map<int, int> retries_from_;        // what they were when the projector was begun anew
   std::map<int, ShotFault> retake_cause_;
   std::map<int, FrameRecord> proven_;  // by step: the last good frame
   std::set<int> wrong_level_;          // steps whose last frame failed its level check
   int useless_shots_ = 0;              // in a row
-  std::set<int> seen_;                 // steps that were told to the observer as done
-  std::set<int> told_whites_;          // steps of motion whites whose finding the observer has
-  std::optional<Finding> ended_for_;   // what ended the capture, where its error alone does not say
-  int64_t spoilt_triggers_ = 0;        // camera triggers without a frame in the sink
+  std::optional<int> asking_;          // last step of the group for which the reference is to be asked
+  int reference_asks_ = 0;
+  MonotonicNs projector_begun_;                                          // the present one, for the last time
+  std::chrono::nanoseconds useless_time_ = std::chrono::nanoseconds(0);  // of what jumps made useless
+  std::set<int> seen_;                                                   // steps that were told to the observer as done
+  std::set<int> told_whites_;         // steps of motion whites whose finding the observer has
+  std::optional<Finding> ended_for_;  // what ended the capture, where its error alone does not say
+  int64_t spoilt_triggers_ = 0;       // camera triggers without a frame in the sink
 };
 
 }  // namespace stratalux::rig

@@ -301,8 +301,7 @@ PatternWitness::Stillness PatternWitness::StillnessOf(const Probes& white, const
   return {std::sqrt(std::max(0.0, rest) / contrast), std::sqrt(4.0 * std::sqrt(squares) / contrast)};
 }
 
-PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const {
-  const Probes& white = Find(step.index)->probes;
+PatternWitness::Testimony PatternWitness::JudgeWhite(const Probes& white) const {
   const double mean = MeanLevel(white);
   if (std::abs(mean - 1.0) > options_.steady_tolerance) return Testimony::kRefutes;
   PerBand off{}, all{};
@@ -314,6 +313,24 @@ PatternWitness::Testimony PatternWitness::JudgeWhite(const PlanStep& step) const
     off[band] += std::abs(white[i] - black_.probes[i] - reference) > limit;
   }
   return AnyBandOff(off, all, options_.max_off_fraction) ? Testimony::kRefutes : Testimony::kConfirms;
+}
+
+bool PatternWitness::FailsAsBefore(const PlanStep& step) const {
+  const std::vector<int> group = GroupOf(plan_, step.index);
+  return std::ranges::all_of(group, [&](int member) {
+    const Frame* frame = Find(member);
+    if (frame == nullptr || frame->earlier.empty()) return false;
+    PerBand off{}, all{};
+    for (int i : lit_) {
+      const double now = frame->probes[i], before = frame->earlier[i];
+      const double limit = options_.sum_tolerance * (white_now_[i] - black_.probes[i]) +
+                           4.0 * std::sqrt(VarianceDn(now) + VarianceDn(before));
+      const int band = lattice_.BandOf(i);
+      ++all[band];
+      off[band] += std::abs(now - before) > limit;
+    }
+    return !AnyBandOff(off, all, options_.max_off_fraction);
+  });
 }
 
 double PatternWitness::SinusoidMean(int projector) const {

@@ -74,7 +74,9 @@ std::vector<int> PatternWitness::OneLoadOf(const CapturePlan& plan, int step) {
 
 void PatternWitness::Add(const PlanStep& step, const Image<uint16_t>& pixels, double mean_dn) {
   if (lattice_.size() == 0) lattice_ = ProbeLattice(pixels.width(), pixels.height());
-  frames_[step.index] = {lattice_.Sample(pixels), mean_dn, pixels.size(), load_, shots_++, Testimony::kSilent};
+  Frame& frame = frames_[step.index];
+  Probes earlier = std::move(frame.probes);
+  frame = {lattice_.Sample(pixels), mean_dn, pixels.size(), load_, shots_++, std::move(earlier), Testimony::kSilent};
   if (step.phase == CapturePhase::kCorrespondence) decoded_ = false;
 }
 
@@ -246,7 +248,7 @@ PatternWitness::Testimony PatternWitness::Judge(const PlanStep& step, std::span<
     case CapturePhase::kSweep:
       return JudgeComb(step);
     case CapturePhase::kMotion:
-      return JudgeWhite(step);
+      return JudgeWhite(Find(step.index)->probes);
     case CapturePhase::kSpot:
     case CapturePhase::kGuard:
       return JudgeLevel(step);

@@ -21,7 +21,9 @@
 //
 // A head that sways is no wrong picture: the white that sums and levels are held against follows what adds up to it,
 // every pair of a code, every set of sinusoids, every white (Follow). Whether the visitor moved since the reference is
-// another question (CheckWhite, CheckProjector).
+// another question (CheckWhite, CheckProjector). One that jumps contradicts the white for good; that is told by frames
+// that fail as they failed before (FailsAsBefore) and by a reference that is proven once more and another picture
+// (FindJump). Then the projector begins anew.
 //
 // Each check confirms a frame, refutes it, or is silent: fine stripes on blurring skin may be too faint to tell. A
 // memory that is out of step stays so until it is loaded anew, hence a silent frame is trusted when the next frame of
@@ -90,6 +92,17 @@ class PatternWitness {
   [[nodiscard]] bool IsSpokenFor(const PlanStep& step) const;
   // Nothing but the reference has been confirmed yet: when frames contradict it, it may be the reference that is wrong.
   [[nodiscard]] bool ReferenceStandsAlone() const;
+  // Each frame of the step's group shows what the shot before it of the same step showed, within noise: what refutes it
+  // is no fault of a single frame.
+  [[nodiscard]] bool FailsAsBefore(const PlanStep& step) const;
+  // The reference of this projector, shot again in the midst of its steps. `proven`: by all that is asked of a
+  // reference. `jump`: it is, its light is what it was, and the white before refutes it.
+  struct ReferenceAgain {
+    bool proven = false;
+    std::optional<Finding> jump;
+  };
+  [[nodiscard]] ReferenceAgain FindJump(const PlanStep& white, const Image<uint16_t>& white_pixels,
+                                        const PlanStep& black, const Image<uint16_t>& black_pixels) const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for.
   [[nodiscard]] std::vector<int> TakeDoubtful();
   // Steps of this projector's codes that nothing bears out: a memory that stands some pairs on shows other bits with
@@ -121,6 +134,7 @@ class PatternWitness {
     size_t pixels = 0;
     int load = 0;      // of the memory
     int64_t shot = 0;  // in the order of Add
+    Probes earlier;    // of the step's shot before; empty: none
     Testimony testimony = Testimony::kSilent;
   };
   struct Coordinates {
@@ -135,7 +149,7 @@ class PatternWitness {
   [[nodiscard]] Testimony JudgeGray(std::span<const int> pair) const;
   [[nodiscard]] Testimony JudgeShifts(const PlanStep& step, std::span<const int> group);
   [[nodiscard]] Testimony JudgeComb(const PlanStep& step);
-  [[nodiscard]] Testimony JudgeWhite(const PlanStep& step) const;
+  [[nodiscard]] Testimony JudgeWhite(const Probes& white) const;
   // Takes what a group that was not refuted adds up to for the white. What of it is wrong (max_off_fraction at most)
   // counts as off in the next one.
   void Follow(const PlanStep& step, std::span<const int> group);

@@ -28,6 +28,11 @@ struct SequencerOptions {
   WitnessOptions witness;
   int max_retries = 2;                   // further shots of a step; a third failure is hardly chance
   double min_preroll_contrast_dn = 5.0;  // mean level of white over dark markers
+  // What fails at its last try as it did before has the reference asked whether the subject jumped; whose did is
+  // captured by that projector anew. Asked at most so often in a session, and no more once the shots that a jump made
+  // useless took so long, on the rig's clock.
+  int max_reference_asks = 6;
+  std::chrono::nanoseconds max_useless_time = std::chrono::seconds(6);
   // A rig that gives nothing is broken, not unlucky: this many shots in a row without a usable frame end the capture.
   int max_useless_shots = 10;
   // Longest time a projector's light may stay on at a stretch, on the rig's clock; 0: no limit.

@@ -78,6 +78,8 @@ Result<MotionCapture> MotionRig::Capture() {
   SLX_ASSIGN_OR_RETURN(const CaptureReport report, sequencer.Run(plan_, frames));
   if (frames.of_step.size() != plan_.steps.size()) return Status::Failed("a frame is missing");
   MotionCapture capture{.status = report.status, .retried = report.retried};
+  capture.unproven = report.planned - report.captured;
+  capture.jumps = report.Count(ShotFault::kSubjectMoved);
   capture.mean_sum = MeanSum(plan_, frames.of_step, options.witness);
   PatternWitness witness(plan_, options.witness);
   witness.StartProjector(plan_.steps[0].projector);

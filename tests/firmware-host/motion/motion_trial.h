@@ -25,6 +25,8 @@ struct MotionRigOptions {
 struct MotionCapture {
   SessionStatus status = SessionStatus::kFailed;
   int retried = 0;
+  int unproven = 0;                    // steps
+  int jumps = 0;                       // that had the projector captured anew
   std::vector<Finding> findings = {};  // of the projector, by a witness that is given the frames that count
   double mean_sum = 0.0;               // of the comb cycle over white, one mean over all lit probes
   [[nodiscard]] bool Says(FindingKind kind) const;

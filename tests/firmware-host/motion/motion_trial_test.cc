@@ -122,5 +122,28 @@ TEST(NotMotion, ASwayNamesTheStepItBeganAt) {
   EXPECT_GT(capture.findings[0].value, capture.findings[0].limit);
 }
 
+// Stubble shows or hides whole pixels, so half a millimetre refutes what follows; a tenth is followed.
+TEST(Jumps, LeaveNoStepOfABeardedVisitorUnproven) {
+  for (const double jump_mm : {0.1, 0.5})
+    for (const int at : {21, 45, 70}) {  // codes, sinusoids, sweep
+      MotionRigOptions options = OpaqueRig(23, 0);
+      options.scene = STRATALUX_SOURCE_DIR "/docs/examples/scenes/bearded.toml";
+      options.camera_width = 348;
+      options.camera_height = 260;
+      options.faults.script = {{.kind = FaultKind::kSubjectMoved, .at = at, .value = jump_mm}};
+      const auto rig = MotionRig::Create(options);
+      ASSERT_TRUE(rig.ok()) << rig.status().message();
+      const auto capture = (*rig)->Capture();
+      ASSERT_TRUE(capture.ok()) << capture.status().message();
+      std::printf("%.1f mm at %d: %d captured anew, %s\n", jump_mm, at, capture->jumps, Text(*capture).c_str());
+      EXPECT_EQ(capture->unproven, 0) << jump_mm << " mm at " << at;
+      EXPECT_EQ(capture->status, SessionStatus::kDegraded) << jump_mm << " mm at " << at;
+      EXPECT_LE(capture->jumps, 1);
+      const auto still = (*rig)->Capture();
+      ASSERT_TRUE(still.ok()) << still.status().message();
+      EXPECT_EQ(still->retried, 0) << "by one who held still";
+    }
+}
+
 }  // namespace
 }  // namespace stratalux::rig

@@ -219,6 +219,9 @@ std::map<int, Pattern> ScriptedRig::Shown() const {
 // blurred over three columns and rows, and 40 % light from the whole picture.
 Image<uint16_t> ScriptedRig::Expose() const {
   Image<float> sum(kCameraWidth, kCameraHeight, 1, 0.0F);
+  int moved = 0;
+  for (const auto& [trigger, pixels] : jumps)
+    if (camera_triggers > trigger) moved += pixels;
   const double lamp = 1.0 + lamp_drift * static_cast<double>(camera_triggers);
   for (const auto& [p, pattern] : Shown()) {
     Image<float> picture = pattern.Render(width_, height_);
@@ -229,13 +232,13 @@ Image<uint16_t> ScriptedRig::Expose() const {
     mean /= static_cast<double>(picture.size());
     for (int y = 0; y < kCameraHeight; ++y)
       for (int x = 0; x < kCameraWidth; ++x) {
-        const int column = static_cast<int>((x + 0.05 * y) * 0.9 * width_ / kCameraWidth) + p;
+        const int column = static_cast<int>((x + 0.05 * y) * 0.9 * width_ / kCameraWidth) + p + moved / 8;
         const int row = static_cast<int>((y + 0.03 * x) * 0.9 * height_ / kCameraHeight);
         double near = 0.0;
         for (int dy = -1; dy <= 1; ++dy)
           for (int dx = -1; dx <= 1; ++dx)
             near += picture(std::clamp(column + dx, 0, width_ - 1), std::clamp(row + dy, 0, height_ - 1)) / 9.0;
-        const double albedo = 0.6 + 0.3 * std::sin(0.05 * x) * std::cos(0.07 * y);
+        const double albedo = 0.6 + 0.3 * std::sin(0.05 * (x - moved)) * std::cos(0.07 * y);
         sum(x, y) += static_cast<float>(lamp * kWhiteDn * albedo * (0.6 * near + 0.4 * mean));
       }
   }

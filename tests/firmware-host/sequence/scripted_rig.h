@@ -42,7 +42,10 @@ class ScriptedRig {
   // By running number of the camera trigger, and of the pulse of one projector, from 0.
   std::map<int64_t, CameraTrouble> camera_trouble;
   std::map<std::pair<int, int64_t>, ProjectorTrouble> projector_trouble;  // (projector, pulse)
-  int preroll_offset = 0;   // frames by which every memory starts too late (> 0) or too early
+  int preroll_offset = 0;  // frames by which every memory starts too late (> 0) or too early
+  // By camera trigger: camera pixels by which the subject jumps to the right. Each sees one column more for every
+  // eight.
+  std::map<int64_t, int> jumps;
   double lamp_drift = 0.0;  // relative change of all light per camera trigger
   int64_t camera_dead_from = -1;
   ClockSource clock = ClockSource::kSimulated;

@@ -130,6 +130,16 @@ void AddSlowFrames(const SoakOptions& options, FaultOptions& faults) {
   }
 }
 
+void AddJumps(const SoakOptions& options, FaultOptions& faults) {
+  constexpr int64_t kExposures = 2000;  // more than a capture with its retakes has
+  for (int64_t number = 0; number < kExposures; ++number) {
+    Random random(options.faults.seed, (uint64_t{1} << 41) + static_cast<uint64_t>(number));
+    if (random.Uniform() >= options.jump_rate) continue;
+    const double size_mm = random.Uniform(1.0, 6.0);
+    faults.script.push_back({FaultKind::kSubjectMoved, number, 1, random.Uniform() < 0.5 ? size_mm : -size_mm});
+  }
+}
+
 }  // namespace
 
 PlanOptions SmallPlan() {
@@ -169,6 +179,7 @@ SoakCapture CaptureOnce(const SoakOptions& options) {
     if (delays.ok()) sequencer.shooter.learnt = DeadlinesFrom(*delays, sequencer.shooter.sync_deadline);
   }
   AddSlowFrames(options, rig_options.faults);
+  AddJumps(options, rig_options.faults);
   const auto rig = SimulatedRig::Create(rig_options, logger);
   EXPECT_TRUE(rig.ok()) << rig.status().message();
   if (options.overlapped) {

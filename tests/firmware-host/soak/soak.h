@@ -25,6 +25,8 @@ struct SoakOptions {
   // Chance that an exposure's frame comes 10 to 80 ms late (by its own time it does not), beyond or within the
   // deadline.
   double slow_rate = 0.0;
+  // Chance that the subject jumps by 1 to 6 mm sideways before an exposure.
+  double jump_rate = 0.0;
 };
 
 // 64x48 projectors, 4 of them, all phases: 196 frames.

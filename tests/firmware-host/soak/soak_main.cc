@@ -36,6 +36,7 @@ int Main(int argc, char** argv) {
   app.add_flag("--overlapped", base.overlapped, "the camera exposes while it reads out");
   app.add_flag("--learnt", base.learnt, "by the deadlines that a selftest learnt");
   app.add_option("--slow-rate", base.slow_rate, "chance of a frame that comes 10 to 80 ms late");
+  app.add_option("--jump-rate", base.jump_rate, "chance of a subject that jumps by 1 to 6 mm");
   app.add_flag("--clean", clean, "no faults");
   app.add_option("--first", first, "number of the first capture: one that --verbose named is repeated by it");
   app.add_flag("--verbose", verbose, "each capture that went wrong");
