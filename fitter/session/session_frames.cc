@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <ranges>
 #include <set>
+#include <utility>
 
 #include "db/base/own_hash.h"
 #include "db/catalogue/pixel_digest.h"
@@ -15,6 +17,23 @@ namespace stratalux::fit {
 namespace {
 
 constexpr size_t kReadAtATime = 8;  // frames of a mean, held at once
+
+// Takes out of `rows` what counts no more: of a step that was shot again, all before its last good frame.
+std::vector<db::FrameRow> TakeReplaced(std::vector<db::FrameRow>& rows) {
+  std::set<std::pair<int, int>> taken_again;  // pose, step
+  std::vector<db::FrameRow> counting, replaced;
+  for (db::FrameRow& row : std::views::reverse(rows)) {
+    const FrameRecord& r = row.record;
+    const std::pair place(r.pose, r.step);
+    const bool counts = !taken_again.contains(place);
+    if (r.retry > 0 && r.level_check != LevelCheck::kFailed) taken_again.insert(place);
+    (counts ? counting : replaced).push_back(std::move(row));
+  }
+  std::ranges::reverse(counting);
+  std::ranges::reverse(replaced);
+  rows = std::move(counting);
+  return replaced;
+}
 
 }  // namespace
 
@@ -40,6 +59,7 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
     frames.UseRecord(record);
   }
   SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
+  frames.replaced_ = TakeReplaced(frames.rows_);
   frames.Index();
   return frames;
 }
@@ -55,8 +75,9 @@ void SessionFrames::Index() {
 
 void SessionFrames::KeepOnly(const ThinPlan& thin) {
   thin_ = thin;
-  std::erase_if(rows_,
-                [&](const db::FrameRow& row) { return !std::ranges::binary_search(thin.kept, row.record.step); });
+  for (std::vector<db::FrameRow>* rows : {&rows_, &replaced_})
+    std::erase_if(*rows,
+                  [&](const db::FrameRow& row) { return !std::ranges::binary_search(thin.kept, row.record.step); });
   Index();
   black_.clear();
 }
@@ -206,9 +227,11 @@ Result<Image<float>> SessionFrames::MeanWhite(int projector, int& count) const {
 std::string SessionFrames::RecordHash() const { return db::HashHex(record_ ? record_->ToJson() : std::string()); }
 
 Result<std::string> SessionFrames::FramesHash() const {
-  SLX_ASSIGN_OR_RETURN(const std::string pixels, db::PixelDigest(store_, session_, rows_));
+  std::vector<db::FrameRow> rows = rows_;
+  rows.insert(rows.end(), replaced_.begin(), replaced_.end());
+  SLX_ASSIGN_OR_RETURN(const std::string pixels, db::PixelDigest(store_, session_, rows));
   std::string all = info().id + info().plan_json + pixels;
-  for (const db::FrameRow& row : rows_) all += row.record.pattern.ToString();
+  for (const db::FrameRow& row : rows) all += row.record.pattern.ToString();
   return db::HashHex(all);
 }
 

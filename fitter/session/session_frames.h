@@ -31,7 +31,10 @@ class SessionFrames {
   [[nodiscard]] const std::optional<RigCalibration>& calibration() const { return calibration_; }
   // As the manifest has it.
   [[nodiscard]] const std::optional<RigCalibration>& record() const { return record_; }
+  // Those that count: of a step that was shot again none of before its last good frame.
   [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
+  // The others. They show where the subject was then.
+  [[nodiscard]] const std::vector<db::FrameRow>& replaced() const { return replaced_; }
   [[nodiscard]] std::vector<int> poses() const;
 
   // The last good shot (a failed level check does not count) of a pattern in exposure bracket `bracket` (0: nominal);
@@ -85,7 +88,7 @@ class SessionFrames {
   std::optional<RigCalibration> record_, calibration_;
   std::optional<FrameLineariser> lineariser_;
   std::optional<ThinPlan> thin_;
-  std::vector<db::FrameRow> rows_;
+  std::vector<db::FrameRow> rows_, replaced_;
   std::map<std::string, size_t> by_key_;
   mutable std::vector<db::SessionStore> readers_;  // of ReadAll's other threads
   mutable std::map<int, Image<float>> black_;      // by projector

@@ -2,6 +2,7 @@
 #include "fitter/stages/motion.h"
 
 #include <algorithm>
+#include <optional>
 
 #include "fitter/motion/carried.h"
 #include "fitter/session/quad_signal.h"
@@ -17,13 +18,24 @@ bool IsWhite(const FrameRecord& record, int projector) {
          record.level_check != LevelCheck::kFailed;
 }
 
-// Of a projector, by time.
-std::vector<const db::FrameRow*> WhitesOf(const SessionFrames& frames, int projector) {
+// Of a projector, by time. Also those that a jump had shot again, which alone saw the head jump; but none from before
+// `reference`.
+std::vector<const db::FrameRow*> WhitesOf(const SessionFrames& frames, int projector, MonotonicNs reference) {
   std::vector<const db::FrameRow*> whites;
-  for (const db::FrameRow& row : frames.rows())
-    if (IsWhite(row.record, projector)) whites.push_back(&row);
+  for (const auto* rows : {&frames.rows(), &frames.replaced()})
+    for (const db::FrameRow& row : *rows)
+      if (IsWhite(row.record, projector) && row.record.trigger_time >= reference) whites.push_back(&row);
   std::ranges::sort(whites, {}, [](const db::FrameRow* row) { return row->record.trigger_time; });
   return whites;
+}
+
+// Of the first white that counts; nullopt: there is none.
+std::optional<MonotonicNs> ReferenceTime(const SessionFrames& frames, int projectors) {
+  std::optional<MonotonicNs> first;
+  for (const db::FrameRow& row : frames.rows())
+    for (int p = 0; p < projectors; ++p)
+      if (IsWhite(row.record, p) && (!first || row.record.trigger_time < *first)) first = row.record.trigger_time;
+  return first;
 }
 
 double MeanMoment(const SessionFrames& frames, const FaceMotion& motion, int projector, CapturePhase phase) {
@@ -89,16 +101,17 @@ std::vector<double> Numbers(const SmallMotion& motion) {
 Result<FaceMotion> FindMotion(const SessionFrames& frames, std::span<const DecodedMap> decoded,
                               const SurfaceMap& surface, std::span<const Image<uint8_t>> lit) {
   FaceMotion motion;
+  const std::optional<MonotonicNs> reference = ReferenceTime(frames, static_cast<int>(lit.size()));
+  if (!reference) return motion;
+  motion.reference = *reference;
   std::vector<std::vector<const db::FrameRow*>> whites;
   std::vector<size_t> order;
   for (size_t p = 0; p < lit.size(); ++p) {
-    whites.push_back(WhitesOf(frames, static_cast<int>(p)));
+    whites.push_back(WhitesOf(frames, static_cast<int>(p), *reference));
     if (!whites.back().empty()) order.push_back(p);
   }
   const auto first_of = [&](size_t p) { return whites[p].front()->record.trigger_time; };
   std::ranges::sort(order, {}, first_of);
-  if (order.empty()) return motion;
-  motion.reference = first_of(order.front());
   for (int p = 0; p < static_cast<int>(lit.size()); ++p)
     motion.projectors.push_back({MeanMoment(frames, motion, p, CapturePhase::kCorrespondence),
                                  MeanMoment(frames, motion, p, CapturePhase::kSeparation),

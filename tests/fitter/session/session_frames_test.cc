@@ -5,6 +5,9 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -99,6 +102,29 @@ TEST_F(SessionFramesTest, OnlyWhatIsKeptIsKnown) {
   EXPECT_TRUE(frames.MeanBlack(1).ok());
   EXPECT_EQ(frames.MeanWhite(1, count).status().code(), StatusCode::kNotFound);
   EXPECT_NE(*frames.FramesHash(), *all);
+}
+
+TEST_F(SessionFramesTest, OfAStepShotAgainTheLastGoodFrameCounts) {
+  db::SessionStore store = OpenStore();
+  auto writer = store.BeginSession(db::SimulatedVisit());
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  using Shot = std::tuple<int, int, LevelCheck>;  // step, retry
+  for (const auto& [step, retry, check] :
+       {Shot{0, 0, LevelCheck::kPassed}, Shot{1, 0, LevelCheck::kPassed}, Shot{2, 0, LevelCheck::kFailed},
+        Shot{0, 1, LevelCheck::kPassed}, Shot{1, 1, LevelCheck::kFailed}, Shot{2, 1, LevelCheck::kNotChecked}}) {
+    FrameRecord record = db::RecordFor(step, PixelFormat::kMono12, 6, 4);
+    record.trigger_number += 10 * retry;
+    record.driver_sequence += 10 * retry;
+    record.retry = retry;
+    record.level_check = check;
+    ASSERT_TRUE(writer->Append(record, db::PixelsFor(record).view()).ok());
+  }
+  ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded).ok());
+  std::vector<std::pair<int, int>> counting;
+  const SessionFrames frames = Open(writer->info().id);
+  for (const db::FrameRow& row : frames.rows())
+    if (row.record.level_check != LevelCheck::kFailed) counting.emplace_back(row.record.step, row.record.retry);
+  EXPECT_THAT(counting, ::testing::ElementsAre(std::pair(1, 0), std::pair(0, 1), std::pair(2, 1)));
 }
 
 TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
