@@ -98,12 +98,14 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
                      sigma = Exr(folder / "depth_sigma.exr", {"Y"}), mask = Exr(folder / "masks.exr", {"surface"}),
                      skin = Exr(folder / "skin.exr", {"skin"}), skin_out = Exr(out / "skin.exr", {"skin"}),
                      fused = Exr(folder / "normal_fused.exr", {"X", "Y", "Z"}), depth = Exr(out / "depth.exr", {"Z"}),
-                     normal = Exr(out / "normal.exr", {"X", "Y", "Z"});
+                     normal = Exr(out / "normal.exr", {"X", "Y", "Z"}),
+                     diffuse = Exr(folder / "normal_diffuse.exr", {"R.X", "G.Y", "B.Z"}),
+                     diffuse_out = Exr(out / "normal.exr", {"R.X", "G.Y", "B.Z"});
   const fit::PlyRead mesh = fit::ReadPly(out / "mesh.ply"), cloud = fit::ReadPly(out / "cloud.ply"),
                      stored = fit::ReadPly(folder / "mesh.ply");
   const fit::GlbRead glb = fit::ReadGlb(out / "mesh.glb");
   EXPECT_EQ(mesh.faces, stored.faces);
-  WriteText(folder_ / "normals.png", glb.normal_png);
+  WriteText(folder_ / "normals.png", glb.coat_normal_png);
   const auto texture = ReadPng(folder_ / "normals.png", nullptr);
   ASSERT_TRUE(texture.ok()) << texture.status().message();
   size_t v = 0, of_skin = 0, shaded_as_fused = 0;
@@ -122,6 +124,7 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
       if (std::isfinite(fused(i, j, 0))) {
         EXPECT_NEAR(normal(i, j, 0), fused(i, j, 0), 1e-6);
       }
+      for (int c = 0; c < 3; ++c) EXPECT_EQ(diffuse_out(i, j, c), diffuse(i, j, c));
       const Eigen::Vector3d turned(normal(i, j, 0), -normal(i, j, 1), -normal(i, j, 2));
       shaded_as_fused += turned.dot(fit::ShadedNormal(glb, *texture, v)) > std::cos(0.5 * M_PI / 180.0) ? 1 : 0;
       const auto& c = cloud.columns;

@@ -58,21 +58,27 @@ class NormalTextureFile : public ScratchFolderTest {
   void SetUp() override {
     ASSERT_TRUE(WriteSurface(folder_, bumpy_, {ExportFormat::kGlb}, [](const std::string&) {}).ok());
     glb_ = ReadGlb(folder_ / "mesh.glb");
-    WriteText(folder_ / "normals.png", glb_.normal_png);
+    texture_ = Texture(glb_.normal_png);
+  }
+  [[nodiscard]] Image<uint16_t> Texture(const std::string& png) const {
+    WriteText(folder_ / "normals.png", png);
     int bits = 0;
     auto texture = ReadPng(folder_ / "normals.png", &bits);
-    ASSERT_TRUE(texture.ok()) << texture.status().message();
-    ASSERT_EQ(bits, 8);
-    texture_ = std::move(*texture);
-    ASSERT_EQ(texture_.channels(), 3);
+    EXPECT_TRUE(texture.ok()) << texture.status().message();
+    EXPECT_EQ(bits, 8);
+    EXPECT_EQ(texture->channels(), 3);
+    return std::move(*texture);
   }
   static Eigen::Vector3d VectorOf(const std::array<float, 3>& v) { return {v[0], v[1], v[2]}; }
   // The worst angle to the photometric normal, degrees, turned as glTF has it: x, -y, -z.
   [[nodiscard]] double WorstAngle_deg(const GlbRead& glb, const Image<uint16_t>& texture) const {
+    return WorstAngle_deg(glb, texture, bumpy_.surface);
+  }
+  static double WorstAngle_deg(const GlbRead& glb, const Image<uint16_t>& texture, const SurfaceMap& surface) {
     double worst_rad = 0.0;
     for (size_t v = 0; v < glb.positions.size(); ++v) {
       const int i = static_cast<int>(v) % kBumpyWidth, j = static_cast<int>(v) / kBumpyWidth;
-      const Eigen::Vector3d n = bumpy_.surface.Normal(i, j), expected(n.x(), -n.y(), -n.z());
+      const Eigen::Vector3d n = surface.Normal(i, j), expected(n.x(), -n.y(), -n.z());
       worst_rad = std::max(worst_rad, std::acos(std::clamp(expected.dot(ShadedNormal(glb, texture, v)), -1.0, 1.0)));
     }
     return worst_rad * 180.0 / std::numbers::pi;
@@ -137,6 +143,37 @@ TEST_F(NormalTextureFile, IsNotThereWithoutPhotometricNormals) {
   EXPECT_THAT(glb.normal_png, IsEmpty());
   EXPECT_THAT(glb.tangents, IsEmpty());
   EXPECT_FALSE(glb.json["materials"][0].contains("normalTexture"));
+}
+
+// A coat by the surface's normals on a base by those of light that scattered, of green light.
+TEST_F(NormalTextureFile, GivesBothNormalsBackWhereBothAreKnown) {
+  ExportedSurface both = bumpy_;
+  both.coat = 0.7;
+  both.roughness = 0.55;
+  both.diffuse_normal = Image<float>(kBumpyWidth, kBumpyHeight, 9);
+  SurfaceMap softer = bumpy_.surface;
+  for (int j = 0; j < kBumpyHeight; ++j)
+    for (int i = 0; i < kBumpyWidth; ++i) {
+      const Eigen::Vector3d own(both.own_normal(i, j, 0), both.own_normal(i, j, 1), both.own_normal(i, j, 2));
+      const Eigen::Vector3d half = (own + bumpy_.surface.Normal(i, j)).normalized();
+      for (int k = 0; k < 3; ++k) {
+        both.diffuse_normal(i, j, k) = both.own_normal(i, j, k);
+        both.diffuse_normal(i, j, 3 + k) = softer.normal(i, j, k) = static_cast<float>(half[k]);
+        both.diffuse_normal(i, j, 6 + k) = bumpy_.surface.normal(i, j, k);
+      }
+    }
+  ASSERT_TRUE(WriteSurface(folder_, both, {ExportFormat::kGlb}, [](const std::string&) {}).ok());
+  const GlbRead glb = ReadGlb(folder_ / "mesh.glb");
+  EXPECT_THAT(FaultsOf(glb), IsEmpty());
+  EXPECT_LE(WorstAngle_deg(glb, Texture(glb.normal_png), softer), 0.5);
+  EXPECT_LE(WorstAngle_deg(glb, Texture(glb.coat_normal_png)), 0.5);
+  EXPECT_GT(WorstAngle_deg(glb, Texture(glb.normal_png)), 5.0) << "they are not the same";
+  const auto& extensions = glb.json["materials"][0]["extensions"];
+  EXPECT_EQ(extensions["KHR_materials_clearcoat"]["clearcoatFactor"], 0.7);
+  EXPECT_EQ(extensions["KHR_materials_clearcoat"]["clearcoatRoughnessFactor"], 0.55);
+  EXPECT_EQ(extensions["KHR_materials_specular"]["specularFactor"], 0.0);
+  EXPECT_EQ(glb.json["extensionsUsed"].size(), 2U);
+  EXPECT_FALSE(glb.json.contains("extensionsRequired")) << "a viewer that knows neither shows the base";
 }
 
 // Two triangles of a unit square that faces +z, its picture upright, turned by a right angle, and mirrored.

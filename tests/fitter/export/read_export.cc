@@ -141,6 +141,9 @@ GlbRead ReadGlb(const std::filesystem::path& file) {
   const auto& material = glb.json.at("materials").at(0);
   glb.png = TextureOf(glb.json, binary, material.at("pbrMetallicRoughness"), "baseColorTexture");
   glb.normal_png = TextureOf(glb.json, binary, material, "normalTexture");
+  if (material.contains("extensions"))
+    glb.coat_normal_png =
+        TextureOf(glb.json, binary, material.at("extensions").at("KHR_materials_clearcoat"), "clearcoatNormalTexture");
   return glb;
 }
 

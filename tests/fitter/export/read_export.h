@@ -30,7 +30,7 @@ struct GlbRead {
   std::vector<std::array<float, 2>> uv;        // empty: none
   std::vector<std::array<float, 4>> tangents;  // empty: none
   std::vector<std::array<uint32_t, 3>> triangles;
-  std::string png, normal_png;  // bytes of the embedded pictures, base colour and normals; empty: none
+  std::string png, normal_png, coat_normal_png;  // bytes of the embedded pictures; empty: none
 };
 [[nodiscard]] GlbRead ReadGlb(const std::filesystem::path& file);
 
