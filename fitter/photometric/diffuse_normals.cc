@@ -45,16 +45,17 @@ class Gatherer {
     const double half_mm = 0.5 * std::sqrt(area_mm2_(i, j));
     const Image<float>& smoothing = surface_.smoothing_quads;
     const double blurred_mm = smoothing.empty() ? 0.0 : 2.0 * half_mm * smoothing(i, j);
-    const double within_quad = light(i, j, colour, 2.0 * half_mm / std::sqrt(std::numbers::pi), blurred_mm);
-    if (!std::isfinite(within_quad)) return own;
-    // At radii of k halves; ring k lies between those around it, of area pi half^2 ((k + 1)^2 - (k - 1)^2).
-    std::array<double, kHalves + 2> enclosed{}, density{};
-    int last = 0;
-    while (last <= kHalves && (last == 0 || enclosed[last] < kShare)) {
-      ++last;
-      enclosed[last] = light(i, j, colour, last * half_mm, blurred_mm);
-    }
-    density[0] = within_quad / area_mm2_(i, j);
+    // At radii of k halves; ring k lies between those around it, of area pi half^2 ((k + 1)^2 - (k - 1)^2). First the
+    // disc of the quad's own area.
+    std::array<double, kHalves + 3> radii_mm, shares;
+    radii_mm[0] = 2.0 * half_mm / std::sqrt(std::numbers::pi);
+    for (int k = 0; k < kHalves + 2; ++k) radii_mm[k + 1] = k * half_mm;
+    if (!light(i, j, colour, blurred_mm, radii_mm, shares)) return own;
+    const std::span<const double> enclosed = std::span(shares).subspan(1);
+    int last = 1;
+    while (last <= kHalves && enclosed[last] < kShare) ++last;
+    std::array<double, kHalves + 2> density{};
+    density[0] = shares[0] / area_mm2_(i, j);
     for (int k = 1; k < last; ++k)
       density[k] = (enclosed[k + 1] - enclosed[k - 1]) / (4.0 * std::numbers::pi * k * half_mm * half_mm);
     const double reach_mm = (last - 1) * half_mm;

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <functional>
+#include <span>
 
 #include "fitter/reconstruction/surface_map.h"
 #include "shared/base/result.h"
@@ -11,9 +12,11 @@
 
 namespace stratalux::fit {
 
-// The share of the light that leaves quad (i, j) in a colour which came in within so many mm of it, 0 .. 1, but for a
-// Gaussian blur of `blurred_mm` that what it is to blur has had; NaN where nothing is known to scatter.
-using EnclosedLight = std::function<double(int i, int j, int colour, double radius_mm, double blurred_mm)>;
+// For each radius in mm the share, 0 .. 1, of the light that leaves quad (i, j) in a colour which came in within so
+// much of it, but for a Gaussian blur of `blurred_mm` that what it is to blur has had. False: nothing is known to
+// scatter.
+using EnclosedLight = std::function<bool(int i, int j, int colour, double blurred_mm, std::span<const double> radii_mm,
+                                         std::span<double> shares)>;
 
 // Of each quad x of the surface and each colour c, to unit length,
 //   n_c(x) ~ sum_y A(y) rho_c(|t|) n(y),   t = y - x laid across n(x)

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/diffuse_normals.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -38,19 +40,32 @@ class Saturation {
 
 Result<Image<float>> FilterNormals(const FaceShape& shape, const Image<float>& specular, const FittedLayers& layers) {
   const MixtureMap& map = layers.map;
-  const EnclosedLight light = [&](int i, int j, int colour, double radius_mm, double blurred_mm) -> double {
-    const int64_t profile = map.ProfileOfQuad(i, j, colour, layers.pool);
-    if (profile < 0 || !map.Fitted(profile)) return std::nan("");
+  const EnclosedLight light = [&](int i, int j, int colour, double blurred_mm, std::span<const double> radii_mm,
+                                  std::span<double> shares) {
     static const Saturation kSaturation;
-    float within = 0.0F, all = 0.0F;
-    const auto half_r2 = static_cast<float>(0.5 * radius_mm * radius_mm),
-               blurred_mm2 = static_cast<float>(blurred_mm * blurred_mm);
+    const int64_t profile = map.ProfileOfQuad(i, j, colour, layers.pool);
+    if (profile < 0 || !map.Fitted(profile)) return false;
+    const auto blurred_mm2 = static_cast<float>(blurred_mm * blurred_mm);
+    std::fill(shares.begin(), shares.end(), 0.0);
+    double all = 0.0, skin = 0.0, left = 0.0;  // of a wave of 1 / blurred_mm: what the skin leaves, what is left here
     for (int64_t l = profile * map.layers; l < (profile + 1) * map.layers; ++l) {
-      const float left_mm2 = map.sigma_mm[l] * map.sigma_mm[l] - blurred_mm2;
-      within += map.weight[l] * (left_mm2 > 0.0F ? kSaturation(half_r2 / left_mm2) : 1.0F);
-      all += map.weight[l];
+      const float weight = map.weight[l], of_skin_mm2 = map.sigma_mm[l] * map.sigma_mm[l],
+                  left_mm2 = std::max(0.0F, of_skin_mm2 - blurred_mm2);
+      all += weight;
+      if (blurred_mm2 > 0.0F) {
+        skin += weight * std::exp(-0.5F * of_skin_mm2 / blurred_mm2);
+        left += weight * std::exp(-0.5F * left_mm2 / blurred_mm2);
+      }
+      for (size_t k = 0; k < shares.size(); ++k) {
+        const auto half_r2 = static_cast<float>(0.5 * radii_mm[k] * radii_mm[k]);
+        shares[k] += weight * (left_mm2 > 0.0F ? kSaturation(half_r2 / left_mm2) : 1.0F);
+      }
     }
-    return within / all;
+    // What layers narrower than the blur have too much of it, the others are to have too little.
+    const double scattered = all > left ? std::clamp((all - std::exp(0.5) * skin) / (all - left), 0.0, 1.0) : 0.0;
+    const double of_all = blurred_mm2 > 0.0F ? scattered : 1.0;
+    for (double& share : shares) share = 1.0 - of_all + of_all * share / all;
+    return true;
   };
   return DiffuseNormals(shape.surface, specular, map.channels, light, shape.record.camera);
 }

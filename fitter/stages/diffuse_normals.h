@@ -15,7 +15,8 @@ namespace stratalux::fit {
 inline constexpr int kDiffuseNormalsVersion = 1;
 
 // `specular`: W x H x 3, FaceNormals::fused. As DiffuseNormals, rho being the mean of the layers' Gaussians, each as
-// heavy as its layer and narrower by what smoothing has blurred the surface already.
+// heavy as its layer and narrower by the blur s that smoothing has done to the surface; of that mean as much as makes
+// the blur of a wave of 1 / s, the finest that such a surface shows, the skin's, and the rest is the quad's own.
 [[nodiscard]] Result<Image<float>> FilterNormals(const FaceShape& shape, const Image<float>& specular,
                                                  const FittedLayers& layers);
 

@@ -97,8 +97,8 @@ TEST_F(Visitor, ShapeAgreesWithTheSimulatedTruth) {
   }
 }
 
-// Beside each diffuse normal the specular one in its place. Red light spreads furthest; green and blue ones no further
-// than the surface is blurred by its codes.
+// Beside each diffuse normal the specular one in its place. By day a quad is wider than light spreads: there is nothing
+// to filter; of the figures' size red light spreads further.
 TEST_F(Visitor, TwoNormalsAgreeWithTheSimulatedTruth) {
   const Json& normals = metrics_["normals"];
   EXPECT_LT(normals["specular"]["median_deg"].get<double>(), 1.5);
@@ -106,10 +106,9 @@ TEST_F(Visitor, TwoNormalsAgreeWithTheSimulatedTruth) {
   ASSERT_EQ(normals["diffuse"].size(), 3U);
   for (const Json& colour : normals["diffuse"]) {
     const double median = colour["filtered"]["median_deg"], unfiltered = colour["unfiltered"]["median_deg"];
-    EXPECT_LT(median, Bound(0.5, 0.8)) << colour;
-    EXPECT_LT(median, colour["colour"] == "R" ? unfiltered : 1.1 * unfiltered) << colour;
+    EXPECT_LT(median, 0.5) << colour;
+    EXPECT_LT(median, (colour["colour"] == "R" ? Bound(0.95, 1.05) : 1.05) * unfiltered) << colour;
     EXPECT_GT(colour["filtered"]["quads"], 0.5 * metrics_["truth"]["pixels"].get<double>()) << colour;
-    EXPECT_NEAR(colour["width_mm"].get<double>() / colour["true_width_mm"].get<double>(), 1.2, 0.4) << colour;
   }
   EXPECT_TRUE(fs::exists(fit_ / "normal_diffuse.exr"));
 }

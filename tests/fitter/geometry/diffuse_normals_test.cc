@@ -51,9 +51,20 @@ Eigen::Vector3d At(const Image<float>& normals, int i, int j, int colour = 0) {
   return {normals(i, j, 3 * colour), normals(i, j, 3 * colour + 1), normals(i, j, 3 * colour + 2)};
 }
 
-// A Gaussian of as many mm.
+// Gaussians of as many mm.
+double Within(double width_mm, double radius_mm) { return -std::expm1(-0.5 * std::pow(radius_mm / width_mm, 2)); }
+
+// share(i, j, colour, radius_mm)
+template <typename Share>
+EnclosedLight LightOf(const Share& share) {
+  return [=](int i, int j, int colour, double, std::span<const double> radii_mm, std::span<double> shares) {
+    for (size_t k = 0; k < shares.size(); ++k) shares[k] = share(i, j, colour, radii_mm[k]);
+    return std::isfinite(shares[0]);
+  };
+}
+
 EnclosedLight Gaussian(double width_mm) {
-  return [=](int, int, int, double radius_mm, double) { return -std::expm1(-0.5 * std::pow(radius_mm / width_mm, 2)); };
+  return LightOf([=](int, int, int, double radius_mm) { return Within(width_mm, radius_mm); });
 }
 
 void Set(Image<float>& normals, int i, int j, const Eigen::Vector3d& n) {
@@ -75,15 +86,10 @@ TEST(DiffuseNormals, FilterAWaveAsAGaussianDoes) {
         for (int i = 0; i < kWidth; ++i)
           Set(scene.normal, i, j, (out + kTilt * std::cos(phase(i, j)) * along).normalized());
       // The second colour's light: half of it narrow, half wide.
-      const auto mean = [&](double radius_mm) {
-        return 0.5 * (Gaussian(0.7)(0, 0, 0, radius_mm, 0) + Gaussian(1.8)(0, 0, 0, radius_mm, 0));
-      };
-      const auto diffuse = DiffuseNormals(
-          scene.surface, scene.normal, 2,
-          [&](int i, int j, int colour, double radius_mm, double) {
-            return colour == 0 ? Gaussian(1.3)(i, j, 0, radius_mm, 0) : mean(radius_mm);
-          },
-          Camera());
+      const EnclosedLight light = LightOf([](int, int, int colour, double radius_mm) {
+        return colour == 0 ? Within(1.3, radius_mm) : 0.5 * (Within(0.7, radius_mm) + Within(1.8, radius_mm));
+      });
+      const auto diffuse = DiffuseNormals(scene.surface, scene.normal, 2, light, Camera());
       ASSERT_TRUE(diffuse.ok());
       ASSERT_EQ(diffuse->channels(), 6);
       for (const int colour : {0, 1}) {
@@ -130,12 +136,10 @@ TEST(DiffuseNormals, AreTheSurfacesOwnWhereNothingScattersAndNoneOffIt) {
   Scene scene = PlaneFacing({0, 0, -1});
   scene.surface.mask(5, 5) = 0;
   Set(scene.normal, 60, 60, Eigen::Vector3d(0.2, 0.1, -1).normalized());
-  const EnclosedLight light = [](int i, int j, int, double radius_mm, double) {
+  const EnclosedLight light = LightOf([](int i, int j, int, double radius_mm) {
     if (j != 60 || i < 61 || i > 63) return std::nan("");
-    return Gaussian(i == 61   ? 1e-9
-                    : i == 62 ? 0.01
-                              : 1e6)(0, 0, 0, radius_mm, 0);  // far below a quad, beyond the picture
-  };
+    return Within(i == 61 ? 1e-9 : i == 62 ? 0.01 : 1e6, radius_mm);  // far below a quad, beyond the picture
+  });
   const auto diffuse = DiffuseNormals(scene.surface, scene.normal, 1, light, Camera());
   ASSERT_TRUE(diffuse.ok());
   EXPECT_EQ(At(*diffuse, 60, 60), At(scene.normal, 60, 60));
