@@ -199,7 +199,7 @@ bool CaptureRun::LacksCode(const PlanStep& step) const {
 
 bool CaptureRun::RetakeReference(const std::vector<int>& refuted) {
   const PlanStep& last = plan_.steps[refuted.back()];
-  if (retries_[last.index] == 0 || last.phase == CapturePhase::kReference || !witness_.ReferenceStandsAlone())
+  if (RetriesOf(last.index) == 0 || last.phase == CapturePhase::kReference || !witness_.ReferenceStandsAlone())
     return false;
   const std::vector<int> steps = StepsOf(last.projector);
   const auto reference = std::find_if(steps.begin(), steps.end(), [this](int step) {

@@ -27,21 +27,23 @@ Result<bool> CaptureRun::AskReference() {
   }
   // Where the memory stands, nothing has told.
   LoseMemory();
-  PatternWitness::ReferenceAgain again;
+  std::optional<Finding> jump;
   if (!shots.empty())
-    again = witness_.FindJump(plan_.steps[reference[0]], shots[0].pixels, plan_.steps[reference[1]], shots[1].pixels);
+    jump = witness_.FindJump(plan_.steps[reference[0]], shots[0].pixels, plan_.steps[reference[1]], shots[1].pixels);
   for (Shot& shot : shots) {
-    shot.record.level_check = again.proven ? LevelCheck::kPassed : LevelCheck::kFailed;
+    // Without a jump the reference of before stands, by which all else was judged.
+    shot.record.level_check = jump ? LevelCheck::kPassed : LevelCheck::kFailed;
+    shot.record.retake_cause = ToString(jump ? ShotFault::kSubjectMoved : ShotFault::kWrongLevel);
     SLX_RETURN_IF_ERROR(Emit(std::move(shot)));
   }
-  if (!again.jump) {
+  if (!jump) {
     SLX_RETURN_IF_ERROR(TellWhite(failed));
     return false;
   }
   logger_.Warning(Describe(failed.index) + ": the subject jumped; the projector is captured anew");
   NoteFault(failed.index, ShotFault::kSubjectMoved);
-  again.jump->step = failed.index;
-  SLX_RETURN_IF_ERROR(Add(*again.jump));
+  jump->step = failed.index;
+  SLX_RETURN_IF_ERROR(Add(*jump));
   return true;
 }
 
@@ -64,7 +66,6 @@ Result<std::vector<Shot>> CaptureRun::ShootReferenceAgain(const std::vector<int>
       SLX_RETURN_IF_ERROR(CountUseless());
       return std::vector<Shot>();
     }
-    shot.record.retake_cause = ToString(ShotFault::kWrongLevel);
     shots.push_back(std::move(shot));
   }
   useless_shots_ = 0;
@@ -85,11 +86,24 @@ Status CaptureRun::StartAgain(int projector) {
     asked_.erase(step);
     given_up_.erase(step);
     wrong_level_.erase(step);
+    told_whites_.erase(step);
     if (!retries_.contains(step)) continue;  // not begun yet
     Retake(step, ShotFault::kSubjectMoved);
     retries_from_[step] = retries_[step];
   }
   pending_.clear();  // the blocks fill it
+  return Status::Ok();
+}
+
+Status CaptureRun::CheckAllProvenAnew(int projector) {
+  for (const int step : StepsOf(projector)) {
+    const bool proven = proven_.contains(step) && !wrong_level_.contains(step);
+    // A motion white is of its own moment, whichever.
+    if (proven || !retries_from_.contains(step) || plan_.steps[step].phase == CapturePhase::kMotion) continue;
+    return EndFor(
+        {FindingKind::kNoProof, projector, step, 0.0, 0.0,
+         "after a jump of the subject this step was not proven anew; its frame of before is of another place"});
+  }
   return Status::Ok();
 }
 

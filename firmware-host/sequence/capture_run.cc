@@ -213,18 +213,21 @@ Status CaptureRun::RunProjector(int projector) {
     return phase == CapturePhase::kSweep || phase == CapturePhase::kMotion;
   });
   projector_begun_ = devices_.light.Now();
+  bool begun_anew = false;
   for (bool done = false; !done;) {
     SLX_ASSIGN_OR_RETURN(BlockEnd end, ShootBlock({steps.begin(), sweep}));
     if (end == BlockEnd::kDone) {
       SLX_ASSIGN_OR_RETURN(end, ShootBlock({sweep, steps.end()}));
     }
     done = end == BlockEnd::kDone;
-    if (!done) SLX_RETURN_IF_ERROR(StartAgain(projector));
+    if (done) break;
+    begun_anew = true;
+    SLX_RETURN_IF_ERROR(StartAgain(projector));
   }
   RefuteUnborneCodes(steps);
   SLX_RETURN_IF_ERROR(SetLight(projector, false));
   for (Finding& finding : witness_.CheckProjector()) SLX_RETURN_IF_ERROR(Add(std::move(finding)));
-  return Status::Ok();
+  return begun_anew ? CheckAllProvenAnew(projector) : Status::Ok();
 }
 
 Status CaptureRun::LoadFrom(int step) {

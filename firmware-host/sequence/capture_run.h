@@ -34,10 +34,10 @@ class CaptureRun {
   Result<bool> ShootPreroll(const std::vector<int>& steps, int retry, std::vector<Shot>& shots);
   [[nodiscard]] PrerollReading ReadMarkers(const std::vector<Shot>& shots) const;
   Status RunProjector(int projector);
-  // Shoots the steps (whole groups, ascending); a spoilt one again before the next, those that came into doubt at the
-  // end.
   // kMoved: the subject jumped, and all of the projector's steps are to be shot again (StartAgain).
   enum class BlockEnd { kDone, kMoved };
+  // Shoots the steps (whole groups, ascending); a spoilt one again before the next, those that came into doubt at the
+  // end.
   Result<BlockEnd> ShootBlock(const std::vector<int>& block);
   // What goes on show next: where the memory stands if that step is pending, else the first that is; kNoStep: none.
   [[nodiscard]] int NextStep() const;
@@ -65,6 +65,8 @@ class CaptureRun {
   Result<std::vector<Shot>> ShootReferenceAgain(const std::vector<int>& reference);
   // As if nothing of the projector had been shot, but that retries go on counting.
   Status StartAgain(int projector);
+  // Ends the capture where a step that counted before the jump has no frame since: nothing may mix the two places.
+  Status CheckAllProvenAnew(int projector);
   // A SYNC edge nobody asked for: the projector moved on while the last frame was exposed.
   Status SpoilLast(ShotFault fault);
   // A shot that does not count: its step is shot again, or given up once it has had its retries.
@@ -97,11 +99,12 @@ class CaptureRun {
   // A motion white that will not be shot again: the rest of the projector's steps need not be waited for.
   Status TellWhite(const PlanStep& white);
   [[nodiscard]] Status WhyDark(const Status& light) const;
-  [[nodiscard]] bool RetriesLeft(int step) const {
+  // Since the projector was begun, or begun anew.
+  [[nodiscard]] int RetriesOf(int step) const {
     const auto found = retries_.find(step), from = retries_from_.find(step);
-    const int before = from == retries_from_.end() ? 0 : from->second;
-    return found == retries_.end() || found->second - before < options_.max_retries;
+    return found == retries_.end() ? 0 : found->second - (from == retries_from_.end() ? 0 : from->second);
   }
+  [[nodiscard]] bool RetriesLeft(int step) const { return RetriesOf(step) < options_.max_retries; }
   [[nodiscard]] bool AnyPending(const std::vector<int>& group) const;
   // Brings the projector's memory to where `step` comes next, in the dark.
   Status LoadFrom(int step);

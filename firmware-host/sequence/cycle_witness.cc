@@ -43,26 +43,23 @@ std::optional<Finding> PatternWitness::CheckWhite(const PlanStep& step) const {
   return finding.value > finding.limit ? std::optional(finding) : std::nullopt;
 }
 
-PatternWitness::ReferenceAgain PatternWitness::FindJump(const PlanStep& white, const Image<uint16_t>& white_pixels,
-                                                        const PlanStep& black,
-                                                        const Image<uint16_t>& black_pixels) const {
+std::optional<Finding> PatternWitness::FindJump(const PlanStep& white, const Image<uint16_t>& white_pixels,
+                                                const PlanStep& black, const Image<uint16_t>& black_pixels) const {
   // By a witness that knows of this projector what was known before its first frame.
   PatternWitness again = *this;
   again.StartProjector(projector_);
   again.Add(white, white_pixels, MeanDn(white_pixels));
   again.Add(black, black_pixels, MeanDn(black_pixels));
-  ReferenceAgain found;
-  found.proven = again.Check(black) == LevelCheck::kPassed;
-  if (!found.proven || lit_.empty()) return found;
+  if (again.Check(black) != LevelCheck::kPassed || lit_.empty()) return std::nullopt;
   const Probes& now = again.white_.probes;
   // A lamp that changed is none of the subject's doing.
   if (std::abs(MeanLevel(now) - 1.0) > options_.steady_tolerance || JudgeWhite(now) != Testimony::kRefutes)
-    return found;
+    return std::nullopt;
   const Stillness stillness = StillnessOf(now, white_now_);
-  found.jump = Finding{.kind = FindingKind::kMoved, .projector = projector_};
-  found.jump->value = stillness.rms;
-  found.jump->limit = std::hypot(options_.moved_tolerance, stillness.noise);
-  return found;
+  Finding jump{.kind = FindingKind::kMoved, .projector = projector_};
+  jump.value = stillness.rms;
+  jump.limit = std::hypot(options_.moved_tolerance, stillness.noise);
+  return jump;
 }
 
 void PatternWitness::CheckWhites(std::vector<Finding>& findings) const {

@@ -95,14 +95,11 @@ class PatternWitness {
   // Each frame of the step's group shows what the shot before it of the same step showed, within noise: what refutes it
   // is no fault of a single frame.
   [[nodiscard]] bool FailsAsBefore(const PlanStep& step) const;
-  // The reference of this projector, shot again in the midst of its steps. `proven`: by all that is asked of a
-  // reference. `jump`: it is, its light is what it was, and the white before refutes it.
-  struct ReferenceAgain {
-    bool proven = false;
-    std::optional<Finding> jump;
-  };
-  [[nodiscard]] ReferenceAgain FindJump(const PlanStep& white, const Image<uint16_t>& white_pixels,
-                                        const PlanStep& black, const Image<uint16_t>& black_pixels) const;
+  // Of the reference of this projector, shot again in the midst of its steps: it is proven by all that is asked of a
+  // reference, its light is what it was, and the white before refutes it. The finding's value is that white's
+  // difference, of no step yet.
+  [[nodiscard]] std::optional<Finding> FindJump(const PlanStep& white, const Image<uint16_t>& white_pixels,
+                                                const PlanStep& black, const Image<uint16_t>& black_pixels) const;
   // Steps of this projector, whole groups in ascending order, that silence cannot be trusted for.
   [[nodiscard]] std::vector<int> TakeDoubtful();
   // Steps of this projector's codes that nothing bears out: a memory that stands some pairs on shows other bits with

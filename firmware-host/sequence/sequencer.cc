@@ -36,7 +36,7 @@ Status SequencerOptions::Validate() const {
   if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
       shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || max_useless_time.count() < 0 ||
       step_slack.count() < 0)
-    return Status::Usage("sequencer: settling, deadlines, slack and on-time must not be negative");
+    return Status::Usage("sequencer: settling, deadlines, slack, on-time and useless time must not be negative");
   return Status::Ok();
 }
 

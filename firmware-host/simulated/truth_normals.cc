@@ -69,7 +69,7 @@ class Gatherer {
         const Eigen::Vector3d there = VectorAt(seen_.normal, x, y);
         if (r_mm >= kFarthestMm || there.dot(own) <= 0.0) continue;
         const double at = r_mm / step_mm;
-        const auto k = static_cast<size_t>(at);
+        const auto k = std::min(static_cast<size_t>(at), of_ring.size() - 2);
         const double f = at - static_cast<double>(k);
         sum += AreaMm2(x, y) * ((1.0 - f) * of_ring[k] + f * of_ring[k + 1]) * there;
       }

@@ -125,7 +125,7 @@ Result<const LightTransport*> World::Transport(Stage& stage, size_t projector) c
   if (transport) return transport.get();
   WorkWatch watch = Watch("light of projector " + std::to_string(projector));
   LightTransportOptions options;
-  options.scattering = options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent;
+  options.scattering = Scatters();
   options.optics = options_.devices.ForProjector(projector);
   // A subject that moves passes through many places once: they would drive out what is needed again.
   if (stage.state == SubjectState{}) options.cache = cache_.get();

@@ -80,6 +80,10 @@ class World {
                          std::vector<float>& direct) const;
   Status Render(Stage& stage, size_t projector, const Pattern& pattern, std::vector<float>& light) const;
   Status AddProjector(Stage& stage, size_t projector, const Exposure& exposure, std::vector<float>& light) const;
+  // Whether light enters skin and wax at all; else they are matt.
+  [[nodiscard]] bool Scatters() const {
+    return options_.scattering && scene_.description().skin.body == SkinBody::kTranslucent;
+  }
   void AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) const;
   Status AddTruthOfLights(Stage& stage, const CapturePlan& plan, std::vector<TruthMap>& maps) const;
   Status AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,

@@ -69,12 +69,13 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
         for (int k = 0; k < 3; ++k) normal.map(i, j, k) = static_cast<float>(n[k]);
         for (int k = 0; k < 3; ++k) seen.point_mm(i, j, k) = static_cast<float>((*hit)[k]);
         seen.material(i, j) = here;
+        if (!Scatters()) seen.material(i, j).kind = MaterialKind::kMatt;
         if (here.kind != MaterialKind::kSkin) continue;
         optics.map(i, j, 0) = here.skin.melanin;
         optics.map(i, j, 1) = here.skin.blood;
         layers.map(i, j, 0) = here.skin.epidermis_mm;
         layers.map(i, j, 1) = here.skin.scattering;
-        for (int c = 0; c < spread.map.channels(); ++c)
+        for (int c = 0; c < spread.map.channels() && Scatters(); ++c)
           spread.map(i, j, c) = static_cast<float>(table_.EffectiveWidthMm(c, here.skin));
       }
   });

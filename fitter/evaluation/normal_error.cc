@@ -6,25 +6,19 @@
 
 #include "fitter/photometric/diffuse_normals.h"
 #include "fitter/stages/colours.h"
+#include "shared/base/median.h"
 #include "shared/image/finite_at.h"
 #include "shared/units/angle.h"
 
 namespace stratalux::fit {
 namespace {
 
-double MedianOf(std::vector<double>& values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<int64_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 double MedianOf(const Image<float>& map, int channel, const Image<uint8_t>& quads) {
   std::vector<double> values;
   for (int j = 0; j < map.height(); ++j)
     for (int i = 0; i < map.width(); ++i)
       if (quads(i, j) != 0 && std::isfinite(map(i, j, channel))) values.push_back(map(i, j, channel));
-  return MedianOf(values);
+  return Median(values);
 }
 
 }  // namespace
@@ -43,7 +37,7 @@ AngleError CompareNormals(const Image<float>& normal, const Image<float>& truth,
     }
   if (angles.empty()) return {};
   const auto quads_compared = static_cast<int64_t>(angles.size());
-  return {MedianOf(angles), std::sqrt(squares / static_cast<double>(quads_compared)), quads_compared};
+  return {Median(angles), std::sqrt(squares / static_cast<double>(quads_compared)), quads_compared};
 }
 
 NormalFigures CompareNormalsWithTruth(const FoundNormals& found, const TrueSurface& truth) {

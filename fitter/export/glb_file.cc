@@ -136,7 +136,7 @@ Result<Json> MaterialOf(Buffer& buffer, Json& json, const GlbMaterial& material)
     made["normalTexture"] = {{"index", index}};
   }
   if (material.coat) {
-    // Whoever knows no coat sees a base that mirrors, with the base's normals.
+    // Of a viewer that knows one of the two extensions see docs/file-formats.md.
     SLX_ASSIGN_OR_RETURN(const int index, AddTexture(buffer, json, material.coat->normals));
     made["extensions"] = {{"KHR_materials_clearcoat",
                            {{"clearcoatFactor", std::clamp(material.coat->strength, 0.0, 1.0)},

@@ -65,7 +65,7 @@ class SessionGraph {
   std::string StandardErrors();
   // Of the placed surface, by the layers that are shown: of all projectors where they are made, else the judged fit's.
   std::string DiffuseNormals();
-  // Of the layers that are shown, as the artifact has it: W x H x C, a value for a profile of `fit.pool` quads a side.
+  // Of the layers that are shown, as the artifact has it: W x H x C, a value for a profile of `srd.pool` quads a side.
   Result<Image<float>> ShownWidths();
   // Of a model by name (evaluation/metrics.h): a fit, or a baseline that is derived from the judged one.
   std::string Predict(const std::string& model, GeometrySource source, int heldout);

@@ -329,8 +329,9 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   Report report{
       "Stratalux: session " + info.id,
       std::string(info.simulated ? "Simulated visitor, seed " + std::to_string(info.seed) : "Visitor " + info.visitor) +
-          ", captured " + ToIso8601(info.started_wall) + ", " + std::to_string(in.frames.rows().size()) + " frames, " +
-          ToString(info.status) + ". Layers fitted on all projectors but " + std::to_string(in.heldout) +
+          ", captured " + ToIso8601(info.started_wall) + ", " +
+          std::to_string(in.frames.rows().size() + in.frames.replaced().size()) + " frames, " + ToString(info.status) +
+          ". Layers fitted on all projectors but " + std::to_string(in.heldout) +
           ", by which they are judged; layer maps " + in.shown.provenance + ".",
       {}};
   SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -33,8 +34,10 @@ class SessionFrames {
   [[nodiscard]] const std::optional<RigCalibration>& record() const { return record_; }
   // Those that count: of a step that was shot again none of before its last good frame.
   [[nodiscard]] const std::vector<db::FrameRow>& rows() const { return rows_; }
-  // The others. They show where the subject was then.
+  // The others.
   [[nodiscard]] const std::vector<db::FrameRow>& replaced() const { return replaced_; }
+  // Of those, whether a jump of the subject had it shot again: it shows what was planned, and where the subject was.
+  [[nodiscard]] bool BeforeJump(const db::FrameRow& row) const { return before_jump_.contains(row.id); }
   [[nodiscard]] std::vector<int> poses() const;
 
   // The last good shot (a failed level check does not count) of a pattern in exposure bracket `bracket` (0: nominal);
@@ -89,6 +92,7 @@ class SessionFrames {
   std::optional<FrameLineariser> lineariser_;
   std::optional<ThinPlan> thin_;
   std::vector<db::FrameRow> rows_, replaced_;
+  std::set<int64_t> before_jump_;  // ids
   std::map<std::string, size_t> by_key_;
   mutable std::vector<db::SessionStore> readers_;  // of ReadAll's other threads
   mutable std::map<int, Image<float>> black_;      // by projector

@@ -22,9 +22,12 @@ bool IsWhite(const FrameRecord& record, int projector) {
 // `reference`.
 std::vector<const db::FrameRow*> WhitesOf(const SessionFrames& frames, int projector, MonotonicNs reference) {
   std::vector<const db::FrameRow*> whites;
-  for (const auto* rows : {&frames.rows(), &frames.replaced()})
-    for (const db::FrameRow& row : *rows)
-      if (IsWhite(row.record, projector) && row.record.trigger_time >= reference) whites.push_back(&row);
+  const auto take = [&](const db::FrameRow& row) {
+    if (IsWhite(row.record, projector) && row.record.trigger_time >= reference) whites.push_back(&row);
+  };
+  std::ranges::for_each(frames.rows(), take);
+  for (const db::FrameRow& row : frames.replaced())
+    if (frames.BeforeJump(row)) take(row);
   std::ranges::sort(whites, {}, [](const db::FrameRow* row) { return row->record.trigger_time; });
   return whites;
 }

@@ -75,6 +75,14 @@ Status TakeDiffuseNormals(const std::filesystem::path& folder, int colours, Expo
   if (!diffuse.ok()) return diffuse.status();
   if (diffuse->width() != to.surface.width() || diffuse->height() != to.surface.height())
     return Status::Integrity(folder.string() + ": its diffuse normals and its surface differ in size; fit again");
+  for (int j = 0; j < diffuse->height(); ++j)
+    for (int i = 0; i < diffuse->width(); ++i)
+      for (int c = 0; c < colours && to.surface.mask(i, j) != 0; ++c) {
+        const Eigen::Map<const Eigen::Vector3f> n(&(*diffuse)(i, j, 3 * c));
+        if (!(n.norm() > 0.5F) || !(n.norm() < 2.0F))
+          return Status::Integrity(folder.string() + ": quad " + std::to_string(i) + ", " + std::to_string(j) +
+                                   " of its surface has no diffuse normal; fit again");
+      }
   to.diffuse_normal = std::move(*diffuse);
   return Status::Ok();
 }
