@@ -161,6 +161,18 @@ TEST_F(SubjectJumpTest, WhoNeverHoldsStillIsNotWaitedForForEver) {
   }
 }
 
+// A frame from before the jump may not stand beside those from behind it, whatever becomes of its step.
+TEST_F(SubjectJumpTest, WhatIsNotProvenAnewEndsTheCapture) {
+  options_.max_reference_asks = 1;
+  const int first = StepOf(0, CapturePhase::kCorrespondence, 8);
+  rig_.jumps[first] = kJumpPx;
+  rig_.jumps[2 * first + 16] = kJumpPx;
+  const CaptureReport report = Run();
+  EXPECT_EQ(report.Count(ShotFault::kSubjectMoved), 1);
+  EXPECT_EQ(report.status, SessionStatus::kFailed);
+  EXPECT_TRUE(std::ranges::any_of(report.findings, [](const Finding& f) { return f.kind == FindingKind::kNoProof; }));
+}
+
 TEST_F(SubjectJumpTest, NoReferenceIsAskedBeyondTheBounds) {
   rig_.jumps[StepOf(0, CapturePhase::kCorrespondence, 8)] = kJumpPx;
   options_.max_reference_asks = 0;
