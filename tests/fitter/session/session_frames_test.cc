@@ -117,6 +117,7 @@ TEST_F(SessionFramesTest, OfAStepShotAgainTheLastGoodFrameCounts) {
     record.driver_sequence += 10 * retry;
     record.retry = retry;
     record.level_check = check;
+    if (retry > 0) record.retake_cause = step == 0 ? "subject moved" : "wrong level";
     ASSERT_TRUE(writer->Append(record, db::PixelsFor(record).view()).ok());
   }
   ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded).ok());
@@ -125,6 +126,10 @@ TEST_F(SessionFramesTest, OfAStepShotAgainTheLastGoodFrameCounts) {
   for (const db::FrameRow& row : frames.rows())
     if (row.record.level_check != LevelCheck::kFailed) counting.emplace_back(row.record.step, row.record.retry);
   EXPECT_THAT(counting, ::testing::ElementsAre(std::pair(1, 0), std::pair(0, 1), std::pair(2, 1)));
+  // Where the subject was before it jumped shows what a jump had shot again, no frame that was shot again for itself.
+  ASSERT_EQ(frames.replaced().size(), 2U);
+  for (const db::FrameRow& row : frames.replaced())
+    EXPECT_EQ(frames.BeforeJump(row), row.record.step == 0) << row.record.step;
 }
 
 TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
