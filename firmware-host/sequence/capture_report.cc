@@ -3,13 +3,15 @@
 
 #include <cmath>
 
+#include "shared/capture/retake_cause.h"
+
 namespace stratalux::rig {
 
 const char* ToString(ShotFault fault) {
   static constexpr std::array<const char*, kShotFaultCount> kNames = {
-      "none",          "missing sync",       "extra sync",   "lost frame",    "sequence gap",
-      "doubled frame", "frame out of order", "late frame",   "corrupt frame", "wrong level",
-      "repeated rows", "wrong exposure",     "subject moved"};
+      "none",          "missing sync",       "extra sync",    "lost frame",    "sequence gap",
+      "doubled frame", "frame out of order", "late frame",    "corrupt frame", "wrong level",
+      "repeated rows", "wrong exposure",     kRetakenForAJump};
   return kNames[static_cast<size_t>(fault)];
 }
 

@@ -214,13 +214,12 @@ Status CaptureRun::RunProjector(int projector) {
   });
   projector_begun_ = devices_.light.Now();
   bool begun_anew = false;
-  for (bool done = false; !done;) {
+  while (true) {
     SLX_ASSIGN_OR_RETURN(BlockEnd end, ShootBlock({steps.begin(), sweep}));
     if (end == BlockEnd::kDone) {
       SLX_ASSIGN_OR_RETURN(end, ShootBlock({sweep, steps.end()}));
     }
-    done = end == BlockEnd::kDone;
-    if (done) break;
+    if (end == BlockEnd::kDone) break;
     begun_anew = true;
     SLX_RETURN_IF_ERROR(StartAgain(projector));
   }

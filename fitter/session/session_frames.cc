@@ -14,6 +14,7 @@
 #include "db/catalogue/pixel_digest.h"
 #include "fitter/sensor/dark_frame.h"
 #include "shared/base/parallel_each.h"
+#include "shared/capture/retake_cause.h"
 
 namespace stratalux::fit {
 namespace {
@@ -23,16 +24,15 @@ constexpr size_t kReadAtATime = 8;  // frames of a mean, held at once
 // Takes out of `rows` what counts no more: of a step that was shot again, all before its last good frame. `before_jump`
 // gets those of it that a jump of the subject had shot again.
 std::vector<db::FrameRow> TakeReplaced(std::vector<db::FrameRow>& rows, std::set<int64_t>& before_jump) {
-  static const std::string kMoved = "subject moved";  // docs/capture-plan.md
-  std::set<std::pair<int, int>> taken_again;          // pose, step
-  std::map<std::pair<int, int>, bool> for_a_jump;     // of the next shot of the step
+  std::set<std::pair<int, int>> taken_again;       // pose, step
+  std::map<std::pair<int, int>, bool> for_a_jump;  // of the next shot of the step
   std::vector<db::FrameRow> counting, replaced;
   for (db::FrameRow& row : std::views::reverse(rows)) {
     const FrameRecord& r = row.record;
     const std::pair place(r.pose, r.step);
     const bool counts = !taken_again.contains(place);
     if (!counts && for_a_jump[place]) before_jump.insert(row.id);
-    for_a_jump[place] = r.retake_cause == kMoved;
+    for_a_jump[place] = r.retake_cause == kRetakenForAJump;
     if (r.retry > 0 && r.level_check != LevelCheck::kFailed) taken_again.insert(place);
     (counts ? counting : replaced).push_back(std::move(row));
   }

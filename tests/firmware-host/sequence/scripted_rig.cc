@@ -148,6 +148,17 @@ class ScriptedProjector : public Projector {
   bool doubted_ = false;
 };
 
+PlanOptions PlanOfScriptedRig() {
+  PlanOptions options;
+  options.projectors = 2;
+  options.projector_width = 128;
+  options.projector_height = 64;
+  options.comb_period = 32;
+  options.spot_pitch = 32;
+  options.spot_radius = 2;
+  return options;
+}
+
 ScriptedRig::ScriptedRig(int projectors, int projector_width, int projector_height)
     : width_(projector_width),
       height_(projector_height),

@@ -34,6 +34,9 @@ enum class ProjectorTrouble {
   kStuck,       // SYNC edge, but the picture stays
 };
 
+// Two projectors of 128 x 64 px, as ScriptedRig(2, 128, 64) has them: short enough to be shot a hundred times.
+[[nodiscard]] PlanOptions PlanOfScriptedRig();
+
 class ScriptedRig {
  public:
   ScriptedRig(int projectors, int projector_width, int projector_height);

@@ -66,20 +66,9 @@ class CountingObserver : public CaptureObserver {
   bool end_at_finding = false;
 };
 
-PlanOptions SmallPlan() {
-  PlanOptions options;
-  options.projectors = 2;
-  options.projector_width = 128;
-  options.projector_height = 64;
-  options.comb_period = 32;
-  options.spot_pitch = 32;
-  options.spot_radius = 2;
-  return options;
-}
-
 class SequencerTest : public ::testing::Test {
  protected:
-  SequencerTest() : plan_(*BuildPlan(SmallPlan())), rig_(2, 128, 64) {
+  SequencerTest() : plan_(*BuildPlan(PlanOfScriptedRig())), rig_(2, 128, 64) {
     options_.shooter.wait = [this](std::chrono::nanoseconds time) { rig_.Advance(time); };
     // The scripted camera has little noise; its optics leave a sixth of the finest stripes' contrast.
     options_.witness.read_noise_dn = 1.0;
@@ -374,7 +363,7 @@ INSTANTIATE_TEST_SUITE_P(Phases, WrongPatternTest,
 
 TEST_F(SequencerTest, ACombInThePlaceOfSpotsIsSeen) {
   // With the sweep over rows a comb stands before the second spots.
-  PlanOptions options = SmallPlan();
+  PlanOptions options = PlanOfScriptedRig();
   options.row_sweep = true;
   plan_ = *BuildPlan(options);
   const int step = StepOf(0, CapturePhase::kRepeat, 1);
@@ -496,7 +485,7 @@ TEST_F(SequencerTest, EdgesThatNeverEndEndTheCapture) {
 }
 
 TEST_F(SequencerTest, WhatNeverSpeaksIsAskedForNothing) {
-  PlanOptions options = SmallPlan();
+  PlanOptions options = PlanOfScriptedRig();
   options.kind = SessionKind::kDark;
   plan_ = *BuildPlan(options);
   const int step = static_cast<int>(plan_.steps.size()) / 2;

@@ -18,17 +18,6 @@ namespace {
 // Far enough for the scene's light to contradict the white; two columns more, as many as the comb goes in a step.
 constexpr int kJumpPx = 16;
 
-PlanOptions PlanForJumps() {
-  PlanOptions options;
-  options.projectors = 2;
-  options.projector_width = 128;
-  options.projector_height = 64;
-  options.comb_period = 32;
-  options.spot_pitch = 32;
-  options.spot_radius = 2;
-  return options;
-}
-
 struct RecordsOfJumps : FrameSink {
   Status Put(FrameRecord record, Image<uint16_t>) override {
     records.push_back(std::move(record));
@@ -39,7 +28,7 @@ struct RecordsOfJumps : FrameSink {
 
 class SubjectJumpTest : public ::testing::Test {
  protected:
-  SubjectJumpTest() : plan_(*BuildPlan(PlanForJumps())), rig_(2, 128, 64) {
+  SubjectJumpTest() : plan_(*BuildPlan(PlanOfScriptedRig())), rig_(2, 128, 64) {
     options_.shooter.wait = [this](std::chrono::nanoseconds time) { rig_.Advance(time); };
     options_.witness.read_noise_dn = 1.0;
   }
