@@ -74,16 +74,16 @@ hits=$(grep -rnE --include='*.h' --include='*.cc' '#include "db/base/sqlite\.h"'
 
 # one_way PARENT FOLDERS: each folder of PARENT may include only itself and those above it in the list.
 one_way() {
-  local parent=$1 folder below later
+  local parent=$1 folder later
   shift
-  later=$*
+  later=" $* "
   for folder in "$@"; do
-    later=${later#"$folder"}; later=${later# }
+    later=${later#" $folder"}
     # geometry may name the pixel format of a mosaic; image and geometry are otherwise independent.
-    for below in $later; do
-      [ "$parent/$folder/$below" = shared/geometry/image ] && continue
-      forbid "$parent/$folder" "#include \"$parent/$below/" "$parent/$folder stands above $parent/$below"
-    done
+    [ "$parent/$folder" = shared/geometry ] && later=${later/ image / }
+    later=${later% }
+    [ -z "$later" ] || forbid "$parent/$folder" "#include \"$parent/($(tr -s ' ' '|' <<<"${later# }"))/" "$parent/$folder stands above what it includes"
+    later+=" "
   done
 }
 one_way shared base units geometry image transport pattern capture config http manual

@@ -6,15 +6,16 @@
 #                                          two tests at once would take each other's files
 set -uo pipefail
 cd "${2:-$(dirname "$0")/..}" || exit 2
+export LC_ALL=C
 sources() { find shared db firmware-host fitter tests -name '*.h' -o -name '*.cc' | sort; }
 case "${1:-}" in
   format) sources | xargs clang-format --dry-run -Werror ;;
   spdx)
-    bad=0
-    for file in $(sources); do
-      head -n 1 "$file" | grep -q 'SPDX-License-Identifier: Apache-2.0' || { echo "$file: no SPDX line"; bad=1; }
-    done
-    exit $bad ;;
+    begun() { sources | xargs awk 'FNR == 1 && /SPDX-License-Identifier: Apache-2.0/ {print FILENAME}'; }
+    missing=$(comm -23 <(sources) <(begun))
+    [ -n "$missing" ] || exit 0
+    sed 's/$/: no SPDX line/' <<<"$missing"
+    exit 1 ;;
   scratch)
     fixed=$(sources | xargs grep -lPzo 'temp_directory_path\(\)\s*/(?![^;]*(XXXXXX|getpid\(\)))')
     [ -n "$fixed" ] || exit 0

@@ -115,11 +115,12 @@ slurm_hurry() {
   done
 }
 
-# Until nothing waits or runs.
+# Until every job there was has ended. By itself squeue shows what waits, runs and completes: not a task that is being queued
+# again (REQUEUED), of which a look at the wrong moment sees nothing.
 slurm_drain() {
   local i left
   for ((i = 0; i < ${1:-300}; ++i)); do
-    left=$(squeue -h -r 2>/dev/null | wc -l) || left=1
+    left=$(squeue -h -r -t all -o %T 2>/dev/null | { grep -vcxE 'COMPLETED|FAILED|CANCELLED|TIMEOUT|NODE_FAIL' || true; }) || left=1
     [ "$left" -gt 0 ] || return 0
     slurm_hurry 2>/dev/null || true
     sleep 1

@@ -43,6 +43,7 @@ STANDIN
   slurm_drain 600
   tasks=$((15000 * 70 / 2 / 60 / 120 + 1))
   [ "$(sort -u shards | wc -l)" -eq $tasks ] || fail "$(sort -u shards | wc -l) shards of $tasks ran"
+  [ "$(grep -c '^5/' shards)" -eq 4 ] || { squeue -r -t all | grep _4; cat many/slurm/*_4.log; } >&2
   [ "$(grep -c '^5/' shards)" -eq 4 ] || fail "shard 5 ran $(grep -c '^5/' shards) times: once and three times again"
   [ "$(grep -c '^7/' shards)" -eq 2 ] || fail "shard 7 ran $(grep -c '^7/' shards) times"
   [ "$(wc -l <shards)" -eq $((tasks + 4)) ] || fail "another shard ran twice"
