@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <utility>
 
 namespace stratalux::fit {
@@ -77,8 +78,26 @@ std::vector<double> MomentsOf(std::span<const ProjectorFlows> whites, std::span<
   return seconds;
 }
 
-// 0 at the reference time; speeds that change little from one stretch to the next.
-void AddPrior(const MotionOptions& options, Track& track) {
+// Moments at which a jump is over.
+std::set<double> JumpsOf(std::span<const ProjectorFlows> whites) {
+  std::set<double> jumps;
+  for (const ProjectorFlows& of : whites)
+    for (const WhiteFlow& white : of.later)
+      if (white.behind_jump) jumps.insert(white.seconds);
+  return jumps;
+}
+
+// Whether only frames that a jump had shot again are of that moment: no pose of it carries anything.
+bool IsBeforeJump(std::span<const ProjectorFlows> whites, double seconds) {
+  return std::ranges::any_of(whites, [&](const ProjectorFlows& of) {
+    return of.first_s <= seconds && std::ranges::any_of(of.later, [&](const WhiteFlow& white) {
+             return white.behind_jump && seconds < white.seconds;
+           });
+  });
+}
+
+// 0 at the reference time; speeds that change little from one stretch to the next, but where the head jumped.
+void AddPrior(const std::set<double>& jumps, const MotionOptions& options, Track& track) {
   Vector6 per_mm;  // of a shift 1, of a turn what goes as far
   per_mm << Eigen::Vector3d::Constant(options.lever_mm), Eigen::Vector3d::Ones();
   const Matrix6 scaled = per_mm.cwiseAbs2().asDiagonal();
@@ -87,10 +106,15 @@ void AddPrior(const MotionOptions& options, Track& track) {
   const std::vector<double>& t = track.seconds();
   for (Eigen::Index k = 0; k + 1 < track.Size(); ++k) {
     const double after = t[static_cast<size_t>(k + 1)] - t[static_cast<size_t>(k)];
+    if (jumps.contains(t[static_cast<size_t>(k + 1)])) {
+      const std::pair<Eigen::Index, double> jump[] = {{k, -1.0}, {k + 1, 1.0}};
+      track.Observe(jump, Vector6::Zero(), scaled / (options.jump_mm * options.jump_mm));
+      continue;
+    }
     const std::pair<Eigen::Index, double> speed[] = {{k, -1.0 / after}, {k + 1, 1.0 / after}};
     track.Observe(speed, Vector6::Zero(),
                   scaled * (after / (options.speed_mm * options.speed_mm * (t.back() - t.front()))));
-    if (k == 0) continue;
+    if (k == 0 || jumps.contains(t[static_cast<size_t>(k)])) continue;
     const double before = t[static_cast<size_t>(k)] - t[static_cast<size_t>(k - 1)];
     const std::pair<Eigen::Index, double> change[] = {
         {k - 1, 1.0 / before}, {k, -1.0 / before - 1.0 / after}, {k + 1, 1.0 / after}};
@@ -136,12 +160,13 @@ HeadMotion TrackHead(std::span<const ProjectorFlows> whites, std::span<const Cod
   head.detail_before = before / compared;
   head.detail_after = after / compared;
   for (const CodesFlow& of : codes) observe(of.from_s, of.to_s, of.flow);
-  AddPrior(options, track);
+  AddPrior(JumpsOf(whites), options, track);
   track.Solve();
   const Matrix6 spread = SpreadOf(surface, pivot);
   for (Eigen::Index k = 0; k < track.Size(); ++k) {
     const Vector6 pose = track.Pose(k);
     head.poses.push_back({track.seconds()[static_cast<size_t>(k)], SmallMotion::From(pose)});
+    if (IsBeforeJump(whites, track.seconds()[static_cast<size_t>(k)])) continue;
     head.largest_mm = std::max(head.largest_mm, std::sqrt(std::max(0.0, pose.dot(spread * pose))));
     head.sigma_mm = std::max(head.sigma_mm, std::sqrt(std::max(0.0, (spread * track.CovarianceOf(k)).trace())));
   }

@@ -14,6 +14,7 @@ namespace stratalux::fit {
 struct WhiteFlow {
   double seconds = 0.0;  // since the visit's reference time
   std::optional<RigidFlow> flow;
+  bool behind_jump = false;  // of a subject who jumped since the white before (docs/capture-plan.md)
 };
 
 // A projector's whites, in their order; the first one is at `first_s`.
@@ -60,11 +61,13 @@ struct MotionOptions {
   double speed_change_mm = 0.3;
   double speed_mm = 1.0;
   double lever_mm = 100.0;  // at which a turn goes as far as a shift
+  // Where the controller says that the subject jumped, speeds say nothing of the stretch: it goes about so far.
+  double jump_mm = 5.0;
 };
 
 // The track that agrees best with all of them: shifts across the view are the whites' word, depth the codes'; between,
-// and from one projector's last white to the next one's first, the head goes on at much the same speed. `surface`: its
-// root mean square displacement tells how far the head moved.
+// and from one projector's last white to the next one's first, the head goes on at much the same speed, but for jumps.
+// `surface`: its root mean square displacement tells how far the head moved.
 [[nodiscard]] HeadMotion TrackHead(std::span<const ProjectorFlows> whites, std::span<const CodesFlow> codes,
                                    const Eigen::Vector3d& pivot, const SurfaceMap& surface,
                                    const MotionOptions& options = {});

@@ -41,6 +41,33 @@ TEST(HeadMotion, IsOneTrackOverAllProjectorsAndGoesOnThroughGaps) {
   EXPECT_LT((motion.At(-1.0) * SpeckledBall::kCentre - SpeckledBall::kCentre).norm(), 1e-12);
 }
 
+// A jump is no speed: what comes behind it goes on as what was before, also where the next projector's whites begin
+// anew.
+TEST(HeadMotion, GoesOnBehindAJumpAsBefore) {
+  const SpeckledBall ball(1);
+  std::vector<ProjectorFlows> flows = Steady(0.005);
+  flows.push_back(flows.front());
+  flows.back().first_s = 5.0;
+  for (WhiteFlow& white : flows.back().later) white.seconds += 5.0;
+  const Eigen::Vector3d jump(3.0, 0.0, 0.0);
+  WhiteFlow& behind = flows[1].later.back();  // at 4.5 s
+  behind.flow->motion.shift_mm += jump;
+  const auto off = [&](double seconds) {
+    const HeadMotion motion = TrackHead(flows, {}, SpeckledBall::kCentre, ball.Surface());
+    const Eigen::Vector3d truth =
+        After(seconds).About(SpeckledBall::kCentre) * SpeckledBall::kCentre + (seconds < 4.0 ? 0.0 : 1.0) * jump;
+    return (motion.At(seconds) * SpeckledBall::kCentre - truth).norm();
+  };
+  EXPECT_GT(off(5.0), 0.3) << "of which nobody says that it is one";
+  behind.behind_jump = true;
+  for (const double seconds : {1.0, 2.5, 3.5, 4.5, 5.0, 6.0, 7.0}) EXPECT_LT(off(seconds), 0.05) << seconds;
+  // What was shot again carries nothing, so nothing is said of where the head was meanwhile.
+  flows[1].later.front().flow->motion.shift_mm += 3.0 * jump;
+  const HeadMotion motion = TrackHead(flows, {}, SpeckledBall::kCentre, ball.Surface());
+  EXPECT_GT((motion.At(3.5) * SpeckledBall::kCentre - SpeckledBall::kCentre).norm(), 9.0);
+  EXPECT_LT(motion.largest_mm, 7.0);
+}
+
 TEST(HeadMotion, NoiseIsNoMotion) {
   const SpeckledBall ball(1);
   EXPECT_FALSE(TrackHead(Steady(0.5), {}, SpeckledBall::kCentre, ball.Surface()).moved)
