@@ -17,7 +17,8 @@ a surface of its own, too.
 
 People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and
 the figures of the others are printed; or, with --check, in some group layers do not predict stripes better than the fit
-that is blind to direction, or less than nine tenths of the truly lit skin are judged.
+that is blind to direction, photometric detail makes the surface's normals worse by a tenth and more, or less than nine
+tenths of the truly lit skin are judged.
 """
 import argparse
 import csv
@@ -93,6 +94,7 @@ def judge(args, person):
                 return False
     metrics = metrics_of(store, args.geometry)
     person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
+    person["normals"] = metrics.get("normals")
     covered = [c for c in metrics["coverage"] if c["geometry"] == args.geometry]
     person["judged"] = sum(c["judged"] for c in covered) / sum(c["lit_skin"] for c in covered)
     person["nrmse"] = {}
@@ -137,6 +139,28 @@ def table(chosen):
     return "\n".join(lines)
 
 
+def normals_table(chosen):
+    """Of both normals on skin: medians and rms, the specular one in the place of the diffuse as what filtering is worth."""
+    def told(errors):
+        return f"{mean(e['median_deg'] for e in errors):.2f} ({mean(e['rms_deg'] for e in errors):.2f})"
+    if not any(p.get("normals") for people in chosen.values() for p in people):
+        return ""
+    head = ["group", "people", "surface", "specular"] + [f"{c}: {what}" for c in "RGB" for what in ("diffuse", "in its place")]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    medians = []
+    for name, _, _ in GROUPS:
+        found = [p["normals"] for p in chosen[name] if p.get("normals")]
+        if not found:
+            continue
+        row = [name, str(len(found)), told([n["surface"] for n in found]), told([n["specular"] for n in found])]
+        for c in range(3):
+            row += [told([n["diffuse"][c][kind] for n in found]) for kind in ("filtered", "unfiltered")]
+        medians.append(mean(d["filtered"]["median_deg"] for n in found for d in n["diffuse"]))
+        lines.append("| " + " | ".join(row) + " |")
+    lines.append(f"diffuse normals: the worst group's median is {max(medians) / min(medians):.2f} times the best one's")
+    return "normals against the truth on skin, degrees, median (rms)\n" + "\n".join(lines)
+
+
 def faults(chosen):
     for name, people in chosen.items():
         judged = [p for p in people if "nrmse" in p]
@@ -146,6 +170,11 @@ def faults(chosen):
         layers, blind = (mean(p["nrmse"][model]["stripe"] for p in judged) for model in ("tied", "direction_blind"))
         if not layers < blind:
             yield f"{name}: stripes {100 * layers:.2f} % by layers, {100 * blind:.2f} % by the blind fit"
+        normals = [p["normals"] for p in judged if p.get("normals")]
+        if normals:
+            fused, surface = (mean(n[kind]["rms_deg"] for n in normals) for kind in ("specular", "surface"))
+            if not fused <= 1.1 * surface:
+                yield f"{name}: specular normals off by {fused:.2f} degrees rms, the surface's alone by {surface:.2f}"
         covered = mean(p["judged"] for p in judged)
         if not covered >= 0.9:
             yield f"{name}: {100 * covered:.1f} % of the truly lit skin judged"
@@ -183,6 +212,7 @@ def main():
         print(f"person {person['person']} ({k + 1} of {len(people)}), ITA {person['ita_deg']:.0f} degrees", file=sys.stderr)
         ok = judge(args, person) and ok
     print(table(chosen))
+    print(normals_table(chosen))
     if args.json:
         args.json.write_text(json.dumps(chosen, indent=1) + "\n")
     if args.check:

@@ -3,15 +3,45 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string>
+#include <vector>
 
 #include "fitter/image/gaussian_blur.h"
 
 namespace stratalux::fit {
 
 Status FuseOptions::Validate() const {
-  if (sigma_quads > 0.0 && sigma_quads < 1000.0) return Status::Ok();
-  return Status::Usage("fuse: sigma_quads = " + std::to_string(sigma_quads) + ", allowed: above 0, below 1000");
+  if (window_quads > 0.0 && window_quads < 1000.0) return Status::Ok();
+  return Status::Usage("fuse: window_quads = " + std::to_string(window_quads) + ", allowed: above 0, below 1000");
 }
+
+namespace {
+
+// 0: it knows of none.
+double MedianSmoothing(const SurfaceMap& surface) {
+  std::vector<float> known;
+  for (const float quads : surface.smoothing_quads.pixels())
+    if (quads > 0.0F) known.push_back(quads);
+  if (known.empty()) return 0.0;
+  const auto middle = known.begin() + std::ssize(known) / 2;
+  std::ranges::nth_element(known, middle);
+  return *middle;
+}
+
+// Of white noise, what is left of its variance when its blur by a Gaussian is taken off.
+double NoiseAboveBlur(double sigma_quads) {
+  const int reach = static_cast<int>(std::ceil(4.0 * sigma_quads));
+  double sum = 0.0, squares = 0.0;
+  for (int k = -reach; k <= reach; ++k) {
+    const double weight = std::exp(-0.5 * (k / sigma_quads) * (k / sigma_quads));
+    sum += weight;
+    squares += weight * weight;
+  }
+  const double middle = 1.0 / sum, kept = squares / (sum * sum);  // along each of the two axes
+  return 1.0 - 2.0 * middle * middle + kept * kept;
+}
+
+}  // namespace
 
 Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,
                                  const FuseOptions& options) {
@@ -19,6 +49,9 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
   const int width = surface.width(), height = surface.height();
   if (photometric.normal.width() != width || photometric.normal.height() != height)
     return Status::Usage("fuse: the photometric normals and the surface differ in size");
+
+  const double smoothing = MedianSmoothing(surface);
+  if (!(smoothing > 0.0)) return surface.normal;
 
   // Channels 0..2: photometric minus geometric; 3: weight, so that holes neither count nor bleed in; 4: variance before
   // it was widened; 5, 6: squared residuals over their variances and their degrees of freedom.
@@ -38,26 +71,28 @@ Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap
       difference(i, j, 5) = static_cast<float>(freedom) * photometric.scatter(i, j);
       difference(i, j, 6) = static_cast<float>(freedom);
     }
-  const Image<float> smooth = GaussianBlur(difference, options.sigma_quads);
+  const Image<float> low = GaussianBlur(difference, smoothing);
+  const Image<float> local = GaussianBlur(difference, options.window_quads);
 
-  Image<float> energy(width, height);  // |D - G D|^2
+  Image<float> energy(width, height);  // |D - L D|^2
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
       if (!both(i, j)) continue;
       for (int k = 0; k < 3; ++k) {
-        difference(i, j, k) -= smooth(i, j, k) / smooth(i, j, 3);
+        difference(i, j, k) -= low(i, j, k) / low(i, j, 3);
         energy(i, j) += difference(i, j, k) * difference(i, j, k);
       }
     }
-  const Image<float> local_energy = GaussianBlur(energy, options.sigma_quads);
+  const Image<float> local_energy = GaussianBlur(energy, options.window_quads);
+  const auto above = static_cast<float>(NoiseAboveBlur(smoothing));
 
   Image<float> fused = surface.normal;
   for (int j = 0; j < height; ++j)
     for (int i = 0; i < width; ++i) {
       if (!both(i, j)) continue;
       // One quad's residuals tell little of its noise, a neighbourhood's do.
-      const float scatter = smooth(i, j, 6) > 0.0F ? smooth(i, j, 5) / smooth(i, j, 6) : 1.0F;
-      const float noise = smooth(i, j, 4) * scatter;
+      const float scatter = local(i, j, 6) > 0.0F ? local(i, j, 5) / local(i, j, 6) : 1.0F;
+      const float noise = above * local(i, j, 4) * scatter;
       const float gain = local_energy(i, j) > noise ? 1.0F - noise / local_energy(i, j) : 0.0F;
       Eigen::Vector3f n;
       for (int k = 0; k < 3; ++k) n[k] = surface.normal(i, j, k) + gain * difference(i, j, k);

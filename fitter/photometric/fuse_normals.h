@@ -10,17 +10,19 @@
 namespace stratalux::fit {
 
 struct FuseOptions {
-  double sigma_quads = 8.0;  // standard deviation of the Gaussian that parts low from high frequencies
+  double window_quads = 8.0;  // standard deviation of the Gaussian within which detail and noise are compared
   [[nodiscard]] Status Validate() const;
 };
 
-// With D = photometric - geometric normal and G a Gaussian over the quads whose normal is from light alone,
-//   normal = geometric + gain (D - G D),   gain = max(0, 1 - G sigma^2 / G |D - G D|^2)
-// to unit length: low frequencies are the surface's; the detail is added as far as it exceeds the photometric noise
-// (Wiener's gain). sigma^2 is the a priori variance of normal_sigma_rad, without its widening, times the scatter of the
-// neighbourhood, G chi^2 / G degrees of freedom (1 where nothing is left over): narrowed as well as widened, since a
-// model's error that all lights share is not in the detail. Elsewhere the geometric normal is kept. W x H x 3, NaN
-// outside the surface. kUsage: sizes differ.
+// With D = photometric - geometric normal and L the Gaussian by which the surface blurs its normals (the median of
+// SurfaceMap::smoothing_quads), over the quads whose normal is from light alone,
+//   normal = geometric + gain (D - L D),   gain = max(0, 1 - G f sigma^2 / G |D - L D|^2)
+// to unit length: what the surface resolves is the surface's; finer detail is added as far as it exceeds the
+// photometric noise (Wiener's gain), G a Gaussian of window_quads, f the share of white noise that 1 - L lets pass.
+// sigma^2 is the a priori variance of normal_sigma_rad, without its widening, times the scatter of the neighbourhood, G
+// chi^2 / G degrees of freedom (1 where nothing is left over): narrowed as well as widened, since a model's error that
+// all lights share is not in the detail. Elsewhere the geometric normal is kept, and everywhere where the surface says
+// of no blur. W x H x 3, NaN outside the surface. kUsage: sizes differ.
 [[nodiscard]] Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,
                                                const FuseOptions& options = {});
 

@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kDiffuseNormalsVersion = 1;
+inline constexpr int kDiffuseNormalsVersion = 2;
 
 // `specular`: W x H x 3, FaceNormals::fused. As DiffuseNormals, rho being the mean of the layers' Gaussians, each as
 // heavy as its layer and narrower by the blur s that smoothing has done to the surface; of that mean as much as makes

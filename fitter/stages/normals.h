@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 5;
+inline constexpr int kNormalsVersion = 6;
 
 struct FaceNormals {
   PhotometricMap photometric;

@@ -290,7 +290,7 @@ std::map<std::string, double> Compiled() {
           {"PhotometricOptions::min_condition", photometric.min_condition},
           {"PhotometricOptions::negative_sigmas", photometric.negative_sigmas},
           {"PhotometricOptions::surface_sigma_rad", photometric.surface_sigma_rad},
-          {"FuseOptions::sigma_quads", FuseOptions{}.sigma_quads},
+          {"FuseOptions::window_quads", FuseOptions{}.window_quads},
           {"SrdOptions::pool", srd.pool},
           {"SrdOptions::min_cos", srd.min_cos},
           {"SrdOptions::min_signal_to_noise", srd.min_signal_to_noise},

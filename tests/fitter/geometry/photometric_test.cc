@@ -42,6 +42,12 @@ class LambertSphere : public testing::Test {
     EXPECT_TRUE(map.ok()) << map.status().message();
     return std::move(map).value();
   }
+  // A surface that says of such a blur.
+  [[nodiscard]] SurfaceMap Blurred(float quads) const {
+    SurfaceMap surface = truth_;
+    surface.smoothing_quads = Image<float>(truth_.width(), truth_.height(), 1, quads);
+    return surface;
+  }
   // Largest angle to the true normal over a patch in the middle, lit by all four.
   [[nodiscard]] double WorstAngle(const PhotometricMap& map) const {
     double worst = 0.0;
@@ -292,20 +298,33 @@ TEST_F(LightsOverSphere, RefuseWhatDoesNotFit) {
   EXPECT_EQ(code(), StatusCode::kUsage);
 }
 
-TEST_F(LambertSphere, FusionTakesLowFrequenciesFromTheSurface) {
-  // A wrong light gain tilts all photometric normals smoothly; the surface corrects them, and a fine ripple survives.
-  PhotometricMap map = Estimate(rig_);
-  const auto ripple = [](int i) { return 0.05 * std::cos(2.0 * M_PI * i / 4.0); };
-  for (int j = 0; j < truth_.height(); ++j)
-    for (int i = 0; i < truth_.width(); ++i) {
-      if (map.reason(i, j) != 0) continue;
-      Eigen::Vector3d n = truth_.Normal(i, j) + Eigen::Vector3d(0.08 + ripple(i), 0, 0);
-      n.normalize();
-      for (int k = 0; k < 3; ++k) map.normal(i, j, k) = static_cast<float>(n[k]);
-    }
-  const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
-  ASSERT_TRUE(fused.ok());
-  for (int i = 50; i < 70; ++i) EXPECT_NEAR((*fused)(i, 48, 0) - truth_.normal(i, 48, 0), ripple(i), 0.01) << i;
+// A wrong light gain tilts all photometric normals smoothly, scattered light makes waves of theirs that the surface
+// would see: its word stands. A ripple finer than it resolves is added.
+TEST_F(LambertSphere, FusionTakesFromLightWhatTheSurfaceDoesNotResolve) {
+  const auto fused = [&](double period_px, float smoothing_quads) {
+    PhotometricMap map = Estimate(rig_);
+    for (int j = 0; j < truth_.height(); ++j)
+      for (int i = 0; i < truth_.width(); ++i) {
+        if (map.reason(i, j) != 0) continue;
+        Eigen::Vector3d n =
+            truth_.Normal(i, j) + Eigen::Vector3d(0.08 + 0.05 * std::cos(2.0 * M_PI * i / period_px), 0, 0);
+        n.normalize();
+        for (int k = 0; k < 3; ++k) map.normal(i, j, k) = static_cast<float>(n[k]);
+      }
+    const auto normal = FuseNormals(Blurred(smoothing_quads), map);
+    EXPECT_TRUE(normal.ok());
+    std::vector<double> added;
+    for (int i = 50; i < 70; ++i) added.push_back((*normal)(i, 48, 0) - truth_.normal(i, 48, 0));
+    return added;
+  };
+  for (const float smoothing_quads : {6.0F, 1.5F}) {
+    const std::vector<double> fine = fused(4.0, smoothing_quads);
+    for (int i = 50; i < 70; ++i)
+      EXPECT_NEAR(fine[i - 50], 0.05 * std::cos(2.0 * M_PI * i / 4.0), 0.01) << i << ", blurred by " << smoothing_quads;
+  }
+  for (const double coarse : fused(24.0, 1.5F)) EXPECT_LT(std::abs(coarse), 0.006) << "what the surface resolves";
+  EXPECT_GT(std::ranges::max(fused(24.0, 8.0F)), 0.03) << "by a surface that does not";
+  for (const double nothing : fused(4.0, 0.0F)) EXPECT_EQ(nothing, 0.0) << "it says of no blur";
 }
 
 TEST_F(LambertSphere, FusionDoesNotAddNoiseToAGoodSurface) {
@@ -313,7 +332,7 @@ TEST_F(LambertSphere, FusionDoesNotAddNoiseToAGoodSurface) {
   for (Image<float>& image : direct_)
     for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.03 * random.Normal());
   const PhotometricMap map = Estimate(rig_);
-  const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
+  const auto fused = FuseNormals(Blurred(6.0F), map);
   ASSERT_TRUE(fused.ok());
   double photometric = 0.0, after = 0.0;
   for (int j = 38; j < 58; ++j)
@@ -351,7 +370,7 @@ TEST_F(LambertSphere, FusionDoesNotAddTheNoiseOfThreeSources) {
   for (Image<float>& image : direct_)
     for (float& value : image.pixels()) value *= static_cast<float>(1.0 + 0.03 * random.Normal());
   const PhotometricMap map = Estimate(rig_);
-  const auto fused = FuseNormals(truth_, map, {.sigma_quads = 6.0});
+  const auto fused = FuseNormals(Blurred(6.0F), map);
   ASSERT_TRUE(fused.ok());
   double photometric = 0.0, after = 0.0;
   for (int j = 38; j < 58; ++j)
