@@ -15,8 +15,8 @@ constexpr std::array<std::string_view, 8> kNames = {"black",    "white", "gray",
                                                     "sinusoid", "comb",  "spots", "grey"};
 
 float GrayIntensity(const Pattern& p, int position) {
-  const unsigned code = GrayFromBinary(static_cast<unsigned>(position));
-  const bool lit = ((code >> (p.bits - 1 - p.bit)) & 1U) != 0;
+  const unsigned word = WordOf(p.code, static_cast<unsigned>(position), p.bits);
+  const bool lit = ((word >> (p.bits - 1 - p.bit)) & 1U) != 0;
   return lit != p.inverse ? 1.0F : 0.0F;
 }
 
@@ -52,6 +52,10 @@ Status ParseField(std::string_view key, std::string_view value, Pattern& p) {
   const std::string_view first = value.substr(0, slash);
   const std::string_view second = pair ? value.substr(slash + 1) : std::string_view();
   bool good = false;
+  if (key == "code" && p.kind == PatternKind::kGray) {
+    SLX_ASSIGN_OR_RETURN(p.code, ParseColumnCode(std::string(value)));
+    good = true;
+  }
   if (key == "bit") good = pair && number(first, p.bit) && number(second, p.bits);
   if (key == "shift") good = number(first, p.shift) && (!pair || number(second, p.shifts));
   if (key == "level") good = p.kind == PatternKind::kGrey && pair && number(first, p.shift) && number(second, p.shifts);
@@ -112,6 +116,7 @@ std::string Pattern::ToString() const {
       break;
     case PatternKind::kGray:
       text << axis_name << " bit=" << bit << '/' << bits << (inverse ? " inverse" : "");
+      if (code != ColumnCode::kGray) text << " code=" << stratalux::ToString(code);
       break;
     case PatternKind::kCheckerboard:
       text << " period=" << period << " shift=" << shift << '/' << shifts;
@@ -169,7 +174,7 @@ Status Pattern::Validate(int projector_width, int projector_height) const {
     case PatternKind::kWhite:
       return Status::Ok();
     case PatternKind::kGray:
-      if (bits < 1 || bits > 16 || bit < 0 || bit >= bits)
+      if (bits < 1 || bits > kMaxCodeBits || bit < 0 || bit >= bits)
         return refuse("bit must lie in 0 .. bits-1, bits in 1 .. 16");
       if (bits > GrayBits(extent))
         return refuse("a projector of " + std::to_string(extent) + " px needs at most " +
@@ -198,12 +203,6 @@ Status Pattern::Validate(int projector_width, int projector_height) const {
       return Status::Ok();
   }
   return refuse("unknown kind");
-}
-
-int GrayBits(int count) {
-  int bits = 0;
-  while ((1 << bits) < count) ++bits;
-  return bits;
 }
 
 }  // namespace stratalux

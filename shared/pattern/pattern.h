@@ -8,13 +8,14 @@
 
 #include "shared/base/result.h"
 #include "shared/image/image.h"
+#include "shared/pattern/column_code.h"
 
 namespace stratalux {
 
 enum class PatternKind {
   kBlack,
   kWhite,
-  kGray,          // one bit of the reflected Gray code of the column (or row) number
+  kGray,          // one bit of the code of the column (or row) number
   kCheckerboard,  // squares of `period` / 2 pixels, moved by (shift % shifts, shift / shifts) * period / shifts
   kSinusoid,      // 0.5 + 0.5 cos(2 pi (c + 0.5) / period - 2 pi shift / shifts)
   kComb,          // lines `width` wide every `period` pixels, the first one at offset `shift`
@@ -27,11 +28,12 @@ enum class PatternAxis { kColumns, kRows };
 struct Pattern {
   PatternKind kind = PatternKind::kBlack;
   PatternAxis axis = PatternAxis::kColumns;
-  int bit = 0;           // kGray: 0 = coarsest (most significant)
+  int bit = 0;           // kGray: 0 = most significant (of a reflected Gray code the coarsest)
   int bits = 0;          // kGray: number of bits of the code
   bool inverse = false;  // kGray
-  int period = 0;        // px
-  int width = 0;         // px
+  ColumnCode code = ColumnCode::kGray;
+  int period = 0;  // px
+  int width = 0;   // px
   int shift = 0;
   int shifts = 1;
 
@@ -46,20 +48,12 @@ struct Pattern {
   // The `count` intensities along the pattern's axis (columns for white and black). Precondition: IsOneDimensional().
   [[nodiscard]] std::vector<float> Profile(int count) const;
   [[nodiscard]] Image<float> Render(int width_px, int height_px) const;
-  // Text such as "gray columns bit=3/10 inverse", as stored in each frame's proof row; Parse reads it back.
+  // Text such as "gray columns bit=3/10 inverse" or "gray rows bit=0/10 code=xor-4", as stored in each frame's proof
+  // row; Parse reads it back.
   [[nodiscard]] std::string ToString() const;
   [[nodiscard]] static Result<Pattern> Parse(const std::string& text);
   // Refuses what no projector of this size can show (period 0, shift out of range, too many bits, ...).
   [[nodiscard]] Status Validate(int projector_width, int projector_height) const;
 };
-
-// Reflected Gray code of n and back.
-[[nodiscard]] constexpr unsigned GrayFromBinary(unsigned n) { return n ^ (n >> 1); }
-[[nodiscard]] constexpr unsigned BinaryFromGray(unsigned g) {
-  for (unsigned shift = 1; shift < 32; shift <<= 1) g ^= g >> shift;
-  return g;
-}
-// Bits needed to number `count` columns.
-[[nodiscard]] int GrayBits(int count);
 
 }  // namespace stratalux

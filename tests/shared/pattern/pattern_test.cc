@@ -8,27 +8,21 @@
 namespace stratalux {
 namespace {
 
-TEST(GrayCode, NeighboursDifferInOneBitAndDecodeBack) {
-  for (unsigned n = 0; n < 4096; ++n) {
-    EXPECT_EQ(BinaryFromGray(GrayFromBinary(n)), n);
-    EXPECT_EQ(__builtin_popcount(GrayFromBinary(n) ^ GrayFromBinary(n + 1)), 1);
-  }
-}
-
-TEST(GrayPattern, BitsSpellTheColumnAndInverseIsComplement) {
+TEST(CodePattern, BitsSpellTheColumnAndInverseIsComplement) {
   const int bits = GrayBits(1024);
   ASSERT_EQ(bits, 10);
-  for (int column = 0; column < 1024; column += 7) {
-    unsigned code = 0;
-    for (int bit = 0; bit < bits; ++bit) {
-      const Pattern p{.kind = PatternKind::kGray, .bit = bit, .bits = bits};
-      Pattern q = p;
-      q.inverse = true;
-      EXPECT_EQ(p.Intensity(column, 3) + q.Intensity(column, 3), 1.0F);
-      code = code << 1 | static_cast<unsigned>(p.Intensity(column, 3));
+  for (const ColumnCode code : {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe})
+    for (int column = 0; column < 1024; column += 7) {
+      unsigned word = 0;
+      for (int bit = 0; bit < bits; ++bit) {
+        const Pattern p{.kind = PatternKind::kGray, .bit = bit, .bits = bits, .code = code};
+        Pattern q = p;
+        q.inverse = true;
+        EXPECT_EQ(p.Intensity(column, 3) + q.Intensity(column, 3), 1.0F);
+        word = word << 1 | static_cast<unsigned>(p.Intensity(column, 3));
+      }
+      EXPECT_EQ(ColumnOf(code, word, bits), static_cast<unsigned>(column)) << ToString(code);
     }
-    EXPECT_EQ(BinaryFromGray(code), static_cast<unsigned>(column));
-  }
 }
 
 TEST(CombPattern, CycleAddsUpToWidthOverStepWhites) {
@@ -73,6 +67,9 @@ TEST(PatternText, RoundTripsEveryKind) {
       {.kind = PatternKind::kBlack},
       {.kind = PatternKind::kWhite},
       {.kind = PatternKind::kGray, .axis = PatternAxis::kRows, .bit = 3, .bits = 10, .inverse = true},
+      {.kind = PatternKind::kGray, .bit = 0, .bits = 10, .code = ColumnCode::kXor2},
+      {.kind = PatternKind::kGray, .bit = 9, .bits = 10, .inverse = true, .code = ColumnCode::kXor4},
+      {.kind = PatternKind::kGray, .axis = PatternAxis::kRows, .bit = 4, .bits = 10, .code = ColumnCode::kMinStripe},
       {.kind = PatternKind::kCheckerboard, .period = 8, .shift = 3, .shifts = 2},
       {.kind = PatternKind::kSinusoid, .axis = PatternAxis::kColumns, .period = 8, .shift = 1, .shifts = 4},
       {.kind = PatternKind::kComb, .axis = PatternAxis::kRows, .period = 128, .width = 2, .shift = 126},
@@ -88,6 +85,18 @@ TEST(PatternText, RefusesWhatItDoesNotKnow) {
   for (const char* text : {"", "grey columns bit=1/2", "grey", "comb level=1/2", "gray columns bit=x/2",
                            "comb period=", "sinusoid columns nonsense"})
     EXPECT_EQ(Pattern::Parse(text).status().code(), StatusCode::kUsage) << text;
+}
+
+TEST(PatternText, SaysWhichCodeButForTheReflectedOne) {
+  Pattern pattern{.kind = PatternKind::kGray, .bit = 3, .bits = 10, .inverse = true};
+  EXPECT_EQ(pattern.ToString(), "gray columns bit=3/10 inverse");  // as every session before there were others
+  EXPECT_EQ(Pattern::Parse("gray columns bit=3/10 inverse")->code, ColumnCode::kGray);
+  pattern.code = ColumnCode::kXor4;
+  EXPECT_EQ(pattern.ToString(), "gray columns bit=3/10 inverse code=xor-4");
+  const auto later = Pattern::Parse("gray columns bit=3/10 code=micro-phase");
+  ASSERT_EQ(later.status().code(), StatusCode::kUsage);
+  EXPECT_NE(later.status().message().find("code 'micro-phase' is unknown; allowed: gray, xor-2"), std::string::npos);
+  EXPECT_EQ(Pattern::Parse("comb columns period=8 width=2 shift=0 code=xor-4").status().code(), StatusCode::kUsage);
 }
 
 TEST(PatternValidate, RefusesWhatNoProjectorCanShow) {
