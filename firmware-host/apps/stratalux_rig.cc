@@ -42,7 +42,7 @@ namespace {
 constexpr const char* kSystemConfig = "/etc/stratalux/rig.toml";
 struct Flags {
   std::string config;
-  std::optional<std::string> store, kind, sync_mode, calibration;  // unset: as the configuration says
+  std::optional<std::string> store, kind, sync_mode, code, calibration;  // unset: as the configuration says
   std::optional<std::string> exposure;
   TimingFlags timing;
   SimulationFlags simulation;
@@ -95,6 +95,9 @@ Result<RigConfig> ConfigFrom(const Flags& flags) {
   }
   if (flags.sync_mode) {
     SLX_ASSIGN_OR_RETURN(config.plan.sync_mode, ParseSyncMode(*flags.sync_mode));
+  }
+  if (flags.code) {
+    SLX_ASSIGN_OR_RETURN(config.plan.code, ParseColumnCode(*flags.code));
   }
   config.calibration = flags.calibration.value_or(config.calibration);
   if (flags.exposure && !ChoosesExposure(flags) && !ParseMs(*flags.exposure, config.plan.exposure_ms))
@@ -312,6 +315,8 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--kind", flags.kind, "visitor (default), calibration, dark, flat or response");
   command.add_option("--sync-mode", flags.sync_mode,
                      "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
+  command.add_option("--code", flags.code,
+                     "of a visitor's columns: gray (default), xor-2, xor-4 or min-stripe (docs/capture-plan.md)");
   command.add_option("--exposure", flags.exposure,
                      "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
 }

@@ -10,7 +10,7 @@ namespace stratalux::rig {
 namespace {
 
 Status ReadPlan(TomlTable plan, PlanOptions& o) {
-  std::string kind = ToString(o.kind), sync = ToString(o.sync_mode);
+  std::string kind = ToString(o.kind), sync = ToString(o.sync_mode), code = ToString(o.code);
   plan.Get("kind", kind);
   plan.Get("sync_mode", sync);
   plan.Get("projectors", o.projectors, 1, 16);
@@ -22,6 +22,7 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
   plan.Get("correspondence_brackets", o.correspondence_brackets, 0.001, 1000);
   plan.Get("separation_brackets", o.separation_brackets, 0.001, 1000);
   plan.Get("spot_brackets", o.spot_brackets, 0.001, 1000);
+  plan.Get("code", code);
   plan.Get("preroll_markers", o.preroll_markers, 0, 64);
   plan.Get("separation_period", o.separation_period, 3, 8192);
   plan.Get("separation_shifts", o.separation_shifts, 3, 64);
@@ -39,6 +40,7 @@ Status ReadPlan(TomlTable plan, PlanOptions& o) {
   plan.Get("guards", o.guards, 0, 16);
   SLX_ASSIGN_OR_RETURN(o.kind, ParseSessionKind(kind).WithContext(plan.Where("kind")));
   SLX_ASSIGN_OR_RETURN(o.sync_mode, ParseSyncMode(sync).WithContext(plan.Where("sync_mode")));
+  SLX_ASSIGN_OR_RETURN(o.code, ParseColumnCode(code).WithContext(plan.Where("code")));
   return Status::Ok();
 }
 

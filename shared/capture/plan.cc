@@ -74,7 +74,13 @@ class PlanBuilder {
       for (int bit = 0; bit < bits; ++bit)
         for (bool inverse : {false, true})
           Add(projector, CapturePhase::kCorrespondence,
-              {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse}, bracket);
+              {.kind = PatternKind::kGray,
+               .axis = axis,
+               .bit = bit,
+               .bits = bits,
+               .inverse = inverse,
+               .code = plan_.options.ShownCode()},
+              bracket);
     }
   }
 

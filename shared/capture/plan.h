@@ -54,6 +54,8 @@ struct PlanOptions {
   std::vector<double> correspondence_brackets = {1.0};
   std::vector<double> separation_brackets = {1.0};
   std::vector<double> spot_brackets = {1.0};
+  // Of a visitor's correspondence. Boards and targets have the reflected Gray code, whatever this says.
+  ColumnCode code = ColumnCode::kGray;
   int preroll_markers = 8;    // white/black code on all projectors (docs/capture-plan.md)
   int separation_period = 8;  // px; sinusoid, both axes
   int separation_shifts = 4;
@@ -75,6 +77,8 @@ struct PlanOptions {
   // ramp for the camera's linearity and photon transfer (flat), a few for dark current (dark). A repeat has the first
   // factor of the phase that it repeats.
   [[nodiscard]] const std::vector<double>& BracketsOf(CapturePhase phase) const;
+  // That sessions of this kind show.
+  [[nodiscard]] ColumnCode ShownCode() const { return kind == SessionKind::kVisitor ? code : ColumnCode::kGray; }
   [[nodiscard]] Status Validate() const;
 };
 

@@ -10,43 +10,53 @@ namespace stratalux {
 
 using Json = nlohmann::ordered_json;
 
+namespace {
+constexpr int64_t kNewestSchema = 2;
+}
+
 std::string PlanOptionsToJson(const PlanOptions& o) {
-  const Json json = {{"schema", 1},
-                     {"kind", ToString(o.kind)},
-                     {"sync_mode", ToString(o.sync_mode)},
-                     {"projectors", o.projectors},
-                     {"projector_width", o.projector_width},
-                     {"projector_height", o.projector_height},
-                     {"exposure_ms", o.exposure_ms},
-                     {"brackets", o.brackets},
-                     {"reference_brackets", o.reference_brackets},
-                     {"correspondence_brackets", o.correspondence_brackets},
-                     {"separation_brackets", o.separation_brackets},
-                     {"spot_brackets", o.spot_brackets},
-                     {"preroll_markers", o.preroll_markers},
-                     {"separation_period", o.separation_period},
-                     {"separation_shifts", o.separation_shifts},
-                     {"checkerboard", o.checkerboard},
-                     {"checkerboard_period", o.checkerboard_period},
-                     {"checkerboard_shifts", o.checkerboard_shifts},
-                     {"comb_width", o.comb_width},
-                     {"comb_period", o.comb_period},
-                     {"comb_step", o.comb_step},
-                     {"row_sweep", o.row_sweep},
-                     {"motion_whites", o.motion_whites},
-                     {"spot_radius", o.spot_radius},
-                     {"spot_pitch", o.spot_pitch},
-                     {"second_takes", o.second_takes},
-                     {"guards", o.guards}};
+  Json json = {{"schema", 1},
+               {"kind", ToString(o.kind)},
+               {"sync_mode", ToString(o.sync_mode)},
+               {"projectors", o.projectors},
+               {"projector_width", o.projector_width},
+               {"projector_height", o.projector_height},
+               {"exposure_ms", o.exposure_ms},
+               {"brackets", o.brackets},
+               {"reference_brackets", o.reference_brackets},
+               {"correspondence_brackets", o.correspondence_brackets},
+               {"separation_brackets", o.separation_brackets},
+               {"spot_brackets", o.spot_brackets},
+               {"preroll_markers", o.preroll_markers},
+               {"separation_period", o.separation_period},
+               {"separation_shifts", o.separation_shifts},
+               {"checkerboard", o.checkerboard},
+               {"checkerboard_period", o.checkerboard_period},
+               {"checkerboard_shifts", o.checkerboard_shifts},
+               {"comb_width", o.comb_width},
+               {"comb_period", o.comb_period},
+               {"comb_step", o.comb_step},
+               {"row_sweep", o.row_sweep},
+               {"motion_whites", o.motion_whites},
+               {"spot_radius", o.spot_radius},
+               {"spot_pitch", o.spot_pitch},
+               {"second_takes", o.second_takes},
+               {"guards", o.guards}};
+  // What older programs would take for the reflected Gray code is of a schema that they refuse.
+  if (o.ShownCode() != ColumnCode::kGray) {
+    json["schema"] = kNewestSchema;
+    json["code"] = ToString(o.code);
+  }
   return json.dump();
 }
 
 Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
   try {
     const Json json = Json::parse(text);
-    if (WholeAt<int64_t>(json, "schema") > 1)
-      return Status(StatusCode::kNewerSchema,
-                    "plan: schema " + json.at("schema").dump() + " is newer than this program (1)");
+    if (WholeAt<int64_t>(json, "schema") > kNewestSchema)
+      return Status(StatusCode::kNewerSchema, "plan: schema " + json.at("schema").dump() +
+                                                  " is newer than this program (" + std::to_string(kNewestSchema) +
+                                                  ")");
     PlanOptions o;
     SLX_ASSIGN_OR_RETURN(o.kind, ParseSessionKind(json.at("kind").get<std::string>()));
     SLX_ASSIGN_OR_RETURN(o.sync_mode, ParseSyncMode(json.at("sync_mode").get<std::string>()));
@@ -61,6 +71,9 @@ Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
                                      {"separation_brackets", &o.separation_brackets},
                                      {"spot_brackets", &o.spot_brackets}})
       if (json.contains(key)) json.at(key).get_to(*value);
+    if (json.contains("code")) {  // else reflected Gray
+      SLX_ASSIGN_OR_RETURN(o.code, ParseColumnCode(json.at("code").get<std::string>()));
+    }
     o.preroll_markers = WholeAt<int>(json, "preroll_markers");
     o.separation_period = WholeAt<int>(json, "separation_period");
     o.separation_shifts = WholeAt<int>(json, "separation_shifts");

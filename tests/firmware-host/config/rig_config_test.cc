@@ -36,6 +36,7 @@ TEST(RigConfig, NamesFileLineKeyAndRange) {
       {"[plan]\ncomb_period = 4096\n", "exceeds the projector"},
       {"[camera]\nwidth = 1392\nwidth = 3\n", "rig.toml:3"},
       {"[plan]\nkind = \"visiter\"\n", "allowed: visitor"},
+      {"[plan]\ncode = \"xor-8\"\n", "rig.toml:2: code 'xor-8' is unknown; allowed: gray, xor-2, xor-4, min-stripe"},
       {"[plan]\nbrackets = []\n", "non-empty"},
       {"nonsense", "rig.toml:1"},
       {"[rig]\nname = \"a\"\n[store]\ncodec = \"zip\"\n", "rig.toml:4: unknown codec 'zip' (allowed: raw12, delta)"},

@@ -164,7 +164,7 @@ TEST(PlanJson, RoundTripsAndRefusesNewerSchemas) {
   ASSERT_TRUE(back.ok()) << back.status().message();
   EXPECT_EQ(PlanOptionsToJson(*back), text);
   std::string newer = text;
-  newer.replace(newer.find("\"schema\":1"), 10, "\"schema\":2");
+  newer.replace(newer.find("\"schema\":1"), 10, "\"schema\":3");
   EXPECT_EQ(PlanOptionsFromJson(newer).status().code(), StatusCode::kNewerSchema);
   // Sessions from before the second takes have none.
   std::string older = text;
@@ -172,6 +172,45 @@ TEST(PlanJson, RoundTripsAndRefusesNewerSchemas) {
   ASSERT_TRUE(PlanOptionsFromJson(older).ok()) << older;
   EXPECT_FALSE(PlanOptionsFromJson(older)->second_takes);
   EXPECT_EQ(PlanOptionsFromJson("{").status().code(), StatusCode::kIntegrity);
+}
+
+TEST(PlanJson, SaysWhichCodeSoThatOlderProgramsRefuseIt) {
+  PlanOptions options;
+  const std::string gray = PlanOptionsToJson(options);
+  EXPECT_EQ(gray.find("\"code\""), std::string::npos);  // as plans before there were others
+  EXPECT_NE(gray.find("\"schema\":1"), std::string::npos);
+  options.code = ColumnCode::kXor4;
+  const std::string text = PlanOptionsToJson(options);
+  EXPECT_NE(text.find("\"schema\":2"), std::string::npos);
+  ASSERT_TRUE(PlanOptionsFromJson(text).ok());
+  EXPECT_EQ(PlanOptionsFromJson(text)->code, ColumnCode::kXor4);
+  EXPECT_EQ(PlanOptionsToJson(*PlanOptionsFromJson(text)), text);
+  std::string later = text;
+  later.replace(later.find("xor-4"), 5, "xor-8");
+  EXPECT_EQ(PlanOptionsFromJson(later).status().code(), StatusCode::kUsage);
+  EXPECT_NE(PlanOptionsFromJson(later).status().message().find("allowed: gray, xor-2"), std::string::npos);
+}
+
+TEST(Plan, ShowsTheCodeToVisitorsAlone) {
+  PlanOptions options;
+  const CapturePlan gray = *BuildPlan(options);
+  for (const ColumnCode code : {ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe}) {
+    options.code = code;
+    for (const SessionKind kind : {SessionKind::kVisitor, SessionKind::kCalibration, SessionKind::kFlat}) {
+      options.kind = kind;
+      const CapturePlan plan = *BuildPlan(options);
+      const ColumnCode shown = kind == SessionKind::kVisitor ? code : ColumnCode::kGray;
+      for (const PlanStep& step : plan.steps)
+        ASSERT_EQ(step.pattern.code, step.pattern.kind == PatternKind::kGray ? shown : ColumnCode::kGray);
+      if (kind != SessionKind::kVisitor) continue;
+      ASSERT_EQ(plan.steps.size(), gray.steps.size());  // but for the code the plan is the same
+      for (size_t i = 0; i < plan.steps.size(); ++i) {
+        Pattern pattern = plan.steps[i].pattern;
+        pattern.code = ColumnCode::kGray;
+        ASSERT_EQ(pattern, gray.steps[i].pattern) << i;
+      }
+    }
+  }
 }
 
 TEST(Plan, EachPhaseHasBracketsOfItsOwn) {
