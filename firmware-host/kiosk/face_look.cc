@@ -136,9 +136,11 @@ std::vector<std::pair<Pattern, Pattern>> CoarseCode(const CapturePlan& plan, int
     if (step.projector != projector || p.kind != PatternKind::kGray || p.axis != PatternAxis::kColumns || p.inverse)
       continue;
     if (p.bit != static_cast<int>(code.size()) || p.bit >= bits) continue;
-    Pattern inverse = p;
+    Pattern bit = p;
+    bit.code = ColumnCode::kGray;  // whose leading bits tell by themselves
+    Pattern inverse = bit;
     inverse.inverse = true;
-    code.emplace_back(p, inverse);
+    code.emplace_back(bit, inverse);
   }
   return code;
 }

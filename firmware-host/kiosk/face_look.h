@@ -39,7 +39,8 @@ struct CodeBit {
   const Image<uint16_t>& inverse;
 };
 
-// The coarse bits of `projector`'s column code that a plan shows, with their inverses, coarsest first; `bits` at most.
+// The coarse bits of `projector`'s columns in reflected Gray code, where a plan shows columns at all, with their
+// inverses, coarsest first; `bits` at most.
 [[nodiscard]] std::vector<std::pair<Pattern, Pattern>> CoarseCode(const CapturePlan& plan, int projector, int bits);
 
 // Median distance of the foreground from the camera's centre, along its axis, mm: each block's column is the middle of

@@ -124,19 +124,21 @@ PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span
       pairs.emplace_back(at[k], at[other]);
   }
   if (static_cast<int>(pairs.size()) < options_.min_lit_probes) return Testimony::kSilent;
-  // Of the picture with the lowest bits of each position inverted, which is what one exchanged bit of the Gray code
-  // does.
-  auto roughness = [&](int mask) {
+  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+  const int bits = GrayBits(extent);
+  const ColumnCode code = plan_.options.ShownCode();
+  // Of the picture as it is with some planes of the code exchanged.
+  auto roughness = [&](unsigned exchanged) {
+    std::vector<int> place(size_t{1} << bits);
+    for (unsigned column = 0; column < place.size(); ++column)
+      place[column] = static_cast<int>(ColumnOf(code, WordOf(code, column, bits) ^ exchanged, bits));
     int64_t sum = 0;
-    for (const auto& [a, b] : pairs) sum += std::abs((a ^ mask) - (b ^ mask));
+    for (const auto& [a, b] : pairs) sum += std::abs(place[a] - place[b]);
     return sum;
   };
   const int64_t as_decoded = roughness(0);
-  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
-  const int bits = GrayBits(extent);
-  for (int significance = 0; significance < bits - 1; ++significance) {
-    const int block = 2 << significance;
-    if (roughness(block - 1) * 10 > as_decoded * 6) continue;
+  for (int significance = 0; significance < bits; ++significance) {
+    if (roughness(1U << significance) * 10 > as_decoded * 6) continue;
     Testimony judged = Testimony::kSilent;
     for (int i : StepsOf(CapturePhase::kCorrespondence)) {
       const Pattern& p = plan_.steps[i].pattern;
@@ -288,21 +290,65 @@ std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
     bit_count = p.bits;
   }
   if (bit_count == 0 || static_cast<int>(bits.size()) != bit_count) return {};
-  std::vector<unsigned> gray(lit_.size(), 0);
+  std::vector<unsigned> words(lit_.size(), 0);
   for (const auto& [bit, steps] : bits) {
     if (steps[0] < 0 || steps[1] < 0) return {};
     const Probes& shown = frames_.at(steps[0]).probes;
     const Probes& inverse = frames_.at(steps[1]).probes;
-    for (size_t k = 0; k < lit_.size(); ++k) gray[k] = gray[k] << 1 | (shown[lit_[k]] > inverse[lit_[k]] ? 1U : 0U);
+    for (size_t k = 0; k < lit_.size(); ++k) words[k] = words[k] << 1 | (shown[lit_[k]] > inverse[lit_[k]] ? 1U : 0U);
   }
   const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+  const ColumnCode code = plan_.options.ShownCode();
+  const std::optional<int> base = BasePlane(code, bit_count);
   std::vector<int> at;
-  at.reserve(gray.size());
-  for (const unsigned code : gray) {
-    const int position = static_cast<int>(BinaryFromGray(code));
-    at.push_back(position < extent ? position : -1);
+  at.reserve(words.size());
+  for (size_t k = 0; k < words.size(); ++k) {
+    const int position = static_cast<int>(ColumnOf(code, words[k], bit_count));
+    const bool known = !base || IsPlain(bits.at(*base), lit_[k]);  // else all coarser planes are read wrong at once
+    at.push_back(known && position < extent ? position : -1);
   }
+  if (base) ForgetStrays(at);
   return at;
+}
+
+void PatternWitness::ForgetStrays(std::vector<int>& at) const {
+  std::vector<int> index(lattice_.size(), -1);
+  for (size_t k = 0; k < lit_.size(); ++k) index[lit_[k]] = at[k] < 0 ? -1 : static_cast<int>(k);
+  const int columns = lattice_.columns();
+  // How far the known probes around it lie from a probe's position.
+  auto distances = [&](size_t k) {
+    std::vector<int> found;
+    const int x = lit_[k] % columns;
+    for (const int dy : {-1, 0, 1})
+      for (const int dx : {-1, 0, 1}) {
+        const int beside = lit_[k] + dy * columns + dx;
+        if ((dx == 0 && dy == 0) || x + dx < 0 || x + dx >= columns) continue;
+        if (beside < 0 || beside >= static_cast<int>(index.size()) || index[beside] < 0) continue;
+        found.push_back(std::abs(at[index[beside]] - at[k]));
+      }
+    return found;
+  };
+  std::vector<std::vector<int>> around(at.size());
+  std::vector<int> all;
+  for (size_t k = 0; k < at.size(); ++k) {
+    if (at[k] < 0) continue;
+    around[k] = distances(k);
+    all.insert(all.end(), around[k].begin(), around[k].end());
+  }
+  if (all.empty()) return;
+  std::nth_element(all.begin(), all.begin() + static_cast<int64_t>(all.size() / 2), all.end());
+  const int near = 4 * all[all.size() / 2] + 4;  // what lies so near is one surface
+  for (size_t k = 0; k < at.size(); ++k) {
+    const auto together = std::ranges::count_if(around[k], [&](int distance) { return distance <= near; });
+    if (2 * together < static_cast<int64_t>(around[k].size())) at[k] = -1;
+  }
+}
+
+bool PatternWitness::IsPlain(std::span<const int> pair, int probe) const {
+  constexpr double kLeastContrast = 0.06;  // of W - B, as for the fitter
+  const double bit = frames_.at(pair[0]).probes[probe], inverse = frames_.at(pair[1]).probes[probe];
+  const double least = kLeastContrast * (double(white_.probes[probe]) - black_.probes[probe]);
+  return std::abs(bit - inverse) > std::hypot(least, 4.0 * std::sqrt(VarianceDn(bit) + VarianceDn(inverse)));
 }
 
 const PatternWitness::Coordinates& PatternWitness::Where() {

@@ -212,7 +212,12 @@ class PatternWitness {
   };
   [[nodiscard]] Black MeanBlack() const;
   [[nodiscard]] double VarianceDn(double dn) const { return options_.VarianceDn(dn); }
+  // Projector pixels of the lit probes; -1 where they cannot be told. Empty where the axis' code is not whole.
   [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
+  // Of a code whose coarse planes hang on one: probes away from most of their neighbours are misread, and -1.
+  void ForgetStrays(std::vector<int>& at) const;
+  // Steps of a bit and its inverse differ at the probe beyond noise and stray light.
+  [[nodiscard]] bool IsPlain(std::span<const int> pair, int probe) const;
   const Coordinates& Where();
   [[nodiscard]] LevelsAt LevelsOf(const PlanStep& step, std::vector<float>& level);
   // Of the present projector; of other phases than the sweep only those of the nominal exposure.

@@ -103,6 +103,39 @@ TEST_F(WitnessTest, AnHonestProjectorPassesThroughout) {
   EXPECT_TRUE(witness_.CheckProjector().empty());
 }
 
+class EachCode : public WitnessTest, public ::testing::WithParamInterface<ColumnCode> {
+ protected:
+  EachCode() : WitnessTest(Plan()) {}
+  static PlanOptions Plan() {
+    PlanOptions options = OneProjector();
+    options.code = GetParam();
+    return options;
+  }
+};
+
+TEST_P(EachCode, OfAnHonestProjectorPassesThroughout) {
+  ShowUpTo(static_cast<int>(plan_.steps.size()));
+  EXPECT_TRUE(witness_.CheckProjector().empty());
+  EXPECT_THAT(witness_.TakeDoubtful(), ::testing::IsEmpty());
+  EXPECT_THAT(witness_.UnborneCodes({}), ::testing::IsEmpty());
+}
+
+TEST_P(EachCode, LocatesCombs) {
+  const PlanStep& first = First(CapturePhase::kSweep);
+  ShowUpTo(first.index - 1);
+  for (int wrong : {1, 2, 3, 6, 16, 30, 31}) {
+    Pattern shown = first.pattern;
+    shown.shift = wrong * plan_.options.comb_step;
+    Show(first, See(shown));
+    EXPECT_EQ(witness_.Check(first), LevelCheck::kFailed) << wrong;
+  }
+  Show(first, See(first.pattern));
+  EXPECT_EQ(witness_.Check(first), LevelCheck::kPassed);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, EachCode,
+                         ::testing::Values(ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe));
+
 TEST_F(WitnessTest, EachWrongCombShiftFails) {
   const PlanStep& first = First(CapturePhase::kSweep);
   ShowUpTo(first.index - 1);
