@@ -28,7 +28,7 @@ namespace {
 struct DecodeFlags {
   std::string store, session = "latest", out, reference;
   int projector = 0, pose = -1;
-  bool json = false;
+  bool json = false, bits_alone = false;
 };
 
 // Median distance, projector px, between a reference file's corners (pose, board x y, camera u v, projector x y) and
@@ -82,7 +82,8 @@ Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::st
 Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, nlohmann::ordered_json& results) {
   const CodeSize code = CodeSizeOf(frames);
   SLX_ASSIGN_OR_RETURN(const auto report,
-                       DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames)));
+                       DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames),
+                                       f.bits_alone ? CodeReading::kBitsAlone : CodeReading::kWithSinusoids));
   nlohmann::ordered_json result = {{"projector", f.projector}, {"pose", pose}};
   for (int r = 0; r < kDecodeReasons; ++r) result["pixels"][ToString(static_cast<DecodeReason>(r))] = report.counts[r];
   for (const auto& [axis, counts] :
@@ -146,6 +147,7 @@ void AddDecodeCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--out", flags->out, "Folder for column and row maps (EXR, PNG)");
   verb->add_option("--reference", flags->reference,
                    "Corner file to compare with (pose, board x y, camera u v, projector x y)");
+  verb->add_flag("--bits-alone", flags->bits_alone, "Without the sinusoids that were captured");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;

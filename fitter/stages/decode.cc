@@ -22,16 +22,29 @@ struct AxisFrames {
 
 enum class Polarity { kPositive, kInverse };
 
-Pattern GrayPattern(PatternAxis axis, int bit, int bits, Polarity polarity) {
-  return {
-      .kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = polarity == Polarity::kInverse};
+// What both axes' codes are of: as the first of the session's frames of a code says.
+ColumnCode CodeOf(const SessionFrames& frames) {
+  for (const db::FrameRow& row : frames.rows())
+    if (row.record.pattern.kind == PatternKind::kGray) return row.record.pattern.code;
+  return ColumnCode::kGray;
+}
+
+Pattern CodePattern(ColumnCode code, PatternAxis axis, int bit, int bits, Polarity polarity) {
+  return {.kind = PatternKind::kGray,
+          .axis = axis,
+          .bit = bit,
+          .bits = bits,
+          .inverse = polarity == Polarity::kInverse,
+          .code = code};
 }
 
 // Whether there is any frame of an axis' code.
 bool Captured(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count, Polarity polarity) {
   const int bits = count > 0 ? GrayBits(count) : 0;
+  const ColumnCode code = CodeOf(frames);
   for (int bit = 0; bit < bits; ++bit)
-    if (frames.Find(projector, CapturePhase::kCorrespondence, GrayPattern(axis, bit, bits, polarity), pose) != nullptr)
+    if (frames.Find(projector, CapturePhase::kCorrespondence, CodePattern(code, axis, bit, bits, polarity), pose) !=
+        nullptr)
       return true;
   return false;
 }
@@ -40,12 +53,13 @@ bool Captured(const SessionFrames& frames, int projector, int pose, PatternAxis 
 Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count) {
   std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
+  const ColumnCode code = CodeOf(frames);
   std::vector<Polarity> polarities = {Polarity::kPositive};
   if (Captured(frames, projector, pose, axis, count, Polarity::kInverse)) polarities.push_back(Polarity::kInverse);
   for (const Polarity polarity : polarities)
     for (int bit = 0; bit < bits; ++bit) {
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
-                                                               GrayPattern(axis, bit, bits, polarity), pose));
+                                                               CodePattern(code, axis, bit, bits, polarity), pose));
     }
   for (int shift = 0; frames.plan() && shift < frames.plan()->separation_shifts; ++shift) {
     const PlanOptions& o = *frames.plan();
@@ -68,8 +82,9 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose
   return read;
 }
 
-AxisCode CodeOf(const AxisFrames& frames, int count, int period) {
+AxisCode AxisCodeOf(const AxisFrames& frames, ColumnCode kind, int count, int period) {
   AxisCode code;
+  code.code = kind;
   code.count = count;
   for (size_t b = 0; b < frames.positive.size(); ++b)
     code.bits.push_back({frames.positive[b], frames.inverse.empty() ? RawView{} : RawView{frames.inverse[b]}});
@@ -100,7 +115,7 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
 }
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
-                                     int code_height, const SensorNoise& noise) {
+                                     int code_height, const SensorNoise& noise, CodeReading reading) {
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));
@@ -120,19 +135,20 @@ Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector,
   DecodeInput input;
   input.white = white;
   input.black = black;
-  input.columns = CodeOf(columns, code_width, period);
-  input.rows = CodeOf(rows, code_height, period);
+  input.columns = AxisCodeOf(columns, CodeOf(frames), code_width, period);
+  input.rows = AxisCodeOf(rows, CodeOf(frames), code_height, period);
+  if (reading == CodeReading::kBitsAlone) input.columns.shifts = input.rows.shifts = {};
   return DecodeGray(input, noise);
 }
 
-Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger) {
+Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger, CodeReading reading) {
   const RigCalibration& rig = *frames.calibration();
   const SensorNoise noise = SensorNoise::From(rig.camera);
   DecodedFace face;
   Progress progress(logger, "decode", static_cast<int64_t>(rig.projectors.size()));
   for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
     const Pinhole& model = rig.projectors[p].model;
-    SLX_ASSIGN_OR_RETURN(auto report, DecodeProjector(frames, p, -1, model.width, model.height, noise));
+    SLX_ASSIGN_OR_RETURN(auto report, DecodeProjector(frames, p, -1, model.width, model.height, noise, reading));
     for (int r = 0; r < kDecodeReasons; ++r) face.counts[r] += report.counts[r];
     face.maps.push_back(std::move(report.map));
     progress.Advance();

@@ -21,17 +21,22 @@ struct CodeSize {
 };
 [[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
 
+// kBitsAlone leaves out the sinusoids that were captured: what the codes say by themselves.
+enum class CodeReading { kWithSinusoids, kBitsAlone };
+
 // Decodes projector p of a session whose frames have `width` x `height` code columns and rows; sinusoids where the plan
 // has them. An axis without any Gray frame is left out; inverses may be absent all together, single frames may not.
 [[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
-                                                   int code_height, const SensorNoise& noise);
+                                                   int code_height, const SensorNoise& noise,
+                                                   CodeReading reading = CodeReading::kWithSinusoids);
 
 struct DecodedFace {
   std::vector<DecodedMap> maps;  // by projector
   std::array<int64_t, kDecodeReasons> counts{};
 };
 // Of all projectors of a calibrated session.
-[[nodiscard]] Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger);
+[[nodiscard]] Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger,
+                                             CodeReading reading = CodeReading::kWithSinusoids);
 
 // decoded_<p>.exr, decode.json.
 Status SaveDecoded(const std::filesystem::path& folder, const DecodedFace& face);

@@ -21,6 +21,7 @@ AxisDecoder::AxisDecoder(const AxisCode& code, const SensorNoise& noise, const D
       all_bits_(static_cast<int>(code.bits.size())),
       period_bits_(all_bits_) {
   if (code.shifts.empty()) return;
+  if (code.code == ColumnCode::kMinStripe) return;
   // Largest power of two <= period / 2: cells of that many columns number the period without doubt.
   cell_px_ = static_cast<int>(std::bit_floor(static_cast<unsigned>(code.period_px / 2)));
   cell_px_ = std::min(cell_px_, 1 << all_bits_);
@@ -64,12 +65,17 @@ double AxisDecoder::ProbabilityOfOne(const Pair& pair, const SiteLight& light, d
 }
 
 AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int bits, double direct_dn) const {
-  Reading reading;
-  for (int b = 0; b < bits; ++b) {
-    const Pair pair = PairAt(static_cast<size_t>(b), site, light);
+  Reading reading{GrayWord(code_.code, all_bits_)};
+  // Stripes finer than the sinusoid's half period are blurred more than it: no pixel of theirs need have all its direct
+  // light.
+  if (reading.word.HasBase()) direct_dn = 0.0;
+  const auto one = [&](int plane) {
+    const Pair pair = PairAt(static_cast<size_t>(plane), site, light);
     reading.pair_lost |= pair.lost;
-    reading.word.Push(ProbabilityOfOne(pair, light, direct_dn));
-  }
+    return ProbabilityOfOne(pair, light, direct_dn);
+  };
+  for (int b = 0; b < bits; ++b) reading.word.Push(one(b));
+  if (reading.word.EndsBeforeBase()) reading.word.SetBase(one(reading.word.base()));
   return reading;
 }
 
@@ -97,10 +103,25 @@ Position AxisDecoder::FromBits(size_t site, const SiteLight& light) const {
   return position;
 }
 
+// The base repeats in each period of the sinusoid, where its own period divides that: its stripes of half a period are
+// lit from a quarter to three quarters of it. Light that scatters may move edges of stripes and phase unlike.
+double AxisDecoder::BaseByPhase(const Harmonic& h) const {
+  constexpr double kEdge_px = 0.25;  // standard deviation of where an edge lies by the phase
+  constexpr double kSurest = 1e-6;
+  const int base_px = 4 << (all_bits_ - 1 - *BasePlane(code_.code, all_bits_));
+  if (code_.period_px % base_px != 0) return 0.5;
+  const double px_per_rad = code_.period_px / (2.0 * std::numbers::pi);
+  const double within = std::fmod(h.phase_rad * px_per_rad, base_px);
+  const double inside = 0.25 * base_px - std::abs(within - 0.5 * base_px);
+  const double sigma = std::hypot(kEdge_px, h.amplitude_sigma_dn / h.amplitude_dn * px_per_rad);
+  return std::clamp(NormalShare(inside / sigma), kSurest, 1.0 - kSurest);
+}
+
 Position AxisDecoder::FromPhase(size_t site, const SiteLight& light, const Harmonic& h) const {
   const double direct_dn =
       light.white_saturated ? 2.0 * h.amplitude_dn : std::min(2.0 * h.amplitude_dn, light.SignalDn());
-  const Reading reading = Read(site, light, period_bits_, direct_dn);
+  Reading reading = Read(site, light, period_bits_, direct_dn);
+  if (reading.word.HasBase()) reading.word.WeighBase(BaseByPhase(h));
   Position position{.trusted_bits = reading.word.TrustedBits(options_.max_astray), .source = PositionSource::kPhase};
   position.reason = reading.pair_lost ? DecodeReason::kSaturated : DecodeReason::kAmbiguous;
   // The period whose phase position (`within`, from its first edge) lies nearest to the cell's centre; a doubtful bit

@@ -58,6 +58,8 @@ class AxisDecoder {
   [[nodiscard]] Pair PairAt(size_t bit, size_t site, const SiteLight& light) const;
   [[nodiscard]] double ProbabilityOfOne(const Pair& pair, const SiteLight& light, double direct_dn) const;
   [[nodiscard]] Reading Read(size_t site, const SiteLight& light, int bits, double direct_dn) const;
+  // Probability that a code's base lit the site, by the sinusoid's phase.
+  [[nodiscard]] double BaseByPhase(const Harmonic& h) const;
   [[nodiscard]] Position FromBits(size_t site, const SiteLight& light) const;
   [[nodiscard]] Position FromPhase(size_t site, const SiteLight& light, const Harmonic& h) const;
 

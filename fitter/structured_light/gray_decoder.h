@@ -24,9 +24,10 @@ struct CodedBit {
 // One axis of one projector; without bits and shifts it was not captured.
 struct AxisCode {
   int count = 0;                  // columns (or rows) of the projector
-  std::vector<CodedBit> bits{};   // reflected Gray code, most significant first
+  std::vector<CodedBit> bits{};   // most significant first
   std::vector<RawView> shifts{};  // sinusoids in shift order; empty: the bits alone
   int period_px = 0;              // of the sinusoids
+  ColumnCode code = ColumnCode::kGray;
 };
 
 // Raw mosaics, all of one size and one channel. `black` is the mean of the black frames, raw level.
@@ -67,11 +68,11 @@ struct DecodeReport {
 };
 
 // Columns and rows of the projector per camera site; integer = centre of a projector pixel. A site is valid when all
-// captured axes are; the other axis' maps are NaN. With sinusoids only the bits coarser than half a period are read; a
-// doubtful bit is accepted where the phase makes both of its values agree on the period (only one Gray bit changes at a
-// time). Without them, or where they saturate, neighbours on one surface with the site sharpen its position.
-// kUsage: sizes differ, too few bits or shifts, period out of range; the message names the frame. Reentrant; the same
-// bits whatever the number of threads.
+// captured axes are; the other axis' maps are NaN. With sinusoids only the bits coarser than half a period are read
+// (and what they are XORed with; all of a code of minimum stripe width); a doubtful bit is accepted where the phase
+// makes both of its values agree on the period (only one Gray bit changes at a time). Without them, or where they
+// saturate, neighbours on one surface with the site sharpen its position. kUsage: sizes differ, too few bits or shifts,
+// period out of range; the message names the frame. Reentrant; the same bits whatever the number of threads.
 [[nodiscard]] Result<DecodeReport> DecodeGray(const DecodeInput& input, const SensorNoise& noise,
                                               const DecodeOptions& options = {});
 

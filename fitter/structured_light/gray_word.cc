@@ -4,21 +4,30 @@
 #include <algorithm>
 #include <cmath>
 
-#include "shared/pattern/pattern.h"
-
 namespace stratalux::fit {
 
-double GrayWord::Probability(unsigned cell, int bits) const {
-  const unsigned gray = GrayFromBinary(cell);
+double GrayWord::ProbabilityOf(unsigned word, int bits) const {
   double probability = 1.0;
-  for (int b = 0; b < bits; ++b) probability *= (gray >> (bits - 1 - b) & 1U) != 0 ? one_[b] : 1.0 - one_[b];
+  for (int b = 0; b < bits; ++b) probability *= (word >> (bits - 1 - b) & 1U) != 0 ? one_[b] : 1.0 - one_[b];
   return probability;
 }
 
+double GrayWord::Probability(unsigned cell, int bits) const {
+  if (code_ == ColumnCode::kMinStripe) return ProbabilityOf(WordOf(code_, cell, bits), bits);
+  const unsigned gray = GrayFromBinary(cell);
+  if (base_ == kNoBase) return ProbabilityOf(gray, bits);
+  const unsigned flipped = gray ^ (bits > base_ ? ~0U << (bits - base_) : ~0U);
+  if (bits > base_) return ProbabilityOf((gray >> (bits - 1 - base_) & 1U) != 0 ? flipped : gray, bits);
+  // Either half of a cell's columns has the base dark, the other half lit: the planes are independent given the base.
+  return (1.0 - one_[base_]) * ProbabilityOf(gray, bits) + one_[base_] * ProbabilityOf(flipped, bits);
+}
+
+// Given the base, planes are independent, and of both values of the base the more probable one has the best cell.
 unsigned GrayWord::MostProbable(int bits) const {
-  unsigned gray = 0;
-  for (int b = 0; b < bits; ++b) gray = gray << 1 | (one_[b] > 0.5 ? 1U : 0U);
-  return BinaryFromGray(gray);
+  unsigned word = 0;
+  const bool flips = base_ != kNoBase && one_[base_] > 0.5;
+  for (int b = 0; b < bits; ++b) word = word << 1 | ((one_[b] > 0.5) != (flips && b < base_) ? 1U : 0U);
+  return code_ == ColumnCode::kMinStripe ? ColumnOf(code_, word, bits) : BinaryFromGray(word);
 }
 
 template <typename Visit>
@@ -42,7 +51,8 @@ CodeSpread GrayWord::Spread() const {
 }
 
 int GrayWord::TrustedBits(double astray) const {
-  for (int bits = bits_; bits > 0; --bits) {
+  const int fewest = code_ == ColumnCode::kMinStripe ? bits_ : 1;
+  for (int bits = bits_; bits >= fewest; --bits) {
     double mass = 0.0;
     ForEachNear(bits, 1, [&](int, double probability) { mass += probability; });
     if (mass >= 1.0 - astray) return bits;

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 
 #include <gtest/gtest.h>
 
@@ -50,6 +51,44 @@ TEST_F(GrayDecoder, GivesTheColumnWithoutSinusoids) {
   const DecodeReport report = Decode(frames, 0);
   EXPECT_GT(static_cast<double>(report.counts[0]), 0.98 * Lit(frames));
   EXPECT_LT(Largest(report.map, frames), 0.8);  // at the rim, where the ball falls away from the neighbours' plane
+}
+
+constexpr ColumnCode kCodes[] = {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe};
+
+TEST_F(GrayDecoder, ReadsEachCodeWithSinusoids) {
+  for (const ColumnCode code : kCodes) {
+    const Frames frames = Shoot(rig_, 0, kBall, {.code = code});
+    const DecodeReport report = Decode(frames);
+    // On an edge of the base all planes are doubtful at once, in columns or in rows.
+    const double least = code == ColumnCode::kXor2 ? 0.7 : code == ColumnCode::kXor4 ? 0.85 : 0.98;
+    EXPECT_GT(static_cast<double>(report.counts[0]), least * Lit(frames)) << ToString(code);
+    EXPECT_LT(Largest(report.map, frames), 0.05) << ToString(code);
+  }
+}
+
+TEST_F(GrayDecoder, ReadsEachCodeByItself) {
+  for (const ColumnCode code : kCodes) {
+    const Frames frames = Shoot(rig_, 0, kBall, {.blur_px = 0.3, .code = code});
+    const DecodeReport report = Decode(frames, 0);
+    EXPECT_GT(static_cast<double>(report.counts[0]), 0.97 * Lit(frames)) << ToString(code);
+    EXPECT_LT(Largest(report.map, frames), 0.8) << ToString(code);
+  }
+}
+
+TEST_F(GrayDecoder, PlacesNoSiteElsewhereForNoiseWhateverTheCode) {
+  for (const ColumnCode code : kCodes)
+    for (const int period : {kPeriodPx, 0}) {
+      const Frames frames = Shoot(rig_, 0, kBall, {.albedo = 0.2, .noise = true, .code = code});
+      const DecodeReport report = Decode(frames, period);
+      int64_t gross = 0;
+      for (size_t s = 0; s < report.map.reason.size(); ++s)
+        if (report.map.reason.data()[s] == 0)
+          gross += std::abs(report.map.column.data()[s] - frames.true_column.data()[s]) > 4.0 ? 1 : 0;
+      std::printf("%s, %s: %.3f of lit sites kept\n", ToString(code), period > 0 ? "with sinusoids" : "bits alone",
+                  static_cast<double>(report.counts[0]) / Lit(frames));
+      EXPECT_GT(static_cast<double>(report.counts[0]), 0.45 * Lit(frames)) << ToString(code);
+      EXPECT_EQ(gross, 0) << ToString(code) << ", period " << period;
+    }
 }
 
 TEST_F(GrayDecoder, IsInvariantToAmbientLightAndAlbedo) {

@@ -53,6 +53,65 @@ TEST(GrayWord, ProbabilitiesOfAllCellsAreOne) {
   EXPECT_NEAR(sum, 1.0, 1e-12);
 }
 
+constexpr ColumnCode kAnyCodes[] = {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe};
+constexpr double kOnes[] = {0.9, 0.3, 0.55, 0.999, 0.02, 0.6};
+
+TEST(GrayWord, OfAnyCodeHasTheProbabilitiesOfItsPlanes) {
+  constexpr int kPlanes = 6;
+  for (const ColumnCode code : kAnyCodes) {
+    GrayWord word(code, kPlanes);
+    for (const double one : kOnes) word.Push(one);
+    double sum = 0.0, most = 0.0;
+    unsigned best = 0;
+    for (unsigned cell = 0; cell < 1U << kPlanes; ++cell) {
+      double product = 1.0;
+      for (int b = 0; b < kPlanes; ++b)
+        product *= (WordOf(code, cell, kPlanes) >> (kPlanes - 1 - b) & 1U) != 0 ? kOnes[b] : 1.0 - kOnes[b];
+      EXPECT_NEAR(word.Probability(cell), product, 1e-15) << ToString(code) << ", cell " << cell;
+      sum += product;
+      if (product > most) most = product, best = cell;
+    }
+    EXPECT_NEAR(sum, 1.0, 1e-12);
+    EXPECT_EQ(word.MostProbable(), best) << ToString(code);
+  }
+}
+
+// Of leading planes alone: what all columns of a cell have together when nothing is known of the other planes.
+TEST(GrayWord, OfLeadingPlanesIsTheSumOverWhatTheBaseMayBe) {
+  constexpr int kPlanes = 6;
+  for (const ColumnCode code : {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4})
+    for (int leading = 1; leading < kPlanes; ++leading) {
+      GrayWord word(code, kPlanes), whole(code, kPlanes);
+      const int base = BasePlane(code, kPlanes).value_or(-1);
+      for (int b = 0; b < leading; ++b) word.Push(kOnes[b]);
+      EXPECT_EQ(word.EndsBeforeBase(), base >= leading);
+      if (word.EndsBeforeBase()) word.SetBase(kOnes[base]);
+      for (int b = 0; b < kPlanes; ++b) whole.Push(b < leading || b == base ? kOnes[b] : 0.5);
+      double most = 0.0;
+      unsigned best = 0;
+      for (unsigned cell = 0; cell < 1U << leading; ++cell) {
+        double sum = 0.0;
+        const unsigned columns = 1U << (kPlanes - leading);
+        for (unsigned c = 0; c < columns; ++c) sum += whole.Probability(cell * columns + c);
+        EXPECT_NEAR(word.Probability(cell), sum, 1e-12) << ToString(code) << ", " << leading << " planes";
+        if (sum > most) most = sum, best = cell;
+      }
+      EXPECT_EQ(word.MostProbable(), best) << ToString(code) << ", " << leading << " planes";
+    }
+}
+
+TEST(GrayWord, ADoubtfulBaseSendsACertainWordAstray) {
+  // Eight leading planes of ten, all certain, and a base of which nothing is known: of two cells, either may be it.
+  GrayWord word(ColumnCode::kXor4, 10);
+  for (int b = 0; b < 8; ++b) word.Push((GrayFromBinary(100) >> (7 - b) & 1U) != 0 ? 1.0 : 0.0);
+  EXPECT_NEAR(word.Spread().astray, 0.5, 1e-12);
+  EXPECT_EQ(word.TrustedBits(1e-4), 1);  // two cells, which adjoin
+  word.SetBase(0.0);
+  EXPECT_EQ(word.MostProbable(), 100U);
+  EXPECT_NEAR(word.Spread().astray, 0.0, 1e-12);
+  EXPECT_EQ(word.TrustedBits(1e-4), 8);
+}
+
 TEST(GrayWord, ADoubtfulBitOnItsOwnEdgeLeavesTwoNeighbours) {
   for (const unsigned cell : {511U, 255U, 703U, 7U}) {  // the bit that changes to the next cell
     const unsigned changing = GrayFromBinary(cell) ^ GrayFromBinary(cell + 1);

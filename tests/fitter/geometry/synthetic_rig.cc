@@ -47,13 +47,14 @@ class BlurredProfile {
   double blur_px_ = 0.0;
 };
 
-std::vector<Pattern> Patterns(const ProjectorCalibration& projector) {
+std::vector<Pattern> Patterns(const ProjectorCalibration& projector, ColumnCode code) {
   std::vector<Pattern> patterns = {{.kind = PatternKind::kWhite}, {.kind = PatternKind::kBlack}};
   for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
     const int bits = GrayBits(axis == PatternAxis::kColumns ? projector.model.width : projector.model.height);
     for (int bit = 0; bit < bits; ++bit)
       for (bool inverse : {false, true})
-        patterns.push_back({.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse});
+        patterns.push_back(
+            {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse, .code = code});
     for (int shift = 0; shift < kShifts; ++shift)
       patterns.push_back(
           {.kind = PatternKind::kSinusoid, .axis = axis, .period = kPeriodPx, .shift = shift, .shifts = kShifts});
@@ -62,10 +63,10 @@ std::vector<Pattern> Patterns(const ProjectorCalibration& projector) {
 }
 
 AxisCode CodeOf(const Frames& frames, PatternAxis axis, int count, int period_px) {
-  AxisCode code{.count = count, .bits = {}, .shifts = {}, .period_px = period_px};
+  AxisCode code{.count = count, .bits = {}, .shifts = {}, .period_px = period_px, .code = frames.code};
   const int bits = GrayBits(count);
   for (int bit = 0; bit < bits; ++bit) {
-    const Pattern positive{.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits};
+    const Pattern positive{.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .code = frames.code};
     Pattern inverse = positive;
     inverse.inverse = true;
     code.bits.push_back({frames.View(positive), frames.View(inverse)});
@@ -140,9 +141,10 @@ Surface Plane(const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
 Frames Shoot(const RigCalibration& rig, int projector, const Surface& surface, const Shot& shot) {
   const ProjectorCalibration& light = rig.projectors[projector];
   Frames frames;
+  frames.code = shot.code;
   const Image<double> white = LightOf(rig, projector, surface, shot, frames);
   Random random(shot.seed, static_cast<uint64_t>(projector));
-  for (const Pattern& pattern : Patterns(light)) {
+  for (const Pattern& pattern : Patterns(light, shot.code)) {
     const bool columns = pattern.axis == PatternAxis::kColumns;
     const BlurredProfile profile(pattern, columns ? light.model.width : light.model.height, shot.blur_px);
     const double mean = pattern.kind == PatternKind::kWhite ? 1.0 : pattern.kind == PatternKind::kBlack ? 0.0 : 0.5;

@@ -38,6 +38,7 @@ struct Shot {
   double white_dn = 1500.0;  // of a white target facing the light
   bool noise = false;
   uint64_t seed = 1;
+  ColumnCode code = ColumnCode::kGray;
 };
 
 // One projector's frames; the views of Decode() and Separate() live as long as this.
@@ -45,6 +46,7 @@ struct Frames {
   std::map<std::string, Image<uint16_t>> by_pattern;
   Image<float> black;
   Image<double> true_column, true_row;  // NaN where the projector does not reach
+  ColumnCode code = ColumnCode::kGray;
 
   [[nodiscard]] RawView View(const Pattern& pattern) const { return by_pattern.at(pattern.ToString()).view(); }
   [[nodiscard]] DecodeInput Decode(const ProjectorCalibration& projector, int period_px) const;
