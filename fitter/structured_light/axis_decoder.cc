@@ -21,7 +21,7 @@ AxisDecoder::AxisDecoder(const AxisCode& code, const SensorNoise& noise, const D
       all_bits_(static_cast<int>(code.bits.size())),
       period_bits_(all_bits_) {
   if (code.shifts.empty()) return;
-  if (code.code == ColumnCode::kMinStripe) return;
+  if (code.code == ColumnCode::kMinStripe) return;  // all of its planes number the period
   // Largest power of two <= period / 2: cells of that many columns number the period without doubt.
   cell_px_ = static_cast<int>(std::bit_floor(static_cast<unsigned>(code.period_px / 2)));
   cell_px_ = std::min(cell_px_, 1 << all_bits_);

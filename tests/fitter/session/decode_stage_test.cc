@@ -35,7 +35,7 @@ class DecodeStage : public db::StoreTest {
       for (int bit = 0; bit < kBits; ++bit)
         for (const bool inverse : {false, true}) {
           const Pattern pattern{
-              .kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = kBits, .inverse = inverse};
+              .kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = kBits, .inverse = inverse, .code = code_};
           if (wanted(pattern)) SLX_RETURN_IF_ERROR(Add(files, pattern));
         }
     db::WriteText(files / "m.toml", manifest_);
@@ -47,6 +47,8 @@ class DecodeStage : public db::StoreTest {
     const SensorNoise noise{.saturation_dn = 255.0, .gain_e_per_dn = 20.0, .read_noise_dn = 1.0};
     return DecodeProjector(frames, 0, -1, kWidth, kHeight, noise);
   }
+
+  ColumnCode code_ = ColumnCode::kGray;
 
  private:
   Status Add(const std::filesystem::path& files, const Pattern& pattern) {
@@ -74,6 +76,15 @@ void ExpectEveryPixelAtItsPlace(const DecodedMap& map, Axes axes) {
       else
         ASSERT_TRUE(std::isnan(map.row(x, y)));
     }
+}
+
+TEST_F(DecodeStage, ReadsTheCodeThatTheFramesAreOf) {
+  for (const ColumnCode code : {ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe}) {
+    code_ = code;
+    const auto report = DecodeImported([](const Pattern&) { return true; });
+    ASSERT_TRUE(report.ok()) << ToString(code) << ": " << report.status().message();
+    ExpectEveryPixelAtItsPlace(report->map, Axes::kBoth);
+  }
 }
 
 TEST_F(DecodeStage, ReadsAWholeCode) {
