@@ -114,6 +114,10 @@ TEST_P(Codes, AreProvenAndGiveASurface) {
         "%+.3f mm, rms about it %.3f mm (the first code's there: %+.3f, %.3f)\n",
         GetParam(), name, frames->rows().size(), static_cast<long long>(proven), 100.0 * f.decoded, 100.0 * f.skin,
         f.error.depth_bias_mm, f.error.depth_rms_mm, f.first.depth_bias_mm, f.first.depth_rms_mm);
+    if (std::getenv("STRATALUX_CODES_PLAN") != nullptr) continue;
+    EXPECT_GT(f.decoded, 0.65) << name;
+    EXPECT_GT(f.skin, 0.98) << name;
+    EXPECT_LT(f.error.depth_rms_mm, reading == CodeReading::kBitsAlone ? 0.3 : 0.12) << name;
   }
   if (std::getenv("STRATALUX_CODES_PLAN") != nullptr) return;
   const Outcome made = Execute("stratalux-fit reconstruct latest --store " + store_);
