@@ -171,7 +171,9 @@ def faults(chosen):
         if not layers < blind:
             yield f"{name}: stripes {100 * layers:.2f} % by layers, {100 * blind:.2f} % by the blind fit"
         normals = [p["normals"] for p in judged if p.get("normals")]
-        if normals:
+        if not normals:
+            yield f"{name}: no normals were judged"
+        else:
             fused, surface = (mean(n[kind]["rms_deg"] for n in normals) for kind in ("specular", "surface"))
             if not fused <= 1.1 * surface:
                 yield f"{name}: specular normals off by {fused:.2f} degrees rms, the surface's alone by {surface:.2f}"

@@ -162,9 +162,13 @@ void PatternWitness::CheckCycle(PatternAxis axis, std::vector<Finding>& findings
   const auto missing = FindMissingComb(cycle);
   if (missing) found(FindingKind::kMixedUp, missing->frame, missing->sum, missing->limit);
   std::vector<bool> spoilt(gain.size());
-  // The fewer of the lit probes have a known position, the more the light of a comb's few scatters.
-  const auto known = std::ranges::count_if(cycle.passed_in, [](int frame) { return frame >= 0; });
-  const double scatter = std::sqrt(static_cast<double>(lit_.size()) / static_cast<double>(known));
+  // A logical code leaves a coarse camera few probes of known position: the fewer, the more the light of a comb's few
+  // scatters.
+  double scatter = 1.0;
+  if (BasePlane(plan_.options.ShownCode(), GrayBits(plan_.options.projector_width))) {
+    const auto known = std::ranges::count_if(cycle.passed_in, [](int frame) { return frame >= 0; });
+    scatter = std::sqrt(static_cast<double>(lit_.size()) / static_cast<double>(known));
+  }
   for (const Blink& blink : FindBlinks(gain, scatter * options_.blink_tolerance)) {
     if (missing && missing->frame == blink.frame) continue;
     spoilt[blink.frame] = true;

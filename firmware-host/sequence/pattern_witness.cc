@@ -136,24 +136,28 @@ PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span
     for (const auto& [a, b] : pairs) sum += std::abs(place[a] - place[b]);
     return sum;
   };
-  const int64_t as_decoded = roughness(0);
-  for (int significance = 0; significance < bits; ++significance) {
-    if (roughness(1U << significance) * 10 > as_decoded * 6) continue;
-    Testimony judged = Testimony::kSilent;
-    for (int i : StepsOf(CapturePhase::kCorrespondence)) {
-      const Pattern& p = plan_.steps[i].pattern;
-      if (p.kind != PatternKind::kGray || p.axis != axis || p.bit != bits - 1 - significance) continue;
-      frames_.at(i).testimony = Testimony::kRefutes;
-      if (std::find(group.begin(), group.end(), i) != group.end()) {
-        judged = Testimony::kRefutes;
-      } else {
-        doubtful_.push_back(i);
-      }
-      decoded_ = false;
+  // The plane whose exchange makes the picture the smoothest, if by so much.
+  int64_t least = roughness(0) * 6 / 10;
+  int exchanged = -1;
+  for (int significance = 0; significance < bits; ++significance)
+    if (const int64_t rough = roughness(1U << significance); rough <= least) {
+      least = rough;
+      exchanged = significance;
     }
-    return judged;
+  if (exchanged < 0) return Testimony::kConfirms;
+  Testimony judged = Testimony::kSilent;
+  for (int i : StepsOf(CapturePhase::kCorrespondence)) {
+    const Pattern& p = plan_.steps[i].pattern;
+    if (p.kind != PatternKind::kGray || p.axis != axis || p.bit != bits - 1 - exchanged) continue;
+    frames_.at(i).testimony = Testimony::kRefutes;
+    if (std::find(group.begin(), group.end(), i) != group.end()) {
+      judged = Testimony::kRefutes;
+    } else {
+      doubtful_.push_back(i);
+    }
+    decoded_ = false;
   }
-  return Testimony::kConfirms;
+  return judged;
 }
 
 bool PatternWitness::ReferenceStandsAlone() const {

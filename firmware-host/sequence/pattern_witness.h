@@ -5,7 +5,7 @@
 // probe is lit where W - B stands well above the noise, and n = (I - B) / (W - B) is its relative level. Checked are:
 //   every frame  no probe brighter than W or darker than B, in any band of rows;
 //   reference    enough lit probes; black not brighter, white not beyond that of the pre-roll, where all shine;
-//   Gray code    a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ; decoded,
+//   code         a bit and its inverse add up, n + n' = 1, in every band, and far better than they differ; decoded,
 //                neighbours in the picture are neighbours of the projector (else a bit was exchanged with its inverse);
 //                and something else must bear it out (UnborneCodes);
 //   sinusoid     N shifts add up, sum n = N / 2; each frame agrees best with its own shift;
@@ -156,7 +156,8 @@ class PatternWitness {
   // The silent ones of loads that ended before a frame spoke for them.
   void DoubtUnspokenFor();
   // A bit whose frame shows its inverse and the other way round still adds up; but with it, stretches of the picture
-  // run backwards. Not to be told: the top bit, which mirrors the whole picture, and bits finer than the lattice.
+  // run backwards. Not to be told: a top bit that mirrors the whole picture (of all codes but that of minimum stripe
+  // width), and bits finer than the lattice.
   // Doubts the pair's frames, or refutes them where they are `group`.
   [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
   // Whether the frames' mean lies at `mean` on the way from black to white.

@@ -3,25 +3,34 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
-namespace {
 
-std::vector<float> Taps(double sigma) {
-  const int reach = std::max(1, static_cast<int>(std::ceil(3.0 * sigma)));
+std::vector<float> GaussianTaps(double sigma_px) {
+  const int reach = std::max(1, static_cast<int>(std::ceil(3.0 * sigma_px)));
   std::vector<float> taps(static_cast<size_t>(2 * reach + 1));
   double sum = 0.0;
   for (int k = -reach; k <= reach; ++k) {
-    const double tap = std::exp(-0.5 * k * k / (sigma * sigma));
+    const double tap = std::exp(-0.5 * k * k / (sigma_px * sigma_px));
     taps[static_cast<size_t>(k + reach)] = static_cast<float>(tap);
     sum += tap;
   }
   for (float& tap : taps) tap = static_cast<float>(tap / sum);
   return taps;
 }
+
+double NoiseAboveBlur(double sigma_px) {
+  const std::vector<float> taps = GaussianTaps(sigma_px);  // along each of the two axes
+  const double middle = taps[taps.size() / 2];
+  const double kept = std::inner_product(taps.begin(), taps.end(), taps.begin(), 0.0);
+  return 1.0 - 2.0 * middle * middle + kept * kept;
+}
+
+namespace {
 
 // Along x, transposed: twice it is the convolution along both.
 Image<float> AlongRows(const Image<float>& in, const std::vector<float>& taps) {
@@ -39,7 +48,7 @@ Image<float> AlongRows(const Image<float>& in, const std::vector<float>& taps) {
 }  // namespace
 
 Image<float> GaussianBlur(const Image<float>& image, double sigma_px) {
-  const std::vector<float> taps = Taps(sigma_px);
+  const std::vector<float> taps = GaussianTaps(sigma_px);
   return AlongRows(AlongRows(image, taps), taps);
 }
 

@@ -28,19 +28,6 @@ double MedianSmoothing(const SurfaceMap& surface) {
   return *middle;
 }
 
-// Of white noise, what is left of its variance when its blur by a Gaussian is taken off.
-double NoiseAboveBlur(double sigma_quads) {
-  const int reach = static_cast<int>(std::ceil(4.0 * sigma_quads));
-  double sum = 0.0, squares = 0.0;
-  for (int k = -reach; k <= reach; ++k) {
-    const double weight = std::exp(-0.5 * (k / sigma_quads) * (k / sigma_quads));
-    sum += weight;
-    squares += weight * weight;
-  }
-  const double middle = 1.0 / sum, kept = squares / (sum * sum);  // along each of the two axes
-  return 1.0 - 2.0 * middle * middle + kept * kept;
-}
-
 }  // namespace
 
 Result<Image<float>> FuseNormals(const SurfaceMap& surface, const PhotometricMap& photometric,

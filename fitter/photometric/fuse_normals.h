@@ -16,9 +16,9 @@ struct FuseOptions {
 
 // With D = photometric - geometric normal and L the Gaussian by which the surface blurs its normals (the median of
 // SurfaceMap::smoothing_quads), over the quads whose normal is from light alone,
-//   normal = geometric + gain (D - L D),   gain = max(0, 1 - G f sigma^2 / G |D - L D|^2)
+//   normal = geometric + gain (D - L D),   gain = max(0, 1 - G h sigma^2 / G |D - L D|^2)
 // to unit length: what the surface resolves is the surface's; finer detail is added as far as it exceeds the
-// photometric noise (Wiener's gain), G a Gaussian of window_quads, f the share of white noise that 1 - L lets pass.
+// photometric noise (Wiener's gain), G a Gaussian of window_quads, h the share of white noise that 1 - L lets pass.
 // sigma^2 is the a priori variance of normal_sigma_rad, without its widening, times the scatter of the neighbourhood, G
 // chi^2 / G degrees of freedom (1 where nothing is left over): narrowed as well as widened, since a model's error that
 // all lights share is not in the detail. Elsewhere the geometric normal is kept, and everywhere where the surface says

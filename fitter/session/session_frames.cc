@@ -42,6 +42,25 @@ std::vector<db::FrameRow> TakeReplaced(std::vector<db::FrameRow>& rows, std::set
   return replaced;
 }
 
+// When a projector was begun anew for a jump of the subject: something was refuted, and its first step is shot again.
+// What is shot again once more behind that (the reference, after it was asked) follows nothing refuted.
+std::map<int, std::vector<MonotonicNs>> JumpsIn(const std::vector<db::FrameRow>& rows) {
+  struct Shown {
+    int step = -1;
+    bool refuted = false;
+  };
+  std::map<int, Shown> last;  // by projector
+  std::map<int, std::vector<MonotonicNs>> jumps;
+  for (const db::FrameRow& row : rows) {
+    const FrameRecord& r = row.record;
+    Shown& shown = last[r.projector];
+    const bool back = r.step <= shown.step && r.retake_cause == kRetakenForAJump;
+    if (back && shown.refuted) jumps[r.projector].push_back(r.trigger_time);
+    shown = {r.step, (shown.refuted && !back) || r.level_check == LevelCheck::kFailed};
+  }
+  return jumps;
+}
+
 }  // namespace
 
 SessionFrames::SessionFrames(db::SessionStore store, db::SessionRow session)
@@ -66,9 +85,17 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
     frames.UseRecord(record);
   }
   SLX_ASSIGN_OR_RETURN(frames.rows_, frames.store_.ListFrames(info.id));
+  frames.jumps_ = JumpsIn(frames.rows_);
   frames.replaced_ = TakeReplaced(frames.rows_, frames.before_jump_);
   frames.Index();
   return frames;
+}
+
+bool SessionFrames::JumpedBetween(const db::FrameRow& before, const db::FrameRow& after) const {
+  const auto of = jumps_.find(before.record.projector);
+  return of != jumps_.end() && std::ranges::any_of(of->second, [&](MonotonicNs jump) {
+           return before.record.trigger_time < jump && jump <= after.record.trigger_time;
+         });
 }
 
 void SessionFrames::Index() {

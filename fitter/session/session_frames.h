@@ -38,6 +38,9 @@ class SessionFrames {
   [[nodiscard]] const std::vector<db::FrameRow>& replaced() const { return replaced_; }
   // Of those, whether a jump of the subject had it shot again: it shows what was planned, and where the subject was.
   [[nodiscard]] bool BeforeJump(const db::FrameRow& row) const { return before_jump_.contains(row.id); }
+  // Whether the subject jumped between two frames of one projector, and was captured anew. Of the whole session, also
+  // where KeepOnly took what saw it happen.
+  [[nodiscard]] bool JumpedBetween(const db::FrameRow& before, const db::FrameRow& after) const;
   [[nodiscard]] std::vector<int> poses() const;
 
   // The last good shot (a failed level check does not count) of a pattern in exposure bracket `bracket` (0: nominal);
@@ -92,7 +95,8 @@ class SessionFrames {
   std::optional<FrameLineariser> lineariser_;
   std::optional<ThinPlan> thin_;
   std::vector<db::FrameRow> rows_, replaced_;
-  std::set<int64_t> before_jump_;  // ids
+  std::set<int64_t> before_jump_;                  // ids
+  std::map<int, std::vector<MonotonicNs>> jumps_;  // by projector: of the first frame behind each
   std::map<std::string, size_t> by_key_;
   mutable std::vector<db::SessionStore> readers_;  // of ReadAll's other threads
   mutable std::map<int, Image<float>> black_;      // by projector

@@ -29,6 +29,16 @@ ColumnCode CodeOf(const SessionFrames& frames) {
   return ColumnCode::kGray;
 }
 
+// An import may name any pattern.
+Status CheckOneCode(const SessionFrames& frames) {
+  const ColumnCode code = CodeOf(frames);
+  for (const db::FrameRow& row : frames.rows())
+    if (const Pattern& p = row.record.pattern; p.kind == PatternKind::kGray && p.code != code)
+      return Status::Usage("session " + frames.info().id + ": frames of two codes, " + ToString(code) + " and '" +
+                           p.ToString() + "'; one session has one");
+  return Status::Ok();
+}
+
 Pattern CodePattern(ColumnCode code, PatternAxis axis, int bit, int bits, Polarity polarity) {
   return {.kind = PatternKind::kGray,
           .axis = axis,
@@ -116,6 +126,7 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                      int code_height, const SensorNoise& noise, CodeReading reading) {
+  SLX_RETURN_IF_ERROR(CheckOneCode(frames));
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));

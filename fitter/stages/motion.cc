@@ -32,16 +32,6 @@ std::vector<const db::FrameRow*> WhitesOf(const SessionFrames& frames, int proje
   return whites;
 }
 
-// Between two whites of a projector, the one after the other: a jump refutes what follows, and has all shot again from
-// the reference on, which is asked before it is captured.
-bool Jumped(const SessionFrames& frames, const db::FrameRow& before, const db::FrameRow& after) {
-  if (!frames.BeforeJump(before) || after.record.step > before.record.step) return false;
-  return std::ranges::any_of(frames.replaced(), [&](const db::FrameRow& row) {
-    return row.record.projector == before.record.projector && row.record.level_check == LevelCheck::kFailed &&
-           row.record.trigger_time > before.record.trigger_time && row.record.trigger_time < after.record.trigger_time;
-  });
-}
-
 // Of the first white that counts; nullopt: there is none.
 std::optional<MonotonicNs> ReferenceTime(const SessionFrames& frames, int projectors) {
   std::optional<MonotonicNs> first;
@@ -80,7 +70,7 @@ Result<ProjectorFlows> FlowsOf(const SessionFrames& frames, const FaceMotion& mo
     auto flow = FindRigidFlow(from, QuadSignal(later, dark, camera), lit, surface, camera, lamp, pivot, last);
     if (flow) last = flow->motion;
     flows.later.push_back({motion.SecondsOf(whites[k]->record.trigger_time), std::move(flow),
-                           Jumped(frames, *whites[k - 1], *whites[k])});
+                           frames.JumpedBetween(*whites[k - 1], *whites[k])});
   }
   return flows;
 }

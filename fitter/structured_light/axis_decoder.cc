@@ -21,6 +21,7 @@ AxisDecoder::AxisDecoder(const AxisCode& code, const SensorNoise& noise, const D
       all_bits_(static_cast<int>(code.bits.size())),
       period_bits_(all_bits_) {
   if (code.shifts.empty()) return;
+  finer_than_phase_ = code.code != ColumnCode::kGray && 2 * NarrowestStripe(code.code, all_bits_) < code.period_px;
   if (code.code == ColumnCode::kMinStripe) return;  // all of its planes number the period
   // Largest power of two <= period / 2: cells of that many columns number the period without doubt.
   cell_px_ = static_cast<int>(std::bit_floor(static_cast<unsigned>(code.period_px / 2)));
@@ -65,10 +66,10 @@ double AxisDecoder::ProbabilityOfOne(const Pair& pair, const SiteLight& light, d
 }
 
 AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int bits, double direct_dn) const {
-  Reading reading{GrayWord(code_.code, all_bits_)};
+  Reading reading{CodeWord(code_.code, all_bits_)};
   // Stripes finer than the sinusoid's half period are blurred more than it: no pixel of theirs need have all its direct
   // light.
-  if (reading.word.HasBase()) direct_dn = 0.0;
+  if (finer_than_phase_) direct_dn = 0.0;
   const auto one = [&](int plane) {
     const Pair pair = PairAt(static_cast<size_t>(plane), site, light);
     reading.pair_lost |= pair.lost;

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <optional>
 
+#include "fitter/structured_light/code_word.h"
 #include "fitter/structured_light/gray_decoder.h"
-#include "fitter/structured_light/gray_word.h"
 #include "fitter/structured_light/neighbour_plane.h"
 #include "fitter/structured_light/sinusoid.h"
 
@@ -51,7 +51,7 @@ class AxisDecoder {
     bool lost = false;                           // to saturation
   };
   struct Reading {
-    GrayWord word;
+    CodeWord word;
     bool pair_lost = false;
   };
 
@@ -68,8 +68,9 @@ class AxisDecoder {
   const DecodeOptions& options_;
   ShiftTable table_;
   int all_bits_ = 0;
-  int period_bits_ = 0;  // that number the period
-  int cell_px_ = 1;      // of those bits
+  bool finer_than_phase_ = false;  // stripes that are read beside the sinusoids are narrower than their half period
+  int period_bits_ = 0;            // that number the period
+  int cell_px_ = 1;                // of those bits
 };
 
 }  // namespace stratalux::fit

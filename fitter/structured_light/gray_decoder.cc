@@ -25,7 +25,7 @@ Status CheckAxis(const char* name, const AxisCode& code, const RawView& white) {
   const std::string axis(name);
   const int bits = static_cast<int>(code.bits.size());
   if (!IsCaptured(code)) return Status::Ok();
-  if (code.count < 1 || bits < 1 || bits > kMaxGrayBits || (1 << bits) < code.count)
+  if (code.count < 1 || bits < 1 || bits > kMaxCodeBits || (1 << bits) < code.count)
     return Status::Usage("decode: " + axis + ": " + std::to_string(bits) + " bits cannot number " +
                          std::to_string(code.count) + " " + axis + "; give all bits of the code");
   for (const CodedBit& bit : code.bits) {

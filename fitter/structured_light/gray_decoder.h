@@ -7,8 +7,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "fitter/structured_light/code_word.h"
 #include "fitter/structured_light/decoded_map.h"
-#include "fitter/structured_light/gray_word.h"
 #include "fitter/structured_light/sensor_noise.h"
 #include "shared/base/result.h"
 
@@ -57,7 +57,7 @@ struct DecodeOptions {
 };
 
 // By number of leading bits that can be trusted, of those that were read (with sinusoids: that number the period).
-using TrustedBitCounts = std::array<int64_t, kMaxGrayBits + 1>;
+using TrustedBitCounts = std::array<int64_t, kMaxCodeBits + 1>;
 
 struct DecodeReport {
   DecodedMap map;

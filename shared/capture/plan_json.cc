@@ -71,7 +71,7 @@ Result<PlanOptions> PlanOptionsFromJson(const std::string& text) {
                                      {"separation_brackets", &o.separation_brackets},
                                      {"spot_brackets", &o.spot_brackets}})
       if (json.contains(key)) json.at(key).get_to(*value);
-    if (json.contains("code")) {  // else reflected Gray
+    if (WholeAt<int64_t>(json, "schema") > 1) {  // else reflected Gray
       SLX_ASSIGN_OR_RETURN(o.code, ParseColumnCode(json.at("code").get<std::string>()));
     }
     o.preroll_markers = WholeAt<int>(json, "preroll_markers");

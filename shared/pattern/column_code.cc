@@ -124,6 +124,21 @@ std::optional<int> BasePlane(ColumnCode code, int bits) {
   return std::nullopt;
 }
 
+int NarrowestStripe(ColumnCode code, int bits) {
+  const unsigned columns = 1U << bits;
+  unsigned narrowest = columns;
+  for (int plane = 0; plane < bits; ++plane) {
+    const auto lit = [&](unsigned column) { return (WordOf(code, column, bits) >> plane & 1U) != 0; };
+    unsigned begin = 0;
+    for (unsigned column = 1; column < columns; ++column) {
+      if (lit(column) == lit(column - 1)) continue;
+      if (begin > 0) narrowest = std::min(narrowest, column - begin);
+      begin = column;
+    }
+  }
+  return static_cast<int>(narrowest);
+}
+
 int GrayBits(int count) {
   int bits = 0;
   while ((1 << bits) < count) ++bits;

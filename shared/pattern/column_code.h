@@ -25,12 +25,15 @@ enum class ColumnCode {
 [[nodiscard]] const char* ToString(ColumnCode);
 [[nodiscard]] Result<ColumnCode> ParseColumnCode(const std::string& text);
 
-// The word of a column and back, one to one among 2^bits; columns beyond begin again. `bits`: 1 .. kMaxCodeBits.
+// The word of a column and back, one to one among the 2^bits columns that there are. `bits`: 1 .. kMaxCodeBits.
 [[nodiscard]] unsigned WordOf(ColumnCode code, unsigned column, int bits);
 [[nodiscard]] unsigned ColumnOf(ColumnCode code, unsigned word, int bits);
 
 // The plane that coarser ones are XORed with; nullopt: none.
 [[nodiscard]] std::optional<int> BasePlane(ColumnCode code, int bits);
+
+// The narrowest stripe of any plane, columns; stripes at the first and the last column go on beyond them.
+[[nodiscard]] int NarrowestStripe(ColumnCode code, int bits);
 
 // Reflected Gray code of n and back.
 [[nodiscard]] constexpr unsigned GrayFromBinary(unsigned n) { return n ^ (n >> 1); }

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include <gmock/gmock.h>
-#include <nlohmann/json.hpp>
 
 #include "fitter/evaluation/surface_error.h"
 #include "fitter/evaluation/truth.h"
@@ -28,7 +27,6 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
-using ::testing::HasSubstr;
 
 std::string Given(const char* variable, const std::string& otherwise) {
   const char* text = std::getenv(variable);
@@ -104,8 +102,13 @@ TEST_P(Codes, AreProvenAndGiveASurface) {
   const auto frames = SessionFrames::Open(store_, "latest");
   ASSERT_TRUE(frames.ok()) << frames.status().message();
   EXPECT_STREQ(ToString(frames->plan()->ShownCode()), GetParam());
-  int64_t proven = 0;
-  for (const db::FrameRow& row : frames->rows()) proven += row.record.level_check == LevelCheck::kPassed ? 1 : 0;
+  int64_t proven = 0, failed = 0;
+  for (const db::FrameRow& row : frames->rows()) {
+    proven += row.record.level_check == LevelCheck::kPassed ? 1 : 0;
+    failed += row.record.level_check == LevelCheck::kFailed ? 1 : 0;
+  }
+  EXPECT_EQ(failed, 0);
+  EXPECT_GT(proven, static_cast<int64_t>(frames->rows().size() * 9 / 10)) << "black frames are not asked";
   for (const auto& [name, reading] :
        {std::pair("with sinusoids", CodeReading::kWithSinusoids), {"bits alone", CodeReading::kBitsAlone}}) {
     const Figures f = Judge(*frames, reading);
@@ -122,6 +125,11 @@ TEST_P(Codes, AreProvenAndGiveASurface) {
   if (std::getenv("STRATALUX_CODES_PLAN") != nullptr) return;
   const Outcome made = Execute("stratalux-fit reconstruct latest --store " + store_);
   EXPECT_EQ(made.code, 0) << made.out;
+  const std::string decode = "stratalux-fit decode latest --json --store " + store_;
+  const Outcome with = Execute(decode, Show::kStdout), alone = Execute(decode + " --bits-alone", Show::kStdout);
+  EXPECT_EQ(with.code, 0);
+  EXPECT_EQ(alone.code, 0);
+  EXPECT_NE(with.out, alone.out);
 }
 
 INSTANTIATE_TEST_SUITE_P(All, Codes, ::testing::Values("gray", "xor-4", "xor-2", "min-stripe"), [](const auto& code) {

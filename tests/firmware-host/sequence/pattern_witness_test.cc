@@ -133,6 +133,31 @@ TEST_P(EachCode, LocatesCombs) {
   EXPECT_EQ(witness_.Check(first), LevelCheck::kPassed);
 }
 
+TEST_P(EachCode, OfABitExchangedWithItsInverseNoOtherIsBlamed) {
+  int found = 0;
+  for (int exchanged = 0; exchanged < 8; ++exchanged) {
+    witness_.StartProjector(0);
+    std::vector<int> wrong, blamed;
+    for (const PlanStep& step : plan_.steps) {
+      if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+      Pattern shown = step.pattern;
+      if (shown.kind == PatternKind::kGray && shown.axis == PatternAxis::kColumns && shown.bit == exchanged) {
+        shown.inverse = !shown.inverse;
+        wrong.push_back(step.index);
+      }
+      Show(step, See(shown));
+      if (PatternWitness::GroupOf(plan_, step.index).back() == step.index &&
+          witness_.Check(step) == LevelCheck::kFailed)
+        blamed.push_back(step.index);
+    }
+    for (const int step : witness_.TakeDoubtful()) blamed.push_back(step);
+    for (const int step : blamed) EXPECT_THAT(wrong, ::testing::Contains(step)) << "bit " << exchanged;
+    found += !blamed.empty();
+  }
+  std::printf("%s: %d of 8 exchanged bits are found\n", ToString(GetParam()), found);
+  EXPECT_GE(found, 5);
+}
+
 INSTANTIATE_TEST_SUITE_P(All, EachCode,
                          ::testing::Values(ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe));
 

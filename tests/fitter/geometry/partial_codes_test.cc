@@ -19,17 +19,17 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kBitsAlone = 0;  // period: no sinusoids
-constexpr double kGross_px = GrayWord::kNear + 0.5;
+constexpr double kGross_px = CodeWord::kNear + 0.5;
 
-GrayWord WordOf(unsigned cell, int bits) {
-  GrayWord word;
+CodeWord WordOf(unsigned cell, int bits) {
+  CodeWord word;
   for (int b = 0; b < bits; ++b) word.Push((GrayFromBinary(cell) >> (bits - 1 - b) & 1U) != 0 ? 1.0 : 0.0);
   return word;
 }
 
 // The word of `cell` with nothing known of the bits in `mask` (of the Gray code).
-GrayWord DoubtfulWord(unsigned cell, int bits, unsigned mask) {
-  GrayWord word;
+CodeWord DoubtfulWord(unsigned cell, int bits, unsigned mask) {
+  CodeWord word;
   for (int b = 0; b < bits; ++b) {
     const unsigned bit = 1U << (bits - 1 - b);
     word.Push((mask & bit) != 0 ? 0.5 : (GrayFromBinary(cell) & bit) != 0 ? 1.0 : 0.0);
@@ -37,7 +37,7 @@ GrayWord DoubtfulWord(unsigned cell, int bits, unsigned mask) {
   return word;
 }
 
-TEST(GrayWord, OfCertainBitsIsOneCell) {
+TEST(CodeWord, OfCertainBitsIsOneCell) {
   const CodeSpread spread = WordOf(700, 10).Spread();
   EXPECT_DOUBLE_EQ(spread.mean, 700.0);
   EXPECT_DOUBLE_EQ(spread.sigma, std::sqrt(1.0 / 12.0));
@@ -45,8 +45,8 @@ TEST(GrayWord, OfCertainBitsIsOneCell) {
   EXPECT_EQ(WordOf(700, 10).TrustedBits(1e-4), 10);
 }
 
-TEST(GrayWord, ProbabilitiesOfAllCellsAreOne) {
-  GrayWord word;
+TEST(CodeWord, ProbabilitiesOfAllCellsAreOne) {
+  CodeWord word;
   for (const double one : {0.9, 0.3, 0.55, 0.999, 0.02}) word.Push(one);
   double sum = 0.0;
   for (unsigned cell = 0; cell < 32; ++cell) sum += word.Probability(cell);
@@ -56,10 +56,10 @@ TEST(GrayWord, ProbabilitiesOfAllCellsAreOne) {
 constexpr ColumnCode kAnyCodes[] = {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe};
 constexpr double kOnes[] = {0.9, 0.3, 0.55, 0.999, 0.02, 0.6};
 
-TEST(GrayWord, OfAnyCodeHasTheProbabilitiesOfItsPlanes) {
+TEST(CodeWord, OfAnyCodeHasTheProbabilitiesOfItsPlanes) {
   constexpr int kPlanes = 6;
   for (const ColumnCode code : kAnyCodes) {
-    GrayWord word(code, kPlanes);
+    CodeWord word(code, kPlanes);
     for (const double one : kOnes) word.Push(one);
     double sum = 0.0, most = 0.0;
     unsigned best = 0;
@@ -77,11 +77,11 @@ TEST(GrayWord, OfAnyCodeHasTheProbabilitiesOfItsPlanes) {
 }
 
 // Of leading planes alone: what all columns of a cell have together when nothing is known of the other planes.
-TEST(GrayWord, OfLeadingPlanesIsTheSumOverWhatTheBaseMayBe) {
+TEST(CodeWord, OfLeadingPlanesIsTheSumOverWhatTheBaseMayBe) {
   constexpr int kPlanes = 6;
   for (const ColumnCode code : {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4})
     for (int leading = 1; leading < kPlanes; ++leading) {
-      GrayWord word(code, kPlanes), whole(code, kPlanes);
+      CodeWord word(code, kPlanes), whole(code, kPlanes);
       const int base = BasePlane(code, kPlanes).value_or(-1);
       for (int b = 0; b < leading; ++b) word.Push(kOnes[b]);
       EXPECT_EQ(word.EndsBeforeBase(), base >= leading);
@@ -100,9 +100,9 @@ TEST(GrayWord, OfLeadingPlanesIsTheSumOverWhatTheBaseMayBe) {
     }
 }
 
-TEST(GrayWord, ADoubtfulBaseSendsACertainWordAstray) {
+TEST(CodeWord, ADoubtfulBaseSendsACertainWordAstray) {
   // Eight leading planes of ten, all certain, and a base of which nothing is known: of two cells, either may be it.
-  GrayWord word(ColumnCode::kXor4, 10);
+  CodeWord word(ColumnCode::kXor4, 10);
   for (int b = 0; b < 8; ++b) word.Push((GrayFromBinary(100) >> (7 - b) & 1U) != 0 ? 1.0 : 0.0);
   EXPECT_NEAR(word.Spread().astray, 0.5, 1e-12);
   EXPECT_EQ(word.TrustedBits(1e-4), 1);  // two cells, which adjoin
@@ -112,10 +112,10 @@ TEST(GrayWord, ADoubtfulBaseSendsACertainWordAstray) {
   EXPECT_EQ(word.TrustedBits(1e-4), 8);
 }
 
-TEST(GrayWord, ADoubtfulBitOnItsOwnEdgeLeavesTwoNeighbours) {
+TEST(CodeWord, ADoubtfulBitOnItsOwnEdgeLeavesTwoNeighbours) {
   for (const unsigned cell : {511U, 255U, 703U, 7U}) {  // the bit that changes to the next cell
     const unsigned changing = GrayFromBinary(cell) ^ GrayFromBinary(cell + 1);
-    const GrayWord word = DoubtfulWord(cell, 10, changing);
+    const CodeWord word = DoubtfulWord(cell, 10, changing);
     const CodeSpread spread = word.Spread();
     EXPECT_NEAR(spread.mean, cell + 0.5, 1e-9);
     EXPECT_NEAR(spread.sigma, std::sqrt(0.25 + 1.0 / 12.0), 1e-9);
@@ -124,13 +124,13 @@ TEST(GrayWord, ADoubtfulBitOnItsOwnEdgeLeavesTwoNeighbours) {
   }
 }
 
-TEST(GrayWord, ADoubtfulCoarseBitElsewhereSendsItAstray) {
-  const GrayWord word = DoubtfulWord(400, 10, 1U << 8);
+TEST(CodeWord, ADoubtfulCoarseBitElsewhereSendsItAstray) {
+  const CodeWord word = DoubtfulWord(400, 10, 1U << 8);
   EXPECT_NEAR(word.Spread().astray, 0.5, 1e-12);
   EXPECT_EQ(word.TrustedBits(1e-4), 2);  // the place to within a quarter of the code
 }
 
-TEST(GrayWord, TwoUnknownFinestBitsMayBeKeptAndThreeNot) {
+TEST(CodeWord, TwoUnknownFinestBitsMayBeKeptAndThreeNot) {
   const DecodeOptions options;
   const CodeSpread two = DoubtfulWord(402, 10, 3U).Spread(), three = DoubtfulWord(402, 10, 7U).Spread();
   EXPECT_NEAR(two.sigma, 4.0 / std::sqrt(12.0), 1e-9);

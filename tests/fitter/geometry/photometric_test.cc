@@ -2,10 +2,12 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <numeric>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include "fitter/image/gaussian_blur.h"
 #include "fitter/photometric/fuse_normals.h"
 #include "fitter/photometric/photometric_stereo.h"
 #include "shared/base/random.h"
@@ -361,6 +363,23 @@ TEST_F(LambertSphere, PredictsTheNoiseOfItsNormals) {
       normalised += error / std::pow(map.normal_sigma_rad(i, j), 2) / 400.0;
     }
   EXPECT_NEAR(std::sqrt(normalised), 1.0, 0.15);
+}
+
+// What a blur leaves of white noise when it is taken off.
+TEST(GaussianTaps, AddUpToOneAndTellTheNoiseAboveTheBlur) {
+  for (const double sigma : {0.5, 1.0, 1.5, 6.0}) {
+    const std::vector<float> taps = GaussianTaps(sigma);
+    EXPECT_NEAR(std::accumulate(taps.begin(), taps.end(), 0.0), 1.0, 1e-6);
+    Random random(7);
+    Image<float> noise(200, 200);
+    for (float& value : noise.pixels()) value = static_cast<float>(random.Normal());
+    const Image<float> blurred = GaussianBlur(noise, sigma);
+    double variance = 0.0;
+    for (int y = 20; y < 180; ++y)
+      for (int x = 20; x < 180; ++x) variance += std::pow(noise(x, y) - blurred(x, y), 2) / (160.0 * 160.0);
+    EXPECT_NEAR(NoiseAboveBlur(sigma), variance, 0.03) << sigma;
+  }
+  EXPECT_LT(NoiseAboveBlur(1.0), 0.8);
 }
 
 TEST_F(LambertSphere, FusionDoesNotAddTheNoiseOfThreeSources) {

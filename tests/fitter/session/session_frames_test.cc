@@ -132,6 +132,55 @@ TEST_F(SessionFramesTest, OfAStepShotAgainTheLastGoodFrameCounts) {
     EXPECT_EQ(frames.BeforeJump(row), row.record.step == 0) << row.record.step;
 }
 
+// A projector is begun anew where something was refuted; the reference, which is asked first, is then shot once more.
+TEST_F(SessionFramesTest, AJumpLiesBetweenTheFramesBeforeItAndThoseCapturedAnew) {
+  db::SessionStore store = OpenStore();
+  auto writer = store.BeginSession(db::SimulatedVisit());
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  struct Shot {
+    int step, retry;
+    bool refuted;
+    const char* cause;
+  };
+  int64_t number = 0;
+  for (const Shot& shot : {Shot{0, 0, false, ""},
+                           {1, 0, true, ""},  // a fault of its own
+                           {1, 1, false, "wrong level"},
+                           {2, 0, true, ""},
+                           {0, 1, false, "subject moved"},  // asked
+                           {0, 2, false, "subject moved"},
+                           {1, 2, false, "subject moved"},
+                           {2, 1, false, "subject moved"}}) {
+    FrameRecord record = db::RecordFor(shot.step, PixelFormat::kMono12, 6, 4);
+    record.projector = 0;
+    record.trigger_number = record.driver_sequence = ++number;
+    record.trigger_time = MonotonicNs{number * 1'000'000};
+    record.retry = shot.retry;
+    record.level_check = shot.refuted ? LevelCheck::kFailed : LevelCheck::kPassed;
+    record.retake_cause = shot.cause;
+    ASSERT_TRUE(writer->Append(record, db::PixelsFor(record).view()).ok());
+  }
+  ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded).ok());
+  SessionFrames frames = Open(writer->info().id);
+  const auto shot = [&](int step, int retry) {
+    for (const auto* rows : {&frames.rows(), &frames.replaced()})
+      for (const db::FrameRow& row : *rows)
+        if (row.record.step == step && row.record.retry == retry) return row;
+    ADD_FAILURE() << step << " " << retry;
+    return db::FrameRow{};
+  };
+  const db::FrameRow first = shot(0, 0), again = shot(1, 1), asked = shot(0, 1), anew = shot(0, 2);
+  for (const bool thinned : {false, true}) {
+    EXPECT_FALSE(frames.JumpedBetween(first, again)) << "shot again for itself";
+    EXPECT_TRUE(frames.JumpedBetween(first, asked));
+    EXPECT_TRUE(frames.JumpedBetween(again, anew));
+    EXPECT_FALSE(frames.JumpedBetween(asked, anew)) << "the reference once more";
+    ThinPlan thin;
+    thin.kept = {0, 1};  // not the step that was refuted
+    if (!thinned) frames.KeepOnly(thin);
+  }
+}
+
 TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
   const std::string session = BlackFrames();
   SessionFrames frames = Open(session);

@@ -185,6 +185,10 @@ TEST(PlanJson, SaysWhichCodeSoThatOlderProgramsRefuseIt) {
   ASSERT_TRUE(PlanOptionsFromJson(text).ok());
   EXPECT_EQ(PlanOptionsFromJson(text)->code, ColumnCode::kXor4);
   EXPECT_EQ(PlanOptionsToJson(*PlanOptionsFromJson(text)), text);
+  // In schema 1 a program of before passes the key over, and so does this one.
+  std::string older = text;
+  older.replace(older.find("\"schema\":2"), 10, "\"schema\":1");
+  EXPECT_EQ(PlanOptionsFromJson(older)->code, ColumnCode::kGray);
   std::string later = text;
   later.replace(later.find("xor-4"), 5, "xor-8");
   EXPECT_EQ(PlanOptionsFromJson(later).status().code(), StatusCode::kUsage);

@@ -99,7 +99,16 @@ TEST(ColumnCode, OfMinimumStripesHasTheWidthsThatAreKnown) {
     for (int plane = 0; plane < bits; ++plane)
       for (const int stripe : Stripes(ColumnCode::kMinStripe, plane, bits)) found = std::min(found, stripe);
     EXPECT_EQ(found, width) << bits << " bits";
+    // Cut off at the first and the last column, stripes may seem wider, never narrower.
+    EXPECT_GE(NarrowestStripe(ColumnCode::kMinStripe, bits), width);
   }
+}
+
+TEST(ColumnCode, NamesItsNarrowestStripe) {
+  EXPECT_EQ(NarrowestStripe(ColumnCode::kGray, 10), 2);
+  EXPECT_EQ(NarrowestStripe(ColumnCode::kXor2, 10), 1);
+  EXPECT_EQ(NarrowestStripe(ColumnCode::kXor4, 10), 2);
+  EXPECT_EQ(NarrowestStripe(ColumnCode::kMinStripe, 10), 8);
 }
 
 TEST(ColumnCode, OfMinimumStripesIsTheSameForEver) {

@@ -9,8 +9,6 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMaxGrayBits = kMaxCodeBits;
-
 // Where the site lies, cells of the code; cells are as wide as the bits that were read make them.
 struct CodeSpread {
   double mean = 0.0;
@@ -18,10 +16,10 @@ struct CodeSpread {
   double astray = 0.0;  // probability that the site lies in none of them
 };
 
-class GrayWord {
+class CodeWord {
  public:
   // Of a code of so many planes.
-  explicit GrayWord(ColumnCode code = ColumnCode::kGray, int planes = kMaxGrayBits)
+  explicit CodeWord(ColumnCode code = ColumnCode::kGray, int planes = kMaxCodeBits)
       : code_(code), base_(BasePlane(code, planes).value_or(kNoBase)) {
     if (base_ != kNoBase) one_[base_] = 0.5;
   }
@@ -65,7 +63,7 @@ class GrayWord {
 
   ColumnCode code_;
   int base_;
-  std::array<double, kMaxGrayBits> one_{};  // by plane
+  std::array<double, kMaxCodeBits> one_{};  // by plane
   int bits_ = 0;
 };
 
