@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/decode.h"
 
+#include <optional>
+
 #include "fitter/export/exr_file.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/stage_json.h"
@@ -22,21 +24,18 @@ struct AxisFrames {
 
 enum class Polarity { kPositive, kInverse };
 
-// What both axes' codes are of: as the first of the session's frames of a code says.
-ColumnCode CodeOf(const SessionFrames& frames) {
-  for (const db::FrameRow& row : frames.rows())
-    if (row.record.pattern.kind == PatternKind::kGray) return row.record.pattern.code;
-  return ColumnCode::kGray;
-}
-
-// An import may name any pattern.
-Status CheckOneCode(const SessionFrames& frames) {
-  const ColumnCode code = CodeOf(frames);
-  for (const db::FrameRow& row : frames.rows())
-    if (const Pattern& p = row.record.pattern; p.kind == PatternKind::kGray && p.code != code)
-      return Status::Usage("session " + frames.info().id + ": frames of two codes, " + ToString(code) + " and '" +
+// What the codes of all projectors and both axes are of. kUsage: of more than one (an import may name any pattern).
+Result<ColumnCode> CodeOf(const SessionFrames& frames) {
+  std::optional<ColumnCode> code;
+  for (const db::FrameRow& row : frames.rows()) {
+    const Pattern& p = row.record.pattern;
+    if (p.kind != PatternKind::kGray) continue;
+    if (code.value_or(p.code) != p.code)
+      return Status::Usage("session " + frames.info().id + ": frames of two codes, " + ToString(*code) + " and '" +
                            p.ToString() + "'; one session has one");
-  return Status::Ok();
+    code = p.code;
+  }
+  return code.value_or(ColumnCode::kGray);
 }
 
 Pattern CodePattern(ColumnCode code, PatternAxis axis, int bit, int bits, Polarity polarity) {
@@ -49,9 +48,9 @@ Pattern CodePattern(ColumnCode code, PatternAxis axis, int bit, int bits, Polari
 }
 
 // Whether there is any frame of an axis' code.
-bool Captured(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count, Polarity polarity) {
+bool Captured(const SessionFrames& frames, ColumnCode code, int projector, int pose, PatternAxis axis, int count,
+              Polarity polarity) {
   const int bits = count > 0 ? GrayBits(count) : 0;
-  const ColumnCode code = CodeOf(frames);
   for (int bit = 0; bit < bits; ++bit)
     if (frames.Find(projector, CapturePhase::kCorrespondence, CodePattern(code, axis, bit, bits, polarity), pose) !=
         nullptr)
@@ -60,12 +59,13 @@ bool Captured(const SessionFrames& frames, int projector, int pose, PatternAxis 
 }
 
 // All of the code's frames, but for inverses where none was captured at all.
-Result<AxisFrames> ReadAxis(const SessionFrames& frames, int projector, int pose, PatternAxis axis, int count) {
+Result<AxisFrames> ReadAxis(const SessionFrames& frames, ColumnCode code, int projector, int pose, PatternAxis axis,
+                            int count) {
   std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
-  const ColumnCode code = CodeOf(frames);
   std::vector<Polarity> polarities = {Polarity::kPositive};
-  if (Captured(frames, projector, pose, axis, count, Polarity::kInverse)) polarities.push_back(Polarity::kInverse);
+  if (Captured(frames, code, projector, pose, axis, count, Polarity::kInverse))
+    polarities.push_back(Polarity::kInverse);
   for (const Polarity polarity : polarities)
     for (int bit = 0; bit < bits; ++bit) {
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
@@ -126,28 +126,28 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                      int code_height, const SensorNoise& noise, CodeReading reading) {
-  SLX_RETURN_IF_ERROR(CheckOneCode(frames));
+  SLX_ASSIGN_OR_RETURN(const ColumnCode code, CodeOf(frames));
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));
   const auto captured = [&](PatternAxis axis, int count) {
-    return Captured(frames, projector, pose, axis, count, Polarity::kPositive) ||
-           Captured(frames, projector, pose, axis, count, Polarity::kInverse);
+    return Captured(frames, code, projector, pose, axis, count, Polarity::kPositive) ||
+           Captured(frames, code, projector, pose, axis, count, Polarity::kInverse);
   };
   AxisFrames columns, rows;
   const bool has_rows = captured(PatternAxis::kRows, code_height);
   if (!has_rows || captured(PatternAxis::kColumns, code_width)) {  // where there is nothing, a column's frame is named
-    SLX_ASSIGN_OR_RETURN(columns, ReadAxis(frames, projector, pose, PatternAxis::kColumns, code_width));
+    SLX_ASSIGN_OR_RETURN(columns, ReadAxis(frames, code, projector, pose, PatternAxis::kColumns, code_width));
   }
   if (has_rows) {
-    SLX_ASSIGN_OR_RETURN(rows, ReadAxis(frames, projector, pose, PatternAxis::kRows, code_height));
+    SLX_ASSIGN_OR_RETURN(rows, ReadAxis(frames, code, projector, pose, PatternAxis::kRows, code_height));
   }
   const int period = frames.plan() ? frames.plan()->separation_period : 0;
   DecodeInput input;
   input.white = white;
   input.black = black;
-  input.columns = AxisCodeOf(columns, CodeOf(frames), code_width, period);
-  input.rows = AxisCodeOf(rows, CodeOf(frames), code_height, period);
+  input.columns = AxisCodeOf(columns, code, code_width, period);
+  input.rows = AxisCodeOf(rows, code, code_height, period);
   if (reading == CodeReading::kBitsAlone) input.columns.shifts = input.rows.shifts = {};
   return DecodeGray(input, noise);
 }

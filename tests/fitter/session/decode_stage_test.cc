@@ -3,6 +3,7 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -34,8 +35,12 @@ class DecodeStage : public db::StoreTest {
     for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows})
       for (int bit = 0; bit < kBits; ++bit)
         for (const bool inverse : {false, true}) {
-          const Pattern pattern{
-              .kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = kBits, .inverse = inverse, .code = code_};
+          const Pattern pattern{.kind = PatternKind::kGray,
+                                .axis = axis,
+                                .bit = bit,
+                                .bits = kBits,
+                                .inverse = inverse,
+                                .code = axis == PatternAxis::kRows ? rows_code_.value_or(code_) : code_};
           if (wanted(pattern)) SLX_RETURN_IF_ERROR(Add(files, pattern));
         }
     db::WriteText(files / "m.toml", manifest_);
@@ -49,6 +54,7 @@ class DecodeStage : public db::StoreTest {
   }
 
   ColumnCode code_ = ColumnCode::kGray;
+  std::optional<ColumnCode> rows_code_;  // unset: the columns'
 
  private:
   Status Add(const std::filesystem::path& files, const Pattern& pattern) {
@@ -85,6 +91,13 @@ TEST_F(DecodeStage, ReadsTheCodeThatTheFramesAreOf) {
     ASSERT_TRUE(report.ok()) << ToString(code) << ": " << report.status().message();
     ExpectEveryPixelAtItsPlace(report->map, Axes::kBoth);
   }
+}
+
+TEST_F(DecodeStage, RefusesTwoCodesInOneSession) {
+  rows_code_ = ColumnCode::kXor4;
+  const auto report = DecodeImported([](const Pattern&) { return true; });
+  EXPECT_EQ(report.status().code(), StatusCode::kUsage);
+  EXPECT_THAT(report.status().message(), HasSubstr("frames of two codes, gray and 'gray rows bit=0/6"));
 }
 
 TEST_F(DecodeStage, ReadsAWholeCode) {
