@@ -15,9 +15,7 @@ void AppendU32(std::vector<uint8_t>& bytes, uint32_t value) {
 
 }  // namespace
 
-int PlanesOf(const Pattern& pattern) {
-  return pattern.kind == PatternKind::kSinusoid || pattern.kind == PatternKind::kGrey ? 8 : 1;
-}
+int PlanesOf(const Pattern& pattern) { return pattern.HasLevels() ? 8 : 1; }
 
 std::vector<uint8_t> PackPatterns(const std::vector<Pattern>& patterns, int planes, int width, int height) {
   const auto row_bytes = static_cast<size_t>((width + 7) / 8);

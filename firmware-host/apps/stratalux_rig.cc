@@ -315,8 +315,9 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
   command.add_option("--kind", flags.kind, "visitor (default), calibration, dark, flat or response");
   command.add_option("--sync-mode", flags.sync_mode,
                      "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
-  command.add_option("--code", flags.code,
-                     "of a visitor's columns: gray (default), xor-2, xor-4 or min-stripe (docs/capture-plan.md)");
+  command.add_option(
+      "--code", flags.code,
+      "of a visitor's columns: gray (default), xor-2, xor-4, min-stripe or micro-phase (docs/capture-plan.md)");
   command.add_option("--exposure", flags.exposure,
                      "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
 }

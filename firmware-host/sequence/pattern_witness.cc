@@ -6,6 +6,8 @@
 #include <cmath>
 #include <utility>
 
+#include "shared/pattern/micro_phase.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -109,9 +111,37 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
   return LevelCheck::kNotChecked;
 }
 
+struct PatternWitness::Waves {
+  struct AtProbe {
+    std::vector<double> difference, weight;  // by plane
+  };
+  MicroPhaseSearch search;
+  std::vector<AtProbe> probes;  // of lit_
+};
+
 PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span<const int> group) {
+  if (PairsOf(axis).empty()) return Testimony::kSilent;
+  const std::optional<std::vector<int>> wrong =
+      IsOfStripes(plan_.options.ShownCode()) ? ExchangedStripes(axis) : OtherWaves(axis);
+  if (!wrong) return Testimony::kSilent;
+  if (wrong->empty()) return Testimony::kConfirms;
+  Testimony judged = Testimony::kSilent;
+  for (int i : StepsOf(CapturePhase::kCorrespondence)) {
+    const Pattern& p = plan_.steps[i].pattern;
+    if (p.kind != PatternKind::kGray || p.axis != axis || std::ranges::find(*wrong, p.bit) == wrong->end()) continue;
+    frames_.at(i).testimony = Testimony::kRefutes;
+    if (std::find(group.begin(), group.end(), i) != group.end()) {
+      judged = Testimony::kRefutes;
+    } else {
+      doubtful_.push_back(i);
+    }
+    decoded_ = false;
+  }
+  return judged;
+}
+
+std::optional<std::vector<int>> PatternWitness::ExchangedStripes(PatternAxis axis) const {
   const std::vector<int> at = Decode(axis);
-  if (at.empty()) return Testimony::kSilent;
   // Pairs of lit probes that stand side by side along the axis.
   const int stride = axis == PatternAxis::kColumns ? 1 : lattice_.columns();
   std::vector<std::pair<int, int>> pairs;
@@ -123,9 +153,8 @@ PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span
     if (const int other = index[beside]; other >= 0 && at[k] >= 0 && at[other] >= 0)
       pairs.emplace_back(at[k], at[other]);
   }
-  if (static_cast<int>(pairs.size()) < options_.min_lit_probes) return Testimony::kSilent;
-  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
-  const int bits = GrayBits(extent);
+  if (static_cast<int>(pairs.size()) < options_.min_lit_probes) return std::nullopt;
+  const int bits = GrayBits(ExtentOf(axis));
   const ColumnCode code = plan_.options.ShownCode();
   // Of the picture as it is with some planes of the code exchanged.
   auto roughness = [&](unsigned exchanged) {
@@ -138,26 +167,39 @@ PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span
   };
   // The plane whose exchange makes the picture the smoothest, if by so much.
   int64_t least = roughness(0) * 6 / 10;
-  int exchanged = -1;
+  std::vector<int> exchanged;
   for (int significance = 0; significance < bits; ++significance)
     if (const int64_t rough = roughness(1U << significance); rough <= least) {
       least = rough;
-      exchanged = significance;
+      exchanged = {bits - 1 - significance};
     }
-  if (exchanged < 0) return Testimony::kConfirms;
-  Testimony judged = Testimony::kSilent;
-  for (int i : StepsOf(CapturePhase::kCorrespondence)) {
-    const Pattern& p = plan_.steps[i].pattern;
-    if (p.kind != PatternKind::kGray || p.axis != axis || p.bit != bits - 1 - exchanged) continue;
-    frames_.at(i).testimony = Testimony::kRefutes;
-    if (std::find(group.begin(), group.end(), i) != group.end()) {
-      judged = Testimony::kRefutes;
-    } else {
-      doubtful_.push_back(i);
+  return exchanged;
+}
+
+std::optional<std::vector<int>> PatternWitness::OtherWaves(PatternAxis axis) const {
+  constexpr size_t kEnough = 400;  // probes: whichever they are, all of a wrong plane disagree
+  const PairsOfBits bits = PairsOf(axis);
+  if (static_cast<int>(lit_.size()) < options_.min_lit_probes || bits.size() < 4) return std::nullopt;
+  const Waves waves = WavesOf(axis, bits);
+  const size_t every = 1 + lit_.size() / kEnough;
+  // What all planes but one leave, a degree of freedom; -1: but none.
+  const auto rest = [&](int without) {
+    double sum = 0.0;
+    for (size_t k = 0; k < lit_.size(); k += every) {
+      Waves::AtProbe at = waves.probes[k];
+      if (without >= 0) at.weight[static_cast<size_t>(without)] = 0.0;
+      sum += waves.search.Find(at.difference, at.weight).chi2;
     }
-    decoded_ = false;
-  }
-  return judged;
+    return sum / (static_cast<double>(bits.size()) - (without >= 0 ? 3.0 : 2.0));
+  };
+  double least = 0.6 * rest(-1);
+  std::vector<int> other;
+  for (const auto& [plane, steps] : bits)
+    if (const double left = rest(plane); left < least) {
+      least = left;
+      other = {plane};
+    }
+  return other;
 }
 
 bool PatternWitness::ReferenceStandsAlone() const {
@@ -282,8 +324,8 @@ std::vector<int> PatternWitness::StepsOf(CapturePhase phase) const {
   return steps;
 }
 
-std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
-  std::map<int, std::array<int, 2>> bits;  // bit -> steps of the bit and of its inverse
+PatternWitness::PairsOfBits PatternWitness::PairsOf(PatternAxis axis) const {
+  PairsOfBits bits;
   int bit_count = 0;
   for (int i : StepsOf(CapturePhase::kCorrespondence)) {
     const Pattern& p = plan_.steps[i].pattern;
@@ -293,16 +335,23 @@ std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
     bits.try_emplace(p.bit, std::array{-1, -1}).first->second[p.inverse ? 1 : 0] = i;
     bit_count = p.bits;
   }
-  if (bit_count == 0 || static_cast<int>(bits.size()) != bit_count) return {};
+  const bool whole = std::ranges::all_of(bits, [](const auto& b) { return b.second[0] >= 0 && b.second[1] >= 0; });
+  return whole && static_cast<int>(bits.size()) == bit_count ? bits : PairsOfBits{};
+}
+
+std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
+  const PairsOfBits bits = PairsOf(axis);
+  if (bits.empty()) return {};
+  const int bit_count = static_cast<int>(bits.size());
+  const ColumnCode code = plan_.options.ShownCode();
+  if (!IsOfStripes(code)) return DecodeWaves(axis, bits);
   std::vector<unsigned> words(lit_.size(), 0);
   for (const auto& [bit, steps] : bits) {
-    if (steps[0] < 0 || steps[1] < 0) return {};
     const Probes& shown = frames_.at(steps[0]).probes;
     const Probes& inverse = frames_.at(steps[1]).probes;
     for (size_t k = 0; k < lit_.size(); ++k) words[k] = words[k] << 1 | (shown[lit_[k]] > inverse[lit_[k]] ? 1U : 0U);
   }
-  const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
-  const ColumnCode code = plan_.options.ShownCode();
+  const int extent = ExtentOf(axis);
   const std::optional<int> base = BasePlane(code, bit_count);
   std::vector<int> at;
   at.reserve(words.size());
@@ -312,6 +361,40 @@ std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
     at.push_back(known && position < extent ? position : -1);
   }
   if (base) ForgetStrays(at);
+  return at;
+}
+
+PatternWitness::Waves PatternWitness::WavesOf(PatternAxis axis, const PairsOfBits& bits) const {
+  constexpr double kUnlikeness = 0.015;  // of W - B, that a pair's difference errs by beside its noise: the fitter's
+  Waves waves{{ExtentOf(axis), static_cast<int>(bits.size()), plan_.options.separation_period}, {}};
+  std::vector<double> squares(bits.size());
+  for (const int i : lit_) {
+    Waves::AtProbe& at = waves.probes.emplace_back();
+    const double unlike = kUnlikeness * (double(white_.probes[i]) - black_.probes[i]);
+    for (const auto& [bit, steps] : bits) {
+      const double shown = frames_.at(steps[0]).probes[i], inverse = frames_.at(steps[1]).probes[i];
+      const double noise = VarianceDn(shown) + VarianceDn(inverse);
+      at.difference.push_back(shown - inverse);
+      at.weight.push_back(1.0 / (noise + unlike * unlike));
+      squares[static_cast<size_t>(bit)] += (shown - inverse) * (shown - inverse) - noise;
+    }
+  }
+  waves.search.LearnContrast(squares);
+  return waves;
+}
+
+std::vector<int> PatternWitness::DecodeWaves(PatternAxis axis, const PairsOfBits& bits) const {
+  constexpr double kMostAstray = 0.01;
+  const Waves waves = WavesOf(axis, bits);
+  std::vector<int> at;
+  at.reserve(waves.probes.size());
+  for (const Waves::AtProbe& probe : waves.probes) {
+    const MicroPhaseSearch::Found found = waves.search.Find(probe.difference, probe.weight);
+    const auto position = std::lround(found.column);
+    const bool known = found.astray < kMostAstray && position >= 0 && position < ExtentOf(axis);
+    at.push_back(known ? static_cast<int>(position) : -1);
+  }
+  ForgetStrays(at);
   return at;
 }
 

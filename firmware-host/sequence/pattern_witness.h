@@ -30,6 +30,7 @@
 // that load that speaks is confirmed; it is doubtful when that is refuted, or when the load ends before one speaks.
 #pragma once
 
+#include <array>
 #include <map>
 #include <optional>
 #include <set>
@@ -160,6 +161,11 @@ class PatternWitness {
   // width), and bits finer than the lattice.
   // Doubts the pair's frames, or refutes them where they are `group`.
   [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
+  // Planes of the axis' whole code that show something else than they should; nullopt: too few lit probes tell. Of
+  // stripes the one whose exchange with its inverse makes the picture the smoothest, of waves the one that disagrees
+  // with all others, if by so much.
+  [[nodiscard]] std::optional<std::vector<int>> ExchangedStripes(PatternAxis axis) const;
+  [[nodiscard]] std::optional<std::vector<int>> OtherWaves(PatternAxis axis) const;
   // Whether the frames' mean lies at `mean` on the way from black to white.
   [[nodiscard]] bool AddsUp(std::span<const int> steps, double mean) const;
   // One of a sinusoid's shifts has another light than the others: the lamp blinked.
@@ -213,9 +219,18 @@ class PatternWitness {
   };
   [[nodiscard]] Black MeanBlack() const;
   [[nodiscard]] double VarianceDn(double dn) const { return options_.VarianceDn(dn); }
+  [[nodiscard]] int ExtentOf(PatternAxis axis) const {
+    return axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
+  }
   // Projector pixels of the lit probes; -1 where they cannot be told. Empty where the axis' code is not whole.
   [[nodiscard]] std::vector<int> Decode(PatternAxis axis) const;
-  // Of a code whose coarse planes hang on one: probes away from most of their neighbours are misread, and -1.
+  using PairsOfBits = std::map<int, std::array<int, 2>>;  // bit -> steps of the bit and of its inverse
+  // Of the axis' whole code; else empty.
+  [[nodiscard]] PairsOfBits PairsOf(PatternAxis axis) const;
+  struct Waves;  // of micro phase shifting
+  [[nodiscard]] Waves WavesOf(PatternAxis axis, const PairsOfBits& bits) const;
+  [[nodiscard]] std::vector<int> DecodeWaves(PatternAxis axis, const PairsOfBits& bits) const;
+  // Of a code that may be misread by far: probes away from most of their neighbours are, and -1.
   void ForgetStrays(std::vector<int>& at) const;
   // Steps of a bit and its inverse differ at the probe beyond noise and stray light.
   [[nodiscard]] bool IsPlain(std::span<const int> pair, int probe) const;

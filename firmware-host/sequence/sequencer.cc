@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/sequence/sequencer.h"
 
+#include <cmath>
+#include <string>
 #include <utility>
 
 #include "firmware-host/sequence/capture_run.h"
@@ -23,6 +25,20 @@ Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
                            std::to_string(o.projector_height) + " px, projector " + std::to_string(p) + " has " +
                            std::to_string(devices.projectors[p]->width()) + "x" +
                            std::to_string(devices.projectors[p]->height()));
+  return Status::Ok();
+}
+
+// A wave and its inverse add up to white where the projector's light is in proportion to its grey levels alone. Of a
+// response that bends by b x (1 - x) a sinusoid's mean is off by b / 8, a pair's sum by b / 2 at most.
+static Status CheckResponse(const CapturePlan& plan, const WitnessOptions& witness) {
+  if (IsOfStripes(plan.options.ShownCode())) return Status::Ok();
+  for (size_t p = 0; p < witness.sinusoid_mean.size(); ++p)
+    if (4.0 * std::abs(witness.sinusoid_mean[p] - 0.5) > witness.sum_tolerance)
+      return Status::Usage("plan: code '" + std::string(ToString(plan.options.code)) +
+                           "' needs projectors of linear "
+                           "response, but projector " +
+                           std::to_string(p) + " gives a sinusoid " + std::to_string(witness.sinusoid_mean[p]) +
+                           " of white's light, not 0.5; use another code");
   return Status::Ok();
 }
 
@@ -53,6 +69,7 @@ Sequencer::Sequencer(RigDevices devices, SequencerOptions options, Logger& logge
 Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   SLX_RETURN_IF_ERROR(options_.Validate());
   SLX_RETURN_IF_ERROR(CheckFits(plan, devices_));
+  SLX_RETURN_IF_ERROR(CheckResponse(plan, options_.witness));
   CaptureObserver silent;
   CaptureRun run(plan, devices_, options_, logger_, observer_ != nullptr ? *observer_ : silent, sink);
   Status ended = devices_.camera.Start().WithContext("camera");

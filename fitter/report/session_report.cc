@@ -48,8 +48,7 @@ Result<ReportSection> CapturedSamples(const ReportInput& in, double white) {
   }
   const int bits = GrayBits(o.projector_width);
   const std::vector<std::pair<CapturePhase, Pattern>> samples = {
-      {CapturePhase::kCorrespondence,
-       {.kind = PatternKind::kGray, .bit = std::min(5, bits - 1), .bits = bits, .code = o.ShownCode()}},
+      {CapturePhase::kCorrespondence, o.PlaneOf(PatternAxis::kColumns, std::min(5, bits - 1), false)},
       {CapturePhase::kSeparation,
        {.kind = PatternKind::kSinusoid, .period = o.separation_period, .shift = 0, .shifts = o.separation_shifts}},
       {CapturePhase::kSweep, {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}}};

@@ -24,43 +24,50 @@ struct AxisFrames {
 
 enum class Polarity { kPositive, kInverse };
 
-// What the codes of all projectors and both axes are of. kUsage: of more than one (an import may name any pattern).
-Result<ColumnCode> CodeOf(const SessionFrames& frames) {
-  std::optional<ColumnCode> code;
+// What all planes of all projectors and both axes have in common.
+struct CodeKind {
+  ColumnCode code = ColumnCode::kGray;
+  int waves_px = 0;  // kMicroPhase
+
+  [[nodiscard]] Pattern Of(PatternAxis axis, int bit, int bits, Polarity polarity) const {
+    return {.kind = PatternKind::kGray,
+            .axis = axis,
+            .bit = bit,
+            .bits = bits,
+            .inverse = polarity == Polarity::kInverse,
+            .code = code,
+            .period = waves_px};
+  }
+  friend bool operator==(const CodeKind&, const CodeKind&) = default;
+};
+
+// kUsage: there is more than one (an import may name any pattern).
+Result<CodeKind> CodeOf(const SessionFrames& frames) {
+  std::optional<Pattern> first;
   for (const db::FrameRow& row : frames.rows()) {
     const Pattern& p = row.record.pattern;
     if (p.kind != PatternKind::kGray) continue;
-    if (code.value_or(p.code) != p.code)
-      return Status::Usage("session " + frames.info().id + ": frames of two codes, " + ToString(*code) + " and '" +
+    if (first && CodeKind{first->code, first->period} != CodeKind{p.code, p.period})
+      return Status::Usage("session " + frames.info().id + ": frames of two codes, '" + first->ToString() + "' and '" +
                            p.ToString() + "'; one session has one");
-    code = p.code;
+    first = p;
   }
-  return code.value_or(ColumnCode::kGray);
-}
-
-Pattern CodePattern(ColumnCode code, PatternAxis axis, int bit, int bits, Polarity polarity) {
-  return {.kind = PatternKind::kGray,
-          .axis = axis,
-          .bit = bit,
-          .bits = bits,
-          .inverse = polarity == Polarity::kInverse,
-          .code = code};
+  return first ? CodeKind{first->code, first->period} : CodeKind{};
 }
 
 // Whether there is any frame of an axis' code.
-bool Captured(const SessionFrames& frames, ColumnCode code, int projector, int pose, PatternAxis axis, int count,
+bool Captured(const SessionFrames& frames, const CodeKind& code, int projector, int pose, PatternAxis axis, int count,
               Polarity polarity) {
   const int bits = count > 0 ? GrayBits(count) : 0;
   for (int bit = 0; bit < bits; ++bit)
-    if (frames.Find(projector, CapturePhase::kCorrespondence, CodePattern(code, axis, bit, bits, polarity), pose) !=
-        nullptr)
+    if (frames.Find(projector, CapturePhase::kCorrespondence, code.Of(axis, bit, bits, polarity), pose) != nullptr)
       return true;
   return false;
 }
 
 // All of the code's frames, but for inverses where none was captured at all.
-Result<AxisFrames> ReadAxis(const SessionFrames& frames, ColumnCode code, int projector, int pose, PatternAxis axis,
-                            int count) {
+Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, int projector, int pose,
+                            PatternAxis axis, int count) {
   std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
   std::vector<Polarity> polarities = {Polarity::kPositive};
@@ -69,7 +76,7 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, ColumnCode code, int pr
   for (const Polarity polarity : polarities)
     for (int bit = 0; bit < bits; ++bit) {
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
-                                                               CodePattern(code, axis, bit, bits, polarity), pose));
+                                                               code.Of(axis, bit, bits, polarity), pose));
     }
   for (int shift = 0; frames.plan() && shift < frames.plan()->separation_shifts; ++shift) {
     const PlanOptions& o = *frames.plan();
@@ -92,9 +99,10 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, ColumnCode code, int pr
   return read;
 }
 
-AxisCode AxisCodeOf(const AxisFrames& frames, ColumnCode kind, int count, int period) {
+AxisCode AxisCodeOf(const AxisFrames& frames, const CodeKind& kind, int count, int period) {
   AxisCode code;
-  code.code = kind;
+  code.code = kind.code;
+  code.waves_px = kind.waves_px;
   code.count = count;
   for (size_t b = 0; b < frames.positive.size(); ++b)
     code.bits.push_back({frames.positive[b], frames.inverse.empty() ? RawView{} : RawView{frames.inverse[b]}});
@@ -126,7 +134,7 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                      int code_height, const SensorNoise& noise, CodeReading reading) {
-  SLX_ASSIGN_OR_RETURN(const ColumnCode code, CodeOf(frames));
+  SLX_ASSIGN_OR_RETURN(const CodeKind code, CodeOf(frames));
   SLX_ASSIGN_OR_RETURN(const auto white,
                        frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));

@@ -29,32 +29,9 @@ AxisDecoder::AxisDecoder(const AxisCode& code, const SensorNoise& noise, const D
   period_bits_ = all_bits_ - std::countr_zero(static_cast<unsigned>(cell_px_));
 }
 
-// A saturated frame holds at least its level: beside an unsaturated one the difference is a lower bound, and its sign
-// right. Where no inverse was captured, white and black together less the positive stand for it: the difference is
-// 2 (positive - (white + black) / 2).
-AxisDecoder::Pair AxisDecoder::PairAt(size_t bit, size_t site, const SiteLight& light) const {
-  const CodedBit& frames = code_.bits[bit];
-  const double systematic = options_.pair_sigma_fraction * light.SignalDn();
-  Pair pair{.positive_dn = static_cast<double>(frames.positive.data()[site])};
-  double variance = systematic * systematic;
-  if (frames.inverse.empty()) {
-    pair.inverse_dn = light.white_dn + light.black_dn - pair.positive_dn;
-    // Half of a saturated white is no threshold; what lies below it lies below the true one, too.
-    pair.lost = light.white_saturated && pair.positive_dn > pair.inverse_dn;
-    variance += 4.0 * noise_.VarianceDn2(pair.positive_dn) + noise_.VarianceDn2(light.white_dn) +
-                noise_.VarianceDn2(light.black_dn);
-  } else {
-    pair.inverse_dn = frames.inverse.data()[site];
-    pair.lost = std::min(pair.positive_dn, pair.inverse_dn) >= noise_.saturation_dn;
-    variance += noise_.VarianceDn2(pair.positive_dn) + noise_.VarianceDn2(pair.inverse_dn);
-  }
-  pair.sigma_dn = std::sqrt(variance);
-  return pair;
-}
-
 // Bounds after Xu & Aliaga 2007: of the pair, the directly lit frame holds at least the direct part, the other one at
 // most the global part. A pair that breaks them tells nothing, whatever its contrast.
-double AxisDecoder::ProbabilityOfOne(const Pair& pair, const SiteLight& light, double direct_dn) const {
+double AxisDecoder::ProbabilityOfOne(const PairLight& pair, const SiteLight& light, double direct_dn) const {
   constexpr double kNothing = 0.5;
   if (pair.lost) return kNothing;
   const double margin = options_.bound_sigmas * pair.sigma_dn;
@@ -62,7 +39,11 @@ double AxisDecoder::ProbabilityOfOne(const Pair& pair, const SiteLight& light, d
   const double darker = std::min(pair.positive_dn, pair.inverse_dn) - light.black_dn;
   if (brighter < direct_dn - margin) return kNothing;
   if (!light.white_saturated && darker > light.SignalDn() - direct_dn + margin) return kNothing;
-  return NormalShare((pair.positive_dn - pair.inverse_dn) / pair.sigma_dn);
+  // Beyond 6 standard deviations a bit errs once in a billion: no share is worth its exponential.
+  constexpr double kCertain = 6.0, kRest = 1e-9;
+  const double z = (pair.positive_dn - pair.inverse_dn) / pair.sigma_dn;
+  if (std::abs(z) > kCertain) return z > 0.0 ? 1.0 - kRest : kRest;
+  return NormalShare(z);
 }
 
 AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int bits, double direct_dn) const {
@@ -71,7 +52,8 @@ AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int 
   // light.
   if (finer_than_phase_) direct_dn = 0.0;
   const auto one = [&](int plane) {
-    const Pair pair = PairAt(static_cast<size_t>(plane), site, light);
+    const PairLight pair =
+        ReadPair(code_.bits[static_cast<size_t>(plane)], site, light, noise_, options_.pair_sigma_fraction);
     reading.pair_lost |= pair.lost;
     return ProbabilityOfOne(pair, light, direct_dn);
   };
@@ -83,8 +65,7 @@ AxisDecoder::Reading AxisDecoder::Read(size_t site, const SiteLight& light, int 
 Position AxisDecoder::Decode(size_t site, const SiteLight& light) const {
   if (code_.shifts.empty()) return FromBits(site, light);
   const Harmonic h = HarmonicAt(code_.shifts, site, table_, noise_);
-  const bool has_phase = !h.saturated && h.amplitude_dn >= options_.min_amplitude_sigmas * h.amplitude_sigma_dn;
-  return has_phase ? FromPhase(site, light, h) : FromBits(site, light);
+  return h.HasPhase(options_.min_amplitude_sigmas) ? FromPhase(site, light, h) : FromBits(site, light);
 }
 
 Position AxisDecoder::FromBits(size_t site, const SiteLight& light) const {

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "fitter/structured_light/axis_decoder.h"
+#include "fitter/structured_light/micro_phase_decoder.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -36,6 +37,9 @@ Status CheckAxis(const char* name, const AxisCode& code, const RawView& white) {
   for (const RawView& shift : code.shifts) SLX_RETURN_IF_ERROR(CheckSize("a sinusoid", shift, white).WithContext(axis));
   if (!code.shifts.empty() && (code.shifts.size() < 3 || code.period_px < 3))
     return Status::Usage("decode: " + axis + ": sinusoids need at least 3 shifts and a period of at least 3 px");
+  if (!IsOfStripes(code.code) && code.waves_px < 3)
+    return Status::Usage("decode: " + axis + ": waves need a period of at least 3 px, not " +
+                         std::to_string(code.waves_px));
   return Status::Ok();
 }
 
@@ -64,13 +68,10 @@ class MapDecoder {
       : input_(input), noise_(noise), options_(options) {}
 
   [[nodiscard]] AxisMap Decode(const AxisCode& code) const {
+    if (!IsOfStripes(code.code)) return SiteBySite(MicroPhaseDecoder(code, noise_, options_));
     const int width = input_.white.width(), height = input_.white.height();
     const AxisDecoder decoder(code, noise_, options_);
-    AxisMap own(width, height);
-    ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
-      for (size_t site = begin * width; site < static_cast<size_t>(end) * width; ++site)
-        if (IsLit(site)) own.Put(site, decoder.Decode(site, LightAt(site)));
-    });
+    const AxisMap own = SiteBySite(decoder);
     AxisMap pooled = own;
     ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
       for (int y = static_cast<int>(begin); y < static_cast<int>(end); ++y)
@@ -88,6 +89,16 @@ class MapDecoder {
   }
 
  private:
+  [[nodiscard]] AxisMap SiteBySite(const auto& decoder) const {
+    const int width = input_.white.width(), height = input_.white.height();
+    AxisMap own(width, height);
+    ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
+      for (size_t site = begin * width; site < static_cast<size_t>(end) * width; ++site)
+        if (IsLit(site)) own.Put(site, decoder.Decode(site, LightAt(site)));
+    });
+    return own;
+  }
+
   [[nodiscard]] SiteLight LightAt(size_t site) const {
     const double white = input_.white.data()[site];
     return {input_.black.data()[site], white, white >= noise_.saturation_dn};

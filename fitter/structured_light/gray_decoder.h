@@ -28,6 +28,7 @@ struct AxisCode {
   std::vector<RawView> shifts{};  // sinusoids in shift order; empty: the bits alone
   int period_px = 0;              // of the sinusoids
   ColumnCode code = ColumnCode::kGray;
+  int waves_px = 0;  // kMicroPhase: the period that its waves lie around
 };
 
 // Raw mosaics, all of one size and one channel. `black` is the mean of the black frames, raw level.

@@ -19,6 +19,9 @@ struct Harmonic {
   double phase_rad = 0.0;           // [0, 2 pi)
   double amplitude_sigma_dn = 0.0;  // of each quadrature; phase sigma = this / amplitude
   bool saturated = false;
+
+  // Whether its phase counts: the amplitude exceeds so many standard deviations.
+  [[nodiscard]] bool HasPhase(double sigmas) const { return !saturated && amplitude_dn >= sigmas * amplitude_sigma_dn; }
 };
 
 // cos and sin of 2 pi k / N, made once a map.

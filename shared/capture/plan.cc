@@ -68,19 +68,12 @@ class PlanBuilder {
   }
 
   void AddCodes(int projector, int bracket) {
+    const PlanOptions& o = plan_.options;
     for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
-      const int extent = axis == PatternAxis::kColumns ? plan_.options.projector_width : plan_.options.projector_height;
-      const int bits = GrayBits(extent);
+      const int bits = o.PlaneOf(axis, 0, false).bits;
       for (int bit = 0; bit < bits; ++bit)
         for (bool inverse : {false, true})
-          Add(projector, CapturePhase::kCorrespondence,
-              {.kind = PatternKind::kGray,
-               .axis = axis,
-               .bit = bit,
-               .bits = bits,
-               .inverse = inverse,
-               .code = plan_.options.ShownCode()},
-              bracket);
+          Add(projector, CapturePhase::kCorrespondence, o.PlaneOf(axis, bit, inverse), bracket);
     }
   }
 
@@ -257,6 +250,16 @@ const std::vector<double>& PlanOptions::BracketsOf(CapturePhase phase) const {
     default:
       return kNominal;
   }
+}
+
+Pattern PlanOptions::PlaneOf(PatternAxis axis, int bit, bool inverse) const {
+  return {.kind = PatternKind::kGray,
+          .axis = axis,
+          .bit = bit,
+          .bits = GrayBits(axis == PatternAxis::kColumns ? projector_width : projector_height),
+          .inverse = inverse,
+          .code = ShownCode(),
+          .period = IsOfStripes(ShownCode()) ? 0 : separation_period};
 }
 
 Status PlanOptions::Validate() const {

@@ -79,6 +79,8 @@ struct PlanOptions {
   [[nodiscard]] const std::vector<double>& BracketsOf(CapturePhase phase) const;
   // That sessions of this kind show.
   [[nodiscard]] ColumnCode ShownCode() const { return kind == SessionKind::kVisitor ? code : ColumnCode::kGray; }
+  // A plane of that code.
+  [[nodiscard]] Pattern PlaneOf(PatternAxis axis, int bit, bool inverse) const;
   [[nodiscard]] Status Validate() const;
 };
 

@@ -7,10 +7,12 @@
 #include <string_view>
 #include <vector>
 
+#include "shared/base/check.h"
+
 namespace stratalux {
 namespace {
 
-constexpr std::array<std::string_view, 4> kCodeNames = {"gray", "xor-2", "xor-4", "min-stripe"};
+constexpr std::array<std::string_view, 5> kCodeNames = {"gray", "xor-2", "xor-4", "min-stripe", "micro-phase"};
 
 // XORs the planes coarser than the base with it. Its own inverse: the base stays.
 unsigned XoredWithBase(unsigned word, int base, int bits) {
@@ -106,6 +108,7 @@ Result<ColumnCode> ParseColumnCode(const std::string& text) {
 }
 
 unsigned WordOf(ColumnCode code, unsigned column, int bits) {
+  SLX_CHECK(IsOfStripes(code));
   if (code == ColumnCode::kMinStripe) return MinStripeTable(bits).word_of[column & ((1U << bits) - 1U)];
   const std::optional<int> base = BasePlane(code, bits);
   const unsigned gray = GrayFromBinary(column);
@@ -113,6 +116,7 @@ unsigned WordOf(ColumnCode code, unsigned column, int bits) {
 }
 
 unsigned ColumnOf(ColumnCode code, unsigned word, int bits) {
+  SLX_CHECK(IsOfStripes(code));
   if (code == ColumnCode::kMinStripe) return MinStripeTable(bits).column_of[word];
   const std::optional<int> base = BasePlane(code, bits);
   return BinaryFromGray(base ? XoredWithBase(word, *base, bits) : word);

@@ -8,6 +8,8 @@
 #include <sstream>
 #include <string_view>
 
+#include "shared/pattern/micro_phase.h"
+
 namespace stratalux {
 namespace {
 
@@ -15,6 +17,10 @@ constexpr std::array<std::string_view, 8> kNames = {"black",    "white", "gray",
                                                     "sinusoid", "comb",  "spots", "grey"};
 
 float GrayIntensity(const Pattern& p, int position) {
+  if (!IsOfStripes(p.code)) {
+    const double wave = std::cos(MicroPhaseWave(p.bit, p.bits, p.period).Angle(position));
+    return static_cast<float>(0.5 + (p.inverse ? -0.5 : 0.5) * wave);
+  }
   const unsigned word = WordOf(p.code, static_cast<unsigned>(position), p.bits);
   const bool lit = ((word >> (p.bits - 1 - p.bit)) & 1U) != 0;
   return lit != p.inverse ? 1.0F : 0.0F;
@@ -117,6 +123,7 @@ std::string Pattern::ToString() const {
     case PatternKind::kGray:
       text << axis_name << " bit=" << bit << '/' << bits << (inverse ? " inverse" : "");
       if (code != ColumnCode::kGray) text << " code=" << stratalux::ToString(code);
+      if (!IsOfStripes(code)) text << " period=" << period;
       break;
     case PatternKind::kCheckerboard:
       text << " period=" << period << " shift=" << shift << '/' << shifts;
@@ -179,6 +186,8 @@ Status Pattern::Validate(int projector_width, int projector_height) const {
       if (bits > GrayBits(extent))
         return refuse("a projector of " + std::to_string(extent) + " px needs at most " +
                       std::to_string(GrayBits(extent)) + " bits");
+      if (!IsOfStripes(code) && (period < 3 || period > extent))
+        return refuse("period must lie in 3 .. " + std::to_string(extent) + " px");
       return Status::Ok();
     case PatternKind::kCheckerboard:
       if (period < 2 || period % 2 != 0) return refuse("period must be even and at least 2 px");

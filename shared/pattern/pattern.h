@@ -32,7 +32,7 @@ struct Pattern {
   int bits = 0;          // kGray: number of bits of the code
   bool inverse = false;  // kGray
   ColumnCode code = ColumnCode::kGray;
-  int period = 0;  // px
+  int period = 0;  // px; of the waves of kMicroPhase, the one that theirs lie around
   int width = 0;   // px
   int shift = 0;
   int shifts = 1;
@@ -48,6 +48,11 @@ struct Pattern {
   // The `count` intensities along the pattern's axis (columns for white and black). Precondition: IsOneDimensional().
   [[nodiscard]] std::vector<float> Profile(int count) const;
   [[nodiscard]] Image<float> Render(int width_px, int height_px) const;
+  // True when there are levels between 0 and 1, which a projector needs eight bit planes for.
+  [[nodiscard]] bool HasLevels() const {
+    return kind == PatternKind::kSinusoid || kind == PatternKind::kGrey ||
+           (kind == PatternKind::kGray && !IsOfStripes(code));
+  }
   // Text such as "gray columns bit=3/10 inverse" or "gray rows bit=0/10 code=xor-4", as stored in each frame's proof
   // row; Parse reads it back.
   [[nodiscard]] std::string ToString() const;

@@ -132,11 +132,12 @@ TEST_P(Codes, AreProvenAndGiveASurface) {
   EXPECT_NE(with.out, alone.out);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, Codes, ::testing::Values("gray", "xor-4", "xor-2", "min-stripe"), [](const auto& code) {
-  std::string name = code.param;
-  std::erase(name, '-');
-  return name;
-});
+INSTANTIATE_TEST_SUITE_P(All, Codes, ::testing::Values("gray", "xor-4", "xor-2", "min-stripe", "micro-phase"),
+                         [](const auto& code) {
+                           std::string name = code.param;
+                           std::erase(name, '-');
+                           return name;
+                         });
 
 }  // namespace
 }  // namespace stratalux::fit

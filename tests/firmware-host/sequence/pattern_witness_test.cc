@@ -153,9 +153,18 @@ TEST_P(EachCode, OfABitExchangedWithItsInverseNoOtherIsBlamed) {
   EXPECT_GE(found, 5);
 }
 
+TEST_P(EachCode, FindsTheCombInWhichTheLampBlinked) {
+  const int blinked = First(CapturePhase::kSweep, 12).index;
+  ShowAll([&](const PlanStep& step) { return step.index == blinked ? 0.7 : 1.0; });
+  const std::vector<Finding> findings = witness_.CheckProjector();
+  ASSERT_EQ(findings.size(), 1U);
+  EXPECT_EQ(findings[0].kind, FindingKind::kBlink);
+  EXPECT_EQ(findings[0].step, blinked);
+}
+
 INSTANTIATE_TEST_SUITE_P(All, EachCode,
                          ::testing::Values(ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4,
-                                           ColumnCode::kMinStripe));
+                                           ColumnCode::kMinStripe, ColumnCode::kMicroPhase));
 
 TEST_F(WitnessTest, ABlackOrWhiteFrameInPlaceOfAGuardOrWhiteFails) {
   ShowUpTo(First(CapturePhase::kSweep).index - 1);

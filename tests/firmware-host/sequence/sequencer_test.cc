@@ -666,6 +666,17 @@ TEST_F(SequencerTest, APlanOfAnotherSizeIsRefusedBeforeAnyLight) {
   EXPECT_TRUE(rig_.ever_lit().empty());
 }
 
+// Of a projector with a gamma a wave and its inverse do not add up to white, and no frame of the code could be proven.
+TEST_F(SequencerTest, WavesOfAProjectorThatIsNotLinearAreRefusedBeforeAnyLight) {
+  plan_.options.code = ColumnCode::kMicroPhase;
+  options_.witness.sinusoid_mean = {0.5, 0.48};
+  const auto report = Sequencer(rig_.devices(), options_, logger_).Run(plan_, sink_);
+  EXPECT_EQ(report.status().code(), StatusCode::kUsage);
+  EXPECT_THAT(report.status().message(), ::testing::HasSubstr("code 'micro-phase' needs projectors of linear response"));
+  EXPECT_THAT(report.status().message(), ::testing::HasSubstr("projector 1"));
+  EXPECT_TRUE(rig_.ever_lit().empty());
+}
+
 TEST_F(SequencerTest, FreeRunningIsRefusedBeforeAnyLight) {
   plan_.options.sync_mode = SyncMode::kFreeRunning;
   Sequencer sequencer(rig_.devices(), options_, logger_);

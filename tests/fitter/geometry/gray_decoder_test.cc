@@ -53,7 +53,8 @@ TEST_F(GrayDecoder, GivesTheColumnWithoutSinusoids) {
   EXPECT_LT(Largest(report.map, frames), 0.8);  // at the rim, where the ball falls away from the neighbours' plane
 }
 
-constexpr ColumnCode kCodes[] = {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe};
+constexpr ColumnCode kCodes[] = {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe,
+                                 ColumnCode::kMicroPhase};
 
 TEST_F(GrayDecoder, ReadsEachCodeWithSinusoids) {
   for (const ColumnCode code : kCodes) {

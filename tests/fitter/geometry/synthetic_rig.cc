@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "shared/base/random.h"
+#include "shared/pattern/micro_phase.h"
 
 namespace stratalux::fit {
 namespace {
@@ -35,6 +36,11 @@ class BlurredProfile {
       const double k = 2.0 * M_PI * blur_px_ / pattern_.period;
       return 0.5 + 0.5 * std::exp(-0.5 * k * k) * std::cos(2.0 * M_PI * turns);
     }
+    if (pattern_.HasLevels()) {
+      const Wave wave = MicroPhaseWave(pattern_.bit, pattern_.bits, pattern_.period);
+      const double k = 2.0 * M_PI * blur_px_ / wave.period_px;
+      return 0.5 + (pattern_.inverse ? -0.5 : 0.5) * std::exp(-0.5 * k * k) * std::cos(wave.Angle(position));
+    }
     const double clamped = std::clamp(position, 0.0, static_cast<double>(values_.size()) - 1.001);
     const auto i = static_cast<size_t>(clamped);
     const double f = clamped - static_cast<double>(i);
@@ -47,14 +53,21 @@ class BlurredProfile {
   double blur_px_ = 0.0;
 };
 
+int WavesOf(ColumnCode code) { return IsOfStripes(code) ? 0 : kPeriodPx; }
+
 std::vector<Pattern> Patterns(const ProjectorCalibration& projector, ColumnCode code) {
   std::vector<Pattern> patterns = {{.kind = PatternKind::kWhite}, {.kind = PatternKind::kBlack}};
   for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
     const int bits = GrayBits(axis == PatternAxis::kColumns ? projector.model.width : projector.model.height);
     for (int bit = 0; bit < bits; ++bit)
       for (bool inverse : {false, true})
-        patterns.push_back(
-            {.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .inverse = inverse, .code = code});
+        patterns.push_back({.kind = PatternKind::kGray,
+                            .axis = axis,
+                            .bit = bit,
+                            .bits = bits,
+                            .inverse = inverse,
+                            .code = code,
+                            .period = WavesOf(code)});
     for (int shift = 0; shift < kShifts; ++shift)
       patterns.push_back(
           {.kind = PatternKind::kSinusoid, .axis = axis, .period = kPeriodPx, .shift = shift, .shifts = kShifts});
@@ -63,10 +76,20 @@ std::vector<Pattern> Patterns(const ProjectorCalibration& projector, ColumnCode 
 }
 
 AxisCode CodeOf(const Frames& frames, PatternAxis axis, int count, int period_px) {
-  AxisCode code{.count = count, .bits = {}, .shifts = {}, .period_px = period_px, .code = frames.code};
+  AxisCode code{.count = count,
+                .bits = {},
+                .shifts = {},
+                .period_px = period_px,
+                .code = frames.code,
+                .waves_px = WavesOf(frames.code)};
   const int bits = GrayBits(count);
   for (int bit = 0; bit < bits; ++bit) {
-    const Pattern positive{.kind = PatternKind::kGray, .axis = axis, .bit = bit, .bits = bits, .code = frames.code};
+    const Pattern positive{.kind = PatternKind::kGray,
+                           .axis = axis,
+                           .bit = bit,
+                           .bits = bits,
+                           .code = frames.code,
+                           .period = WavesOf(frames.code)};
     Pattern inverse = positive;
     inverse.inverse = true;
     code.bits.push_back({frames.View(positive), frames.View(inverse)});

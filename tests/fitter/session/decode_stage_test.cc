@@ -40,7 +40,8 @@ class DecodeStage : public db::StoreTest {
                                 .bit = bit,
                                 .bits = kBits,
                                 .inverse = inverse,
-                                .code = axis == PatternAxis::kRows ? rows_code_.value_or(code_) : code_};
+                                .code = axis == PatternAxis::kRows ? rows_code_.value_or(code_) : code_,
+                                .period = IsOfStripes(code_) ? 0 : 8};
           if (wanted(pattern)) SLX_RETURN_IF_ERROR(Add(files, pattern));
         }
     db::WriteText(files / "m.toml", manifest_);
@@ -85,7 +86,8 @@ void ExpectEveryPixelAtItsPlace(const DecodedMap& map, Axes axes) {
 }
 
 TEST_F(DecodeStage, ReadsTheCodeThatTheFramesAreOf) {
-  for (const ColumnCode code : {ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe}) {
+  for (const ColumnCode code :
+       {ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe, ColumnCode::kMicroPhase}) {
     code_ = code;
     const auto report = DecodeImported([](const Pattern&) { return true; });
     ASSERT_TRUE(report.ok()) << ToString(code) << ": " << report.status().message();
@@ -97,7 +99,7 @@ TEST_F(DecodeStage, RefusesTwoCodesInOneSession) {
   rows_code_ = ColumnCode::kXor4;
   const auto report = DecodeImported([](const Pattern&) { return true; });
   EXPECT_EQ(report.status().code(), StatusCode::kUsage);
-  EXPECT_THAT(report.status().message(), HasSubstr("frames of two codes, gray and 'gray rows bit=0/6"));
+  EXPECT_THAT(report.status().message(), HasSubstr("frames of two codes, 'gray rows bit=0/6"));
 }
 
 TEST_F(DecodeStage, ReadsAWholeCode) {

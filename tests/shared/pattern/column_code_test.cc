@@ -126,10 +126,12 @@ TEST(ColumnCode, OfMinimumStripesIsTheSameForEver) {
 
 TEST(ColumnCode, IsNamedAndOthersAreRefused) {
   for (const ColumnCode code : kCodes) EXPECT_EQ(*ParseColumnCode(ToString(code)), code);
+  EXPECT_EQ(*ParseColumnCode("micro-phase"), ColumnCode::kMicroPhase);
   const auto unknown = ParseColumnCode("xor-8");
   ASSERT_FALSE(unknown.ok());
   EXPECT_EQ(unknown.status().code(), StatusCode::kUsage);
-  EXPECT_EQ(unknown.status().message(), "code 'xor-8' is unknown; allowed: gray, xor-2, xor-4, min-stripe");
+  EXPECT_EQ(unknown.status().message(),
+            "code 'xor-8' is unknown; allowed: gray, xor-2, xor-4, min-stripe, micro-phase");
 }
 
 }  // namespace

@@ -93,9 +93,9 @@ TEST(PatternText, SaysWhichCodeButForTheReflectedOne) {
   EXPECT_EQ(Pattern::Parse("gray columns bit=3/10 inverse")->code, ColumnCode::kGray);
   pattern.code = ColumnCode::kXor4;
   EXPECT_EQ(pattern.ToString(), "gray columns bit=3/10 inverse code=xor-4");
-  const auto later = Pattern::Parse("gray columns bit=3/10 code=micro-phase");
+  const auto later = Pattern::Parse("gray columns bit=3/10 code=xor-8");
   ASSERT_EQ(later.status().code(), StatusCode::kUsage);
-  EXPECT_NE(later.status().message().find("code 'micro-phase' is unknown; allowed: gray, xor-2"), std::string::npos);
+  EXPECT_NE(later.status().message().find("code 'xor-8' is unknown; allowed: gray, xor-2"), std::string::npos);
   EXPECT_EQ(Pattern::Parse("comb columns period=8 width=2 shift=0 code=xor-4").status().code(), StatusCode::kUsage);
 }
 
