@@ -136,8 +136,8 @@ std::vector<std::pair<Pattern, Pattern>> CoarseCode(const CapturePlan& plan, int
     if (step.projector != projector || p.kind != PatternKind::kGray || p.axis != PatternAxis::kColumns || p.inverse)
       continue;
     if (p.bit != static_cast<int>(code.size()) || p.bit >= bits) continue;
-    Pattern bit = p;
-    bit.code = ColumnCode::kGray;  // whose leading bits tell by themselves
+    // Reflected Gray code, as the memory has it for boards: its leading bits tell by themselves.
+    Pattern bit{.kind = PatternKind::kGray, .axis = p.axis, .bit = p.bit, .bits = p.bits};
     Pattern inverse = bit;
     inverse.inverse = true;
     code.emplace_back(bit, inverse);

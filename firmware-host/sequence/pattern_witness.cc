@@ -96,7 +96,7 @@ LevelCheck PatternWitness::Check(const PlanStep& step) {
     frames_.at(member).testimony = testimony;
     if (testimony == Testimony::kRefutes) contradicted_.insert(frames_.at(member).load);
   }
-  if (step.phase == CapturePhase::kCorrespondence && testimony != Testimony::kRefutes &&
+  if (step.phase == CapturePhase::kCorrespondence && step.bracket == 0 && testimony != Testimony::kRefutes &&
       JudgeOrder(step.pattern.axis, group) == Testimony::kRefutes)
     testimony = Testimony::kRefutes;
   if (testimony != Testimony::kRefutes && CanSpeak(step)) Follow(step, group);
@@ -116,7 +116,7 @@ struct PatternWitness::Waves {
     std::vector<double> difference, weight;  // by plane
   };
   MicroPhaseSearch search;
-  std::vector<AtProbe> probes;  // of lit_
+  std::vector<AtProbe> probes;  // of lit_, every so many
 };
 
 PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span<const int> group) {
@@ -142,6 +142,7 @@ PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span
 
 std::optional<std::vector<int>> PatternWitness::ExchangedStripes(PatternAxis axis) const {
   const std::vector<int> at = Decode(axis);
+  if (at.empty()) return std::nullopt;
   // Pairs of lit probes that stand side by side along the axis.
   const int stride = axis == PatternAxis::kColumns ? 1 : lattice_.columns();
   std::vector<std::pair<int, int>> pairs;
@@ -177,28 +178,36 @@ std::optional<std::vector<int>> PatternWitness::ExchangedStripes(PatternAxis axi
 }
 
 std::optional<std::vector<int>> PatternWitness::OtherWaves(PatternAxis axis) const {
-  constexpr size_t kEnough = 400;  // probes: whichever they are, all of a wrong plane disagree
+  constexpr size_t kEnough = 400;      // probes: whichever they are, all of a wrong plane disagree
+  constexpr double kConsistent = 3.0;  // chi^2 a degree of freedom of planes that agree: the lamp's few per cent
   const PairsOfBits bits = PairsOf(axis);
   if (static_cast<int>(lit_.size()) < options_.min_lit_probes || bits.size() < 4) return std::nullopt;
-  const Waves waves = WavesOf(axis, bits);
-  const size_t every = 1 + lit_.size() / kEnough;
-  // What all planes but one leave, a degree of freedom; -1: but none.
-  const auto rest = [&](int without) {
+  const Waves waves = WavesOf(axis, bits, 1 + lit_.size() / kEnough);
+  // What all planes but these leave, a degree of freedom.
+  const auto rest = [&](const std::vector<int>& without) {
     double sum = 0.0;
-    for (size_t k = 0; k < lit_.size(); k += every) {
-      Waves::AtProbe at = waves.probes[k];
-      if (without >= 0) at.weight[static_cast<size_t>(without)] = 0.0;
+    for (Waves::AtProbe at : waves.probes) {
+      for (const int plane : without) at.weight[static_cast<size_t>(plane)] = 0.0;
       sum += waves.search.Find(at.difference, at.weight).chi2;
     }
-    return sum / (static_cast<double>(bits.size()) - (without >= 0 ? 3.0 : 2.0));
+    const double freedom = static_cast<double>(bits.size()) - 2.0 - static_cast<double>(without.size());
+    return sum / (freedom * static_cast<double>(waves.probes.size()));
   };
-  double least = 0.6 * rest(-1);
+  const double all = rest({});
+  if (all < kConsistent) return std::vector<int>{};
+  double least = all;
   std::vector<int> other;
-  for (const auto& [plane, steps] : bits)
-    if (const double left = rest(plane); left < least) {
-      least = left;
-      other = {plane};
-    }
+  const auto suspect = [&](const std::vector<int>& without, double most) {
+    const double left = rest(without);
+    if (left > most) return;
+    least = left;
+    other = without;
+  };
+  const int planes = static_cast<int>(bits.size());
+  for (int plane = 0; plane < planes; ++plane) suspect({plane}, std::min(least, 0.6 * all));
+  // Both of a period, which no other plane is of, where one of them is not enough.
+  const double one = 0.6 * least;
+  for (int plane = 0; plane + 1 < planes && planes > 4; plane += 2) suspect({plane, plane + 1}, std::min(least, one));
   return other;
 }
 
@@ -364,11 +373,12 @@ std::vector<int> PatternWitness::Decode(PatternAxis axis) const {
   return at;
 }
 
-PatternWitness::Waves PatternWitness::WavesOf(PatternAxis axis, const PairsOfBits& bits) const {
+PatternWitness::Waves PatternWitness::WavesOf(PatternAxis axis, const PairsOfBits& bits, size_t every) const {
   constexpr double kUnlikeness = 0.015;  // of W - B, that a pair's difference errs by beside its noise: the fitter's
   Waves waves{{ExtentOf(axis), static_cast<int>(bits.size()), plan_.options.separation_period}, {}};
   std::vector<double> squares(bits.size());
-  for (const int i : lit_) {
+  for (size_t k = 0; k < lit_.size(); k += every) {
+    const int i = lit_[k];
     Waves::AtProbe& at = waves.probes.emplace_back();
     const double unlike = kUnlikeness * (double(white_.probes[i]) - black_.probes[i]);
     for (const auto& [bit, steps] : bits) {
@@ -385,7 +395,7 @@ PatternWitness::Waves PatternWitness::WavesOf(PatternAxis axis, const PairsOfBit
 
 std::vector<int> PatternWitness::DecodeWaves(PatternAxis axis, const PairsOfBits& bits) const {
   constexpr double kMostAstray = 0.01;
-  const Waves waves = WavesOf(axis, bits);
+  const Waves waves = WavesOf(axis, bits, 1);
   std::vector<int> at;
   at.reserve(waves.probes.size());
   for (const Waves::AtProbe& probe : waves.probes) {

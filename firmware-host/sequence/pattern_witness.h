@@ -157,13 +157,13 @@ class PatternWitness {
   // The silent ones of loads that ended before a frame spoke for them.
   void DoubtUnspokenFor();
   // A bit whose frame shows its inverse and the other way round still adds up; but with it, stretches of the picture
-  // run backwards. Not to be told: a top bit that mirrors the whole picture (of all codes but that of minimum stripe
-  // width), and bits finer than the lattice.
-  // Doubts the pair's frames, or refutes them where they are `group`.
+  // run backwards. Not to be told of stripes: a top bit that mirrors the whole picture (of all codes but that of
+  // minimum stripe width), and bits finer than the lattice. Doubts the pair's frames, or refutes them where they are
+  // `group`.
   [[nodiscard]] Testimony JudgeOrder(PatternAxis axis, std::span<const int> group);
   // Planes of the axis' whole code that show something else than they should; nullopt: too few lit probes tell. Of
-  // stripes the one whose exchange with its inverse makes the picture the smoothest, of waves the one that disagrees
-  // with all others, if by so much.
+  // stripes the one whose exchange with its inverse makes the picture the smoothest, of waves the plane
+  // or the period that disagrees with all others, if by so much.
   [[nodiscard]] std::optional<std::vector<int>> ExchangedStripes(PatternAxis axis) const;
   [[nodiscard]] std::optional<std::vector<int>> OtherWaves(PatternAxis axis) const;
   // Whether the frames' mean lies at `mean` on the way from black to white.
@@ -228,7 +228,7 @@ class PatternWitness {
   // Of the axis' whole code; else empty.
   [[nodiscard]] PairsOfBits PairsOf(PatternAxis axis) const;
   struct Waves;  // of micro phase shifting
-  [[nodiscard]] Waves WavesOf(PatternAxis axis, const PairsOfBits& bits) const;
+  [[nodiscard]] Waves WavesOf(PatternAxis axis, const PairsOfBits& bits, size_t every) const;
   [[nodiscard]] std::vector<int> DecodeWaves(PatternAxis axis, const PairsOfBits& bits) const;
   // Of a code that may be misread by far: probes away from most of their neighbours are, and -1.
   void ForgetStrays(std::vector<int>& at) const;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "firmware-host/sequence/sequencer.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -28,11 +29,11 @@ Status CheckFits(const CapturePlan& plan, const RigDevices& devices) {
   return Status::Ok();
 }
 
-// A wave and its inverse add up to white where the projector's light is in proportion to its grey levels alone. Of a
-// response that bends by b x (1 - x) a sinusoid's mean is off by b / 8, a pair's sum by b / 2 at most.
-static Status CheckResponse(const CapturePlan& plan, const WitnessOptions& witness) {
+// Of a response that bends by b x (1 - x) a sinusoid's mean is off by b / 8, a pair's sum by b / 2 at most.
+Status CheckResponse(const CapturePlan& plan, const WitnessOptions& witness) {
   if (IsOfStripes(plan.options.ShownCode())) return Status::Ok();
-  for (size_t p = 0; p < witness.sinusoid_mean.size(); ++p)
+  const size_t known = std::min(witness.sinusoid_mean.size(), static_cast<size_t>(plan.options.projectors));
+  for (size_t p = 0; p < known; ++p)
     if (4.0 * std::abs(witness.sinusoid_mean[p] - 0.5) > witness.sum_tolerance)
       return Status::Usage("plan: code '" + std::string(ToString(plan.options.code)) +
                            "' needs projectors of linear "

@@ -48,6 +48,9 @@ struct SequencerOptions {
 
 // kUsage where the plan asks for what these devices do not have; touches none of them.
 [[nodiscard]] Status CheckFits(const CapturePlan& plan, const RigDevices& devices);
+// kUsage where the plan shows waves and a projector's response is known and bent: a wave and its inverse add up to
+// white only where light is in proportion to grey levels.
+[[nodiscard]] Status CheckResponse(const CapturePlan& plan, const WitnessOptions& witness);
 
 class Sequencer {
  public:

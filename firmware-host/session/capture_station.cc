@@ -122,6 +122,7 @@ Result<std::unique_ptr<CaptureStation>> CaptureStation::Open(const StationOption
                        OpenRig(options.config, options.simulated, stop, logger, options.camera_at_start));
   SLX_RETURN_IF_ERROR(CheckFits(plan, rig.devices()));
   auto station = std::unique_ptr<CaptureStation>(new CaptureStation(options, std::move(rig), stop, logger));
+  SLX_RETURN_IF_ERROR(CheckResponse(plan, station->SequencerOptionsFor().witness));
   station->Rest();
   return station;
 }

@@ -39,10 +39,9 @@ double AxisDecoder::ProbabilityOfOne(const PairLight& pair, const SiteLight& lig
   const double darker = std::min(pair.positive_dn, pair.inverse_dn) - light.black_dn;
   if (brighter < direct_dn - margin) return kNothing;
   if (!light.white_saturated && darker > light.SignalDn() - direct_dn + margin) return kNothing;
-  // Beyond 6 standard deviations a bit errs once in a billion: no share is worth its exponential.
-  constexpr double kCertain = 6.0, kRest = 1e-9;
+  constexpr double kCertain = 8.3;  // from there on the share is 1 to the last bit: its exponential is saved
   const double z = (pair.positive_dn - pair.inverse_dn) / pair.sigma_dn;
-  if (std::abs(z) > kCertain) return z > 0.0 ? 1.0 - kRest : kRest;
+  if (std::abs(z) > kCertain) return z > 0.0 ? 1.0 : 0.0;
   return NormalShare(z);
 }
 

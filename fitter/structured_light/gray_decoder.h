@@ -69,11 +69,12 @@ struct DecodeReport {
 };
 
 // Columns and rows of the projector per camera site; integer = centre of a projector pixel. A site is valid when all
-// captured axes are; the other axis' maps are NaN. With sinusoids only the bits coarser than half a period are read
-// (and what they are XORed with; all of a code of minimum stripe width); a doubtful bit is accepted where the phase
-// makes both of its values agree on the period (only one Gray bit changes at a time). Without them, or where they
-// saturate, neighbours on one surface with the site sharpen its position. kUsage: sizes differ, too few bits or shifts,
-// period out of range; the message names the frame. Reentrant; the same bits whatever the number of threads.
+// captured axes are; the other axis' maps are NaN. Waves tell a position by themselves, and sinusoids of the period
+// that they lie around add theirs. Of stripes, with sinusoids only the bits coarser than half a period are read (and
+// what they are XORed with; all of a code of minimum stripe width); a doubtful bit is accepted where the phase makes
+// both of its values agree on the period (only one Gray bit changes at a time). Without them, or where they saturate,
+// neighbours on one surface with the site sharpen its position. kUsage: sizes differ, too few bits or shifts, period
+// out of range; the message names the frame. Reentrant; the same bits whatever the number of threads.
 [[nodiscard]] Result<DecodeReport> DecodeGray(const DecodeInput& input, const SensorNoise& noise,
                                               const DecodeOptions& options = {});
 

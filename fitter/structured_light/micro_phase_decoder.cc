@@ -22,6 +22,7 @@ MicroPhaseDecoder::MicroPhaseDecoder(const AxisCode& code, const SensorNoise& no
     if (inverse.empty()) return;
     for (size_t site = 0; site < positive.size(); site += kEvery) {
       const double shown = positive.data()[site], other = inverse.data()[site];
+      if (std::max(shown, other) >= noise.saturation_dn) continue;
       squares[b] += (shown - other) * (shown - other) - noise.VarianceDn2(shown) - noise.VarianceDn2(other);
     }
   }

@@ -135,9 +135,12 @@ MicroPhaseSearch::Found MicroPhaseSearch::Find(std::span<const double> differenc
   // What the best one leaves, beyond the noise, is the noise of all. Two numbers were fitted.
   const auto planes = std::count_if(weight.begin(), weight.end(), [](double w) { return w > 0.0; });
   const double scale = std::max(1.0, fit.chi2[best] / std::max(1.0, static_cast<double>(planes) - 2.0));
+  constexpr double kImpossible = 100.0;  // chi^2 beyond the best one's: e^-50
   double here = 0.0, all = 0.0;
   for (size_t k = 0; k < fit.chi2.size(); ++k) {
-    const double p = std::exp(-0.5 * (double(fit.chi2[k]) - fit.chi2[best]) / scale);
+    const double beyond = (double(fit.chi2[k]) - fit.chi2[best]) / scale;
+    if (beyond > kImpossible) continue;
+    const double p = std::exp(-0.5 * beyond);
     all += p;
     if (std::abs(column(k) - column(best)) < 0.5 * about_px_) here += p;
   }

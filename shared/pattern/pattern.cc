@@ -168,6 +168,9 @@ Result<Pattern> Pattern::Parse(const std::string& text) {
       if (!status.ok()) return status.WithContext("pattern '" + text + "'");
     }
   }
+  if (pattern.kind == PatternKind::kGray && IsOfStripes(pattern.code) && pattern.period != 0)
+    return Status::Usage("pattern '" + text + "': stripes of code '" + stratalux::ToString(pattern.code) +
+                         "' have no period");
   if (pattern.kind == PatternKind::kGrey && text.find(" level=") == std::string::npos)
     return Status::Usage("pattern '" + text + "' names no level (grey level=5/32)");
   return pattern;

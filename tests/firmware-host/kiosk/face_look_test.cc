@@ -100,5 +100,19 @@ TEST_F(FaceDistance, IsTheMedianOfTheDepth) {
   }
 }
 
+// Whatever code a visitor is shown, the look at the distance asks for patterns that a memory holds for boards.
+TEST(FaceLook, CoarseCodeIsTheBoardsWhateverTheVisitorsIs) {
+  PlanOptions options;
+  options.kind = SessionKind::kCalibration;
+  const auto boards = CoarseCode(*BuildPlan(options), 0, 5);
+  ASSERT_EQ(boards.size(), 5U);
+  options.kind = SessionKind::kVisitor;
+  for (const ColumnCode code :
+       {ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4, ColumnCode::kMinStripe, ColumnCode::kMicroPhase}) {
+    options.code = code;
+    EXPECT_EQ(CoarseCode(*BuildPlan(options), 0, 5), boards) << ToString(code);
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::rig

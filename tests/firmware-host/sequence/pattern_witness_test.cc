@@ -162,6 +162,60 @@ TEST_P(EachCode, FindsTheCombInWhichTheLampBlinked) {
   EXPECT_EQ(findings[0].step, blinked);
 }
 
+TEST_P(EachCode, ALampThatIsAFewPerCentWeakerInAPairRefutesNothing) {
+  for (const int plane : {0, 3, 6}) {
+    witness_.StartProjector(0);
+    for (const PlanStep& step : plan_.steps) {
+      if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+      const bool weaker = step.pattern.kind == PatternKind::kGray && step.pattern.bit == plane;
+      Show(step, See(step.pattern, weaker ? 0.98 : 1.0));
+      if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+      EXPECT_NE(witness_.Check(step), LevelCheck::kFailed) << step.pattern.ToString();
+    }
+    const std::vector<int> doubtful = witness_.TakeDoubtful();
+    for (const PlanStep& step : plan_.steps)
+      if (step.pattern.kind == PatternKind::kGray && step.pattern.bit == plane) {
+        EXPECT_THAT(doubtful, ::testing::Not(::testing::Contains(step.index)));
+      }
+  }
+}
+
+class WavesWitness : public WitnessTest {
+ protected:
+  WavesWitness() : WitnessTest(Plan()) {}
+  static PlanOptions Plan() {
+    PlanOptions options = OneProjector();
+    options.code = ColumnCode::kMicroPhase;
+    return options;
+  }
+};
+
+// Both planes of a period exchanged with their inverses, or shown for each other.
+TEST_F(WavesWitness, APeriodThatDisagreesWithAllOthersIsFound) {
+  for (const bool exchanged : {true, false})
+    for (int period = 0; period < 4; ++period) {
+      witness_.StartProjector(0);
+      std::vector<int> wrong, blamed;
+      for (const PlanStep& step : plan_.steps) {
+        if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+        Pattern shown = step.pattern;
+        if (shown.kind == PatternKind::kGray && shown.axis == PatternAxis::kColumns && shown.bit / 2 == period) {
+          if (exchanged)
+            shown.inverse = !shown.inverse;
+          else
+            shown.bit ^= 1;
+          wrong.push_back(step.index);
+        }
+        Show(step, See(shown));
+        if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+        if (witness_.Check(step) == LevelCheck::kFailed) blamed.push_back(step.index);
+      }
+      for (const int step : witness_.TakeDoubtful()) blamed.push_back(step);
+      EXPECT_FALSE(blamed.empty()) << exchanged << period;
+      for (const int step : blamed) EXPECT_THAT(wrong, ::testing::Contains(step)) << exchanged << period;
+    }
+}
+
 INSTANTIATE_TEST_SUITE_P(All, EachCode,
                          ::testing::Values(ColumnCode::kGray, ColumnCode::kXor2, ColumnCode::kXor4,
                                            ColumnCode::kMinStripe, ColumnCode::kMicroPhase));

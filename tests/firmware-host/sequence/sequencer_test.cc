@@ -672,7 +672,8 @@ TEST_F(SequencerTest, WavesOfAProjectorThatIsNotLinearAreRefusedBeforeAnyLight) 
   options_.witness.sinusoid_mean = {0.5, 0.48};
   const auto report = Sequencer(rig_.devices(), options_, logger_).Run(plan_, sink_);
   EXPECT_EQ(report.status().code(), StatusCode::kUsage);
-  EXPECT_THAT(report.status().message(), ::testing::HasSubstr("code 'micro-phase' needs projectors of linear response"));
+  EXPECT_THAT(report.status().message(),
+              ::testing::HasSubstr("code 'micro-phase' needs projectors of linear response"));
   EXPECT_THAT(report.status().message(), ::testing::HasSubstr("projector 1"));
   EXPECT_TRUE(rig_.ever_lit().empty());
 }

@@ -309,6 +309,40 @@ TEST_F(PartialCodes, APairOfSaturatedFramesTellsNothing) {
   EXPECT_GT(report.counts[static_cast<int>(DecodeReason::kSaturated)], 1000);
 }
 
+TEST_F(PartialCodes, WavesNeedNoInversesAndASaturatedFrameTakesItsPlaneAlone) {
+  for (const int period : {kPeriodPx, kBitsAlone}) {
+    const Frames whole = Shoot(rig_, 0, kBall, {.noise = true, .code = ColumnCode::kMicroPhase});
+    const Outcome outcome = Judge(Decode(WithoutInverses(whole, period)).map, whole);
+    EXPECT_GT(outcome.Share(), 0.95);
+    EXPECT_EQ(outcome.gross, 0);
+    DecodeInput input = whole.Decode(rig_.projectors[0], period);
+    const Image<uint16_t> saturated(whole.black.width(), whole.black.height(), 1, uint16_t{4095});
+    input.columns.bits[4].inverse = saturated;
+    const Outcome but_one = Judge(Decode(input).map, whole);
+    EXPECT_GT(but_one.Share(), 0.95);
+    EXPECT_EQ(but_one.gross, 0);
+    for (CodedBit& bit : input.columns.bits) bit.positive = saturated;
+    const DecodeReport none = Decode(input);
+    EXPECT_EQ(none.counts[0], 0);
+    EXPECT_GT(none.counts[static_cast<int>(DecodeReason::kSaturated)], 1000);
+  }
+}
+
+TEST_F(PartialCodes, WavesOfFewerColumnsThanTheyTellAreOutsideBeyondTheLast) {
+  const Frames frames = Shoot(rig_, 0, kBall, {.code = ColumnCode::kMicroPhase});
+  DecodeInput input = frames.Decode(rig_.projectors[0], kBitsAlone);
+  input.columns.count = 257;  // of the 512 that are there; nine planes as before
+  const DecodeReport report = Decode(input);
+  EXPECT_GT(report.counts[0], 1000);
+  EXPECT_GT(report.counts[static_cast<int>(DecodeReason::kOutside)] +
+                report.counts[static_cast<int>(DecodeReason::kAmbiguous)],
+            1000);
+  for (size_t s = 0; s < report.map.reason.size(); ++s) {
+    if (report.map.reason.data()[s] != 0) continue;
+    ASSERT_NEAR(report.map.column.data()[s], frames.true_column.data()[s], 0.3);
+  }
+}
+
 TEST_F(PartialCodes, OneAxisIsEnoughForTheDepth) {
   std::vector<DecodedMap> maps;
   for (int p = 0; p < 4; ++p) {

@@ -99,7 +99,8 @@ TEST_F(DecodeStage, RefusesTwoCodesInOneSession) {
   rows_code_ = ColumnCode::kXor4;
   const auto report = DecodeImported([](const Pattern&) { return true; });
   EXPECT_EQ(report.status().code(), StatusCode::kUsage);
-  EXPECT_THAT(report.status().message(), HasSubstr("frames of two codes, 'gray rows bit=0/6"));
+  EXPECT_THAT(report.status().message(),
+              HasSubstr("frames of two codes, 'gray columns bit=5/6 inverse' and 'gray rows bit=0/6 code=xor-4'"));
 }
 
 TEST_F(DecodeStage, ReadsAWholeCode) {

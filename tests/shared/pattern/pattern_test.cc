@@ -97,6 +97,7 @@ TEST(PatternText, SaysWhichCodeButForTheReflectedOne) {
   ASSERT_EQ(later.status().code(), StatusCode::kUsage);
   EXPECT_NE(later.status().message().find("code 'xor-8' is unknown; allowed: gray, xor-2"), std::string::npos);
   EXPECT_EQ(Pattern::Parse("comb columns period=8 width=2 shift=0 code=xor-4").status().code(), StatusCode::kUsage);
+  EXPECT_EQ(Pattern::Parse("gray columns bit=3/10 period=8").status().code(), StatusCode::kUsage);
 }
 
 TEST(PatternValidate, RefusesWhatNoProjectorCanShow) {
