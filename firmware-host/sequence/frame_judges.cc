@@ -214,26 +214,33 @@ PatternWitness::Testimony PatternWitness::JudgeComb(const PlanStep& step) {
   if (mean > 3.0 * share + 2.0 * options_.dark_tolerance + black + room) return Testimony::kRefutes;
   if (mean < std::max(0.05 * share, 0.25 * share - room) - black) return Testimony::kRefutes;
   if (!BrightAsTheExposure(step) || LightElsewhere(step, frame)) return Testimony::kRefutes;
-  const double evidence = CombEvidence(step.pattern, plan_.options.comb_step, frame);
-  if (evidence < -options_.min_evidence || OtherCombInABand(step, frame)) return Testimony::kRefutes;
+  const double evidence = EvidenceOf(step, frame);
+  if (evidence < -options_.min_evidence || OtherShiftInABand(step, frame, Bands::kOfRows)) return Testimony::kRefutes;
   return evidence < options_.min_evidence ? Testimony::kSilent : Testimony::kConfirms;
 }
 
-bool PatternWitness::OtherCombInABand(const PlanStep& step, const LevelsAt& frame) const {
+double PatternWitness::EvidenceOf(const PlanStep& step, const LevelsAt& frame) const {
+  if (step.pattern.kind == PatternKind::kComb) return CombEvidence(step.pattern, plan_.options.comb_step, frame);
+  return ShiftEvidence(step.pattern, frame);
+}
+
+bool PatternWitness::OtherShiftInABand(const PlanStep& step, const LevelsAt& frame, Bands of) const {
   struct Part {
     std::vector<float> level;
     std::vector<int> column, row;
   };
   std::array<Part, ProbeLattice::kBands> bands;
   for (size_t i = 0; i < frame.level.size(); ++i) {
-    Part& part = bands[lattice_.BandOf(lit_[i])];
+    const int column = lit_[i] % lattice_.columns();
+    Part& part =
+        bands[of == Bands::kOfRows ? lattice_.BandOf(lit_[i]) : column * ProbeLattice::kBands / lattice_.columns()];
     part.level.push_back(frame.level[i]);
     if (!frame.column.empty()) part.column.push_back(frame.column[i]);
     if (!frame.row.empty()) part.row.push_back(frame.row[i]);
   }
   return std::any_of(bands.begin(), bands.end(), [&](const Part& part) {
     const LevelsAt rows{part.level, part.column, part.row, frame.width, frame.height};
-    return CombEvidence(step.pattern, plan_.options.comb_step, rows) < -options_.min_evidence;
+    return EvidenceOf(step, rows) < -options_.min_evidence;
   });
 }
 

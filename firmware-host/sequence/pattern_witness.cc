@@ -242,17 +242,20 @@ std::vector<int> PatternWitness::TakeDoubtful() {
   return steps;
 }
 
-bool PatternWitness::AnyAgreesWith(PatternAxis axis) {
+bool PatternWitness::AgreesWithOthers(PatternAxis axis) {
+  bool agrees = false;
   std::vector<float> level;
-  return std::any_of(frames_.begin(), frames_.end(), [&](const auto& entry) {
-    const PlanStep& step = plan_.steps[entry.first];
-    const Pattern& pattern = step.pattern;
-    if (pattern.axis != axis) return false;
-    if (step.phase == CapturePhase::kSeparation && pattern.kind == PatternKind::kSinusoid)
-      return ShiftEvidence(pattern, LevelsOf(step, level)) >= options_.min_evidence;
-    return step.phase == CapturePhase::kSweep &&
-           CombEvidence(pattern, plan_.options.comb_step, LevelsOf(step, level)) >= options_.min_evidence;
-  });
+  for (const auto& [index, shot] : frames_) {
+    const PlanStep& step = plan_.steps[index];
+    const bool sinusoid = step.phase == CapturePhase::kSeparation && step.pattern.kind == PatternKind::kSinusoid;
+    if (step.pattern.axis != axis || !(sinusoid || step.phase == CapturePhase::kSweep)) continue;
+    if (shot.testimony == Testimony::kRefutes) continue;
+    const LevelsAt frame = LevelsOf(step, level);
+    agrees = agrees || EvidenceOf(step, frame) >= options_.min_evidence;
+    if (OtherShiftInABand(step, frame, Bands::kOfRows) || OtherShiftInABand(step, frame, Bands::kOfColumns))
+      return false;
+  }
+  return agrees;
 }
 
 std::vector<int> PatternWitness::UnborneCodes(const std::set<int>& unproven) {
@@ -269,7 +272,7 @@ std::vector<int> PatternWitness::UnborneCodes(const std::set<int>& unproven) {
     for (const int step : StepsOf(CapturePhase::kCorrespondence))
       if (plan_.steps[step].pattern.axis == axis) code.push_back(step);
     const bool whole = std::none_of(code.begin(), code.end(), [&](int step) { return unproven.contains(step); });
-    if (whole && AnyAgreesWith(axis)) continue;
+    if (whole && AgreesWithOthers(axis)) continue;
     for (const int step : code) {
       const Frame* frame = Find(step);
       if (frame == nullptr) continue;

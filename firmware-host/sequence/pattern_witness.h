@@ -172,10 +172,15 @@ class PatternWitness {
   [[nodiscard]] bool OneIsDimmer(std::span<const int> shifts);
   // Between black and white of the reference, in every band.
   [[nodiscard]] bool WithinReference(const PlanStep& step) const;
-  // The lines stand elsewhere in some rows, as in a torn frame.
-  [[nodiscard]] bool OtherCombInABand(const PlanStep& step, const LevelsAt& frame) const;
-  // One of the sinusoids or combs that are judged by this axis' code.
-  [[nodiscard]] bool AnyAgreesWith(PatternAxis axis);
+  // Of the planned shift of a comb or a sinusoid against the others (pattern_score.h).
+  [[nodiscard]] double EvidenceOf(const PlanStep& step, const LevelsAt& frame) const;
+  // Lines or waves stand elsewhere in some rows, as in a torn frame, or in some columns, of the picture.
+  enum class Bands { kOfRows, kOfColumns };
+  [[nodiscard]] bool OtherShiftInABand(const PlanStep& step, const LevelsAt& frame, Bands bands) const;
+  // The axis' code agrees with one of the sinusoids or combs that are judged by it, and with none of them is another
+  // shift right anywhere in the picture: where planes stand for each other, positions may be right within a period, in
+  // a part of the picture or of the shifts.
+  [[nodiscard]] bool AgreesWithOthers(PatternAxis axis);
   // Beside a comb's lines, or spots.
   [[nodiscard]] bool LightElsewhere(const PlanStep& step, const LevelsAt& frame) const;
   [[nodiscard]] bool BrightAsTheExposure(const PlanStep& step) const;

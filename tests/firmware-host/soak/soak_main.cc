@@ -18,7 +18,7 @@ int Main(int argc, char** argv) {
   int64_t frames = 100000;
   uint64_t seed = 1, first = 0;
   double rate = 0.005;
-  std::string only;
+  std::string only, code = ToString(base.plan.code);
   bool verbose = false, clean = false, free_running = false;
   CLI::App app("Captures with random faults on the simulated rig; counts frames that are not what they are said to be");
   app.add_option("--frames", frames)->capture_default_str();
@@ -32,6 +32,7 @@ int Main(int argc, char** argv) {
   app.add_option("--width", base.camera_width)->capture_default_str();
   app.add_option("--height", base.camera_height)->capture_default_str();
   app.add_option("--brackets", base.plan.brackets);
+  app.add_option("--code", code, "of the projectors' columns and rows")->capture_default_str();
   app.add_flag("--free-running", free_running);
   app.add_flag("--overlapped", base.overlapped, "the camera exposes while it reads out");
   app.add_flag("--learnt", base.learnt, "by the deadlines that a selftest learnt");
@@ -43,6 +44,12 @@ int Main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   if (free_running) base.plan.sync_mode = SyncMode::kFreeRunning;
   if (!clean) base.faults.rate = rate;
+  const auto parsed = ParseColumnCode(code);
+  if (!parsed.ok()) {
+    std::fprintf(stderr, "stratalux-soak: %s\n", parsed.status().message().c_str());
+    return parsed.status().exit_code();
+  }
+  base.plan.code = *parsed;
   if (!only.empty()) {
     const auto kind = ParseFaultKind(only);
     if (!kind.ok()) {

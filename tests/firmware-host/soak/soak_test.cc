@@ -119,6 +119,22 @@ TEST(SoakFound, ACodeThatNothingBearsOutDoesNotCount) {
   EXPECT_EQ(capture.report.status, SessionStatus::kDegraded);
 }
 
+// Found by a night: rows of a logical code each show the next plane, but the last, which was shot again in step. What
+// is decoded from that agrees with one shift of the sinusoid, and not with the others.
+TEST(SoakFound, ALogicalCodeThatIsAPairAheadDoesNotCount) {
+  constexpr uint64_t kNight = 20261129, kCapture = 530;
+  SoakOptions options = With(Pace::kOverlapped);
+  options.plan.code = ColumnCode::kXor4;
+  options.seed = kNight + kCapture % 7;
+  options.faults.seed = kNight * 1000003 + kCapture;
+  options.faults.rate = 0.01;
+  options.faults.burst = 4;
+  options.faults.pair = 0.3;
+  const SoakCapture capture = CaptureOnce(options);
+  EXPECT_TRUE(capture.mis_associated.empty()) << capture.mis_associated.size();
+  EXPECT_EQ(capture.report.status, SessionStatus::kDegraded);
+}
+
 TEST_P(Soak, TheInterlockIsTheReason) {
   const SoakCapture stopped = CaptureOnce(With(GetParam(), {{{FaultKind::kEmergencyStop, 50}}, 1, 0.0, {}}));
   EXPECT_THAT(Reasons(stopped), HasSubstr("emergency stop"));
