@@ -104,32 +104,30 @@ TEST_P(Soak, ABitAndItsInverseAreNotTakenForEachOther) {
   }
 }
 
-// Found by a night: two bits of a code are given up, its memory stands two pictures on, and its load ends before a
-// frame speaks that is no code. Other bits beside their own inverses add up as well.
-TEST(SoakFound, ACodeThatNothingBearsOutDoesNotCount) {
-  constexpr uint64_t kNight = 20261130, kCapture = 428;
+// Capture `number` of soak-bursts of the night of that seed.
+SoakOptions OfANight(uint64_t night, uint64_t number) {
   SoakOptions options = With(Pace::kOverlapped);
-  options.seed = kNight + kCapture % 7;
-  options.faults.seed = kNight * 1000003 + kCapture;
+  options.seed = night + number % 7;
+  options.faults.seed = night * 1000003 + number;
   options.faults.rate = 0.01;
   options.faults.burst = 4;
   options.faults.pair = 0.3;
-  const SoakCapture capture = CaptureOnce(options);
+  return options;
+}
+
+// Two bits of a code are given up, its memory stands two pictures on, and its load ends before a frame speaks that is
+// no code. Other bits beside their own inverses add up as well.
+TEST(SoakFound, ACodeThatNothingBearsOutDoesNotCount) {
+  const SoakCapture capture = CaptureOnce(OfANight(20261130, 428));
   EXPECT_TRUE(capture.mis_associated.empty()) << capture.mis_associated.size();
   EXPECT_EQ(capture.report.status, SessionStatus::kDegraded);
 }
 
-// Found by a night: rows of a logical code each show the next plane, but the last, which was shot again in step. What
-// is decoded from that agrees with one shift of the sinusoid, and not with the others.
+// Rows of a logical code each show the next plane, but the last, which was shot again in step. What is decoded from
+// that agrees with one shift of the sinusoid, and not with the others.
 TEST(SoakFound, ALogicalCodeThatIsAPairAheadDoesNotCount) {
-  constexpr uint64_t kNight = 20261129, kCapture = 530;
-  SoakOptions options = With(Pace::kOverlapped);
+  SoakOptions options = OfANight(20261129, 530);
   options.plan.code = ColumnCode::kXor4;
-  options.seed = kNight + kCapture % 7;
-  options.faults.seed = kNight * 1000003 + kCapture;
-  options.faults.rate = 0.01;
-  options.faults.burst = 4;
-  options.faults.pair = 0.3;
   const SoakCapture capture = CaptureOnce(options);
   EXPECT_TRUE(capture.mis_associated.empty()) << capture.mis_associated.size();
   EXPECT_EQ(capture.report.status, SessionStatus::kDegraded);
