@@ -169,9 +169,7 @@ bool PatternWitness::OneIsDimmer(std::span<const int> shifts) {
   // Each shift gives the lit probes the same light, where they stand over several periods: the sum of all hides a lamp
   // that blinked in one of few.
   const Pattern& pattern = plan_.steps[shifts[0]].pattern;
-  const PlanOptions& o = plan_.options;
-  const int extent = pattern.axis == PatternAxis::kColumns ? o.projector_width : o.projector_height;
-  if (extent < 6 * pattern.period || shifts.size() < 3) return false;
+  if (ExtentOf(pattern.axis) < 6 * pattern.period || shifts.size() < 3) return false;
   std::vector<double> expected;  // a narrow subject has more of one shift than of another
   for (int step : shifts) expected.push_back(ExpectedLevel(plan_.steps[step].pattern).level);
   const auto [least, most] = std::minmax_element(expected.begin(), expected.end());
@@ -239,8 +237,8 @@ bool PatternWitness::OtherShiftInABand(const PlanStep& step, const LevelsAt& fra
     if (!frame.row.empty()) part.row.push_back(frame.row[i]);
   }
   return std::any_of(bands.begin(), bands.end(), [&](const Part& part) {
-    const LevelsAt rows{part.level, part.column, part.row, frame.width, frame.height};
-    return EvidenceOf(step, rows) < -options_.min_evidence;
+    const LevelsAt here{part.level, part.column, part.row, frame.width, frame.height};
+    return EvidenceOf(step, here) < -options_.min_evidence;
   });
 }
 

@@ -120,7 +120,6 @@ struct PatternWitness::Waves {
 };
 
 PatternWitness::Testimony PatternWitness::JudgeOrder(PatternAxis axis, std::span<const int> group) {
-  if (PairsOf(axis).empty()) return Testimony::kSilent;
   const std::optional<std::vector<int>> wrong =
       IsOfStripes(plan_.options.ShownCode()) ? ExchangedStripes(axis) : OtherWaves(axis);
   if (!wrong) return Testimony::kSilent;

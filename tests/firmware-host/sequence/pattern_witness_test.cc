@@ -73,6 +73,19 @@ class WitnessTest : public ::testing::Test {
       EXPECT_NE(witness_.Check(step), LevelCheck::kFailed) << step.index << " " << step.pattern.ToString();
     }
   }
+  // Reference and codes of a projector begun anew, each as `shown` has it; steps that are refuted or doubted.
+  std::vector<int> ShowCodes(const std::function<Pattern(const PlanStep&)>& shown) {
+    witness_.StartProjector(0);
+    std::vector<int> blamed;
+    for (const PlanStep& step : plan_.steps) {
+      if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+      Show(step, See(shown(step)));
+      if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
+      if (witness_.Check(step) == LevelCheck::kFailed) blamed.push_back(step.index);
+    }
+    for (const int step : witness_.TakeDoubtful()) blamed.push_back(step);
+    return blamed;
+  }
   // Every step, under a lamp of its own, whatever is said of it; the reference is taken.
   void ShowAll(const std::function<double(const PlanStep&)>& lamp) {
     for (const PlanStep& step : plan_.steps) {
@@ -131,21 +144,15 @@ TEST_P(EachCode, LocatesCombs) {
 TEST_P(EachCode, OfABitExchangedWithItsInverseNoOtherIsBlamed) {
   int found = 0;
   for (int exchanged = 0; exchanged < 8; ++exchanged) {
-    witness_.StartProjector(0);
-    std::vector<int> wrong, blamed;
-    for (const PlanStep& step : plan_.steps) {
-      if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+    std::vector<int> wrong;
+    const std::vector<int> blamed = ShowCodes([&](const PlanStep& step) {
       Pattern shown = step.pattern;
       if (shown.kind == PatternKind::kGray && shown.axis == PatternAxis::kColumns && shown.bit == exchanged) {
         shown.inverse = !shown.inverse;
         wrong.push_back(step.index);
       }
-      Show(step, See(shown));
-      if (PatternWitness::GroupOf(plan_, step.index).back() == step.index &&
-          witness_.Check(step) == LevelCheck::kFailed)
-        blamed.push_back(step.index);
-    }
-    for (const int step : witness_.TakeDoubtful()) blamed.push_back(step);
+      return shown;
+    });
     for (const int step : blamed) EXPECT_THAT(wrong, ::testing::Contains(step)) << "bit " << exchanged;
     found += !blamed.empty();
   }
@@ -194,10 +201,8 @@ class WavesWitness : public WitnessTest {
 TEST_F(WavesWitness, APeriodThatDisagreesWithAllOthersIsFound) {
   for (const bool exchanged : {true, false})
     for (int period = 0; period < 4; ++period) {
-      witness_.StartProjector(0);
-      std::vector<int> wrong, blamed;
-      for (const PlanStep& step : plan_.steps) {
-        if (step.projector != 0 || step.phase > CapturePhase::kCorrespondence) continue;
+      std::vector<int> wrong;
+      const std::vector<int> blamed = ShowCodes([&](const PlanStep& step) {
         Pattern shown = step.pattern;
         if (shown.kind == PatternKind::kGray && shown.axis == PatternAxis::kColumns && shown.bit / 2 == period) {
           if (exchanged)
@@ -206,11 +211,8 @@ TEST_F(WavesWitness, APeriodThatDisagreesWithAllOthersIsFound) {
             shown.bit ^= 1;
           wrong.push_back(step.index);
         }
-        Show(step, See(shown));
-        if (PatternWitness::GroupOf(plan_, step.index).back() != step.index) continue;
-        if (witness_.Check(step) == LevelCheck::kFailed) blamed.push_back(step.index);
-      }
-      for (const int step : witness_.TakeDoubtful()) blamed.push_back(step);
+        return shown;
+      });
       EXPECT_FALSE(blamed.empty()) << exchanged << period;
       for (const int step : blamed) EXPECT_THAT(wrong, ::testing::Contains(step)) << exchanged << period;
     }
