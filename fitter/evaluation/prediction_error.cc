@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "fitter/mixture/standard_errors.h"
+#include "shared/image/box_sums.h"
 
 namespace stratalux::fit {
 namespace {
@@ -55,42 +56,23 @@ bool Usable(const ErrorSample& s) {
          CausesOf(s.causes).allFinite();
 }
 
-// Mean of the values around each pixel that are told, over squares of 2 radius + 1; sums along rows, then columns.
+// Mean of the values around each pixel that are told, over squares of 2 radius + 1.
 Image<float> MeanAround(const Image<float>& image, const Image<uint8_t>& told, int radius) {
-  const int width = image.width(), height = image.height(), colours = image.channels();
-  Image<double> sum(width, height, 2 * colours);
-  const auto slide = [radius](int length, const auto& at, const auto& put) {
-    double inside = 0.0;
-    for (int k = 0; k < std::min(radius, length); ++k) inside += at(k);
-    for (int k = 0; k < length; ++k) {
-      if (k + radius < length) inside += at(k + radius);
-      if (k - radius - 1 >= 0) inside -= at(k - radius - 1);
-      put(k, inside);
-    }
-  };
-  std::vector<double> line;
-  for (int c = 0; c < 2 * colours; ++c) {
-    for (int j = 0; j < height; ++j)
-      slide(
-          width,
-          [&](int i) {
-            const float value = image(i, j, c % colours);
-            if (told(i, j) == 0 || !std::isfinite(value)) return 0.0;
-            return c < colours ? static_cast<double>(value) : 1.0;
-          },
-          [&](int i, double inside) { sum(i, j, c) = inside; });
-    for (int i = 0; i < width; ++i) {
-      line.assign(static_cast<size_t>(height), 0.0);
-      slide(
-          height, [&](int j) { return sum(i, j, c); }, [&](int j, double inside) { line[j] = inside; });
-      for (int j = 0; j < height; ++j) sum(i, j, c) = line[j];
-    }
-  }
-  Image<float> mean(width, height, colours);
-  for (int j = 0; j < height; ++j)
-    for (int i = 0; i < width; ++i)
+  const int colours = image.channels();
+  Image<double> values(image.width(), image.height(), 2 * colours);
+  for (int j = 0; j < image.height(); ++j)
+    for (int i = 0; i < image.width(); ++i)
+      for (int c = 0; c < colours; ++c) {
+        if (told(i, j) == 0 || !std::isfinite(image(i, j, c))) continue;
+        values(i, j, c) = image(i, j, c);
+        values(i, j, colours + c) = 1.0;
+      }
+  const Image<double> sums = BoxSums(values, radius);
+  Image<float> mean(image.width(), image.height(), colours);
+  for (int j = 0; j < image.height(); ++j)
+    for (int i = 0; i < image.width(); ++i)
       for (int c = 0; c < colours; ++c)
-        if (sum(i, j, colours + c) > 0.5) mean(i, j, c) = static_cast<float>(sum(i, j, c) / sum(i, j, colours + c));
+        if (sums(i, j, colours + c) > 0.5) mean(i, j, c) = static_cast<float>(sums(i, j, c) / sums(i, j, colours + c));
   return mean;
 }
 

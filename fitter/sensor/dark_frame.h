@@ -9,10 +9,20 @@
 
 namespace stratalux::fit {
 
-// `mean_dn`: raw mosaic, mean of `count` black frames. Light that falls on the skin while the projector shows black is
-// smooth, pixels differ by the sensor's fixed pattern: each site becomes the mean of its neighbours of the same colour
-// (5 x 5 sites) plus its own deviation times the share of the deviations' variance that noise does not explain
-// (Wiener). Deviations beyond six standard deviations of the noise (hot pixels, edges) stay whole.
-[[nodiscard]] Image<float> QuietDarkFrame(const Image<float>& mean_dn, int count, const CameraCalibration& camera);
+// Mean of frames of one picture: raw mosaic; NaN where nothing is known.
+struct MeanFrame {
+  ImageView<const float> dn;
+  int count = 0;
+};
+
+// The dark frame without most of its noise, W x H as `black`, the mean of black frames. What a projector's black adds
+// is its white, some hundred or thousand times weaker, and ambient light falls on the same skin: around each site black
+// is taken for a straight line of `white` (that projector's white frames; a guided filter [He, Sun, Tang 2013]), over
+// 31 x 31 sites of the same colour. Where no white is known (none given, NaN, too few sites) the site becomes the mean
+// of its neighbours, 5 x 5. Pixels differ by the sensor's fixed pattern beside: to either is added the site's own
+// deviation times the share of the deviations' variance that noise does not explain (Wiener), and all of it beyond six
+// standard deviations of the noise (hot pixels).
+[[nodiscard]] Image<float> QuietDarkFrame(const MeanFrame& black, const CameraCalibration& camera,
+                                          const MeanFrame& white = {});
 
 }  // namespace stratalux::fit

@@ -232,21 +232,27 @@ Result<Image<float>> SessionFrames::MeanOf(int projector, PatternKind kind, int 
 Result<Image<float>> SessionFrames::MeanBlack(int projector) const {
   const auto kept = black_.find(projector);
   if (kept != black_.end()) return kept->second;
-  int count = 0;
-  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, 0, count));
-  if (calibration_) mean = QuietDarkFrame(mean, count, calibration_->camera);
+  SLX_ASSIGN_OR_RETURN(auto mean, QuietBlack(projector, 0));
   return black_.emplace(projector, std::move(mean)).first->second;
+}
+
+Result<Image<float>> SessionFrames::QuietBlack(int projector, int bracket) const {
+  int count = 0, whites = 0;
+  SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, bracket, count));
+  if (!calibration_) return mean;
+  const auto white = MeanWhite(projector, whites);
+  const bool guides = white.ok() && white->width() == mean.width() && white->height() == mean.height();
+  return QuietDarkFrame({mean.view(), count}, calibration_->camera,
+                        guides ? MeanFrame{white->view(), whites} : MeanFrame{});
 }
 
 Result<Image<float>> SessionFrames::MeanBlack(int projector, double factor) const {
   const std::vector<double> captured = plan_ ? plan_->reference_brackets : std::vector<double>{1.0};
   for (size_t b = 1; b < captured.size(); ++b) {
-    int count = 0;
     if (std::abs(captured[b] / factor - 1.0) > 0.01) continue;
-    auto mean = MeanOf(projector, PatternKind::kBlack, static_cast<int>(b), count);
+    auto mean = QuietBlack(projector, static_cast<int>(b));
     if (mean.status().code() == StatusCode::kNotFound) break;
-    if (!mean.ok() || !calibration_) return mean;
-    return QuietDarkFrame(*mean, count, calibration_->camera);
+    return mean;
   }
   SLX_ASSIGN_OR_RETURN(auto mean, MeanBlack(projector));
   const auto level = static_cast<float>(calibration_ ? calibration_->camera.black_level_dn : 0.0);

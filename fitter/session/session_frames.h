@@ -83,6 +83,8 @@ class SessionFrames {
   [[nodiscard]] std::string RecordHash() const;
 
  private:
+  // Mean of the black frames of a bracket, without most of its noise where the rig is known.
+  [[nodiscard]] Result<Image<float>> QuietBlack(int projector, int bracket) const;
   [[nodiscard]] Result<Image<float>> MeanOf(int projector, PatternKind kind, int bracket, int& count) const;
   SessionFrames(db::SessionStore store, db::SessionRow session);
   void Index();

@@ -10,7 +10,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSeparateVersion = 3;
+inline constexpr int kSeparateVersion = 4;
 
 // By projector.
 [[nodiscard]] Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames);
