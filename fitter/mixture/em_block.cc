@@ -122,12 +122,12 @@ void EmBlock::Start(int lane, double photons) {
     const double shown = total / exposure * light.gain[lane];
     double surface = 0.0;
     if (options_.surface_term)
-      surface = light.reflected[lane] < 0.0F ? kUnknownSurface * shown
-                                             : std::min(double(light.reflected[lane]), kMostSurface * shown);
+      surface = light.reflected[lane] < 0.0F ? kUnknownSurface * shown : double(light.reflected[lane]);
     At(rows_.surface(static_cast<int>(p)), lane) = static_cast<float>(surface);
     layers += light.counts[lane] * light.coverage[lane] * (shown - surface) * (1.0 + light.white_weight[lane]);
   }
-  layers /= exposure;
+  // White frames, by which surfaces are held, and samples differ by their noise.
+  layers = std::max(layers, (1.0 - kMostSurface) * total) / exposure;
   const size_t channel = start_.empty() ? 0 : static_cast<size_t>(lanes_[lane].profile) % start_.size();
   double floor = 0.02;  // share of the light over a whole cycle or window
   if (!start_.empty() && !start_[channel].weight.empty()) {

@@ -6,6 +6,7 @@
 
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/surface_reflection.h"
 
 namespace stratalux::fit {
 namespace {
@@ -40,8 +41,7 @@ void LoadSamples(const ScatteringModel& model, const SrdBatch& batch, int64_t pr
                        first_u / light.cell_mm[lane];
   light.s[lane] = static_cast<float>(ShiftCoefficient(model, batch, profile));
   light.gain[lane] = static_cast<float>(AngularGain(model, batch.cos_in[profile]));
-  light.reflected[lane] =
-      model.reflection.Known() ? static_cast<float>(ReflectedBy(model.reflection, batch, profile, model.eta)) : -1.0F;
+  light.reflected[lane] = static_cast<float>(HeldReflection(model.reflection, batch, profile, model.eta));
   if (!model.directional.Off()) {
     const RefractedDirections directions = DirectionsOf(batch, profile, model.eta);
     light.extra_path[lane] = static_cast<float>(directions.ExtraPath());

@@ -18,8 +18,8 @@ struct LayerPrior {
 };
 
 // The surface's share of the light that returns, where its reflection is unknown (skin's is 3 to 7 %; EM does not
-// identify it and leaves it near there); the most that is held where it is known.
-inline constexpr double kUnknownSurface = 0.05, kMostSurface = 0.8;
+// identify it and leaves it near there).
+inline constexpr double kUnknownSurface = 0.05;
 
 struct EmOptions {
   int layers = 20;  // [M]'s choice

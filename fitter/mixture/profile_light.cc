@@ -5,6 +5,7 @@
 
 #include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/surface_reflection.h"
 
 namespace stratalux::fit {
 
@@ -26,7 +27,7 @@ ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOpti
   const ScatteringModel& model = options.scattering;
   light.s = ShiftCoefficient(model, batch, profile);
   light.directions = DirectionsOf(batch, profile, model.eta);
-  if (model.reflection.Known()) light.reflected = ReflectedBy(model.reflection, batch, profile, model.eta);
+  light.reflected = HeldReflection(model.reflection, batch, profile, model.eta);
   if (model.gain_model) {
     light.fresnel = AngularGain(batch.cos_in[profile], model.eta, 0.0);
     light.gain_path = GainPath(batch.cos_in[profile], model.eta);

@@ -313,6 +313,12 @@ WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t i) {
   return sum;
 }
 
+double HeldReflection(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile, double eta) {
+  if (!surface.Known()) return -1.0;
+  const double most = kMostSurface * std::max(WhiteReflectanceOf(batch, profile).value, 0.0);
+  return std::min(ReflectedBy(surface, batch, profile, eta), most);
+}
+
 SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, int channels, double eta,
                                             int every) {
   SLX_CHECK(every >= 1 && channels >= 1);

@@ -62,6 +62,13 @@ struct WhiteReflectance {
 };
 [[nodiscard]] WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t profile);
 
+// What EM holds of it: as ReflectedBy(), but no more than kMostSurface of what that light itself shows (of which a
+// reflection found for the whole face knows nothing; the mean of the lights would not do, since a light near the mirror
+// shows several times as much of the surface as the others); negative where it is unknown.
+inline constexpr double kMostSurface = 0.95;
+[[nodiscard]] double HeldReflection(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile,
+                                    double eta);
+
 // Robust least squares over the lights of one pixel in `every`, or of one in so many that 6,000 at most are left, W_pc
 // a profile's own, the rest the session's:
 //   y_pc = W_c g_p(tau) (1 - n_c + n_c few_p) + strength R_p(roughness).

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 4;
+inline constexpr int kMapsVersion = 5;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

@@ -425,5 +425,44 @@ TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
   EXPECT_GT(error_of_total(unknown), 0.03);
 }
 
+// Dark skin: of the light near the mirror four fifths are the surface's, more than all of a mean light.
+TEST(FitMixture, ALightNearTheMirrorKeepsItsSurfacesLight) {
+  constexpr float kDark = 0.04F;
+  EmOptions options;
+  options.scattering.gain_model = false;
+  options.scattering.reflection = {1.2, 0.35};
+  Lights lights = MakeLights({-1.0, 0.0, 0.577}, 8, 0.0, options);
+  std::vector<double> share;
+  for (SrdBatch& b : lights.batches)
+    for (int64_t i = 0; i < b.profiles(); ++i) {
+      const double reflected =
+          ReflectanceOf(options.scattering.reflection, ReflectionAngles::Of(b, i), options.scattering.eta);
+      const auto y = PredictSamples({{reflected}, {0.0}, {1e-3}}, b, i, options.scattering);
+      for (int k = 0; k < b.samples; ++k) {
+        float& sample = b.y[i * b.samples + k];
+        sample = kDark * sample + static_cast<float>(y[k]);
+      }
+      if (i == 0) share.push_back(reflected / WhiteReflectanceOf(b, 0).value);
+    }
+  ASSERT_GT(*std::max_element(share.begin(), share.end()), 0.75);
+  ASSERT_LT(*std::min_element(share.begin(), share.end()), 0.6);
+  const auto map = Fit(lights, options);
+  ASSERT_TRUE(map.ok());
+  for (int64_t i = 0; i < map->profiles(); ++i) {
+    double total = 0.0, truth = 0.0;
+    for (double w : LayersOf(*map, i).weight) total += w;
+    for (double w : KnownLayers().weight) truth += kDark * w;
+    EXPECT_NEAR(total / truth, 1.0, 0.05) << i;
+  }
+  // What the surface is held at is never more than nearly all of what the light shows.
+  EmOptions glossy = options;
+  glossy.scattering.reflection = {3.0, 0.35};
+  const auto held = Fit(lights, glossy);
+  ASSERT_TRUE(held.ok());
+  for (size_t p = 0; p < lights.batches.size(); ++p)
+    EXPECT_LE(held->surface[p], kMostSurface * WhiteReflectanceOf(lights.batches[p], 0).value + 1e-6);
+  for (float w : held->weight) EXPECT_TRUE(std::isfinite(w) && w >= 0.0F);
+}
+
 }  // namespace
 }  // namespace stratalux::fit

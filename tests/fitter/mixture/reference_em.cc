@@ -66,8 +66,7 @@ ProfileFit ReferenceEm::Start(const LayerSet& layers) const {
   for (const FineGrid& grid : grids_) {
     const double light_total = total * grid.light().Gain(fit.tau);
     const double reflected = grid.light().reflected;
-    const double surface =
-        reflected < 0.0 ? kUnknownSurface * light_total : std::min(reflected, kMostSurface * light_total);
+    const double surface = reflected < 0.0 ? kUnknownSurface * light_total : reflected;
     fit.surface.push_back(options_.surface_term ? surface : 0.0);
     fit.background.push_back(options_.background_term ? 0.02 * light_total * grid.Coverage() / grid.light().samples()
                                                       : 0.0);
