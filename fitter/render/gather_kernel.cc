@@ -78,6 +78,8 @@ void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const Tangent
               dz = hn::Sub(load(planes.z), origin[2]);
       store(Dot(p[0], p[1], p[2], dx, dy, dz), seen.p);
       store(Dot(q[0], q[1], q[2], dx, dy, dz), seen.q);
+      const V off = Dot(n[0], n[1], n[2], dx, dy, dz);
+      store(hn::Mul(off, off), seen.off2);
       store(flux, seen.flux);
     }
   }
@@ -92,9 +94,10 @@ float GatherBlocks(const SeenBlocks& seen, const BlockWindow& window, const Gath
   const V none = hn::Zero(d);
   const int lanes = static_cast<int>(hn::Lanes(d)), columns = window.x1 - window.x0 + 1;
   V sum = none;
-  const auto add = [&](V flux, const float* p, const float* q) {
+  const auto add = [&](V flux, const float* p, const float* q, const float* off2) {
     const V dp = hn::Sub(hn::LoadU(d, p), at_p), dq = hn::Sub(hn::LoadU(d, q), at_q);
-    sum = hn::MulAdd(flux, PowerOfTwo(hn::MulAdd(dp, dp, hn::Mul(dq, dq)), slope, most), sum);
+    const V square = hn::MulAdd(dp, dp, hn::MulAdd(dq, dq, hn::LoadU(d, off2)));
+    sum = hn::MulAdd(flux, PowerOfTwo(square, slope, most), sum);
   };
   for (int y = window.y0; y <= window.y1; ++y) {
     const size_t row = seen.At(window.x0, y);
@@ -102,11 +105,12 @@ float GatherBlocks(const SeenBlocks& seen, const BlockWindow& window, const Gath
       V flux = hn::LoadU(d, seen.flux.data() + row + x);
       if (columns - x < lanes) flux = hn::IfThenElseZero(hn::FirstN(d, columns - x), flux);
       if (hn::AllTrue(d, hn::Eq(flux, none))) continue;  // most of a stripe's surroundings are dark
-      add(flux, seen.p.data() + row + x, seen.q.data() + row + x);
+      add(flux, seen.p.data() + row + x, seen.q.data() + row + x, seen.off2.data() + row + x);
     }
   }
   for (size_t k = 0; k < seen.part_flux.size(); k += lanes)
-    add(hn::LoadU(d, seen.part_flux.data() + k), seen.part_p.data() + k, seen.part_q.data() + k);
+    add(hn::LoadU(d, seen.part_flux.data() + k), seen.part_p.data() + k, seen.part_q.data() + k,
+        seen.part_off2.data() + k);
   return hn::GetLane(hn::SumOfLanes(d, sum));
 }
 
@@ -130,15 +134,16 @@ BlockWindow BlockWindow::Within(const BlockWindow& other) const {
   return {std::max(x0, other.x0), std::min(x1, other.x1), std::max(y0, other.y0), std::min(y1, other.y1)};
 }
 
-void SeenBlocks::AddPart(float p_mm, float q_mm, float part) {
+void SeenBlocks::AddPart(float p_mm, float q_mm, float off_mm, float part) {
   part_p.push_back(p_mm);
   part_q.push_back(q_mm);
+  part_off2.push_back(off_mm * off_mm);
   part_flux.push_back(part);
 }
 
 void SeenBlocks::EndParts() {
   const size_t whole = (part_flux.size() + kGatherLanes - 1) / kGatherLanes * kGatherLanes;
-  for (auto* parts : {&part_p, &part_q, &part_flux}) parts->resize(whole, 0.0F);
+  for (auto* parts : {&part_p, &part_q, &part_off2, &part_flux}) parts->resize(whole, 0.0F);
 }
 
 void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const TangentPlane& plane, float max_spread_mm2,
@@ -146,10 +151,10 @@ void SeeBlocks(const LitPlanes& planes, const BlockWindow& window, const Tangent
   seen.window = window;
   seen.stride = window.x1 - window.x0 + 1 + kGatherLanes;
   const size_t size = static_cast<size_t>(seen.stride) * (window.y1 - window.y0 + 1) + kGatherLanes;
-  for (auto* plane_of : {&seen.p, &seen.q, &seen.flux})
+  for (auto* plane_of : {&seen.p, &seen.q, &seen.off2, &seen.flux})
     if (plane_of->size() < size) plane_of->resize(size);
   seen.wide.clear();
-  for (auto* parts : {&seen.part_p, &seen.part_q, &seen.part_flux}) parts->clear();
+  for (auto* parts : {&seen.part_p, &seen.part_q, &seen.part_off2, &seen.part_flux}) parts->clear();
   HWY_DYNAMIC_DISPATCH(SeeBlocks)(planes, window, plane, max_spread_mm2, seen);
 }
 

@@ -49,6 +49,7 @@ struct SeenBlocks {
   BlockWindow window;
   int stride = 0;
   std::vector<float> p, q;  // mm from the plane's origin
+  std::vector<float> off2;  // squared distance from the plane, mm^2
   std::vector<float> flux;
   bool dark = true;  // no light falls anywhere
 
@@ -56,12 +57,12 @@ struct SeenBlocks {
   // them may.
   std::vector<BlockPlace> wide;
   // What they were opened into (AddPart, EndParts), padded by parts without flux.
-  std::vector<float> part_p, part_q, part_flux;
+  std::vector<float> part_p, part_q, part_off2, part_flux;
 
   [[nodiscard]] std::size_t At(int x, int y) const {
     return static_cast<std::size_t>(y - window.y0) * stride + static_cast<std::size_t>(x - window.x0);
   }
-  void AddPart(float p_mm, float q_mm, float part);
+  void AddPart(float p_mm, float q_mm, float off_mm, float part);
   void EndParts();
 };
 
@@ -74,7 +75,8 @@ struct GatherTarget {
   float half_inverse2 = 0.0F;  // 1 / 2 sigma^2
 };
 
-// Sum over blocks of a window, which `seen` must hold, and over all of its parts, of flux exp(-|offset|^2 / 2 sigma^2).
+// Sum over blocks of a window, which `seen` must hold, and over all of its parts, of flux exp(-|offset|^2 / 2 sigma^2),
+// the offset in space from the target, which lies on the plane.
 [[nodiscard]] float GatherBlocks(const SeenBlocks& seen, const BlockWindow& window, const GatherTarget& target);
 
 }  // namespace stratalux::fit

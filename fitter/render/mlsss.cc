@@ -49,12 +49,12 @@ struct ReadLayer {
 // Blocks of a level within reach of a pixel of the light.
 class BlockReach {
  public:
-  explicit BlockReach(const Receiver& r) : x_(r.normal, r.column_per_mm), y_(r.normal, r.row_per_mm) {}
+  explicit BlockReach(const Receiver& r) : columns_per_mm_(r.column_per_mm.norm()), rows_per_mm_(r.row_per_mm.norm()) {}
 
   [[nodiscard]] BlockWindow Of(const LitPlanes& blocks, int level, const Eigen::Vector2d& at, double sigma) const {
     const int block = 1 << level;
     const double reach = kReachSigmas * sigma;
-    const double half_x = x_.Within(reach) / block + 1.0, half_y = y_.Within(reach) / block + 1.0;
+    const double half_x = columns_per_mm_ * reach / block + 1.0, half_y = rows_per_mm_ * reach / block + 1.0;
     const double bx = (at.x() + 0.5) / block - 0.5, by = (at.y() + 0.5) / block - 0.5;
     return {std::max(0, static_cast<int>(std::ceil(bx - half_x))),
             std::min(blocks.width - 1, static_cast<int>(std::floor(bx + half_x))),
@@ -63,7 +63,7 @@ class BlockReach {
   }
 
  private:
-  PixelExtent x_, y_;
+  double columns_per_mm_, rows_per_mm_;  // in the direction in which they rise fastest
 };
 
 // Blocks across an edge of depth, or grazed by the light: their mean is no place on the skin, so their parts take their
@@ -97,7 +97,7 @@ class BlockOpener {
     if (blocks.spread_mm2[at] > max_spread_mm2_) return AddPartsOf(level, x, y);
     if (normal_.dot(Eigen::Vector3f(blocks.nx[at], blocks.ny[at], blocks.nz[at])) < 0.0F) return;
     const Eigen::Vector3f offset = Eigen::Vector3f(blocks.x[at], blocks.y[at], blocks.z[at]) - origin_;
-    seen_.AddPart(p_.dot(offset), q_.dot(offset), blocks.flux[at]);
+    seen_.AddPart(p_.dot(offset), q_.dot(offset), normal_.dot(offset), blocks.flux[at]);
   }
 
   const LitPyramid& light_;
@@ -201,12 +201,10 @@ class QuadLayers {
   std::vector<ReadLayer> narrow_;
 };
 
-// Gaussian weight of a lit sample for a layer; offset projected on the tangent plane.
+// Gaussian weight of a lit sample for a layer.
 double Exchange(const Receiver& r, const LitSample& s, const Eigen::Vector3d& centre, double half_inverse2) {
   if (r.normal.dot(s.normal.cast<double>()) < 0.0) return 0.0;
-  const Eigen::Vector3d offset = s.point_mm.cast<double>() - centre;
-  const double along = offset.dot(r.normal);
-  return std::exp(-half_inverse2 * std::max(0.0, offset.squaredNorm() - along * along));
+  return std::exp(-half_inverse2 * (s.point_mm.cast<double>() - centre).squaredNorm());
 }
 
 template <typename PixelLight>

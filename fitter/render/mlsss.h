@@ -3,8 +3,9 @@
 //
 //   L_o(x) = sum_l w_l(x) g(x) sum_I K2(x_I - x_O - d_l (T(omega_i) - T(omega_o)); sigma_l(x)) flux_I
 //
-// K2: two-dimensional Gaussian, its offset taken in 3D and projected on the tangent plane at x_O; samples whose normals
-// oppose that of x_O do not exchange light. Reference and fast renderer share this definition.
+// K2: two-dimensional Gaussian of the offset's length in space: light that scattered goes straight through a nose's
+// ridge, which its projection on the tangent plane would make too near. Samples whose normals oppose that of x_O do not
+// exchange light. Reference and fast renderer share this definition.
 #pragma once
 
 #include <span>

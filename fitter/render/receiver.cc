@@ -17,8 +17,6 @@ Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Ei
   return t / slope * TangentialShift(law, slope, 0.0, eta);
 }
 
-constexpr double kSharpestRadiusMm = 2.0, kReliefMm = 20.0;  // of a face
-
 }  // namespace
 
 std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const SurfaceMap& surface, const RigCalibration& rig,
@@ -57,18 +55,6 @@ std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const Surface
   r.row_per_mm =
       light.model.fy / in_light.z() * (pose.rotation * Eigen::Vector3d(0.0, 1.0, -in_light.y() / in_light.z()));
   return r;
-}
-
-PixelExtent::PixelExtent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm)
-    : along_normal_(std::abs(normal.dot(pixels_per_mm))) {
-  in_plane_ = std::sqrt(std::max(0.0, pixels_per_mm.squaredNorm() - along_normal_ * along_normal_));
-}
-
-// Offsets along the normal do not count as distance: the surface may leave the plane by reach^2 / 2R, and at most by
-// the face's relief.
-double PixelExtent::Within(double reach_mm) const {
-  const double off_plane_mm = std::min(0.5 * reach_mm * reach_mm / kSharpestRadiusMm, kReliefMm);
-  return in_plane_ * reach_mm + along_normal_ * off_plane_mm;
 }
 
 bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point) {

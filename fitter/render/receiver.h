@@ -32,16 +32,6 @@ struct Receiver {
                                                    const RigCalibration& rig, const ProjectorCalibration& light, int i,
                                                    int j, const Eigen::Vector2d& site_in_quad);
 
-// Half the size, in the light's pixels along one axis, of what lies within a reach of a point in its tangent plane.
-class PixelExtent {
- public:
-  PixelExtent(const Eigen::Vector3d& normal, const Eigen::Vector3d& pixels_per_mm);
-  [[nodiscard]] double Within(double reach_mm) const;
-
- private:
-  double in_plane_ = 0.0, along_normal_ = 0.0;  // pixels per mm
-};
-
 // Something nearer to the light takes it: the light's pixel shows another place.
 [[nodiscard]] bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point);
 

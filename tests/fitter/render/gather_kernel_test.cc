@@ -52,13 +52,14 @@ double Reference(const LitPlanes& planes, const BlockWindow& window, float max_s
       const size_t at = static_cast<size_t>(y) * planes.stride + x;
       const double d[3] = {double(planes.x[at]) - kPlane.origin_mm[0], double(planes.y[at]) - kPlane.origin_mm[1],
                            double(planes.z[at]) - kPlane.origin_mm[2]};
-      double p = -target.p_mm, q = -target.q_mm;
+      double p = -target.p_mm, q = -target.q_mm, off = 0.0;
       for (size_t k = 0; k < 3; ++k) {
         p += d[k] * kPlane.p[k];
         q += d[k] * kPlane.q[k];
+        off += d[k] * kPlane.normal[k];
       }
       if (planes.spread_mm2[at] > max_spread_mm2 || planes.nz[at] * kPlane.normal[2] < 0.0F) continue;
-      sum += planes.flux[at] * std::exp(-target.half_inverse2 * (p * p + q * q));
+      sum += planes.flux[at] * std::exp(-target.half_inverse2 * (p * p + q * q + off * off));
     }
   return sum;
 }
@@ -132,9 +133,10 @@ TEST(GatherBlocks, TakesPartsAsItTakesBlocks) {
       Random random(static_cast<uint64_t>(parts));
       for (int k = 0; k < parts; ++k) {
         const auto p = static_cast<float>(random.Uniform(-3.0, 3.0)), q = static_cast<float>(random.Uniform(-3.0, 3.0)),
+                   off = static_cast<float>(random.Uniform(-1.0, 1.0)),
                    flux = static_cast<float>(random.Uniform(0.5, 2.0));
-        seen.AddPart(p, q, flux);
-        expected += flux * std::exp(-0.3 * (std::pow(p - 1.1, 2) + std::pow(q + 0.4, 2)));
+        seen.AddPart(p, q, off, flux);
+        expected += flux * std::exp(-0.3 * (std::pow(p - 1.1, 2) + std::pow(q + 0.4, 2) + off * off));
       }
       seen.EndParts();
       EXPECT_NEAR(GatherBlocks(seen, kAll, target), expected, 2e-5 * expected) << name << ", " << parts << " parts";

@@ -249,6 +249,47 @@ TEST(RenderSubsurface, ExchangesNoLightBetweenOppositeFaces) {
   EXPECT_EQ(Maximum(Reference(scene, map, kWhite)), 0.0F);
 }
 
+TEST(RenderSubsurface, TakesTheWayThroughARidgeForTheDistance) {
+  // A roof of two flanks, a line of light on one of them: what the other shows against what lies as far from the line
+  // on the same flank.
+  constexpr double kSlope = 0.5, kSigma = 3.0, kLineX = -3.0;
+  const HeightField roof = [](double x, double) {
+    return Height{kDistanceMm + kSlope * std::abs(x), x < 0.0 ? -kSlope : kSlope, 0.0};
+  };
+  const LitScene scene = MakeScene(roof, kAtCamera);
+  const MixtureMap map = UniformSkin(scene, {{0.3F, 0.0F, static_cast<float>(kSigma)}});
+  Pattern line = MiddleLine(scene, 2);
+  line.shift += static_cast<int>(std::lround(kLineX / kLightPixelMm));
+  // Where the line lies in the middle rows of the light.
+  Eigen::Vector3d lit = Eigen::Vector3d::Zero();
+  double flux = 0.0;
+  const Image<float> shown = ProjectedPattern(scene.lit, line);
+  const int row = shown.height() / 2;
+  for (int x = 0; x < shown.width(); ++x) {
+    const LitSample& s = scene.lit.samples(x, row);
+    lit += double{s.flux[0]} * shown(x, row) * s.point_mm.cast<double>();
+    flux += double{s.flux[0]} * shown(x, row);
+  }
+  lit /= flux;
+  ASSERT_NEAR(lit.x(), kLineX, 0.5);
+  const int j = 18;
+  for (const Image<float>& image : {Render(scene, map, line), Reference(scene, map, line)}) {
+    const auto nearest = [&](double x) {
+      int best = 0;
+      for (int i = 0; i < image.width(); ++i)
+        if (std::abs(scene.surface.point_mm(i, j, 0) - x) < std::abs(scene.surface.point_mm(best, j, 0) - x)) best = i;
+      return best;
+    };
+    const auto distance2 = [&](int i) {  // across the line
+      const Eigen::Vector3d offset = scene.surface.Point(i, j) - lit;
+      return offset.x() * offset.x() + offset.z() * offset.z();
+    };
+    const int other = nearest(3.0), same = nearest(-9.0);
+    const double expected = std::exp(-0.5 * (distance2(other) - distance2(same)) / (kSigma * kSigma));
+    EXPECT_NEAR(image(other, j) / image(same, j) / expected, 1.0, 0.08);
+  }
+}
+
 TEST(RenderSubsurface, LeavesUnknownSurfaceAndUnfittedSkinDark) {
   LitScene scene = MakeScene(FrontalPlane(), kAtCamera);
   MixtureMap map = UniformSkin(scene, SkinLayers());
