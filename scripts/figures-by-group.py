@@ -12,6 +12,7 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/groups --size 348x260 --per-group 1 --json groups.json
   scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
   scripts/figures-by-group.py --work /tmp/wide --comb-period 192         # combs with lines that far apart, in columns
+  scripts/figures-by-group.py --work /tmp/waves --code micro-phase       # codes other than the plan's
   scripts/figures-by-group.py --work /tmp/groups --geometry truth        # on the simulation's own surface
   scripts/figures-by-group.py --list                                     # who they are
 
@@ -83,6 +84,8 @@ def judge(args, person):
             file = args.work / "rig.toml"
             file.write_text(f"[plan]\ncomb_period = {args.comb_period}\n")
             commands[-1].append(f"--config={file}")
+        if args.code is not None:
+            commands[-1].append(f"--code={args.code}")
     commands.append(["stratalux-fit", "run", "latest", "--geometry", args.geometry])
     log = args.work / f"person-{person['person']}.log"
     with open(log, "a") as out:
@@ -192,6 +195,7 @@ def main():
     parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
     parser.add_argument("--scattering", type=float, help="of all, in place of their own")
     parser.add_argument("--comb-period", type=int, help="columns between a comb's lines, in place of the plan's")
+    parser.add_argument("--code", help="of the columns, in place of the plan's")
     parser.add_argument("--geometry", choices=["reconstructed", "truth"], default="reconstructed",
                         help="the surface that the fit stands on (reconstructed)")
     parser.add_argument("--list", action="store_true", help="only say who would be captured")
