@@ -76,19 +76,6 @@ Image<float> MeanAround(const Image<float>& image, const Image<uint8_t>& told, i
   return mean;
 }
 
-// Median distance of neighbours along rows, mm; 0 where there are none.
-double QuadMm(const SurfaceMap& surface) {
-  std::vector<double> distances;
-  for (int j = 0; j < surface.height(); ++j)
-    for (int i = 0; i + 1 < surface.width(); ++i)
-      if (surface.mask(i, j) != 0 && surface.mask(i + 1, j) != 0)
-        distances.push_back((surface.Point(i + 1, j) - surface.Point(i, j)).norm());
-  if (distances.empty()) return 0.0;
-  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
-  std::nth_element(distances.begin(), middle, distances.end());
-  return *middle;
-}
-
 }  // namespace
 
 ErrorCauseMaps::ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm,
@@ -96,7 +83,7 @@ ErrorCauseMaps::ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d&
     : prediction_(prediction),
       tan_incidence_(surface.width(), surface.height()),
       step_(prediction.width(), prediction.height(), prediction.channels()) {
-  const double quad_mm = QuadMm(surface);
+  const double quad_mm = QuadSpacingMm(surface);
   const int radius = quad_mm > 0.0 ? std::max(1, static_cast<int>(std::lround(kAroundMm / quad_mm))) : 1;
   around_ = MeanAround(prediction, surface.mask, radius);
   const auto told = [&](int i, int j, int c) {

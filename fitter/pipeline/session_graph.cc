@@ -2,6 +2,7 @@
 #include "fitter/pipeline/session_graph.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -32,7 +33,7 @@ namespace {
 namespace fs = std::filesystem;
 using SortedJson = nlohmann::json;
 
-constexpr int kStandardErrorsVersion = 4;
+constexpr int kStandardErrorsVersion = 5;
 
 std::string SrdOptionsJson(const SrdOptions& o) {
   return SortedJson({{"pool", o.pool},
@@ -400,17 +401,41 @@ std::string SessionGraph::StandardErrors() {
   auto inputs = from.Inputs();
   auto upstream = from.Upstream();
   inputs["fit"] = fit;
+  // Of two projectors a fit that leaves one out has nothing to disagree with.
+  std::vector<std::string> left_out;
+  const int projectors = static_cast<int>(record_.projectors.size());
+  for (int p = 0; p < projectors && projectors > 2; ++p) {
+    left_out.push_back(Fit(options_.geometry, p, FitKind::kJudged));
+    inputs["left_out:" + std::to_string(p)] = left_out.back();
+    upstream.push_back(left_out.back());
+  }
   upstream.push_back(fit);
+  const std::string shape = PlacedShape(options_.geometry, options_.heldout);
+  inputs["shape"] = shape;
+  upstream.push_back(shape);
   return Add({{"standard_errors", kStandardErrorsVersion, FitOptionsJson(options_.fit), inputs, isa_},
               "standard errors",
               upstream,
               [=, this](const fs::path& folder) -> Status {
+                const int colours = QuadChannels(record_.camera.cfa);
+                const auto load = [&](const fs::path& of) { return LoadEffectiveMaps(of, colours); };
+                std::vector<EffectiveMaps> others;
+                for (const std::string& key : left_out) {
+                  SLX_ASSIGN_OR_RETURN(auto maps, stages_.Load(key, load));
+                  others.push_back(std::move(maps));
+                }
+                SLX_ASSIGN_OR_RETURN(const auto values, stages_.Load(fit, load));
+                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
+                const double spacing_mm = QuadSpacingMm(face->surface) * options_.srd.pool;
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
                 SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));
                 Progress progress(logger_, "standard errors", layers->map.profiles());
-                return WriteStandardErrors(folder, FindStandardErrors(layers->map, lights.batches, options_.fit.em,
-                                                                      [&](int64_t done) { progress.Advance(done); }));
+                const EffectiveMaps noise = FindStandardErrors(layers->map, lights.batches, options_.fit.em,
+                                                               [&](int64_t done) { progress.Advance(done); });
+                const int radius = static_cast<int>(std::lround(kDisagreementMm / std::max(spacing_mm, 1e-3)));
+                return WriteStandardErrors(
+                    folder, others.empty() ? noise : WithDisagreement(noise, values, others, radius), noise);
               }});
 }
 

@@ -29,4 +29,7 @@ struct SurfaceMap {
   }
 };
 
+// Median distance of neighbouring points along rows, mm; 0 where there are none.
+[[nodiscard]] double QuadSpacingMm(const SurfaceMap& surface);
+
 }  // namespace stratalux::fit

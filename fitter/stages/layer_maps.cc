@@ -4,15 +4,25 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/standard_errors.h"
 #include "shared/base/parallel_each.h"
+#include "shared/image/box_sums.h"
 
 namespace stratalux::fit {
 namespace {
+
+constexpr const char *kTotalWeightFile = "total_weight.exr", *kMeanDepthFile = "mean_depth_mm.exr";
+
+// Each of EffectiveMaps, and whether its errors go with its size.
+constexpr std::array<std::pair<Image<float> EffectiveMaps::*, bool>, 3> kQuantities = {
+    {{&EffectiveMaps::total_weight, true},
+     {&EffectiveMaps::mean_depth_mm, false},
+     {&EffectiveMaps::effective_width_mm, true}}};
 
 bool DepthKnown(const MixtureMap& map, int64_t profile) {
   return static_cast<FitReason>(map.reason[profile]) == FitReason::kFitted;
@@ -114,10 +124,10 @@ Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* cons
   return ratio;
 }
 
-StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights, EmOptions options,
-                                     const std::function<void(int64_t)>& progress) {
+EffectiveMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights, EmOptions options,
+                                 const std::function<void(int64_t)>& progress) {
   const Image<float> unknown(map.width, map.height, map.channels, std::nanf(""));
-  StandardErrorMaps maps{unknown, unknown, unknown};
+  EffectiveMaps maps{unknown, unknown, unknown};
   options.scattering = map.scattering;
   ParallelFor(map.profiles(), 64, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
@@ -132,18 +142,61 @@ StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdB
   return maps;
 }
 
-Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps) {
+EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& fit,
+                               std::span<const EffectiveMaps> left_out, int radius) {
+  EffectiveMaps errors = noise;
+  for (const auto& [quantity, relative] : kQuantities) {
+    const Image<float>& value = fit.*quantity;
+    const int colours = value.channels();
+    const auto at = [&](size_t p, int x, int y, int c) { return double{(left_out[p].*quantity)(x, y, c)}; };
+    Image<double> squares(value.width(), value.height(), 2 * colours);
+    for (int y = 0; y < value.height(); ++y)
+      for (int x = 0; x < value.width(); ++x)
+        for (int c = 0; c < colours; ++c) {
+          double mean = 0.0, square = 0.0;
+          for (size_t p = 0; p < left_out.size(); ++p) mean += at(p, x, y, c) / static_cast<double>(left_out.size());
+          for (size_t p = 0; p < left_out.size(); ++p) square += std::pow(at(p, x, y, c) - mean, 2);
+          if (relative) square /= mean * mean;
+          if (!std::isfinite(square)) continue;
+          squares(x, y, c) = square;
+          squares(x, y, colours + c) = 1.0;
+        }
+    const Image<double> sums = BoxSums(squares, radius);
+    for (int y = 0; y < value.height(); ++y)
+      for (int x = 0; x < value.width(); ++x)
+        for (int c = 0; c < colours; ++c) {
+          float& error = (errors.*quantity)(x, y, c);
+          if (!std::isfinite(error) || sums(x, y, colours + c) < 0.5) continue;
+          const double disagreement = std::sqrt(std::max(sums(x, y, c), 0.0) / sums(x, y, colours + c));
+          error = std::max(error, static_cast<float>(disagreement * (relative ? value(x, y, c) : 1.0)));
+        }
+  }
+  return errors;
+}
+
+Status WriteStandardErrors(const std::filesystem::path& folder, const EffectiveMaps& maps, const EffectiveMaps& noise) {
   return WriteTogether(folder / "standard_errors.exr", {{"total_weight.", &maps.total_weight},
                                                         {"mean_depth_mm.", &maps.mean_depth_mm},
-                                                        {"effective_width_mm.", &maps.effective_width_mm}});
+                                                        {"effective_width_mm.", &maps.effective_width_mm},
+                                                        {"noise_total_weight.", &noise.total_weight},
+                                                        {"noise_mean_depth_mm.", &noise.mean_depth_mm},
+                                                        {"noise_effective_width_mm.", &noise.effective_width_mm}});
+}
+
+Result<EffectiveMaps> LoadEffectiveMaps(const std::filesystem::path& folder, int channels) {
+  EffectiveMaps maps;
+  SLX_ASSIGN_OR_RETURN(maps.total_weight, ReadExr(folder / kTotalWeightFile, Names("", channels)));
+  SLX_ASSIGN_OR_RETURN(maps.mean_depth_mm, ReadExr(folder / kMeanDepthFile, Names("", channels)));
+  SLX_ASSIGN_OR_RETURN(maps.effective_width_mm, ReadExr(folder / kEffectiveWidthFile, Names("", channels)));
+  return maps;
 }
 
 Status WriteLayerMaps(const std::filesystem::path& folder, const LayerMaps& maps) {
   const int channels = maps.total_weight.channels();
   const std::array<std::pair<const char*, const Image<float>*>, 4> each = {
-      {{"total_weight.exr", &maps.total_weight},
+      {{kTotalWeightFile, &maps.total_weight},
        {"absorption.exr", &maps.absorption},
-       {"mean_depth_mm.exr", &maps.mean_depth_mm},
+       {kMeanDepthFile, &maps.mean_depth_mm},
        {kEffectiveWidthFile, &maps.effective_width_mm}}};
   return ParallelTry(each.size() + 1, [&](size_t k) {
     if (k < each.size()) return WriteExr(folder / each[k].first, *each[k].second, Names("", channels));

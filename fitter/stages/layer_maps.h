@@ -36,17 +36,31 @@ struct LayerMaps {
 // sqrt(sum variance); 0 where no light is usable.
 [[nodiscard]] Image<float> SignalToNoise(const MixtureMap& map, std::span<const SrdBatch* const> lights);
 
-// Standard errors of what a profile's samples tell of its layers (fitter/mixture/standard_errors.h), W x H x C; NaN
-// where nothing was fitted. For tied fits.
-struct StandardErrorMaps {
+// What is estimable of a profile's layers, or the standard errors of it, W x H x C; NaN where nothing was fitted.
+struct EffectiveMaps {
   Image<float> total_weight, mean_depth_mm, effective_width_mm;
 };
-// `lights`, `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives profiles
-// done.
-[[nodiscard]] StandardErrorMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights,
-                                                   EmOptions options, const std::function<void(int64_t)>& progress);
-// standard_errors.exr: total_weight.R, mean_depth_mm.R, effective_width_mm.R ...
-Status WriteStandardErrors(const std::filesystem::path& folder, const StandardErrorMaps& maps);
+// Of a fit's folder, the files that WriteLayerMaps writes.
+[[nodiscard]] Result<EffectiveMaps> LoadEffectiveMaps(const std::filesystem::path& folder, int channels);
+
+// Standard errors by the noise of a profile's samples and white frames (fitter/mixture/standard_errors.h). For tied
+// fits. `lights`, `options`: of the fit. Costs about one EM sweep in double precision a profile; `progress` receives
+// profiles done.
+[[nodiscard]] EffectiveMaps FindStandardErrors(const MixtureMap& map, std::span<const SrdBatch* const> lights,
+                                               EmOptions options, const std::function<void(int64_t)>& progress);
+// Noise is not all that a fit may be off by: what the surface reflects, how much light falls where, and the model
+// itself err with each light, alike over many pixels. Fits that leave out one projector each, theta_p of n, tell how
+// much: a fit of n - 1 lights whose errors are independent has the variance sum_p (theta_p - mean theta)^2 (delete-one
+// jackknife; noise is in it). Mean over the square of 2 `radius` + 1 profiles a side, of profiles that all of
+// `left_out` have; of total weights and widths relative to the value, of depths in mm. The larger of this and `noise`
+// is the standard error. Errors that all lights share are not in it. `fit`: the values whose errors are told.
+[[nodiscard]] EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& fit,
+                                             std::span<const EffectiveMaps> left_out, int radius);
+// How far around a pixel the lights' disagreement is taken for its own, mm.
+inline constexpr double kDisagreementMm = 12.0;
+// standard_errors.exr: total_weight.R, mean_depth_mm.R, effective_width_mm.R ..., and those of noise alone as
+// noise_total_weight.R ...
+Status WriteStandardErrors(const std::filesystem::path& folder, const EffectiveMaps& maps, const EffectiveMaps& noise);
 
 inline constexpr const char* kEffectiveWidthFile = "effective_width_mm.exr";
 // total_weight.exr, absorption.exr, mean_depth_mm.exr, effective_width_mm.exr, depth_bands.exr (docs/file-formats.md).

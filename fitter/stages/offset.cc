@@ -15,19 +15,6 @@ namespace {
 // Views beyond some 80 degrees carry no SRD (SrdOptions::min_cos), and none is moved farther than at that.
 constexpr double kLeastCos = 0.15;
 
-// Between the points of neighbouring quads of a row, median; 0 without any.
-double SpacingOf(const SurfaceMap& surface) {
-  std::vector<double> spacings;
-  for (int j = 0; j < surface.height(); ++j)
-    for (int i = 1; i < surface.width(); ++i)
-      if (surface.mask(i, j) != 0 && surface.mask(i - 1, j) != 0)
-        spacings.push_back((surface.Point(i, j) - surface.Point(i - 1, j)).norm());
-  if (spacings.empty()) return 0.0;
-  const auto middle = spacings.begin() + std::ssize(spacings) / 2;
-  std::nth_element(spacings.begin(), middle, spacings.end());
-  return *middle;
-}
-
 std::string Describe(const SurfaceOffset& offset) {
   if (offset.at_bound)
     return "no depth of the codes below the skin is best for the whole face: the surface stays as it is";
@@ -60,7 +47,7 @@ Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int he
   FaceOffset offset;
   offset.displacement = CodeDisplacement(shape.surface, shape.code_weights, shape.record, em.scattering);
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,
-                                                    std::max(SpacingOf(shape.surface) * srds.pool, 1e-3),
+                                                    std::max(QuadSpacingMm(shape.surface) * srds.pool, 1e-3),
                                                     Pooled(offset.displacement, srds.pool), em));
   const std::string told = label + ": " + Describe(offset.found);
   if (offset.found.at_bound)

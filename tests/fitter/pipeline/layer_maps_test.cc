@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/layer_maps.h"
 
+#include <array>
 #include <cmath>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -9,6 +11,7 @@
 #include "fitter/export/pictures.h"
 #include "fitter/report/html_report.h"
 #include "fitter/report/layer_pictures.h"
+#include "shared/base/random.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
@@ -87,6 +90,68 @@ TEST(LayerMaps, AreWrittenAsExrAndShownWithColourBars) {
   EXPECT_NE(html->find("class='bar'"), std::string::npos);
   EXPECT_EQ(html->find("%SCALE%"), std::string::npos);
   EXPECT_EQ(html->find("nan"), std::string::npos);
+}
+
+// Four lights, each of which is off by a share of its own at each pixel (of depths by mm), and the fits that leave one
+// of them out.
+struct Disagreeing {
+  static constexpr int kSize = 60, kLights = 4;
+  static constexpr float kTrue = 0.4F;
+  std::vector<EffectiveMaps> left_out;
+  EffectiveMaps noise;
+
+  // `off`: standard deviation of a light, left half; three times as much on the right.
+  explicit Disagreeing(double off) {
+    const Image<float> map(kSize, kSize, 3);
+    left_out.assign(kLights, {map, map, map});
+    noise = {map, map, map};
+    Random random(11);
+    for (const auto quantity :
+         {&EffectiveMaps::total_weight, &EffectiveMaps::mean_depth_mm, &EffectiveMaps::effective_width_mm})
+      for (size_t i = 0; i < map.size(); ++i) {
+        const bool right = i / 3 % kSize >= kSize / 2;
+        std::array<double, kLights> light{};
+        for (double& l : light) l = off * (right ? 3.0 : 1.0) * random.Normal();
+        for (size_t p = 0; p < kLights; ++p) {
+          double mean = 0.0;
+          for (size_t k = 0; k < kLights; ++k) mean += k == p ? 0.0 : light[k] / (kLights - 1);
+          const bool relative = quantity != &EffectiveMaps::mean_depth_mm;
+          (left_out[p].*quantity).pixels()[i] = static_cast<float>(kTrue + mean * (relative ? kTrue : 1.0));
+        }
+        (noise.*quantity).pixels()[i] = 1e-4F;
+      }
+  }
+};
+
+TEST(WithDisagreement, IntervalsHoldTheTruthOfLightsThatErrEachForItself) {
+  const Disagreeing lights(0.05);
+  const EffectiveMaps& fit = lights.left_out[3];
+  const EffectiveMaps errors = WithDisagreement(lights.noise, fit, lights.left_out, 5);
+  for (const auto quantity :
+       {&EffectiveMaps::total_weight, &EffectiveMaps::mean_depth_mm, &EffectiveMaps::effective_width_mm})
+    for (const int from : {0, Disagreeing::kSize / 2 + 6}) {  // away from where the error changes
+      int64_t inside = 0, all = 0;
+      for (int y = 0; y < Disagreeing::kSize; ++y)
+        for (int x = from; x < from + Disagreeing::kSize / 2 - 6; ++x)
+          for (int c = 0; c < 3; ++c, ++all)
+            inside += std::abs((fit.*quantity)(x, y, c) - Disagreeing::kTrue) <= 1.96 * (errors.*quantity)(x, y, c);
+      EXPECT_NEAR(static_cast<double>(inside) / static_cast<double>(all), 0.95, 0.02) << from;
+    }
+}
+
+TEST(WithDisagreement, IsNeverBelowTheNoiseAndTellsNothingOfWhatIsUnknown) {
+  Disagreeing lights(0.001);
+  lights.noise.total_weight(10, 10, 1) = 0.2F;
+  lights.noise.total_weight(11, 10, 1) = std::nanf("");
+  lights.left_out[2].total_weight(12, 10, 1) = std::nanf("");
+  for (int y = 0; y < 6; ++y)
+    for (int x = 0; x < 6; ++x) lights.left_out[0].mean_depth_mm(x, y, 2) = std::nanf("");
+  const EffectiveMaps errors = WithDisagreement(lights.noise, lights.left_out[3], lights.left_out, 2);
+  EXPECT_EQ(errors.total_weight(10, 10, 1), 0.2F);
+  EXPECT_TRUE(std::isnan(errors.total_weight(11, 10, 1)));
+  EXPECT_NEAR(errors.total_weight(12, 10, 1), 0.001 * Disagreeing::kTrue / std::sqrt(3.0), 1e-4);  // as its neighbours
+  EXPECT_EQ(errors.mean_depth_mm(1, 1, 2), 1e-4F);  // nobody around is known: its noise
+  EXPECT_GT(errors.mean_depth_mm(20, 20, 2), 2e-4F);
 }
 
 }  // namespace
