@@ -27,7 +27,7 @@ struct RunOptions {
   bool offset = true;            // of the reconstructed surface along the view, found and put right
   bool motion = true;            // of the head, found and made up for
   bool maps = true;              // from all projectors, too; not of a free fit: MakesMaps()
-  bool standard_errors = false;  // maps of them, too: about as long again as a fit from scratch
+  bool standard_errors = false;  // maps of them, too, and the fits that leave out each projector
   GeometrySource geometry = GeometrySource::kReconstructed;
   // As if a shorter visit had been captured: at most so many of its frames (shared/capture/thin_plan.h). Comparisons
   // with held-out light and the report still read all of them.

@@ -425,8 +425,12 @@ std::string SessionGraph::StandardErrors() {
                   others.push_back(std::move(maps));
                 }
                 SLX_ASSIGN_OR_RETURN(const auto values, stages_.Load(fit, load));
-                SLX_ASSIGN_OR_RETURN(const FaceShape* face, Face(shape));
-                const double spacing_mm = QuadSpacingMm(face->surface) * options_.srd.pool;
+                SLX_ASSIGN_OR_RETURN(const double quad_mm,
+                                     stages_.Load(shape, [](const fs::path& of) -> Result<double> {
+                                       SLX_ASSIGN_OR_RETURN(const FaceShape face, LoadShape(of));
+                                       return QuadSpacingMm(face.surface);
+                                     }));
+                const double spacing_mm = quad_mm * options_.srd.pool;
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
                 SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));

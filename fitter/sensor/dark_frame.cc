@@ -14,12 +14,15 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kReach = 2;  // sites of the same colour on either side
-// The same where white guides: 961 sites know the two numbers of a line to a twentieth of one site's noise, which a sum
-// of 64 samples then carries 3 times over where their own noise is 8 times as much as one's.
+// Where white guides: 961 sites know the two numbers of a line to a twentieth of one site's noise, which a sum of 64
+// samples then carries 3 times over where their own noise is 8 times as much as one's. Farther away light of the room
+// and of the projector need not fall in one proportion.
 constexpr int kGuidedReach = 15;
 // Fewer sites tell no line.
 constexpr double kLeastSites = 50.0;
 constexpr float kOutlierSigmas = 4.0F, kKeptSigmas = 6.0F;
+// So many times what noise makes, a variance of some 80 sites is not its alone (it scatters by half of it).
+constexpr double kClearly = 2.0;
 
 double NoiseVariance(double level_dn, int count, const CameraCalibration& camera) {
   const double photons = std::max(level_dn - camera.black_level_dn, 0.0) / camera.gain_e_per_dn;
@@ -68,7 +71,7 @@ void ForEachSite(const Sites& sites, const Each& each) {
 // Around each site the line black = a + b white, by the sites that lie near what `estimate` says; where there is one,
 // it becomes the estimate.
 void GuideByWhite(const Sites& sites, const MeanFrame& black, const MeanFrame& white, const CameraCalibration& camera,
-                  Image<float>& estimate) {
+                  Image<float>& estimate, Image<uint8_t>& guided) {
   // 1, white, black, white^2, white black, and the noise of white: what a line through noisy whites would be too flat
   // by is less than that, and without it white that does not vary would draw a line of its noise.
   Image<double> moments(sites.width, sites.height, 6);
@@ -90,7 +93,51 @@ void GuideByWhite(const Sites& sites, const MeanFrame& black, const MeanFrame& w
     const double variance = std::max(sums(i, j, 3) / n - mean_white * mean_white, 0.0) + sums(i, j, 5) / n;
     const double slope = (sums(i, j, 4) / n - mean_white * mean_black) / variance;
     estimate(x, y) = static_cast<float>(mean_black + slope * (w - mean_white));
+    guided(x, y) = 1;
   });
+}
+
+// What the lines leave. Where a shadow's edge or a mirror lies within reach, light of the room and of the projector are
+// no longer in one proportion, and no line fits: means of the residual over 5 x 5 sites then scatter by more than noise
+// makes them, and are added by the share of their variance that it does not explain.
+void AddWhatNoLineFits(const Sites& sites, const MeanFrame& black, const CameraCalibration& camera,
+                       const Image<uint8_t>& guided, Image<float>& estimate) {
+  Image<double> moments(sites.width, sites.height, 3);  // sites that count, residual, noise's variance
+  ForEachSite(sites, [&](int i, int j) {
+    const int x = sites.X(i), y = sites.Y(j);
+    const double residual = black.dn(x, y) - estimate(x, y), noise = NoiseVariance(estimate(x, y), black.count, camera);
+    if (guided(x, y) == 0 || !(residual * residual <= kOutlierSigmas * kOutlierSigmas * noise)) return;
+    const std::array<double, 3> values = {1.0, residual, noise};
+    std::copy(values.begin(), values.end(), &moments(i, j));
+  });
+  const Image<double> near = BoxSums(moments, kReach);
+  Image<double> squares(sites.width, sites.height, 3);  // places, mean residual squared, its noise's variance
+  ForEachSite(sites, [&](int i, int j) {
+    const double n = near(i, j, 0);
+    if (n < 1.0) return;
+    const std::array<double, 3> values = {1.0, std::pow(near(i, j, 1) / n, 2), near(i, j, 2) / (n * n)};
+    std::copy(values.begin(), values.end(), &squares(i, j));
+  });
+  const Image<double> around = BoxSums(squares, 2 * kReach);
+  ForEachSite(sites, [&](int i, int j) {
+    const int x = sites.X(i), y = sites.Y(j);
+    if (guided(x, y) == 0 || near(i, j, 0) < 1.0 || !(around(i, j, 1) > 0.0)) return;
+    const double share = std::max(0.0, 1.0 - kClearly * around(i, j, 2) / around(i, j, 1));
+    estimate(x, y) += static_cast<float>(share * near(i, j, 1) / near(i, j, 0));
+  });
+}
+
+// The share of the deviations' variance that noise does not explain, of sites that white guides or does not; 0 without
+// any. Where noise alone makes them, the median of their absolute values is 0.6745.
+float UnexplainedShare(const std::vector<float>& deviations, const Image<uint8_t>& guided, uint8_t of) {
+  std::vector<float> these;
+  for (size_t i = 0; i < deviations.size(); ++i)
+    if (guided.pixels()[i] == of) these.push_back(deviations[i]);
+  if (these.empty()) return 0.0F;
+  const auto middle = these.begin() + static_cast<std::ptrdiff_t>(these.size() / 2);
+  std::nth_element(these.begin(), middle, these.end());
+  const float variance = (*middle / 0.6745F) * (*middle / 0.6745F);
+  return variance > 1.0F ? 1.0F - 1.0F / variance : 0.0F;
 }
 
 }  // namespace
@@ -100,6 +147,7 @@ Image<float> QuietDarkFrame(const MeanFrame& black, const CameraCalibration& cam
   const int step = QuadStep(camera.cfa);
   const int width = black.dn.width(), height = black.dn.height();
   Image<float> estimate(width, height);
+  Image<uint8_t> guided(width, height);
   for (int first_y = 0; first_y < step; ++first_y)
     for (int first_x = 0; first_x < step; ++first_x) {
       const Sites sites = {first_x, first_y, step, (width - first_x + step - 1) / step,
@@ -109,20 +157,21 @@ Image<float> QuietDarkFrame(const MeanFrame& black, const CameraCalibration& cam
         estimate(x, y) = LocalMean(black, x, y, step, camera);
       });
       // Twice: near an edge of light the mean of neighbours takes good sites for hot ones.
-      for (int pass = 0; pass < 2 && !white.dn.empty(); ++pass) GuideByWhite(sites, black, white, camera, estimate);
+      for (int pass = 0; pass < 2 && !white.dn.empty(); ++pass)
+        GuideByWhite(sites, black, white, camera, estimate, guided);
+      if (!white.dn.empty()) AddWhatNoLineFits(sites, black, camera, guided, estimate);
     }
-  // Deviations in units of the noise; their median absolute value is 0.6745 where noise alone makes them.
+  // Deviations in units of the noise.
   const auto levels = black.dn.pixels();
   std::vector<float> deviations(levels.size());
   for (size_t i = 0; i < deviations.size(); ++i)
     deviations[i] = std::abs(levels[i] - estimate.pixels()[i]) / NoiseSigma(estimate.pixels()[i], black.count, camera);
-  std::vector<float> sorted = deviations;
-  auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  const float variance = (*middle / 0.6745F) * (*middle / 0.6745F);
-  const float share = variance > 1.0F ? 1.0F - 1.0F / variance : 0.0F;
-  for (size_t i = 0; i < deviations.size(); ++i)
-    estimate.pixels()[i] += (deviations[i] > kKeptSigmas ? 1.0F : share) * (levels[i] - estimate.pixels()[i]);
+  const std::array<float, 2> shares = {UnexplainedShare(deviations, guided, 0),
+                                       UnexplainedShare(deviations, guided, 1)};
+  for (size_t i = 0; i < deviations.size(); ++i) {
+    const float share = deviations[i] > kKeptSigmas ? 1.0F : shares[guided.pixels()[i]];
+    estimate.pixels()[i] += share * (levels[i] - estimate.pixels()[i]);
+  }
   return estimate;
 }
 

@@ -240,10 +240,14 @@ Result<Image<float>> SessionFrames::QuietBlack(int projector, int bracket) const
   int count = 0, whites = 0;
   SLX_ASSIGN_OR_RETURN(auto mean, MeanOf(projector, PatternKind::kBlack, bracket, count));
   if (!calibration_) return mean;
+  if (projector < 0) return QuietDarkFrame({mean.view(), count}, calibration_->camera);  // all of them: no one's white
   const auto white = MeanWhite(projector, whites);
-  const bool guides = white.ok() && white->width() == mean.width() && white->height() == mean.height();
-  return QuietDarkFrame({mean.view(), count}, calibration_->camera,
-                        guides ? MeanFrame{white->view(), whites} : MeanFrame{});
+  if (white.status().code() == StatusCode::kNotFound) return QuietDarkFrame({mean.view(), count}, calibration_->camera);
+  if (!white.ok()) return white.status();
+  if (white->width() != mean.width() || white->height() != mean.height())
+    return Status::Integrity("session " + info().id + ": white and black frames of projector " +
+                             std::to_string(projector) + " differ in size");
+  return QuietDarkFrame({mean.view(), count}, calibration_->camera, {white->view(), whites});
 }
 
 Result<Image<float>> SessionFrames::MeanBlack(int projector, double factor) const {

@@ -156,9 +156,14 @@ EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& 
           double mean = 0.0, square = 0.0;
           for (size_t p = 0; p < left_out.size(); ++p) mean += at(p, x, y, c) / static_cast<double>(left_out.size());
           for (size_t p = 0; p < left_out.size(); ++p) square += std::pow(at(p, x, y, c) - mean, 2);
-          if (relative) square /= mean * mean;
-          if (!std::isfinite(square)) continue;
-          squares(x, y, c) = square;
+          double by_noise = std::pow((noise.*quantity)(x, y, c), 2);
+          if (relative) {
+            square /= mean * mean;
+            by_noise /= std::pow(value(x, y, c), 2);
+            if (square > 1.0) continue;  // lights that differ by more than the value itself
+          }
+          if (!std::isfinite(square) || !std::isfinite(by_noise)) continue;
+          squares(x, y, c) = square - by_noise;
           squares(x, y, colours + c) = 1.0;
         }
     const Image<double> sums = BoxSums(squares, radius);
@@ -167,8 +172,8 @@ EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& 
         for (int c = 0; c < colours; ++c) {
           float& error = (errors.*quantity)(x, y, c);
           if (!std::isfinite(error) || sums(x, y, colours + c) < 0.5) continue;
-          const double disagreement = std::sqrt(std::max(sums(x, y, c), 0.0) / sums(x, y, colours + c));
-          error = std::max(error, static_cast<float>(disagreement * (relative ? value(x, y, c) : 1.0)));
+          const double beyond_noise = std::sqrt(std::max(sums(x, y, c), 0.0) / sums(x, y, colours + c));
+          error = std::hypot(error, static_cast<float>(beyond_noise * (relative ? value(x, y, c) : 1.0)));
         }
   }
   return errors;
