@@ -200,5 +200,35 @@ TEST_F(SessionFramesTest, DarkFramesAreReadOnce) {
   EXPECT_FALSE(frames.MeanBlack(1).ok());
 }
 
+// A projector's dark frame is guided by its white frames: that one is damaged is no reason to do without.
+TEST_F(SessionFramesTest, ADamagedWhiteFrameIsNoMissingOne) {
+  db::SessionStore store = OpenStore();
+  auto writer = store.BeginSession(db::SimulatedVisit());
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  for (int i = 0; i < kFrames; ++i) {
+    FrameRecord record = db::RecordFor(i, PixelFormat::kMono12, 6, 4);
+    const bool white = i >= kFrames - kProjectors && i < kFrames - 1;  // of all but the last projector
+    record.pattern = {.kind = white ? PatternKind::kWhite : PatternKind::kBlack};
+    record.bracket = 0;
+    ASSERT_TRUE(writer->Append(record, db::PixelsFor(record).view()).ok());
+  }
+  ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+  SessionFrames frames = Open(writer->info().id);
+  RigCalibration record;
+  record.camera.cfa = Cfa::kMono;
+  record.camera.gain_e_per_dn = 4.0;
+  record.camera.read_noise_dn = 3.0;
+  record.camera.saturation_dn = 4095.0;
+  frames.UseRecord(record);
+  const db::FrameRow& damaged = frames.rows()[kFrames - kProjectors];
+  ASSERT_EQ(damaged.record.pattern.kind, PatternKind::kWhite);
+  db::FlipBits(Segment(writer->info().id), static_cast<size_t>(damaged.offset) + sizeof(db::FrameHeader), 0x10);
+  const auto dark = frames.MeanBlack(damaged.record.projector);
+  EXPECT_EQ(dark.status().code(), StatusCode::kIntegrity);
+  EXPECT_THAT(dark.status().message(), HasSubstr(writer->info().id));
+  EXPECT_TRUE(frames.MeanBlack(1).ok());
+  EXPECT_TRUE(frames.MeanBlack(kProjectors - 1).ok()) << "it has no white frame, and needs none";
+}
+
 }  // namespace
 }  // namespace stratalux::fit
