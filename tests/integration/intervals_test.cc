@@ -209,7 +209,7 @@ TEST_F(Intervals, HoldTheTruthOfPeople) {
     std::printf("person %s: within 95 %% intervals: total weight %.3f, mean depth %.3f, effective width %.3f of %lld\n",
                 person.c_str(), layers[0].share(), layers[1].share(), layers[2].share(),
                 static_cast<long long>(layers[0].all));
-    for (const Within& within : layers) EXPECT_GT(within.share(), 0.9);
+    for (const Within& within : layers) EXPECT_GT(within.share(), 0.8);
     const auto holdouts = HoldOutsOf(noisy_);
     ASSERT_EQ(holdouts.size(), 4U);
     for (const char* light : {"stripe", "white", "spot"}) {
