@@ -23,7 +23,8 @@ double Centroid(const std::vector<double>& y, const SrdBatch& batch, int64_t pro
     sum += y[k];
     moment += y[k] * u;
   }
-  return sum > 0.0 ? moment / sum : std::nan("");
+  // Of light it lies among the samples; what lies elsewhere is the noise of a profile with next to none.
+  return sum > 0.0 && std::abs(moment) <= reach_mm * sum ? moment / sum : std::nan("");
 }
 
 Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, double reach_mm) {

@@ -84,5 +84,22 @@ TEST(CompareCentroids, CountsNothingWhereNothingIsLit) {
   EXPECT_EQ(none.measured_mm, 0.0);
 }
 
+TEST(CompareCentroids, NoiseOfADarkProfileIsNoCentroid) {
+  // Samples of both signs that all but cancel: light 20 mm away, by their moment.
+  const MixtureMap skin = OneLayer(0.5F);
+  SrdBatch heldout = LitSkin(skin);
+  for (int k = 0; k < heldout.samples; ++k) heldout.y[static_cast<size_t>(k)] = 0.0F;
+  int first = -1;
+  for (int k = 0; k < heldout.samples; ++k) {
+    const double u = double{heldout.first_u_mm[0]} + k * double{heldout.step_mm[0]};
+    if (std::abs(u) < 2.0 && first < 0) first = k;
+  }
+  heldout.y[static_cast<size_t>(first)] = -1.0F;
+  heldout.y[static_cast<size_t>(first) + 5] = 1.05F;
+  const CentroidError error = CompareCentroids(skin, heldout, 3.0, 1);
+  EXPECT_EQ(error.profiles, kProfiles - 1);
+  EXPECT_NEAR(error.measured_mm, 0.5, 0.005);
+}
+
 }  // namespace
 }  // namespace stratalux::fit
