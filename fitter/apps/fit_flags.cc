@@ -99,8 +99,8 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
                 "Hold out every projector in turn; baselines and ablations");
   verb.add_flag("--standard-errors", f.run.standard_errors,
                 "standard_errors.exr, too: of total weight, mean depth and width of each pixel, by noise and by fits "
-                "that leave out "
-                "each projector in turn (takes long at full size; --full-evaluation makes the same fits)");
+                "that leave out each projector in turn (takes long at full size; --full-evaluation makes the same "
+                "fits)");
   std::vector<CLI::Option*> added = verb.get_options();
   std::erase_if(added,
                 [&](CLI::Option* option) { return std::find(before.begin(), before.end(), option) != before.end(); });

@@ -111,18 +111,18 @@ void AddWhatNoLineFits(const Sites& sites, const MeanFrame& black, const CameraC
     std::copy(values.begin(), values.end(), &moments(i, j));
   });
   const Image<double> near = BoxSums(moments, kReach);
-  Image<double> squares(sites.width, sites.height, 3);  // places, mean residual squared, its noise's variance
+  Image<double> squares(sites.width, sites.height, 2);  // mean residual squared, its noise's variance
   ForEachSite(sites, [&](int i, int j) {
     const double n = near(i, j, 0);
     if (n < 1.0) return;
-    const std::array<double, 3> values = {1.0, std::pow(near(i, j, 1) / n, 2), near(i, j, 2) / (n * n)};
+    const std::array<double, 2> values = {std::pow(near(i, j, 1) / n, 2), near(i, j, 2) / (n * n)};
     std::copy(values.begin(), values.end(), &squares(i, j));
   });
   const Image<double> around = BoxSums(squares, 2 * kReach);
   ForEachSite(sites, [&](int i, int j) {
     const int x = sites.X(i), y = sites.Y(j);
-    if (guided(x, y) == 0 || near(i, j, 0) < 1.0 || !(around(i, j, 1) > 0.0)) return;
-    const double share = std::max(0.0, 1.0 - kClearly * around(i, j, 2) / around(i, j, 1));
+    if (guided(x, y) == 0 || near(i, j, 0) < 1.0 || !(around(i, j, 0) > 0.0)) return;
+    const double share = std::max(0.0, 1.0 - kClearly * around(i, j, 1) / around(i, j, 0));
     estimate(x, y) += static_cast<float>(share * near(i, j, 1) / near(i, j, 0));
   });
 }
