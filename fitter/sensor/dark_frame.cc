@@ -122,7 +122,8 @@ void AddWhatNoLineFits(const Sites& sites, const MeanFrame& black, const CameraC
   ForEachSite(sites, [&](int i, int j) {
     const int x = sites.X(i), y = sites.Y(j);
     if (guided(x, y) == 0 || near(i, j, 0) < 1.0 || !(around(i, j, 0) > 0.0)) return;
-    const double share = std::max(0.0, 1.0 - kClearly * around(i, j, 1) / around(i, j, 0));
+    const double by_noise = around(i, j, 1) / around(i, j, 0);
+    const double share = kClearly * by_noise > 1.0 ? 0.0 : 1.0 - by_noise;
     estimate(x, y) += static_cast<float>(share * near(i, j, 1) / near(i, j, 0));
   });
 }

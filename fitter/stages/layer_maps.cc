@@ -149,7 +149,8 @@ EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& 
     const Image<float>& value = fit.*quantity;
     const int colours = value.channels();
     const auto at = [&](size_t p, int x, int y, int c) { return double{(left_out[p].*quantity)(x, y, c)}; };
-    Image<double> squares(value.width(), value.height(), 2 * colours);
+    // Weighted by certainty: one profile full of noise must not hide what its neighbours disagree by.
+    Image<double> squares(value.width(), value.height(), 3 * colours);  // beyond noise, weights, profiles
     for (int y = 0; y < value.height(); ++y)
       for (int x = 0; x < value.width(); ++x)
         for (int c = 0; c < colours; ++c) {
@@ -162,16 +163,17 @@ EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& 
             by_noise /= std::pow(value(x, y, c), 2);
             if (square > 1.0) continue;  // lights that differ by more than the value itself
           }
-          if (!std::isfinite(square) || !std::isfinite(by_noise)) continue;
-          squares(x, y, c) = square - by_noise;
-          squares(x, y, colours + c) = 1.0;
+          if (!std::isfinite(square) || !std::isfinite(by_noise) || !(by_noise > 0.0)) continue;
+          squares(x, y, c) = square / by_noise - 1.0;
+          squares(x, y, colours + c) = 1.0 / by_noise;
+          squares(x, y, 2 * colours + c) = 1.0;
         }
     const Image<double> sums = BoxSums(squares, radius);
     for (int y = 0; y < value.height(); ++y)
       for (int x = 0; x < value.width(); ++x)
         for (int c = 0; c < colours; ++c) {
           float& error = (errors.*quantity)(x, y, c);
-          if (!std::isfinite(error) || sums(x, y, colours + c) < 0.5) continue;
+          if (!std::isfinite(error) || sums(x, y, 2 * colours + c) < 0.5) continue;
           const double beyond_noise = std::sqrt(std::max(sums(x, y, c), 0.0) / sums(x, y, colours + c));
           error = std::hypot(error, static_cast<float>(beyond_noise * (relative ? value(x, y, c) : 1.0)));
         }

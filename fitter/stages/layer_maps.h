@@ -52,9 +52,10 @@ struct EffectiveMaps {
 // itself err with each light, alike over many pixels. Fits that leave out one projector each, theta_p of n, tell how
 // much: a fit of n - 1 lights whose errors are independent has the variance sum_p (theta_p - mean theta)^2 (delete-one
 // jackknife). What of it noise does not explain, as its mean over the square of 2 `radius` + 1 profiles a side, of
-// profiles that all of `left_out` have, is added to `noise`: of total weights and widths relative to the value (values
-// that the fits differ by more than do not count), of depths in mm. Errors that all lights share are not in it, and of
-// a pixel that not all lights reach it is too large. `fit`: the values whose errors are told.
+// profiles that all of `left_out` have, weighted by 1 / noise^2, is added to `noise`: of total weights and widths
+// relative to the value (values that the fits differ by more than do not count), of depths in mm. Errors that all
+// lights share are not in it, and of a pixel that not all lights reach it is too large. `fit`: the values whose errors
+// are told.
 [[nodiscard]] EffectiveMaps WithDisagreement(const EffectiveMaps& noise, const EffectiveMaps& fit,
                                              std::span<const EffectiveMaps> left_out, int radius);
 // How far around a pixel the lights' disagreement is taken for its own, mm.

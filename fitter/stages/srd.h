@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 5;
+inline constexpr int kSrdVersion = 6;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {
