@@ -55,6 +55,11 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
                   "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
                   "predicts the training lights, left out in turn, best; none: every pixel on its own")
       ->capture_default_str();
+  verb.add_option("--neighbours", f.neighbours,
+                  "on: the layers of skin around a pixel that returns as much light are its prior; off: the session's "
+                  "mean layers alone. With a prior, of a tied fit")
+      ->check(CLI::IsMember({"on", "off"}))
+      ->capture_default_str();
   verb.add_option("--iterations", f.run.fit.em.max_iterations,
                   "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
       ->check(CLI::Range(1, 100000))
@@ -117,6 +122,7 @@ Result<RunOptions> RunOptionsOf(const FitFlags& flags) {
   run.fit.em.scattering.gain_model = flags.gain == "model";
   run.fit.choose.reflection = flags.surface == "model";
   run.fit.em.background_term = flags.background == "on";
+  run.fit.choose.neighbours = flags.neighbours == "on";
   run.fit.choose.directions = flags.directional == "on";
   run.offset = flags.offset == "on";
   run.motion = flags.motion == "on";

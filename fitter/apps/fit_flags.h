@@ -19,7 +19,7 @@ struct FitFlags {
   RunOptions run;
   std::string shift = "refracted", geometry = "reconstructed", gain = "model", mode = "tied", reading = "gather",
               distance = "tangent", directional = "off", surface = "model", background = "off", prior = "auto",
-              offset = "on", motion = "on", maps = "on";
+              neighbours = "on", offset = "on", motion = "on", maps = "on";
 };
 
 // The options that were added; `flags` outlives the parsing.

@@ -6,7 +6,7 @@
 #include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/left_out_lights.h"
 #include "fitter/mixture/sampled_lights.h"
 
 namespace stratalux::fit {
@@ -21,71 +21,34 @@ constexpr double kSurely = 3.0;
 
 // Fewer tell no N0 from another.
 constexpr int64_t kLeastJudged = 100;
-// Enough to tell them; more cost time.
-constexpr int64_t kPixels = 512;
 
-// Both in photons; read noise has none.
-struct Score {
-  double divergence = 0.0, photons = 0.0;
-};
+// Of N0 of the session's, photons of a prior centred on neighbours, which know a pixel better.
+constexpr double kNeighboursGrid[] = {1.0, 3.0, 10.0, 30.0};
+// Places whose neighbourhoods are judged, and how much of each around its middle; a margin beside it has neighbours.
+constexpr size_t kPlaces = 12;
+constexpr double kTrimmed = 0.1;  // of the profiles on either side
+constexpr double kJudgedMm = 3.0, kMarginMm = 6.0;
 
-Score ScoreOf(double divergence, const SrdBatch& light, int64_t profile) {
-  if (std::isnan(divergence)) return {};
-  const auto y = light.Samples(profile);
-  return {divergence, PhotonNoiseOf(light, profile).counts * std::accumulate(y.begin(), y.end(), 0.0)};
-}
+// [trial]
+using Scores = std::vector<LeftOutScores>;
 
-// [trial][profile of a light left out]
-using Scores = std::vector<std::vector<Score>>;
-
-// One projector left out.
-struct LeftOut {
-  std::vector<const SrdBatch*> training, light;
-  std::vector<int> names;  // of the training ones
-  std::vector<LayerSet> mean;
-};
-
-Result<LeftOut> LeaveOut(int projector, std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                         int channels, const EmOptions& options) {
-  LeftOut out;
-  for (size_t p = 0; p < lights.size(); ++p) {
-    (projectors[p] == projector ? out.light : out.training).push_back(lights[p]);
-    if (projectors[p] != projector) out.names.push_back(projectors[p]);
-  }
-  SLX_ASSIGN_OR_RETURN(out.mean, MeanLayers(out.training, channels, options, 1));
-  return out;
+void AddScores(std::span<const MixtureMap> fits, const SrdBatch& light, int channels, const EmOptions& options,
+               std::span<LeftOutScores> scores) {
+  const auto divergences = DivergencesFrom(fits, light, channels, options);
+  for (size_t trial = 0; trial < fits.size(); ++trial)
+    for (int64_t i = 0; i < light.profiles(); ++i) scores[trial].push_back(ScoreOf(divergences[trial][i], light, i));
 }
 
 // What the fits of the others make of each light left out with N0 of kGrid from `first` on, before `end`.
-Status Try(size_t first, size_t end, const std::vector<LeftOut>& turns, int channels, const EmOptions& options,
-           Scores& scores) {
+Status Try(size_t first, size_t end, std::span<const SrdBatch* const> sampled, const std::vector<LeftOut>& turns,
+           int channels, const EmOptions& options, Scores& scores) {
   for (const LeftOut& turn : turns) {
-    SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(turn.training, turn.names, channels, options, turn.mean,
-                                                        std::span(kGrid).subspan(first, end - first)));
-    for (const SrdBatch* light : turn.light) {
-      const auto divergences = DivergencesFrom(fits, *light, channels, options);
-      for (size_t trial = first; trial < end; ++trial)
-        for (int64_t i = 0; i < light->profiles(); ++i)
-          scores[trial].push_back(ScoreOf(divergences[trial - first][i], *light, i));
-    }
+    SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(At(sampled, turn.training), turn.names, channels, options,
+                                                        turn.mean, std::span(kGrid).subspan(first, end - first)));
+    for (const SrdBatch* light : At(sampled, turn.left_out))
+      AddScores(fits, *light, channels, options, std::span(scores).subspan(first, end - first));
   }
   return Status::Ok();
-}
-
-double DivergenceOf(const std::vector<Score>& scores) {
-  return std::accumulate(scores.begin(), scores.end(), 0.0,
-                         [](double sum, const Score& s) { return sum + s.divergence; });
-}
-
-// Whether a trial is worse than another by more than so many standard errors of the difference.
-bool IsWorse(const std::vector<Score>& trial, const std::vector<Score>& other, double standard_errors) {
-  double worse = 0.0, squares = 0.0;
-  for (size_t i = 0; i < trial.size(); ++i) {
-    const double more = trial[i].divergence - other[i].divergence;
-    worse += more;
-    squares += more * more;
-  }
-  return worse > standard_errors * std::sqrt(squares);
 }
 
 size_t BestOf(const Scores& scores, size_t first) {
@@ -95,53 +58,147 @@ size_t BestOf(const Scores& scores, size_t first) {
   return best;
 }
 
-// One usable pixel in so many.
-int OneIn(std::span<const SrdBatch* const> lights, int channels) {
-  int64_t usable = 0;
+// Mean divergence of a trial above that of another, of the middle profiles by that difference.
+double MoreThan(const LeftOutScores& other, const LeftOutScores& trial) {
+  std::vector<double> more;
+  for (size_t i = 0; i < trial.size(); ++i)
+    if (other[i].photons > 0.0) more.push_back(trial[i].divergence - other[i].divergence);
+  std::sort(more.begin(), more.end());
+  const auto trimmed = static_cast<std::ptrdiff_t>(kTrimmed * static_cast<double>(more.size()));
+  return std::accumulate(more.begin() + trimmed, more.end() - trimmed, 0.0) /
+         static_cast<double>(std::ssize(more) - 2 * trimmed);
+}
+
+// Pixels around a place: all of them, and those of skin that are judged, by their number among all.
+struct Patch {
+  int width = 0, height = 0;
+  std::vector<int64_t> profiles, judged;
+};
+
+Patch PatchAround(std::span<const SrdBatch* const> lights, int64_t pixel, int width, int height, int channels,
+                  double spacing_mm) {
+  const auto reach = [&](double mm) { return std::max(static_cast<int>(std::lround(mm / spacing_mm)), 1); };
+  const int inner = reach(kJudgedMm), outer = inner + reach(kMarginMm);
+  const int x = static_cast<int>(pixel % width), y = static_cast<int>(pixel / width);
+  const int left = std::max(x - outer, 0), right = std::min(x + outer, width - 1);
+  const int top = std::max(y - outer, 0), bottom = std::min(y + outer, height - 1);
+  Patch patch{right - left + 1, bottom - top + 1, {}, {}};
+  for (int j = top; j <= bottom; ++j)
+    for (int i = left; i <= right; ++i)
+      for (int c = 0; c < channels; ++c) {
+        const int64_t profile = (int64_t{j} * width + i) * channels + c;
+        if (std::abs(i - x) <= inner && std::abs(j - y) <= inner && !lights[0]->IsApart(profile))
+          patch.judged.push_back(std::ssize(patch.profiles));
+        patch.profiles.push_back(profile);
+      }
+  return patch;
+}
+
+// Around kPlaces pixels of skin that two projectors show, evenly among those; all that there are where they are fewer.
+std::vector<Patch> PatchesOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                             int height, int channels, double spacing_mm) {
+  const auto by_two = [&](int64_t i) {
+    int shown_by = -1;
+    for (size_t p = 0; p < lights.size(); ++p) {
+      if (!lights[p]->Shares(i)) continue;
+      if (shown_by >= 0 && projectors[p] != shown_by) return true;
+      shown_by = projectors[p];
+    }
+    return false;
+  };
+  std::vector<int64_t> shown;
   for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
-    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->Shares(i); }) ? 1 : 0;
-  return static_cast<int>(std::max<int64_t>(usable / kPixels, 1));
+    if (by_two(i)) shown.push_back(i / channels);
+  const size_t places = std::min(kPlaces, shown.size());
+  std::vector<Patch> patches;
+  for (size_t k = 0; k < places; ++k)
+    patches.push_back(
+        PatchAround(lights, shown[(k * 2 + 1) * shown.size() / (2 * places)], width, height, channels, spacing_mm));
+  return patches;
+}
+
+// [trial]: of the session's mean with N0, then of the neighbours' with each of `photons`.
+Result<Scores> TryNeighbours(const Patch& patch, std::span<const SrdBatch* const> lights, const LeftOut& turn,
+                             int channels, const EmOptions& options, double spacing_mm,
+                             std::span<const double> photons) {
+  const SampledBatches all(lights, patch.profiles);
+  const auto training = At(all.batches(), turn.training);
+  EmOptions first = options;
+  first.prior.photons *= kFirstShare;
+  SLX_ASSIGN_OR_RETURN(const MixtureMap fit,
+                       FitMixture(training, turn.names, patch.width, patch.height, channels, first, turn.mean));
+  const ProfileLayers near = ProfilesOf(NeighbourLayers(fit, training[0]->apart, turn.mean, spacing_mm), patch.judged);
+  const SampledBatches judged(all.batches(), patch.judged);
+  const auto seen = At(judged.batches(), turn.training);
+  const double session[] = {options.prior.photons};
+  SLX_ASSIGN_OR_RETURN(const auto of_session, FitWithPriors(seen, turn.names, channels, options, turn.mean, session));
+  SLX_ASSIGN_OR_RETURN(const auto of_near, FitWithPriors(seen, turn.names, channels, options,
+                                                         {turn.mean, &near, options.prior.photons}, photons));
+  Scores scores(1 + photons.size());
+  for (const SrdBatch* light : At(judged.batches(), turn.left_out)) {
+    AddScores(of_session, *light, channels, options, std::span(scores).first(1));
+    AddScores(of_near, *light, channels, options, std::span(scores).subspan(1));
+  }
+  return scores;
 }
 
 }  // namespace
 
 Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                 int channels, const EmOptions& options) {
-  const std::vector<SrdBatch> parts = SampledPixels(lights, channels, OneIn(lights, channels));
-  std::vector<const SrdBatch*> sampled;
-  for (const SrdBatch& b : parts) sampled.push_back(&b);
+  const std::vector<SrdBatch> parts = SpreadPixels(lights, channels);
+  const auto sampled = PointersTo(parts);
   PriorChoice choice{options.prior, {}};
   choice.prior.photons = kUsualPriorPhotons;
   EmOptions trial = options;
   trial.prior = choice.prior;
-  std::vector<int> distinct = projectors;
-  std::sort(distinct.begin(), distinct.end());
-  distinct.erase(std::unique(distinct.begin(), distinct.end()), distinct.end());
-  if (distinct.size() < 2) return choice;
-  std::vector<LeftOut> turns;
-  for (int projector : distinct) {
-    SLX_ASSIGN_OR_RETURN(auto turn, LeaveOut(projector, sampled, projectors, channels, trial));
-    turns.push_back(std::move(turn));
-  }
+  SLX_ASSIGN_OR_RETURN(const auto turns, LeaveOutEach(sampled, projectors, channels, trial));
+  if (turns.empty()) return choice;
   Scores scores(std::size(kGrid));
-  SLX_RETURN_IF_ERROR(Try(kWeak, scores.size(), turns, channels, trial, scores));
-  const auto told = std::ranges::count_if(scores[kWeak], [](const Score& s) { return s.photons > 0.0; });
-  if (told < kLeastJudged) return choice;
+  SLX_RETURN_IF_ERROR(Try(kWeak, scores.size(), sampled, turns, channels, trial, scores));
+  if (CountOf(scores[kWeak]) < kLeastJudged) return choice;
   size_t first = kWeak;
   if (!IsWorse(scores[first], scores[BestOf(scores, first)], kSurely)) {
-    SLX_RETURN_IF_ERROR(Try(0, kWeak, turns, channels, trial, scores));
+    SLX_RETURN_IF_ERROR(Try(0, kWeak, sampled, turns, channels, trial, scores));
     first = 0;
   }
   const size_t best = BestOf(scores, first);
   bool chosen = false;
   for (size_t t = first; t < scores.size(); ++t) {
-    const double photons = std::accumulate(scores[t].begin(), scores[t].end(), 0.0,
-                                           [](double sum, const Score& s) { return sum + s.photons; });
-    choice.trials.push_back({kGrid[t], DivergenceOf(scores[t]) / photons});
+    choice.trials.push_back({kGrid[t], DivergenceOf(scores[t]) / PhotonsOf(scores[t])});
     // The weakest that these profiles do not tell from the best.
     if (chosen || IsWorse(scores[t], scores[best], 1.0)) continue;
     choice.prior.photons = kGrid[t];
     chosen = true;
+  }
+  return choice;
+}
+
+Result<NeighboursChoice> ChooseNeighboursPrior(std::span<const SrdBatch* const> lights,
+                                               const std::vector<int>& projectors, int width, int height, int channels,
+                                               const EmOptions& options, double spacing_mm) {
+  NeighboursChoice choice;
+  if (!(options.prior.photons > 0.0) || !(spacing_mm > 0.0)) return choice;
+  const std::vector<SrdBatch> parts = SpreadPixels(lights, channels);
+  SLX_ASSIGN_OR_RETURN(const auto turns, LeaveOutEach(PointersTo(parts), projectors, channels, options));
+  std::vector<double> photons;
+  for (const double times : kNeighboursGrid)
+    photons.push_back(std::min(times * options.prior.photons, kMostPriorPhotons));
+  Scores scores(1 + photons.size());
+  if (!turns.empty())
+    for (const Patch& patch : PatchesOf(lights, projectors, width, height, channels, spacing_mm))
+      for (const LeftOut& turn : turns) {
+        SLX_ASSIGN_OR_RETURN(const Scores these,
+                             TryNeighbours(patch, lights, turn, channels, options, spacing_mm, photons));
+        for (size_t t = 0; t < scores.size(); ++t) scores[t].insert(scores[t].end(), these[t].begin(), these[t].end());
+      }
+  if (CountOf(scores[0]) < kLeastJudged) return choice;
+  double least = 0.0;
+  for (size_t t = 1; t < scores.size(); ++t) {
+    choice.trials.push_back({photons[t - 1], MoreThan(scores[0], scores[t])});
+    if (choice.trials.back().more_nats >= least) continue;
+    least = choice.trials.back().more_nats;
+    choice.photons = choice.trials.back().photons;
   }
   return choice;
 }

@@ -32,4 +32,22 @@ struct PriorChoice {
                                               const std::vector<int>& projectors, int channels,
                                               const EmOptions& options);
 
+// Whether a pixel's neighbours know it better than the session's mean does, and how much.
+struct NeighboursChoice {
+  struct Trial {
+    double photons = 0.0;
+    double more_nats = 0.0;  // divergence of a profile of the light left out above that by the session's prior, mean
+  };
+  double photons = 0.0;       // of the prior centred on them (FitAmongNeighbours); 0: the session's is as good
+  std::vector<Trial> trials;  // empty where none could be made
+};
+
+// Around twelve places of skin that two projectors show, each projector is left out in turn: fits of the others among
+// neighbours, with options.prior.photons (the session's N0) times 1, 3, 10 and 30, and by the session's mean. The best
+// of them, by the middle four fifths of the profiles: at an edge of the skin (a brow's hair, a nostril) a few would
+// outvote all others. `options`, `spacing_mm`: as of FitAmongNeighbours. The same bits for any number of threads.
+[[nodiscard]] Result<NeighboursChoice> ChooseNeighboursPrior(std::span<const SrdBatch* const> lights,
+                                                             const std::vector<int>& projectors, int width, int height,
+                                                             int channels, const EmOptions& options, double spacing_mm);
+
 }  // namespace stratalux::fit

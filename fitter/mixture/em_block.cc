@@ -25,7 +25,7 @@ void AddBack(const LaneRow& back, LaneRows& q) {
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-                 std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start,
+                 std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start,
                  const MixtureMap* warm)
     : options_(options),
       most_sweeps_(start.empty() && warm == nullptr ? options.max_iterations : options.refinement_iterations),
@@ -128,12 +128,11 @@ void EmBlock::Start(int lane, double photons) {
   }
   // White frames, by which surfaces are held, and samples differ by their noise.
   layers = std::max(layers, (1.0 - kMostSurface) * total) / exposure;
-  const size_t channel = start_.empty() ? 0 : static_cast<size_t>(lanes_[lane].profile) % start_.size();
+  const LayerSet known = start_.Of(lanes_[lane].profile);
   double floor = 0.02;  // share of the light over a whole cycle or window
-  if (!start_.empty() && !start_[channel].weight.empty()) {
-    const LayerSet& mean = start_[channel];
-    floor = mean.background / std::max(std::accumulate(mean.weight.begin(), mean.weight.end(), 0.0), 1e-9);
-    StartFrom(mean, lane, layers);
+  if (!known.weight.empty()) {
+    floor = known.background / std::max(std::accumulate(known.weight.begin(), known.weight.end(), 0.0), 1e-9);
+    StartFrom(known, lane, layers);
   } else {
     SpreadLayers(lane, total / exposure, std::min(options_.max_sigma_mm, longest / 4.0));
   }
@@ -145,7 +144,8 @@ void EmBlock::Start(int lane, double photons) {
   }
   if (options_.shared_background) ShareBackground(at_.data());
   lanes_[lane].own = total;
-  if (photons > 0.0 && prior_.On() && !start_[channel].weight.empty()) prior_.Set(lane, photons, at_.data());
+  const double of_prior = start_.Photons(lanes_[lane].profile, photons);
+  if (of_prior > 0.0 && prior_.On() && !known.weight.empty()) prior_.Set(lane, of_prior, at_.data());
 }
 
 // Widths spread logarithmically, depths growing with the width, the observed total shared out in proportion to 1 /

@@ -17,6 +17,7 @@
 #include "fitter/mixture/em_update.h"
 #include "fitter/mixture/layer_set.h"
 #include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/neighbour_layers.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
@@ -27,7 +28,7 @@ class EmBlock {
   // (CellsPerSample). `warm`: a map in which all profiles of the block are fitted, with as many layers; EM starts from
   // its layers, and `start` is the prior's centre alone.
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-          std::span<const int> cells_per_sample, const EmOptions& options, std::span<const LayerSet> start,
+          std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start,
           const MixtureMap* warm = nullptr);
 
   // Sweeps each of `profiles` until its divergence settles, with a prior of each of `photons` (at least one, 0: none;
@@ -112,7 +113,7 @@ class EmBlock {
   std::function<void(int64_t profile, int sweep, double cost)> traced_;
   std::span<const SrdBatch* const> batches_;
   std::span<const std::vector<uint8_t>> usable_;
-  std::span<const LayerSet> start_;
+  StartLayers start_;
   const MixtureMap* warm_ = nullptr;
   bool accelerated_ = false;
   std::vector<EmLight> lights_;

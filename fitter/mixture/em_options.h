@@ -21,6 +21,9 @@ struct LayerPrior {
 // identify it and leaves it near there).
 inline constexpr double kUnknownSurface = 0.05;
 
+// More overflow single precision.
+inline constexpr double kMostPriorPhotons = 1e7;
+
 struct EmOptions {
   int layers = 20;  // [M]'s choice
   ScatteringModel scattering;

@@ -148,7 +148,7 @@ std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgeme
 // work(block, profiles), from several threads, for all usable profiles: a block for those that may share it.
 template <typename Work>
 void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                 const EmOptions& options, std::span<const LayerSet> start, const MixtureMap* warm, const Work& work) {
+                 const EmOptions& options, const StartLayers& start, const MixtureMap* warm, const Work& work) {
   std::vector<int64_t> order;
   const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
   ParallelEach(tasks.size(), [&](size_t t) {
@@ -161,7 +161,7 @@ void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judge
 // once a task, are called from several threads. `warm`: as of EmBlock.
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                    const EmOptions& options, std::span<const LayerSet> start, std::span<const double> photons,
+                    const EmOptions& options, const StartLayers& start, std::span<const double> photons,
                     const std::function<void(int64_t)>& progress, const Done& done, const MixtureMap* warm = nullptr,
                     int traced = 0, const std::function<void(int64_t, int, double)>& trace = {}) {
   ForEachTask(lights, judged, channels, options, start, warm, [&](EmBlock& em, std::span<const int64_t> profiles) {
@@ -196,9 +196,9 @@ void TakeFit(const EmBlock& em, int lane, int64_t i, const EmOptions& options, M
 }
 
 Status CheckFit(std::span<const SrdBatch* const> lights, int64_t profiles, int channels, const EmOptions& options,
-                std::span<const LayerSet> start) {
+                const StartLayers& start) {
   SLX_RETURN_IF_ERROR(options.Validate());
-  SLX_CHECK(start.empty() || static_cast<int>(start.size()) == channels);
+  SLX_CHECK(start.empty() || static_cast<int>(start.mean.size()) == channels);
   return CheckBatches(lights, profiles);
 }
 
@@ -212,7 +212,7 @@ Status EmOptions::Validate() const {
     return Status::Usage("max_iterations = " + std::to_string(max_iterations) + ", allowed: 1 .. 100000");
   if (refinement_iterations < 0 || refinement_iterations > 100000)
     return Status::Usage("refinement_iterations = " + std::to_string(refinement_iterations) + ", allowed: 0 .. 100000");
-  if (!(prior.photons >= 0.0 && prior.photons <= 1e7))  // single precision
+  if (!(prior.photons >= 0.0 && prior.photons <= kMostPriorPhotons))
     return Status::Usage("a prior of " + std::to_string(prior.photons) + " photons, allowed: 0 .. 1e7");
   if (!(prior.square_shift >= 0.0 && prior.square_shift <= 1e4))
     return Status::Usage("prior: square_shift = " + std::to_string(prior.square_shift) + ", allowed: 0 .. 1e4");
@@ -222,7 +222,7 @@ Status EmOptions::Validate() const {
 }
 
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                              int height, int channels, const EmOptions& options, std::span<const LayerSet> start,
+                              int height, int channels, const EmOptions& options, const StartLayers& start,
                               const std::function<void(int64_t)>& progress) {
   const int64_t profiles = int64_t{width} * height * channels;
   SLX_RETURN_IF_ERROR(CheckFit(lights, profiles, channels, options, start));
@@ -235,6 +235,25 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   }
   ForEachProfile(lights, judged, channels, options, start, {&options.prior.photons, 1}, progress,
                  [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) { TakeFit(em, lane, i, options, map); });
+  return map;
+}
+
+Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                      int width, int height, int channels, const EmOptions& options,
+                                      std::span<const LayerSet> mean, double spacing_mm, double photons,
+                                      const std::function<void(int64_t)>& progress) {
+  EmOptions first = options, second = options;
+  first.prior.photons *= kFirstShare;
+  second.prior.photons = photons;
+  ProfileLayers near;
+  {
+    SLX_ASSIGN_OR_RETURN(const MixtureMap fit,
+                         FitMixture(lights, projectors, width, height, channels, first, mean, progress));
+    near = NeighbourLayers(fit, lights[0]->apart, mean, spacing_mm);
+  }
+  SLX_ASSIGN_OR_RETURN(MixtureMap map, FitMixture(lights, projectors, width, height, channels, second,
+                                                  {mean, &near, options.prior.photons}, progress));
+  map.session_photons = options.prior.photons;
   return map;
 }
 
@@ -298,7 +317,7 @@ Division Divide(std::span<const SrdBatch* const> lights, const Judgement& judged
 }  // namespace
 
 Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                 MixtureMap fit, int sweeps, const EmOptions& given, std::span<const LayerSet> start,
+                                 MixtureMap fit, int sweeps, const EmOptions& given, const StartLayers& start,
                                  const std::function<void(int64_t)>& progress, int traced) {
   EmOptions options = given;
   options.scattering = fit.scattering;
@@ -351,7 +370,7 @@ Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const 
 
 Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
                                               const std::vector<int>& projectors, int channels,
-                                              const EmOptions& options, std::span<const LayerSet> start,
+                                              const EmOptions& options, const StartLayers& start,
                                               std::span<const double> photons) {
   if (lights.empty()) return Status::Usage("EM needs at least one light");
   SLX_CHECK(!photons.empty());

@@ -9,19 +9,31 @@
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/mixture_map.h"
+#include "fitter/mixture/neighbour_layers.h"
 #include "fitter/mixture/srd_samples.h"
 #include "shared/base/result.h"
 
 namespace stratalux::fit {
 
 // Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
-// that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, by channel,
-// scaled to each profile's own light (MeanLayers below), and the centre of options.prior; empty: widths spread over all
-// scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits, whatever the number
-// of threads.
+// that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, scaled
+// to each profile's own light (MeanLayers below, NeighbourLayers), and the centre of options.prior; empty: widths
+// spread over all scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits,
+// whatever the number of threads.
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                              int height, int channels, const EmOptions& options, std::span<const LayerSet> start = {},
+                              int height, int channels, const EmOptions& options, const StartLayers& start = {},
                               const std::function<void(int64_t)>& progress = {});
+
+// The same twice: with options.prior centred on the session's `mean` layers, then on the mean of each profile's
+// neighbours, `spacing_mm` apart (NeighbourLayers of the first). The first takes kFirstShare of options.prior's
+// photons, for the mean over some fifty profiles loses their noise but not their prior; the second takes `photons`
+// (ChooseNeighboursPrior; docs/math/em.md, "Neighbours"). Those apart (SrdBatch::apart) are fitted as by FitMixture.
+// `progress` receives each profile twice.
+inline constexpr double kFirstShare = 0.333;
+Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                      int width, int height, int channels, const EmOptions& options,
+                                      std::span<const LayerSet> mean, double spacing_mm, double photons,
+                                      const std::function<void(int64_t)>& progress = {});
 
 // A map of which nothing is fitted, by no light, with the prior of `options`: to refine it is to fit it.
 [[nodiscard]] MixtureMap UnfittedMap(int width, int height, int channels, const EmOptions& options);
@@ -48,15 +60,14 @@ struct RefinedMap {
 // anew; a result of fewer sweeps is that of as many, so `traced` of them tell what fewer would have cost. kUsage where
 // the lights of `fit` are not among `projectors`, in their order.
 Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                 MixtureMap fit, int sweeps, const EmOptions& options,
-                                 std::span<const LayerSet> start = {},
+                                 MixtureMap fit, int sweeps, const EmOptions& options, const StartLayers& start = {},
                                  const std::function<void(int64_t)>& progress = {}, int traced = 0);
 
 // FitMixture of a row of pixels with each of `photons` (at least one) for options.prior.photons: the same bits. What
 // does not depend on the prior is worked out once. Divergences, sweeps and prior shares are not: they stay 0.
 Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
                                               const std::vector<int>& projectors, int channels,
-                                              const EmOptions& options, std::span<const LayerSet> start,
+                                              const EmOptions& options, const StartLayers& start,
                                               std::span<const double> photons);
 
 // Mean weight, depth and width of each layer, by channel, over one usable profile in `every`: the coarser level that

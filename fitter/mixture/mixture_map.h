@@ -28,7 +28,10 @@ struct MixtureMap {
   int width = 0, height = 0, channels = 0;
   int layers = 0;
   ScatteringModel scattering;
-  double prior_photons = 0.0;  // N0 of the prior; 0: none, or of a fit read back
+  double prior_photons = 0.0;  // N0 of the prior; 0: none
+  // Above 0: the prior is centred on neighbours' layers, and so many photons of the session's mean hold profiles that
+  // have none near, or stand apart (FitAmongNeighbours).
+  double session_photons = 0.0;
   std::vector<int> training_projectors;
   std::vector<float> weight, depth_mm, sigma_mm;
   std::vector<float> surface;        // [profile][training projector]

@@ -188,8 +188,11 @@ EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile
     fit.surface.push_back(map.surface[profile * lights.size() + p]);
     fit.background.push_back(map.background[profile * lights.size() + p]);
   }
-  return EffectiveParametersOf(fit, seen, NoiseScale::kKnown,
-                               {{map.prior_photons, options.prior.square_shift}, options.background_term});
+  // Of what its neighbours say no profile's noise is known to be a part.
+  const bool by_session = map.session_photons > 0.0 && lights[0]->IsApart(profile);
+  return EffectiveParametersOf(
+      fit, seen, NoiseScale::kKnown,
+      {{by_session ? map.session_photons : map.prior_photons, options.prior.square_shift}, options.background_term});
 }
 
 }  // namespace stratalux::fit

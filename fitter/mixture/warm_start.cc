@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 
+#include "fitter/mixture/sampled_lights.h"
 #include "shared/base/random.h"
 
 namespace stratalux::fit {
@@ -43,20 +44,6 @@ bool FurtherLit(std::span<const SrdBatch* const> lights, const std::vector<int>&
   return false;
 }
 
-// The sampled profiles of each light.
-class SampledBatches {
- public:
-  SampledBatches(std::span<const SrdBatch* const> lights, std::span<const int64_t> which) {
-    for (const SrdBatch* light : lights) parts_.push_back(ProfilesOf(*light, which));
-    for (const SrdBatch& part : parts_) batches_.push_back(&part);
-  }
-  [[nodiscard]] std::span<const SrdBatch* const> batches() const { return batches_; }
-
- private:
-  std::vector<SrdBatch> parts_;
-  std::vector<const SrdBatch*> batches_;
-};
-
 // The sampled pixels as a row, fitted as in `fit`.
 MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
   MixtureMap row;
@@ -66,6 +53,7 @@ MixtureMap SampledRow(const MixtureMap& fit, std::span<const int64_t> which) {
   row.layers = fit.layers;
   row.scattering = fit.scattering;
   row.prior_photons = fit.prior_photons;
+  row.session_photons = fit.session_photons;
   row.training_projectors = fit.training_projectors;
   const auto pick = [&](auto field, size_t each) {
     if ((fit.*field).empty()) return;
@@ -140,8 +128,7 @@ Result<SweepChoice> ChooseSweeps(std::span<const SrdBatch* const> lights, const 
 }
 
 Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                         const MixtureMap& fit, const EmOptions& options,
-                                         std::span<const LayerSet> start) {
+                                         const MixtureMap& fit, const EmOptions& options, const StartLayers& given) {
   WarmStartChoice choice;
   const std::vector<int64_t> which =
       SampleOf(fit.profiles(), fit.channels, [&](int64_t i) { return FurtherLit(lights, projectors, fit, i); });
@@ -152,6 +139,9 @@ Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights
   of_fit.prior.photons = fit.prior_photons;
   const MixtureMap row = SampledRow(fit, which), none = UnfittedMap(row.width, 1, fit.channels, of_fit);
   if (which.empty()) return choice;
+  const ProfileLayers near = given.near == nullptr ? ProfileLayers{} : ProfilesOf(*given.near, which);
+  StartLayers start = given;
+  if (given.near != nullptr) start.near = &near;
   const int most = std::max(options.refinement_iterations, 1);
   // Without a prior EM starts from widths spread over all scales, with its own number of sweeps.
   const int most_cold = start.empty() ? options.max_iterations : most;

@@ -51,7 +51,7 @@ inline constexpr uint64_t kWarmSeed = 19;
 // options.refinement_iterations. The same for any number of threads.
 [[nodiscard]] Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights,
                                                        const std::vector<int>& projectors, const MixtureMap& fit,
-                                                       const EmOptions& options, std::span<const LayerSet> start);
+                                                       const EmOptions& options, const StartLayers& start);
 
 // The fewest sweeps of FitMixture (same arguments, of `channels` profiles a pixel) after which that holds of some 512
 // pixels that a light reaches.

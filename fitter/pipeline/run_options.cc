@@ -50,6 +50,7 @@ std::string RunOptions::ToJson() const {
                                  {"background", em.background_term},
                                  {"iterations", em.max_iterations},
                                  {"prior", PriorText(fit)},
+                                 {"neighbours", fit.choose.neighbours},
                                  {"tolerance", em.tolerance},
                                  {"heldout", heldout},
                                  {"pool", srd.pool},

@@ -294,6 +294,7 @@ std::string SessionGraph::Offset(GeometrySource source, int heldout, FitKind kin
   const bool own = kind == FitKind::kDirectionBlindPlaced;
   const FitOptions fit = FitOptionsOf(own ? kind : FitKind::kJudged);
   SortedJson options = SortedJson::parse(FitOptionsJson(fit));
+  options.erase("neighbours");  // it samples pixels that have none
   options["heldout"] = heldout;
   const std::string what = own ? std::string("offset, ") + ToString(kind) : "offset";
   const std::string label = heldout == kNoneHeldOut ? "offset, all projectors" : LabelOf(what, source, heldout);
@@ -410,9 +411,6 @@ std::string SessionGraph::StandardErrors() {
     upstream.push_back(left_out.back());
   }
   upstream.push_back(fit);
-  const std::string shape = PlacedShape(options_.geometry, options_.heldout);
-  inputs["shape"] = shape;
-  upstream.push_back(shape);
   return Add({{"standard_errors", kStandardErrorsVersion, FitOptionsJson(options_.fit), inputs, isa_},
               "standard errors",
               upstream,
@@ -425,19 +423,13 @@ std::string SessionGraph::StandardErrors() {
                   others.push_back(std::move(maps));
                 }
                 SLX_ASSIGN_OR_RETURN(const auto values, stages_.Load(fit, load));
-                SLX_ASSIGN_OR_RETURN(const double quad_mm,
-                                     stages_.Load(shape, [](const fs::path& of) -> Result<double> {
-                                       SLX_ASSIGN_OR_RETURN(const FaceShape face, LoadShape(of));
-                                       return QuadSpacingMm(face.surface);
-                                     }));
-                const double spacing_mm = quad_mm * options_.srd.pool;
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
                 SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, Layers(fit));
                 SLX_ASSIGN_OR_RETURN(const auto lights, TrainingLightsOf(*srds, options_.heldout));
                 Progress progress(logger_, "standard errors", layers->map.profiles());
                 const EffectiveMaps noise = FindStandardErrors(layers->map, lights.batches, options_.fit.em,
                                                                [&](int64_t done) { progress.Advance(done); });
-                const int radius = static_cast<int>(std::lround(kDisagreementMm / std::max(spacing_mm, 1e-3)));
+                const int radius = static_cast<int>(std::lround(kDisagreementMm / std::max(srds->spacing_mm, 1e-3)));
                 return WriteStandardErrors(
                     folder, others.empty() ? noise : WithDisagreement(noise, values, others, radius), noise);
               }});

@@ -71,7 +71,8 @@ std::string WeakCaption(double prior_photons) {
   if (!(prior_photons > 0.0)) return "";
   return " Profiles of fewer than " + Fixed(prior_photons, 0) + " photons (a ratio of " +
          Fixed(std::sqrt(prior_photons), 0) +
-         " where read noise does not count) are weak: their layers lean on the mean of the session.";
+         " where read noise does not count) are weak: their layers lean on those of their neighbours, or of the "
+         "session where it knows no better.";
 }
 
 ReportTable RefinedTable(const MapsFigures& f) {

@@ -43,6 +43,14 @@ T Median(std::vector<T>& values) {
   return *middle;
 }
 
+// Of fewer photons than those of the session's mean that would count beside them.
+bool IsWeak(const MixtureMap& map, int64_t profile, bool apart) {
+  if (map.prior_share.empty()) return false;
+  const double share = map.prior_share[profile];
+  const double session = map.session_photons > 0.0 ? map.session_photons : map.prior_photons;
+  return (apart ? session : map.prior_photons) * (1.0 - share) < session * share;
+}
+
 }  // namespace
 
 FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout) {
@@ -54,7 +62,7 @@ FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout) {
     if (map.Fitted(i)) {
       divergence.push_back(map.divergence[i]);
       iterations.push_back(map.iterations[i]);
-      summary.weak_pixels += !map.prior_share.empty() && map.prior_share[i] > 0.5F ? 1 : 0;
+      summary.weak_pixels += IsWeak(map, i, srds.batches[heldout].IsApart(i)) ? 1 : 0;
     }
     if (reason != FitReason::kFitted) ++summary.masked_by_reason[ToString(reason)];
   }

@@ -20,7 +20,7 @@ struct FitSummary {
   double wide_weight_fraction = 0.0;  // weight in layers wider than one line, of the total of layers and surface
   int64_t pixels = 0;
   double prior_photons = 0.0;  // N0 of the prior (docs/math/em.md); 0: none
-  int64_t weak_pixels = 0;     // fitted, of fewer photons than that: their layers lean on the session's mean
+  int64_t weak_pixels = 0;  // fitted, of fewer photons than that: their layers lean on its centre (neighbours, session)
   std::map<std::string, int64_t> masked_by_reason;
   CentroidError centroid;  // of the held-out projector's SRDs
 };

@@ -53,6 +53,20 @@ std::string Describe(const SweepChoice& choice) {
                    choice.trials.back().excess_nats);
 }
 
+std::string Describe(const NeighboursChoice& choice) {
+  if (choice.trials.empty()) return "prior of the session's mean layers: too little to try that of neighbours";
+  std::ostringstream text;
+  if (choice.photons > 0.0)
+    text << "prior of " << choice.photons << " photons of a profile's neighbours";
+  else
+    text << "prior of the session's mean layers, which predict as well as neighbours";
+  for (const auto& trial : choice.trials)
+    text << (&trial == &choice.trials.front() ? "; nats a profile of the lights left out beside the session's mean: "
+                                              : ", ")
+         << trial.more_nats << " with " << trial.photons;
+  return text.str();
+}
+
 constexpr int kMostSweeps = 100000;
 
 int64_t UsableProfiles(const Lights& lights) {
@@ -60,6 +74,10 @@ int64_t UsableProfiles(const Lights& lights) {
   for (int64_t i = 0; i < lights[0]->profiles(); ++i)
     usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->valid[i] != 0; }) ? 1 : 0;
   return usable;
+}
+
+bool MayHaveNeighbours(const FitOptions& options) {
+  return options.choose.neighbours && HasMeanLayers(options) && options.em.scattering.mode == FitMode::kTied;
 }
 
 }  // namespace
@@ -83,6 +101,7 @@ std::string FitOptionsJson(const FitOptions& options) {
                                {"prior_photons", o.prior.photons},
                                {"prior_square_shift", o.prior.square_shift},
                                {"choose_prior", options.choose.prior},
+                               {"neighbours", MayHaveNeighbours(options)},
                                {"tolerance", o.tolerance},
                                {"accelerated", o.accelerated},
                                {"cells_per_sample", o.cells_per_sample},
@@ -182,15 +201,29 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
     }
   }
   const bool free = em.scattering.mode == FitMode::kFree;
+  double of_neighbours = 0.0;  // photons
+  if (MayHaveNeighbours(options) && em.prior.photons > 0.0 && srds.spacing_mm > 0.0) {
+    SLX_ASSIGN_OR_RETURN(const auto choice, ChooseNeighboursPrior(lights, projectors, srds.width, srds.height,
+                                                                  srds.channels, em, srds.spacing_mm));
+    logger.Info(label + ": " + Describe(choice));
+    of_neighbours = choice.photons;
+  }
   if (!start.empty() && !free) {
-    SLX_ASSIGN_OR_RETURN(const auto choice, ChooseSweeps(lights, projectors, srds.channels, em, start));
+    EmOptions slowest = em;  // a weaker prior asks for more
+    if (of_neighbours > 0.0) slowest.prior.photons *= kFirstShare;
+    SLX_ASSIGN_OR_RETURN(const auto choice, ChooseSweeps(lights, projectors, srds.channels, slowest, start));
     logger.Info(label + ": " + Describe(choice));
     if (choice.profiles > 0) em.refinement_iterations = choice.sweeps;
   }
-  const int64_t fits = UsableProfiles(lights) * (free ? static_cast<int64_t>(lights.size()) : 1);
+  const int64_t fits = UsableProfiles(lights) * (free                  ? static_cast<int64_t>(lights.size())
+                                                 : of_neighbours > 0.0 ? 2
+                                                                       : 1);
   Progress progress(logger, label, fits);
   const auto advance = [&](int64_t done) { progress.Advance(done); };
   if (free) return FitFree(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
+  if (of_neighbours > 0.0)
+    return FitAmongNeighbours(lights, projectors, srds.width, srds.height, srds.channels, em, start, srds.spacing_mm,
+                              of_neighbours, advance);
   return FitMixture(lights, projectors, srds.width, srds.height, srds.channels, em, start, advance);
 }
 

@@ -12,13 +12,14 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kFitVersion = 11;
+inline constexpr int kFitVersion = 12;
 
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {
   bool directions = false;  // directional weights and tau (EstimateDirections); of tied fits
   bool reflection = true;   // of the very surface (EstimateSurfaceReflection); else unknown
   bool prior = true;        // its strength (ChoosePrior); else em.prior
+  bool neighbours = true;   // whose layers it is centred on (FitAmongNeighbours); else the session's mean; of tied fits
 };
 
 struct FitOptions {

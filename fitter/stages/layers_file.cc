@@ -122,7 +122,8 @@ Status SaveLayers(const std::filesystem::path& folder, const FittedLayers& layer
                        {"sigma_0_mm", model.directional.sigma_0_mm}}},
                      {"surface", ReflectionJson(model.reflection)},
                      {"training_projectors", map.training_projectors},
-                     {"prior_photons", map.prior_photons}};
+                     {"prior_photons", map.prior_photons},
+                     {"session_photons", map.session_photons}};
   return WriteJson(folder / "layers.json", json);
 }
 
@@ -152,6 +153,7 @@ Status ReadDescription(const std::filesystem::path& folder, FittedLayers& layers
     if (json.contains("surface")) model.reflection = ReflectionFrom(json.at("surface"));
     json.at("training_projectors").get_to(map.training_projectors);
     map.prior_photons = json.value("prior_photons", 0.0);
+    map.session_photons = json.value("session_photons", 0.0);
   }));
   if (schema > kLayersSchema)
     return Status(StatusCode::kNewerSchema, description.string() + ": schema " + std::to_string(schema) +

@@ -50,10 +50,15 @@ Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers
   if (HasMeanLayers(options)) {
     SLX_ASSIGN_OR_RETURN(mean, MeanLayers(all.batches, srds.channels, em));
   }
+  const bool neighbours = fit.map.session_photons > 0.0 && !mean.empty() && srds.spacing_mm > 0.0;
+  ProfileLayers near;
+  if (neighbours) near = NeighbourLayers(fit.map, all.batches[0]->apart, mean, srds.spacing_mm);
+  const double of_mean = fit.map.session_photons;
+  const StartLayers start = neighbours ? StartLayers(mean, &near, of_mean) : StartLayers(mean);
   RefinedLayers refined;
   MapsFigures& figures = refined.figures;
   figures.heldout = heldout;
-  SLX_ASSIGN_OR_RETURN(figures.warm, ChooseWarmSweeps(all.batches, all.projectors, fit.map, em, mean));
+  SLX_ASSIGN_OR_RETURN(figures.warm, ChooseWarmSweeps(all.batches, all.projectors, fit.map, em, start));
   logger.Info(label + ": " + Describe(figures.warm));
   if (figures.warm.profiles > 0 && !figures.warm.Reached())
     logger.Info(label +
@@ -61,7 +66,7 @@ Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers
   Progress progress(logger, label, fit.map.profiles());
   SLX_ASSIGN_OR_RETURN(
       auto made, RefineMixture(all.batches, all.projectors, std::move(fit.map), std::max(figures.warm.sweeps, 1), em,
-                               mean, [&](int64_t done) { progress.Advance(done); }));
+                               start, [&](int64_t done) { progress.Advance(done); }));
   figures.refined = made.refined;
   figures.kept = made.kept;
   figures.added = made.added;

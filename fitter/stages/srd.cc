@@ -245,6 +245,7 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const FaceShape& shape, 
   const PlanOptions& plan = *frames.plan();
   SrdSet set;
   set.pool = options.pool;
+  set.spacing_mm = QuadSpacingMm(shape.surface) * options.pool;
   set.channels = QuadChannels(frames.calibration()->camera.cfa);
   bool any = false;
   for (PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {

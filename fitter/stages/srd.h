@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 6;
+inline constexpr int kSrdVersion = 7;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {
@@ -34,6 +34,7 @@ struct SrdSet {
   int width = 0, height = 0, channels = 0;
   std::vector<SrdBatch> batches;      // by projector: of its columns
   std::vector<SrdBatch> row_batches;  // by projector: of its rows; empty without a row sweep
+  double spacing_mm = 0.0;            // between neighbouring profiles on the skin; 0: unknown
 };
 
 // All sweeps of a session. Frames that the capture lost: one of a cycle is made up for by the white frames, with more

@@ -191,6 +191,7 @@ Result<SavedSet> OpenSet(const fs::path& folder) {
     json.at("width").get_to(set.width);
     json.at("height").get_to(set.height);
     json.at("channels").get_to(set.channels);
+    json.at("spacing_mm").get_to(set.spacing_mm);
     json.at("column_sweeps").get_to(saved.columns);
     json.at("row_sweeps").get_to(saved.rows);
     for (const auto& sweep : json.at("sweeps")) saved.srds.figures.push_back(FigureOf(sweep));
@@ -221,6 +222,7 @@ Status SaveSrds(const fs::path& folder, const ExtractedSrds& srds) {
                                           {"width", set.width},
                                           {"height", set.height},
                                           {"channels", set.channels},
+                                          {"spacing_mm", set.spacing_mm},
                                           {"column_sweeps", set.batches.size()},
                                           {"row_sweeps", set.row_batches.size()},
                                           {"sweeps", sweeps}});

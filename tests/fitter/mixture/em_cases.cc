@@ -21,9 +21,9 @@ LayerSet RandomSkin(Random& random) {
   return skin;
 }
 
-LayerSet Varied(LayerSet skin, Random& random) {
+LayerSet Varied(LayerSet skin, double most, Random& random) {
   for (auto* values : {&skin.weight, &skin.depth_mm, &skin.sigma_mm})
-    for (double& v : *values) v *= random.Uniform(0.8, 1.2);
+    for (double& v : *values) v *= random.Uniform(1.0 - most, 1.0 + most);
   return skin;
 }
 
@@ -72,7 +72,7 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
   LayerSet skin;
   for (int i = 0; i < cases.profiles; ++i) {
     if (i % cases.alike == 0) skin = RandomSkin(random);
-    made.skins.push_back(cases.alike > 1 ? Varied(skin, random) : skin);
+    made.skins.push_back(cases.alike > 1 ? Varied(skin, cases.unlike, random) : skin);
   }
   for (double slope : cases.slopes) {
     SrdBatch b = GeometryOf(cases, slope, random);

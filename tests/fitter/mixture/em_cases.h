@@ -22,8 +22,9 @@ struct EmCaseOptions {
   int profiles = 16, samples = 64;
   bool wrapped = true;
   double peak_counts = 4000.0;
-  // Profiles that share a skin, up to a fifth in every weight, depth and width, as neighbouring pixels do; 1: none.
+  // Profiles that share a skin, up to so much in every weight, depth and width, as neighbouring pixels do; 1: none.
   int alike = 1;
+  double unlike = 0.2;
   int pool = 1;                                    // above: samples average pool x pool quads, two sites in each
   std::vector<double> slopes = {-1.0, 0.0, 0.58};  // tangents of incidence, one a light
 };

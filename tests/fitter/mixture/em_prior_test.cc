@@ -40,7 +40,8 @@ MixtureMap Fit(const EmCases& made, const EmOptions& options, const LayerSet& me
   const auto lights = made.lights();
   std::vector<int> projectors(lights.size());
   std::iota(projectors.begin(), projectors.end(), 0);
-  auto map = FitMixture(lights, projectors, static_cast<int>(lights[0]->profiles()), 1, 1, options, {&mean, 1});
+  auto map = FitMixture(lights, projectors, static_cast<int>(lights[0]->profiles()), 1, 1, options,
+                        std::span<const LayerSet>(&mean, 1));
   EXPECT_TRUE(map.ok()) << map.status().message();
   return *std::move(map);
 }

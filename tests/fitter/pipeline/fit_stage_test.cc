@@ -71,5 +71,35 @@ TEST(FitLayers, SweepsEachPixelAsOftenAsItsLightsAskForAndNoMoreThanAllowed) {
   EXPECT_EQ(sweeps_of(1), 1);
 }
 
+TEST(FitLayers, AsksNeighboursWhereTheyAreWantedAndKnown) {
+  FitOptions options;
+  options.em.prior.photons = 300.0;
+  options.choose.prior = false;
+  Random random(3);
+  SrdSet srds{.pool = 1, .width = 12, .height = 8, .channels = 1, .batches = {}, .row_batches = {}, .spacing_mm = 1.0};
+  for (double slope : {-1.0, 0.0, 0.58, 1.0})
+    srds.batches.push_back(test::CombOf(test::FiveLayers(), slope, 96, 400.0, options.em, random));
+  Logger logger;
+  const auto asks = [&] {
+    const auto map = FitLayers(srds, 1, options, logger, "fit");
+    EXPECT_TRUE(map.ok()) << map.status().message();
+    EXPECT_TRUE(map->session_photons == 0.0 || map->session_photons == 300.0);
+    return map->session_photons > 0.0;
+  };
+  EXPECT_TRUE(asks());
+  const std::string key = FitOptionsJson(options);
+  options.choose.neighbours = false;
+  EXPECT_FALSE(asks());
+  EXPECT_NE(FitOptionsJson(options), key);
+  options.choose.neighbours = true;
+  srds.spacing_mm = 0.0;  // as of profiles of a file
+  EXPECT_FALSE(asks());
+  // Without a prior, or of free fits, there is nothing to ask: one key.
+  options.em.prior.photons = 0.0;
+  const std::string none = FitOptionsJson(options);
+  options.choose.neighbours = false;
+  EXPECT_EQ(FitOptionsJson(options), none);
+}
+
 }  // namespace
 }  // namespace stratalux::fit

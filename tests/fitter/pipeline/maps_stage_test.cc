@@ -63,19 +63,51 @@ class MapsStage : public ::testing::Test {
 
 // The held-out light changes the maps, and nothing of the fit that it judges.
 TEST_F(MapsStage, TheHeldOutLightEntersTheMapsOnly) {
-  const SrdSet srds = Srds(1000.0, 1);
-  SrdSet other = srds;
-  for (float& y : other.batches[kHeldOut].y) y *= 1.2F;
-  const FittedLayers fit = FitOf(srds), same = FitOf(other);
-  for (const auto field : {&MixtureMap::weight, &MixtureMap::depth_mm, &MixtureMap::sigma_mm, &MixtureMap::surface,
-                           &MixtureMap::divergence})
-    EXPECT_EQ(fit.map.*field, same.map.*field);
-  EXPECT_EQ(fit.map.scattering.tau, same.map.scattering.tau);
-  const RefinedLayers maps = MapsOf(srds), changed = MapsOf(other);
-  int differing = 0;
-  for (int64_t i = 0; i < maps.layers.map.profiles(); ++i)
-    differing += maps.layers.map.weight[i * 20] != changed.layers.map.weight[i * 20] ? 1 : 0;
-  EXPECT_GT(differing, 40);
+  for (const double spacing_mm : {0.0, 1.0}) {
+    SrdSet srds = Srds(1000.0, 1);
+    srds.spacing_mm = spacing_mm;
+    SrdSet other = srds;
+    for (float& y : other.batches[kHeldOut].y) y *= 1.2F;
+    const FittedLayers fit = FitOf(srds), same = FitOf(other);
+    for (const auto field : {&MixtureMap::weight, &MixtureMap::depth_mm, &MixtureMap::sigma_mm, &MixtureMap::surface,
+                             &MixtureMap::divergence})
+      EXPECT_EQ(fit.map.*field, same.map.*field);
+    EXPECT_EQ(fit.map.scattering.tau, same.map.scattering.tau);
+    const RefinedLayers maps = MapsOf(srds), changed = MapsOf(other);
+    int differing = 0;
+    for (int64_t i = 0; i < maps.layers.map.profiles(); ++i)
+      differing += maps.layers.map.weight[i * 20] != changed.layers.map.weight[i * 20] ? 1 : 0;
+    EXPECT_GT(differing, 40);
+  }
+}
+
+TEST_F(MapsStage, AreRefinedAboutTheNeighboursAndWhatHasNoneAboutTheSessionsMean) {
+  constexpr int64_t kHair = 6, kNew = 20;
+  SrdSet srds = Srds(400.0, 7);
+  srds.spacing_mm = 1.0;
+  for (SrdBatch& light : srds.batches) {
+    light.apart.assign(48, 0);
+    light.apart[kHair] = 1;
+  }
+  for (int p = 0; p < 4; ++p) srds.batches[p].valid[kNew] = p == kHeldOut ? 1 : 0;
+  const FittedLayers fit = FitOf(srds);
+  const double near = fit.map.prior_photons;
+  ASSERT_GT(near, 300.0);  // pixels of one skin
+  EXPECT_EQ(fit.map.session_photons, 300.0);
+  const RefinedLayers maps = MapsOf(srds);
+  ASSERT_TRUE(SaveMaps(folder_, maps).ok());
+  const auto layers = LoadMaps(folder_);
+  ASSERT_TRUE(layers.ok()) << layers.status().message();
+  EXPECT_EQ(layers->map.prior_photons, near);
+  EXPECT_EQ(layers->map.session_photons, 300.0);
+  const auto photons = [&](int64_t i, double of_prior) {  // of the profile's own
+    const double share = layers->map.prior_share[i];
+    return of_prior * (1.0 - share) / share;
+  };
+  const double usual = photons(30, near);
+  EXPECT_NEAR(photons(31, near), usual, 0.2 * usual);
+  EXPECT_NEAR(photons(kHair, 300.0), usual, 0.2 * usual);
+  EXPECT_NEAR(photons(kNew, 300.0), usual / 4.0, 0.2 * usual);  // one light of four
 }
 
 TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {

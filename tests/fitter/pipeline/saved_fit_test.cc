@@ -97,6 +97,7 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
   for (double& times : map.scattering.reflection.over_ggx) times = random.Uniform(0.0, 3.0);
   map.scattering.reflection.hairs = random.Uniform(0.0, 0.01);
   map.prior_photons = 1000.0 / 7.0;
+  map.session_photons = 100.0 / 7.0;
   const auto profiles = static_cast<size_t>(map.profiles());
   const auto fill = [&](std::vector<float>& values, size_t count) {
     for (size_t i = 0; i < count; ++i) values.push_back(static_cast<float>(random.Uniform(-1.0, 1.0) / 3.0));
@@ -125,6 +126,7 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
   EXPECT_EQ(back.reason, map.reason);
   EXPECT_EQ(back.training_projectors, map.training_projectors);
   EXPECT_EQ(back.prior_photons, map.prior_photons);
+  EXPECT_EQ(back.session_photons, map.session_photons);
   const ScatteringModel &is = back.scattering, &was = map.scattering;
   EXPECT_EQ(is.mode, was.mode);
   EXPECT_EQ(is.shift_law, was.shift_law);

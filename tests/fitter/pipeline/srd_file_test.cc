@@ -25,7 +25,7 @@ ExtractedSrds SmallSrds() {
                   &batch.cos_in, &batch.cos_out, &batch.slope_in_across, &batch.slope_out_across})
     *v = {0.25F, 99.0F, 0.75F};
   ExtractedSrds srds;
-  srds.set = {2, 3, 1, 1, {batch}, {}};
+  srds.set = {2, 3, 1, 1, {batch}, {}, 0.6};
   srds.figures.push_back({0, "columns", {{"valid", 2}, {"unlit", 1}}, 1, 2, 0.99, 0.02});
   return srds;
 }
@@ -40,6 +40,7 @@ TEST_F(SrdFile, KeepsTheValidProfilesAsTheyAre) {
   EXPECT_TRUE(read->set.row_batches.empty());
   EXPECT_EQ(read->set.pool, 2);
   EXPECT_EQ(read->set.width, 3);
+  EXPECT_EQ(read->set.spacing_mm, 0.6);
   const SrdBatch& back = read->set.batches[0];
   EXPECT_EQ(back.valid, batch.valid);
   EXPECT_EQ(back.row, (std::vector<int32_t>{0, -1, 1}));
