@@ -15,11 +15,11 @@ namespace stratalux::fit {
 struct WarmStartChoice {
   struct Trial {
     int sweeps = 0;
-    double excess_nats = 0.0, cold_excess_nats = 0.0;  // from the map's layers; from the mean layers
+    double excess_nats = 0.0, cold_excess_nats = 0.0;  // from the map's layers; from the prior's centre
   };
   int sweeps = 0;             // of the last trial
   std::vector<Trial> trials;  // in rising order; the last is the first one within kWarmToleranceNats, or of the most
-  int cold_sweeps = 0;        // of a fit, from the mean layers, ...
+  int cold_sweeps = 0;        // of a fit, from the prior's centre, ...
   double cold_nats = 0.0;     // ... and where they end
   int referee_sweeps = 0;     // median: it ends when it settles
   int64_t profiles = 0;       // sampled, which the map has and a further light reaches; 0: none, nothing was tried
@@ -47,7 +47,7 @@ inline constexpr int64_t kWarmPixels = 512;
 inline constexpr uint64_t kWarmSeed = 19;
 
 // The fewest sweeps of RefineMixture (same arguments) after which the mean cost of some 512 pixels, drawn by a seed, is
-// within kWarmToleranceNats of the referee's: EM from the mean layers until it settles. At most
+// within kWarmToleranceNats of the referee's: EM from the prior's centre until it settles. At most
 // options.refinement_iterations. The same for any number of threads.
 [[nodiscard]] Result<WarmStartChoice> ChooseWarmSweeps(std::span<const SrdBatch* const> lights,
                                                        const std::vector<int>& projectors, const MixtureMap& fit,

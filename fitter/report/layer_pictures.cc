@@ -67,12 +67,12 @@ void AddColourPictures(const LayerMaps& maps, ReportSection& section) {
       2, ""));
 }
 
-std::string WeakCaption(double prior_photons) {
-  if (!(prior_photons > 0.0)) return "";
-  return " Profiles of fewer than " + Fixed(prior_photons, 0) + " photons (a ratio of " +
-         Fixed(std::sqrt(prior_photons), 0) +
-         " where read noise does not count) are weak: their layers lean on those of their neighbours, or of the "
-         "session where it knows no better.";
+std::string WeakCaption(const ShownLayers& shown) {
+  if (!(shown.session_photons > 0.0)) return "";
+  return " Profiles of fewer than " + Fixed(shown.session_photons, 0) + " photons (a ratio of " +
+         Fixed(std::sqrt(shown.session_photons), 0) +
+         " where read noise does not count) are weak: their layers lean on " +
+         (shown.neighbours ? "those of their neighbours." : "the mean of the session.");
 }
 
 ReportTable RefinedTable(const MapsFigures& f) {
@@ -92,7 +92,8 @@ ReportTable RefinedTable(const MapsFigures& f) {
 ShownLayers ShownOf(const FittedLayers& layers, int projectors) {
   return {SummariseLayers(layers.map),
           layers.signal_to_noise,
-          layers.map.prior_photons,
+          layers.map.session_photons > 0.0 ? layers.map.session_photons : layers.map.prior_photons,
+          layers.map.session_photons > 0.0,
           ProvenanceOf(layers.map, projectors),
           {}};
 }
@@ -139,7 +140,7 @@ ReportSection LayerPictures(const ShownLayers& shown) {
     return std::isfinite(maps.total_weight(x, y, 0)) ? shown.signal_to_noise(x, y, 0) : std::nanf("");
   });
   section.images.push_back(
-      Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(shown.prior_photons), ratio, 0, ""));
+      Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(shown), ratio, 0, ""));
   if (shown.refined) section.tables.push_back(RefinedTable(*shown.refined));
   return section;
 }

@@ -14,7 +14,8 @@ namespace stratalux::fit {
 struct ShownLayers {
   LayerMaps maps;
   Image<float> signal_to_noise;             // W x H x C, of SignalToNoise()
-  double prior_photons = 0.0;               // N0
+  double session_photons = 0.0;             // N0 of the session's mean; 0: no prior
+  bool neighbours = false;                  // the prior is centred on neighbours' layers
   std::string provenance;                   // ProvenanceOf
   std::optional<MapsFigures> refined = {};  // of maps from all projectors
 };

@@ -15,7 +15,7 @@ std::string Describe(const WarmStartChoice& warm) {
   if (warm.profiles == 0) return "the held-out projector reaches no profile of the fit";
   return Formatted(
       "%d sweeps from the fit's layers, %.3f nats a profile above EM that has settled (%d sweeps from the "
-      "mean layers: %.3f)",
+      "prior's centre: %.3f)",
       warm.sweeps, warm.trials.back().excess_nats, warm.cold_sweeps, warm.cold_nats);
 }
 
