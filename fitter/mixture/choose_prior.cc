@@ -123,11 +123,9 @@ Result<Scores> TryNeighbours(const Patch& patch, std::span<const SrdBatch* const
                              std::span<const double> photons) {
   const SampledBatches all(lights, patch.profiles);
   const auto training = At(all.batches(), turn.training);
-  EmOptions first = options;
-  first.prior.photons *= kFirstShare;
-  SLX_ASSIGN_OR_RETURN(const MixtureMap fit,
-                       FitMixture(training, turn.names, patch.width, patch.height, channels, first, turn.mean));
-  const ProfileLayers near = ProfilesOf(NeighbourLayers(fit, training[0]->apart, turn.mean, spacing_mm), patch.judged);
+  SLX_ASSIGN_OR_RETURN(const ProfileLayers around, FitNeighbours(training, turn.names, patch.width, patch.height,
+                                                                 channels, options, turn.mean, spacing_mm));
+  const ProfileLayers near = ProfilesOf(around, patch.judged);
   const SampledBatches judged(all.batches(), patch.judged);
   const auto seen = At(judged.batches(), turn.training);
   const double session[] = {options.prior.photons};

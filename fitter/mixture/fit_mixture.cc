@@ -238,19 +238,25 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
   return map;
 }
 
+Result<ProfileLayers> FitNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                    int width, int height, int channels, const EmOptions& options,
+                                    std::span<const LayerSet> mean, double spacing_mm,
+                                    const std::function<void(int64_t)>& progress) {
+  EmOptions first = options;
+  first.prior.photons *= kFirstShare;
+  SLX_ASSIGN_OR_RETURN(const MixtureMap fit,
+                       FitMixture(lights, projectors, width, height, channels, first, mean, progress));
+  return NeighbourLayers(fit, lights[0]->apart, mean, spacing_mm);
+}
+
 Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                       int width, int height, int channels, const EmOptions& options,
                                       std::span<const LayerSet> mean, double spacing_mm, double photons,
                                       const std::function<void(int64_t)>& progress) {
-  EmOptions first = options, second = options;
-  first.prior.photons *= kFirstShare;
+  EmOptions second = options;
   second.prior.photons = photons;
-  ProfileLayers near;
-  {
-    SLX_ASSIGN_OR_RETURN(const MixtureMap fit,
-                         FitMixture(lights, projectors, width, height, channels, first, mean, progress));
-    near = NeighbourLayers(fit, lights[0]->apart, mean, spacing_mm);
-  }
+  SLX_ASSIGN_OR_RETURN(const ProfileLayers near,
+                       FitNeighbours(lights, projectors, width, height, channels, options, mean, spacing_mm, progress));
   SLX_ASSIGN_OR_RETURN(MixtureMap map, FitMixture(lights, projectors, width, height, channels, second,
                                                   {mean, &near, options.prior.photons}, progress));
   map.session_photons = options.prior.photons;

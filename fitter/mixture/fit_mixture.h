@@ -24,12 +24,17 @@ Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std
                               int height, int channels, const EmOptions& options, const StartLayers& start = {},
                               const std::function<void(int64_t)>& progress = {});
 
-// The same twice: with options.prior centred on the session's `mean` layers, then on the mean of each profile's
-// neighbours, `spacing_mm` apart (NeighbourLayers of the first). The first takes kFirstShare of options.prior's
-// photons, for the mean over some fifty profiles loses their noise but not their prior; the second takes `photons`
-// (ChooseNeighboursPrior; docs/math/em.md, "Neighbours"). Those apart (SrdBatch::apart) are fitted as by FitMixture.
-// `progress` receives each profile twice.
+// Of every profile what its neighbours are, `spacing_mm` apart: NeighbourLayers of FitMixture with options.prior
+// centred on the session's `mean` layers. It takes kFirstShare of options.prior's photons, for the mean over some fifty
+// profiles loses their noise but not their prior.
 inline constexpr double kFirstShare = 0.333;
+Result<ProfileLayers> FitNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                    int width, int height, int channels, const EmOptions& options,
+                                    std::span<const LayerSet> mean, double spacing_mm,
+                                    const std::function<void(int64_t)>& progress = {});
+
+// FitMixture with a prior of `photons` (ChooseNeighboursPrior) centred on those (docs/math/em.md, "Neighbours"); those
+// apart (SrdBatch::apart) are fitted as by FitMixture with options.prior. `progress` receives each profile twice.
 Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
                                       int width, int height, int channels, const EmOptions& options,
                                       std::span<const LayerSet> mean, double spacing_mm, double photons,

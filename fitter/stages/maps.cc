@@ -52,7 +52,12 @@ Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers
   }
   const bool neighbours = fit.map.session_photons > 0.0 && !mean.empty() && srds.spacing_mm > 0.0;
   ProfileLayers near;
-  if (neighbours) near = NeighbourLayers(fit.map, all.batches[0]->apart, mean, srds.spacing_mm);
+  if (neighbours) {
+    EmOptions by_session = em;
+    by_session.prior.photons = fit.map.session_photons;
+    SLX_ASSIGN_OR_RETURN(near, FitNeighbours(all.batches, all.projectors, srds.width, srds.height, srds.channels,
+                                             by_session, mean, srds.spacing_mm));
+  }
   const double of_mean = fit.map.session_photons;
   const StartLayers start = neighbours ? StartLayers(mean, &near, of_mean) : StartLayers(mean);
   RefinedLayers refined;

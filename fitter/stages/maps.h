@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 6;
+inline constexpr int kMapsVersion = 7;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf
