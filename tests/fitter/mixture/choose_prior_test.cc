@@ -4,7 +4,6 @@
 
 #include <cmath>
 #include <cstdlib>
-#include <numeric>
 
 #include <gtest/gtest.h>
 
@@ -36,26 +35,6 @@ MixtureMap Fit(const EmCases& made, EmOptions options, const LayerPrior& prior) 
   auto map = FitMixture(made.lights(), kProjectors, kProfiles, 1, 1, options, *mean);
   EXPECT_TRUE(map.ok());
   return *std::move(map);
-}
-
-// What the fitted layers make of a light that nobody saw, against the true layers: rms over the profiles of the NRMSE
-// of shapes, each with its own sum.
-double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options) {
-  const EmCases unseen = MakeEmCases({.profiles = kProfiles, .slopes = {1.0}}, options, 99);
-  double squares = 0.0;
-  for (int64_t i = 0; i < kProfiles; ++i) {
-    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options.scattering);
-    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options.scattering);
-    const double light = std::accumulate(truth.begin(), truth.end(), 0.0);
-    const double guessed = std::accumulate(guess.begin(), guess.end(), 0.0);
-    double error = 0.0, power = 0.0;
-    for (size_t k = 0; k < truth.size(); ++k) {
-      error += std::pow(guess[k] / guessed - truth[k] / light, 2);
-      power += std::pow(truth[k] / light, 2);
-    }
-    squares += error / power / kProfiles;
-  }
-  return std::sqrt(squares);
 }
 
 TEST(ChoosePrior, ServesWeakPixelsAndCostsStrongOnesNothing) {

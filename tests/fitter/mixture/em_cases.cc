@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
 
@@ -89,6 +90,26 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
     made.batches.push_back(std::move(b));
   }
   return made;
+}
+
+double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every) {
+  const int64_t profiles = std::ssize(made.skins);
+  const EmCases unseen = MakeEmCases({.profiles = static_cast<int>(profiles), .slopes = {1.0}}, options, 99);
+  double squares = 0.0, judged = 0.0;
+  for (int64_t i = 0; i < profiles; i += every) {
+    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options.scattering);
+    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options.scattering);
+    const double light = std::accumulate(truth.begin(), truth.end(), 0.0);
+    const double guessed = std::accumulate(guess.begin(), guess.end(), 0.0);
+    double error = 0.0, power = 0.0;
+    for (size_t k = 0; k < truth.size(); ++k) {
+      error += std::pow(guess[k] / guessed - truth[k] / light, 2);
+      power += std::pow(truth[k] / light, 2);
+    }
+    squares += error / power;
+    judged += 1.0;
+  }
+  return std::sqrt(squares / judged);
 }
 
 }  // namespace stratalux::fit

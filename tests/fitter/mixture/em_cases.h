@@ -7,6 +7,7 @@
 
 #include "fitter/mixture/em_options.h"
 #include "fitter/mixture/layer_set.h"
+#include "fitter/mixture/mixture_map.h"
 #include "fitter/mixture/srd_samples.h"
 #include "shared/base/random.h"
 
@@ -31,5 +32,9 @@ struct EmCaseOptions {
 
 // Three to seven layers a skin, widths 0.15 to 4 mm, depths 0.02 to 2 mm; steps, blurs and offsets of their own.
 [[nodiscard]] EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed);
+
+// What the fitted layers make of a light that nobody saw, against the true layers: rms over one profile in `every` of
+// the NRMSE of shapes, each with its own sum.
+[[nodiscard]] double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every = 1);
 
 }  // namespace stratalux::fit

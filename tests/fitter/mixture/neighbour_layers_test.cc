@@ -3,7 +3,6 @@
 #include "fitter/mixture/neighbour_layers.h"
 
 #include <cmath>
-#include <numeric>
 
 #include <gtest/gtest.h>
 
@@ -148,30 +147,10 @@ TEST(StartLayers, AreTheNeighboursWhereThereAreAnyElseTheMean) {
   EXPECT_FALSE(some.Has(1));
 }
 
-// Against the true layers: rms of the NRMSE of shapes, each with its own sum, under a light that nobody saw.
-double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options) {
-  const auto profiles = static_cast<int>(made.skins.size());
-  const EmCases unseen = MakeEmCases({.profiles = profiles, .slopes = {1.0}}, options, 98);
-  constexpr int kOneIn = 13;
-  double squares = 0.0;
-  for (int64_t i = 0; i < profiles; i += kOneIn) {
-    const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options.scattering);
-    const auto guess = PredictSamples(LayersOf(map, i), unseen.batches[0], i, options.scattering);
-    const double light = std::accumulate(truth.begin(), truth.end(), 0.0);
-    const double guessed = std::accumulate(guess.begin(), guess.end(), 0.0);
-    double error = 0.0, power = 0.0;
-    for (size_t k = 0; k < truth.size(); ++k) {
-      error += std::pow(guess[k] / guessed - truth[k] / light, 2);
-      power += std::pow(truth[k] / light, 2);
-    }
-    squares += error / power;
-  }
-  return std::sqrt(squares * kOneIn / profiles);
-}
-
 // Two skins of 18 x 9 mm, side by side.
 constexpr int kSide = 30;
 constexpr double kPixelMm = 0.6;
+constexpr int kOneIn = 13;  // profiles that are judged
 const std::vector<int> kProjectors = {0, 1, 2};
 
 EmCases TwoSkins(double unlike) {
@@ -205,9 +184,9 @@ TEST(FitAmongNeighbours, KnowsSkinsOfFewPhotonsBetterThanTheSessionsMeanDoes) {
   };
   const auto near = among(kPixelMm), far = among(10.0);  // where nobody is near
   ASSERT_TRUE(session.ok() && near.ok() && far.ok());
-  const double of_near = ShapeError(made, *near, options);
-  EXPECT_LT(of_near, 0.8 * ShapeError(made, *session, options));
-  EXPECT_LT(of_near, 0.9 * ShapeError(made, *far, options));
+  const double of_near = ShapeError(made, *near, options, kOneIn);
+  EXPECT_LT(of_near, 0.8 * ShapeError(made, *session, options, kOneIn));
+  EXPECT_LT(of_near, 0.9 * ShapeError(made, *far, options, kOneIn));
   EXPECT_EQ(near->prior_photons, photons);
   EXPECT_EQ(near->session_photons, 300.0);
   EXPECT_EQ(session->session_photons, 0.0);
