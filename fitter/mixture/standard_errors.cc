@@ -188,11 +188,11 @@ EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile
     fit.surface.push_back(map.surface[profile * lights.size() + p]);
     fit.background.push_back(map.background[profile * lights.size() + p]);
   }
-  // Of what its neighbours say no profile's noise is known to be a part.
-  const bool by_session = map.session_photons > 0.0 && lights[0]->IsApart(profile);
-  return EffectiveParametersOf(
-      fit, seen, NoiseScale::kKnown,
-      {{by_session ? map.session_photons : map.prior_photons, options.prior.square_shift}, options.background_term});
+  // Neighbours know a pixel better than the session's mean does, but how far it lies from them is no noise of theirs:
+  // by their many photons half of the widths of a very light face were within their intervals.
+  const double photons = map.session_photons > 0.0 ? map.session_photons : map.prior_photons;
+  return EffectiveParametersOf(fit, seen, NoiseScale::kKnown,
+                               {{photons, options.prior.square_shift}, options.background_term});
 }
 
 }  // namespace stratalux::fit

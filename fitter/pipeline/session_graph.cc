@@ -33,7 +33,7 @@ namespace {
 namespace fs = std::filesystem;
 using SortedJson = nlohmann::json;
 
-constexpr int kStandardErrorsVersion = 6;
+constexpr int kStandardErrorsVersion = 7;
 
 std::string SrdOptionsJson(const SrdOptions& o) {
   return SortedJson({{"pool", o.pool},
