@@ -41,6 +41,8 @@ struct MixtureMap {
   std::vector<uint16_t> iterations;  // [profile]
   std::vector<uint8_t> reason;       // [profile] FitReason
 
+  // N0 of the session's mean layers, whatever the prior is centred on.
+  [[nodiscard]] double SessionPhotons() const { return session_photons > 0.0 ? session_photons : prior_photons; }
   [[nodiscard]] int64_t profiles() const { return int64_t{width} * height * channels; }
   [[nodiscard]] int64_t ProfileIndex(int x, int y, int c) const { return (int64_t{y} * width + x) * channels + c; }
   // Of a quad of the surface, where `pool` x `pool` quads share a profile; -1: the map ends before it.

@@ -190,9 +190,8 @@ EffectiveParameters EffectiveParametersOf(const MixtureMap& map, int64_t profile
   }
   // Neighbours know a pixel better than the session's mean does, but how far it lies from them is no noise of theirs:
   // by their many photons half of the widths of a very light face were within their intervals.
-  const double photons = map.session_photons > 0.0 ? map.session_photons : map.prior_photons;
   return EffectiveParametersOf(fit, seen, NoiseScale::kKnown,
-                               {{photons, options.prior.square_shift}, options.background_term});
+                               {{map.SessionPhotons(), options.prior.square_shift}, options.background_term});
 }
 
 }  // namespace stratalux::fit

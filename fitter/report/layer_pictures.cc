@@ -90,12 +90,9 @@ ReportTable RefinedTable(const MapsFigures& f) {
 }  // namespace
 
 ShownLayers ShownOf(const FittedLayers& layers, int projectors) {
-  return {SummariseLayers(layers.map),
-          layers.signal_to_noise,
-          layers.map.session_photons > 0.0 ? layers.map.session_photons : layers.map.prior_photons,
-          layers.map.session_photons > 0.0,
-          ProvenanceOf(layers.map, projectors),
-          {}};
+  return {SummariseLayers(layers.map),          layers.signal_to_noise,
+          layers.map.SessionPhotons(),          layers.map.session_photons > 0.0,
+          ProvenanceOf(layers.map, projectors), {}};
 }
 
 ReportSection LayerPictures(const ShownLayers& shown) {

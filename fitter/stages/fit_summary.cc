@@ -47,7 +47,7 @@ T Median(std::vector<T>& values) {
 bool IsWeak(const MixtureMap& map, int64_t profile, bool apart) {
   if (map.prior_share.empty()) return false;
   const double share = map.prior_share[profile];
-  const double session = map.session_photons > 0.0 ? map.session_photons : map.prior_photons;
+  const double session = map.SessionPhotons();
   return (apart ? session : map.prior_photons) * (1.0 - share) < session * share;
 }
 
