@@ -85,11 +85,19 @@ if [ $night -eq 1 ]; then
   ctest --test-dir "build/$preset" -C night -L "^night\$" --output-on-failure -V -j "$jobs" "${select[@]}" || status=$?
   exit $status
 fi
-rm -f "build/$preset"/rig-vm/*/cases
+rm -f "build/$preset"/rig-vm/*/cases "build/$preset/tests/results.xml"
+results=build/$preset/tests/results.xml
 status=0
-ctest --test-dir "build/$preset" --output-on-failure -j "$jobs" "${select[@]}" || status=$?
+ctest --test-dir "build/$preset" --output-on-failure --output-junit "$root/$results" -j "$jobs" "${select[@]}" || status=$?
 # What the virtual machine's boots saw, a line a case (docs/rig-vm.md).
 for cases in "build/$preset"/rig-vm/*/cases; do
   [ ! -f "$cases" ] || { echo "$cases:"; cat "$cases"; } >&2
 done
+# Once more at the end, where a log of thousands of lines is read first.
+[ $status -eq 0 ] || [ ! -f "$results" ] || python3 - "$results" >&2 <<'PYTHON'
+import sys, xml.etree.ElementTree as xml
+for case in xml.parse(sys.argv[1]).getroot().iter("testcase"):
+    if case.get("status") == "fail":
+        print(f"--- {case.get('name')}, how it ended:", *case.findtext("system-out", "").splitlines()[-25:], sep="\n")
+PYTHON
 exit $status
