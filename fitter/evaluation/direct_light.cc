@@ -41,7 +41,7 @@ std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surfa
     if (!(g.white_dn > 0.0)) return std::nullopt;
     const double wave = 2.0 * std::numbers::pi / (light.separation_period * g.mm_per_column);
     const double half_pixel = std::numbers::pi / light.separation_period;  // the projector's pixels are boxes
-    quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm);
+    quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.VarianceMm2());
   }
   return quad;
 }

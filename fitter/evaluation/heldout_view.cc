@@ -37,9 +37,7 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   view.pyramids.resize(lights.size());
   ParallelEach(lights.size(),
                [&](size_t k) { view.pyramids[k] = LightWith(view.lit, HeldOutPattern(lights[k], plan), open); });
-  std::vector<const Image<float>*> patterns;
-  for (const LitPyramid& pyramid : view.pyramids) patterns.push_back(&pyramid.pattern);
-  view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, patterns);
+  view.irradiance = SurfaceIrradiance(view.shape.surface, view.rig, view.lit, view.pyramids);
   return view;
 }
 

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 12;
+inline constexpr int kPredictVersion = 13;
 
 // Quads x colours.
 struct Prediction {

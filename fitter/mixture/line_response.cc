@@ -23,11 +23,13 @@ double Bowl(double x) {
 }  // namespace
 
 double SampleSites::ReachMm() const {
-  return 0.5 * (pool - 1) * (std::abs(quad_x_mm) + std::abs(quad_y_mm)) + std::abs(pair_mm);
+  return 0.5 * (pool - 1) * (std::abs(quad_x_mm) + std::abs(quad_y_mm)) + std::abs(pair_mm) + std::abs(box_x_mm) +
+         std::abs(box_y_mm);
 }
 
 double SampleSites::VarianceMm2() const {
-  return (pool * pool - 1) / 12.0 * (quad_x_mm * quad_x_mm + quad_y_mm * quad_y_mm) + pair_mm * pair_mm;
+  return (pool * pool - 1) / 12.0 * (quad_x_mm * quad_x_mm + quad_y_mm * quad_y_mm) + pair_mm * pair_mm +
+         box_x_mm * box_x_mm + box_y_mm * box_y_mm;
 }
 
 double LineResponse::At(double t_mm) const {
@@ -78,7 +80,8 @@ SampleSites SampleSitesOf(const SrdBatch& batch, int64_t profile) {
   const auto of_profile = [&](const std::vector<float>& field) {
     return field.empty() ? 0.0 : double{field[static_cast<size_t>(profile)]};
   };
-  return {batch.pool, of_profile(batch.quad_x_mm), of_profile(batch.quad_y_mm), of_profile(batch.pair_mm)};
+  return {batch.pool, of_profile(batch.quad_x_mm), of_profile(batch.quad_y_mm), of_profile(batch.pair_mm),
+          of_profile(batch.box_x_mm), of_profile(batch.box_y_mm)};
 }
 
 LineResponse LineResponseOf(const SrdBatch& batch, int64_t profile, double cell_mm) {

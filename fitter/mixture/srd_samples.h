@@ -38,10 +38,10 @@ struct SrdBatch {
   std::vector<float> first_u_mm;     // [profile]
   std::vector<float> step_mm;        // [profile]
   std::vector<float> line_width_mm;  // [profile]
-  std::vector<float> blur_mm;        // [profile] standard deviation of projector + camera blur and pixel footprint
+  std::vector<float> blur_mm;        // [profile] standard deviation of projector + camera blur and pixel's box
   // The sites that a sample averages: SampleSites of each profile. Empty: 0 everywhere.
   int pool = 1;
-  std::vector<float> quad_x_mm, quad_y_mm, pair_mm;  // [profile]
+  std::vector<float> quad_x_mm, quad_y_mm, pair_mm, box_x_mm, box_y_mm;  // [profile]
   std::vector<float> slope_in;                       // [profile] tangent of incidence along e: t(omega_i) . e
   std::vector<float> slope_out;                      // [profile] t(omega_o) . e
   std::vector<float> cos_in;                         // [profile] n . omega_i

@@ -221,10 +221,10 @@ Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, cons
           const int64_t profile = map.ProfileOfQuad(i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
           double sum = 0.0;
-          for (const Eigen::Vector2d& site : sites[c])
-            if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, site))
-              sum += light_of(*receiver, profile, c);
-          image(i, j, c) = static_cast<float>(sum / static_cast<double>(sites[c].size()));
+          for (const PixelPart& part : PixelParts(surface, rig, i, j, sites[c]))
+            if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, part))
+              sum += part.share * light_of(*receiver, profile, c);
+          image(i, j, c) = static_cast<float>(sum);
         }
       }
   });
@@ -250,9 +250,9 @@ std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceM
         for (int c = 0; c < map.channels; ++c) {
           const int64_t profile = map.ProfileOfQuad(i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
-          for (const Eigen::Vector2d& site : sites[c])
-            if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, site))
-              layers.Add(*receiver, profile, c, 1.0 / static_cast<double>(sites[c].size()));
+          for (const PixelPart& part : PixelParts(surface, rig, i, j, sites[c]))
+            if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, part))
+              layers.Add(*receiver, profile, c, part.share);
         }
         for (size_t k = 0; k < lights.size(); ++k) {
           const auto light = layers.Under(lights[k], seen);

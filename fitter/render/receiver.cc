@@ -2,13 +2,19 @@
 #include "fitter/render/receiver.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "fitter/mixture/normal_table.h"
+#include "shared/geometry/pixel_box.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
 namespace {
+
+// A side of a pixel on the surface, over that of one that the surface faces: a round Gaussian stands for tilts of up to
+// acos(1 / 1.6) = 51 degrees.
+constexpr double kLongPixel = 1.6;
 
 Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
   const Eigen::Vector3d t = omega / n.dot(omega) - n;
@@ -19,18 +25,32 @@ Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Ei
 
 }  // namespace
 
+std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig, int i, int j,
+                                  std::span<const Eigen::Vector2d> sites) {
+  const QuadPlane plane(surface, rig, i, j);
+  const Eigen::Vector2d centre = QuadCentre(rig.camera.cfa, i, j);
+  const double upright_mm = surface.Point(i, j).z() / rig.camera.model.fx;
+  const auto is_long = [&](const Eigen::Vector2d& axis) {
+    return (plane.At(centre + axis) - plane.At(centre)).norm() > kLongPixel * upright_mm;
+  };
+  const std::array<bool, 2> split = {is_long({1, 0}), is_long({0, 1})};
+  std::vector<PixelPart> parts;
+  for (const Eigen::Vector2d& site : sites)
+    for (int x = split[0] ? -1 : 0; x <= 1; x += 2)
+      for (int y = split[1] ? -1 : 0; y <= 1; y += 2)
+        parts.push_back({site + kHalfBoxPlace * Eigen::Vector2d(x, y),
+                         {split[0] ? kHalfBoxVariance : kBoxVariance, split[1] ? kHalfBoxVariance : kBoxVariance}});
+  for (PixelPart& part : parts) part.share = 1.0 / static_cast<double>(parts.size());
+  return parts;
+}
+
 std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const SurfaceMap& surface, const RigCalibration& rig,
-                                     const ProjectorCalibration& light, int i, int j,
-                                     const Eigen::Vector2d& site_in_quad) {
+                                     const ProjectorCalibration& light, int i, int j, const PixelPart& part) {
   Receiver r;
   r.normal = surface.Normal(i, j);
-  const Pinhole& camera = rig.camera.model;
-  auto on_plane = [&](const Eigen::Vector2d& pixel) -> Eigen::Vector3d {
-    const Eigen::Vector3d ray = camera.Unproject(pixel);
-    return ray * (r.normal.dot(surface.Point(i, j)) / r.normal.dot(ray));
-  };
-  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + site_in_quad;
-  r.point = on_plane(site);
+  const QuadPlane plane(surface, rig, i, j);
+  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + part.site;
+  r.point = plane.At(site);
   const Eigen::Vector3d in = (light.CentreInCamera() - r.point).normalized(), out = -r.point.normalized();
   const double cos_in = r.normal.dot(in), cos_out = r.normal.dot(out);
   if (cos_in < 0.02 || cos_out < 0.02) return std::nullopt;
@@ -38,10 +58,10 @@ std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const Surface
       ShiftVector(model.shift_law, in, r.normal, model.eta) - ShiftVector(model.shift_law, out, r.normal, model.eta);
   r.gain = AngularGain(model, cos_in);
   r.directions = DirectionsOf(in, out, r.normal, model.eta);
-  // Box of one mosaic pixel, 1/12 px^2 an axis.
-  const double px = (on_plane(site + Eigen::Vector2d(1, 0)) - r.point).norm(),
-               py = (on_plane(site + Eigen::Vector2d(0, 1)) - r.point).norm();
-  r.footprint2 = (1.0 / 12.0 + rig.camera.line_blur_px * rig.camera.line_blur_px) * 0.5 * (px * px + py * py);
+  const Eigen::Vector2d square_mm((plane.At(site + Eigen::Vector2d(1, 0)) - r.point).squaredNorm(),
+                                  (plane.At(site + Eigen::Vector2d(0, 1)) - r.point).squaredNorm());
+  const double optics = rig.camera.line_blur_px * rig.camera.line_blur_px;
+  r.footprint2 = 0.5 * (part.variance_px2.array() + optics).matrix().dot(square_mm);
   // Mean pitch of the light's pixels: distance / focal length, stretched by the tilt along one axis.
   const double distance = (light.CentreInCamera() - r.point).norm();
   r.pitch_mm = distance / std::sqrt(light.model.fx * light.model.fy) / std::sqrt(cos_in);
@@ -65,7 +85,7 @@ bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vec
                                  (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
 }
 
-NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
+PixelShares::PixelShares(double mean, double sigma) {
   const int reach = static_cast<int>(std::ceil(4.0 * sigma + 0.5));
   first = static_cast<int>(std::lround(mean)) - reach;
   const double inverse = 1.0 / sigma;
@@ -79,9 +99,31 @@ NarrowLayer::PixelShares::PixelShares(double mean, double sigma) {
   }
 }
 
-std::pair<int, int> NarrowLayer::PixelShares::Read(int pixels) const {
+std::pair<int, int> PixelShares::Read(int pixels) const {
   const int last = first + static_cast<int>(share.size()) - 1;
   return {std::clamp(first, 0, pixels - 1), std::clamp(last, 0, pixels - 1)};
+}
+
+double ShownTo(const PixelShares& columns, const PixelShares& rows, const Image<float>& shown, const BlockWindow& lit) {
+  const auto [x0, x1] = columns.Read(shown.width());
+  const auto [y0, y1] = rows.Read(shown.height());
+  if (BlockWindow{x0, x1, y0, y1}.Within(lit).Empty()) return 0.0;
+  const auto count = static_cast<int>(columns.share.size());
+  const bool inside = columns.first >= 0 && columns.first + count <= shown.width();
+  double sum = 0.0;
+  for (size_t j = 0; j < rows.share.size(); ++j) {
+    const float* pixels = shown.row(std::clamp(rows.first + static_cast<int>(j), 0, shown.height() - 1));
+    double row = 0.0;
+    if (inside) {
+      pixels += columns.first;
+      for (int i = 0; i < count; ++i) row += columns.share[i] * pixels[i];
+    } else {
+      for (int i = 0; i < count; ++i)
+        row += columns.share[i] * pixels[std::clamp(columns.first + i, 0, shown.width() - 1)];
+    }
+    sum += rows.share[j] * row;
+  }
+  return sum;
 }
 
 double NarrowLayer::PixelSigma(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& per_mm,
@@ -99,26 +141,7 @@ NarrowLayer::NarrowLayer(const Receiver& receiver, const LitSurface& lit, const 
 }
 
 double NarrowLayer::Under(const Image<float>& shown, const BlockWindow& lit) const {
-  if (white_dn_ == 0.0) return 0.0;
-  const auto [x0, x1] = columns_.Read(shown.width());
-  const auto [y0, y1] = rows_.Read(shown.height());
-  if (BlockWindow{x0, x1, y0, y1}.Within(lit).Empty()) return 0.0;
-  const auto columns = static_cast<int>(columns_.share.size());
-  const bool inside = columns_.first >= 0 && columns_.first + columns <= shown.width();
-  double sum = 0.0;
-  for (size_t j = 0; j < rows_.share.size(); ++j) {
-    const float* pixels = shown.row(std::clamp(rows_.first + static_cast<int>(j), 0, shown.height() - 1));
-    double row = 0.0;
-    if (inside) {
-      pixels += columns_.first;
-      for (int i = 0; i < columns; ++i) row += columns_.share[i] * pixels[i];
-    } else {
-      for (int i = 0; i < columns; ++i)
-        row += columns_.share[i] * pixels[std::clamp(columns_.first + i, 0, shown.width() - 1)];
-    }
-    sum += rows_.share[j] * row;
-  }
-  return sum * white_dn_;
+  return white_dn_ == 0.0 ? 0.0 : white_dn_ * ShownTo(columns_, rows_, shown, lit);
 }
 
 }  // namespace stratalux::fit

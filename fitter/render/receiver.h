@@ -13,11 +13,27 @@
 
 namespace stratalux::fit {
 
+// Where the rays of a quad's pixels (mosaic px) meet its tangent plane.
+class QuadPlane {
+ public:
+  QuadPlane(const SurfaceMap& surface, const RigCalibration& rig, int i, int j)
+      : camera_(&rig.camera.model), normal_(surface.Normal(i, j)), distance_(normal_.dot(surface.Point(i, j))) {}
+  [[nodiscard]] Eigen::Vector3d At(const Eigen::Vector2d& pixel) const {
+    const Eigen::Vector3d ray = camera_->Unproject(pixel);
+    return ray * (distance_ / normal_.dot(ray));
+  }
+
+ private:
+  const Pinhole* camera_;
+  Eigen::Vector3d normal_;
+  double distance_;
+};
+
 struct Receiver {
   Eigen::Vector3d point, normal, shift;  // shift: T(omega_i) - T(omega_o), mm per mm of depth, tangential
   double gain = 1.0;
   RefractedDirections directions;
-  double footprint2 = 0.0;  // variance of the camera pixel's box on the surface, mm^2
+  double footprint2 = 0.0;  // variance of the camera pixel's part on the surface, mm^2
   double pitch_mm = 1.0;    // of the light's pixels on the surface, mean of both axes
   // Variance below which the light's pixels sample a Gaussian too coarsely (0.55 of the longer pitch: 0.5 % of ripple):
   // such layers read the pattern itself.
@@ -26,14 +42,38 @@ struct Receiver {
   Eigen::Vector3d column_per_mm, row_per_mm;       // gradient of the light's pixel coordinates
 };
 
-// Of the site `site_in_quad` (mosaic px from the quad's centre); nullopt where the surface turns away from light or
-// camera.
+// A Gaussian that stands for a camera pixel's box, or for a part of it: where it lies (mosaic px from the quad's centre),
+// its variance along the mosaic's axes (px^2) and its share of the quad's colour.
+struct PixelPart {
+  Eigen::Vector2d site, variance_px2;
+  double share = 1.0;
+};
+// Of a quad's `sites` of one colour. Along an axis that the tilt has made long on the surface a pixel is taken as two
+// parts (pixel_box.h), for a Receiver is round.
+[[nodiscard]] std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig, int i, int j,
+                                                std::span<const Eigen::Vector2d> sites);
+
+// nullopt where the surface turns away from light or camera.
 [[nodiscard]] std::optional<Receiver> MakeReceiver(const ScatteringModel& model, const SurfaceMap& surface,
                                                    const RigCalibration& rig, const ProjectorCalibration& light, int i,
-                                                   int j, const Eigen::Vector2d& site_in_quad);
+                                                   int j, const PixelPart& part);
 
 // Something nearer to the light takes it: the light's pixel shows another place.
 [[nodiscard]] bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vector3d& point);
+
+// Shares of a Gaussian (mean, standard deviation in pixels of a light along one axis) that fall on its pixels first,
+// first + 1, ...
+struct PixelShares {
+  int first = 0;
+  std::vector<double> share;
+  PixelShares(double mean, double sigma);
+  // First and last pixel read of so many; beyond the edge, the edge.
+  [[nodiscard]] std::pair<int, int> Read(int pixels) const;
+};
+
+// What a pattern, as LitPyramid::shown, sends to a Gaussian of these shares; `lit` holds all of it that is not dark.
+[[nodiscard]] double ShownTo(const PixelShares& columns, const PixelShares& rows, const Image<float>& shown,
+                             const BlockWindow& lit);
 
 // A layer too narrow for the light's pixels to sample it: what it takes of each of them. Irradiance times the mean over
 // the layer's Gaussian, blurred by the light's optics, of the pattern, whose pixels are boxes, on the tangent plane,
@@ -47,14 +87,6 @@ class NarrowLayer {
   [[nodiscard]] double Under(const Image<float>& shown, const BlockWindow& lit) const;
 
  private:
-  // Shares of a Gaussian (mean, standard deviation in pixels) that fall on pixels first, first + 1, ...
-  struct PixelShares {
-    int first = 0;
-    std::vector<double> share;
-    PixelShares(double mean, double sigma);
-    // First and last pixel read of so many; beyond the edge, the edge.
-    [[nodiscard]] std::pair<int, int> Read(int pixels) const;
-  };
   [[nodiscard]] static double PixelSigma(const Receiver& receiver, const LitSurface& lit, const Eigen::Vector3d& per_mm,
                                          double variance);
 

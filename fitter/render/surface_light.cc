@@ -7,41 +7,42 @@
 
 #include "fitter/render/receiver.h"
 #include "shared/base/parallel.h"
+#include "shared/geometry/pixel_box.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
 namespace {
 
-// The pattern between its pixels; beyond its edge, the edge.
-double PatternAt(const Image<float>& pattern, const Eigen::Vector2d& at) {
-  const int x = std::clamp(static_cast<int>(std::floor(at.x())), 0, pattern.width() - 2);
-  const int y = std::clamp(static_cast<int>(std::floor(at.y())), 0, pattern.height() - 2);
-  const double u = std::clamp(at.x() - x, 0.0, 1.0), v = std::clamp(at.y() - y, 0.0, 1.0);
-  return (1 - v) * ((1 - u) * pattern(x, y) + u * pattern(x + 1, y)) +
-         v * ((1 - u) * pattern(x, y + 1) + u * pattern(x + 1, y + 1));
-}
+constexpr int kPartsOfPixel = 4;
 
-// Nine points of a pixel's footprint, in the light's pixels: one mosaic pixel, two on the diagonal for green. Those
-// that the light does not reach are left out.
-std::vector<Eigen::Vector2d> LitFootprint(const SurfaceMap& surface, const RigCalibration& rig, const LitSurface& lit,
-                                          int i, int j, int channel) {
-  const Eigen::Vector3d n = surface.Normal(i, j);
-  const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + QuadSiteOffset(rig.camera.cfa, channel);
-  const double half = channel == 1 && rig.camera.cfa != Cfa::kMono ? 0.66 : 0.33;
-  // Rays through neighbouring pixels differ by the same steps, to some 1e-5 of a pixel.
-  const auto through = [&](double dx, double dy) -> Eigen::Vector3d {
-    const Eigen::Vector3d ray = rig.camera.model.Unproject(site + half * Eigen::Vector2d(dx, dy));
-    return ray / ray.z();
-  };
-  const Eigen::Vector3d centre = through(0, 0), step_x = through(1, 0) - centre, step_y = through(0, 1) - centre;
-  std::vector<Eigen::Vector2d> reached;
-  for (int k = 0; k < 9; ++k) {
-    const Eigen::Vector3d ray = centre + (k % 3 - 1) * step_x + (k / 3 - 1) * step_y;
-    const Eigen::Vector3d point = ray * (n.dot(surface.Point(i, j)) / n.dot(ray));
-    const auto at = lit.light.ProjectFromCamera(point);
-    if (at && lit.light.model.Contains(*at) && !InShadow(lit, *at, point)) reached.push_back(*at);
+// A part of a camera pixel as the light sees it.
+struct LitPart {
+  PixelShares columns, rows;
+};
+
+// Of the pixels of a quad's colour, each as four Gaussians (pixel_box.h), those parts that the light reaches.
+std::vector<LitPart> LitParts(const SurfaceMap& surface, const RigCalibration& rig, const LitSurface& lit, int i, int j,
+                              std::span<const Eigen::Vector2d> sites) {
+  const QuadPlane plane(surface, rig, i, j);
+  const double optics = lit.light.line_blur_px, camera = rig.camera.line_blur_px;
+  std::vector<LitPart> parts;
+  for (const Eigen::Vector2d& in_quad : sites) {
+    const Eigen::Vector2d site = QuadCentre(rig.camera.cfa, i, j) + in_quad;
+    const auto at = lit.light.ProjectFromCamera(plane.At(site));
+    const auto beside = lit.light.ProjectFromCamera(plane.At(site + Eigen::Vector2d(1, 0)));
+    const auto below = lit.light.ProjectFromCamera(plane.At(site + Eigen::Vector2d(0, 1)));
+    if (!at || !beside || !below) continue;
+    const Eigen::Array2d pixel2 = (*beside - *at).array().square() + (*below - *at).array().square();
+    const Eigen::Array2d sigma = (optics * optics + (kHalfBoxVariance + camera * camera) * pixel2).sqrt();
+    for (int y = -1; y <= 1; y += 2)
+      for (int x = -1; x <= 1; x += 2) {
+        const Eigen::Vector3d point = plane.At(site + kHalfBoxPlace * Eigen::Vector2d(x, y));
+        const auto part = lit.light.ProjectFromCamera(point);
+        if (!part || !lit.light.model.Contains(*part) || InShadow(lit, *part, point)) continue;
+        parts.push_back({{part->x(), sigma[0]}, {part->y(), sigma[1]}});
+      }
   }
-  return reached;
+  return parts;
 }
 
 float ReflectanceAt(const ScatteringModel& model, const SurfaceMap& surface, const ProjectorCalibration& light, int i,
@@ -81,20 +82,24 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
 }
 
 std::vector<Image<float>> SurfaceIrradiance(const SurfaceMap& surface, const RigCalibration& rig, const LitSurface& lit,
-                                            const std::vector<const Image<float>*>& patterns) {
+                                            std::span<const LitPyramid> lights) {
   const int channels = QuadChannels(rig.camera.cfa);
-  std::vector<Image<float>> images(patterns.size(), Image<float>(surface.width(), surface.height(), channels));
+  std::vector<Image<float>> images(lights.size(), Image<float>(surface.width(), surface.height(), channels));
+  std::vector<std::vector<Eigen::Vector2d>> sites;
+  for (int c = 0; c < channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
   ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
         if (surface.mask(i, j) == 0) continue;
         for (int c = 0; c < channels; ++c) {
-          const auto footprint = LitFootprint(surface, rig, lit, i, j, c);
+          const auto parts = LitParts(surface, rig, lit, i, j, sites[c]);
           const double white = lit.light.WhiteTargetDn(surface.Point(i, j), surface.Normal(i, j), c, lit.exposure_ms);
-          for (size_t k = 0; k < patterns.size(); ++k) {
+          const double share = white / (kPartsOfPixel * static_cast<double>(sites[c].size()));
+          for (size_t k = 0; k < lights.size(); ++k) {
             double sum = 0.0;
-            for (const Eigen::Vector2d& at : footprint) sum += PatternAt(*patterns[k], at);
-            images[k](i, j, c) = static_cast<float>(white * sum / 9.0);
+            for (const LitPart& part : parts)
+              sum += ShownTo(part.columns, part.rows, lights[k].shown, lights[k].shown_lit);
+            images[k](i, j, c) = static_cast<float>(share * sum);
           }
         }
       }

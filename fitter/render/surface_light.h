@@ -16,12 +16,10 @@ namespace stratalux::fit {
 [[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface,
                                               const ProjectorCalibration& light, int pool);
 
-// What a surface of reflectance 1 returns under each of `patterns` (ProjectedPattern) of the light that `lit` is lit
-// by: W x H x C on quads, digital numbers above black, averaged over each pixel's footprint; 0 outside the surface and
-// in shadow.
+// What a surface of reflectance 1 returns under each of `lights`, patterns of the light that `lit` is lit by: W x H x C
+// on quads, digital numbers above black, averaged over each pixel's box; 0 outside the surface and in shadow.
 [[nodiscard]] std::vector<Image<float>> SurfaceIrradiance(const SurfaceMap& surface, const RigCalibration& rig,
-                                                          const LitSurface& lit,
-                                                          const std::vector<const Image<float>*>& patterns);
+                                                          const LitSurface& lit, std::span<const LitPyramid> lights);
 
 // Reflectance times irradiance, pixel by pixel; 0 where the reflectance is not known.
 [[nodiscard]] Image<float> ReflectedLight(const Image<float>& reflectance, const Image<float>& irradiance);

@@ -92,7 +92,7 @@ void SrdExtractor::Prepare() {
   batch_.samples = scatter ? cycle_.frames() / 4 * 2 + 1 : cycle_.frames();
   batch_.wrapped = !scatter;
   for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
-                  &batch_.first_u_mm, &batch_.pair_mm, &batch_.noise_floor, &batch_.noise_slope, &white_dn_})
+                  &batch_.first_u_mm, &batch_.pair_mm, &batch_.box_x_mm, &batch_.box_y_mm, &batch_.noise_floor, &batch_.noise_slope, &white_dn_})
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);
@@ -134,6 +134,8 @@ void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
   batch_.step_mm[profile] = static_cast<float>(cycle_.step * g.mm_per_column);
   batch_.line_width_mm[profile] = static_cast<float>(cycle_.width * g.mm_per_column);
   batch_.pair_mm[profile] = static_cast<float>(g.pair_mm);
+  batch_.box_x_mm[profile] = static_cast<float>(g.box_x_mm);
+  batch_.box_y_mm[profile] = static_cast<float>(g.box_y_mm);
   if (batch_.pool > 1) {
     batch_.quad_x_mm[profile] = static_cast<float>(g.quad_x_mm);
     batch_.quad_y_mm[profile] = static_cast<float>(g.quad_y_mm);

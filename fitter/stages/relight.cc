@@ -114,7 +114,7 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   relit.light_mm = projector.CentreInCamera();
   relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool}).front();
   relit.surface = ReflectedLight(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool),
-                                 SurfaceIrradiance(fit.shape.surface, rig, lit, {&pyramids.front().pattern}).front());
+                                 SurfaceIrradiance(fit.shape.surface, rig, lit, pyramids).front());
   relit.total = relit.subsurface;
   for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
   const SurfaceMap& surface = fit.shape.surface;

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 7;
+inline constexpr int kSrdVersion = 8;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {

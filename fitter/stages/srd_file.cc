@@ -17,7 +17,7 @@ using Member = std::vector<float> SrdBatch::*;
 
 // A row a profile: K samples (kSamples), or one value.
 constexpr const char* kSamples = "y";
-constexpr std::array<std::pair<const char*, Member>, 17> kValues = {
+constexpr std::array<std::pair<const char*, Member>, 19> kValues = {
     {{"noise_floor", &SrdBatch::noise_floor},
      {"noise_slope", &SrdBatch::noise_slope},
      {"white", &SrdBatch::white},
@@ -29,6 +29,8 @@ constexpr std::array<std::pair<const char*, Member>, 17> kValues = {
      {"quad_x_mm", &SrdBatch::quad_x_mm},
      {"quad_y_mm", &SrdBatch::quad_y_mm},
      {"pair_mm", &SrdBatch::pair_mm},
+     {"box_x_mm", &SrdBatch::box_x_mm},
+     {"box_y_mm", &SrdBatch::box_y_mm},
      {"slope_in", &SrdBatch::slope_in},
      {"slope_out", &SrdBatch::slope_out},
      {"cos_in", &SrdBatch::cos_in},

@@ -31,8 +31,8 @@ Image<float> Reference(const LitScene& scene, const MixtureMap& map, const Patte
 
 // A surface of reflectance `reflectance` under a pattern.
 Image<float> RenderSurface(const LitScene& scene, const Image<float>& reflectance, const Pattern& pattern) {
-  const Image<float> shown = ProjectedPattern(scene.lit, pattern);
-  return ReflectedLight(reflectance, SurfaceIrradiance(scene.surface, scene.rig, scene.lit, {&shown}).front());
+  const std::vector<LitPyramid> lights = {LightWith(scene.lit, pattern)};
+  return ReflectedLight(reflectance, SurfaceIrradiance(scene.surface, scene.rig, scene.lit, lights).front());
 }
 
 double Phi(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
