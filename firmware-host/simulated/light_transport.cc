@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "firmware-host/simulated/near_field.h"
+#include "firmware-host/simulated/projected_light.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::rig {
@@ -52,38 +53,6 @@ std::array<int, kLevels> WindowStart(float c) {
 // Blocks between block x and the finer level's window.
 int BlocksFrom(int hole, int x) { return x < hole ? hole - x : std::max(0, x - hole - (kHole - 1)); }
 
-// Convolves with a Gaussian of standard deviation `sigma` px; the ends repeat.
-std::vector<float> Blur(const std::vector<float>& profile, double sigma) {
-  if (sigma <= 0.0) return profile;
-  const int radius = static_cast<int>(std::ceil(4.0 * sigma)) + 1;
-  std::vector<double> kernel(2 * radius + 1);
-  double sum = 0.0;
-  for (int k = -radius; k <= radius; ++k) sum += kernel[k + radius] = std::exp(-0.5 * k * k / (sigma * sigma));
-  const int n = static_cast<int>(profile.size());
-  std::vector<float> out(profile.size());
-  for (int i = 0; i < n; ++i) {
-    double v = 0.0;
-    for (int k = -radius; k <= radius; ++k) v += kernel[k + radius] * profile[std::clamp(i + k, 0, n - 1)];
-    out[i] = static_cast<float>(v / sum);
-  }
-  return out;
-}
-
-Image<float> Blur2d(const Image<float>& image, double sigma) {
-  Image<float> out = image;
-  for (int y = 0; y < image.height(); ++y) {
-    const auto row = Blur({image.row(y), image.row(y) + image.width()}, sigma);
-    std::copy(row.begin(), row.end(), out.row(y));
-  }
-  for (int x = 0; x < image.width(); ++x) {
-    std::vector<float> column(image.height());
-    for (int y = 0; y < image.height(); ++y) column[y] = out(x, y);
-    column = Blur(column, sigma);
-    for (int y = 0; y < image.height(); ++y) out(x, y) = column[y];
-  }
-  return out;
-}
-
 std::vector<float> BlockMeans(const std::vector<float>& profile, int block) {
   std::vector<float> means((profile.size() + block - 1) / block, 0.0F);
   for (size_t b = 0; b < means.size(); ++b) {
@@ -92,14 +61,6 @@ std::vector<float> BlockMeans(const std::vector<float>& profile, int block) {
     means[b] /= static_cast<float>(end - b * block);
   }
   return means;
-}
-
-// Linear interpolation with clamped ends.
-float Sample(std::span<const float> profile, float position) {
-  const float p = std::clamp(position, 0.0F, static_cast<float>(profile.size()) - 1.001F);
-  const int i = static_cast<int>(p);
-  const float f = p - static_cast<float>(i);
-  return (1 - f) * profile[i] + f * profile[i + 1];
 }
 
 // In four sums, which the compiler keeps side by side.
@@ -111,12 +72,6 @@ float Dot(const float* a, const float* b, int n) {
   float rest = 0.0F;
   for (; k < n; ++k) rest += a[k] * b[k];
   return (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest;
-}
-
-// Mean over a footprint of half-width w.
-float SampleFootprint(std::span<const float> profile, float position, float w) {
-  return 0.25F * (Sample(profile, position - 0.75F * w) + Sample(profile, position - 0.25F * w) +
-                  Sample(profile, position + 0.25F * w) + Sample(profile, position + 0.75F * w));
 }
 
 LightCache::Digest KeyWith(const LightCache::Digest& light, std::string_view what) {
@@ -237,17 +192,17 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   double reflectance = ReflectanceOf(material.surface, pixel.normal, -to_point, out);
   if (!options_.scattering || !material.Translucent()) reflectance += albedo_.Of(colour, material);
   light.direct = static_cast<float>(white * reflectance);
-  // The pixel's footprint on the tangent plane, in projector pixels.
-  for (int axis = 0; axis < 2; ++axis) {
-    Eigen::Vector2d beside(pixel.x, pixel.y);
-    beside[axis] += 0.5;
-    const Eigen::Vector3d ray = rig_.camera.model.Unproject(beside);
+  // The pixel's sides on the tangent plane, in projector pixels.
+  const auto side = [&](const Eigen::Vector2d& axis, float& column, float& row) {
+    const Eigen::Vector3d ray = rig_.camera.model.Unproject(Eigen::Vector2d(pixel.x, pixel.y) + 0.5 * axis);
     const Eigen::Vector3d p = ray * (pixel.normal.dot(pixel.point) / pixel.normal.dot(ray));
-    if (const auto at = projector_.ProjectFromCamera(p)) {
-      light.footprint_columns += static_cast<float>(std::abs(at->x() - column_row->x()));
-      light.footprint_rows += static_cast<float>(std::abs(at->y() - column_row->y()));
-    }
-  }
+    const auto at = projector_.ProjectFromCamera(p);
+    if (!at) return;
+    column = 2.0F * static_cast<float>(at->x() - column_row->x());
+    row = 2.0F * static_cast<float>(at->y() - column_row->y());
+  };
+  side({1, 0}, light.sides.u_column, light.sides.u_row);
+  side({0, 1}, light.sides.v_column, light.sides.v_row);
 }
 
 bool LightTransport::StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,
@@ -475,11 +430,10 @@ LightTransport::Profiles LightTransport::ProfilesOf(const Pattern& pattern, doub
       pattern.Profile(pattern.axis == PatternAxis::kColumns ? projector_.model.width : projector_.model.height);
   if (options_.optics.gamma != 1.0)
     for (float& v : shown) v = std::pow(v, static_cast<float>(options_.optics.gamma));
-  Profiles profiles;
-  profiles[0] = Blur(shown, blur_px);
-  profiles[1] = BlockMeans(profiles[0], 4);
-  profiles[2] = BlockMeans(profiles[0], 16);
-  for (auto& level : profiles) {
+  Profiles profiles{LightAlongAxis(shown, blur_px), {SharedOut(shown, blur_px), {}, {}}};
+  profiles.levels[1] = BlockMeans(profiles.levels[0], 4);
+  profiles.levels[2] = BlockMeans(profiles.levels[0], 16);
+  for (auto& level : profiles.levels) {
     level.insert(level.begin(), kPad, 0.0F);
     level.insert(level.end(), kPad, 0.0F);
   }
@@ -491,9 +445,9 @@ LightTransport::Split LightTransport::LightOf(size_t i, int axis, const Profiles
   const float position = light.column_row[axis];
   Split split;
   if (light.lit) {
-    const std::span<const float> surface(profiles[0].data() + kPad, profiles[0].size() - 2 * kPad);
-    split.direct =
-        light.direct * SampleFootprint(surface, position, axis == 0 ? light.footprint_columns : light.footprint_rows);
+    const PixelSides& s = light.sides;
+    const float u = axis == 0 ? s.u_column : s.u_row, v = axis == 0 ? s.v_column : s.v_row;
+    split.direct = light.direct * profiles.on_surface.Mean(position, 0.5F * std::abs(u), 0.5F * std::abs(v));
   }
   const std::vector<float>& response = axis == 0 ? column_response_ : row_response_;
   if (response.empty()) return split;
@@ -501,8 +455,8 @@ LightTransport::Split LightTransport::LightOf(size_t i, int axis, const Profiles
   const float* r = response.data() + i * kResponses;
   for (int level = 0; level < kLevels; ++level) {
     const int from = start[level] + kPad;
-    if (from >= 0 && from + kWindow[level] <= static_cast<int>(profiles[level].size())) {
-      split.subsurface += Dot(r, profiles[level].data() + from, kWindow[level]);
+    if (from >= 0 && from + kWindow[level] <= static_cast<int>(profiles.levels[level].size())) {
+      split.subsurface += Dot(r, profiles.levels[level].data() + from, kWindow[level]);
     }
     r += kWindow[level];
   }
@@ -536,10 +490,11 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
   Image<float> shown = pattern.Render(projector_.model.width, projector_.model.height);
   if (options_.optics.gamma != 1.0)
     for (float& v : shown.pixels()) v = std::pow(v, static_cast<float>(options_.optics.gamma));
-  const Image<float> image = Blur2d(shown, blur_px_[blur_px_.size() / 2]);
-  AddDirect(image, direct);
+  const double blur = blur_px_[blur_px_.size() / 2];
+  AddDirect(shown, blur, direct);
   if (column_response_.empty()) return;  // nothing scatters
-  std::array<Image<float>, kLevels> levels = {image, {}, {}};
+  std::array<Image<float>, kLevels> levels = {SharedOut(shown, blur), {}, {}};
+  const Image<float>& image = levels[0];
   for (int level = 1; level < kLevels; ++level) {
     const Image<Block>& size = pyramid_[level];
     levels[level] = Image<float>(size.width(), size.height());
@@ -557,20 +512,13 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
   for (size_t i = 0; i < light.size(); ++i) subsurface[i] += light[i];
 }
 
-void LightTransport::AddDirect(const Image<float>& image, std::vector<float>& direct) const {
+void LightTransport::AddDirect(const Image<float>& shown, double blur_px, std::vector<float>& direct) const {
+  const BlurredBoxes boxes(blur_px);
   ParallelFor(static_cast<int64_t>(pixels_.size()), 8192, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       const PixelLight& light = at_[i];
       if (!light.lit) continue;
-      float sum = 0.0F;
-      for (int k = 0; k < 9; ++k) {
-        const int x = static_cast<int>(
-            std::lround(light.column_row.x() + static_cast<float>(k % 3 - 1) * 0.6F * light.footprint_columns));
-        const int y = static_cast<int>(
-            std::lround(light.column_row.y() + static_cast<float>(k / 3 - 1) * 0.6F * light.footprint_rows));
-        if (image.contains(x, y)) sum += image(x, y) / 9.0F;
-      }
-      direct[i] += light.direct * sum;
+      direct[i] += light.direct * MeanLight(shown, boxes, light.column_row.x(), light.column_row.y(), light.sides);
     }
   });
 }

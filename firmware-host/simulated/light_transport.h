@@ -11,6 +11,7 @@
 #include "firmware-host/simulated/device_options.h"
 #include "firmware-host/simulated/light_cache.h"
 #include "firmware-host/simulated/near_field.h"
+#include "firmware-host/simulated/projected_light.h"
 #include "firmware-host/simulated/scene/scene.h"
 #include "firmware-host/simulated/scene/skin_albedo.h"
 #include "firmware-host/simulated/skin/skin_table.h"
@@ -68,10 +69,9 @@ class LightTransport {
   struct PixelLight {
     Eigen::Vector2f column_row{0, 0};
     bool lit = false;
-    float blur_node = 0.0F;          // position among blur_px_
-    float direct = 0.0F;             // surface reflection under full white
-    float footprint_columns = 0.0F;  // half-width of the pixel's footprint
-    float footprint_rows = 0.0F;
+    float blur_node = 0.0F;  // position among blur_px_
+    float direct = 0.0F;     // surface reflection under full white
+    PixelSides sides;
   };
 
   void CastProjector(const Scene& scene, WorkWatch* watch);
@@ -91,8 +91,12 @@ class LightTransport {
   // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
   template <typename Visit>
   void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;
-  // Light along the pattern's axis at one blur, padded by kPad on both sides; and its means over blocks.
-  using Profiles = std::array<std::vector<float>, kLevels>;
+  // Light along the pattern's axis at one blur: where it falls, and what each pixel holds, padded by kPad on both sides;
+  // and its means over blocks.
+  struct Profiles {
+    LightAlongAxis on_surface;
+    std::array<std::vector<float>, kLevels> levels;
+  };
   [[nodiscard]] Profiles ProfilesOf(const Pattern& pattern, double blur_px) const;
   struct Split {
     float direct = 0.0F, subsurface = 0.0F;
@@ -101,7 +105,7 @@ class LightTransport {
   void RenderOneDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct) const;
   void RenderTwoDimensional(const Pattern& pattern, std::vector<float>& subsurface, std::vector<float>& direct,
                             WorkWatch* watch) const;
-  void AddDirect(const Image<float>& image, std::vector<float>& direct) const;
+  void AddDirect(const Image<float>& shown, double blur_px, std::vector<float>& direct) const;
   // Subsurface light of every pixel under an image, given at each level; empty where stopped.
   [[nodiscard]] std::vector<float> GatherImage(const std::array<Image<float>, kLevels>& levels, WorkWatch* watch) const;
 
