@@ -91,8 +91,8 @@ class LightTransport {
   // Calls visit(level, block column, block row, response) for every block that reaches pixel i.
   template <typename Visit>
   void ForEachBlock(size_t i, SkinKernel& kernel, const Visit& visit) const;
-  // Light along the pattern's axis at one blur: where it falls, and what each pixel holds, padded by kPad on both sides;
-  // and its means over blocks.
+  // Light along the pattern's axis at one blur: where it falls, and what each pixel holds, padded by kPad on both
+  // sides; and its means over blocks.
   struct Profiles {
     LightAlongAxis on_surface;
     std::array<std::vector<float>, kLevels> levels;

@@ -68,8 +68,7 @@ BlurredBoxes::BlurredBoxes(double sigma) : reach_(static_cast<int>(std::ceil(5.0
   for (int phase = 0; phase <= kPhases; ++phase) {
     const double offset = (phase - kPhases / 2) / double{kPhases};  // of the point from the middle pixel
     for (int k = -reach_; k <= reach_; ++k)
-      shares_.push_back(
-          static_cast<float>(NormalBelow((k + 0.5 - offset) / s) - NormalBelow((k - 0.5 - offset) / s)));
+      shares_.push_back(static_cast<float>(NormalBelow((k + 0.5 - offset) / s) - NormalBelow((k - 0.5 - offset) / s)));
   }
 }
 

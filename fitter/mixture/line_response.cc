@@ -80,8 +80,12 @@ SampleSites SampleSitesOf(const SrdBatch& batch, int64_t profile) {
   const auto of_profile = [&](const std::vector<float>& field) {
     return field.empty() ? 0.0 : double{field[static_cast<size_t>(profile)]};
   };
-  return {batch.pool, of_profile(batch.quad_x_mm), of_profile(batch.quad_y_mm), of_profile(batch.pair_mm),
-          of_profile(batch.box_x_mm), of_profile(batch.box_y_mm)};
+  return {batch.pool,
+          of_profile(batch.quad_x_mm),
+          of_profile(batch.quad_y_mm),
+          of_profile(batch.pair_mm),
+          of_profile(batch.box_x_mm),
+          of_profile(batch.box_y_mm)};
 }
 
 LineResponse LineResponseOf(const SrdBatch& batch, int64_t profile, double cell_mm) {

@@ -18,7 +18,8 @@ struct SampleSites {
   double quad_x_mm = 0.0, quad_y_mm = 0.0;
   // Half the distance of the two sites of a quad (the greens); 0: one site.
   double pair_mm = 0.0;
-  // Half the distance of the two Gaussians that stand for a site's box along x and y (pixel_box.h); 0: the blur holds it.
+  // Half the distance of the two Gaussians that stand for a site's box along x and y (pixel_box.h); 0: the blur holds
+  // it.
   double box_x_mm = 0.0, box_y_mm = 0.0;
 
   // visit(offset from their mean, mm; share of the sample), the shares adding up to one.
@@ -29,13 +30,14 @@ struct SampleSites {
       at(-half);
       if (half != 0.0) at(half);
     };
-    const double share = 1.0 / (along_x * along_y * (pair_mm != 0.0 ? 2 : 1) * (box_x_mm != 0.0 ? 2 : 1) *
-                                (box_y_mm != 0.0 ? 2 : 1));
+    const double share =
+        1.0 / (along_x * along_y * (pair_mm != 0.0 ? 2 : 1) * (box_x_mm != 0.0 ? 2 : 1) * (box_y_mm != 0.0 ? 2 : 1));
     for (int j = 0; j < along_y; ++j)
       for (int i = 0; i < along_x; ++i) {
         const double quad = (i - 0.5 * (along_x - 1)) * quad_x_mm + (j - 0.5 * (along_y - 1)) * quad_y_mm;
         each_way(pair_mm, [&](double pair) {
-          each_way(box_x_mm, [&](double x) { each_way(box_y_mm, [&](double y) { visit(quad + pair + x + y, share); }); });
+          each_way(box_x_mm,
+                   [&](double x) { each_way(box_y_mm, [&](double y) { visit(quad + pair + x + y, share); }); });
         });
       }
   }

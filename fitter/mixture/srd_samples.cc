@@ -56,12 +56,11 @@ SrdBatch ProfilesOf(const SrdBatch& batch, std::span<const int64_t> which) {
     if (from.empty()) return;
     for (int64_t i : which) (part.*field).push_back(from[static_cast<size_t>(i)]);
   };
-  for (const auto field :
-       {&SrdBatch::noise_floor, &SrdBatch::noise_slope, &SrdBatch::white, &SrdBatch::white_variance,
-        &SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm, &SrdBatch::quad_x_mm,
-        &SrdBatch::quad_y_mm, &SrdBatch::pair_mm, &SrdBatch::box_x_mm, &SrdBatch::box_y_mm, &SrdBatch::slope_in,
-        &SrdBatch::slope_out, &SrdBatch::cos_in, &SrdBatch::cos_out, &SrdBatch::slope_in_across,
-        &SrdBatch::slope_out_across})
+  for (const auto field : {&SrdBatch::noise_floor, &SrdBatch::noise_slope, &SrdBatch::white, &SrdBatch::white_variance,
+                           &SrdBatch::first_u_mm, &SrdBatch::step_mm, &SrdBatch::line_width_mm, &SrdBatch::blur_mm,
+                           &SrdBatch::quad_x_mm, &SrdBatch::quad_y_mm, &SrdBatch::pair_mm, &SrdBatch::box_x_mm,
+                           &SrdBatch::box_y_mm, &SrdBatch::slope_in, &SrdBatch::slope_out, &SrdBatch::cos_in,
+                           &SrdBatch::cos_out, &SrdBatch::slope_in_across, &SrdBatch::slope_out_across})
     copy(field);
   copy(&SrdBatch::valid);
   copy(&SrdBatch::apart);

@@ -42,10 +42,10 @@ struct SrdBatch {
   // The sites that a sample averages: SampleSites of each profile. Empty: 0 everywhere.
   int pool = 1;
   std::vector<float> quad_x_mm, quad_y_mm, pair_mm, box_x_mm, box_y_mm;  // [profile]
-  std::vector<float> slope_in;                       // [profile] tangent of incidence along e: t(omega_i) . e
-  std::vector<float> slope_out;                      // [profile] t(omega_o) . e
-  std::vector<float> cos_in;                         // [profile] n . omega_i
-  std::vector<float> cos_out;                        // [profile] n . omega_o
+  std::vector<float> slope_in;         // [profile] tangent of incidence along e: t(omega_i) . e
+  std::vector<float> slope_out;        // [profile] t(omega_o) . e
+  std::vector<float> cos_in;           // [profile] n . omega_i
+  std::vector<float> cos_out;          // [profile] n . omega_o
   std::vector<float> slope_in_across;  // [profile] t(omega_i) . (n x e), the part along the line (for exact refraction)
   std::vector<float> slope_out_across;  // [profile]
   std::vector<uint8_t> valid;           // [profile] 0: this projector does not light the pixel

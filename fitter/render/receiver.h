@@ -42,8 +42,8 @@ struct Receiver {
   Eigen::Vector3d column_per_mm, row_per_mm;       // gradient of the light's pixel coordinates
 };
 
-// A Gaussian that stands for a camera pixel's box, or for a part of it: where it lies (mosaic px from the quad's centre),
-// its variance along the mosaic's axes (px^2) and its share of the quad's colour.
+// A Gaussian that stands for a camera pixel's box, or for a part of it: where it lies (mosaic px from the quad's
+// centre), its variance along the mosaic's axes (px^2) and its share of the quad's colour.
 struct PixelPart {
   Eigen::Vector2d site, variance_px2;
   double share = 1.0;

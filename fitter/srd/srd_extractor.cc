@@ -91,8 +91,9 @@ void SrdExtractor::Prepare() {
   // Scatter: half a period, so that the neighbouring lines, a whole period off, light none of it.
   batch_.samples = scatter ? cycle_.frames() / 4 * 2 + 1 : cycle_.frames();
   batch_.wrapped = !scatter;
-  for (auto* v : {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across,
-                  &batch_.first_u_mm, &batch_.pair_mm, &batch_.box_x_mm, &batch_.box_y_mm, &batch_.noise_floor, &batch_.noise_slope, &white_dn_})
+  for (auto* v :
+       {&batch_.slope_in, &batch_.slope_out, &batch_.slope_in_across, &batch_.slope_out_across, &batch_.first_u_mm,
+        &batch_.pair_mm, &batch_.box_x_mm, &batch_.box_y_mm, &batch_.noise_floor, &batch_.noise_slope, &white_dn_})
     v->assign(profiles, 0.0F);
   for (auto* v : {&batch_.step_mm, &batch_.line_width_mm, &batch_.blur_mm, &batch_.cos_in, &batch_.cos_out})
     v->assign(profiles, 1.0F);

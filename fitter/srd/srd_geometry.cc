@@ -8,8 +8,8 @@
 namespace stratalux::fit {
 namespace {
 
-// Share of a line's variance up to which a pixel's box is taken for a Gaussian: it then lacks 1.2 of the square of it of
-// the fourth cumulant, and an eighth of that, 0.3 %, of the peak.
+// Share of a line's variance up to which a pixel's box is taken for a Gaussian: it then lacks 1.2 of the square of it
+// of the fourth cumulant, and an eighth of that, 0.3 %, of the peak.
 constexpr double kShortBox = 0.15;
 
 // Point where the ray through mosaic position `pixel` meets the plane (point, normal); `point` itself for a grazing

@@ -2,6 +2,7 @@
 // The line response of samples that average several sites, held to single sites and to the box that many become.
 #include "fitter/mixture/line_response.h"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -9,6 +10,7 @@
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/normal_table.h"
+#include "shared/geometry/pixel_box.h"
 #include "tests/fitter/mixture/known_lights.h"
 
 namespace stratalux::fit {
@@ -54,6 +56,47 @@ TEST(PooledSites, SeeTheMeanOfWhatEachSees) {
       EXPECT_NEAR(line.At(-2.9 + i * kCellMm), mean, 1e-10) << i;
     }
   }
+}
+
+TEST(SampleSites, TwoGaussiansAreNearTheBoxThatTheyStandFor) {
+  // A pixel three lines long, as under grazing view: its box averages the response of a point.
+  constexpr double kBoxMm = 1.2;
+  const auto of_box = [&](double t) {
+    constexpr int kPoints = 400;
+    double mean = 0.0;
+    for (int k = 0; k < kPoints; ++k) mean += Pooled({}).At(t + ((k + 0.5) / kPoints - 0.5) * kBoxMm) / kPoints;
+    return mean;
+  };
+  const double gaussian_mm = std::hypot(kBlurMm, kBoxMm * std::sqrt(kBoxVariance)),
+               part_mm = std::hypot(kBlurMm, kBoxMm * std::sqrt(kHalfBoxVariance));
+  const LineResponse one{kLineMm, gaussian_mm, 0.0, kCellMm, {}};
+  const LineResponse two{kLineMm, part_mm, 0.0, kCellMm, {.box_x_mm = kHalfBoxPlace * kBoxMm}};
+  double worst_one = 0.0, worst_two = 0.0;
+  for (double t = -2.0; t <= 2.0; t += 0.05) {
+    worst_one = std::max(worst_one, std::abs(one.At(t) - of_box(t)));
+    worst_two = std::max(worst_two, std::abs(two.At(t) - of_box(t)));
+  }
+  EXPECT_NEAR(of_box(0.0), kLineMm / kBoxMm, 0.01);  // all of the line, and nothing else
+  EXPECT_LT(worst_two, 0.02);
+  EXPECT_GT(worst_one, 0.05);
+  EXPECT_NEAR(two.sites.VarianceMm2() + part_mm * part_mm, gaussian_mm * gaussian_mm, 1e-9);
+}
+
+TEST(SampleSites, OfABoxAreFourAndShareTheSample) {
+  const SampleSites sites{.pair_mm = 0.2, .box_x_mm = 0.3, .box_y_mm = -0.1};
+  double sum = 0.0, mean = 0.0, variance = 0.0;
+  int count = 0;
+  sites.ForEach([&](double at, double share) {
+    sum += share;
+    mean += share * at;
+    variance += share * at * at;
+    ++count;
+    EXPECT_LE(std::abs(at), sites.ReachMm() + 1e-12);
+  });
+  EXPECT_EQ(count, 8);
+  EXPECT_NEAR(sum, 1.0, 1e-12);
+  EXPECT_NEAR(mean, 0.0, 1e-12);
+  EXPECT_NEAR(variance, sites.VarianceMm2(), 1e-12);
 }
 
 TEST(PooledSites, SeeAlikeWhicheverWayTheImagesAxesRun) {

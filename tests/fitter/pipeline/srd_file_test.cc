@@ -20,9 +20,10 @@ ExtractedSrds SmallSrds() {
   batch.pool = 2;
   batch.valid = {1, 0, 1};
   batch.y = {1.0F, 2.0F, 99.0F, 99.0F, 5.0F, 6.0F};
-  for (auto* v : {&batch.noise_floor, &batch.noise_slope, &batch.first_u_mm, &batch.step_mm, &batch.line_width_mm,
-                  &batch.blur_mm, &batch.quad_x_mm, &batch.quad_y_mm, &batch.pair_mm, &batch.box_x_mm, &batch.box_y_mm, &batch.slope_in, &batch.slope_out,
-                  &batch.cos_in, &batch.cos_out, &batch.slope_in_across, &batch.slope_out_across})
+  for (auto* v :
+       {&batch.noise_floor, &batch.noise_slope, &batch.first_u_mm, &batch.step_mm, &batch.line_width_mm, &batch.blur_mm,
+        &batch.quad_x_mm, &batch.quad_y_mm, &batch.pair_mm, &batch.box_x_mm, &batch.box_y_mm, &batch.slope_in,
+        &batch.slope_out, &batch.cos_in, &batch.cos_out, &batch.slope_in_across, &batch.slope_out_across})
     *v = {0.25F, 99.0F, 0.75F};
   ExtractedSrds srds;
   srds.set = {2, 3, 1, 1, {batch}, {}, 0.6};

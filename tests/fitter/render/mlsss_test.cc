@@ -9,6 +9,7 @@
 
 #include "fitter/mixture/shift_law.h"
 #include "fitter/render/surface_light.h"
+#include "shared/geometry/pixel_box.h"
 #include "shared/geometry/quad.h"
 #include "tests/fitter/render/lit_scene.h"
 
@@ -144,6 +145,54 @@ TEST(RenderSubsurface, ShowsTheAnalyticMixtureUnderALine) {
           EXPECT_NEAR(image(i, j) / peak, line.Dn(scene, layers, map, i, j) / peak, 0.01)
               << columns << " columns, " << i;
       }
+}
+
+TEST(RenderSubsurface, AveragesOverTheBoxOfAPixelThatATiltMakesLong) {
+  // Seen at 70 degrees, lit from straight above: a pixel is as long as six of the light's columns.
+  constexpr double kSlope = 2.75;
+  constexpr float kWeight = 0.4F, kSigma = 0.3F;
+  constexpr int kColumns = 2, kPoints = 200, j = 18;
+  const HeightField leaning = [](double x, double) { return Height{kDistanceMm + kSlope * x, kSlope, 0.0}; };
+  const Eigen::Vector3d n = Eigen::Vector3d(kSlope, 0.0, -1.0).normalized(), along = n.cross(Eigen::Vector3d::UnitY());
+  const LitScene scene = MakeScene(leaning, Eigen::Vector3d(0.0, 0.0, kDistanceMm) + 400.0 * n);
+  const ProjectorCalibration& light = scene.rig.projectors[0];
+  const MixtureMap map = UniformSkin(scene, {{kWeight, 0.0F, kSigma}});
+  const Image<float> mirror(scene.surface.width(), scene.surface.height(), 1, 1.0F);
+  double worst = 0.0, worst_surface = 0.0, worst_gaussian = 0.0;
+  for (int moved = 0; moved < 6; ++moved) {
+    Pattern line = MiddleLine(scene, kColumns);
+    line.shift += moved;
+    const Image<float> skin = Render(scene, map, line), surface = RenderSurface(scene, mirror, line);
+    for (int i = 4; i < 44; ++i) {
+      const Eigen::Vector3d p = scene.surface.Point(i, j);
+      const double white = light.WhiteTargetDn(p, n, 0, kExposureMs),
+                   gain = AngularGain(n.dot((light.CentreInCamera() - p).normalized()), map.scattering.eta,
+                                      map.scattering.tau);
+      const auto column = [&](const Eigen::Vector3d& at) { return light.ProjectFromCamera(at)->x(); };
+      const double per_mm = std::abs(column(p + along) - column(p)), optics = light.line_blur_px;
+      const auto of_line = [&](double at, double sigma) {
+        return Phi((79.5 + moved + 0.5 * kColumns - at) / sigma) - Phi((79.5 + moved - 0.5 * kColumns - at) / sigma);
+      };
+      double in_skin = 0.0, at_surface = 0.0;
+      const auto meet = [&](double x) -> Eigen::Vector3d {
+        const Eigen::Vector3d ray = scene.rig.camera.model.Unproject({x, double(j)});
+        return ray * (n.dot(p) / n.dot(ray));
+      };
+      for (int k = 0; k < kPoints; ++k) {
+        const double at = column(meet(i + (k + 0.5) / kPoints - 0.5));
+        in_skin += of_line(at, std::hypot(optics, kSigma * per_mm)) / kPoints;
+        at_surface += of_line(at, optics) / kPoints;
+      }
+      const double box = (column(meet(i + 0.5)) - column(meet(i - 0.5))) * std::sqrt(kBoxVariance);
+      worst = std::max(worst, std::abs(skin(i, j) / (kWeight * gain * white) - in_skin));
+      worst_surface = std::max(worst_surface, std::abs(surface(i, j) / white - at_surface));
+      worst_gaussian = std::max(worst_gaussian, std::abs(of_line(column(p), std::hypot(optics, box)) - at_surface));
+    }
+  }
+  // Of a line that a pixel wholly holds, a third of white.
+  EXPECT_LT(worst, 0.02);
+  EXPECT_LT(worst_surface, 0.04);
+  EXPECT_GT(worst_gaussian, 0.07);  // what one Gaussian would be off by
 }
 
 TEST(RenderSubsurface, GlowsOnTheSideAwayFromTheLamp) {

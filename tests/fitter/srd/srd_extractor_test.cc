@@ -101,7 +101,7 @@ double WorstPrediction(const SrdBatch& batch, double box_columns, const Response
   for (int64_t i = 0; i < batch.profiles(); ++i) {
     const double step = batch.step_mm[i], period = batch.samples * step;
     LineResponse line = LineResponseOf(batch, i, box_columns * step / Cycle().step);
-    line.blur_mm = 0.0;  // the frame is drawn at points
+    line.blur_mm = line.sites.box_x_mm = line.sites.box_y_mm = 0.0;  // the frame is drawn at points
     line = response_of(line);
     for (int k = 0; k < batch.samples; ++k) {
       const double u = std::remainder(batch.first_u_mm[i] + k * step, period);
