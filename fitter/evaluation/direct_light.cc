@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cmath>
+#include <complex>
 #include <functional>
 #include <numbers>
 #include <optional>
@@ -41,29 +42,39 @@ std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surfa
     if (!(g.white_dn > 0.0)) return std::nullopt;
     const double wave = 2.0 * std::numbers::pi / (light.separation_period * g.mm_per_column);
     const double half_pixel = std::numbers::pi / light.separation_period;  // the projector's pixels are boxes
-    quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.VarianceMm2());
+    quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm) *
+                      std::cos(wave * g.box_x_mm) * std::cos(wave * g.box_y_mm);
   }
   return quad;
 }
 
-// Light of a profile's layers that the sinusoids still resolve, as a share of the irradiance and seen with the contrast
-// of the very surface: sum w exp(-2 pi^2 sigma^2 / period^2); both axes together.
+// What a profile's layers add to the amplitude of the sinusoids, seen with the contrast of the very surface, beyond
+// what the surface of `reflectance` shows by itself: |R + sum w exp(-2 pi^2 sigma^2 / period^2 + 2 pi i d s / period)|
+// - R, as a share of the irradiance; both axes together. A layer of depth d is displaced by d s and out of the
+// surface's phase.
 double ResolvedLayers(const LitQuad& quad, double period, const RefractedDirections& directions, const MixtureMap& map,
-                      int64_t profile) {
-  std::array<double, 2> half_wave2{};
-  for (size_t a = 0; a < 2; ++a)
-    half_wave2[a] = 0.5 * std::pow(2.0 * std::numbers::pi / (period * quad.axes[a].mm_per_column), 2);
-  std::array<double, 2> narrow{};
+                      int64_t profile, double reflectance) {
+  const ScatteringModel& model = map.scattering;
+  std::array<double, 2> wave{}, shift{};
+  for (size_t a = 0; a < 2; ++a) {
+    const SrdGeometry& g = quad.axes[a];
+    wave[a] = 2.0 * std::numbers::pi / (period * g.mm_per_column);
+    shift[a] = TangentialShift(model.shift_law, g.slope_in, g.slope_in_across, model.eta) -
+               TangentialShift(model.shift_law, g.slope_out, g.slope_out_across, model.eta);
+  }
+  std::array<std::complex<double>, 2> narrow{};
   for (int l = 0; l < map.layers; ++l) {
     const size_t at = static_cast<size_t>(profile) * map.layers + l;
-    const double sigma = map.sigma_mm[at], weight = map.weight[at];
+    const double sigma = map.sigma_mm[at], weight = map.weight[at], depth = map.depth_mm[at];
     if (!(weight > 0.0)) continue;
-    const double light = weight * DirectionalFactor(map.scattering.directional, directions, map.depth_mm[at], sigma);
-    for (size_t a = 0; a < 2; ++a) narrow[a] += light * std::exp(-half_wave2[a] * sigma * sigma);
+    const double light = weight * DirectionalFactor(model.directional, directions, depth, sigma);
+    for (size_t a = 0; a < 2; ++a)
+      narrow[a] += std::polar(light * std::exp(-0.5 * wave[a] * wave[a] * sigma * sigma), wave[a] * depth * shift[a]);
   }
   double resolved = 0.0;
   for (size_t a = 0; a < 2; ++a)
-    resolved += quad.surface[a] * narrow[a] * AngularGain(map.scattering, quad.axes[a].cos_in);
+    resolved +=
+        quad.surface[a] * (std::abs(reflectance + AngularGain(model, quad.axes[a].cos_in) * narrow[a]) - reflectance);
   return resolved;
 }
 
@@ -93,7 +104,8 @@ Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surf
   return ShrinkNoise(direct, variance, kReach);
 }
 
-Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map, int pool) {
+Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,
+                         const Image<float>& reflectance, int pool) {
   Image<float> share(surface.width(), surface.height(), map.channels, std::nanf(""));
   ForEachQuad(surface, [&](int i, int j) {
     const auto quad = LookAt(light, surface, i, j);
@@ -105,7 +117,8 @@ Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, c
     for (int c = 0; c < map.channels; ++c) {
       const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
       if (profile < 0 || !map.Fitted(profile)) continue;
-      const double resolved = ResolvedLayers(*quad, light.separation_period, directions, map, profile);
+      const double resolved =
+          ResolvedLayers(*quad, light.separation_period, directions, map, profile, reflectance(i, j, c));
       share(i, j, c) = static_cast<float>(resolved / (quad->surface[0] + quad->surface[1]));
     }
   });

@@ -26,8 +26,9 @@ struct HeldOutLight {
 // towards the neighbours.
 [[nodiscard]] Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface,
                                              const SeparationMap& separation);
-// The model's share of it, in the same unit; NaN where nothing was fitted.
+// The share of it of the model's layers beside a surface of `reflectance` (W x H x C), in the same unit; NaN where
+// nothing was fitted.
 [[nodiscard]] Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,
-                                       int pool);
+                                       const Image<float>& reflectance, int pool);
 
 }  // namespace stratalux::fit

@@ -221,7 +221,7 @@ Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, cons
           const int64_t profile = map.ProfileOfQuad(i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
           double sum = 0.0;
-          for (const PixelPart& part : PixelParts(surface, rig, i, j, sites[c]))
+          for (const PixelPart& part : PixelParts(surface, rig, lit.light, i, j, sites[c]))
             if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, part))
               sum += part.share * light_of(*receiver, profile, c);
           image(i, j, c) = static_cast<float>(sum);
@@ -250,7 +250,7 @@ std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceM
         for (int c = 0; c < map.channels; ++c) {
           const int64_t profile = map.ProfileOfQuad(i, j, c, options.pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
-          for (const PixelPart& part : PixelParts(surface, rig, i, j, sites[c]))
+          for (const PixelPart& part : PixelParts(surface, rig, lit.light, i, j, sites[c]))
             if (const auto receiver = MakeReceiver(map.scattering, surface, rig, lit.light, i, j, part))
               layers.Add(*receiver, profile, c, part.share);
         }

@@ -12,10 +12,6 @@
 namespace stratalux::fit {
 namespace {
 
-// A side of a pixel on the surface, over that of one that the surface faces: a round Gaussian stands for tilts of up to
-// acos(1 / 1.6) = 51 degrees.
-constexpr double kLongPixel = 1.6;
-
 Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Eigen::Vector3d& n, double eta) {
   const Eigen::Vector3d t = omega / n.dot(omega) - n;
   const double slope = t.norm();
@@ -25,13 +21,15 @@ Eigen::Vector3d ShiftVector(ShiftLaw law, const Eigen::Vector3d& omega, const Ei
 
 }  // namespace
 
-std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig, int i, int j,
+std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig,
+                                  const ProjectorCalibration& light, int i, int j,
                                   std::span<const Eigen::Vector2d> sites) {
   const QuadPlane plane(surface, rig, i, j);
   const Eigen::Vector2d centre = QuadCentre(rig.camera.cfa, i, j);
-  const double upright_mm = surface.Point(i, j).z() / rig.camera.model.fx;
+  const auto middle = light.ProjectFromCamera(plane.At(centre));
   const auto is_long = [&](const Eigen::Vector2d& axis) {
-    return (plane.At(centre + axis) - plane.At(centre)).norm() > kLongPixel * upright_mm;
+    const auto beside = light.ProjectFromCamera(plane.At(centre + axis));
+    return middle && beside && IsLongBox((*beside - *middle).norm(), light.line_blur_px * light.line_blur_px);
   };
   const std::array<bool, 2> split = {is_long({1, 0}), is_long({0, 1})};
   std::vector<PixelPart> parts;

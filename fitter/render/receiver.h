@@ -48,9 +48,10 @@ struct PixelPart {
   Eigen::Vector2d site, variance_px2;
   double share = 1.0;
 };
-// Of a quad's `sites` of one colour. Along an axis that the tilt has made long on the surface a pixel is taken as two
-// parts (pixel_box.h), for a Receiver is round.
-[[nodiscard]] std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig, int i, int j,
+// Of a quad's `sites` of one colour. Along an axis that is long in the light's pixels a pixel is taken as two parts
+// (pixel_box.h), as the fit takes it: a Receiver is round.
+[[nodiscard]] std::vector<PixelPart> PixelParts(const SurfaceMap& surface, const RigCalibration& rig,
+                                                const ProjectorCalibration& light, int i, int j,
                                                 std::span<const Eigen::Vector2d> sites);
 
 // nullopt where the surface turns away from light or camera.

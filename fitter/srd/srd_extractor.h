@@ -73,7 +73,6 @@ struct SrdGeometry {
   // Where the box is so long that no Gaussian is like it: half the distance across the line of the two that stand for
   // it (SampleSites), along the image's x, y.
   double box_x_mm = 0.0, box_y_mm = 0.0;
-  [[nodiscard]] double VarianceMm2() const { return blur_mm * blur_mm + box_x_mm * box_x_mm + box_y_mm * box_y_mm; }
   double white_dn = 0.0;                   // E: what a white Lambertian target would read here, all columns on
   double slope_in = 0.0, slope_out = 0.0;  // t(omega) . e
   double slope_in_across = 0.0, slope_out_across = 0.0;   // t(omega) . (n x e)

@@ -8,10 +8,6 @@
 namespace stratalux::fit {
 namespace {
 
-// Share of a line's variance up to which a pixel's box is taken for a Gaussian: it then lacks 1.2 of the square of it
-// of the fourth cumulant, and an eighth of that, 0.3 %, of the peak.
-constexpr double kShortBox = 0.15;
-
 // Point where the ray through mosaic position `pixel` meets the plane (point, normal); `point` itself for a grazing
 // ray.
 Eigen::Vector3d OnPlane(const Pinhole& camera, const Eigen::Vector2d& pixel, const Eigen::Vector3d& point,
@@ -77,10 +73,10 @@ SrdGeometry ComputeSrdGeometry(const RigCalibration& rig, int projector, const E
   const double dx = (*c_x)[k] - (*c)[k];
   const double dy = (*c_y)[k] - (*c)[k];
   const double per_axis = rig.camera.line_blur_px * rig.camera.line_blur_px + kBoxVariance;
-  double columns2 = light.line_blur_px * light.line_blur_px + per_axis * (dx * dx + dy * dy);
-  const double line2 = columns2 + kBoxVariance;  // of a line of one column
+  const double optics2 = light.line_blur_px * light.line_blur_px;
+  double columns2 = optics2 + per_axis * (dx * dx + dy * dy);
   const auto half_box_mm = [&](double d) {
-    if (kBoxVariance * d * d < kShortBox * line2) return 0.0;
+    if (!IsLongBox(d, optics2)) return 0.0;
     columns2 -= (kBoxVariance - kHalfBoxVariance) * d * d;
     return kHalfBoxPlace * d * g.mm_per_column;
   };
