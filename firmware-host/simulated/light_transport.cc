@@ -195,11 +195,14 @@ void LightTransport::PreparePixel(const Scene& scene, size_t i) {
   // The pixel's sides on the tangent plane, in projector pixels.
   const auto side = [&](const Eigen::Vector2d& axis, float& column, float& row) {
     const Eigen::Vector3d ray = rig_.camera.model.Unproject(Eigen::Vector2d(pixel.x, pixel.y) + 0.5 * axis);
-    const Eigen::Vector3d p = ray * (pixel.normal.dot(pixel.point) / pixel.normal.dot(ray));
-    const auto at = projector_.ProjectFromCamera(p);
+    const double along = pixel.normal.dot(pixel.point) / pixel.normal.dot(ray);
+    if (!(along > 0.0)) return;  // edge-on: half a pixel further the plane lies behind the camera
+    const auto at = projector_.ProjectFromCamera(ray * along);
     if (!at) return;
-    column = 2.0F * static_cast<float>(at->x() - column_row->x());
-    row = 2.0F * static_cast<float>(at->y() - column_row->y());
+    const Eigen::Vector2d most(projector_.model.width, projector_.model.height);
+    const Eigen::Vector2f both = (2.0 * (*at - *column_row)).cwiseMin(most).cwiseMax(-most).cast<float>();
+    column = both.x();
+    row = both.y();
   };
   side({1, 0}, light.sides.u_column, light.sides.u_row);
   side({0, 1}, light.sides.v_column, light.sides.v_row);

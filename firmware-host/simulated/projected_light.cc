@@ -80,17 +80,18 @@ BlurredBoxes::Shares BlurredBoxes::At(float position) const {
   return {middle - reach_, std::span(shares_).subspan(phase * taps, taps)};
 }
 
-LightAlongAxis::LightAlongAxis(std::span<const float> shown, double sigma) {
+LightAlongAxis::LightAlongAxis(std::span<const float> shown, double sigma) : margin_(0) {
   static_assert(BlurredBoxes::kPhases % kNodes == 0);  // nodes are read exactly
   const BlurredBoxes boxes(sigma);
+  margin_ = boxes.reach() + 1;
   const auto pixels = static_cast<int>(shown.size());
-  const int nodes = (pixels - 1 + 2 * kMargin) * kNodes + 1;
+  const int nodes = (pixels - 1 + 2 * margin_) * kNodes + 1;
   light_.resize(nodes);
   first_.assign(nodes, 0.0);
   second_.assign(nodes, 0.0);
   constexpr double kStep = 1.0 / kNodes;
   for (int i = 0; i < nodes; ++i) {
-    const auto shares = boxes.At(static_cast<float>(i) / kNodes - kMargin);
+    const auto shares = boxes.At(static_cast<float>(i) / kNodes - static_cast<float>(margin_));
     double sum = 0.0;
     for (size_t k = 0; k < shares.of.size(); ++k)
       sum += shares.of[k] * shown[std::clamp(shares.first + static_cast<int>(k), 0, pixels - 1)];
@@ -110,8 +111,10 @@ struct LightAlongAxis::Place {
 
 // Before the first node and behind the last light is even.
 LightAlongAxis::Place LightAlongAxis::PlaceOf(double position) const {
-  const double at = (position + kMargin) * kNodes;
-  const auto node = static_cast<size_t>(std::clamp(std::floor(at), 0.0, static_cast<double>(light_.size() - 2)));
+  const double at = (position + margin_) * kNodes, last = static_cast<double>(light_.size() - 1);
+  if (at < 0.0) return {0, at / kNodes, 0.0};
+  if (at >= last) return {light_.size() - 1, (at - last) / kNodes, 0.0};
+  const auto node = static_cast<size_t>(at);
   return {node, (at - static_cast<double>(node)) / kNodes, (double{light_[node + 1]} - light_[node]) * kNodes};
 }
 

@@ -25,6 +25,8 @@ class BlurredBoxes {
     std::span<const float> of;
   };
   [[nodiscard]] Shares At(float position) const;
+  // Pixels on either side of the nearest one that count.
+  [[nodiscard]] int reach() const { return reach_; }
 
   static constexpr int kPhases = 64;  // to a pixel
 
@@ -41,13 +43,13 @@ class LightAlongAxis {
   [[nodiscard]] float Mean(float position, float a, float b) const;
 
  private:
-  static constexpr int kNodes = 16;   // to a pixel; between them light is a straight line
-  static constexpr int kMargin = 16;  // pixels before and behind the picture
+  static constexpr int kNodes = 16;  // to a pixel; between them light is a straight line
   struct Place;
   [[nodiscard]] Place PlaceOf(double position) const;
   [[nodiscard]] double First(double position) const;
   [[nodiscard]] double Second(double position) const;
 
+  int margin_;  // pixels before and behind the picture, beyond which light is even
   std::vector<float> light_;
   std::vector<double> first_, second_;  // antiderivatives
 };

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/evaluation/direct_light.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <complex>
@@ -18,6 +19,8 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kReach = 3;  // quads on either side that noise is shrunk towards
+// Contrast of both axes' sinusoids together below which they tell no light: of pixels as long as a period.
+constexpr double kLeastSeen = 0.05;
 
 constexpr std::array<PatternAxis, 2> kAxes = {PatternAxis::kColumns, PatternAxis::kRows};
 
@@ -43,8 +46,9 @@ std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surfa
     const double wave = 2.0 * std::numbers::pi / (light.separation_period * g.mm_per_column);
     const double half_pixel = std::numbers::pi / light.separation_period;  // the projector's pixels are boxes
     quad.surface[a] = std::sin(half_pixel) / half_pixel * std::exp(-0.5 * wave * wave * g.blur_mm * g.blur_mm) *
-                      std::cos(wave * g.box_x_mm) * std::cos(wave * g.box_y_mm);
+                      std::abs(std::cos(wave * g.box_x_mm) * std::cos(wave * g.box_y_mm));
   }
+  if (quad.surface[0] + quad.surface[1] < kLeastSeen) return std::nullopt;
   return quad;
 }
 
@@ -117,8 +121,9 @@ Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, c
     for (int c = 0; c < map.channels; ++c) {
       const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
       if (profile < 0 || !map.Fitted(profile)) continue;
+      const double surface_reflects = std::isfinite(reflectance(i, j, c)) ? std::max(0.0F, reflectance(i, j, c)) : 0.0F;
       const double resolved =
-          ResolvedLayers(*quad, light.separation_period, directions, map, profile, reflectance(i, j, c));
+          ResolvedLayers(*quad, light.separation_period, directions, map, profile, surface_reflects);
       share(i, j, c) = static_cast<float>(resolved / (quad->surface[0] + quad->surface[1]));
     }
   });

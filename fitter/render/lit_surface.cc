@@ -193,10 +193,6 @@ LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration
   return lit;
 }
 
-Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, double scale) {
-  return Blurred(Shown(lit, pattern, scale), lit.light.line_blur_px);
-}
-
 LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale) {
   LitPyramid pyramid;
   pyramid.shown = Shown(lit, pattern, pattern_scale);

@@ -33,15 +33,12 @@ struct LitSurface {
 [[nodiscard]] LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light,
                                          double exposure_ms);
 
-// A pattern times `scale` in the light's pixels, as its optics blur it.
-[[nodiscard]] Image<float> ProjectedPattern(const LitSurface& lit, const Pattern& pattern, double scale = 1.0);
-
 // The surface lit by a pattern, as a pyramid of 2^k x 2^k blocks of the light's pixels: summed flux, flux-weighted mean
-// position.
+// position. A pattern counts times its scale.
 struct LitPyramid {
   std::vector<LitPlanes> levels;
   int colour = 0;         // whose flux they hold: the light's brightest
-  Image<float> pattern;   // ProjectedPattern
+  Image<float> pattern;   // in the light's pixels, as its optics blur it
   Image<float> shown;     // before the optics blurred it
   BlockWindow shown_lit;  // the least that holds all of its pixels that are not dark
 };

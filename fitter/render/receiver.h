@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A pixel of one colour, ready to receive light. Internal to fitter/render.
+// What a camera pixel of one colour is on the surface, ready to receive light. Internal to fitter/render.
 #pragma once
 
 #include <optional>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/render/surface_light.h"
 
-#include <algorithm>
 #include <cmath>
 #include <optional>
 
@@ -34,6 +33,8 @@ std::vector<LitPart> LitParts(const SurfaceMap& surface, const RigCalibration& r
     if (!at || !beside || !below) continue;
     const Eigen::Array2d pixel2 = (*beside - *at).array().square() + (*below - *at).array().square();
     const Eigen::Array2d sigma = (optics * optics + (kHalfBoxVariance + camera * camera) * pixel2).sqrt();
+    if (!(sigma < static_cast<double>(lit.light.model.width)).all())
+      continue;  // edge-on: no plane says what the pixel sees
     for (int y = -1; y <= 1; y += 2)
       for (int x = -1; x <= 1; x += 2) {
         const Eigen::Vector3d point = plane.At(site + kHalfBoxPlace * Eigen::Vector2d(x, y));

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -128,9 +129,12 @@ TEST_F(SkinOfAPerson, IsFoundByTheLightAlone) {
 TEST_F(SkinOfAPerson, IsFoundWorseWithoutShareReflectanceOrNeighbours) {
   const double whole = IouOf(Judged({}));
   EXPECT_EQ(whole, IouOf(mask_));
+  std::vector<double> lost;
   for (const SkinOptions& options :
        {SkinOptions{.by_share = false}, {.by_reflectance = false}, {.coupling = 0.0}, {.least_log_scale = 0.02}})
-    EXPECT_LT(IouOf(Judged(options)), whole - 0.001);
+    lost.push_back(whole - IouOf(Judged(options)));
+  for (const double each : lost) EXPECT_GT(each, 0.0);
+  EXPECT_GT(std::accumulate(lost.begin(), lost.end(), 0.0) / static_cast<double>(lost.size()), 0.002);
 }
 
 TEST_F(SkinOfAPerson, IsFoundInTheLightOfOneProjector) {

@@ -82,7 +82,7 @@ TEST(SampleSites, TwoGaussiansAreNearTheBoxThatTheyStandFor) {
   EXPECT_NEAR(two.sites.VarianceMm2() + part_mm * part_mm, gaussian_mm * gaussian_mm, 1e-9);
 }
 
-TEST(SampleSites, OfABoxAreFourAndShareTheSample) {
+TEST(SampleSites, OfTwoBoxesAreEightAndShareTheSample) {
   const SampleSites sites{.pair_mm = 0.2, .box_x_mm = 0.3, .box_y_mm = -0.1};
   double sum = 0.0, mean = 0.0, variance = 0.0;
   int count = 0;

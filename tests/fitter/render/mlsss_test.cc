@@ -313,7 +313,7 @@ TEST(RenderSubsurface, TakesTheWayThroughARidgeForTheDistance) {
   // Where the line lies in the middle rows of the light.
   Eigen::Vector3d lit = Eigen::Vector3d::Zero();
   double flux = 0.0;
-  const Image<float> shown = ProjectedPattern(scene.lit, line);
+  const Image<float> shown = LightWith(scene.lit, line).pattern;
   const int row = shown.height() / 2;
   for (int x = 0; x < shown.width(); ++x) {
     const LitSample& s = scene.lit.samples(x, row);
