@@ -150,7 +150,8 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const bool tells_nothing = !whole && !refuted && PatternWitness::OneLoadOf(plan_, last.index).size() > 1;
   const LevelCheck unjudged = refuted || tells_nothing ? LevelCheck::kFailed : LevelCheck::kNotChecked;
   LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
-  const bool cannot_be_told = verdict == LevelCheck::kNotChecked && LacksCode(last);
+  // Nor is what agrees with a frame of that code which does not count: the witness has those of its tries.
+  const bool cannot_be_told = verdict != LevelCheck::kFailed && LacksCode(last);
   if (cannot_be_told) verdict = LevelCheck::kFailed;
   // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
   std::vector<Shot> shots = std::exchange(held_[group.front()], {});

@@ -32,9 +32,7 @@ CaptureReport CaptureRun::Conclude(Status ended) {
   report_.slow = shooter_.answers().Slow();
   for (const SlowAnswers& slow : report_.slow) logger_.Warning(SlowAnswersAsText(slow));
   // Shot before the code was given up.
-  std::erase_if(proven_, [this](const auto& proof) {
-    return proof.second.level_check == LevelCheck::kNotChecked && LacksCode(plan_.steps[proof.first]);
-  });
+  std::erase_if(proven_, [this](const auto& proof) { return LacksCode(plan_.steps[proof.first]); });
   report_.captured = static_cast<int>(proven_.size());
   for (const PlanStep& step : plan_.steps)
     if (!proven_.contains(step.index)) report_.missing_steps.push_back(step.index);
