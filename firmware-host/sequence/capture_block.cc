@@ -150,7 +150,7 @@ Status CaptureRun::JudgeGroup(const std::vector<int>& group) {
   const bool tells_nothing = !whole && !refuted && PatternWitness::OneLoadOf(plan_, last.index).size() > 1;
   const LevelCheck unjudged = refuted || tells_nothing ? LevelCheck::kFailed : LevelCheck::kNotChecked;
   LevelCheck verdict = whole ? witness_.Check(last) : unjudged;
-  // Nor is what agrees with a frame of that code which does not count: the witness has those of its tries.
+  // Of a code that could not be had the witness still has frames that do not count: to agree with them proves nothing.
   const bool cannot_be_told = verdict != LevelCheck::kFailed && LacksCode(last);
   if (cannot_be_told) verdict = LevelCheck::kFailed;
   // Held no more, whether or not the sink takes them all: EmitHeld must not come upon what has gone out.
