@@ -255,6 +255,10 @@ Result<std::vector<std::string>> CompareSessionRows(const fs::path& store, const
   const std::string prefix = "session " + session.info.id + ": ";
   std::vector<std::string> lines;
   SLX_ASSIGN_OR_RETURN(auto rebuilt, RebuildSession(folder));
+  // Which frames the findings withdraw is by the index's own where no manifest tells them, or none that it knows yet.
+  const auto ending = ReadManifest(folder);
+  if (session.info.status == SessionStatus::kRecording || !ending.ok() || ending->status == SessionStatus::kRecording)
+    rebuilt.info.found = session.info.found;
   // What became of the manifest is told by whoever reads it.
   const std::string manifest = (folder / "manifest.json").string();
   for (const std::string& problem : rebuilt.problems)

@@ -346,6 +346,7 @@ Result<int64_t> InsertRebuilt(SessionIndex& index, const RebuiltSession& session
     SLX_RETURN_IF_ERROR(InsertConsent(connection, info.visitor, info.consent, ConsentSource::kOfSession));
   SLX_ASSIGN_OR_RETURN(const int64_t number, index.InsertSession(info, wanted));
   SLX_RETURN_IF_ERROR(index.InsertFrames(number, session.frames));
+  SLX_RETURN_IF_ERROR(index.WithdrawFrames(number, info.found.findings));
   SLX_RETURN_IF_ERROR(SetEnding(connection, number, session));
   for (const FitRow& fit : session.fits) SLX_RETURN_IF_ERROR(index.UpsertFit(number, fit));
   SLX_RETURN_IF_ERROR(transaction.Commit());

@@ -22,6 +22,7 @@
 #include "db/migration_0006.h"
 #include "db/migration_0007.h"
 #include "db/migration_0008.h"
+#include "db/migration_0009.h"
 #include "db/segment/pixel_hash.h"
 #include "db/session_tables.h"
 #include "shared/capture/plan.h"
@@ -168,6 +169,7 @@ Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path
   if (version < 6) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0006));
   if (version < 7) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0007));
   if (version < 8) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0008));
+  if (version < 9) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0009));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
   SLX_RETURN_IF_ERROR(connection.Execute("PRAGMA user_version = " + std::to_string(kSchemaVersion)));
   return transaction.Commit();
@@ -296,16 +298,29 @@ SessionIndex::Ending EndingOf(const SessionInfo& info) {
 }
 
 Status SessionIndex::SetStatus(int64_t number, const Ending& ending) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
   SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE sessions SET status = ?1, reasons_json = ?2,"
                                                         " finished_wall_ns = ?3, findings_json = ?5, faults_json = ?6"
                                                         " WHERE number = ?4"));
-  return update.Bind(1, std::string(ToString(ending.status)))
-      .Bind(2, ReasonsToJson(ending.reasons))
-      .Bind(3, ending.finished_wall.ns)
-      .Bind(4, number)
-      .Bind(5, FindingsToJson(ending.found.findings))
-      .Bind(6, FaultsToJson(ending.found.faults))
-      .Run();
+  SLX_RETURN_IF_ERROR(update.Bind(1, std::string(ToString(ending.status)))
+                          .Bind(2, ReasonsToJson(ending.reasons))
+                          .Bind(3, ending.finished_wall.ns)
+                          .Bind(4, number)
+                          .Bind(5, FindingsToJson(ending.found.findings))
+                          .Bind(6, FaultsToJson(ending.found.faults))
+                          .Run());
+  SLX_RETURN_IF_ERROR(WithdrawFrames(number, ending.found.findings));
+  return transaction.Commit();
+}
+
+Status SessionIndex::WithdrawFrames(int64_t number, const std::vector<Finding>& findings) {
+  SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection_));
+  SLX_ASSIGN_OR_RETURN(auto update, connection_.Prepare("UPDATE frames SET level_check = ?1"
+                                                        " WHERE session = ?2 AND step = ?3 AND level_check <> ?1"));
+  for (const int step : WithdrawnSteps(findings))
+    SLX_RETURN_IF_ERROR(
+        update.Bind(1, static_cast<int64_t>(LevelCheck::kFailed)).Bind(2, number).Bind(3, int64_t{step}).Run());
+  return transaction.Commit();
 }
 
 Status SessionIndex::SetKeyId(int64_t number, std::span<const uint8_t> key_id) {

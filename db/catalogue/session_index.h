@@ -35,7 +35,11 @@ class SessionIndex {
     WallNs finished_wall;
     CaptureFindings found;
   };
+  // With the ending the frames that it withdraws fail (WithdrawFrames), in one transaction.
   Status SetStatus(int64_t number, const Ending& ending);
+  // `level_check` of frames of steps that the findings withdraw (shared/capture/finding.h) becomes `failed`; their
+  // segments keep what was said of them when they were stored.
+  Status WithdrawFrames(int64_t number, const std::vector<Finding>& findings);
   // Frames, proofs and totals in one transaction: the group's commit.
   Status InsertFrames(int64_t number, const std::vector<std::pair<int64_t, SegmentFrame>>& frames);
   // Gives frames that are there already another place, size and hash, in one transaction.

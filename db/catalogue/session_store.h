@@ -25,7 +25,7 @@
 
 namespace stratalux::db {
 
-inline constexpr int kSchemaVersion = 8;
+inline constexpr int kSchemaVersion = 9;
 
 // A session without what only its own work needs: a list of a hundred thousand carries no plan, no calibration and no
 // findings.

@@ -106,6 +106,13 @@ std::vector<std::string> ToText(const std::vector<Finding>& findings) {
   return lines;
 }
 
+std::set<int> WithdrawnSteps(const std::vector<Finding>& findings) {
+  std::set<int> steps;
+  for (const Finding& f : findings)
+    if (f.step >= 0 && (f.kind == FindingKind::kNoProof || f.kind == FindingKind::kWrongPattern)) steps.insert(f.step);
+  return steps;
+}
+
 std::string FindingsToJson(const std::vector<Finding>& findings) {
   Json list = Json::array();
   for (const Finding& f : findings) {

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -61,6 +62,10 @@ struct CaptureFindings {
 // One line a finding, for people; findings of one kind that differ in their steps alone share one
 // ("no proven frame for steps 3, 17 and 2 more").
 [[nodiscard]] std::vector<std::string> ToText(const std::vector<Finding>& findings);
+
+// Steps of which no frame counts, whatever was said of it when it was stored: what came later told that it proves
+// nothing (a code it was judged by was given up, a projector turned out to have been out of step).
+[[nodiscard]] std::set<int> WithdrawnSteps(const std::vector<Finding>& findings);
 
 // [{"kind", "projector", "step", "value", "limit", "detail"}]; projector, step, detail are left out where there is
 // none. Reading: kIntegrity for another shape or a number that is not finite, kNewerSchema for an unknown kind.

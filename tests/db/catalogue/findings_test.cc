@@ -21,6 +21,7 @@ using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using Json = nlohmann::ordered_json;
 
 class FindingsTest : public StoreTest {
@@ -245,6 +246,84 @@ TEST_F(FindingsTest, ViewsHaveARowEachAndBearAnyText) {
     EXPECT_THAT(Texts("SELECT fault FROM session_faults WHERE fault = 'lost frame' OR shots > 7"), IsEmpty()) << text;
     EXPECT_EQ(Texts("SELECT id FROM session_overview").size(), 1U) << text;
   }
+}
+
+// Frames that passed when they were stored and whose steps the capture found to prove nothing in the end.
+class WithdrawnFramesTest : public FindingsTest {
+ protected:
+  // Steps 0 to 3, of 1 two shots; no proof of 1, another pattern on 2, and a lamp on 3, which withdraws nothing.
+  std::string CaptureWithdrawn() const {
+    SessionStore store = OpenStore();
+    auto writer = store.BeginSession(SimulatedVisit());
+    EXPECT_TRUE(writer.ok()) << writer.status().message();
+    for (const int step : {0, 1, 1, 2, 3}) EXPECT_TRUE(AppendTo(*writer, step).ok());
+    EXPECT_TRUE(writer
+                    ->Finish(SessionStatus::kDegraded, {"a code was given up"},
+                             {{{FindingKind::kNoProof, 1, 1},
+                               {FindingKind::kWrongPattern, 2, 2},
+                               {FindingKind::kLamp, 3, 3, 1.3, 0.1}},
+                              {}})
+                    .ok());
+    return writer->info().id;
+  }
+  [[nodiscard]] std::vector<int> StepsThatCount(const std::string& id) const {
+    std::vector<int> steps;
+    const SessionStore store = OpenStore(AccessMode::kReadOnly);
+    const auto frames = store.ListFrames(id);
+    EXPECT_TRUE(frames.ok()) << frames.status().message();
+    for (const FrameRow& frame : *frames)
+      if (frame.record.level_check != LevelCheck::kFailed) steps.push_back(frame.record.step);
+    return steps;
+  }
+};
+
+TEST_F(WithdrawnFramesTest, CountForNoReader) {
+  const std::string id = CaptureWithdrawn();
+  EXPECT_THAT(StepsThatCount(id), ElementsAre(0, 3));
+  EXPECT_THAT(Texts("SELECT step FROM frame_overview WHERE level_check = 'failed' ORDER BY frame"),
+              ElementsAre("1", "1", "2"));
+  EXPECT_THAT(Problems(id), IsEmpty());
+}
+
+TEST_F(WithdrawnFramesTest, StayWithdrawnInAnIndexMadeAnew) {
+  const std::string id = CaptureWithdrawn();
+  ASSERT_TRUE(Reindex(folder_, logger_).ok());
+  EXPECT_THAT(StepsThatCount(id), ElementsAre(0, 3));
+  // By what the old index knew, too.
+  std::filesystem::remove(Folder(id) / "manifest.json");
+  ASSERT_TRUE(Reindex(folder_, logger_).ok());
+  EXPECT_THAT(StepsThatCount(id), ElementsAre(0, 3));
+}
+
+TEST_F(WithdrawnFramesTest, AreWithdrawnWhereTheWriterDiedBehindItsManifest) {
+  const std::string id = CaptureWithdrawn();
+  Execute(
+      "UPDATE sessions SET status = 'recording', reasons_json = '[]', finished_wall_ns = NULL, findings_json = '[]';"
+      " UPDATE frames SET level_check = 1");
+  EXPECT_THAT(Problems(id), IsEmpty()) << "the ending is still to come";
+  EXPECT_FALSE(OpenStore().notes().empty());
+  EXPECT_THAT(StepsThatCount(id), ElementsAre(0, 3));
+  EXPECT_THAT(Problems(id), IsEmpty());
+}
+
+TEST_F(WithdrawnFramesTest, OnesThatCountAgainAreFound) {
+  const std::string id = CaptureWithdrawn();
+  Execute("UPDATE frames SET level_check = 1 WHERE step = 2");
+  EXPECT_THAT(Problems(id), ElementsAre(HasSubstr("frames.level_check")));
+  // Where no manifest tells the findings, the index's own do.
+  std::filesystem::remove(Folder(id) / "manifest.json");
+  EXPECT_THAT(Problems(id), Contains(HasSubstr("frames.level_check")));
+  Execute("UPDATE frames SET level_check = 2 WHERE step = 2");
+  EXPECT_THAT(Problems(id), Not(Contains(HasSubstr("frames.level_check"))));
+}
+
+TEST_F(WithdrawnFramesTest, OfAStoreOfSchemaEightAreWithdrawnAsItIsOpened) {
+  const std::string id = CaptureWithdrawn(), whole = StoreSession(3);
+  Execute("UPDATE frames SET level_check = 1; PRAGMA user_version = 8");
+  (void)OpenStore();
+  EXPECT_THAT(StepsThatCount(id), ElementsAre(0, 3));
+  EXPECT_THAT(StepsThatCount(whole), ElementsAre(0, 1, 2));
+  EXPECT_THAT(Problems(id), IsEmpty());
 }
 
 }  // namespace

@@ -102,12 +102,13 @@ bool Shows(const ShownFrame& shown, const PlanStep& step, Subject& subject) {
 
 void HoldAgainstTruth(const CapturePlan& plan, const LastFrames& frames, Subject subject, SoakCapture& capture) {
   if (capture.report.status == SessionStatus::kFailed) return;
-  const std::set<int> missing(capture.report.missing_steps.begin(), capture.report.missing_steps.end());
+  // As the store does (db/catalogue/session_index.h): what the report alone calls missing its readers would take.
+  const std::set<int> withdrawn = WithdrawnSteps(capture.report.findings);
   std::map<int, ShownFrame> white;  // of each projector
   for (const auto& [step, shown] : frames.of_step) {
     const PlanStep& planned = plan.steps[step];
-    if (!missing.contains(step) && !Shows(shown, planned, subject)) capture.mis_associated.push_back(step);
-    capture.spoilt_most = std::max(capture.spoilt_most, missing.contains(step) ? 0.0 : shown.spoilt);
+    if (!withdrawn.contains(step) && !Shows(shown, planned, subject)) capture.mis_associated.push_back(step);
+    capture.spoilt_most = std::max(capture.spoilt_most, withdrawn.contains(step) ? 0.0 : shown.spoilt);
     if (planned.phase == CapturePhase::kReference && planned.pattern.kind == PatternKind::kWhite)
       white[planned.projector] = shown;
     if (capture.report.status != SessionStatus::kComplete || !white.contains(planned.projector)) continue;

@@ -11,6 +11,7 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 TEST(Finding, EveryKindHasAWordOfItsOwn) {
   std::set<std::string> words;
@@ -65,6 +66,15 @@ TEST(Finding, StepsOfOneKindShareALineAndOthersKeepTheirOrder) {
   std::vector<Finding> many;
   for (int step = 0; step < 20; ++step) many.push_back({FindingKind::kNoProof, 0, step});
   EXPECT_THAT(ToText(many), ElementsAre(HasSubstr("6, 7 and 12 more")));
+}
+
+TEST(Finding, OnlyWhatProvesAStepFalseWithdrawsItsFrames) {
+  std::vector<Finding> all;
+  for (int kind = 0; kind < kFindingKindCount; ++kind) all.push_back({static_cast<FindingKind>(kind), 0, kind});
+  all.push_back({FindingKind::kNoProof, 0, -1});
+  EXPECT_THAT(WithdrawnSteps(all),
+              ElementsAre(static_cast<int>(FindingKind::kNoProof), static_cast<int>(FindingKind::kWrongPattern)));
+  EXPECT_THAT(WithdrawnSteps({}), IsEmpty());
 }
 
 }  // namespace
