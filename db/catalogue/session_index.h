@@ -57,6 +57,7 @@ class SessionIndex {
   struct Place {
     int64_t frame, segment, offset, bytes;
     std::vector<uint8_t> hash;
+    bool failed = false;  // when it was stored, or withdrawn since
   };
   Result<std::vector<Place>> Places(int64_t number);
   // The row, and its figures in `metrics`.

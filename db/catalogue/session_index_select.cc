@@ -142,14 +142,15 @@ Result<int64_t> SessionIndex::NumberOf(const std::string& id) {
 }
 
 Result<std::vector<SessionIndex::Place>> SessionIndex::Places(int64_t number) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT frame, segment, offset, stored_bytes, hash FROM frames"
-                                                        " WHERE session = ?1 ORDER BY frame"));
+  SLX_ASSIGN_OR_RETURN(auto select, connection_.Prepare("SELECT frame, segment, offset, stored_bytes, hash,"
+                                                        " level_check FROM frames WHERE session = ?1 ORDER BY frame"));
   select.Bind(1, number);
   std::vector<Place> places;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return places;
-    places.push_back({select.Integer(0), select.Integer(1), select.Integer(2), select.Integer(3), select.Blob(4)});
+    places.push_back({select.Integer(0), select.Integer(1), select.Integer(2), select.Integer(3), select.Blob(4),
+                      select.Integer(5) == static_cast<int64_t>(LevelCheck::kFailed)});
   }
 }
 

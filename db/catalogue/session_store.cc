@@ -373,6 +373,7 @@ Result<std::vector<FrameRow>> SessionStore::Impl::ListFrames(const std::string& 
     FrameRow row;
     row.id = p.frame;
     SLX_ASSIGN_OR_RETURN(row.record, RecordOf(header).WithContext("session " + id));
+    if (p.failed) row.record.level_check = LevelCheck::kFailed;
     row.codec = ToString(static_cast<Codec>(header.codec));
     row.segment = SegmentName(p.segment);
     row.offset = p.offset;
