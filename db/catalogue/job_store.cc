@@ -175,16 +175,19 @@ Result<int64_t> JobStore::Enqueue(const JobRequest& request) {
         connection.Prepare("INSERT INTO jobs (key, session, kind, state, priority, options_json, created_wall_ns,"
                            " not_before_wall_ns, attempts, max_attempts, owner, fence, boot, until_boot_ns, last_error)"
                            " VALUES (?1, ?2, ?3, 'queued', ?4, ?5, ?6, ?7, 0, ?8, '', 0, '', 0, '')"
-                           " ON CONFLICT (key) DO NOTHING"));
+                           " ON CONFLICT (key) DO UPDATE SET priority = excluded.priority,"
+                           " options_json = excluded.options_json, max_attempts = excluded.max_attempts"
+                           " WHERE ?9 AND state IN ('queued', 'done')"));
     insert.Bind(1, request.key).Bind(3, request.kind).Bind(4, int64_t{request.priority}).Bind(5, request.options_json);
     insert.Bind(6, impl_->clock.wall().ns).Bind(7, request.not_before.ns).Bind(8, int64_t{request.max_attempts});
+    insert.Bind(9, int64_t{request.anew});
     if (session) insert.Bind(2, *session);
     SLX_RETURN_IF_ERROR(insert.Run());
     SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id, state FROM jobs WHERE key = ?1"));
     SLX_RETURN_IF_ERROR(select.Bind(1, request.key).Step().status());
     id = select.Integer(0);
     const bool done = select.Text(1) == ToString(JobState::kDone);
-    return done && request.again_if_done ? BeginAnew(connection, id) : Status::Ok();
+    return done && request.anew ? BeginAnew(connection, id) : Status::Ok();
   };
   SLX_RETURN_IF_ERROR(impl_->Change(enqueue));
   return id;

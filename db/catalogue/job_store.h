@@ -43,7 +43,9 @@ struct JobRequest {
   int priority = 0;  // higher first; among equals the oldest first
   WallNs not_before = {};
   int max_attempts = 3;
-  bool again_if_done = false;  // a job of this key that is done begins anew: what it had made is gone
+  // A job of this key that waits is from now on as this request says (priority, options, attempts); one that is done
+  // begins so anew: what it had made is gone.
+  bool anew = false;
 };
 
 struct Job {

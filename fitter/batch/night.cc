@@ -37,6 +37,10 @@ bool WorthTryingAgain(int exit_code) {
   return code == StatusCode::kFailed || code == StatusCode::kBusy || code == StatusCode::kTryAgain;
 }
 
+// An answer that says no, not one that could not be had: a busy disk or a ledger's line of a later version drops
+// nobody.
+bool Forbids(const Status& may) { return may.code() == StatusCode::kUsage || may.code() == StatusCode::kNotFound; }
+
 double InSeconds(Clock::duration time) { return std::chrono::duration<double>(time).count(); }
 std::string InGib(int64_t bytes) { return Formatted("%.2f GiB", static_cast<double>(bytes) / (int64_t{1} << 30)); }
 
@@ -52,7 +56,6 @@ std::string LastError(const fs::path& log) {
 
 struct Attempt {
   db::Job job;
-  std::string visitor;
   int64_t sites = 0;
   fs::path log;
   Worker worker;
@@ -86,12 +89,13 @@ class Night {
   Result<bool> StartOne();
   [[nodiscard]] bool Fits() const;
   [[nodiscard]] bool InTime() const;
-  [[nodiscard]] Status MayGoOn(const std::string& session, const std::string& visitor) const;
+  // kUsage: consent was withdrawn or the session forgotten; kNotFound: it is not listed any more; others: not known.
+  [[nodiscard]] Status MayGoOn(const std::string& session) const;
   Status Launch(const db::Job& job);
   Status Watch();
   Status LookAt(Attempt& attempt);
   Status Reap();
-  Status Unreadable(const db::Job& job, NightEvent event, const Status& why);
+  Status NotBegun(const db::Job& job, NightEvent event, const Status& why);
   Status Drop(const db::Job& job, NightEvent event, const std::string& reason);
   Status Finish(Attempt& attempt, const WorkerEnd& end);
   void Wait() const;
@@ -130,7 +134,7 @@ Status Night::Enqueue(const NightChoice& choice) {
     request.priority = static_cast<int>(choice.visits.size() - i);
     request.max_attempts = options_.attempts;
     // Done, and yet not there: its fit was removed, or its artifacts are of an older version.
-    request.again_if_done = true;
+    request.anew = true;
     const Result<int64_t> id = jobs_.Enqueue(request);
     if (id.status().code() == StatusCode::kNotFound) continue;  // forgotten since
     SLX_RETURN_IF_ERROR(id.status());
@@ -184,9 +188,11 @@ Result<bool> Night::StartOne() {
   return true;
 }
 
-Status Night::MayGoOn(const std::string& session, const std::string& visitor) const {
+Status Night::MayGoOn(const std::string& session) const {
   if (options_.also_asked) SLX_RETURN_IF_ERROR(options_.also_asked(session));
-  return MayStillBeFitted(options_.choice.run.store, session, visitor);
+  SLX_RETURN_IF_ERROR(db::RefuseForgotten(options_.choice.run.store, session));
+  SLX_ASSIGN_OR_RETURN(const auto row, store_.FindSession(session));
+  return MayStillBeFitted(options_.choice.run.store, session, row.info.visitor);
 }
 
 Status Night::Launch(const db::Job& job) {
@@ -205,17 +211,14 @@ Status Night::Launch(const db::Job& job) {
   } catch (const nlohmann::json::exception& error) {
     return jobs_.Fail(job.token, std::string("its options are no night's: ") + error.what(), std::nullopt);
   }
+  if (const Status may = MayGoOn(session); !may.ok()) return NotBegun(job, event, may);
   const auto row = store_.FindSession(session);
-  if (row.ok()) attempt->visitor = row->info.visitor;
-  const Status may = row.ok() ? MayGoOn(session, attempt->visitor) : row.status();
-  if (!may.ok()) {
-    return Drop(job, event, may.message());
-  }
+  if (!row.ok()) return NotBegun(job, event, row.status());
   attempt->log = log_.WorkerLog(session, job.attempts);
   WorkerOptions start{command, attempt->log, options_.threads, options_.nice};
   if (db::KeyId key_id{}; db::FromHex(row->key_id, key_id).ok()) {
     auto key = db::FindKeyOf(options_.choice.run.store, session, key_id);
-    if (!key.ok()) return Unreadable(job, event, key.status());
+    if (!key.ok()) return NotBegun(job, event, key.status());
     start.keys.push_back(*key);
   }
   attempt->next_heartbeat = Clock::now() + options_.lease / 4;
@@ -227,15 +230,17 @@ Status Night::Launch(const db::Job& job) {
   return Status::Ok();
 }
 
-// It was chosen by who had the key, or another night asked for it.
-Status Night::Unreadable(const db::Job& job, NightEvent event, const Status& why) {
-  if (why.code() == StatusCode::kNotFound) return Drop(job, event, why.message());
-  const bool again = why.code() == StatusCode::kBusy;
+// Dropped where it may not be fitted any more; else tried again where another time may help.
+Status Night::NotBegun(const db::Job& job, NightEvent event, const Status& why) {
+  if (const Status may = MayGoOn(job.request.session); Forbids(may)) return Drop(job, event, may.message());
+  // A key that is missing stays missing: it was chosen by who had it, or another night asked for it.
+  const bool again = !Forbids(why);
+  const bool last = job.attempts >= job.request.max_attempts;
   SLX_RETURN_IF_ERROR(
       jobs_.Fail(job.token, why.message(), again ? std::optional<milliseconds>(options_.back_off) : std::nullopt));
-  event.kind = again ? NightEventKind::kRetry : NightEventKind::kFailed;
+  event.kind = !again ? NightEventKind::kFailed : last ? NightEventKind::kSetAside : NightEventKind::kRetry;
   event.reason = why.message();
-  if (!again) ++outcome_.failed;
+  if (event.kind != NightEventKind::kRetry) ++outcome_.failed;
   return Tell(event);
 }
 
@@ -259,10 +264,10 @@ Status Night::LookAt(Attempt& attempt) {
   attempt.next_heartbeat = Clock::now() + options_.lease / 4;
   if (!attempt.no_longer.empty() || !attempt.lost.empty()) return Status::Ok();
   const Status ours = jobs_.Heartbeat(attempt.job.token, options_.lease);
-  const Status may = MayGoOn(attempt.job.request.session, attempt.visitor);
-  if (!may.ok() && may.code() != StatusCode::kBusy) attempt.no_longer = may.message();
+  const Status may = MayGoOn(attempt.job.request.session);
+  if (Forbids(may)) attempt.no_longer = may.message();
   // A night that was held up for longer than a lease: somebody else has the visitor, and goes on.
-  if (may.ok() && !ours.ok() && ours.code() != StatusCode::kBusy) attempt.lost = ours.message();
+  if (!Forbids(may) && !ours.ok() && ours.code() != StatusCode::kBusy) attempt.lost = ours.message();
   if (!attempt.no_longer.empty() || !attempt.lost.empty()) attempt.worker.Signal(SIGTERM);
   return Status::Ok();
 }
@@ -313,9 +318,10 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
     event.reason = attempt.lost;
     return Tell(event);
   }
-  if (!attempt.no_longer.empty() || end.exit_code == static_cast<int>(StatusCode::kNotFound)) {
-    return Drop(attempt.job, event, attempt.no_longer.empty() ? LastError(attempt.log) : attempt.no_longer);
-  }
+  // A worker that does not find its session says no more than that something is not there: it may be a frame.
+  if (attempt.no_longer.empty() && end.exit_code == static_cast<int>(StatusCode::kNotFound))
+    if (const Status may = MayGoOn(event.session); Forbids(may)) attempt.no_longer = may.message();
+  if (!attempt.no_longer.empty()) return Drop(attempt.job, event, attempt.no_longer);
   event.reason = !attempt.killed.empty() ? attempt.killed
                  : end.signal != 0       ? Formatted("ended by signal %d (%s)", end.signal, strsignal(end.signal))
                                          : LastError(attempt.log);

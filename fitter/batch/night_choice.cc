@@ -25,27 +25,31 @@ struct Verdict {
   Status reason;
 };
 
-Verdict Judge(const ChoiceOptions& options, const db::SessionSummary& session, ChosenVisit& visit) {
+// An error: whether it may be fitted could not be asked, of which nobody is told that consent is missing.
+Result<Verdict> Judge(const ChoiceOptions& options, const db::SessionSummary& session, ChosenVisit& visit) {
   const RunOptions& run = options.run;
   const SessionStatus status = session.info.status;
   if (status == SessionStatus::kFailed || status == SessionStatus::kRecording)
-    return {LeftOut::kCapture, Status::Failed(std::string("the capture is ") + ToString(status))};
-  if (Status may = MayStillBeFitted(run.store, session.info.id, session.info.visitor); !may.ok())
-    return {LeftOut::kConsent, std::move(may)};
+    return Verdict{LeftOut::kCapture, Status::Failed(std::string("the capture is ") + ToString(status))};
+  if (Status may = MayStillBeFitted(run.store, session.info.id, session.info.visitor); !may.ok()) {
+    if (may.code() != StatusCode::kUsage) return may;
+    return Verdict{LeftOut::kConsent, std::move(may)};
+  }
   RunOptions dry = run;
   dry.session = session.info.id;
   dry.dry_run = true;
   Logger quiet(LogLevel::kError);
   const Result<RunOutcome> outcome = RunSession(dry, quiet);
-  if (!outcome.ok()) return {LeftOut::kUnusable, outcome.status()};
-  if (options.key == KeyHere::kNeeded && !outcome->readable.ok()) return {LeftOut::kKey, outcome->readable};
+  if (!outcome.ok()) return Verdict{LeftOut::kUnusable, outcome.status()};
+  if (options.key == KeyHere::kNeeded && !outcome->readable.ok()) return Verdict{LeftOut::kKey, outcome->readable};
   const auto folder = std::filesystem::path(run.store) / "sessions" / session.info.id;
   if (options.key == KeyHere::kNot && outcome->sealed && db::ListSealedKeys(folder).empty())
-    return {LeftOut::kKey, Status::Failed("encrypted, and its key is sealed to nobody who could fit it elsewhere "
-                                          "(`stratalux-db key share`); `stratalux-fit batch run` fits it here")};
+    return Verdict{LeftOut::kKey,
+                   Status::Failed("encrypted, and its key is sealed to nobody who could fit it elsewhere "
+                                  "(`stratalux-db key share`); `stratalux-fit batch run` fits it here")};
   visit = {outcome->session, outcome->fit, outcome->sites, outcome->sealed};
-  if (outcome->was_complete) return {LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
-  return {};
+  if (outcome->was_complete) return Verdict{LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
+  return Verdict{};
 }
 
 }  // namespace
@@ -82,7 +86,7 @@ Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger) {
   for (const db::SessionSummary& session : sessions) {
     progress.Advance();
     ChosenVisit visit;
-    const Verdict verdict = Judge(options, session, visit);
+    SLX_ASSIGN_OR_RETURN(const Verdict verdict, Judge(options, session, visit));
     if (!verdict.reason.ok())
       choice.left_out.push_back({session.info.id, verdict.why, verdict.reason.message()});
     else if (options.most > 0 && choice.visits.size() >= static_cast<size_t>(options.most))

@@ -211,7 +211,7 @@ TEST_F(JobStoreTest, RefusesWhatNoJobCanBe) {
 TEST_F(JobStoreTest, WhatIsDoneBeginsAgainOnlyWhereItIsAskedFor) {
   JobStore jobs = Open(), other = Open();
   JobRequest again{"k", "fit"};
-  again.again_if_done = true;
+  again.anew = true;
   const int64_t id = *jobs.Enqueue(again);
   EXPECT_EQ(*other.Enqueue(again), id);
   ASSERT_TRUE(jobs.Complete(Lease(jobs)->token).ok());
@@ -225,6 +225,32 @@ TEST_F(JobStoreTest, WhatIsDoneBeginsAgainOnlyWhereItIsAskedFor) {
   EXPECT_TRUE(other.Fail(lease->token, "no", std::nullopt).ok());
   EXPECT_EQ(*jobs.Enqueue(again), id);
   EXPECT_EQ(jobs.Find(id)->state, JobState::kFailed) << "only what is done";
+}
+
+// Who asks last says how: of a job that waits, or begins anew; not of one that somebody works on.
+TEST_F(JobStoreTest, ARequestMadeAnewIsTheOneThatCounts) {
+  JobStore jobs = Open();
+  const auto request = [](const std::string& options) {
+    JobRequest asked{"k", "fit"};
+    asked.options_json = options;
+    asked.anew = true;
+    return asked;
+  };
+  const int64_t id = *jobs.Enqueue(request("[1]"));
+  JobRequest second = request("[2]");
+  second.priority = 7;
+  second.max_attempts = 5;
+  ASSERT_EQ(*jobs.Enqueue(second), id);
+  EXPECT_EQ(jobs.Find(id)->request.options_json, "[2]");
+  EXPECT_EQ(jobs.Find(id)->request.priority, 7);
+  EXPECT_EQ(jobs.Find(id)->request.max_attempts, 5);
+  const auto lease = Lease(jobs);
+  ASSERT_EQ(*jobs.Enqueue(request("[3]")), id);
+  EXPECT_EQ(jobs.Find(id)->request.options_json, "[2]") << "under way";
+  ASSERT_TRUE(jobs.Complete(lease->token).ok());
+  ASSERT_EQ(*jobs.Enqueue(request("[4]")), id);
+  EXPECT_EQ(jobs.Find(id)->state, JobState::kQueued);
+  EXPECT_EQ(jobs.Find(id)->request.options_json, "[4]");
 }
 
 // By triggers, which nothing that happens to a job may miss.

@@ -278,6 +278,69 @@ TEST_F(NightTest, WhoMayNotByAnotherWordIsNotFittedNorGoneOnWith) {
   EXPECT_EQ(VisitOf(sessions_[1]).reason, "withdrawn elsewhere");
 }
 
+// A question that cannot be answered for the moment is no "no": nobody is cancelled for it.
+TEST_F(NightTest, WhatCannotBeAskedDropsNobody) {
+  Visitors(2);
+  options_.lease = milliseconds(400);
+  Workers("[ $S != " + sessions_[1] + " ] || sleep 1");
+  int asked = 0;
+  options_.also_asked = [&](const std::string& session) -> Status {
+    if (session == sessions_[0]) return asked++ < 2 ? Status::Failed("a ledger of a later version") : Status::Ok();
+    return Lines(session, ".begun") > 0 ? Status(StatusCode::kNewerSchema, "a line of a later version") : Status::Ok();
+  };
+  const NightOutcome outcome = Run();
+  EXPECT_GT(asked, 2);
+  EXPECT_EQ(outcome.dropped, 0);
+  EXPECT_EQ(outcome.fitted, 2);
+  for (const std::string& session : sessions_) EXPECT_EQ(StateOf(session), db::JobState::kDone) << session;
+}
+
+TEST_F(NightTest, WhatCannotBeAskedInAnyAttemptFails) {
+  Visitors(1);
+  Workers("");
+  options_.also_asked = [](const std::string&) { return Status::Failed("no ledger"); };
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.dropped, 0);
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kSetAside);
+  EXPECT_EQ(VisitOf(sessions_[0]).reason, "no ledger");
+}
+
+// "Not found" of a worker that has its session: a degraded capture may lack a frame that a stage needs.
+TEST_F(NightTest, WhoLacksAFrameFailsAndDidNotWithdraw) {
+  Visitors(1);
+  Workers("echo 'error: session has no good frame of projector 2' >&2; exit 4");
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.dropped, 0);
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 1) << "it will lack it another time, too";
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kFailed);
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("no good frame"));
+}
+
+// The same visitor asked for with other options: queued before, or done and asked for anew.
+TEST_F(NightTest, WorkersFitByTheOptionsOfThisNight) {
+  Visitors(2);
+  Workers("echo \"$*\" > $W/$S.arguments");
+  const auto arguments = [&](size_t i) { return ReadText(work_ / (sessions_[i] + ".arguments")); };
+  options_.arguments = {"--offset", "off"};
+  const NightChoice both = choice_;
+  choice_.visits.resize(1);
+  EXPECT_EQ(Run().fitted, 1);
+  auto jobs = db::JobStore::Open(folder_);
+  ASSERT_TRUE(jobs.ok());
+  ASSERT_TRUE(jobs->Enqueue({JobKey(both.visits[1]), "fit", sessions_[1],
+                             R"({"arguments": ["--offset", "off"], "fit": "fit1", "sites": 1000})"})
+                  .ok());
+  choice_ = both;
+  options_.arguments = {"--full-evaluation"};
+  EXPECT_EQ(Run().fitted, 2);
+  for (const size_t i : {0, 1}) {
+    EXPECT_THAT(arguments(i), HasSubstr("--full-evaluation")) << i;
+    EXPECT_EQ(arguments(i).find("--offset"), std::string::npos) << i;
+  }
+}
+
 // Held up for longer than a lease, as by a machine that was asleep.
 TEST_F(NightTest, AVisitorThatAnotherNightHasTakenOverIsLeftToIt) {
   Visitors(1);
