@@ -15,6 +15,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/catalogue/deletions.h"
+#include "fitter/batch/visit_cost.h"
 #include "shared/base/formatted.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/json_number.h"
@@ -97,6 +98,9 @@ Result<NightEvent> ParseNightEvent(const std::string& line) {
     Read(json, "why", event.why);
     Read(json, "reason", event.reason);
     Read(json, "visitors", event.count);
+    SLX_RETURN_IF_ERROR(CheckCost({event.cpu_seconds, event.peak_bytes}));
+    SLX_RETURN_IF_ERROR(CheckSeconds(event.seconds));
+    if (event.at.ns < 0) return Status::Integrity("an event at " + std::to_string(event.at.ns) + " ns");
     return event;
   } catch (const Json::exception& error) {
     return Status::Integrity(std::string("no event of a night: ") + error.what());

@@ -49,6 +49,7 @@ Result<PlannedVisit> PlannedVisitFrom(const Json& json) {
   for (const std::string& id : {visit.session, visit.fit}) SLX_RETURN_IF_ERROR(CheckId(id));
   if (json.contains("cpu_seconds"))
     visit.cost = VisitCost{json.at("cpu_seconds").get<double>(), WholeAt<int64_t>(json, "peak_bytes")};
+  if (visit.cost) SLX_RETURN_IF_ERROR(CheckCost(*visit.cost));
   return visit;
 }
 

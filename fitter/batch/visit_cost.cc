@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fitter/batch/newest_fits.h"
+#include "shared/base/formatted.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/median.h"
 
@@ -43,6 +44,20 @@ std::optional<VisitCost> CostHistory::Foresee(int64_t sites) const {
   const double many = static_cast<double>(sites);
   return VisitCost{Median(seconds_per_site_) * many,
                    static_cast<int64_t>(*std::max_element(bytes_per_site_.begin(), bytes_per_site_.end()) * many)};
+}
+
+Status CheckSeconds(double seconds) {
+  constexpr double kMost = 1e9;
+  if (seconds >= 0.0 && seconds <= kMost) return Status::Ok();
+  return Status::Integrity(Formatted("%g seconds that a visitor took; 0 to %g are some", seconds, kMost));
+}
+
+Status CheckCost(const VisitCost& cost) {
+  constexpr int64_t kMostBytes = int64_t{1} << 50;
+  if (cost.peak_bytes < 0 || cost.peak_bytes > kMostBytes)
+    return Status::Integrity(std::to_string(cost.peak_bytes) + " bytes that a visitor took; 0 to " +
+                             std::to_string(kMostBytes) + " are some");
+  return CheckSeconds(cost.cpu_seconds);
 }
 
 Result<CostHistory> CostHistory::Read(const db::SessionStore& store, size_t most) {

@@ -18,6 +18,10 @@ struct VisitCost {
   int64_t peak_bytes = 0;    // resident, of its process
 };
 
+// kIntegrity for what no computer took, such as a forged file may say: less than nothing, 30 years, 2^50 bytes.
+[[nodiscard]] Status CheckCost(const VisitCost& cost);
+[[nodiscard]] Status CheckSeconds(double seconds);
+
 class CostHistory {
  public:
   // The newest fits of visitors, `most` of them.

@@ -15,6 +15,7 @@ constexpr std::array<std::string_view, 5> kKinds = {"visitor", "calibration", "d
 constexpr std::array<std::string_view, 2> kSyncModes = {"triggered", "free_running"};
 
 // What the sessions that measure light show beyond white, black and codes; docs/capture-plan.md gives the reasons.
+constexpr size_t kMostSteps = 100'000;  // a visitor's is some 700
 constexpr int kDarkRepeats = 16;        // frames of each exposure
 constexpr int kRampRepeats = 2;         // whites of each exposure: their difference is noise alone
 constexpr int kGreySteps = 32;          // of a projector's ramp
@@ -212,6 +213,7 @@ class PlanBuilder {
     for (int i = 0; i < plan_.options.guards; ++i) Add(projector, CapturePhase::kGuard, {.kind = PatternKind::kBlack});
   }
 
+  [[nodiscard]] size_t size() const { return plan_.steps.size(); }
   CapturePlan Take() { return std::move(plan_); }
 
  private:
@@ -282,9 +284,16 @@ Status PlanOptions::Validate() const {
   SLX_RETURN_IF_ERROR(RequireRange("preroll_markers", preroll_markers, 0, 64));
   SLX_RETURN_IF_ERROR(RequireRange("motion_whites", motion_whites, 0, 64));
   SLX_RETURN_IF_ERROR(RequireRange("guards", guards, 0, 16));
+  SLX_RETURN_IF_ERROR(RequireRange("separation_period", separation_period, 3, 8192));
+  SLX_RETURN_IF_ERROR(RequireRange("separation_shifts", separation_shifts, 3, 64));
+  SLX_RETURN_IF_ERROR(RequireRange("checkerboard_period", checkerboard_period, 2, 8192));
+  SLX_RETURN_IF_ERROR(RequireRange("checkerboard_shifts", checkerboard_shifts, 1, 64));
+  SLX_RETURN_IF_ERROR(RequireRange("comb_width", comb_width, 1, 1024));
+  SLX_RETURN_IF_ERROR(RequireRange("comb_period", comb_period, 2, 8192));
   SLX_RETURN_IF_ERROR(RequireRange("spot_radius", spot_radius, 0, 256));
-  SLX_RETURN_IF_ERROR(RequireRange("comb_step (at most comb_width)", comb_step, 1, std::max(1, comb_width)));
-  if (comb_period < 1 || comb_period % comb_step != 0 || comb_width % comb_step != 0)
+  SLX_RETURN_IF_ERROR(RequireRange("spot_pitch", spot_pitch, 2, 8192));
+  SLX_RETURN_IF_ERROR(RequireRange("comb_step (at most comb_width)", comb_step, 1, comb_width));
+  if (comb_period % comb_step != 0 || comb_width % comb_step != 0)
     return Status::Usage("plan: comb_step = " + std::to_string(comb_step) + " must divide comb_period = " +
                          std::to_string(comb_period) + " and comb_width = " + std::to_string(comb_width));
   return Status::Ok();
@@ -303,6 +312,8 @@ Result<CapturePlan> BuildPlan(const PlanOptions& options) {
   PlanBuilder builder(options);
   builder.AddPreroll();
   for (int p = 0; p < options.projectors; ++p) {
+    if (builder.size() > kMostSteps)
+      return Status::Usage("plan: more than " + std::to_string(kMostSteps) + " steps; no visitor holds still for them");
     switch (options.kind) {
       case SessionKind::kVisitor:
         builder.AddVisitor(p);
